@@ -1,0 +1,60 @@
+"""The command line: parse, call, print. One module per command, imported only when it is asked for."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+from collections.abc import Sequence
+
+from tacshade_edge import __version__
+from tacshade_edge.errors import ConfigError, TacshadeError
+
+EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_CONFIG = 0, 1, 2, 78
+
+# name -> (module with add_arguments(parser) and run(args) -> exit code, one line of help)
+COMMANDS: dict[str, tuple[str, str]] = {
+    "run": ("run", "run the daemon: camera to height maps over MQTT"),
+    "demo": ("demo", "a simulated hand with live results in the terminal; needs nothing else"),
+    "check-config": ("check_config", "check a settings file, or export its JSON Schema"),
+    "calibrate": ("calibrate", "references and ball presses to a calibration file"),
+    "reconstruct": ("reconstruct", "images to height maps, clouds and a summary"),
+    "simulate": ("simulate", "write simulated images with ground truth, or a calibration set"),
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command and return the process's exit code.
+
+    0 done; 1 failed; 2 usage; 78 bad configuration, which systemd must not restart.
+    """
+    words = list(sys.argv[1:] if argv is None else argv)
+    parser = argparse.ArgumentParser(
+        prog="tacshade-edge",
+        description=f"Metric shape from touch for TacShade sensors (version {__version__}).",
+        epilog="tacshade-edge COMMAND --help tells a command's options.",
+    )
+    parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    chosen = next((w for w in words if not w.startswith("-")), None)
+    module = None
+    for name, (module_name, summary) in COMMANDS.items():
+        sub = commands.add_parser(name, help=summary, description=summary[0].upper() + summary[1:] + ".")
+        if name == chosen:
+            module = importlib.import_module(f"tacshade_edge.cli.{module_name}")
+            module.add_arguments(sub)
+    args = parser.parse_args(words)
+    assert module is not None  # argparse has refused an unknown command
+    try:
+        return int(module.run(args))
+    except ConfigError as error:
+        print(f"tacshade-edge: {error}", file=sys.stderr)
+        return EXIT_CONFIG
+    except TacshadeError as error:
+        print(f"tacshade-edge: {error}", file=sys.stderr)
+        return EXIT_FAILED
+    except BrokenPipeError:  # the reader of our output went away, as `| head` does
+        sys.stderr.close()
+        return EXIT_FAILED
+    except KeyboardInterrupt:
+        return 130

@@ -1,0 +1,1 @@
+"""Pure reconstruction: arrays in, values out; no clock, thread, file, socket, log or global."""

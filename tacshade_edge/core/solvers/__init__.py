@@ -1,0 +1,1 @@
+"""Depth solvers behind one protocol; the registry is one dict."""

@@ -1,0 +1,1 @@
+"""Pure: a physical model of the sensor (skin mechanics, pins and markers, camera, objects, scenes)."""

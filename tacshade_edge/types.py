@@ -1,0 +1,270 @@
+"""The values that the layers hand each other. Frozen; every array in them is read-only."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+U8 = npt.NDArray[np.uint8]
+U16 = npt.NDArray[np.uint16]
+F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
+Bool = npt.NDArray[np.bool_]
+
+Polarity = Literal["bright", "dark"]
+Binarisation = Literal["adaptive", "global", "otsu"]
+
+IDENTITY_POSE = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+
+
+def _freeze(value: object, *names: str) -> None:
+    """Replace the named array attributes by read-only views."""
+    for name in names:
+        view = getattr(value, name).view()
+        view.setflags(write=False)
+        object.__setattr__(value, name, view)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """One image of the sensor's camera.
+
+    Attributes
+    ----------
+    seq : int
+        Counts the frames of this source from 0; a gap is a frame that the source knows it lost.
+    t_ns : int
+        Capture time, CLOCK_MONOTONIC.
+    wall_ns : int
+        The same instant as Unix time, for metadata only.
+    image : uint8 (H, W) grey or (H, W, 3) BGR
+    """
+
+    seq: int
+    t_ns: int
+    wall_ns: int
+    image: U8
+
+    def __post_init__(self) -> None:
+        _freeze(self, "image")
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """``base_T_flange`` at a time: translation in mm and the unit quaternion w, x, y, z."""
+
+    t_ns: int
+    x_mm: float
+    y_mm: float
+    z_mm: float
+    qw: float
+    qx: float
+    qy: float
+    qz: float
+
+
+@dataclass(frozen=True, slots=True)
+class Disc:
+    """The visible circle in the image; pixel centres are integers."""
+
+    row_c: float
+    col_c: float
+    radius_px: float
+
+
+@dataclass(frozen=True, slots=True)
+class Geometry:
+    """Skin, camera and visible circle: all that turns a pixel into a ray.
+
+    Attributes
+    ----------
+    skin_radius_mm : float
+        r, the radius of the undeformed skin, centred at O.
+    camera_distance_mm : float or None
+        d, the lens is at (0, 0, -d); None is the paper's orthographic camera.
+    visible_half_angle_deg : float
+        θ of the visible circle, measured at O from +z.
+    disc : Disc
+    """
+
+    skin_radius_mm: float
+    camera_distance_mm: float | None
+    visible_half_angle_deg: float
+    disc: Disc
+
+    @property
+    def f_px(self) -> float:
+        """Focal length of the pinhole in px; 0 for the orthographic camera."""
+        if self.camera_distance_mm is None:
+            return 0.0
+        theta = math.radians(self.visible_half_angle_deg)
+        r = self.skin_radius_mm
+        return self.disc.radius_px * (r * math.cos(theta) + self.camera_distance_mm) / (r * math.sin(theta))
+
+    @property
+    def mm_per_px(self) -> float:
+        """Size of a pixel in the plane of the visible circle (r sinθ / R_px)."""
+        theta = math.radians(self.visible_half_angle_deg)
+        return self.skin_radius_mm * math.sin(theta) / self.disc.radius_px
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeightMap:
+    """Radial deformation on a grid of the image.
+
+    Attributes
+    ----------
+    height_mm : float32 (rows, cols)
+        h, positive inwards, of the deformed skin point that the pixel's ray meets; NaN outside the disc.
+    contact : bool (rows, cols)
+        Where the skin touches an object.
+    row0, col0, step_px : float
+        Grid cell (i, j) is image pixel (row0 + i·step_px, col0 + j·step_px).
+    """
+
+    height_mm: F32
+    contact: Bool
+    row0: float
+    col0: float
+    step_px: float
+
+    def __post_init__(self) -> None:
+        _freeze(self, "height_mm", "contact")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObjectCloud:
+    """Points of the contacted skin.
+
+    Attributes
+    ----------
+    points_mm : float32 (N, 3)
+        x, y, z in the sensor frame.
+    labels : uint16 (N,)
+        Object number of each point, from 1.
+    """
+
+    points_mm: F32
+    labels: U16
+
+    def __post_init__(self) -> None:
+        _freeze(self, "points_mm", "labels")
+
+
+@dataclass(frozen=True, slots=True)
+class TouchedObject:
+    """One connected contact: centroid and extent (max - min) of its points, its greatest h, its area."""
+
+    label: int
+    centroid_mm: tuple[float, float, float]
+    extent_mm: tuple[float, float, float]
+    depth_max_mm: float
+    area_mm2: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reconstruction:
+    """What one frame gave.
+
+    Attributes
+    ----------
+    seq, t_ns, wall_ns : int
+        The frame's.
+    profile : str
+    valid : bool
+        False: the frame could not be used, `reason` says why; height 0 inside the disc.
+    reason : str
+        Empty when valid.
+    contact : bool
+        Without contact, height is exactly 0 inside the disc and the cloud is empty.
+    saturated : bool
+        The grey left the range that the calibration covers: depth is a lower bound there.
+    degraded : str
+        Empty, or why the result deserves less trust (glare, light drift).
+    height : HeightMap
+    cloud : ObjectCloud
+    objects : tuple of TouchedObject
+        In the order of their labels, the greatest first.
+    volume_mm3 : float
+        Displaced volume under the contacts.
+    repaired_px : int
+        Pixels whose solver value was not finite and was replaced.
+    """
+
+    seq: int
+    t_ns: int
+    wall_ns: int
+    profile: str
+    valid: bool
+    reason: str
+    contact: bool
+    saturated: bool
+    degraded: str
+    height: HeightMap
+    cloud: ObjectCloud
+    objects: tuple[TouchedObject, ...] = ()
+    volume_mm3: float = 0.0
+    repaired_px: int = 0
+
+    @property
+    def depth_max_mm(self) -> float:
+        """Greatest h of the touched objects, in mm; 0 without contact."""
+        return max((o.depth_max_mm for o in self.objects), default=0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """Everything that is known of one sensor; stored as one ``.npz`` by ``devices.calibration_file``.
+
+    Attributes
+    ----------
+    geometry : Geometry
+    polarity : str
+        ``bright`` when contact raises the white ratio, ``dark`` when it lowers it.
+    binarisation : str
+        The method that made `reference_white`; frames must be binarised alike.
+    image_height_px, image_width_px : int
+        Size of every frame.
+    pitch_px : float
+        Marker pitch at the middle of the disc, in px.
+    reference_white : uint8 (H, W)
+        255 times the mean over the references of the binarised image: eq. 1 is linear, so g0 for any
+        window and stride is a box mean of it.
+    reference_level : float
+        Mean grey of the references inside the disc, 0 to 255: the light they were taken in.
+    noise_grey : float
+        RMS of g over repeated references (eq. 1 at the standard window), grey levels.
+    alpha : float
+        Depth scale used where no table is (the paper's α).
+    table_grey, table_depth_mm : float32 (K,)
+        Monotone table from g_d (times the polarity's sign; rising, grey levels) to h in mm; K = 0 without presses.
+    fit : dict of str to float
+        Fitted figures to show a person (cross-validated error and so on), all in mm or px as named.
+    flange_T_sensor : 7 floats
+        x, y, z in mm, quaternion w, x, y, z.
+    crc32 : int
+        CRC-32 of the stored content; 0 until it was stored.
+    """
+
+    geometry: Geometry
+    polarity: Polarity
+    binarisation: Binarisation
+    image_height_px: int
+    image_width_px: int
+    pitch_px: float
+    reference_white: U8
+    reference_level: float
+    noise_grey: float
+    alpha: float
+    table_grey: F32
+    table_depth_mm: F32
+    fit: dict[str, float] = field(default_factory=dict)
+    flange_T_sensor: tuple[float, ...] = IDENTITY_POSE
+    crc32: int = 0
+
+    def __post_init__(self) -> None:
+        _freeze(self, "reference_white", "table_grey", "table_depth_mm")
