@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 U8 = npt.NDArray[np.uint8]
 U16 = npt.NDArray[np.uint16]
+I32 = npt.NDArray[np.int32]
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
@@ -21,7 +22,7 @@ Binarisation = Literal["adaptive", "global", "otsu"]
 IDENTITY_POSE = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
 
-def _freeze(value: object, *names: str) -> None:
+def freeze(value: object, *names: str) -> None:
     """Replace the named array attributes by read-only views."""
     for name in names:
         view = getattr(value, name).view()
@@ -50,7 +51,7 @@ class Frame:
     image: U8
 
     def __post_init__(self) -> None:
-        _freeze(self, "image")
+        freeze(self, "image")
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +134,7 @@ class HeightMap:
     step_px: float
 
     def __post_init__(self) -> None:
-        _freeze(self, "height_mm", "contact")
+        freeze(self, "height_mm", "contact")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,7 +153,7 @@ class ObjectCloud:
     labels: U16
 
     def __post_init__(self) -> None:
-        _freeze(self, "points_mm", "labels")
+        freeze(self, "points_mm", "labels")
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,7 +183,7 @@ class Reconstruction:
     contact : bool
         Without contact, height is exactly 0 inside the disc and the cloud is empty.
     saturated : bool
-        The grey left the range that the calibration covers: depth is a lower bound there.
+        The grey left the range that the calibration covers: depth is a lower bound.
     degraded : str
         Empty, or why the result deserves less trust (glare, light drift).
     height : HeightMap
@@ -234,10 +235,10 @@ class Calibration:
     reference_white : uint8 (H, W)
         255 times the mean over the references of the binarised image: eq. 1 is linear, so g0 for any
         window and stride is a box mean of it.
-    reference_level : float
-        Mean grey of the references inside the disc, 0 to 255: the light they were taken in.
+    reference_grey : uint8 (H, W)
+        Mean of the references' grey images: the light, and the surround that must not move.
     noise_grey : float
-        RMS of g over repeated references (eq. 1 at the standard window), grey levels.
+        RMS of g between the references (eq. 1 at the window of the profiles), grey levels.
     alpha : float
         Depth scale used where no table is (the paper's α).
     table_grey, table_depth_mm : float32 (K,)
@@ -257,7 +258,7 @@ class Calibration:
     image_width_px: int
     pitch_px: float
     reference_white: U8
-    reference_level: float
+    reference_grey: U8
     noise_grey: float
     alpha: float
     table_grey: F32
@@ -267,4 +268,4 @@ class Calibration:
     crc32: int = 0
 
     def __post_init__(self) -> None:
-        _freeze(self, "reference_white", "table_grey", "table_depth_mm")
+        freeze(self, "reference_white", "reference_grey", "table_grey", "table_depth_mm")

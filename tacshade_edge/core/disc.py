@@ -1,0 +1,72 @@
+"""The sampling grid and the visible disc on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tacshade_edge.types import F32, Bool, Disc, Geometry, freeze
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """Cell (i, j) is image pixel (row0 + i·step_px, col0 + j·step_px)."""
+
+    rows: int
+    cols: int
+    row0: float
+    col0: float
+    step_px: float
+
+    @classmethod
+    def of_image(cls, height_px: int, width_px: int, step_px: int) -> Grid:
+        """Cover an image with cells in the middle of each stride; whole strides only, at least one cell."""
+        rows, cols = max(height_px // step_px, 1), max(width_px // step_px, 1)
+        start = float(step_px // 2)
+        return cls(rows=rows, cols=cols, row0=start, col0=start, step_px=float(step_px))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DiscRays:
+    """Where each cell of a grid looks.
+
+    Attributes
+    ----------
+    inside : bool (rows, cols)
+        Cells whose pixel lies in the visible disc.
+    u, v : float32 (rows, cols)
+        Pinhole: slope of the ray in x and y (mm per mm of z). Orthographic: x and y of the ray in mm.
+    """
+
+    inside: Bool
+    u: F32
+    v: F32
+
+    def __post_init__(self) -> None:
+        freeze(self, "inside", "u", "v")
+
+
+def disc_mask(height_px: int, width_px: int, disc: Disc) -> Bool:
+    """Pixels whose centre lies in the visible circle (the paper's circular mask).
+
+    Returns
+    -------
+    bool (height_px, width_px)
+    """
+    rows = np.arange(height_px)[:, None] - disc.row_c
+    cols = np.arange(width_px)[None, :] - disc.col_c
+    mask: Bool = rows * rows + cols * cols <= disc.radius_px**2
+    return mask
+
+
+def disc_rays(grid: Grid, geometry: Geometry) -> DiscRays:
+    """Rays of the design's camera for every cell of `grid`."""
+    rows = (grid.row0 + grid.step_px * np.arange(grid.rows))[:, None] - geometry.disc.row_c
+    cols = (grid.col0 + grid.step_px * np.arange(grid.cols))[None, :] - geometry.disc.col_c
+    inside = rows * rows + cols * cols <= geometry.disc.radius_px**2
+    per_px = geometry.mm_per_px if geometry.camera_distance_mm is None else 1.0 / geometry.f_px
+    shape = (grid.rows, grid.cols)
+    u = np.broadcast_to((cols * per_px).astype(np.float32), shape)
+    v = np.broadcast_to((rows * per_px).astype(np.float32), shape)
+    return DiscRays(inside=inside, u=np.ascontiguousarray(u), v=np.ascontiguousarray(v))

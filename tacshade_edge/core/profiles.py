@@ -1,0 +1,38 @@
+"""Named settings of the reconstruction: one trade of speed for accuracy each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """What a name stands for.
+
+    Attributes
+    ----------
+    name : str
+    solver : str
+        Key of ``core.solvers.SOLVERS``.
+    stride_px : int
+        Stride of eq. 1 and so of every map after it.
+    window_pitches : int
+        Side of eq. 1's window, in marker pitches; whole, so that the pattern itself averages out.
+    tv_weight : float
+        Weight of the total-variation denoising, in units of g/255; 0 leaves it out.
+    """
+
+    name: str
+    solver: str
+    stride_px: int
+    window_pitches: int
+    tv_weight: float
+
+
+PROFILES: dict[str, Profile] = {
+    p.name: p
+    for p in (
+        Profile(name="paper", solver="paper", stride_px=1, window_pitches=2, tv_weight=0.1),
+        Profile(name="fast", solver="fast", stride_px=4, window_pitches=2, tv_weight=0.05),
+    )
+}

@@ -1,0 +1,64 @@
+"""Eq. 2: the skin point that a pixel sees, from the radial deformation there."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tacshade_edge.core.disc import DiscRays
+from tacshade_edge.types import F32, Geometry
+
+
+def skin_points(height_mm: F32, rays: DiscRays, geometry: Geometry) -> tuple[F32, int]:
+    """Metric points of the skin along the camera's rays.
+
+    The paper's eq. 2 gives z from (x, y) under an orthographic camera. A pinhole's ray meets the sphere of
+    radius r - h twice; the skin is the farther root. A radicand below zero (a height that its ray cannot
+    reach) is taken as 0, the nearest point that the ray has to the sphere, and counted.
+
+    Parameters
+    ----------
+    height_mm : float32 (...)
+        h, at most r; NaN stays NaN.
+    rays : DiscRays
+        With the shape of `height_mm`.
+    geometry : Geometry
+
+    Returns
+    -------
+    points_mm : float32 (..., 3)
+    guarded : int
+        Points whose radicand was negative.
+    """
+    rho = np.float32(geometry.skin_radius_mm) - height_mm
+    u, v = rays.u, rays.v
+    if geometry.camera_distance_mm is None:
+        radicand = rho * rho - (u * u + v * v)
+        z = np.sqrt(np.maximum(radicand, 0))
+        x, y = np.where(np.isnan(z), z, u), np.where(np.isnan(z), z, v)
+    else:
+        d = np.float32(geometry.camera_distance_mm)
+        k = 1 + u * u + v * v
+        # |(s·u, s·v, s - d)| = rho  =>  k s² - 2 d s + d² - rho² = 0
+        radicand = d * d - k * (d * d - rho * rho)
+        s = (d + np.sqrt(np.maximum(radicand, 0))) / k
+        x, y, z = s * u, s * v, s - d
+    points: F32 = np.stack([x, y, z], axis=-1).astype(np.float32)
+    return points, int(np.count_nonzero(radicand < 0))
+
+
+def cell_area_mm2(points_mm: F32) -> F32:
+    """Area of skin that each cell of a grid of points stands for.
+
+    Parameters
+    ----------
+    points_mm : float32 (rows, cols, 3)
+
+    Returns
+    -------
+    float32 (rows, cols)
+        Central differences; NaN where a neighbour is NaN.
+    """
+    du = np.gradient(points_mm, axis=1) if points_mm.shape[1] > 1 else np.zeros_like(points_mm)
+    dv = np.gradient(points_mm, axis=0) if points_mm.shape[0] > 1 else np.zeros_like(points_mm)
+    area: F32 = np.linalg.norm(np.cross(du, dv), axis=-1).astype(np.float32)
+    return area

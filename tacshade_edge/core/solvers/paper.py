@@ -1,0 +1,86 @@
+"""Eqs. 8, 11 and 12 as published: the hybrid linear shape from shading of the paper's ref. [20].
+
+A fidelity reference, not a good method: for the camera's overhead direction L = (0, 0, -1) the derivative of
+eq. 12 is zero wherever p = -q, and every flat is such a place. The iteration then divides by the machine
+epsilon, and its result is a scaled copy of the grey image (docs/numerics.md has the figures).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from tacshade_edge.core.greyscale import shape_grey
+from tacshade_edge.core.solvers.base import Depth, DepthScale, GreyMaps
+from tacshade_edge.types import F32, F64
+
+ITERATIONS = 25
+EPS = 2.2e-16
+
+C128 = npt.NDArray[np.complex128]
+
+
+def _backward(z: C128, axis: int) -> C128:
+    """Backward difference with a zero first row or column."""
+    d = np.zeros_like(z)
+    if axis == 0:
+        d[1:] = z[1:] - z[:-1]
+    else:
+        d[:, 1:] = z[:, 1:] - z[:, :-1]
+    return d
+
+
+def hybrid_sfs(g_hn: F64) -> tuple[F64, int]:
+    """25 iterations of eq. 11 from the initialisation of ref. [20], and the 3x3 median of |Z|.
+
+    The reference code starts p and q as the Fourier transforms of the image gradient, used directly, and
+    shows its result upside down; the first is kept, the second is not. The denominators |N·L| of eqs. 4, 7
+    and 8 are read as |N||L|: as printed, the quotient could only be 1 or -1.
+
+    Parameters
+    ----------
+    g_hn : float64 (rows, cols), 0 to 1; other values, NaN and infinity among them, are accepted.
+
+    Returns
+    -------
+    z : float64 (rows, cols)
+        Finite, in units of the pixel, arbitrary scale.
+    repaired_px : int
+        Values of the input or the result that were not finite and were replaced by 0.
+    """
+    finite = np.isfinite(g_hn)
+    repaired = int(finite.size - np.count_nonzero(finite))
+    with np.errstate(all="ignore"):  # overflow is this method's normal course; it is repaired and counted below
+        image = np.where(finite, g_hn, 0.0).astype(np.complex128)
+        p: C128 = np.fft.fft2(_backward(image, axis=1))
+        q: C128 = np.fft.fft2(_backward(image, axis=0))
+        z = np.zeros_like(image)
+        for n in range(ITERATIONS + 1):
+            norm2 = 1 + p * p + q * q
+            reflectance = 1 / np.sqrt(norm2)
+            reflectance = np.where(reflectance.real < 0, 0, reflectance)
+            f = image - reflectance
+            z = f if n == 0 else z - f / ((p + q) / (norm2 * np.sqrt(norm2)) + EPS)
+            p, q = _backward(z, axis=1), _backward(z, axis=0)
+        magnitude = np.abs(z)
+    good = np.isfinite(magnitude)
+    repaired += int(good.size - np.count_nonzero(good))
+    return _median3(np.where(good, magnitude, 0.0)), repaired
+
+
+def _median3(values: F64) -> F64:
+    """3x3 median in float64; the border repeats."""
+    padded = np.pad(values, 1, mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3))
+    median: F64 = np.median(windows.reshape(*values.shape, 9), axis=-1)
+    return median
+
+
+def solve(maps: GreyMaps, scale: DepthScale) -> Depth:
+    """Height by the paper: g_hn (eq. 10), eq. 11, then α."""
+    g_hn = shape_grey(maps.g_d, maps.g0, maps.inside)
+    z, repaired = hybrid_sfs(g_hn.astype(np.float64))
+    z = np.where(maps.inside, z, 0.0)
+    top = float(z.max(initial=0.0))
+    height: F32 = (scale.alpha_mm * z / top if top > 0 else z).astype(np.float32)
+    return Depth(height_mm=height, saturated=False, repaired_px=repaired)

@@ -1,0 +1,118 @@
+"""Whether a frame can be used at all, before any solver sees it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from tacshade_edge.types import F32, U8, Bool, Disc, freeze
+
+BLOCK_PX = 8
+# A camera that works never shows a disc this dark or this flat (grey levels).
+BLACK_LEVEL = 12.0
+FLAT_STD = 4.0
+SATURATED_LEVEL = 250
+SATURATED_PART = 0.25
+# A block of the reference with at least this contrast has markers; it cannot lose them all.
+TEXTURED_STD = 8.0
+LOST_STD = 3.0
+LOST_PART = 0.04
+# Blocks of the surround never change but with the light; half of this many levels is noise.
+SURROUND_LEVELS = 25.0
+SURROUND_PART = 0.15
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameCheck:
+    """What a good frame of one sensor looks like, in blocks of 8x8 px.
+
+    Attributes
+    ----------
+    mask : uint8 (H, W)
+        1 inside the disc.
+    inside, surround : bool (rows, cols)
+        Blocks wholly inside, and wholly outside near, the disc.
+    level, contrast : float32 (rows, cols)
+        Mean and standard deviation of the reference's grey in each block.
+    """
+
+    mask: U8
+    inside: Bool
+    surround: Bool
+    level: F32
+    contrast: F32
+
+    def __post_init__(self) -> None:
+        freeze(self, "mask", "inside", "surround", "level", "contrast")
+
+
+def _blocks(grey: U8) -> tuple[F32, F32]:
+    """Mean and standard deviation of whole 8x8 blocks."""
+    rows, cols = grey.shape[0] // BLOCK_PX, grey.shape[1] // BLOCK_PX
+    cut = np.ascontiguousarray(grey[: rows * BLOCK_PX, : cols * BLOCK_PX]).astype(np.float32)
+    mean = cv2.resize(cut, (cols, rows), interpolation=cv2.INTER_AREA)
+    square = cv2.resize(cut * cut, (cols, rows), interpolation=cv2.INTER_AREA)
+    return mean, np.sqrt(np.maximum(square - mean * mean, 0))
+
+
+def frame_check(reference_grey: U8, mask: Bool, disc: Disc) -> FrameCheck:
+    """Prepare the check from the mean reference image."""
+    height, width = reference_grey.shape
+    rows, cols = max(height // BLOCK_PX, 1), max(width // BLOCK_PX, 1)
+    if height < BLOCK_PX or width < BLOCK_PX:
+        none = np.zeros((rows, cols), dtype=bool)
+        flat = np.zeros((rows, cols), dtype=np.float32)
+        return FrameCheck(mask.astype(np.uint8), none, none, flat, flat)
+    middle = (BLOCK_PX - 1) / 2
+    r = np.hypot(
+        BLOCK_PX * np.arange(rows)[:, None] + middle - disc.row_c,
+        BLOCK_PX * np.arange(cols)[None, :] + middle - disc.col_c,
+    )
+    half_diagonal = BLOCK_PX * 0.7072
+    level, contrast = _blocks(reference_grey)
+    surround = (r > disc.radius_px + half_diagonal + 2) & (r < 1.35 * disc.radius_px)
+    return FrameCheck(mask.astype(np.uint8), r < disc.radius_px - half_diagonal, surround, level, contrast)
+
+
+def invalid_reason(grey: U8, check: FrameCheck) -> str:
+    """Why a frame cannot be used, in a few words; empty for a good one.
+
+    Parameters
+    ----------
+    grey : uint8 (H, W)
+    check : FrameCheck
+    """
+    height, width = check.mask.shape
+    if grey.shape != check.mask.shape:
+        return f"size: {grey.shape[1]}x{grey.shape[0]} px, calibrated for {width}x{height}"
+    inside_px = cv2.countNonZero(check.mask)
+    if inside_px == 0:
+        return "disc: no pixel of the visible circle lies in the image"
+    mean, std = (float(v[0, 0]) for v in cv2.meanStdDev(grey, mask=check.mask))
+    bright = cv2.countNonZero(cv2.compare(cv2.bitwise_and(grey, grey, mask=check.mask), SATURATED_LEVEL, cv2.CMP_GE))
+    if bright > SATURATED_PART * inside_px:
+        return f"saturated: {100 * bright / inside_px:.0f} % of the disc at {SATURATED_LEVEL} or above"
+    if std < FLAT_STD:
+        return f"{'black' if mean < BLACK_LEVEL else 'no contrast'}: mean grey {mean:.0f}, deviation {std:.1f}"
+    return _torn_reason(grey, check)
+
+
+def _torn_reason(grey: U8, check: FrameCheck) -> str:
+    if not check.inside.any():
+        return ""
+    level, contrast = _blocks(grey)
+    textured = check.inside & (check.contrast >= TEXTURED_STD)
+    lost = textured & (contrast < LOST_STD)
+    if np.count_nonzero(lost) > LOST_PART * max(np.count_nonzero(textured), 1):
+        return f"torn: {100 * np.count_nonzero(lost) / np.count_nonzero(textured):.0f} % of the disc shows no marker"
+    if not (check.surround.any() and textured.any()):
+        return ""
+    gain = float(np.median(level[textured])) / max(float(np.median(check.level[textured])), 1.0)
+    expected = np.minimum(check.level * np.float32(gain), 255)
+    moved = check.surround & (np.abs(level - expected) > SURROUND_LEVELS + 0.25 * expected)
+    part = np.count_nonzero(moved) / np.count_nonzero(check.surround)
+    if part > SURROUND_PART:
+        return f"torn or moved: {100 * part:.0f} % of the surround differs from the reference"
+    return ""
