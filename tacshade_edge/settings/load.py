@@ -1,0 +1,129 @@
+"""A settings file to `Settings`, with the line of whatever is wrong."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.settings import strict_yaml
+from tacshade_edge.settings.model import Files, Settings, json_schema
+from tacshade_edge.settings.strict_yaml import Found, Key, dotted
+
+
+@dataclass(frozen=True, slots=True)
+class Document:
+    """A valid settings file.
+
+    Attributes
+    ----------
+    path : Path
+    settings : Settings
+        Its paths are absolute: a relative one counts from the file's folder.
+    found : dict
+        Where each given key stands.
+    """
+
+    path: Path
+    settings: Settings
+    found: dict[Key, Found]
+
+    def where(self, *key: str) -> str:
+        """``FILE:LINE: path.to.key`` (without a line for a key that was left at its default)."""
+        return _where(self.path, self.found, key)
+
+
+def load(path: Path) -> Document:
+    """Read and check a settings file.
+
+    Raises
+    ------
+    ConfigError
+        ``FILE:LINE: path.to.key: found …, expected …``.
+    """
+    value, found = strict_yaml.read(path)
+    if not isinstance(value, dict):
+        raise ConfigError(f"{path}:{found[()].line}: found {found[()].text}, expected a mapping of settings")
+    try:
+        settings = msgspec.convert(value, Settings)
+    except msgspec.ValidationError as error:
+        key, problem = _explain(str(error), value, found)
+        raise ConfigError(f"{_where(path, found, key)}: {problem}") from error
+    known = json_schema()["$defs"]["Settings"]["properties"]["profile"]
+    if settings.profile not in known["enum"]:  # msgspec cannot express names that are known only at run time
+        problem = f"found {found['profile',].text}, expected {_expected(known)}"
+        raise ConfigError(f"{_where(path, found, ('profile',))}: {problem}")
+    return Document(path, _absolute(settings, path.absolute().parent), found)
+
+
+def _where(path: Path, found: dict[Key, Found], key: Key) -> str:
+    return f"{path}:{found[key].line}: {dotted(key)}" if key in found else f"{path}: {dotted(key)}"
+
+
+def _absolute(settings: Settings, folder: Path) -> Settings:
+    """The same settings with every relative path made absolute against `folder`."""
+
+    def at(path: str | None) -> str | None:
+        return None if path is None else str(folder / path)
+
+    mqtt = settings.mqtt
+    source = settings.source
+    replace = msgspec.structs.replace
+    return replace(
+        settings,
+        calibration=at(settings.calibration),
+        source=replace(source, path=at(source.path)) if isinstance(source, Files) else source,
+        mqtt=replace(mqtt, password_file=at(mqtt.password_file), ca_file=at(mqtt.ca_file)),
+    )
+
+
+def _explain(message: str, value: dict[str, Any], found: dict[Key, Found]) -> tuple[Key, str]:
+    """Key and ``found …, expected …`` of one msgspec error, which names a JSON path and one field."""
+    path = re.search(r" - at `\$\.?([^`]*)`$", message)
+    key: Key = tuple(path[1].split(".")) if path and path[1] else ()
+    schema = _schema_at(key, value)
+    if unknown := re.match(r"Object contains unknown field `(.*?)`", message, re.DOTALL):
+        return (*key, unknown[1]), f"found an unknown key, expected one of {', '.join(schema['properties'])}"
+    if missing := re.match(r"Object missing required field `(.*?)`", message):
+        key = (*key, missing[1])
+        return key, f"found nothing, expected {_expected(_schema_at(key, value))}"
+    return key, f"found {found[key].text}, expected {_expected(schema)}"
+
+
+def _schema_at(key: Key, value: Any) -> dict[str, Any]:
+    """JSON Schema of the value at `key`; a tagged union is resolved by the tag that `value` gives."""
+    schema = _resolved({"$ref": "#/$defs/Settings"}, value)
+    for name in key:
+        if "discriminator" in schema:  # no known tag was given: the only key to name is the tag itself
+            return {"enum": list(schema["discriminator"]["mapping"])}
+        value = value.get(name)
+        schema = _resolved(schema["properties"][name], value)
+    return schema
+
+
+def _resolved(schema: dict[str, Any], value: Any) -> dict[str, Any]:
+    """`schema` with its reference followed, and the struct that the tag in `value` chooses."""
+    reference = schema.get("$ref")
+    if "discriminator" in schema and isinstance(value, dict):
+        tag = value.get(schema["discriminator"]["propertyName"])
+        reference = schema["discriminator"]["mapping"].get(tag) if isinstance(tag, str) else None
+    return json_schema()["$defs"][reference.rpartition("/")[2]] if reference else schema
+
+
+def _expected(schema: dict[str, Any]) -> str:
+    """What a person should write there."""
+    if "enum" in schema:
+        return f"one of {', '.join(map(str, schema['enum']))}"
+    if "anyOf" in schema and "discriminator" not in schema:
+        options = [_expected({**option}) for option in schema["anyOf"]]
+        return " or ".join(options)
+    kind = {"integer": "an integer", "number": "a number", "string": "a string", "boolean": "true or false"}
+    text = kind.get(schema.get("type", ""), "null" if schema.get("type") == "null" else "a mapping")
+    if "minimum" in schema:
+        text += f" from {schema['minimum']} to {schema['maximum']}"
+    described = schema.get("description")
+    return f"{text} ({described})" if described and "properties" not in schema else text

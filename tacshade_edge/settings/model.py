@@ -1,0 +1,83 @@
+"""Every setting with its type, range, default and meaning; ``config/default.yaml`` shows the same to a person."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+
+from tacshade_edge.core.profiles import PROFILES
+
+
+class V4l2(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="kind", tag="v4l2"):
+    """A Linux video device."""
+
+    device: Annotated[str, Meta(pattern="^/dev/", description="a path under /dev")] = "/dev/video0"
+    width_px: Annotated[int, Meta(ge=16, le=4096, description="image width")] = 640
+    height_px: Annotated[int, Meta(ge=16, le=4096, description="image height")] = 480
+    fps: Annotated[int, Meta(ge=1, le=240, description="frames per second asked of the camera")] = 30
+    fourcc: Annotated[Literal["MJPG", "YUYV", "GREY"], Meta(description="pixel format")] = "MJPG"
+    exposure: (
+        Annotated[int, Meta(ge=1, le=100_000, description="locked exposure in the driver's unit, 0.1 ms on UVC")] | None
+    ) = None
+
+
+class Files(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="kind", tag="files"):
+    """Images or a video file, as if a camera delivered them."""
+
+    path: Annotated[str, Meta(min_length=1, description="a folder of images, an image or a video file")]
+    fps: Annotated[float, Meta(ge=1, le=240, description="frames per second")] = 30.0
+    loop: Annotated[bool, Meta(description="begin again after the last image")] = False
+
+
+class Simulated(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="kind", tag="simulated"
+):
+    """The simulated sensor, pressed again and again."""
+
+    fps: Annotated[float, Meta(ge=1, le=240, description="frames per second")] = 30.0
+
+
+Source = V4l2 | Files | Simulated
+
+
+class Mqtt(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The broker."""
+
+    host: Annotated[str, Meta(min_length=1, description="host name or address of the broker")] = "localhost"
+    port: Annotated[int, Meta(ge=1, le=65535, description="TCP port of the broker")] = 1883
+    username: Annotated[str, Meta(min_length=1, description="user name")] | None = None
+    password_file: Annotated[str, Meta(min_length=1, description="file whose first line is the password")] | None = None
+    ca_file: Annotated[str, Meta(min_length=1, description="PEM file of the CA; TLS is used when given")] | None = None
+
+
+class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Everything that a user can set."""
+
+    sensor_id: Annotated[
+        str, Meta(pattern="^[A-Za-z0-9_-]{1,64}$", description="letters, digits, - and _; part of every topic")
+    ] = "tacshade"
+    calibration: Annotated[str, Meta(min_length=1, description="file that `tacshade-edge calibrate` wrote")] = (
+        "/var/lib/tacshade-edge/calibration.npz"
+    )
+    profile: Annotated[str, Meta(description="speed against accuracy", extra_json_schema={"enum": list(PROFILES)})] = (
+        "fast"
+    )
+    source: Annotated[V4l2 | Files | Simulated, Meta(description="where frames come from")] = V4l2()
+    mqtt: Annotated[Mqtt, Meta(description="the broker")] = Mqtt()
+
+
+def json_schema() -> dict[str, Any]:
+    """JSON Schema (draft 2020-12) of a settings file."""
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "tacshade-edge settings",
+        **msgspec.json.schema(Settings),
+    }
+
+
+def digest(settings: Settings) -> str:
+    """First 12 hex digits of the SHA-256 of the settings: tells two configurations apart in ``info``."""
+    return hashlib.sha256(msgspec.json.encode(settings, order="deterministic")).hexdigest()[:12]

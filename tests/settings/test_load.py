@@ -1,0 +1,194 @@
+"""Settings files that must be refused, each with its one line, and the default file."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.settings import Files, Settings, Simulated, V4l2, digest, json_schema, load
+
+DEFAULT = Path(__file__).parents[2] / "config" / "default.yaml"
+
+
+def write(folder: Path, text: str | bytes) -> Path:
+    path = folder / "s.yaml"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("mqtt:\n  prot: 1\n", ":2: mqtt.prot: found an unknown key, expected one of host, port, username,"),
+        ("sensor: a\n", ":1: sensor: found an unknown key, expected one of sensor_id, calibration, profile,"),
+        ("mqtt:\n  port: abc\n", ":2: mqtt.port: found abc, expected an integer from 1 to 65535 (TCP port of"),
+        ("mqtt:\n  port: 70000\n", ":2: mqtt.port: found 70000, expected an integer from 1 to 65535"),
+        ("mqtt:\n  port: 0\n", ":2: mqtt.port: found 0, expected an integer from 1 to 65535"),
+        ("mqtt:\n  port: 1.5\n", ":2: mqtt.port: found 1.5, expected an integer"),
+        ("mqtt:\n  port: yes\n", ":2: mqtt.port: found yes, expected an integer"),
+        ("mqtt:\n  port: 99999999999999999999999\n", ":2: mqtt.port: found 999"),
+        ("mqtt:\n  host: ''\n", ":2: mqtt.host: found '', expected a string"),
+        ("mqtt:\n  username: 7\n", ":2: mqtt.username: found 7, expected a string (user name) or null"),
+        ("mqtt: 3\n", ":1: mqtt: found 3, expected a mapping"),
+        ("mqtt: [1]\n", ":1: mqtt: found a list, expected a mapping"),
+        ("mqtt:\n", ":1: mqtt: found nothing, expected a mapping"),
+        ("\nsensor_id: a b\n", ":2: sensor_id: found a b, expected a string (letters, digits, - and _"),
+        ("sensor_id: 007\n", ":1: sensor_id: found 007, expected a string"),
+        ("profile: slow\n", ":1: profile: found slow, expected one of paper, fast"),
+        ("profile: 1\n", ":1: profile: found 1, expected one of paper, fast"),
+        ("source:\n  kind: usb\n", ":2: source.kind: found usb, expected one of"),
+        ("source:\n  kind: 3\n", ":2: source.kind: found 3, expected one of"),
+        ("source:\n  device: /dev/video1\n", ": source.kind: found nothing, expected one of"),
+        ("source: v4l2\n", ":1: source: found v4l2, expected a mapping"),
+        ("source:\n  kind: files\n", ": source.path: found nothing, expected a string (a folder of images"),
+        ("source:\n  kind: files\n  path: a\n  fps: .nan\n", ":4: source.fps: found .nan, expected a finite number"),
+        ("source:\n  kind: files\n  path: a\n  fps: 0\n", ":4: source.fps: found 0, expected a number from 1 to 240"),
+        ("source:\n  kind: v4l2\n  fps: 1e9\n", ":3: source.fps: found 1e9, expected an integer from 1 to 240"),
+        ("source:\n  kind: v4l2\n  path: a\n", ":3: source.path: found an unknown key, expected one of kind, device,"),
+        ("source:\n  kind: v4l2\n  device: video0\n", ":3: source.device: found video0, expected a string (a path"),
+        ("source:\n  kind: v4l2\n  fourcc: H264\n", ":3: source.fourcc: found H264, expected one of GREY, MJPG, YUYV"),
+        ("source:\n  kind: v4l2\n  exposure: 0\n", ":3: source.exposure: found 0, expected an integer from 1 to"),
+        ("mqtt:\n  port: 1\n  port: 2\n", ":3: mqtt.port: found again, expected once (first on line 2)"),
+        ("mqtt: {}\nmqtt: {}\n", ":2: mqtt: found again, expected once (first on line 1)"),
+        ('"a\\nb": 1\n', ":1: 'a\\nb': found an unknown key"),
+        ("1: a\n", ":1: the file: found a key that is no name"),
+        ("? [a]\n: b\n", ":1: the file: found a key that is no name"),
+        ("profile: 2026-13-45\n", ":1: profile: found 2026-13-45, expected a plain value"),
+        ("mqtt:\n  port: 0b_\n", ":2: mqtt.port: found 0b_, expected a plain value"),
+        ("profile: !!python/name:os.system\n", ":1: profile: found !!python/name"),
+        ("a: &x 1\n", ":1: not valid YAML here: an anchor or alias, expected a plain value"),
+        ("a: *x\n", ":1: not valid YAML here: an anchor or alias"),
+        ("mqtt:\n  host: [\n", ":3: not valid YAML here"),
+        ("mqtt:\n\thost: a\n", ":2: not valid YAML here"),
+        ("a: 1\n---\nb: 2\n", ":2: not valid YAML here"),
+        ("profile: a\x00b\n", ": not valid YAML: "),
+        (b"profile: fast\nsensor_id: \xff\n", ":2: found byte 0xff, expected UTF-8 text"),
+        ("", ":1: found nothing, expected a mapping of settings"),
+        ("# only a comment\n", ":1: found nothing, expected a mapping of settings"),
+        ("\n- a\n", ":2: found a list, expected a mapping of settings"),
+        ("fast\n", ":1: found fast, expected a mapping of settings"),
+        ("a: " + "[" * 5000, ": nested too deeply for a settings file"),
+        ("#" * (1 << 20) + "\n", ": found more than 1048576 bytes, expected a settings file"),
+    ],
+)
+def test_a_mistake_is_one_line_with_its_place(tmp_path: Path, text: str | bytes, line: str) -> None:
+    path = write(tmp_path, text)
+    with pytest.raises(ConfigError) as caught:
+        load(path)
+    assert str(caught.value).startswith(f"{path}{line}")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"none\.yaml: No such file or directory, expected a settings file"):
+        load(tmp_path / "none.yaml")
+    with pytest.raises(ConfigError, match=r"Is a directory, expected a settings file"):
+        load(tmp_path)
+
+
+@given(st.binary(max_size=200) | st.text(max_size=200).map(str.encode))
+def test_any_bytes_load_or_are_refused_in_one_line(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> None:
+    path = tmp_path_factory.getbasetemp() / "any.yaml"
+    path.write_bytes(data)
+    try:
+        said = repr(load(path).settings)
+    except ConfigError as error:
+        said = str(error)
+    assert said.startswith((str(path), "Settings("))
+    assert "\n" not in said
+
+
+def uncommented(kind: str) -> str:
+    """The commented source block of one kind in the default file, as YAML."""
+    text = DEFAULT.read_text()
+    blocks = re.findall(r"(?m)^# source:\n(?:#   .*\n)+", text)
+    (block,) = (b for b in blocks if f"kind: {kind}\n" in b)
+    return re.sub(r"(?m)^# ", "", block)
+
+
+def test_the_default_file_is_the_defaults_and_names_every_key() -> None:
+    document = load(DEFAULT)
+    assert document.settings == Settings()
+    written = yaml.safe_load(DEFAULT.read_text())
+    assert written == msgspec.to_builtins(Settings())  # a key that the file leaves out would differ here
+    assert list(written) == list(msgspec.to_builtins(Settings()))
+
+
+@pytest.mark.parametrize(
+    ("kind", "defaults"), [("files", Files(path="presses/")), ("simulated", Simulated())], ids=["files", "simulated"]
+)
+def test_the_commented_sources_of_the_default_file_are_their_defaults(
+    tmp_path: Path, kind: str, defaults: Files | Simulated
+) -> None:
+    path = write(tmp_path, uncommented(kind))
+    assert yaml.safe_load(path.read_text())["source"] == msgspec.to_builtins(defaults)
+    assert load(path).settings.source.__class__ is defaults.__class__
+
+
+def test_a_relative_path_counts_from_the_files_folder(tmp_path: Path) -> None:
+    text = "calibration: c.npz\nsource: {kind: files, path: x}\nmqtt: {password_file: p, ca_file: /abs/ca}\n"
+    settings = load(write(tmp_path, text)).settings
+    assert settings.calibration == str(tmp_path / "c.npz")
+    assert settings.source == Files(path=str(tmp_path / "x"))
+    assert (settings.mqtt.password_file, settings.mqtt.ca_file) == (str(tmp_path / "p"), "/abs/ca")
+
+
+def test_where_names_the_line_of_a_key_or_only_the_file(tmp_path: Path) -> None:
+    document = load(write(tmp_path, "\nmqtt:\n  port: 1\n"))
+    assert document.where("mqtt", "port") == f"{document.path}:3: mqtt.port"
+    assert document.where("calibration") == f"{document.path}: calibration"
+
+
+def test_the_digest_tells_settings_apart() -> None:
+    assert digest(Settings()) == digest(Settings(source=V4l2()))
+    assert digest(Settings()) != digest(Settings(sensor_id="b"))
+    assert re.fullmatch("[0-9a-f]{12}", digest(Settings()))
+
+
+def schema_errors(schema: dict[str, Any], value: Any, root: dict[str, Any]) -> list[str]:
+    """Where `value` breaks `schema`; knows the keywords that our schema uses and refuses any other."""
+    known = {"$schema", "$ref", "$defs", "title", "description", "default", "discriminator", "required"}
+    known |= {"type", "properties", "additionalProperties", "enum", "anyOf", "minimum", "maximum", "pattern"}
+    assert set(schema) <= known | {"minLength"}, schema
+    types: dict[str, tuple[type, ...]] = {"object": (dict,), "string": (str,), "integer": (int,), "null": (type(None),)}
+    types |= {"number": (int, float), "boolean": (bool,)}
+    errors = []
+    if "$ref" in schema:
+        errors += schema_errors(root["$defs"][schema["$ref"].rpartition("/")[2]], value, root)
+    if "anyOf" in schema and all(schema_errors(option, value, root) for option in schema["anyOf"]):
+        errors.append(f"{value!r} fits no option")
+    if "type" in schema and (
+        not isinstance(value, types[schema["type"]]) or isinstance(value, bool) != (schema["type"] == "boolean")
+    ):
+        return [f"{value!r} is no {schema['type']}"]
+    if "enum" in schema and value not in schema["enum"]:
+        errors.append(f"{value!r} not in {schema['enum']}")
+    if "minimum" in schema and not schema["minimum"] <= value <= schema["maximum"]:
+        errors.append(f"{value!r} out of range")
+    if "pattern" in schema and not re.search(schema["pattern"], value):
+        errors.append(f"{value!r} does not match")
+    if "minLength" in schema and len(value) < schema["minLength"]:
+        errors.append("too short")
+    if isinstance(value, dict) and "properties" in schema:
+        errors += [f"no {k}" for k in schema.get("required", ()) if k not in value]
+        errors += [f"unknown {k}" for k in value if k not in schema["properties"]]
+        for k in value.keys() & schema["properties"].keys():
+            errors += schema_errors(schema["properties"][k], value[k], root)
+    return errors
+
+
+def test_the_json_schema_accepts_the_default_file_and_refuses_mistakes() -> None:
+    schema = json_schema()
+    good = yaml.safe_load(DEFAULT.read_text())
+    assert schema_errors(schema, good, schema) == []
+    assert schema_errors(schema, yaml.safe_load(uncommented("files")), schema) == []
+    for wrong in ({"x": 1}, {"mqtt": {"port": 0}}, {"profile": "slow"}, {"source": {"kind": "usb"}}, {"mqtt": None}):
+        assert schema_errors(schema, good | wrong, schema), wrong
