@@ -1,0 +1,192 @@
+"""The JSON payloads: ``contact``, ``info``, ``status/<part>``, ``health``, and ``req/<verb>`` with its ``res/<verb>``.
+
+JSON has no NaN and no infinity: both are written as null.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Final, Literal
+
+import msgspec
+import numpy as np
+
+from tacshade_edge.errors import DecodeError
+from tacshade_edge.protocol.wire import WIRE_VERSION
+from tacshade_edge.types import Calibration, Reconstruction
+
+Verb = Literal["reference", "profile", "status"]
+Transaction = Annotated[str, msgspec.Meta(max_length=128)] | Annotated[int, msgspec.Meta(ge=-(2**53), le=2**53)] | None
+REQUEST_BYTES_MAX: Final = 4096
+
+
+class _Reference(msgspec.Struct, forbid_unknown_fields=True):
+    transaction: Transaction = None
+
+
+class _Profile(msgspec.Struct, forbid_unknown_fields=True):
+    profile: Annotated[str, msgspec.Meta(min_length=1, max_length=128)]
+    transaction: Transaction = None
+
+
+class _Status(msgspec.Struct, forbid_unknown_fields=True):
+    transaction: Transaction = None
+
+
+class _Echo(msgspec.Struct):
+    transaction: Transaction = None
+
+
+_BODIES: Final[dict[Verb, type[_Reference | _Profile | _Status]]] = {
+    "reference": _Reference,
+    "profile": _Profile,
+    "status": _Status,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """One command from ``req/<verb>``.
+
+    Attributes
+    ----------
+    verb : str
+        ``reference`` (take a new reference now), ``profile`` (change to `profile`), ``status`` (report).
+    transaction : str, int or None
+        The caller's own mark, given back in the reply.
+    profile : str
+        Empty unless the verb is ``profile``.
+    response_topic : str or None
+        MQTT 5: where the caller wants the reply; None is ``res/<verb>``.
+    correlation : bytes or None
+        MQTT 5: correlation data, given back with the reply.
+    """
+
+    verb: Verb
+    transaction: str | int | None = None
+    profile: str = ""
+    response_topic: str | None = None
+    correlation: bytes | None = None
+
+
+def parse_request(
+    verb: str, payload: bytes, *, response_topic: str | None = None, correlation: bytes | None = None
+) -> Request:
+    """Understand the payload of ``req/<verb>``; an empty one means ``{}``.
+
+    Raises
+    ------
+    DecodeError
+        Unknown verb, not JSON, unknown or missing key, wrong type, longer than 4096 bytes.
+    """
+    known = next((v for v in _BODIES if v == verb), None)
+    if known is None:
+        raise DecodeError(f"req/{_one_line(verb)}: unknown verb, expected one of {', '.join(_BODIES)}")
+    if len(payload) > REQUEST_BYTES_MAX:
+        raise DecodeError(f"req/{verb}: {len(payload)} bytes, expected at most {REQUEST_BYTES_MAX}")
+    try:
+        body = msgspec.json.decode(payload or b"{}", type=_BODIES[known])
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise DecodeError(f"req/{verb}: {_one_line(str(error))}; expected {_expected(known)}") from error
+    profile = body.profile if isinstance(body, _Profile) else ""
+    return Request(known, body.transaction, profile, response_topic, correlation)
+
+
+def parse_transaction(payload: bytes) -> str | int | None:
+    """The ``transaction`` of a request that `parse_request` refused, so that the error can echo it, or None."""
+    try:
+        return msgspec.json.decode(payload[:REQUEST_BYTES_MAX], type=_Echo).transaction
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        return None
+
+
+def encode_result(transaction: str | int | None, result: Mapping[str, Any]) -> bytes:
+    """The reply to a request that was done: ``{"transaction", "ok": true, "result": {...}}``."""
+    return _encode({"transaction": transaction, "ok": True, "result": result})
+
+
+def encode_error(transaction: str | int | None, error: str) -> bytes:
+    """The reply to a request that was refused or failed: ``{"transaction", "ok": false, "error": "one line"}``."""
+    return _encode({"transaction": transaction, "ok": False, "error": error})
+
+
+def encode_contact(result: Reconstruction, *, fps: float) -> bytes:
+    """The ``contact`` payload: flat numbers.
+
+    ``contact`` is 0 or 1, ``objects`` a count, ``area_mm2`` their sum; ``x_mm`` and ``y_mm`` are the centroid
+    of the greatest object and null without one, since 0 is a place. `fps` is the rate of delivery in 1/s.
+    """
+    x_mm, y_mm = result.objects[0].centroid_mm[:2] if result.objects else (None, None)
+    return _encode(
+        {
+            "t_ns": result.t_ns,
+            "seq": result.seq,
+            "contact": int(result.contact),
+            "depth_max_mm": result.depth_max_mm,
+            "area_mm2": sum((o.area_mm2 for o in result.objects), 0.0),
+            "volume_mm3": result.volume_mm3,
+            "objects": len(result.objects),
+            "x_mm": x_mm,
+            "y_mm": y_mm,
+            "fps": fps,
+        }
+    )
+
+
+def encode_info(*, version: str, config_digest: str, profile: str, calibration: Calibration) -> bytes:
+    """The ``info`` payload: what a subscriber needs to place every pixel of ``height`` in mm."""
+    geometry = calibration.geometry
+    return _encode(
+        {
+            "version": version,
+            "wire_version": WIRE_VERSION,
+            "config_digest": config_digest,
+            "profile": profile,
+            "geometry": {
+                "skin_radius_mm": geometry.skin_radius_mm,
+                "camera_distance_mm": geometry.camera_distance_mm,
+                "visible_half_angle_deg": geometry.visible_half_angle_deg,
+                "f_px": geometry.f_px,
+                "mm_per_px": geometry.mm_per_px,
+                "row_c": geometry.disc.row_c,
+                "col_c": geometry.disc.col_c,
+                "radius_px": geometry.disc.radius_px,
+                "image_height_px": calibration.image_height_px,
+                "image_width_px": calibration.image_width_px,
+                "flange_T_sensor": calibration.flange_T_sensor,
+                "calibration_crc32": calibration.crc32,
+            },
+        }
+    )
+
+
+def encode_status(state: str, reason: str = "", details: Mapping[str, str | int | float] | None = None) -> bytes:
+    """The ``status/<part>`` payload: ``state``, ``reason`` (empty when all is well), and the part's own details."""
+    return _encode({**(details or {}), "state": state, "reason": reason})
+
+
+def encode_health(health: Mapping[str, Any]) -> bytes:
+    """The ``health`` payload: the daemon's counters and rates as they are."""
+    return _encode(health)
+
+
+def _encode(value: object) -> bytes:
+    return msgspec.json.encode(value, enc_hook=_plain)
+
+
+def _plain(value: object) -> object:
+    """A number of numpy's as Python's."""
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"{type(value).__name__} has no JSON form here")
+
+
+def _one_line(text: str) -> str:
+    """Text that came from outside, fit for one line of a log."""
+    return "".join(c if c.isprintable() else "?" for c in text[:200])
+
+
+def _expected(verb: Verb) -> str:
+    keys = '"profile": NAME, ' if verb == "profile" else ""
+    return f'a JSON object {{{keys}"transaction": TEXT or INTEGER}}, transaction optional'

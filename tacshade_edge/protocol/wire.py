@@ -1,0 +1,226 @@
+"""The binary MQTT payloads ``height`` and ``cloud``: one 96-byte little-endian header, then raw values.
+
+The layout is the table of docs/mqtt.md, a promise to subscribers: it may only be added to. So a decoder
+ignores flag bits and reserved bytes that it does not know, and refuses everything else that it does not know.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from tacshade_edge.errors import DecodeError
+from tacshade_edge.types import F32, U16, Pose, Reconstruction
+
+WIRE_VERSION: Final = 1
+HEADER_BYTES: Final = 96
+SCALE_MM: Final = 0.001
+OUTSIDE: Final = -32768
+_LIMIT: Final = 32767
+
+_MAGIC: Final = b"TCSH"
+_HEIGHT, _CLOUD = 1, 2
+_RAW: Final = 0
+_CONTACT, _INVALID, _SATURATED, _DEGRADED, _POSE = 1, 2, 4, 8, 16
+
+# magic version kind codec flags | seq calibration t wall | rows cols | row0 col0 step scale | pose | payload bytes
+_HEAD: Final = struct.Struct("<4s4B IIQQ 2H 4f I7f I")
+_N: Final = struct.Struct("<I")
+_CHECK: Final = struct.Struct("<II")
+_U32: Final = 0xFFFFFFFF
+_NO_POSE: Final = (0.0,) * 7
+_POINT_BYTES, _LABEL_BYTES = 12, 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Message:
+    """What both kinds carry.
+
+    Attributes
+    ----------
+    seq : int
+        Frame number modulo 2^32.
+    calibration_crc32 : int
+    t_ns, wall_ns : int
+        Capture time: the sender's CLOCK_MONOTONIC, and Unix time.
+    contact, invalid, saturated, degraded : bool
+        As in `Reconstruction`; the reasons are in ``health`` and ``status/camera``.
+    pose : Pose or None
+        ``base_T_flange`` at `t_ns`.
+    pose_error_us : int
+        How far from `t_ns` the pose is known, in µs; 0 without a pose.
+    """
+
+    seq: int
+    calibration_crc32: int
+    t_ns: int
+    wall_ns: int
+    contact: bool
+    invalid: bool
+    saturated: bool
+    degraded: bool
+    pose: Pose | None
+    pose_error_us: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeightMessage(_Message):
+    """A decoded ``height``.
+
+    Attributes
+    ----------
+    height_mm : float32 (rows, cols)
+        Radial deformation in mm, positive inwards, in steps of the scale; NaN outside the disc. Read-only.
+    row0, col0, step_px : float
+        Grid cell (i, j) is image pixel (row0 + i·step_px, col0 + j·step_px).
+    """
+
+    height_mm: F32
+    row0: float
+    col0: float
+    step_px: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CloudMessage(_Message):
+    """A decoded ``cloud``.
+
+    Attributes
+    ----------
+    points_mm : float32 (N, 3)
+        x, y, z in the sensor frame, in mm. Read-only.
+    labels : uint16 (N,)
+        Object number of each point, from 1. Read-only.
+    """
+
+    points_mm: F32
+    labels: U16
+
+
+def encode_height(
+    result: Reconstruction, *, calibration_crc32: int, pose: Pose | None = None, pose_error_us: int = 0
+) -> bytes:
+    """The ``height`` payload of a reconstruction.
+
+    A height is rounded to the nearest 0.001 mm and clamped to ±32.767 mm, infinities too; NaN becomes -32768.
+    A grid of more than 65535 rows or columns has no encoding: ValueError.
+    """
+    height = result.height
+    rows, cols = height.height_mm.shape
+    if max(rows, cols) > 0xFFFF:
+        raise ValueError(f"height grid of {rows} x {cols}; the wire holds at most 65535 x 65535")
+    limit_mm = np.float32(_LIMIT * SCALE_MM)
+    steps = np.clip(height.height_mm, -limit_mm, limit_mm)  # before the product, which could overflow
+    np.multiply(steps, np.float32(1.0 / SCALE_MM), out=steps)
+    np.rint(steps, out=steps)
+    steps[np.isnan(steps)] = OUTSIDE
+    payload = steps.astype("<i2").tobytes()
+    grid = (height.row0, height.col0, height.step_px)
+    return _pack(result, _HEIGHT, (rows, cols), grid, calibration_crc32, pose, pose_error_us, payload)
+
+
+def encode_cloud(
+    result: Reconstruction, *, calibration_crc32: int, pose: Pose | None = None, pose_error_us: int = 0
+) -> bytes:
+    """The ``cloud`` payload of a reconstruction; the grid fields of its header are 0."""
+    points, labels = result.cloud.points_mm, result.cloud.labels
+    payload = points.astype("<f4", copy=False).tobytes() + labels.astype("<u2", copy=False).tobytes()
+    halves = struct.unpack("<2H", _N.pack(len(labels)))
+    return _pack(result, _CLOUD, halves, (0.0, 0.0, 0.0), calibration_crc32, pose, pose_error_us, payload)
+
+
+def decode(data: bytes | bytearray | memoryview) -> HeightMessage | CloudMessage:
+    """Understand one ``height`` or ``cloud`` payload; the result owns its arrays.
+
+    Raises
+    ------
+    DecodeError
+        Too short, another magic, version, kind or codec, a length that does not fit, or a wrong CRC.
+    """
+    data = bytes(data)
+    kind, rows, cols = _check(data)
+    fields = _HEAD.unpack_from(data)
+    flags, seq, calibration, t_ns, wall_ns = fields[4:9]
+    row0, col0, step_px, scale_mm, error_us = fields[11:16]
+    common = (
+        seq,
+        calibration,
+        t_ns,
+        wall_ns,
+        bool(flags & _CONTACT),
+        bool(flags & _INVALID),
+        bool(flags & _SATURATED),
+        bool(flags & _DEGRADED),
+        Pose(t_ns, *fields[16:23]) if flags & _POSE else None,
+        error_us if flags & _POSE else 0,
+    )
+    if kind == _CLOUD:
+        n = rows | cols << 16
+        points = np.frombuffer(data, "<f4", 3 * n, HEADER_BYTES).astype(np.float32, copy=False)
+        labels = np.frombuffer(data, "<u2", n, HEADER_BYTES + _POINT_BYTES * n).astype(np.uint16, copy=False)
+        return CloudMessage(*common, points.reshape(n, 3), labels)
+    steps = np.frombuffer(data, "<i2", rows * cols, HEADER_BYTES)
+    height_mm = np.where(steps == OUTSIDE, np.float32(np.nan), steps * np.float32(scale_mm)).reshape(rows, cols)
+    height_mm.setflags(write=False)
+    return HeightMessage(*common, height_mm, row0, col0, step_px)
+
+
+def _check(data: bytes) -> tuple[int, int, int]:
+    """Kind, rows and cols of a payload whose frame is sound; Raises DecodeError."""
+    if len(data) < HEADER_BYTES:
+        raise DecodeError(f"height/cloud payload: {len(data)} bytes, expected at least {HEADER_BYTES} (the header)")
+    magic, version, kind, codec = _HEAD.unpack_from(data)[:4]
+    for offset, name, found, expected in (
+        (0, "magic", magic, (_MAGIC,)),
+        (4, "wire version", version, (WIRE_VERSION,)),
+        (5, "kind", kind, (_HEIGHT, _CLOUD)),
+        (6, "codec", codec, (_RAW,)),
+    ):
+        if found not in expected:
+            wanted = " or ".join(str(e) for e in expected)
+            raise DecodeError(f"height/cloud payload, byte {offset}: {name} is {found}, expected {wanted}")
+    rows, cols, said = *_HEAD.unpack_from(data)[9:11], _HEAD.unpack_from(data)[23]
+    needed = 2 * rows * cols if kind == _HEIGHT else (_POINT_BYTES + _LABEL_BYTES) * (rows | cols << 16)
+    if said != needed:
+        raise DecodeError(f"height/cloud payload, byte 84: {said} payload bytes, expected {needed} for this size")
+    if len(data) != HEADER_BYTES + said:
+        raise DecodeError(f"height/cloud payload: {len(data)} bytes, expected {HEADER_BYTES + said} as byte 84 says")
+    crc, _ = _CHECK.unpack_from(data, _HEAD.size)
+    actual = zlib.crc32(memoryview(data)[HEADER_BYTES:], zlib.crc32(data[: _HEAD.size]))
+    if crc != actual:
+        raise DecodeError(f"height/cloud payload, byte 88: CRC-32 {crc:08x}, expected {actual:08x}")
+    return kind, rows, cols
+
+
+def _pack(
+    result: Reconstruction,
+    kind: int,
+    size: tuple[int, ...],
+    grid: tuple[float, float, float],
+    calibration_crc32: int,
+    pose: Pose | None,
+    pose_error_us: int,
+    payload: bytes,
+) -> bytes:
+    flags = (
+        _CONTACT * result.contact
+        | _INVALID * (not result.valid)
+        | _SATURATED * result.saturated
+        | _DEGRADED * bool(result.degraded)
+        | _POSE * (pose is not None)
+    )
+    head = _HEAD.pack(
+        *(_MAGIC, WIRE_VERSION, kind, _RAW, flags),
+        *(result.seq & _U32, calibration_crc32 & _U32, result.t_ns, result.wall_ns),
+        *size,
+        *grid,
+        SCALE_MM,
+        0 if pose is None else min(pose_error_us, _U32),
+        *(_NO_POSE if pose is None else (pose.x_mm, pose.y_mm, pose.z_mm, pose.qw, pose.qx, pose.qy, pose.qz)),
+        len(payload),
+    )
+    return head + _CHECK.pack(zlib.crc32(payload, zlib.crc32(head)), 0) + payload

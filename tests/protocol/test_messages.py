@@ -1,0 +1,156 @@
+"""JSON payloads: exact keys, strict requests, replies that echo."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tacshade_edge.errors import DecodeError
+from tacshade_edge.protocol import messages
+from tacshade_edge.protocol.messages import Request
+from tacshade_edge.types import Calibration, Disc, Geometry, Reconstruction, TouchedObject
+
+
+def test_contact_is_flat_numbers_with_the_promised_keys(
+    make_result: Callable[..., Reconstruction], two_objects: tuple[TouchedObject, ...]
+) -> None:
+    result = make_result(objects=two_objects, volume_mm3=np.float64(3.5))
+    assert json.loads(messages.encode_contact(result, fps=59.5)) == {
+        "t_ns": 1_000,
+        "seq": 5,
+        "contact": 1,
+        "depth_max_mm": 1.75,
+        "area_mm2": 10.0,
+        "volume_mm3": 3.5,
+        "objects": 2,
+        "x_mm": 1.25,
+        "y_mm": -2.5,
+        "fps": 59.5,
+    }
+
+
+def test_contact_without_contact_has_no_place(make_result: Callable[..., Reconstruction]) -> None:
+    decoded = json.loads(messages.encode_contact(make_result(contact=False), fps=0.0))
+    assert ",".join(decoded) == "t_ns,seq,contact,depth_max_mm,area_mm2,volume_mm3,objects,x_mm,y_mm,fps"
+    assert [decoded[k] for k in ("contact", "depth_max_mm", "objects", "x_mm", "y_mm")] == [0, 0.0, 0, None, None]
+
+
+def test_nan_is_null_as_json_has_none(make_result: Callable[..., Reconstruction]) -> None:
+    assert json.loads(messages.encode_contact(make_result(volume_mm3=math.nan), fps=math.inf))["volume_mm3"] is None
+
+
+def test_info_places_a_pixel_in_mm() -> None:
+    calibration = Calibration(
+        geometry=Geometry(20.0, None, 30.0, Disc(239.5, np.float64(319.5), 200.0)),  # type: ignore[arg-type]
+        polarity="bright",
+        binarisation="adaptive",
+        image_height_px=480,
+        image_width_px=640,
+        pitch_px=20.0,
+        reference_white=np.zeros((480, 640), np.uint8),
+        reference_grey=np.zeros((480, 640), np.uint8),
+        noise_grey=1.0,
+        alpha=15.0,
+        table_grey=np.zeros(0, np.float32),
+        table_depth_mm=np.zeros(0, np.float32),
+        crc32=0xDEADBEEF,
+    )
+    info = json.loads(messages.encode_info(version="1", config_digest="ab", profile="fast", calibration=calibration))
+    assert {k: info[k] for k in ("version", "wire_version", "config_digest", "profile")} == {
+        "version": "1",
+        "wire_version": 1,
+        "config_digest": "ab",
+        "profile": "fast",
+    }
+    geometry = info["geometry"]
+    assert geometry["camera_distance_mm"] is None
+    assert geometry["mm_per_px"] == pytest.approx(0.05)
+    assert (geometry["row_c"], geometry["col_c"], geometry["radius_px"]) == (239.5, 319.5, 200.0)
+    assert (geometry["skin_radius_mm"], geometry["visible_half_angle_deg"], geometry["f_px"]) == (20.0, 30.0, 0.0)
+    assert geometry["calibration_crc32"] == 0xDEADBEEF
+    assert geometry["flange_T_sensor"] == [0, 0, 0, 1, 0, 0, 0]
+
+
+def test_status_and_health() -> None:
+    status = messages.encode_status("failed", "no such device", {"rate_hz": 60.0, "state": "details do not win"})
+    assert json.loads(status) == {"rate_hz": 60.0, "state": "failed", "reason": "no such device"}
+    assert json.loads(messages.encode_health({"captured": np.int64(3), "p99_ms": np.float32(1.5)})) == {
+        "captured": 3,
+        "p99_ms": 1.5,
+    }
+    with pytest.raises(TypeError):
+        messages.encode_health({"captured": object()})
+
+
+@pytest.mark.parametrize(
+    ("verb", "payload", "expected"),
+    [
+        ("reference", b'{"transaction": "a-1"}', Request("reference", "a-1")),
+        ("profile", b'{"profile": "fast", "transaction": 7}', Request("profile", 7, "fast")),
+        ("status", b"", Request("status")),
+        ("status", b" {} ", Request("status")),
+        ("status", b'{"transaction": null}', Request("status")),
+    ],
+)
+def test_request(verb: str, payload: bytes, expected: Request) -> None:
+    assert messages.parse_request(verb, payload) == expected
+
+
+def test_request_keeps_where_an_mqtt5_reply_goes() -> None:
+    request = messages.parse_request("status", b"{}", response_topic="me/in", correlation=b"\0\xff")
+    assert (request.response_topic, request.correlation) == ("me/in", b"\0\xff")
+
+
+@pytest.mark.parametrize(
+    ("verb", "payload", "told"),
+    [
+        ("reboot", b"{}", "expected one of reference, profile, status"),
+        ("profile", b"{}", "missing required field `profile`"),
+        ("profile", b'{"profile": ""}', "length >= 1"),
+        ("profile", b'{"profile": 3}', "got `int`"),
+        ("status", b'{"transactoin": 1}', "unknown field `transactoin`"),
+        ("status", b'{"transaction": 1.5}', "got `float`"),
+        ("status", b'{"transaction": true}', "got `bool`"),
+        ("status", b'{"transaction": 99999999999999999999999}', "9007199254740992"),
+        ("status", b"[]", "got `array`"),
+        ("status", b"{", "truncated"),
+        ("status", b"\xff\xfe", "malformed"),
+        ("status", b'{"transaction": "\xff"}', "expected a JSON object"),
+        ("status", b'{"a":' + b"[" * 4000, "expected a JSON object"),
+        ("status", b" " * 4097, "at most 4096"),
+    ],
+)
+def test_bad_request_says_what_and_what_was_expected(verb: str, payload: bytes, told: str) -> None:
+    with pytest.raises(DecodeError) as caught:
+        messages.parse_request(verb, payload)
+    assert told in str(caught.value)
+
+
+@given(st.text(), st.binary() | st.recursive(st.none() | st.text(), st.lists).map(lambda v: json.dumps(v).encode()))
+def test_no_request_does_worse_than_a_one_line_decode_error(verb: str, payload: bytes) -> None:
+    for tried in (verb, "profile"):
+        with pytest.raises(DecodeError) as caught:
+            messages.parse_request(tried, b'{"x": ' + payload + b"}")
+        assert str(caught.value).isprintable()
+    echo = messages.parse_transaction(payload)
+    assert json.loads(messages.encode_error(echo, "why"))["transaction"] == echo
+
+
+def test_refused_request_still_tells_its_transaction() -> None:
+    assert messages.parse_transaction(b'{"transaction": "t", "unknown": [1]}') == "t"
+    assert messages.parse_transaction(b'{"transaction": [1]}') is None
+    assert messages.parse_transaction(b'{"a":' + b"[" * 4000) is None
+
+
+def test_replies_echo_the_transaction() -> None:
+    done: Any = json.loads(messages.encode_result("t", {"profile": "fast"}))
+    assert done == {"transaction": "t", "ok": True, "result": {"profile": "fast"}}
+    refused = json.loads(messages.encode_error(None, "no such profile"))
+    assert refused == {"transaction": None, "ok": False, "error": "no such profile"}

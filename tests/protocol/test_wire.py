@@ -1,0 +1,164 @@
+"""Height and cloud payloads against literal vectors, and at the extremes."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as npst
+
+from tacshade_edge.errors import DecodeError
+from tacshade_edge.protocol import wire
+from tacshade_edge.types import HeightMap, ObjectCloud, Pose, Reconstruction
+
+METADATA = ("seq", "calibration_crc32", "t_ns", "wall_ns", "contact", "invalid", "saturated", "degraded")
+FLAGS = st.fixed_dictionaries(
+    {name: st.booleans() for name in ("valid", "contact", "saturated")} | {"degraded": st.sampled_from(["", "glare"])}
+)
+FLOATS = st.floats(width=32, allow_nan=True, allow_infinity=True)
+
+
+def reconstruction(height: Any, points: Any, labels: Any, **other: Any) -> Reconstruction:
+    fields: dict[str, Any] = {"seq": 1, "t_ns": 2, "wall_ns": 3, "valid": True, "contact": True, "saturated": False}
+    fields |= {"degraded": "", "profile": "fast", "reason": ""} | other
+    grid = HeightMap(height, np.zeros(height.shape, np.bool_), 0.5, 1.5, 2.0)
+    return Reconstruction(height=grid, cloud=ObjectCloud(points, labels), **fields)
+
+
+def from_vector(expect: dict[str, Any]) -> tuple[Reconstruction, Pose | None]:
+    """What one would have encoded to get a vector."""
+    height = np.array([np.nan if h is None else h for h in expect.get("height_mm", [0.0])], np.float32)
+    points = np.array(expect.get("points_mm", []), np.float32).reshape(-1, 3)
+    result = Reconstruction(
+        *(expect["seq"], expect["t_ns"], expect["wall_ns"], "fast", not expect["invalid"], "", expect["contact"]),
+        saturated=expect["saturated"],
+        degraded="why" if expect["degraded"] else "",
+        height=HeightMap(
+            height.reshape(expect.get("rows", 1), -1),
+            np.zeros((1, 1), np.bool_),
+            *(expect.get(k, 0.0) for k in ("row0", "col0", "step_px")),
+        ),
+        cloud=ObjectCloud(points, np.array(expect.get("labels", []), np.uint16)),
+    )
+    return result, Pose(expect["t_ns"], *expect["pose"]) if expect["pose"] else None
+
+
+def test_sound_vector_decodes_to_its_values(sound: dict[str, Any]) -> None:
+    expect = sound["expect"]
+    message = wire.decode(bytes.fromhex(sound["hex"]))
+    assert {k: getattr(message, k) for k in METADATA} == {k: expect[k] for k in METADATA}
+    assert message.pose == (Pose(expect["t_ns"], *expect["pose"]) if expect["pose"] else None)
+    assert message.pose_error_us == expect["pose_error_us"]
+    if isinstance(message, wire.HeightMessage):
+        assert expect["kind"] == "height"
+        assert (message.row0, message.col0, message.step_px) == (expect["row0"], expect["col0"], expect["step_px"])
+        assert message.height_mm.shape == (expect["rows"], expect["cols"])
+        wanted = np.array([np.nan if h is None else h for h in expect["height_mm"]])
+        np.testing.assert_allclose(message.height_mm.ravel(), wanted, rtol=1e-6, atol=1e-7)
+    else:
+        assert expect["kind"] == "cloud"
+        assert message.points_mm.shape == (expect["n"], 3)
+        assert message.points_mm.ravel().tolist() == expect["points_mm"]
+        assert message.labels.tolist() == expect["labels"]
+
+
+def test_encoder_writes_the_vector_byte_for_byte(own: dict[str, Any]) -> None:
+    expect = own["expect"]
+    result, pose = from_vector(expect)
+    encode = wire.encode_height if expect["kind"] == "height" else wire.encode_cloud
+    data = encode(
+        result, calibration_crc32=expect["calibration_crc32"], pose=pose, pose_error_us=expect["pose_error_us"]
+    )
+    assert data.hex() == own["hex"]
+
+
+def test_damaged_vector_is_refused_with_what_and_where(damaged: dict[str, Any]) -> None:
+    with pytest.raises(DecodeError, match=damaged["error"]):
+        wire.decode(bytes.fromhex(damaged["hex"]))
+
+
+@given(
+    npst.arrays(np.float32, npst.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=12), elements=FLOATS), FLAGS
+)
+def test_any_height_is_rounded_or_clamped_and_never_wrapped(height: Any, flags: dict[str, Any]) -> None:
+    result = reconstruction(height, np.zeros((0, 3), np.float32), np.zeros(0, np.uint16), **flags)
+    message = wire.decode(wire.encode_height(result, calibration_crc32=9))
+    assert isinstance(message, wire.HeightMessage)
+    expected = np.clip(height.astype(np.float64), -32.767, 32.767)
+    np.testing.assert_array_equal(np.isnan(message.height_mm), np.isnan(height))
+    inside = ~np.isnan(height)
+    assert np.all(np.abs(message.height_mm[inside] - expected[inside]) <= 0.000504)
+    assert message.invalid is not flags["valid"]
+    assert message.degraded is bool(flags["degraded"])
+    assert (message.contact, message.saturated) == (flags["contact"], flags["saturated"])
+
+
+@given(st.integers(0, 40).flatmap(lambda n: st.tuples(*_cloud(n))), st.integers(0, 2**40))
+def test_any_cloud_comes_back_bit_for_bit(cloud: tuple[Any, Any], seq: int) -> None:
+    points, labels = cloud
+    result = reconstruction(np.zeros((1, 1), np.float32), points, labels, seq=seq)
+    message = wire.decode(bytearray(wire.encode_cloud(result, calibration_crc32=2**32 - 1)))
+    assert isinstance(message, wire.CloudMessage)
+    assert message.points_mm.tobytes() == points.tobytes()
+    assert message.labels.tobytes() == labels.tobytes()
+    assert message.seq == seq % 2**32
+
+
+def _cloud(n: int) -> tuple[st.SearchStrategy[Any], ...]:
+    return npst.arrays(np.float32, (n, 3), elements=FLOATS), npst.arrays(np.uint16, n)
+
+
+def test_cloud_of_more_points_than_a_u16_counts() -> None:
+    points = np.arange(3 * 70_000, dtype=np.float32).reshape(-1, 3)
+    result = reconstruction(np.zeros((1, 1), np.float32), points, np.full(70_000, 2, np.uint16))
+    message = wire.decode(wire.encode_cloud(result, calibration_crc32=0))
+    assert isinstance(message, wire.CloudMessage)
+    np.testing.assert_array_equal(message.points_mm, points)
+
+
+def test_grid_that_the_header_cannot_hold_is_an_error_not_a_wrap() -> None:
+    wide = np.zeros((1, 65_536), np.float32)
+    with pytest.raises(ValueError, match="65535"):
+        wire.encode_height(
+            reconstruction(wide, np.zeros((0, 3), np.float32), np.zeros(0, np.uint16)), calibration_crc32=0
+        )
+
+
+def test_decoded_arrays_are_read_only(sound: dict[str, Any]) -> None:
+    message = wire.decode(bytearray.fromhex(sound["hex"]))
+    array = message.height_mm if isinstance(message, wire.HeightMessage) else message.points_mm
+    assert not array.flags.writeable
+
+
+@given(st.binary(max_size=200))
+def test_garbage_is_a_decode_error(data: bytes) -> None:
+    with pytest.raises(DecodeError):
+        wire.decode(data)
+
+
+@given(st.integers(0, 107), st.integers(1, 255))
+def test_no_flipped_byte_passes_except_in_the_reserved_word(offset: int, flip: int) -> None:
+    data = bytearray(
+        wire.encode_height(
+            reconstruction(np.ones((2, 3), np.float32), np.zeros((0, 3), np.float32), np.zeros(0, np.uint16)),
+            calibration_crc32=7,
+        )
+    )
+    data[offset] ^= flip
+    if 92 <= offset < 96:
+        assert isinstance(wire.decode(data), wire.HeightMessage)
+    else:
+        with pytest.raises(DecodeError):
+            wire.decode(data)
+
+
+def test_size_field_cannot_make_the_decoder_allocate() -> None:
+    head = bytearray(96)
+    struct.pack_into("<4s4B", head, 0, b"TCSH", 1, 2, 0, 0)
+    struct.pack_into("<I", head, 32, 0xFFFFFFFF)
+    with pytest.raises(DecodeError, match="payload bytes"):
+        wire.decode(head)
