@@ -1,0 +1,187 @@
+"""Every parameter of a simulated TacShade, and random members of the family."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+from typing import Literal
+
+import numpy as np
+
+from tacshade_edge.types import Disc, Geometry
+
+Surround = Literal["bright", "dark"]
+
+RIM_HALF_ANGLE_DEG = 72.0
+"""The housing clamps the skin here (h = 0), measured at O from +z; the visible circle must lie inside."""
+
+MAX_VISIBLE_HALF_ANGLE_DEG = 62.0
+
+
+@dataclass(frozen=True, slots=True)
+class SensorModel:
+    """One sensor: skin, pins and markers, camera, light. Radii given in pitches are radii, not diameters.
+
+    Attributes
+    ----------
+    skin_radius_mm, camera_distance_mm, visible_half_angle_deg
+        r, d (None: orthographic) and θ of `tacshade_edge.types.Geometry`.
+    image_height_px, image_width_px, row_c, col_c, disc_radius_px
+        The frame and the visible circle in it.
+    pitch_mm : float
+        Distance between neighbouring pins of the hexagonal lattice, on the undeformed skin.
+    lattice_rotation_deg : float
+    pin_length_pitches, pin_tip_radius_pitches, pin_base_radius_pitches, marker_radius_pitches : float
+        Pins are frusta from the skin inwards. Markers lie on the skin in the triangle centres of the lattice; where
+        they overlap (radius over 0.29 pitches) they join into a white ground with a dark dot under every pin.
+    position_tolerance_mm, size_tolerance : float
+        Print tolerances: standard deviation of a feature's position, and of its radius or length as a ratio.
+    skin_decay_mm : float
+        λ, the length over which the skin's skirt decays outside a contact.
+    friction : float
+        1: the skin sticks to what presses it and goes along -z with it; 0: it slides and moves along its radius.
+    light : float
+        Grey level of a white marker in the middle of the disc, 0 to 255.
+    vignetting : float
+        Light lost at the edge of the visible circle, as a ratio.
+    marker_reflectance, skin_reflectance, pin_reflectance, pin_tip_reflectance : float
+        Ratios; `light` is what reflectance 1 gives.
+    colour_bgr : three floats
+        Gain of each channel: markers look bluish under most LED rings.
+    blur_px : float
+        Standard deviation of the lens blur.
+    read_noise_grey, shot_noise_grey : float
+        Standard deviation of the noise on black, and what is added to it (in squares) on grey level 255.
+    surround : str
+        Outside the visible circle: ``bright`` (LED ring and housing) or ``dark``.
+    specular_spots : int
+        Small highlights of the LEDs inside the visible circle; they do not move with the skin.
+    print_seed : int
+        The print tolerances and the highlights are drawn from it.
+    """
+
+    skin_radius_mm: float = 20.0
+    camera_distance_mm: float | None = 14.0
+    visible_half_angle_deg: float = 50.0
+    image_height_px: int = 480
+    image_width_px: int = 640
+    row_c: float = 236.4
+    col_c: float = 327.7
+    disc_radius_px: float = 205.0
+    pitch_mm: float = 1.9
+    lattice_rotation_deg: float = 7.0
+    pin_length_pitches: float = 1.6
+    pin_tip_radius_pitches: float = 0.34
+    pin_base_radius_pitches: float = 0.28
+    marker_radius_pitches: float = 0.42
+    position_tolerance_mm: float = 0.03
+    size_tolerance: float = 0.03
+    skin_decay_mm: float = 2.2
+    friction: float = 0.8
+    light: float = 205.0
+    vignetting: float = 0.35
+    marker_reflectance: float = 0.95
+    skin_reflectance: float = 0.14
+    pin_reflectance: float = 0.07
+    pin_tip_reflectance: float = 0.07
+    colour_bgr: tuple[float, float, float] = (1.08, 1.0, 0.93)
+    blur_px: float = 0.7
+    read_noise_grey: float = 1.5
+    shot_noise_grey: float = 2.5
+    surround: Surround = "bright"
+    specular_spots: int = 4
+    print_seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be simulated, with the parameter's name."""
+        positive = (
+            "skin_radius_mm", "image_height_px", "image_width_px", "disc_radius_px", "pitch_mm", "skin_decay_mm",
+            "pin_length_pitches", "pin_tip_radius_pitches", "pin_base_radius_pitches", "marker_radius_pitches",
+        )  # fmt: skip
+        for name in positive:
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                raise ValueError(f"{name} is {value}, expected a positive number")
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.type == "float" and not (math.isfinite(value) and (value >= 0 or "_c" in field.name)):
+                raise ValueError(f"{field.name} is {value}, expected a finite number of at least 0")
+        if not 5.0 <= self.visible_half_angle_deg <= MAX_VISIBLE_HALF_ANGLE_DEG:
+            raise ValueError(
+                f"visible_half_angle_deg is {self.visible_half_angle_deg}, expected 5 to {MAX_VISIBLE_HALF_ANGLE_DEG}"
+            )
+        if self.pitch_mm > self.skin_radius_mm / 3 or self.pitch_mm < self.skin_radius_mm / 50:
+            raise ValueError(f"pitch_mm is {self.pitch_mm}, expected a 50th to a third of skin_radius_mm")
+        if self.pin_length_pitches * self.pitch_mm > self.skin_radius_mm / 2:
+            raise ValueError(
+                f"pin_length_pitches is {self.pin_length_pitches}: pins longer than half the skin's radius"
+            )
+        if self.surround not in ("bright", "dark"):
+            raise ValueError(f"surround is {self.surround!r}, expected bright or dark")
+
+    @property
+    def geometry(self) -> Geometry:
+        """What a perfect calibration of this sensor finds."""
+        return Geometry(
+            self.skin_radius_mm,
+            self.camera_distance_mm,
+            self.visible_half_angle_deg,
+            Disc(self.row_c, self.col_c, self.disc_radius_px),
+        )
+
+
+def random_model(seed: int, image_height_px: int = 480, image_width_px: int = 640) -> SensorModel:
+    """Draw a sensor of the TacShade family: other print, other lens, other light; the same seed, the same sensor."""
+    rng = np.random.default_rng(seed)
+
+    def draw(low: float, high: float) -> float:
+        return float(rng.uniform(low, high))
+
+    side_px = min(image_height_px, image_width_px)
+    disc_radius_px = side_px * draw(0.36, 0.45)
+    slack_px = 0.5 * side_px - disc_radius_px
+    return SensorModel(
+        skin_radius_mm=draw(17.0, 28.0),
+        camera_distance_mm=draw(6.0, 26.0),
+        visible_half_angle_deg=draw(42.0, 55.0),
+        image_height_px=image_height_px,
+        image_width_px=image_width_px,
+        row_c=(image_height_px - 1) / 2 + draw(-0.8, 0.8) * slack_px,
+        col_c=(image_width_px - 1) / 2 + draw(-0.8, 0.8) * slack_px,
+        disc_radius_px=disc_radius_px,
+        pitch_mm=draw(1.5, 2.4),
+        lattice_rotation_deg=draw(0.0, 60.0),
+        pin_length_pitches=draw(1.4, 2.0),
+        pin_tip_radius_pitches=draw(0.31, 0.38),
+        pin_base_radius_pitches=draw(0.24, 0.32),
+        marker_radius_pitches=draw(0.35, 0.48),
+        position_tolerance_mm=draw(0.01, 0.05),
+        size_tolerance=draw(0.01, 0.05),
+        skin_decay_mm=draw(1.5, 3.5),
+        friction=draw(0.6, 1.0),
+        light=draw(140.0, 235.0),
+        vignetting=draw(0.1, 0.5),
+        marker_reflectance=draw(0.85, 1.0),
+        skin_reflectance=draw(0.08, 0.2),
+        pin_reflectance=draw(0.04, 0.1),
+        colour_bgr=(draw(1.0, 1.15), 1.0, draw(0.85, 1.0)),
+        blur_px=draw(0.4, 1.2),
+        read_noise_grey=draw(0.8, 3.0),
+        shot_noise_grey=draw(1.0, 4.0),
+        surround="bright" if rng.random() < 0.6 else "dark",
+        specular_spots=int(rng.integers(0, 7)),
+        print_seed=seed,
+    )
+
+
+def tactip(model: SensorModel) -> SensorModel:
+    """Print the same skin as a TacTip: white pin tips on black, no markers in the gaps; contact darkens it."""
+    return replace(
+        model,
+        pin_length_pitches=1.0,
+        pin_tip_radius_pitches=0.26,
+        pin_base_radius_pitches=0.26,
+        marker_reflectance=model.skin_reflectance,
+        pin_reflectance=model.skin_reflectance,
+        pin_tip_reflectance=0.95,
+    )

@@ -1,0 +1,256 @@
+"""From a skin to an image: pins and markers through the camera, then light, blur, surround, noise.
+
+The skin does not hide what lies behind its own steep folds; at visible half angles up to 55° and folds below 70° to
+the sphere there is nothing to hide.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from tacshade_edge.simulator.model import MAX_VISIBLE_HALF_ANGLE_DEG, SensorModel
+from tacshade_edge.simulator.skin import Skin, chart_to_direction, direction_to_chart
+from tacshade_edge.types import F32, F64, U8, Geometry
+
+_SUPERSAMPLING = 2
+_SHIFT = 4  # fractional bits of drawn coordinates
+_MARKER_CORNERS = 12
+_PIN_CORNERS = 10
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Print:
+    """The printed features of one sensor, on the undeformed skin.
+
+    Attributes
+    ----------
+    marker_chart_mm : float (M, corners, 2)
+        Outlines of the markers in the skin's chart; they are on the skin and deform with it.
+    pin_chart_mm : float (P, 2)
+        Where the pins stand, in the skin's chart.
+    pin_base_mm, pin_tip_mm, pin_length_mm : float (P,)
+    """
+
+    marker_chart_mm: F64
+    pin_chart_mm: F64
+    pin_base_mm: F64
+    pin_tip_mm: F64
+    pin_length_mm: F64
+
+
+def print_features(model: SensorModel) -> Print:
+    """Lay the hexagonal lattice on the sphere (equal-area chart), with the model's print tolerances."""
+    rng = np.random.default_rng((model.print_seed, 1))
+    r, p = model.skin_radius_mm, model.pitch_mm
+    reach = math.radians(min(model.visible_half_angle_deg + 6.0, MAX_VISIBLE_HALF_ANGLE_DEG + 4.0))
+    limit = 2 * r * math.sin(reach / 2)
+    n = math.ceil(limit / (p * 0.86)) + 1
+    i, j = np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1))
+    corner = np.stack(((i + 0.5 * j).ravel(), (j * math.sqrt(0.75)).ravel()), axis=1) * p
+    third = np.array((0.5, math.sqrt(1 / 12))) * p  # centre of the triangle right above a lattice point
+    a = math.radians(model.lattice_rotation_deg)
+    turn = np.array(((math.cos(a), math.sin(a)), (-math.sin(a), math.cos(a))))
+
+    def lay(points: F64) -> F64:
+        points = points @ turn
+        points = points + rng.normal(0.0, model.position_tolerance_mm, points.shape)
+        return np.asarray(points[np.linalg.norm(points, axis=1) < limit])
+
+    def sizes(pitches: float, count: int) -> F64:
+        return pitches * p * np.clip(1 + model.size_tolerance * rng.standard_normal(count), 0.5, 1.5)
+
+    pins = lay(corner)
+    # The second triangle of each lattice cell is the first one mirrored in the cell's middle.
+    markers = lay(np.concatenate((corner + third, corner - third)))
+    radius = sizes(model.marker_radius_pitches, len(markers))
+    angles = np.arange(_MARKER_CORNERS) * (2 * math.pi / _MARKER_CORNERS)
+    # A regular polygon of the same area as the disc.
+    radius = radius * math.sqrt(2 * math.pi / (_MARKER_CORNERS * math.sin(2 * math.pi / _MARKER_CORNERS)))
+    circle = np.stack((np.cos(angles), np.sin(angles)), axis=1)
+    outline = _equal_area_to_direction(markers, r)
+    east, north = _tangents(outline)
+    ring = outline[:, None, :] * r + radius[:, None, None] * (
+        circle[None, :, :1] * east[:, None, :] + circle[None, :, 1:] * north[:, None, :]
+    )
+    return Print(
+        marker_chart_mm=np.stack(direction_to_chart(ring, r), axis=-1),
+        pin_chart_mm=np.stack(direction_to_chart(_equal_area_to_direction(pins, r), r), axis=-1),
+        pin_base_mm=sizes(model.pin_base_radius_pitches, len(pins)),
+        pin_tip_mm=sizes(model.pin_tip_radius_pitches, len(pins)),
+        pin_length_mm=sizes(model.pin_length_pitches, len(pins)),
+    )
+
+
+def project(geometry: Geometry, points_mm: F64) -> F64:
+    """Image coordinates (col, row) of points (..., 3) in the sensor frame; pixel centres are integers."""
+    disc = geometry.disc
+    if geometry.camera_distance_mm is None:
+        scale = np.asarray(1 / geometry.mm_per_px)
+    else:
+        scale = geometry.f_px / (points_mm[..., 2] + geometry.camera_distance_mm)
+    return np.stack((disc.col_c + scale * points_mm[..., 0], disc.row_c + scale * points_mm[..., 1]), axis=-1)
+
+
+class Renderer:
+    """Draws one sensor's frames; what does not change with the skin is prepared once."""
+
+    def __init__(self, model: SensorModel) -> None:
+        self.model = model
+        self.print = print_features(model)
+        rows, cols = np.mgrid[: model.image_height_px, : model.image_width_px].astype(np.float32)
+        rho = np.hypot(rows - model.row_c, cols - model.col_c) / model.disc_radius_px
+        self._inside = np.clip((1 - rho) * model.disc_radius_px + 0.5, 0, 1).astype(np.float32)
+        rng = np.random.default_rng((model.print_seed, 2))
+        light = model.light * (1 - model.vignetting * np.minimum(rho, 1.2) ** 2)
+        angle = np.arctan2(rows - model.row_c, cols - model.col_c)
+        self._light = (light * (1 + 0.05 * np.cos(angle - rng.uniform(0, 6.3)) * np.minimum(rho, 1))).astype(np.float32)
+        self._outside = _surround(model, rho, angle) * (1 - self._inside)
+        self._glints = _glints(model, rng, rows, cols)
+
+    def draw(self, skin: Skin) -> F32:
+        """The noiseless image of a skin: float32 (H, W), grey levels before the colour gains."""
+        model = self.model
+        reflectance = self._features(skin).astype(np.float32)
+        image = reflectance * self._light * (self._inside / 255) + self._outside + self._glints
+        if model.blur_px > 0:
+            image = cv2.GaussianBlur(image, (0, 0), model.blur_px)
+        return np.asarray(image, np.float32)
+
+    def expose(self, image: F32, noise_seed: int) -> U8:
+        """Add the camera's noise and colour, and quantise: uint8 (H, W, 3) BGR."""
+        model = self.model
+        rng = np.random.default_rng((noise_seed, 3))
+        variance = model.read_noise_grey**2 + np.maximum(image, 0) * (model.shot_noise_grey**2 / 255)
+        # One draw for the three channels: demosaicking leaves them nearly the same noise.
+        grey = image + np.sqrt(variance) * rng.standard_normal(image.shape, np.float32)
+        level = np.clip(grey + 0.5, 0, 255).astype(np.uint8)
+        ramp = np.arange(256)[None, :, None] * np.array(model.colour_bgr)
+        table = np.clip(ramp + 0.5, 0, 255).astype(np.uint8)
+        return np.asarray(cv2.LUT(cv2.merge((level, level, level)), table), np.uint8)
+
+    def _features(self, skin: Skin) -> U8:
+        """Reflectance times 255, (H, W): markers on the skin, pins over them."""
+        model, marks = self.model, self.print
+        size = (model.image_height_px * _SUPERSAMPLING, model.image_width_px * _SUPERSAMPLING)
+        ground, white, black, tip_level = (round(255 * v) for v in (
+            model.skin_reflectance, model.marker_reflectance, model.pin_reflectance, model.pin_tip_reflectance
+        ))  # fmt: skip
+        canvas = np.full(size, ground, np.uint8)
+        smooth = _smoothed(skin, float(np.mean(marks.pin_base_mm)))
+        outline = _on_skin(skin, *_carried(smooth, marks.marker_chart_mm, model.friction))
+        for polygon in _to_canvas(project(model.geometry, outline)):
+            cv2.fillConvexPoly(canvas, polygon, white, cv2.LINE_8, _SHIFT)
+        base, tip = (_to_canvas(project(model.geometry, c)) for c in _pin_corners(skin, smooth, marks, model.friction))
+        for polygon in np.concatenate((base, tip), axis=1):
+            cv2.fillConvexPoly(canvas, cv2.convexHull(polygon), black, cv2.LINE_8, _SHIFT)
+        if tip_level != black:
+            for polygon in tip:
+                cv2.fillConvexPoly(canvas, polygon, tip_level, cv2.LINE_8, _SHIFT)
+        return np.asarray(
+            cv2.resize(canvas, (model.image_width_px, model.image_height_px), interpolation=cv2.INTER_AREA)
+        )
+
+
+def _pin_corners(skin: Skin, smooth: Skin, marks: Print, friction: float) -> tuple[F64, F64]:
+    """Corners of the base and of the tip of every pin, each (P, corners, 3) mm."""
+    direction, chart = _carried(smooth, marks.pin_chart_mm, friction)
+    base = _on_skin(skin, direction, chart)
+    normal = _outward_normals(smooth, chart)
+    east, north = _tangents(normal)
+    angles = np.arange(_PIN_CORNERS) * (2 * math.pi / _PIN_CORNERS)
+    circle = np.cos(angles)[None, :, None] * east[:, None, :] + np.sin(angles)[None, :, None] * north[:, None, :]
+    tip = base - normal * marks.pin_length_mm[:, None]
+    return (
+        base[:, None, :] + circle * marks.pin_base_mm[:, None, None],
+        tip[:, None, :] + circle * marks.pin_tip_mm[:, None, None],
+    )
+
+
+def _carried(skin: Skin, chart_mm: F64, friction: float) -> tuple[F64, F64]:
+    """Where the deformation carries material points: their new directions (..., 3) and chart coordinates (..., 2).
+
+    The object moves along -z. Skin that sticks to it goes along; skin that slides without friction moves along its
+    normal. To first order in h the first is a displacement by h / cosθ along -z, the second by h along the radius.
+    """
+    direction = chart_to_direction(chart_mm[..., 0], chart_mm[..., 1], skin.radius_mm)
+    height = skin.sample(chart_mm[..., 0], chart_mm[..., 1])
+    moved = direction * (skin.radius_mm - (1 - friction) * height)[..., None]
+    moved[..., 2] -= friction * height / direction[..., 2]
+    moved /= np.linalg.norm(moved, axis=-1, keepdims=True)
+    return moved, np.stack(direction_to_chart(moved, skin.radius_mm), axis=-1)
+
+
+def _on_skin(skin: Skin, direction: F64, chart_mm: F64) -> F64:
+    """Points of the deformed skin (..., 3) in mm."""
+    return direction * (skin.radius_mm - skin.sample(chart_mm[..., 0], chart_mm[..., 1]))[..., None]
+
+
+def _smoothed(skin: Skin, patch_mm: float) -> Skin:
+    """The skin with h averaged over a patch of the given radius: what a stiff printed feature feels."""
+    side = 2 * max(1, round(patch_mm / skin.step_mm)) + 1
+    smooth = np.asarray(cv2.blur(skin.height_mm, (side, side)), np.float32)
+    return Skin(skin.radius_mm, skin.step_mm, smooth, skin.obstacle_mm)
+
+
+def _outward_normals(flat: Skin, chart_mm: F64) -> F64:
+    """Unit normals (P, 3) of a skin that is smooth over several grid steps."""
+    x, y, e = chart_mm[:, 0], chart_mm[:, 1], flat.step_mm
+    h_x = (flat.sample(x + e, y) - flat.sample(x - e, y)) / (2 * e)
+    h_y = (flat.sample(x, y + e) - flat.sample(x, y - e)) / (2 * e)
+    u, v = x / flat.radius_mm, y / flat.radius_mm
+    q = (u * u + v * v) / 4
+    direction = np.stack((u, v, 1 - q), axis=1) / (1 + q)[:, None]
+    # Unit tangents of the chart's axes.
+    e_x = np.stack((1 + q - u * u / 2, -u * v / 2, -u), axis=1) / (1 + q)[:, None]
+    e_y = np.stack((-u * v / 2, 1 + q - v * v / 2, -v), axis=1) / (1 + q)[:, None]
+    # The surface is |S| + h - r = 0; h's gradient on the unit sphere is r (1 + q) times that in the chart.
+    k = (flat.radius_mm * (1 + q) / (flat.radius_mm - flat.sample(x, y)))[:, None]
+    normal = direction + k * (h_x[:, None] * e_x + h_y[:, None] * e_y)
+    return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
+
+
+def _equal_area_to_direction(points: F64, radius: float) -> F64:
+    """Lambert's equal-area chart to unit vectors: the lattice keeps its density all over the sphere."""
+    x, y = points[..., 0] / radius, points[..., 1] / radius
+    s = x * x + y * y
+    k = np.sqrt(np.maximum(1 - s / 4, 0))
+    return np.stack((x * k, y * k, 1 - s / 2), axis=-1)
+
+
+def _tangents(normal: F64) -> tuple[F64, F64]:
+    """Two unit vectors (P, 3) across each unit normal."""
+    helper = np.where(np.abs(normal[:, :1]) < 0.9, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+    first = np.cross(normal, helper)
+    first = first / np.linalg.norm(first, axis=1, keepdims=True)
+    return first, np.cross(normal, first)
+
+
+def _to_canvas(points: F64) -> np.typing.NDArray[np.int32]:
+    """Image coordinates to the supersampled canvas, in fixed point."""
+    s = _SUPERSAMPLING
+    scaled = (points * s + (s - 1) / 2) * (1 << _SHIFT)
+    return np.clip(np.rint(scaled), -(2**24), 2**24).astype(np.int32)
+
+
+def _surround(model: SensorModel, rho: F32, angle: F32) -> F32:
+    """Grey levels outside the visible circle: the housing, and an LED ring when it is bright."""
+    if model.surround == "dark":
+        return np.full(rho.shape, 10.0, np.float32)
+    housing = 70 + 25 * np.cos(angle * 3 + model.print_seed)
+    ring = 150 * np.exp(-(((rho - 1.12) / 0.06) ** 2)) * (1 + 0.5 * np.cos(angle * 8) ** 8)
+    return np.asarray(np.minimum(housing + ring, 255), np.float32)
+
+
+def _glints(model: SensorModel, rng: np.random.Generator, rows: F32, cols: F32) -> F32:
+    """Specular spots of the LEDs, inside the visible circle."""
+    image = np.zeros(rows.shape, np.float32)
+    for _ in range(model.specular_spots):
+        rho, angle = rng.uniform(0.15, 0.85) * model.disc_radius_px, rng.uniform(0, 2 * math.pi)
+        size = rng.uniform(0.006, 0.014) * model.disc_radius_px
+        row, col = model.row_c + rho * math.sin(angle), model.col_c + rho * math.cos(angle)
+        image += 230 * np.exp(-((rows - row) ** 2 + (cols - col) ** 2) / (2 * size * size))
+    return image

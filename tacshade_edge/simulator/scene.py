@@ -1,0 +1,57 @@
+"""A simulated sensor and what is pressed on it: presses in, frames with ground truth out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from tacshade_edge.simulator.model import SensorModel
+from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.render import Renderer
+from tacshade_edge.simulator.skin import Skin, press_skin
+from tacshade_edge.simulator.truth import Truth, measure
+from tacshade_edge.types import U8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SimulatedFrame:
+    """An image and all that made it.
+
+    Attributes
+    ----------
+    image : uint8 (H, W, 3)
+        BGR.
+    presses : tuple of Press
+    skin : Skin
+    model : SensorModel
+    """
+
+    image: U8
+    presses: tuple[Press, ...]
+    skin: Skin
+    model: SensorModel
+
+    def truth(self) -> Truth:
+        """Measure the ground truth (a fifth of a second at 640x480, so only when asked for)."""
+        shape = (self.model.image_height_px, self.model.image_width_px)
+        return measure(self.skin, self.presses, self.model.geometry, shape)
+
+
+class SimulatedSensor:
+    """One sensor. The same presses and the same noise seed give the same frame, bit for bit."""
+
+    def __init__(self, model: SensorModel | None = None) -> None:
+        self.model = model or SensorModel()
+        self._renderer = Renderer(self.model)
+
+    def frame(self, presses: Sequence[Press] = (), noise_seed: int = 0) -> SimulatedFrame:
+        """Take a picture; several presses at once are one union.
+
+        Raises
+        ------
+        ValueError
+            When a press is not over the skin, or reaches the middle of the sensor.
+        """
+        skin = press_skin(self.model.skin_radius_mm, self.model.skin_decay_mm, presses)
+        image = self._renderer.expose(self._renderer.draw(skin), noise_seed)
+        return SimulatedFrame(image, tuple(presses), skin, self.model)

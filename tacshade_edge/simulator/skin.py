@@ -1,0 +1,214 @@
+"""The skin's shape under objects: an obstacle problem on the sphere.
+
+The skin is a membrane on an elastic foundation (the gel). Its inward displacement h along the radius minimises
+∫ λ²|∇h|² + h² over the sphere, subject to h >= 0 and to the skin staying outside the objects. λ is the length over
+which the skirt around a contact decays. The grid lies in the stereographic chart, centred on the apex: the chart is
+conformal, so the Dirichlet term is that of the plane and only the mass term takes the factor (1 + ρ²/4)^-2.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from tacshade_edge.simulator.model import RIM_HALF_ANGLE_DEG
+from tacshade_edge.simulator.press import Press, distance_mm
+from tacshade_edge.types import F32, F64
+
+GRID_STEPS_PER_RADIUS = 80
+"""The grid's step is r / 80 at the apex: 0.25 mm on a skin of 20 mm."""
+
+_TRACE_TOLERANCE_MM = 1e-4
+_SOLVE_TOLERANCE_MM = 1e-4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Skin:
+    """A deformed skin.
+
+    Attributes
+    ----------
+    radius_mm : float
+    step_mm : float
+        Chart distance between nodes; node (i, j) has chart coordinates ((j - n) step, (i - n) step) with n the
+        middle index.
+    height_mm : float32 (2n+1, 2n+1)
+        h at the nodes, mm.
+    obstacle_mm : float32 (2n+1, 2n+1)
+        The least h that keeps the skin outside the objects; 0 where the node's ray meets none.
+    """
+
+    radius_mm: float
+    step_mm: float
+    height_mm: F32
+    obstacle_mm: F32
+
+    def sample(self, x: F64, y: F64) -> F64:
+        """Sample h at chart coordinates in mm (bilinear; 0 outside the grid)."""
+        return _bilinear(self.height_mm, x / self.step_mm, y / self.step_mm)
+
+
+def undeformed(radius_mm: float) -> Skin:
+    """The skin without a press."""
+    n, step = _grid(radius_mm)
+    zero = np.zeros((2 * n + 1, 2 * n + 1), np.float32)
+    return Skin(radius_mm, step, zero, zero)
+
+
+def press_skin(radius_mm: float, decay_mm: float, presses: Sequence[Press]) -> Skin:
+    """Find the skin's shape under the given objects.
+
+    Raises
+    ------
+    ValueError
+        When an object would reach the middle of the sensor, or is not over the skin.
+    """
+    flat = undeformed(radius_mm)
+    if not presses:
+        return flat
+    obstacle = _obstacle(radius_mm, flat.step_mm, presses)
+    if not obstacle.any():
+        return flat
+    weight = _mass_weight(radius_mm, flat.step_mm, obstacle.shape[0] // 2)
+    window = _window(obstacle > 0, 2 + math.ceil(9 * decay_mm / flat.step_mm))
+    height = np.zeros_like(obstacle)
+    height[window] = _solve(obstacle[window], weight[window] * (flat.step_mm / decay_mm) ** 2)
+    return Skin(radius_mm, flat.step_mm, height, obstacle)
+
+
+def complementarity_residual_mm(skin: Skin, decay_mm: float) -> F64:
+    """min(h - obstacle, net pull / diagonal) at the inner nodes: 0 everywhere at the exact solution."""
+    h = skin.height_mm.astype(np.float64)
+    mass = _mass_weight(skin.radius_mm, skin.step_mm, h.shape[0] // 2)[1:-1, 1:-1] * (skin.step_mm / decay_mm) ** 2
+    neighbours = h[:-2, 1:-1] + h[2:, 1:-1] + h[1:-1, :-2] + h[1:-1, 2:]
+    pull = h[1:-1, 1:-1] - neighbours / (4 + mass)
+    return np.asarray(np.minimum(h[1:-1, 1:-1] - skin.obstacle_mm[1:-1, 1:-1], pull))
+
+
+def chart_to_direction(x: F64, y: F64, radius_mm: float) -> F64:
+    """Chart coordinates in mm to unit vectors from O, (..., 3)."""
+    u, v = x / radius_mm, y / radius_mm
+    q = (u * u + v * v) / 4
+    return np.stack((u, v, 1 - q), axis=-1) / (1 + q)[..., None]
+
+
+def direction_to_chart(direction: F64, radius_mm: float) -> tuple[F64, F64]:
+    """Vectors from O (any length, not along -z) to chart coordinates in mm."""
+    k = 2 * radius_mm / (np.linalg.norm(direction, axis=-1) + direction[..., 2])
+    return direction[..., 0] * k, direction[..., 1] * k
+
+
+def _grid(radius_mm: float) -> tuple[int, float]:
+    step = radius_mm / GRID_STEPS_PER_RADIUS
+    return math.ceil(2 * radius_mm * math.tan(math.radians(RIM_HALF_ANGLE_DEG / 2)) / step), step
+
+
+def _mass_weight(radius_mm: float, step_mm: float, n: int) -> F32:
+    """The chart's factor of the mass term; so large beyond the rim that the skin cannot move there."""
+    axis = (np.arange(-n, n + 1) * (step_mm / radius_mm)) ** 2 / 4
+    q = axis[:, None] + axis[None, :]
+    clamped = q > math.tan(math.radians(RIM_HALF_ANGLE_DEG / 2)) ** 2
+    return np.asarray(np.where(clamped, 1e6, 1 / (1 + q) ** 2), np.float32)
+
+
+def _obstacle(radius_mm: float, step_mm: float, presses: Sequence[Press]) -> F32:
+    """Take r less the distance from O at which each node's ray enters an object; 0 where it does not before r."""
+    n = _grid(radius_mm)[0]
+    axis = np.arange(-n, n + 1, dtype=np.float32) * np.float32(step_mm)
+    x, y = np.meshgrid(axis, axis)
+    rays = chart_to_direction(x, y, radius_mm)
+    rim = math.cos(math.radians(RIM_HALF_ANGLE_DEG))
+    start = float(distance_mm(presses, radius_mm, np.zeros((1, 3)))[0])
+    if start < 0.1 * radius_mm:
+        raise ValueError(f"the press reaches the middle of the sensor (skin radius {radius_mm} mm)")
+    obstacle = np.zeros(rays.shape[:2], np.float32)
+    index = np.flatnonzero(rays[..., 2] > rim)
+    ray = rays.reshape(-1, 3)[index]
+    t: F32 = np.full(len(index), start, np.float32)
+    for _ in range(80):
+        d = distance_mm(presses, radius_mm, ray * t[:, None])
+        hit = d < _TRACE_TOLERANCE_MM
+        obstacle.flat[index[hit]] = np.maximum(radius_mm - t[hit], 0)
+        t = (t + d).astype(np.float32)
+        on = ~hit & (t < radius_mm)
+        index, ray, t = index[on], ray[on], t[on]
+        if not len(index):
+            break
+    return obstacle
+
+
+def _window(where: np.typing.NDArray[np.bool_], margin: int) -> tuple[slice, slice]:
+    """The bounding box of the True cells with a margin, clipped to the grid."""
+    sides = []
+    for axis in (1, 0):
+        hit = np.flatnonzero(where.any(axis=axis))
+        sides.append(slice(max(int(hit[0]) - margin, 0), int(hit[-1]) + margin + 1))
+    return sides[0], sides[1]
+
+
+def _solve(obstacle: F32, mass: F32) -> F32:
+    """Projected red-black over-relaxation, begun on a grid of a quarter of the nodes. h = 0 on the border."""
+    height = obstacle.copy()
+    if min(obstacle.shape) >= 24:
+        coarse = _solve(np.ascontiguousarray(obstacle[::2, ::2]), np.ascontiguousarray(mass[::2, ::2]) * 4)
+        rows, cols = obstacle.shape
+        # Node (2i, 2j) of the fine grid is node (i, j) of the coarse one.
+        to_coarse = np.array(((0.5, 0, 0), (0, 0.5, 0)))
+        fine = cv2.warpAffine(
+            coarse,
+            to_coarse,
+            (cols, rows),
+            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+            borderMode=cv2.BORDER_CONSTANT,
+        )
+        height = np.maximum(obstacle, fine)
+    height[0] = height[-1] = 0
+    height[:, 0] = height[:, -1] = 0
+    jacobi = 4 / (4 + float(mass.min()))
+    omega = np.float32(2 / (1 + math.sqrt(1 - jacobi * jacobi)))
+    gain = omega / (4 + mass)
+    keep = np.float32(1) - omega
+    rows, cols = height.shape
+    planes = []
+    for i, j in ((1, 1), (2, 2), (1, 2), (2, 1)):
+        r, c = slice(i, rows - 1, 2), slice(j, cols - 1, 2)
+        up, down = slice(i - 1, rows - 2, 2), slice(i + 1, rows, 2)
+        left, right = slice(j - 1, cols - 2, 2), slice(j + 1, cols, 2)
+        centre = height[r, c]
+        planes.append(
+            (centre, height[up, c], height[down, c], height[r, left], height[r, right],
+             np.ascontiguousarray(gain[r, c]), np.ascontiguousarray(obstacle[r, c]), np.empty_like(centre, order="C"))
+        )  # fmt: skip
+    for sweep in range(600):
+        check = sweep % 8 == 7
+        change = 0.0
+        for centre, north, south, west, east, g, floor, new in planes:
+            np.add(north, south, out=new)
+            new += west
+            new += east
+            new *= g
+            new += keep * centre
+            np.maximum(new, floor, out=new)
+            if check and new.size:
+                change = max(change, float(np.max(np.abs(new - centre))))
+            centre[...] = new
+        if check and change < _SOLVE_TOLERANCE_MM * (2 - omega):
+            break
+    return height
+
+
+def _bilinear(grid: F32, x: F64, y: F64) -> F64:
+    """Sample at (x, y) steps from the middle node; 0 outside. cv2.remap would round to 1/32 step."""
+    n = grid.shape[0] // 2
+    col, row = np.clip(x + n, 0, 2 * n), np.clip(y + n, 0, 2 * n)
+    j, i = np.minimum(col.astype(np.intp), 2 * n - 1), np.minimum(row.astype(np.intp), 2 * n - 1)
+    a, b = col - j, row - i
+    k = i * (2 * n + 1) + j
+    flat = grid.ravel()
+    top = flat[k] * (1 - a) + flat[k + 1] * a
+    bottom = flat[k + 2 * n + 1] * (1 - a) + flat[k + 2 * n + 2] * a
+    return np.asarray(top * (1 - b) + bottom * b)

@@ -1,0 +1,139 @@
+"""Ground truth: what a perfect reconstruction of a simulated frame would give."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tacshade_edge.simulator.press import Press, distance_mm
+from tacshade_edge.simulator.skin import Skin, chart_to_direction, direction_to_chart
+from tacshade_edge.types import F32, F64, Bool, Geometry
+
+CONTACT_TOLERANCE_MM = 0.02
+"""Skin nearer to the object than this touches it; its elastic skirt does not."""
+
+_MARCH_STEPS = 16
+_REFINE_STEPS = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """True values on the pixels of the image.
+
+    Attributes
+    ----------
+    height_mm : float32 (H, W)
+        h, positive inwards, of the deformed skin point that the pixel's ray meets first; NaN outside the disc.
+    contact : bool (H, W)
+        Where that point lies within 0.02 mm of an object's surface.
+    points_mm : float32 (N, 3)
+        Those points, in the order of the pixels of `contact`, sensor frame.
+    object_points_mm : float32 (M, 3)
+        The objects' surfaces inside the undeformed skin, as seen from O (touched by the skin or not).
+    depth_max_mm : float
+        Greatest h over the visible disc.
+    """
+
+    height_mm: F32
+    contact: Bool
+    points_mm: F32
+    object_points_mm: F32
+    depth_max_mm: float
+
+
+def measure(skin: Skin, presses: Sequence[Press], geometry: Geometry, shape: tuple[int, int]) -> Truth:
+    """Compare the skin with every pixel's ray.
+
+    Parameters
+    ----------
+    skin : Skin
+    presses : sequence of Press
+        Those that shaped the skin.
+    geometry : Geometry
+    shape : (int, int)
+        Height and width of the image in px.
+    """
+    rows, cols = np.mgrid[: shape[0], : shape[1]]
+    disc = geometry.disc
+    inside = np.hypot(rows - disc.row_c, cols - disc.col_c) <= disc.radius_px
+    height = np.where(inside, np.float32(0), np.float32(np.nan))
+    contact = np.zeros(shape, bool)
+    if not inside.any() or not skin.height_mm.any():
+        return Truth(height, contact, np.empty((0, 3), np.float32), _object_points(skin), 0.0)
+    points = skin_points(skin, geometry, rows[inside].astype(float), cols[inside].astype(float))
+    h = np.maximum(skin.radius_mm - np.linalg.norm(points, axis=1), 0)
+    h[h < 1e-6] = 0
+    height[inside] = h
+    touching = h > 0
+    touching[touching] = (
+        np.abs(distance_mm(presses, skin.radius_mm, points[touching])) <= CONTACT_TOLERANCE_MM
+        if len(presses)
+        else False
+    )
+    contact[inside] = touching
+    return Truth(height, contact, points[touching].astype(np.float32), _object_points(skin), float(h.max()))
+
+
+def skin_points(skin: Skin, geometry: Geometry, row: F64, col: F64) -> F64:
+    """Where the rays of pixels first meet the deformed skin, seen from the camera: (N, 3) mm.
+
+    A ray that misses the sphere gets its point nearest to O.
+    """
+    origin, along = pixel_rays(geometry, row, col)
+    r = skin.radius_mm
+    foot = -np.sum(origin * along, axis=1)
+    off_axis = np.sum(origin * origin, axis=1) - foot * foot
+
+    def root(radius: float) -> F64:
+        return np.asarray(foot + np.sqrt(np.maximum(radius * radius - off_axis, 0)))
+
+    def outside(s: F64, which: Bool | slice) -> F64:
+        p = origin[which] + s[:, None] * along[which]
+        return np.asarray(np.linalg.norm(p, axis=1) - r + skin.sample(*direction_to_chart(p, r)))
+
+    low, high = root(r - float(skin.height_mm.max())), root(r)
+    # Most of the skin is undeformed, or deformed so gently that there is one crossing; march all the same.
+    everything = slice(None)
+    start, step = low.copy(), (high - low) / _MARCH_STEPS
+    f_low = outside(low, everything)
+    f_high = np.zeros_like(f_low)
+    searching = f_low < 0
+    high = np.where(searching, high, low)
+    for k in range(1, _MARCH_STEPS + 1):
+        s = (start + k * step)[searching]
+        f = outside(s, searching)
+        index = np.flatnonzero(searching)
+        crossed = f >= -1e-9
+        high[index[crossed]], f_high[index[crossed]] = s[crossed], np.maximum(f[crossed], 0)
+        low[index[~crossed]], f_low[index[~crossed]] = s[~crossed], f[~crossed]
+        searching[index[crossed]] = False
+    for _ in range(_REFINE_STEPS):  # the Illinois variant of regula falsi
+        gap = f_high - f_low
+        s = np.where(gap > 1e-12, (low * f_high - high * f_low) / np.where(gap > 1e-12, gap, 1), high)
+        f = outside(s, everything)
+        up = f >= 0
+        f_low, f_high = np.where(up, f_low / 2, f), np.where(up, f, f_high / 2)
+        low, high = np.where(up, low, s), np.where(up, s, high)
+    best = np.where(np.abs(outside(low, everything)) < np.abs(outside(high, everything)), low, high)
+    return origin + best[:, None] * along
+
+
+def pixel_rays(geometry: Geometry, row: F64, col: F64) -> tuple[F64, F64]:
+    """Origins and unit directions of pixels' rays, each (N, 3): the pinhole or the orthographic camera."""
+    u, v = col - geometry.disc.col_c, row - geometry.disc.row_c
+    zero = np.zeros_like(u)
+    if geometry.camera_distance_mm is None:
+        scale = geometry.mm_per_px
+        return np.stack((u * scale, v * scale, zero), axis=1), np.stack((zero, zero, zero + 1), axis=1)
+    along = np.stack((u / geometry.f_px, v / geometry.f_px, zero + 1), axis=1)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    return np.stack((zero, zero, zero - geometry.camera_distance_mm), axis=1), along
+
+
+def _object_points(skin: Skin) -> F32:
+    i, j = np.nonzero(skin.obstacle_mm > 0)
+    n = skin.height_mm.shape[0] // 2
+    direction = chart_to_direction((j - n) * skin.step_mm, (i - n) * skin.step_mm, skin.radius_mm)
+    return np.asarray(direction * (skin.radius_mm - skin.obstacle_mm[i, j])[:, None], np.float32)
