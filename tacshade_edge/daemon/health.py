@@ -1,0 +1,49 @@
+"""The ``health`` message: what arrived, what became of it, how fast."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from tacshade_edge.daemon.ledger import Counts, FrameLedger, Timings
+from tacshade_edge.types import Reconstruction
+
+
+def delivered(counts: Counts) -> int:
+    """Frames that ended as they should: sent, or with nothing to send."""
+    return counts.published + counts.without_contact
+
+
+class Health:
+    """Makes the message; the rates are between two calls of `snapshot`."""
+
+    def __init__(self, ledger: FrameLedger, timings: Timings) -> None:
+        self._ledger = ledger
+        self._timings = timings
+        self._started_ns = self._last_ns = time.monotonic_ns()
+        self._last = ledger.counts()
+
+    def snapshot(self, latest: Reconstruction | None, source_dropped: int, mqtt: dict[str, int]) -> dict[str, Any]:
+        """The message as a dict.
+
+        ``frames`` holds captured = published + superseded + without_contact + invalid + failed + pending, all of
+        one instant. ``source_dropped`` frames never reached this process and are not in it.
+        """
+        now_ns = time.monotonic_ns()
+        counts, before = self._ledger.counts(), self._last
+        seconds = max(now_ns - self._last_ns, 1) / 1e9
+        self._last, self._last_ns = counts, now_ns
+        stages = self._timings.percentiles()
+        return {
+            "uptime_s": round((now_ns - self._started_ns) / 1e9, 1),
+            "frames": counts.as_dict(),
+            "source_dropped": source_dropped,
+            "capture_fps": round((counts.captured - before.captured) / seconds, 2),
+            "delivered_fps": round((delivered(counts) - delivered(before)) / seconds, 2),
+            "published_fps": round((counts.published - before.published) / seconds, 2),
+            "latency_ms": stages.pop("capture_to_offer", None),
+            "stages_ms": stages,
+            "invalid_reason": latest.reason if latest else "",
+            "degraded_reason": latest.degraded if latest else "",
+            "mqtt": mqtt,
+        }

@@ -1,0 +1,122 @@
+"""Every captured frame's one outcome, and how long the stages took."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Literal
+
+Outcome = Literal["published", "superseded", "without_contact", "invalid", "failed"]
+
+# Figures are over the latest this many frames: some seconds at camera rates.
+WINDOW_FRAMES = 512
+
+
+@dataclass(slots=True)
+class Counts:
+    """Frames since the start; captured is the sum of the others.
+
+    Attributes
+    ----------
+    captured : int
+        The source delivered them (undecodable ones too).
+    published : int
+        Their height map was handed to the broker.
+    superseded : int
+        A newer frame took their place before they were reconstructed or sent.
+    without_contact : int
+        Reconstructed, nothing touched, nothing to send.
+    invalid : int
+        Could not be used (black, torn, wrong size...).
+    failed : int
+        Could not be decoded, or not be sent.
+    pending : int
+        Still on their way at this instant; 0 after a stop.
+    """
+
+    captured: int = 0
+    published: int = 0
+    superseded: int = 0
+    without_contact: int = 0
+    invalid: int = 0
+    failed: int = 0
+    pending: int = 0
+
+    def as_dict(self) -> dict[str, int]:
+        """By name."""
+        return asdict(self)
+
+
+class FrameLedger:
+    """Books every frame in once and out once; thread-safe. A frame booked out twice is a defect: KeyError."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._open: set[int] = set()
+        self._counts = Counts()
+        self._closed = False
+
+    def captured(self, seq: int) -> None:
+        """A frame arrived."""
+        with self._changed:
+            if self._closed:
+                return
+            if seq in self._open:
+                raise KeyError(f"frame {seq} was captured twice")
+            self._open.add(seq)
+            self._counts.captured += 1
+
+    def undecodable(self) -> None:
+        """Something arrived that was no frame."""
+        with self._changed:
+            if not self._closed:
+                self._counts.captured += 1
+                self._counts.failed += 1
+
+    def settle(self, seq: int, outcome: Outcome) -> None:
+        """A frame met its end."""
+        with self._changed:
+            if not self._closed:
+                self._open.remove(seq)
+                setattr(self._counts, outcome, getattr(self._counts, outcome) + 1)
+                self._changed.notify_all()
+
+    def close(self, timeout_s: float) -> int:
+        """Wait for the open frames, then book the rest as failed and nothing more; how many those were."""
+        with self._changed:
+            self._changed.wait_for(lambda: not self._open, timeout_s)
+            given_up = len(self._open)
+            self._counts.failed += given_up
+            self._open.clear()
+            self._closed = True
+            return given_up
+
+    def counts(self) -> Counts:
+        """A consistent copy."""
+        with self._changed:
+            return Counts(**{**asdict(self._counts), "pending": len(self._open)})
+
+
+class Timings:
+    """Latest durations by name, in ms; thread-safe."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._ms: dict[str, deque[float]] = {}
+
+    def add(self, ms: Mapping[str, float]) -> None:
+        """One frame's durations."""
+        with self._lock:
+            for name, value in ms.items():
+                self._ms.setdefault(name, deque(maxlen=WINDOW_FRAMES)).append(value)
+
+    def percentiles(self) -> dict[str, dict[str, float]]:
+        """``{name: {"p50": ms, "p99": ms}}`` by nearest rank over the latest frames."""
+        with self._lock:
+            ordered = {name: sorted(values) for name, values in self._ms.items()}
+        return {
+            name: {f"p{p}": round(values[-(-p * len(values) // 100) - 1], 3) for p in (50, 99)}
+            for name, values in ordered.items()
+        }

@@ -1,0 +1,42 @@
+"""Frames for a new reference, taken from the running stream."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from tacshade_edge.types import U8, Frame, Reconstruction
+
+REFERENCE_FRAMES = 10
+
+
+class ReferenceCollector:
+    """Collects the images of the next frames; one touched or invalid frame spoils them.
+
+    Parameters
+    ----------
+    done : callable
+        ``done(images, reason)``, called once: all images and an empty reason, or none and why not.
+    """
+
+    def __init__(self, done: Callable[[list[U8], str], None]) -> None:
+        self._done = done
+        self._images: list[U8] = []
+        self._finished = False
+
+    def watch(self, frame: Frame, result: Reconstruction) -> None:
+        """See the next frame."""
+        if self._finished:
+            return
+        if not result.valid:
+            self._finish([], f"frame {frame.seq} is invalid ({result.reason}), expected an untouched sensor in view")
+        elif result.contact:
+            found = f"frame {frame.seq} shows contact {result.depth_max_mm:.2f} mm deep"
+            self._finish([], f"{found}, expected nothing to touch the sensor")
+        else:
+            self._images.append(frame.image)
+            if len(self._images) == REFERENCE_FRAMES:
+                self._finish(self._images, "")
+
+    def _finish(self, images: list[U8], reason: str) -> None:
+        self._finished = True
+        self._done(images, reason)
