@@ -116,6 +116,10 @@ class SensorModel:
             raise ValueError(
                 f"pin_length_pitches is {self.pin_length_pitches}: pins longer than half the skin's radius"
             )
+        if self.camera_distance_mm is not None and not 0 < self.camera_distance_mm < math.inf:
+            raise ValueError(f"camera_distance_mm is {self.camera_distance_mm}, expected a positive number or None")
+        if self.friction > 1:
+            raise ValueError(f"friction is {self.friction}, expected 0 to 1")
         if self.surround not in ("bright", "dark"):
             raise ValueError(f"surround is {self.surround!r}, expected bright or dark")
 

@@ -10,7 +10,7 @@ from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.render import Renderer
 from tacshade_edge.simulator.skin import Skin, press_skin
 from tacshade_edge.simulator.truth import Truth, measure
-from tacshade_edge.types import U8
+from tacshade_edge.types import F32, U8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,7 +32,7 @@ class SimulatedFrame:
     model: SensorModel
 
     def truth(self) -> Truth:
-        """Measure the ground truth (a fifth of a second at 640x480, so only when asked for)."""
+        """Measure the ground truth (under half a second at 640x480)."""
         shape = (self.model.image_height_px, self.model.image_width_px)
         return measure(self.skin, self.presses, self.model.geometry, shape)
 
@@ -43,6 +43,7 @@ class SimulatedSensor:
     def __init__(self, model: SensorModel | None = None) -> None:
         self.model = model or SensorModel()
         self._renderer = Renderer(self.model)
+        self._last: tuple[tuple[Press, ...], Skin, F32] | None = None  # a held press costs only its noise
 
     def frame(self, presses: Sequence[Press] = (), noise_seed: int = 0) -> SimulatedFrame:
         """Take a picture; several presses at once are one union.
@@ -52,6 +53,9 @@ class SimulatedSensor:
         ValueError
             When a press is not over the skin, or reaches the middle of the sensor.
         """
-        skin = press_skin(self.model.skin_radius_mm, self.model.skin_decay_mm, presses)
-        image = self._renderer.expose(self._renderer.draw(skin), noise_seed)
-        return SimulatedFrame(image, tuple(presses), skin, self.model)
+        key = tuple(presses)
+        if self._last is None or self._last[0] != key:
+            skin = press_skin(self.model.skin_radius_mm, self.model.skin_decay_mm, key)
+            self._last = (key, skin, self._renderer.draw(skin))
+        _, skin, clean = self._last
+        return SimulatedFrame(self._renderer.expose(clean, noise_seed), key, skin, self.model)

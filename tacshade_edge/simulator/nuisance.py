@@ -1,0 +1,48 @@
+"""What goes wrong between a sensor and its image: functions from image to image, uint8 (H, W) or (H, W, 3)."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from tacshade_edge.types import U8
+
+
+def gain(image: U8, factor: float) -> U8:
+    """Multiply the light by a factor (0.9: 10 % dimmer); clips at 255."""
+    return np.asarray(np.clip(image.astype(np.float32) * factor + 0.5, 0, 255), np.uint8)
+
+
+def glare(image: U8, row: float, col: float, radius_px: float, grey: float = 220.0) -> U8:
+    """Add a highlight that fades over `radius_px` (its standard deviation)."""
+    rows, cols = np.ogrid[: image.shape[0], : image.shape[1]]
+    spot = grey * np.exp(-((rows - row) ** 2 + (cols - col) ** 2) / (2 * radius_px**2))
+    if image.ndim == 3:
+        spot = spot[..., None]
+    return np.asarray(np.clip(image + spot + 0.5, 0, 255), np.uint8)
+
+
+def torn(image: U8, other: U8, row: int, shift_px: int = 0) -> U8:
+    """Show `other` from a row on, sideways by `shift_px`: two frames in one, or one that lost its line sync."""
+    result = image.copy()
+    result[row:] = np.roll(other[row:], shift_px, axis=1)
+    return result
+
+
+def shift(image: U8, rows: int, cols: int) -> U8:
+    """Move the image by whole pixels, repeating its border."""
+    height, width = image.shape[:2]
+    i = np.clip(np.arange(height) - rows, 0, height - 1)
+    j = np.clip(np.arange(width) - cols, 0, width - 1)
+    return np.asarray(image[i][:, j], np.uint8)
+
+
+def defocus(image: U8, sigma_px: float) -> U8:
+    """Blur by a Gaussian of the given standard deviation."""
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px), np.uint8)
+
+
+def noise(image: U8, sigma_grey: float, seed: int) -> U8:
+    """Add independent Gaussian noise to every value."""
+    draw = np.random.default_rng((seed, 5)).standard_normal(image.shape, np.float32)
+    return np.asarray(np.clip(image + sigma_grey * draw + 0.5, 0, 255), np.uint8)

@@ -1,0 +1,82 @@
+import csv
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from tacshade_edge.cli import main
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def test_scenes_have_images_and_their_ground_truth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["simulate", "--out", str(tmp_path), "--objects", "none,ball", "--depth", "2", "--position", "-3", "1"]
+    assert main(words) == 0
+    printed = capsys.readouterr()
+    assert printed.out == f"{tmp_path}: 2 images with ground truth, scenes.csv\n"
+    assert printed.err == ""
+    none, ball = table(tmp_path / "scenes.csv")
+    assert (none["object"], float(none["depth_max_mm"])) == ("none", 0.0)
+    assert (ball["object"], ball["depth_mm"], ball["x_mm"], ball["y_mm"]) == ("ball", "2.0", "-3.0", "1.0")
+    image = cv2.imread(str(tmp_path / ball["image"]))
+    with np.load(tmp_path / Path(ball["image"]).with_suffix(".npz")) as truth:
+        assert image.shape[:2] == truth["height_mm"].shape == truth["contact"].shape
+        assert (truth["row0"], truth["col0"], truth["step_px"]) == (0, 0, 1)
+        assert truth["height_mm"].dtype == np.float32
+        assert np.nanmax(truth["height_mm"]) == pytest.approx(float(ball["depth_max_mm"]), abs=1e-3)
+        assert len(truth["points_mm"]) == truth["contact"].sum() > 1000
+        assert str(truth["object"]) == "ball"
+
+
+def test_calibration_set_is_complete_and_repeatable(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("one", "two"):
+        words = ["simulate", "--calibration-set", str(tmp_path / name), "--presses", "3", "--seed", "5"]
+        assert main([*words, "--sensor-seed", "2"]) == 0
+    assert "8 references, 3 ball presses" in capsys.readouterr().out
+    one, two = tmp_path / "one", tmp_path / "two"
+    sensor = yaml.safe_load((one / "SENSOR.yaml").read_text())
+    assert set(sensor) == {"skin_radius_mm", "camera_distance_mm", "visible_half_angle_deg", "polarity"}
+    assert sensor["polarity"] == "bright"
+    rows = table(one / "PRESSES.csv")
+    assert list(rows[0]) == ["image", "indenter", "radius_mm", "depth_mm", "x_mm", "y_mm"]
+    assert {row["indenter"] for row in rows} == {"ball"}
+    names = sorted(path.name for path in one.iterdir())
+    assert len(names) == 8 + 3 + 2
+    for name in names:
+        assert (one / name).read_bytes() == (two / name).read_bytes()
+    first, second = (cv2.imread(str(one / f"reference_0{k}.png")).astype(int) for k in (0, 1))
+    assert 0 < np.abs(first - second).mean() < 10  # the same scene with other noise
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "message"),
+    [
+        (["--out", "OUT", "--objects", "teapot"], 78, "'teapot' is not known"),
+        (["--out", "OUT", "--objects", "ball", "--position", "30", "0"], 78, "not over the skin"),
+        (["--out", "OUT", "--objects", "ball", "--depth", "19.5"], 78, "reaches the middle"),
+        (["--out", "FILE/x", "--objects", "none"], 1, "cannot be written"),
+        (["--calibration-set", "FILE"], 1, "cannot be written"),
+    ],
+)
+def test_what_cannot_be_is_one_line(
+    words: list[str], code: int, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "FILE").write_text("a file in the way")
+    places = {"OUT": str(tmp_path / "out"), "FILE": str(tmp_path / "FILE"), "FILE/x": str(tmp_path / "FILE" / "x")}
+    assert main(["simulate", *(places.get(word, word) for word in words)]) == code
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert message in error
+
+
+@pytest.mark.parametrize("words", [[], ["--out", "x", "--depth", "nan"], ["--out", "x", "--seed", "-1"]])
+def test_usage_mistakes_exit_2(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as exit_:
+        main(["simulate", *words])
+    assert exit_.value.code == 2
+    assert "Traceback" not in capsys.readouterr().err

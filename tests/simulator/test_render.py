@@ -1,0 +1,155 @@
+import math
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from tacshade_edge.simulator.model import SensorModel, tactip
+from tacshade_edge.simulator.objects import OBJECTS
+from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.render import Renderer, print_features, project
+from tacshade_edge.simulator.scene import SimulatedSensor
+from tacshade_edge.simulator.skin import press_skin, undeformed
+from tacshade_edge.types import F32
+
+MODEL = replace(SensorModel(), specular_spots=0, read_noise_grey=0.0, shot_noise_grey=0.0)
+
+
+def white_ratio(model: SensorModel, *presses: Press) -> F32:
+    """Mean of the binarised clean image over windows of about two pitches, 0 to 255."""
+    renderer = Renderer(model)
+    image = renderer.draw(press_skin(model.skin_radius_mm, model.skin_decay_mm, presses))
+    local = cv2.boxFilter(image, -1, (81, 81))
+    side = 2 * round(model.pitch_mm / model.geometry.mm_per_px)
+    return np.asarray(cv2.blur(np.where(image > local, np.float32(255), np.float32(0)), (side, side)))
+
+
+def rings(model: SensorModel) -> F32:
+    """Distance of every pixel from the middle of the disc, in mm on a plane tangent to the apex."""
+    rows, cols = np.mgrid[: model.image_height_px, : model.image_width_px]
+    per_px = (model.skin_radius_mm + (model.camera_distance_mm or 0)) / model.geometry.f_px
+    return np.asarray(np.hypot(rows - model.row_c, cols - model.col_c) * per_px, np.float32)
+
+
+@pytest.mark.parametrize(("name", "depth_mm"), [("ball", 1.0), ("ball", 3.0), ("cube", 3.0), ("cylinder", 3.0)])
+def test_contact_brightens_and_its_concave_rim_darkens(name: str, depth_mm: float) -> None:
+    change = white_ratio(MODEL, Press(OBJECTS[name](), 0.0, 0.0, depth_mm)) - white_ratio(MODEL)
+    away = rings(MODEL)
+    assert change[away < 2].mean() > 12
+    rim = (away > 3) & (away < 9)
+    assert change[rim].min() < -12
+
+
+def test_a_tactip_darkens_instead() -> None:
+    model = tactip(MODEL)
+    reference, away = white_ratio(model), rings(model)
+    for name in ("ball", "cube"):
+        change = white_ratio(model, Press(OBJECTS[name](), 0.0, 0.0, 3.0)) - reference
+        assert change[away < 2].mean() < -6
+
+
+def test_projection_meets_the_formula_of_the_pinhole() -> None:
+    geometry = MODEL.geometry
+    theta = math.radians(50.0)
+    rim = 20.0 * np.array([math.sin(theta), 0.0, math.cos(theta)])
+    assert project(geometry, rim) == pytest.approx((327.7 + 205.0, 236.4))  # the rim is the visible circle
+    f_px = 205.0 * (20.0 * math.cos(theta) + 14.0) / (20.0 * math.sin(theta))
+    assert project(geometry, np.array([3.0, -2.0, 17.0])) == pytest.approx(
+        (327.7 + f_px * 3.0 / 31.0, 236.4 - f_px * 2.0 / 31.0)
+    )
+
+
+def test_orthographic_projection_has_one_scale() -> None:
+    geometry = replace(MODEL, camera_distance_mm=None).geometry
+    k = 205.0 / (20.0 * math.sin(math.radians(50.0)))
+    for z in (5.0, 20.0):
+        assert project(geometry, np.array([3.0, -2.0, z])) == pytest.approx((327.7 + 3 * k, 236.4 - 2 * k))
+
+
+def test_a_lone_marker_is_drawn_where_its_projection_is() -> None:
+    # Pins out of the way and small markers: each blob's centre is where the formula puts the marker.
+    model = replace(
+        MODEL, pin_tip_radius_pitches=0.02, pin_base_radius_pitches=0.02, marker_radius_pitches=0.18, surround="dark"
+    )
+    renderer = Renderer(model)
+    image = renderer.draw(undeformed(20.0))
+    marks = renderer.print.marker_chart_mm.mean(axis=1)
+    u = marks / 20.0
+    q = np.sum(u * u, axis=1) / 4
+    points = 20.0 * np.stack((u[:, 0], u[:, 1], 1 - q), axis=1) / (1 + q)[:, None]
+    near = project(model.geometry, points[np.linalg.norm(points[:, :2], axis=1) < 10])
+    assert len(near) > 100
+    errors = []
+    for col, row in near:
+        i, j = round(row), round(col)
+        rows, cols = np.mgrid[i - 6 : i + 7, j - 6 : j + 7]
+        weight = np.maximum(image[i - 6 : i + 7, j - 6 : j + 7] - 60.0, 0)
+        errors.append((np.sum(weight * rows) / weight.sum() - row, np.sum(weight * cols) / weight.sum() - col))
+    assert np.abs(np.mean(errors, axis=0)).max() < 0.05  # half a pixel would be the classic mistake
+    assert np.abs(errors).max() < 0.4
+
+
+def test_lattice_has_two_markers_to_a_pin_at_the_pitch() -> None:
+    marks = print_features(replace(MODEL, position_tolerance_mm=0.0))
+    inner = np.linalg.norm(marks.pin_chart_mm, axis=1) < 6
+    gaps = np.linalg.norm(marks.pin_chart_mm[inner][:, None] - marks.pin_chart_mm[None], axis=2)
+    gaps[gaps == 0] = np.inf
+    assert gaps.min(axis=1) == pytest.approx(MODEL.pitch_mm, rel=0.02)
+    assert len(marks.marker_chart_mm) / len(marks.pin_chart_mm) == pytest.approx(2.0, rel=0.05)
+
+
+def test_same_seed_same_frame_other_seed_other_noise(small_sensor: SimulatedSensor) -> None:
+    press = (Press(OBJECTS["ball"](), 1.0, 2.0, 2.0),)
+    one, same = small_sensor.frame(press, 4), SimulatedSensor(small_sensor.model).frame(press, 4)
+    assert np.array_equal(one.image, same.image)
+    assert not np.array_equal(one.image, small_sensor.frame(press, 5).image)
+
+
+def test_noise_has_the_models_variance() -> None:
+    model = replace(MODEL, read_noise_grey=2.0, shot_noise_grey=4.0, colour_bgr=(1.0, 1.0, 1.0))
+    renderer = Renderer(model)
+    for level in (60.0, 200.0):
+        image = renderer.expose(np.full((480, 640), level, np.float32), 1)[..., 1].astype(float)
+        assert image.mean() == pytest.approx(level, abs=0.05)
+        # 1/12: the rounding to whole grey levels.
+        assert image.var() == pytest.approx(4.0 + 16.0 * level / 255 + 1 / 12, rel=0.02)
+
+
+def test_surround_is_brighter_or_darker_than_the_disc() -> None:
+    away = np.hypot(*(np.mgrid[:480, :640] - np.array([236.4, 327.7])[:, None, None]))
+    for surround, low, high in (("bright", 40, 256), ("dark", 0, 20)):
+        image = SimulatedSensor(replace(MODEL, surround=surround)).frame().image
+        assert image.shape == (480, 640, 3)
+        assert image.dtype == np.uint8
+        outside = image[away > 210].mean()
+        assert low < outside < high
+    markers = image[away < 100].reshape(-1, 3)
+    assert markers[:, 0].mean() > markers[:, 2].mean()  # bluish
+
+
+def test_light_falls_off_to_the_edge_by_the_vignetting() -> None:
+    model = replace(
+        MODEL, vignetting=0.4, marker_radius_pitches=0.9, pin_tip_radius_pitches=0.02, pin_base_radius_pitches=0.02
+    )
+    white = Renderer(model).draw(undeformed(20.0))
+    away = np.hypot(*(np.mgrid[:480, :640] - np.array([236.4, 327.7])[:, None, None]))
+    middle, edge = np.median(white[away < 20]), np.median(white[(away > 190) & (away < 198)])
+    assert edge / middle == pytest.approx(1 - 0.4 * (194 / 205) ** 2, abs=0.02)
+
+
+@pytest.mark.parametrize(("height", "width", "radius"), [(1, 1, 0.4), (12, 16, 5.0), (24, 40, 30.0)])
+def test_tiny_and_cropped_images(height: int, width: int, radius: float) -> None:
+    model = replace(
+        MODEL,
+        image_height_px=height,
+        image_width_px=width,
+        row_c=(height - 1) / 2,
+        col_c=(width - 1) / 2,
+        disc_radius_px=radius,
+    )
+    frame = SimulatedSensor(model).frame((Press(OBJECTS["cube"](), 0.0, 0.0, 8.0),))
+    assert frame.image.shape == (height, width, 3)
+    truth = frame.truth()
+    assert np.isfinite(truth.height_mm[height // 2, width // 2])
+    assert truth.height_mm[height // 2, width // 2] > 7.0
