@@ -1,0 +1,66 @@
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.daemon.publisher import Publisher
+from tacshade_edge.protocol import wire
+from tacshade_edge.types import Calibration, Frame
+
+PERIOD_NS = 20_000_000  # 50 frames per second
+
+
+class Played:
+    """What the publisher offered for a run of pictures."""
+
+    def __init__(self, calibration: Calibration, images: list[Any]) -> None:
+        self.offers: list[tuple[str, bytes, int]] = []
+        publisher = Publisher(lambda stream, payload, seq: self.offers.append((stream, payload, seq)))
+        publisher.fps = 12.5
+        reconstructor = Reconstructor(calibration, PROFILES["fast"])
+        self.outcomes = []
+        for seq, image in enumerate(images):
+            frame = Frame(seq, seq * PERIOD_NS, 0, image)
+            self.outcomes.append(publisher.deliver(frame, reconstructor.step(frame), calibration))
+
+    def seqs(self, stream: str) -> list[int]:
+        return [seq for s, _, seq in self.offers if s == stream]
+
+    def decoded(self, stream: str) -> list[Any]:
+        return [wire.decode(payload) for s, payload, _ in self.offers if s == stream]
+
+
+def test_contact_is_published_with_every_frame_and_its_end_once(calibration: Calibration, pictures: Any) -> None:
+    free, touched = pictures.free, pictures.touched
+    played = Played(calibration, [free, free, touched, touched, free, free, free, touched])
+    assert played.seqs("height") == [2, 3, 4, 7]
+    assert played.seqs("cloud") == [2, 3, 7]
+    assert played.outcomes == ["without_contact"] * 2 + [None] * 3 + ["without_contact"] * 2 + [None]
+    first, _, release, _ = played.decoded("height")
+    assert (first.contact, first.seq, first.calibration_crc32) == (True, 2, calibration.crc32)
+    assert first.height_mm[15, 20] == pytest.approx(3.0, abs=0.01)
+    assert (release.contact, release.invalid) == (False, False)
+    assert set(release.height_mm[release.height_mm == release.height_mm]) == {0.0}
+
+
+def test_contact_numbers_come_at_10_hz_without_contact_and_at_every_change(
+    calibration: Calibration, pictures: Any
+) -> None:
+    played = Played(calibration, [pictures.free] * 12 + [pictures.touched] * 2 + [pictures.free] * 7)
+    assert played.seqs("contact") == [0, 5, 10, 12, 13, 14, 19]
+    numbers = [json.loads(payload) for s, payload, _ in played.offers if s == "contact"]
+    assert [n["contact"] for n in numbers] == [0, 0, 0, 1, 1, 0, 0]
+    assert all(n["fps"] == 12.5 for n in numbers)
+
+
+def test_an_invalid_frame_ends_a_contact_with_a_flag_and_is_silent_after(
+    calibration: Calibration, pictures: Any
+) -> None:
+    played = Played(calibration, [pictures.touched, pictures.black, pictures.black, pictures.touched])
+    assert played.seqs("height") == [0, 1, 3]
+    assert played.outcomes == [None, None, "invalid", None]
+    assert [(h.contact, h.invalid) for h in played.decoded("height")] == [(True, False), (False, True), (True, False)]
