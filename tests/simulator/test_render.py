@@ -70,7 +70,7 @@ def test_orthographic_projection_has_one_scale() -> None:
 def test_a_lone_marker_is_drawn_where_its_projection_is() -> None:
     # Pins out of the way and small markers: each blob's centre is where the formula puts the marker.
     model = replace(
-        MODEL, pin_tip_radius_pitches=0.02, pin_base_radius_pitches=0.02, marker_radius_pitches=0.18, surround="dark"
+        MODEL, pin_tip_radius_pitches=0.02, pin_base_radius_pitches=0.02, marker_radius_pitches=0.12, surround="dark"
     )
     renderer = Renderer(model)
     image = renderer.draw(undeformed(20.0))
