@@ -1,0 +1,104 @@
+"""A paho client set up as this daemon needs it; no policy about what it sends."""
+
+from __future__ import annotations
+
+import socket
+import ssl
+from typing import Any, Final
+
+from paho.mqtt.client import Client
+from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
+
+from tacshade_edge.errors import ConfigError
+
+_KEEPALIVE_S: Final = 10
+_RECONNECT_DELAY_S: Final = 1
+_CONNECT_TIMEOUT_S: Final = 3.0
+_INCOMING_BYTES_MAX: Final = 65536
+# Linux; elsewhere the last two may not exist. Unsent bytes in the kernel are stale frames, so few may be there.
+# A peer that takes nothing for 4 s is given up, before TCP's retries are further apart than our own attempts.
+_SOCKET_OPTIONS: Final = (("TCP_NODELAY", 1), ("TCP_NOTSENT_LOWAT", 1 << 17), ("TCP_USER_TIMEOUT", 4000))
+
+
+def make_client(
+    *,
+    host: str,
+    base_topic: str,
+    client_id: str,
+    username: str | None,
+    password: str | None,
+    tls_ca: str | None,
+) -> Client:
+    """A client that will retry every second once its loop runs; its last will is ``state`` = ``offline``.
+
+    MQTT 5, since only a version 5 connection is given a request's response topic and correlation data;
+    what it publishes reaches 3.1.1 subscribers all the same.
+
+    Raises
+    ------
+    ConfigError
+        A host name, topic or authority file that can never work.
+    """
+    _check(host, base_topic)
+    client = Client(CallbackAPIVersion.VERSION2, client_id=client_id, protocol=MQTTProtocolVersion.MQTTv5)
+    client.reconnect_delay_set(_RECONNECT_DELAY_S, _RECONNECT_DELAY_S)
+    client.connect_timeout = _CONNECT_TIMEOUT_S
+    client.will_set(f"{base_topic}/state", b"offline", qos=1, retain=True)
+    client.on_socket_open = _on_socket_open
+    if username is not None:
+        client.username_pw_set(username, password)
+    if tls_ca is not None:
+        try:
+            client.tls_set(ca_certs=tls_ca)
+        except (OSError, ssl.SSLError) as error:
+            raise ConfigError(
+                f"TLS authority {tls_ca}: {error.strerror or error}, expected a PEM file of certificates"
+            ) from error
+    return client
+
+
+def connect(client: Client, host: str, port: int) -> None:
+    """Start the client's network thread, which connects and reconnects by itself.
+
+    A packet of more than 64 KiB is never sent to us: requests are small, and memory is bounded.
+    """
+    limits = _properties(PacketTypes.CONNECT)
+    limits.MaximumPacketSize = _INCOMING_BYTES_MAX
+    client.connect_async(host, port, _KEEPALIVE_S, clean_start=True, properties=limits)
+    client.loop_start()
+
+
+def publish_properties(
+    content_type: str, *, expiry_s: int | None = None, correlation: bytes | None = None
+) -> Properties:
+    """MQTT 5 properties of a message; subscribers of version 3.1.1 do without."""
+    properties = _properties(PacketTypes.PUBLISH)
+    properties.ContentType = content_type
+    if expiry_s is not None:
+        properties.MessageExpiryInterval = expiry_s
+    if correlation is not None:
+        properties.CorrelationData = correlation
+    return properties
+
+
+def _properties(packet_type: int) -> Properties:
+    return Properties(packet_type)  # type: ignore[no-untyped-call]
+
+
+def _on_socket_open(_client: Client, _userdata: Any, sock: Any) -> None:
+    for name, value in _SOCKET_OPTIONS:
+        if hasattr(socket, name):
+            sock.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
+
+
+def _check(host: str, base_topic: str) -> None:
+    try:
+        sound = bool(host) and bool(host.encode("idna"))
+    except UnicodeError:
+        sound = False
+    if not sound:
+        raise ConfigError(f"MQTT host {host!r}: expected a host name or an address")
+    if not base_topic or base_topic.strip("/") != base_topic or set(base_topic) & set("+#\0"):
+        raise ConfigError(f"MQTT topic {base_topic!r}: expected levels such as tacshade/left-index, without + or #")
