@@ -1,0 +1,156 @@
+"""docs/mqtt.md: its decoders run, its vector is one of ours, its table is the header."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tacshade_edge.protocol import wire
+from tacshade_edge.types import HeightMap, ObjectCloud, Pose, Reconstruction
+
+ROOT = Path(__file__).parents[2]
+TEXT = (ROOT / "docs" / "mqtt.md").read_text()
+VECTORS = json.loads((ROOT / "tests" / "protocol" / "vectors" / "wire.json").read_text())
+NODE = shutil.which("node")
+
+# Reads lines of hex; each is decoded from a view at an odd offset of a larger buffer, as mqtt.js delivers it.
+HARNESS = """
+const plain = (k, v) => typeof v === "bigint" ? v.toString() : ArrayBuffer.isView(v) ? Array.from(v) : v;
+for (const line of require("fs").readFileSync(0, "latin1").trimEnd().split("\\n")) {
+  const bytes = Buffer.from(line.slice(1), "hex"), big = Buffer.alloc(bytes.length + 7);
+  bytes.copy(big, 3);
+  let answer;
+  try { answer = decode(big.subarray(3, 3 + bytes.length)); } catch (e) { answer = { error: e.message }; }
+  console.log(JSON.stringify(answer, plain));
+}
+"""
+
+
+def code(language: str) -> str:
+    found = re.findall(rf"```{language}\n(.*?)```", TEXT, re.DOTALL)
+    assert len(found) == 1
+    return str(found[0])
+
+
+def by_python(payloads: list[bytes]) -> list[dict[str, Any]]:
+    names: dict[str, Any] = {}
+    exec(code("python"), names)
+    answers = []
+    for payload in payloads:
+        try:
+            message = names["decode"](payload)
+        except Exception as error:  # noqa: BLE001 - the reader's ten lines may fail as they like, but must not pass
+            answers.append({"error": str(error)})
+        else:
+            answers.append({k: v.ravel() if isinstance(v, np.ndarray) else v for k, v in message.items()})
+    return answers
+
+
+def by_javascript(payloads: list[bytes]) -> list[dict[str, Any]]:
+    assert NODE is not None
+    lines = "".join(f"x{p.hex()}\n" for p in payloads)
+    done = subprocess.run(
+        [NODE, "-e", code("javascript") + HARNESS], input=lines, capture_output=True, text=True, timeout=60, check=True
+    )
+    answers = [json.loads(line) for line in done.stdout.splitlines()]
+    for answer in answers:
+        if "t_ns" in answer:
+            answer["t_ns"] = int(answer["t_ns"])
+    return answers
+
+
+Decoder = Callable[[list[bytes]], list[dict[str, Any]]]
+both = pytest.mark.parametrize(
+    "decode",
+    [
+        by_python,
+        pytest.param(
+            by_javascript,
+            marks=[pytest.mark.node, pytest.mark.skipif(NODE is None, reason="Node.js is not installed")],
+        ),
+    ],
+)
+
+
+def values(sequence: Any) -> Any:
+    """As float64 with null for NaN: JSON has none."""
+    return np.array([np.nan if v is None else v for v in sequence], np.float64)
+
+
+@both
+def test_decoder_understands_every_sound_vector(decode: Decoder) -> None:
+    sound = [v for v in VECTORS if "expect" in v]
+    answers = decode([bytes.fromhex(v["hex"]) for v in sound])
+    assert len(answers) == len(sound) >= 6
+    for answer, expect in zip(answers, (v["expect"] for v in sound), strict=True):
+        assert (answer["seq"], answer["t_ns"]) == (expect["seq"], expect["t_ns"])
+        flags = sum(bit for bit, name in enumerate_flags() if expect[name])
+        assert answer["flags"] & 15 == flags
+        assert (answer["pose"] and list(answer["pose"])) == expect["pose"]
+        if expect["kind"] == "height":
+            np.testing.assert_allclose(values(answer["height_mm"]), values(expect["height_mm"]), rtol=1e-6)
+            assert [answer[k] for k in ("row0", "col0", "step_px")] == [expect[k] for k in ("row0", "col0", "step_px")]
+        else:
+            assert list(answer["points_mm"]) == expect["points_mm"]
+            assert list(answer["labels"]) == expect["labels"]
+
+
+def enumerate_flags() -> list[tuple[int, str]]:
+    return [(1, "contact"), (2, "invalid"), (4, "saturated"), (8, "degraded")]
+
+
+@both
+def test_decoder_refuses_every_damaged_vector(decode: Decoder) -> None:
+    damaged = [v for v in VECTORS if "error" in v]
+    answers = decode([bytes.fromhex(v["hex"]) for v in damaged])
+    assert len(answers) == len(damaged) >= 10
+    assert [v["name"] for v, a in zip(damaged, answers, strict=True) if "error" not in a] == []
+
+
+@both
+def test_decoder_understands_what_the_encoder_writes_now(decode: Decoder) -> None:
+    rng = np.random.default_rng(1)
+    height = rng.normal(0, 10, (37, 53)).astype(np.float32)
+    height[rng.random(height.shape) < 0.2] = np.nan
+    cloud = ObjectCloud(rng.normal(0, 20, (999, 3)).astype(np.float32), rng.integers(1, 2**16, 999, np.uint16))
+    grid = HeightMap(height, np.zeros(height.shape, np.bool_), 1.5, 2.5, 4.0)
+    result = Reconstruction(77, 2**60, 5, "fast", True, "", True, True, "glare", grid, cloud)
+    pose = Pose(2**60, 1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0)
+    decoded = decode(
+        [
+            wire.encode_height(result, calibration_crc32=1, pose=pose, pose_error_us=5),
+            wire.encode_cloud(result, calibration_crc32=1),
+        ]
+    )
+    assert [d["seq"] for d in decoded] == [77, 77]
+    assert [d["t_ns"] for d in decoded] == [2**60, 2**60]
+    assert list(decoded[0]["pose"]) == [1, 2, 3, 1, 0, 0, 0]
+    expected = np.clip(height, -32.767, 32.767).ravel()
+    np.testing.assert_allclose(values(decoded[0]["height_mm"]), expected, atol=0.000505)
+    np.testing.assert_array_equal(values(decoded[1]["points_mm"]), cloud.points_mm.ravel().astype(np.float64))
+    np.testing.assert_array_equal(decoded[1]["labels"], cloud.labels)
+
+
+def test_vector_in_the_text_is_one_of_the_file() -> None:
+    assert "".join(code("text").split()) == VECTORS[0]["hex"]
+
+
+def test_header_table_is_without_a_gap() -> None:
+    """Every byte of the header is in the table once; N and the size share theirs."""
+    sizes = {"4 bytes": 4, "u8": 1, "u32": 4, "u64": 8, "u16, u16": 4, "f32": 4, "3 × f32": 12, "7 × f32": 28}
+    rows = re.findall(r"^\| (\d+) \| ([^|]+) \|", TEXT, re.MULTILINE)
+    position = 0
+    for offset, kind in rows:
+        if (offset, kind) == ("32", "u32"):
+            continue
+        assert int(offset) == position
+        position += sizes[kind]
+    assert position == wire.HEADER_BYTES
