@@ -8,7 +8,7 @@ import pytest
 from tacshade_edge.simulator.model import SensorModel, tactip
 from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.simulator.press import Press
-from tacshade_edge.simulator.render import Renderer, print_features, project
+from tacshade_edge.simulator.render import Renderer, _carried, _on_skin, print_features, project
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.simulator.skin import press_skin, undeformed
 from tacshade_edge.types import F32
@@ -153,3 +153,22 @@ def test_tiny_and_cropped_images(height: int, width: int, radius: float) -> None
     truth = frame.truth()
     assert np.isfinite(truth.height_mm[height // 2, width // 2])
     assert truth.height_mm[height // 2, width // 2] > 7.0
+
+
+def test_a_deeper_ball_is_brighter() -> None:
+    reference, away = white_ratio(MODEL), rings(MODEL)
+    presses = [Press(OBJECTS["ball"](), 0.5, 0.3, depth_mm) for depth_mm in (0.5, 1.0, 2.0, 4.0)]
+    change = [float((white_ratio(MODEL, press) - reference)[away < 2].mean()) for press in presses]
+    assert np.all(np.diff(change) > 2), change
+
+
+def test_friction_carries_the_skin_along_z() -> None:
+    # What sticks keeps its x and y; what slides moves along the radius and so towards the axis.
+    press = (Press(OBJECTS["plate"](), 0.0, 0.0, 3.0),)
+    skin, chart, at = press_skin(20.0, 2.2, press), np.array([[5.0, 0.0]]), {}
+    for friction in (0.0, 1.0):
+        direction, moved = _carried(skin, chart, friction)
+        at[friction] = _on_skin(skin, direction, moved)[0]
+    x = 20.0 * 5.0 / 20.0 / (1 + (5.0 / 20.0) ** 2 / 4)
+    assert at[1.0] == pytest.approx((x, 0.0, 17.0), abs=0.06)  # displaced to first order in h
+    assert at[0.0][0] == pytest.approx(17.0 * math.tan(2 * math.atan(5.0 / 40.0)), abs=0.01)
