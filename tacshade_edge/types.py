@@ -242,7 +242,11 @@ class Calibration:
     alpha : float
         Depth scale used where no table is (the paper's α).
     table_grey, table_depth_mm : float32 (K,)
-        Monotone table from g_d (times the polarity's sign; rising, grey levels) to h in mm; K = 0 without presses.
+        Monotone table from the gathered grey change (`core.solvers.fast`, grey levels, from 0 up) to h in mm at
+        the middle of the disc; K = 0 without presses.
+    table_gain : float32 (M,)
+        Factor on the depth at ρ² = i / (M - 1), ρ the distance from the disc's centre in its radii; M = 0
+        without presses.
     fit : dict of str to float
         Fitted figures to show a person (cross-validated error and so on), all in mm or px as named.
     flange_T_sensor : 7 floats
@@ -263,9 +267,10 @@ class Calibration:
     alpha: float
     table_grey: F32
     table_depth_mm: F32
+    table_gain: F32
     fit: dict[str, float] = field(default_factory=dict)
     flange_T_sensor: tuple[float, ...] = IDENTITY_POSE
     crc32: int = 0
 
     def __post_init__(self) -> None:
-        freeze(self, "reference_white", "reference_grey", "table_grey", "table_depth_mm")
+        freeze(self, "reference_white", "reference_grey", "table_grey", "table_depth_mm", "table_gain")

@@ -60,6 +60,14 @@ def disc_mask(height_px: int, width_px: int, disc: Disc) -> Bool:
     return mask
 
 
+def radius_squared(grid: Grid, disc: Disc) -> F32:
+    """ρ² of every cell, ρ the distance from the disc's centre in its radii."""
+    rows = (grid.row0 + grid.step_px * np.arange(grid.rows))[:, None] - disc.row_c
+    cols = (grid.col0 + grid.step_px * np.arange(grid.cols))[None, :] - disc.col_c
+    rho2: F32 = ((rows * rows + cols * cols) / disc.radius_px**2).astype(np.float32)
+    return rho2
+
+
 def disc_rays(grid: Grid, geometry: Geometry) -> DiscRays:
     """Rays of the design's camera for every cell of `grid`."""
     rows = (grid.row0 + grid.step_px * np.arange(grid.rows))[:, None] - geometry.disc.row_c

@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 
 from tacshade_edge.core import clusters, contact, greyscale
-from tacshade_edge.core.disc import DiscRays, Grid, disc_mask, disc_rays
+from tacshade_edge.core.disc import DiscRays, Grid, disc_mask, disc_rays, radius_squared
 from tacshade_edge.core.profiles import Profile
 from tacshade_edge.core.skin import cell_area_mm2, skin_points
-from tacshade_edge.core.solvers import SOLVERS, Depth, DepthScale, GreyMaps
+from tacshade_edge.core.solvers import SOLVERS, Depth, DepthScale, GreyMaps, fast
 from tacshade_edge.core.validity import frame_check, invalid_reason
-from tacshade_edge.types import F32, U8, Bool, Calibration, Frame, HeightMap, ObjectCloud, Reconstruction
+from tacshade_edge.types import F32, U8, Bool, Calibration, Disc, Frame, HeightMap, ObjectCloud, Reconstruction
 
 Mark = Callable[[str], None]
 
@@ -24,6 +24,15 @@ DRIFT_LEVELS = 20.0
 
 def no_mark(stage: str) -> None:
     """Ignore a stage's end."""
+
+
+def radial_gain(table: F32, grid: Grid, disc: Disc) -> F32:
+    """`Calibration.table_gain` at every cell of a grid; empty for an empty table."""
+    if table.size == 0:
+        return np.zeros((0, 0), dtype=np.float32)
+    knots = np.linspace(0, 1, table.size)
+    gain: F32 = np.interp(radius_squared(grid, disc), knots, table).astype(np.float32)
+    return gain
 
 
 class Reconstructor:
@@ -43,33 +52,35 @@ class Reconstructor:
         self._solve = SOLVERS[profile.solver]
         self._sign = 1.0 if calibration.polarity == "bright" else -1.0
         self._window_px = greyscale.odd(profile.window_pitches * calibration.pitch_px)
-        self._grid = Grid.of_image(height, width, profile.stride_px)
-        self._rays: DiscRays = disc_rays(self._grid, geometry)
+        self.grid = Grid.of_image(height, width, profile.stride_px)
+        self.rays: DiscRays = disc_rays(self.grid, geometry)
         mask = disc_mask(height, width, geometry.disc)
         self._mask: U8 = mask.astype(np.uint8)
         self._check = frame_check(calibration.reference_grey, mask, geometry.disc)
-        self._total = greyscale.box_sums(self._mask, self._window_px, self._grid)
-        self._voting: Bool = self._rays.inside & (
+        self._total = greyscale.box_sums(self._mask, self._window_px, self.grid)
+        self.voting: Bool = self.rays.inside & (
             self._total >= contact.GATE_WINDOW_PART * min(self._window_px**2, int(self._mask.sum()))
         )
-        self._g0_raw = greyscale.white_ratio(
-            calibration.reference_white, self._total, self._window_px, self._grid, full_scale=1.0
+        self.reference_ratio = greyscale.white_ratio(
+            calibration.reference_white, self._total, self._window_px, self.grid, full_scale=1.0
         )
-        self._g0 = greyscale.denoise_tv(self._g0_raw, self._rays.inside, profile.tv_weight)
+        self._g0 = greyscale.denoise_tv(self.reference_ratio, self.rays.inside, profile.tv_weight)
         # α is per pixel of the image (the paper ties it to the image's resolution).
-        self._scale = DepthScale(
+        self.scale = DepthScale(
             alpha_mm=calibration.alpha * geometry.mm_per_px,
             table_grey=calibration.table_grey,
             table_depth_mm=calibration.table_depth_mm,
+            gain=radial_gain(calibration.table_gain, self.grid, geometry.disc),
+            reach_cells=fast.REACH_RADII * geometry.skin_radius_mm / (profile.stride_px * geometry.mm_per_px),
         )
         self._cell_mm2 = (profile.stride_px * geometry.mm_per_px) ** 2
-        zero = np.where(self._rays.inside, np.float32(0), np.float32(np.nan)).astype(np.float32)
+        zero = np.where(self.rays.inside, np.float32(0), np.float32(np.nan)).astype(np.float32)
         self._untouched = HeightMap(
             height_mm=zero,
             contact=np.zeros(zero.shape, dtype=bool),
-            row0=self._grid.row0,
-            col0=self._grid.col0,
-            step_px=self._grid.step_px,
+            row0=self.grid.row0,
+            col0=self.grid.col0,
+            step_px=self.grid.step_px,
         )
         self._no_cloud = ObjectCloud(np.zeros((0, 3), dtype=np.float32), np.zeros(0, dtype=np.uint16))
 
@@ -91,24 +102,46 @@ class Reconstructor:
         g_raw, degraded = self._white_ratio(grey)
         mark("grey")
 
-        g_d_raw = greyscale.grey_difference(g_raw, self._g0_raw, self._rays.inside, self._sign)
-        decision = contact.gate(g_d_raw, self._voting, self.calibration.noise_grey, self._cell_mm2)
+        g_d_raw = greyscale.grey_difference(g_raw, self.reference_ratio, self.rays.inside, self._sign)
+        decision = contact.gate(g_d_raw, self.voting, self.calibration.noise_grey, self._cell_mm2)
         if abs(decision.drift_grey) > DRIFT_LEVELS:
             degraded = f"light: g moved by {decision.drift_grey:.0f} levels everywhere"
         mark("gate")
         if not decision.contact:
             return self._nothing(frame, degraded=degraded)
 
-        g = greyscale.denoise_tv(g_raw, self._rays.inside, self.profile.tv_weight)
+        maps = self._denoised(g_raw, decision.drift_grey)
         mark("denoise")
 
-        g_d = greyscale.grey_difference(g - self._sign * decision.drift_grey, self._g0, self._rays.inside, self._sign)
-        depth = self._solve(GreyMaps(g=g, g0=self._g0, g_d=g_d, inside=self._rays.inside), self._scale)
+        depth = self._solve(maps, self.scale)
         mark("depth")
 
         result = self._objects(frame, depth, degraded)
         mark("cloud")
         return result
+
+    def invalid_reason(self, image: U8) -> str:
+        """Why an image cannot be used; empty for a good one."""
+        return invalid_reason(greyscale.to_grey(image), self._check)
+
+    def touched(self, image: U8) -> bool:
+        """Whether the contact gate opens for an image."""
+        g_raw, _ = self._white_ratio(greyscale.to_grey(image))
+        g_d_raw = greyscale.grey_difference(g_raw, self.reference_ratio, self.rays.inside, self._sign)
+        return contact.gate(g_d_raw, self.voting, self.calibration.noise_grey, self._cell_mm2).contact
+
+    def grey_maps(self, image: U8) -> GreyMaps:
+        """The maps that the solver would get from an image, without validity check and gate: for calibration."""
+        g_raw, _ = self._white_ratio(greyscale.to_grey(image))
+        g_d_raw = greyscale.grey_difference(g_raw, self.reference_ratio, self.rays.inside, self._sign)
+        return self._denoised(g_raw, contact.light_drift(g_d_raw, self.voting))
+
+    def _denoised(self, g_raw: F32, drift_grey: float) -> GreyMaps:
+        """TV denoising, then eq. 9 without the common change of light."""
+        inside = self.rays.inside
+        g = greyscale.denoise_tv(g_raw - np.float32(self._sign * drift_grey), inside, self.profile.tv_weight)
+        g_d = greyscale.grey_difference(g, self._g0, inside, self._sign)
+        return GreyMaps(g=g, g0=self._g0, g_d=g_d, inside=inside)
 
     def _white_ratio(self, grey: U8) -> tuple[F32, str]:
         """Eq. 1, without the pixels under glare; and the reason for less trust."""
@@ -118,21 +151,21 @@ class Reconstructor:
         if glare is not None:
             clear = cv2.subtract(mask, glare)
             white = cv2.multiply(white, clear)
-            total = greyscale.box_sums(clear, self._window_px, self._grid)
+            total = greyscale.box_sums(clear, self._window_px, self.grid)
             degraded = f"glare: {100 * (1 - cv2.countNonZero(clear) / cv2.countNonZero(mask)):.0f} % of the disc unseen"
-        g = greyscale.white_ratio(white, total, self._window_px, self._grid)
+        g = greyscale.white_ratio(white, total, self._window_px, self.grid)
         if glare is not None:  # a window that sees next to nothing says nothing
             blind = total < 0.25 * self._total
-            g = np.where(blind, self._g0_raw, g).astype(np.float32)
+            g = np.where(blind, self.reference_ratio, g).astype(np.float32)
         return g, degraded
 
     def _objects(self, frame: Frame, depth: Depth, degraded: str) -> Reconstruction:
         """Outline, metric points, clusters."""
-        inside = self._rays.inside
+        inside = self.rays.inside
         height = np.minimum(depth.height_mm, np.float32(self.calibration.geometry.skin_radius_mm))
         height = np.where(inside, height, np.float32(np.nan)).astype(np.float32)
         split = clusters.two_means_split(height[inside])
-        points, _ = skin_points(height, self._rays, self.calibration.geometry)
+        points, _ = skin_points(height, self.rays, self.calibration.geometry)
         area = cell_area_mm2(points)
         labels = clusters.label_objects(inside & (np.nan_to_num(height) > split), area)
         objects = clusters.describe_objects(labels, points, height, area)
@@ -152,9 +185,9 @@ class Reconstructor:
             height=HeightMap(
                 height_mm=height,
                 contact=touched,
-                row0=self._grid.row0,
-                col0=self._grid.col0,
-                step_px=self._grid.step_px,
+                row0=self.grid.row0,
+                col0=self.grid.col0,
+                step_px=self.grid.step_px,
             ),
             cloud=clusters.object_cloud(labels, points),
             objects=objects,

@@ -18,7 +18,9 @@ SATURATED_PART = 0.25
 # A block of the reference with at least this contrast has markers; it cannot lose them all.
 TEXTURED_STD = 8.0
 LOST_STD = 3.0
-LOST_PART = 0.04
+LOST_PART = 0.8
+LOST_ROWS = 2
+ROW_BLOCKS = 8
 # Blocks of the surround never change but with the light; half of this many levels is noise.
 SURROUND_LEVELS = 25.0
 SURROUND_PART = 0.15
@@ -104,12 +106,15 @@ def _torn_reason(grey: U8, check: FrameCheck) -> str:
         return ""
     level, contrast = _blocks(grey)
     textured = check.inside & (check.contrast >= TEXTURED_STD)
-    lost = textured & (contrast < LOST_STD)
-    if np.count_nonzero(lost) > LOST_PART * max(np.count_nonzero(textured), 1):
-        return f"torn: {100 * np.count_nonzero(lost) / np.count_nonzero(textured):.0f} % of the disc shows no marker"
+    # A contact can hide the markers of a patch, never those of whole rows across the disc.
+    total, lost = textured.sum(axis=1), (textured & (contrast < LOST_STD)).sum(axis=1)
+    empty = int(np.count_nonzero((total >= ROW_BLOCKS) & (lost > LOST_PART * total)))
+    if empty >= LOST_ROWS:
+        return f"torn: {empty * BLOCK_PX} rows across the disc show no marker"
     if not (check.surround.any() and textured.any()):
         return ""
-    gain = float(np.median(level[textured])) / max(float(np.median(check.level[textured])), 1.0)
+    usual = float(np.median(check.level[textured]))
+    gain = float(np.median(level[textured])) / max(usual, 1.0)
     expected = np.minimum(check.level * np.float32(gain), 255)
     moved = check.surround & (np.abs(level - expected) > SURROUND_LEVELS + 0.25 * expected)
     part = np.count_nonzero(moved) / np.count_nonzero(check.surround)

@@ -16,7 +16,7 @@ from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.types import Calibration, Disc, Geometry
 
 VERSION = 1
-_ARRAYS = ("reference_white", "reference_grey", "table_grey", "table_depth_mm")
+_ARRAYS = ("reference_white", "reference_grey", "table_grey", "table_depth_mm", "table_gain")
 
 
 def _content(calibration: Calibration) -> tuple[bytes, dict[str, Any]]:
@@ -96,7 +96,7 @@ def load(path: str | os.PathLike[str]) -> Calibration:
     """
     name = os.fspath(path)
     try:
-        with np.load(name, allow_pickle=False) as npz:
+        with open(name, "rb") as stream, np.load(stream, allow_pickle=False) as npz:
             meta = npz["meta"].tobytes()
             arrays = {key: npz[key] for key in _ARRAYS}
             crc = int(npz["crc32"])

@@ -40,14 +40,20 @@ class DepthScale:
         mm for a normalised height of 1: the paper's α times the size of a pixel.
     table_grey, table_depth_mm : float32 (K,)
         See `Calibration`; K = 0 without presses.
+    gain : float32 (rows, cols)
+        `Calibration.table_gain` at each cell; empty without presses.
+    reach_cells : float
+        Over how many cells the grey change is gathered.
     """
 
     alpha_mm: float
     table_grey: F32
     table_depth_mm: F32
+    gain: F32
+    reach_cells: float
 
     def __post_init__(self) -> None:
-        freeze(self, "table_grey", "table_depth_mm")
+        freeze(self, "table_grey", "table_depth_mm", "gain")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

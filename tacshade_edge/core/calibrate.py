@@ -1,0 +1,289 @@
+"""References and ball presses to a `Calibration`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tacshade_edge.core import greyscale, pattern
+from tacshade_edge.core.disc import Grid, disc_mask, radius_squared
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.core.skin import skin_points
+from tacshade_edge.core.solvers.fast import gathered_change
+from tacshade_edge.core.validity import frame_check, invalid_reason
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.types import F32, F64, IDENTITY_POSE, U8, Binarisation, Calibration, Geometry, Polarity
+
+# Calibration works on the maps of this profile; its tables serve every profile with the same window.
+PROFILE = PROFILES["fast"]
+MIN_PRESSES = 8
+TABLE_KNOTS = 33
+GAIN_KNOTS = 17
+# RMS of g between frames of one still scene when one reference alone cannot tell it.
+ASSUMED_NOISE_GREY = 1.0
+# An unloaded skin is alike all around: a patch that differs this much from its ring is a load (grey levels, mm²).
+LOADED_GREY = 22.0
+LOADED_MM2 = 12.0
+# Pull of the fit towards "depth is proportional to ψ, alike everywhere": presses that do not vary then do no harm.
+RIDGE = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """What a person states of a sensor (SENSOR.yaml)."""
+
+    skin_radius_mm: float
+    camera_distance_mm: float | None
+    visible_half_angle_deg: float
+    polarity: Polarity
+    alpha: float = 15.0
+    binarisation: Binarisation = "adaptive"
+    flange_T_sensor: tuple[float, ...] = IDENTITY_POSE
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BallPress:
+    """A known press of a ball: its image and the row of PRESSES.csv; x and y None where they are to be located."""
+
+    name: str
+    image: U8
+    radius_mm: float
+    depth_mm: float
+    x_mm: float | None
+    y_mm: float | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibrated:
+    """A calibration and what a person should hear about it."""
+
+    calibration: Calibration
+    warnings: tuple[str, ...]
+
+
+def calibrate(
+    sensor: Sensor,
+    references: Sequence[U8],
+    presses: Sequence[BallPress] = (),
+    allow_loaded_reference: bool = False,
+) -> Calibrated:
+    """Fit everything that images can tell of a sensor.
+
+    Parameters
+    ----------
+    sensor : Sensor
+    references : sequence of uint8 (H, W) or (H, W, 3)
+        At least one, of the unloaded skin.
+    presses : sequence of BallPress
+        None, or at least `MIN_PRESSES`.
+    allow_loaded_reference : bool
+        Warn instead of refusing.
+
+    Raises
+    ------
+    ConfigError
+        With the reason why it cannot work.
+    """
+    greys = [greyscale.to_grey(image) for image in references]
+    if not greys:
+        raise ConfigError("no reference image: expected at least one of the unloaded skin")
+    for index, grey in enumerate(greys):
+        if grey.shape != greys[0].shape:
+            raise ConfigError(
+                f"reference {index + 1} is {grey.shape[1]}x{grey.shape[0]} px, "
+                f"the first is {greys[0].shape[1]}x{greys[0].shape[0]}"
+            )
+    mean = pattern.mean_image(greys)
+    disc = pattern.find_disc(mean)
+    geometry = Geometry(sensor.skin_radius_mm, sensor.camera_distance_mm, sensor.visible_half_angle_deg, disc)
+    warnings: list[str] = []
+    unloaded = _with_reference(
+        Calibration(
+            geometry=geometry,
+            polarity=sensor.polarity,
+            binarisation=sensor.binarisation,
+            image_height_px=mean.shape[0],
+            image_width_px=mean.shape[1],
+            pitch_px=pattern.marker_pitch_px(mean, disc),
+            reference_white=np.zeros_like(mean),
+            reference_grey=mean,
+            noise_grey=ASSUMED_NOISE_GREY,
+            alpha=sensor.alpha,
+            table_grey=np.zeros(0, dtype=np.float32),
+            table_depth_mm=np.zeros(0, dtype=np.float32),
+            table_gain=np.zeros(0, dtype=np.float32),
+            flange_T_sensor=sensor.flange_T_sensor,
+        ),
+        greys,
+    )
+    if len(greys) < 3:
+        warnings.append(f"{len(greys)} reference: noise assumed to be {ASSUMED_NOISE_GREY} grey levels; 5 are better")
+    loaded = loaded_reason(unloaded)
+    if loaded and not allow_loaded_reference:
+        raise ConfigError(f"{loaded}; take it again without contact, or pass --allow-loaded-reference")
+    if loaded:
+        warnings.append(loaded)
+    if not presses:
+        return Calibrated(unloaded, tuple(warnings))
+    return Calibrated(_fit_presses(unloaded, presses), tuple(warnings))
+
+
+def rezero(calibration: Calibration, images: Sequence[U8]) -> Calibration:
+    """The same calibration with a reference from new images of the unloaded skin.
+
+    Raises
+    ------
+    ConfigError
+        An image cannot be used, or the skin is touched.
+    """
+    if not images:
+        raise ConfigError("no image to take a reference from")
+    greys = [greyscale.to_grey(image) for image in images]
+    geometry = calibration.geometry
+    mask = disc_mask(calibration.image_height_px, calibration.image_width_px, geometry.disc)
+    check = frame_check(calibration.reference_grey, mask, geometry.disc)
+    for grey in greys:
+        if reason := invalid_reason(grey, check):
+            raise ConfigError(f"reference refused: {reason}")
+    renewed = _with_reference(replace(calibration, reference_grey=pattern.mean_image(greys), crc32=0), greys)
+    if loaded := loaded_reason(renewed):
+        raise ConfigError(f"reference refused: {loaded}")
+    return renewed
+
+
+def _with_reference(calibration: Calibration, greys: Sequence[U8]) -> Calibration:
+    """Binarise the references, average them, and measure how much g differs between them."""
+    geometry = calibration.geometry
+    height, width = calibration.image_height_px, calibration.image_width_px
+    mask = disc_mask(height, width, geometry.disc).astype(np.uint8)
+    window = greyscale.odd(PROFILE.window_pitches * calibration.pitch_px)
+    grid = Grid.of_image(height, width, PROFILE.stride_px)
+    total = greyscale.box_sums(mask, window, grid)
+    inside = greyscale.sample(mask, grid) > 0
+    white_sum: F32 = np.zeros((height, width), dtype=np.float32)
+    ratios = []
+    for grey in greys:
+        white = greyscale.binarise(grey, mask, calibration.binarisation, calibration.pitch_px)
+        white_sum += white
+        ratios.append(greyscale.white_ratio(white, total, window, grid)[inside])
+    noise = calibration.noise_grey
+    if len(greys) >= 3:
+        noise = float(np.sqrt(np.mean(np.var(np.stack(ratios), axis=0, ddof=1))))
+    reference = np.rint(white_sum * (255 / len(greys))).astype(np.uint8)
+    return replace(calibration, reference_white=reference, noise_grey=noise)
+
+
+def loaded_reason(calibration: Calibration) -> str:
+    """Why a reference seems to have been taken under load; empty when it does not."""
+    disc = calibration.geometry.disc
+    reconstructor = Reconstructor(calibration, PROFILE)
+    g0 = reconstructor.reference_ratio
+    cell_mm2 = (PROFILE.stride_px * calibration.geometry.mm_per_px) ** 2
+    residual = ring_residual(g0, radius_squared(reconstructor.grid, disc), reconstructor.voting)
+    area = float(np.count_nonzero(np.abs(residual) > LOADED_GREY)) * cell_mm2
+    if area < LOADED_MM2:
+        return ""
+    return f"the reference seems taken under load: {area:.0f} mm² of it differ from the skin around the centre"
+
+
+def ring_residual(g0: F32, rho2: F32, voting: object) -> F32:
+    """g0 less its median on 12 rings around the centre; 0 where `voting` is False."""
+    rings = np.minimum((np.sqrt(rho2) * 12).astype(int), 12)
+    residual: F32 = np.zeros_like(g0)
+    for ring in range(13):
+        cells = (rings == ring) & np.asarray(voting)
+        if cells.any():
+            residual[cells] = g0[cells] - np.median(g0[cells])
+    return residual
+
+
+def _fit_presses(unloaded: Calibration, presses: Sequence[BallPress]) -> Calibration:
+    """Log depth = a + b log ψ + c ρ² + d ρ⁴ at the deepest point of every press, by ridge regression.
+
+    Cross-validated by press: each is predicted from all the others.
+    """
+    if len(presses) < MIN_PRESSES:
+        raise ConfigError(
+            f"{len(presses)} presses: at least {MIN_PRESSES} are needed for a depth table (20 are better)"
+        )
+    reconstructor = Reconstructor(unloaded, PROFILE)
+    rows = [_press_row(reconstructor, press) for press in presses]
+    features = np.array([row[0] for row in rows])
+    depth_mm = np.array([press.depth_mm for press in presses])
+    weights = _ridge(features, np.log(depth_mm))
+    predicted = np.array(
+        [
+            math.exp(float(features[k] @ _ridge(np.delete(features, k, 0), np.log(np.delete(depth_mm, k)))))
+            for k in range(len(presses))
+        ]
+    )
+    error = predicted - depth_mm
+    top = float(np.exp(features[:, 1].max()))
+    psi = np.linspace(0, 1.1 * top, TABLE_KNOTS)
+    middle = weights.copy()
+    depth = np.zeros(TABLE_KNOTS)
+    depth[1:] = np.exp(middle[0] + middle[1] * np.log(psi[1:]))
+    # Beyond the outermost press the gain of that press holds: a polynomial would run away.
+    rho2 = np.minimum(np.linspace(0, 1, GAIN_KNOTS), features[:, 2].max())
+    gain = np.exp(weights[2] * rho2 + weights[3] * rho2**2)
+    fit = {
+        "presses": float(len(presses)),
+        "depth_mae_mm": float(np.mean(np.abs(error))),
+        "depth_rmse_mm": float(np.sqrt(np.mean(error**2))),
+        "depth_worst_mm": float(np.max(np.abs(error))),
+        "depth_mean_ratio_error": float(np.mean(np.abs(error) / depth_mm)),
+        "position_mae_mm": float(np.mean([row[1] for row in rows])),
+    }
+    return replace(
+        unloaded,
+        # The paper's α for this sensor: what scales a normalised height of 1 to the mean pressed depth.
+        alpha=float(np.mean(depth_mm)) / unloaded.geometry.mm_per_px,
+        table_grey=psi.astype(np.float32),
+        table_depth_mm=depth.astype(np.float32),
+        table_gain=gain.astype(np.float32),
+        fit=fit,
+    )
+
+
+def _press_row(reconstructor: Reconstructor, press: BallPress) -> tuple[list[float], float]:
+    """Features of one press at its deepest point, and how far that lies from the stated place (0 if not stated)."""
+    calibration = reconstructor.calibration
+    geometry = calibration.geometry
+    r = geometry.skin_radius_mm
+    if press.image.shape[:2] != (calibration.image_height_px, calibration.image_width_px):
+        raise ConfigError(
+            f"{press.name}: {press.image.shape[1]}x{press.image.shape[0]} px, "
+            f"the reference is {calibration.image_width_px}x{calibration.image_height_px}"
+        )
+    if not 0 < press.depth_mm < r or not press.radius_mm > 0:
+        raise ConfigError(
+            f"{press.name}: depth {press.depth_mm} mm, ball radius {press.radius_mm} mm; "
+            f"expected 0 < depth < {r} and a radius above 0"
+        )
+    if reason := reconstructor.invalid_reason(press.image):
+        raise ConfigError(f"{press.name}: not usable: {reason}")
+    if not reconstructor.touched(press.image):
+        raise ConfigError(f"{press.name}: no contact to be seen, {press.depth_mm} mm is stated")
+    maps = reconstructor.grey_maps(press.image)
+    psi, _ = gathered_change(maps, reconstructor.scale.reach_cells)
+    peak = np.unravel_index(int(np.argmax(psi)), psi.shape)
+    rho2 = float(radius_squared(reconstructor.grid, geometry.disc)[peak])
+    height = np.full(psi.shape, press.depth_mm, dtype=np.float32)
+    place = skin_points(height, reconstructor.rays, geometry)[0][peak]
+    off = 0.0
+    if press.x_mm is not None and press.y_mm is not None:
+        off = math.hypot(float(place[0]) - press.x_mm, float(place[1]) - press.y_mm)
+    return [1.0, math.log(max(float(psi[peak]), 1e-3)), rho2, rho2**2], off
+
+
+def _ridge(features: F64, log_depth: F64) -> F64:
+    """Least squares of log depth, pulled towards exponent 1 and no dependence on the place."""
+    prior = np.array([0.0, 1.0, 0.0, 0.0])
+    pull = RIDGE * len(features) * np.diag([0.0, 1.0, 1.0, 1.0])
+    normal = features.T @ features + pull
+    weights: F64 = np.linalg.solve(normal, features.T @ log_depth + pull @ prior)
+    return weights

@@ -1,0 +1,200 @@
+"""What a reference image tells by itself: the visible circle and the marker pitch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.types import F32, F64, U8, Disc
+
+# The coarse circle is searched at this height.
+_SEARCH_ROWS = 120
+# Vignetting weakens the rim's markers, a LED ring has texture too: start from several parts of Otsu's threshold.
+_TEXTURE_PARTS = (1.0, 0.5, 0.25)
+_RAYS = 1440
+_RADIAL_STEP_PX = 0.5
+# Variation along the angle slower than this part of a turn is light (LED rings), not pattern.
+_SLOW_TURN = 1 / 60
+# Steps of the search for the centre, in px at a disc of 200 px.
+_CENTRE_STEPS = (8.0, 4.0, 2.0, 1.0, 0.5, 0.25, 0.12)
+# Just outside the rim the pattern's variation must have fallen below this part of what it is just inside.
+_RIM_FALL = 0.5
+
+
+def find_disc(grey: U8) -> Disc:
+    """Find the visible circle in a reference image.
+
+    The disc is where the marker pattern is, so its rim is where the pattern's variation along the angle ends:
+    a step in brightness alone would find the LED ring instead. A coarse circle comes from the textured region.
+
+    Parameters
+    ----------
+    grey : uint8 (H, W)
+
+    Raises
+    ------
+    ConfigError
+        No circle with a marker pattern is in the image.
+    """
+    starts = [_end_of_pattern(grey, _textured_disc(grey, part), 0.5, 1.4) for part in _TEXTURE_PARTS]
+    best = max(starts, key=lambda rim: rim.sharpness)
+    for step in _CENTRE_STEPS:
+        best = _climb(grey, best, step * best.disc.radius_px / 200)
+    if best.fall > _RIM_FALL:
+        raise ConfigError(
+            "no visible circle found in the reference: the pattern's variation falls only to "
+            f"{100 * best.fall:.0f} % across the best rim, expected below {100 * _RIM_FALL:.0f} %"
+        )
+    return best.disc
+
+
+@dataclass(frozen=True, slots=True)
+class _Rim:
+    """A circle, how sharply the pattern ends at it (grey levels), and what is left of it just outside (ratio)."""
+
+    disc: Disc
+    sharpness: float
+    fall: float
+
+
+def _climb(grey: U8, best: _Rim, step_px: float) -> _Rim:
+    """Move the centre by `step_px` as long as the rim becomes sharper."""
+    reach = 0.1 if step_px > 2 else 0.04
+    best = _end_of_pattern(grey, best.disc, 1 - reach, 1 + reach)
+    for _ in range(20):
+        here = best
+        for dr, dc in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+            moved = Disc(here.disc.row_c + dr * step_px, here.disc.col_c + dc * step_px, here.disc.radius_px)
+            tried = _end_of_pattern(grey, moved, 1 - reach, 1 + reach)
+            if tried.sharpness > best.sharpness:
+                best = tried
+        if best is here:
+            break
+    return best
+
+
+def _textured_disc(grey: U8, part: float) -> Disc:
+    """Circle of the hull's area around the largest region with more than `part` of Otsu's texture."""
+    scale = max(min(grey.shape) / _SEARCH_ROWS, 1.0)
+    small = cv2.resize(grey, None, fx=1 / scale, fy=1 / scale, interpolation=cv2.INTER_AREA).astype(np.float32)
+    fine = cv2.absdiff(small, cv2.blur(small, (9, 9)))
+    texture = cv2.blur(fine, (9, 9))
+    level = np.clip(texture * (255 / max(float(texture.max()), 1e-6)), 0, 255).astype(np.uint8)
+    split, _ = cv2.threshold(level, 0, 1, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
+    _, mask = cv2.threshold(level, part * split, 1, cv2.THRESH_BINARY)
+    mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((7, 7), np.uint8))
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
+    if count < 2:
+        raise ConfigError("no circle with a marker pattern found in the reference")
+    best = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
+    contours, _ = cv2.findContours((labels == best).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    hull = cv2.convexHull(max(contours, key=cv2.contourArea))
+    area = cv2.contourArea(hull)
+    moments = cv2.moments(hull)
+    if area < 0.02 * small.size or moments["m00"] == 0:
+        raise ConfigError("no circle with a marker pattern found in the reference: the pattern covers too little")
+    radius = float(np.sqrt(area / np.pi))
+    return Disc(
+        row_c=float(moments["m01"] / moments["m00"]) * scale,
+        col_c=float(moments["m10"] / moments["m00"]) * scale,
+        radius_px=radius * scale,
+    )
+
+
+def _pattern_strength(grey: U8, disc: Disc, radii: F64) -> F64:
+    """Variation along the angle at every radius, without its slow part.
+
+    Returns
+    -------
+    float64 (rays, radii)
+        Squared grey levels; 0 outside the image.
+    """
+    rays = _RAYS
+    angles = 2 * np.pi * np.arange(rays) / rays
+    cols = (disc.col_c + radii[None, :] * np.cos(angles)[:, None]).astype(np.float32)
+    rows = (disc.row_c + radii[None, :] * np.sin(angles)[:, None]).astype(np.float32)
+    polar = cv2.remap(grey, cols, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(np.float32)
+    n = max(int(rays * _SLOW_TURN), 1)
+    slow = cv2.blur(np.vstack([polar[-n:], polar, polar[:n]]), (1, 2 * (n // 2) + 1))[n:-n]
+    strength: F64 = ((polar - slow) ** 2).astype(np.float64)
+    strength[(rows < 0) | (rows > grey.shape[0] - 1) | (cols < 0) | (cols > grey.shape[1] - 1)] = 0
+    return strength
+
+
+def _end_of_pattern(grey: U8, disc: Disc, low: float, high: float) -> _Rim:
+    """The radius, `low` to `high` times the disc's, across which the pattern ends.
+
+    Taken over all angles, so that a marker that ends short of the rim does not matter; a wrong centre smears the
+    end, so its sharpness is largest at the right one.
+    """
+    n = max(round(0.03 * disc.radius_px / _RADIAL_STEP_PX), 2)
+    radii = np.arange(low * disc.radius_px - n * _RADIAL_STEP_PX, high * disc.radius_px, _RADIAL_STEP_PX)
+    profile = np.sqrt(_pattern_strength(grey, disc, radii).mean(axis=0))
+    mean = np.convolve(profile, np.ones(n) / n, "valid")  # mean[i] covers i .. i+n-1
+    inner, outer = mean[:-n], mean[n:]
+    if inner.size == 0 or not inner.max() > 0:
+        raise ConfigError("no visible circle found in the reference: the pattern has no end")
+    # A fall to nothing counts more than the larger fall from one row of markers to the next.
+    fall = inner * (inner - outer) / (outer + 0.05 * inner.max())
+    best = int(np.argmax(fall))
+    edge = best + n
+    # To half of the fall, between two radii.
+    half = (profile[edge - n : edge].mean() + profile[edge : edge + n].mean()) / 2
+    below = np.flatnonzero(profile[edge - n : edge + n] < half)
+    k = edge - n + int(below[0]) if below.size else edge
+    part = (profile[k - 1] - half) / max(profile[k - 1] - profile[k], 1e-9) if k > 0 else 0.0
+    radius = float(radii[k] - _RADIAL_STEP_PX * (1 - min(max(part, 0.0), 1.0)))
+    return _Rim(
+        Disc(disc.row_c, disc.col_c, radius),
+        sharpness=float(fall[best]),
+        fall=float(outer[best] / max(inner[best], 1e-9)),
+    )
+
+
+def marker_pitch_px(grey: U8, disc: Disc) -> float:
+    """Pin-to-pin distance of the hexagonal lattice at the middle of the disc.
+
+    The first ring of the lattice's spectrum lies at 2 / (√3 pitch); it is found in the mean power over all
+    directions of the middle of the disc (there perspective stretches the lattice least).
+
+    Raises
+    ------
+    ConfigError
+        No periodic pattern.
+    """
+    half = max(int(0.5 * disc.radius_px), 8)
+    row, col = round(disc.row_c), round(disc.col_c)
+    patch = grey[max(row - half, 0) : row + half, max(col - half, 0) : col + half].astype(np.float32)
+    patch = patch - cv2.blur(patch, (2 * (half // 3) + 1, 2 * (half // 3) + 1))
+    window = np.hanning(patch.shape[0])[:, None] * np.hanning(patch.shape[1])[None, :]
+    size = 1024
+    power = np.abs(np.fft.rfft2(patch * window, s=(size, size))) ** 2
+    frequency = np.hypot(np.fft.fftfreq(size)[:, None], np.fft.rfftfreq(size)[None, :])
+    bins = np.minimum((frequency * size).astype(int), size // 2)
+    ring = np.bincount(bins.ravel(), weights=power.ravel()) / np.maximum(np.bincount(bins.ravel()), 1)
+    low, high = int(size * 4 / half), int(size * 0.25)
+    band = ring[low:high]
+    if band.size < 8 or not band.max() > 0:
+        raise ConfigError("no marker pattern found in the reference: the visible circle is too small")
+    smooth = np.convolve(band, np.ones(5) / 5, "same")
+    peaks = np.flatnonzero((smooth[1:-1] >= smooth[:-2]) & (smooth[1:-1] > smooth[2:])) + 1
+    strong = [int(p) for p in peaks if smooth[p] >= 0.3 * smooth.max()]
+    if not strong or smooth.max() < 5 * np.median(smooth):
+        raise ConfigError("no marker pattern found in the reference: its spectrum has no clear ring")
+    first = strong[0]  # the lowest strong ring: a honeycomb's second ring can be the stronger one
+    near = slice(max(first - 4, 0), first + 5)
+    weights = smooth[near]
+    peak = float((weights * np.arange(band.size)[near]).sum() / weights.sum()) + low + 0.5
+    return float(2 / np.sqrt(3) * size / peak)
+
+
+def mean_image(images: list[U8]) -> U8:
+    """Rounded mean of equally sized grey images."""
+    total: F32 = np.zeros(images[0].shape, dtype=np.float32)
+    for image in images:
+        total += image
+    mean: U8 = np.rint(total / len(images)).astype(np.uint8)
+    return mean
