@@ -1,0 +1,32 @@
+"""``tacshade-edge run``: the daemon."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import signal
+from pathlib import Path
+
+from tacshade_edge.cli.check_config import DEFAULT_CONFIG
+from tacshade_edge.daemon.app import App
+from tacshade_edge.devices import registry
+from tacshade_edge.settings import load
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's options."""
+    parser.add_argument(
+        "--config", type=Path, default=DEFAULT_CONFIG, metavar="FILE", help="settings (default: %(default)s)"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run until SIGTERM, SIGINT, or the end of a finite source."""
+    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
+    document = load(args.config)
+    registry.check_files(document)
+    app = App(document, registry.make_source(document.settings.source), registry.load_calibration(document))
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: app.stop())
+    app.run()
+    return 0

@@ -1,0 +1,210 @@
+"""The daemon: the only place that wires source, reconstructor and broker, and the main thread's loop.
+
+docs/architecture.md lists the threads and the queues between them.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from dataclasses import dataclass, replace
+from queue import Empty, SimpleQueue
+from typing import Any
+
+import cv2
+import numpy as np
+
+from tacshade_edge import __version__
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.daemon.health import Health
+from tacshade_edge.daemon.ledger import FrameLedger, Outcome
+from tacshade_edge.daemon.pipeline import Crash, Pipeline, crashes_to
+from tacshade_edge.daemon.publisher import Publisher
+from tacshade_edge.daemon.requests import Requests
+from tacshade_edge.daemon.workers import SourceState
+from tacshade_edge.devices import registry
+from tacshade_edge.devices.base import FrameSource
+from tacshade_edge.protocol import messages
+from tacshade_edge.protocol.messages import Request
+from tacshade_edge.settings import Document, digest
+from tacshade_edge.types import Calibration
+
+_log = logging.getLogger(__name__)
+
+HEALTH_PERIOD_S = 1.0
+PREVIEW_PERIOD_S = 0.25
+PREVIEW_WIDTH_PX = 320
+STALL_S = 3.0
+EVENTS_MAX = 16
+# Together under 2 s, whatever hangs.
+STOP_THREADS_S, STOP_FRAMES_S, STOP_LINK_S = 0.8, 0.2, 0.6
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """Someone wants the daemon to end."""
+
+
+Event = Stop | Crash | SourceState | Request
+
+
+class App:
+    """One sensor's daemon.
+
+    Parameters
+    ----------
+    document : Document
+    source : FrameSource
+    calibration : Calibration
+    """
+
+    def __init__(self, document: Document, source: FrameSource, calibration: Calibration) -> None:
+        settings = document.settings
+        self._digest = digest(settings)
+        # SimpleQueue: the one queue that a signal handler may put into.
+        self._events: SimpleQueue[Event] = SimpleQueue()
+        self._source = source
+        self._ledger = FrameLedger()
+        self._link = registry.make_link(document, on_request=self._on_request, on_outcome=self._on_outcome)
+        self._publisher = Publisher(self._link.offer)
+        self._pipeline = Pipeline(
+            source,
+            Reconstructor(calibration, PROFILES[settings.profile]),
+            self._publisher,
+            self._ledger,
+            self._events.put,
+        )
+        self._health = Health(self._ledger, self._pipeline.timings)
+        self._requests = Requests(self._pipeline.reconstruct, self._link.reply, self._status, self._tell_info)
+        self._camera = SourceState("away", "starting")
+        self._told: SourceState | None = None
+        self._latest_health: dict[str, Any] = {}
+        self._previewed = -1
+
+    def stop(self) -> None:
+        """Ask `run` to end; may be called from any thread and from a signal handler."""
+        self._events.put(Stop())
+
+    def run(self) -> None:
+        """Work until `stop` or the end of a finite source.
+
+        Raises
+        ------
+        ConfigError
+            The source can never work.
+        BaseException
+            Whatever left a thread: the broker then publishes the last will.
+        """
+        with crashes_to(self._events.put):
+            self._tell_info()
+            self._tell_camera()
+            self._link.start()
+            self._pipeline.start()
+            self._loop()
+            self._shut_down()
+
+    def _loop(self) -> None:
+        next_health_s = next_preview_s = time.monotonic()
+        while True:
+            now_s = time.monotonic()
+            if now_s >= next_health_s:
+                next_health_s = now_s + HEALTH_PERIOD_S
+                self._tell_health()
+            if now_s >= next_preview_s:
+                next_preview_s = now_s + PREVIEW_PERIOD_S
+                self._tell_preview()
+            self._tell_camera()
+            self._requests.poll()
+            try:
+                event = self._events.get(timeout=max(0.0, min(next_health_s, next_preview_s) - time.monotonic()))
+            except Empty:
+                continue
+            if isinstance(event, Stop):
+                return
+            if isinstance(event, Crash):
+                event.error.add_note(f"in thread {event.thread}")
+                raise event.error
+            if isinstance(event, Request):
+                self._requests.handle(event)
+            else:
+                self._camera = event
+                if event.state == "ended":
+                    _log.info("source ended")
+                    return
+
+    def _shut_down(self) -> None:
+        """Finish what is on its way, account for the rest, say goodbye."""
+        self._pipeline.stop(STOP_THREADS_S)
+        given_up = self._ledger.close(STOP_FRAMES_S)
+        if given_up:
+            _log.warning("%d frames could not be sent before the stop", given_up)
+        self._tell_health()
+        self._tell_camera(replace(self._camera, state="ended", reason="stopped"))
+        self._link.stop(STOP_LINK_S)
+        _log.info("stopped: %s", self._ledger.counts().as_dict())
+
+    # What other threads call: count or enqueue, nothing else.
+
+    def _on_request(self, request: Request) -> None:
+        if self._events.qsize() >= EVENTS_MAX:
+            error = messages.encode_error(request.transaction, f"busy: {EVENTS_MAX} requests are waiting, try again")
+            self._link.reply(request, error)
+        else:
+            self._events.put(request)
+
+    def _on_outcome(self, stream: str, seq: int, outcome: Outcome) -> None:
+        if stream == "height":
+            self._ledger.settle(seq, outcome)
+
+    # What is told.
+
+    def _camera_now(self) -> SourceState:
+        """The source's state, with a stall that only the clock shows."""
+        silent_s = (time.monotonic_ns() - self._pipeline.grab.last_frame_ns) / 1e9
+        if self._camera.state == "streaming" and silent_s > STALL_S:
+            return SourceState("away", f"no frame for more than {STALL_S:.0f} s", self._camera.details)
+        return self._camera
+
+    def _tell_camera(self, state: SourceState | None = None) -> None:
+        camera = state or self._camera_now()
+        if camera == self._told:
+            return
+        self._told = camera
+        _log.info("source %s%s", camera.state, f": {camera.reason}" if camera.reason else "")
+        self._link.set_retained("status/camera", messages.encode_status(camera.state, camera.reason, camera.details))
+        if camera.state != "ended":
+            self._link.set_retained("state", b"online" if camera.state == "streaming" else b"degraded")
+
+    def _tell_info(self) -> None:
+        reconstructor = self._pipeline.reconstruct.reconstructor
+        info = messages.encode_info(
+            version=__version__,
+            config_digest=self._digest,
+            profile=reconstructor.profile.name,
+            calibration=reconstructor.calibration,
+        )
+        self._link.set_retained("info", info)
+
+    def _status(self) -> dict[str, Any]:
+        """The latest ``health`` and the state, for ``req/status``."""
+        camera = self._camera_now()
+        return {"source": camera.state, "reason": camera.reason, "health": self._latest_health}
+
+    def _tell_health(self) -> None:
+        latest = self._publisher.latest
+        self._latest_health = self._health.snapshot(
+            latest[1] if latest else None, self._source.dropped, self._link.counters()
+        )
+        self._publisher.fps = self._latest_health["delivered_fps"]
+        self._link.set_retained("health", messages.encode_health(self._latest_health), qos=0)
+
+    def _tell_preview(self) -> None:
+        latest = self._publisher.latest
+        if latest is None or not self._link.connected or latest[0].seq == self._previewed:
+            return
+        image = latest[0].image
+        self._previewed = latest[0].seq
+        size = (PREVIEW_WIDTH_PX, round(PREVIEW_WIDTH_PX * image.shape[0] / image.shape[1]))
+        _, jpeg = cv2.imencode(".jpg", cv2.resize(np.asarray(image), size, interpolation=cv2.INTER_AREA))
+        self._link.offer("preview", jpeg.tobytes(), latest[0].seq)

@@ -1,0 +1,120 @@
+"""From settings to devices: the one table of sources, and what can be checked without opening anything."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from tacshade_edge.devices import calibration_file
+from tacshade_edge.devices.base import FrameSource
+from tacshade_edge.devices.mqtt import MqttLink
+from tacshade_edge.devices.mqtt_outlet import Outcome
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.protocol.messages import Request
+from tacshade_edge.settings import Document, Files, Simulated, Source, V4l2
+from tacshade_edge.types import Calibration
+
+
+def _v4l2(source: V4l2) -> FrameSource:
+    from tacshade_edge.devices.v4l2 import V4l2Source
+
+    return V4l2Source(
+        device=source.device,
+        width_px=source.width_px,
+        height_px=source.height_px,
+        fps=source.fps,
+        fourcc=source.fourcc,
+        exposure=source.exposure,
+    )
+
+
+def _files(source: Files) -> FrameSource:
+    from tacshade_edge.devices.files import FilesSource
+
+    return FilesSource(path=Path(source.path), fps=source.fps, loop=source.loop)
+
+
+def _simulated(source: Simulated) -> FrameSource:
+    from tacshade_edge.devices.simulated import SimulatedSource
+
+    return SimulatedSource(fps=source.fps)
+
+
+# The modules are imported on demand: a camera needs no simulator.
+SOURCES: dict[type, Callable[[Any], FrameSource]] = {V4l2: _v4l2, Files: _files, Simulated: _simulated}
+
+
+def make_source(source: Source) -> FrameSource:
+    """The frame source that the settings name, not opened."""
+    return SOURCES[type(source)](source)
+
+
+def load_calibration(document: Document) -> Calibration:
+    """Load the calibration that the settings name, and check that it fits the source.
+
+    Raises
+    ------
+    ConfigError
+    """
+    settings = document.settings
+    try:
+        calibration = calibration_file.load(settings.calibration)
+    except ConfigError as error:
+        raise ConfigError(f"{document.where('calibration')}: {error}") from error
+    source = settings.source
+    size = (calibration.image_width_px, calibration.image_height_px)
+    if isinstance(source, V4l2) and (source.width_px, source.height_px) != size:
+        raise ConfigError(
+            f"{document.where('source', 'width_px')}: found {source.width_px}x{source.height_px} px, "
+            f"expected {size[0]}x{size[1]} px, the size of the calibration's images"
+        )
+    return calibration
+
+
+def read_password(document: Document) -> str | None:
+    """First line of the password file; None without one. Raises ConfigError."""
+    mqtt = document.settings.mqtt
+    if mqtt.password_file is None:
+        return None
+    where = document.where("mqtt", "password_file")
+    if mqtt.username is None:
+        raise ConfigError(f"{where}: found a password without a user name, expected mqtt.username too")
+    try:
+        password = Path(mqtt.password_file).read_text(encoding="utf-8").partition("\n")[0].rstrip("\r")
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise ConfigError(f"{where}: {mqtt.password_file}: {reason}, expected a file with the password") from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{where}: {mqtt.password_file}: found no UTF-8 text, expected the password") from error
+    if not password:
+        raise ConfigError(f"{where}: {mqtt.password_file}: found an empty first line, expected the password")
+    return password
+
+
+def check_files(document: Document) -> None:
+    """Check the files of the source and of the broker's settings. Raises ConfigError."""
+    source, mqtt = document.settings.source, document.settings.mqtt
+    if isinstance(source, Files) and not Path(source.path).exists():
+        raise ConfigError(f"{document.where('source', 'path')}: found no {source.path}, expected images or a video")
+    if mqtt.ca_file is not None and not Path(mqtt.ca_file).is_file():
+        raise ConfigError(f"{document.where('mqtt', 'ca_file')}: found no file {mqtt.ca_file}, expected a PEM file")
+    read_password(document)
+
+
+def make_link(
+    document: Document, on_request: Callable[[Request], None], on_outcome: Callable[[str, int, Outcome], None]
+) -> MqttLink:
+    """The link to the broker that the settings name, not started. Raises ConfigError."""
+    settings = document.settings
+    return MqttLink(
+        host=settings.mqtt.host,
+        port=settings.mqtt.port,
+        base_topic=f"tacshade/{settings.sensor_id}",
+        client_id=f"tacshade-{settings.sensor_id}",
+        username=settings.mqtt.username,
+        password=read_password(document),
+        tls_ca=settings.mqtt.ca_file,
+        on_request=on_request,
+        on_outcome=on_outcome,
+    )

@@ -1,0 +1,78 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from painted_sensor import painted_calibration
+
+from tacshade_edge.cli import EXIT_CONFIG, main
+from tacshade_edge.devices import calibration_file
+from tacshade_edge.settings import json_schema
+
+GOOD = "calibration: c.npz\nsource: {kind: simulated}\n"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    calibration_file.save(tmp_path / "c.npz", painted_calibration())
+    return tmp_path
+
+
+def check(folder: Path, text: str) -> int:
+    path = folder / "s.yaml"
+    path.write_text(text)
+    return main(["check-config", str(path)])
+
+
+def test_a_good_file_is_ok(folder: Path, capsys: Any) -> None:
+    (folder / "password").write_text("secret\n")
+    assert check(folder, GOOD + "mqtt: {username: a, password_file: password}\n") == 0
+    assert capsys.readouterr().out == f"{folder}/s.yaml: ok\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (GOOD + "mqtt: {prot: 1}\n", "s.yaml:3: mqtt.prot: found an unknown key"),
+        ("source: {kind: simulated}\ncalibration: none.npz\n", "s.yaml:2: calibration: {folder}/none.npz: "),
+        ("calibration: s.yaml\nsource: {kind: simulated}\n", "s.yaml:1: calibration: {folder}/s.yaml: "),
+        ("calibration: cut.npz\nsource: {kind: simulated}\n", "s.yaml:1: calibration: {folder}/cut.npz: "),
+        ("calibration: c.npz\n", "s.yaml: source.width_px: found 640x480 px, expected 160x120 px, the size of the"),
+        (
+            "calibration: c.npz\nsource: {kind: files, path: absent}\n",
+            "s.yaml:2: source.path: found no {folder}/absent",
+        ),
+        (GOOD + "mqtt: {ca_file: no.pem}\n", "s.yaml:3: mqtt.ca_file: found no file {folder}/no.pem, expected a PEM"),
+        (GOOD + "mqtt: {username: a, password_file: absent}\n", "s.yaml:3: mqtt.password_file: {folder}/absent: No"),
+        (GOOD + "mqtt: {password_file: s.yaml}\n", "s.yaml:3: mqtt.password_file: found a password without a user"),
+        (
+            GOOD + "mqtt: {username: a, password_file: empty}\n",
+            "s.yaml:3: mqtt.password_file: {folder}/empty: found an",
+        ),
+        (
+            GOOD + "mqtt: {username: a, password_file: c.npz}\n",
+            "s.yaml:3: mqtt.password_file: {folder}/c.npz: found no",
+        ),
+    ],
+)
+def test_a_mistake_is_one_line_and_exit_78(folder: Path, capsys: Any, text: str, said: str) -> None:
+    (folder / "empty").touch()
+    (folder / "cut.npz").write_bytes((folder / "c.npz").read_bytes()[:-300])
+    assert check(folder, text) == EXIT_CONFIG
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith(f"tacshade-edge: {folder}/{said.format(folder=folder)}")
+    assert printed.err.count("\n") == 1
+
+
+def test_a_missing_file_is_one_line_and_exit_78(tmp_path: Path, capsys: Any) -> None:
+    assert main(["check-config", str(tmp_path / "none.yaml")]) == EXIT_CONFIG
+    expected = f"tacshade-edge: {tmp_path}/none.yaml: No such file or directory, expected a settings file\n"
+    assert capsys.readouterr().err == expected
+
+
+def test_the_schema_is_printed_without_a_file(capsys: Any) -> None:
+    assert main(["check-config", "--schema"]) == 0
+    assert json.loads(capsys.readouterr().out) == json_schema()

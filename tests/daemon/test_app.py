@@ -1,0 +1,282 @@
+"""The daemon in this process: real threads, a real broker, a scripted camera."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port, wait_until
+from painted_sensor import touched_depth_mm
+
+from tacshade_edge.daemon.app import App
+from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
+from tacshade_edge.protocol import wire
+from tacshade_edge.settings import Document, load
+from tacshade_edge.types import U8, Calibration
+
+pytestmark = [pytest.mark.broker, pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")]
+BASE = "tacshade/hand-1"
+GONE = DeviceError("camera /dev/video9: gone")
+STOP_S = 2.0
+
+
+@pytest.fixture
+def broker(tmp_path: Path) -> Iterator[Broker]:
+    with Broker(tmp_path) as started:
+        yield started
+
+
+@pytest.fixture
+def seen(broker: Broker) -> Iterator[Subscriber]:
+    with Subscriber(broker.port) as subscriber:
+        yield subscriber
+
+
+def paced(image: U8, frames: int | None = None, period_s: float = 0.02) -> Iterator[Any]:
+    """`frames` (None: for ever) of one picture at 50 per second."""
+    pause = threading.Event()
+    sent = 0
+    while frames is None or sent < frames:
+        yield image
+        yield lambda: pause.wait(period_s)
+        sent += 1
+
+
+def document(folder: Path, port: int) -> Document:
+    path = folder / "settings.yaml"
+    path.write_text(
+        f"sensor_id: hand-1\nsource: {{kind: simulated}}\nmqtt: {{host: 127.0.0.1, port: {port}}}\n", encoding="utf-8"
+    )
+    return load(path)
+
+
+class Running:
+    """An app in a thread of its own; `end` stops it and tells how long that took."""
+
+    def __init__(self, settings: Document, source: Any, calibration: Calibration) -> None:
+        self.app = App(settings, source, calibration)
+        self.error: BaseException | None = None
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self) -> None:
+        try:
+            self.app.run()
+        except (ConfigError, ZeroDivisionError) as error:
+            self.error = error
+
+    def end(self) -> float:
+        began = time.monotonic()
+        self.app.stop()
+        return self.join() - began
+
+    def join(self) -> float:
+        self._thread.join(20)
+        assert not self._thread.is_alive()
+        return time.monotonic()
+
+
+def states(seen: Subscriber) -> list[str]:
+    return [payload.decode() for payload in seen.of(f"{BASE}/state")]
+
+
+def last(seen: Subscriber, topic: str) -> Any:
+    payloads = seen.of(f"{BASE}/{topic}")
+    return json.loads(payloads[-1]) if payloads else {}
+
+
+def assert_accounted(frames: dict[str, int]) -> None:
+    assert frames["pending"] == 0
+    parts = ("published", "superseded", "without_contact", "invalid", "failed")
+    assert frames["captured"] == sum(frames[name] for name in parts)
+
+
+def test_from_frames_to_a_subscriber_with_every_frame_accounted_for(
+    tmp_path: Path, broker: Broker, seen: Subscriber, calibration: Calibration, pictures: Any, scripted: Any
+) -> None:
+    script = [
+        *paced(pictures.free, 20),
+        *paced(pictures.touched, 20),
+        DecodeError("torn"),
+        *paced(pictures.free, 10),
+        *paced(pictures.black, 5),
+        *paced(pictures.touched, 3),
+        None,
+    ]
+    wall_before = time.time_ns()
+    app = Running(document(tmp_path, broker.port), scripted(paced_start(seen), [*script]), calibration)
+    app.join()
+    assert app.error is None
+    wait_until(lambda: states(seen)[-1:] == ["stopped"], 5, "stopped")
+    wait_until(lambda: last(seen, "health").get("frames", {}).get("captured") == 59, 5, "the last health")
+
+    frames = last(seen, "health")["frames"]
+    assert_accounted(frames)
+    assert (frames["captured"], frames["failed"]) == (59, 1)
+    heights = [wire.decode(p) for p in seen.of(f"{BASE}/height")]
+    assert len(heights) == frames["published"]
+    assert [h.seq for h in heights] == sorted({h.seq for h in heights})
+    deepest = max(float(np.nanmax(h.height_mm)) for h in heights if isinstance(h, wire.HeightMessage))
+    assert deepest == pytest.approx(touched_depth_mm(), abs=0.001)
+    released = [h for h in heights if not h.contact]
+    assert [h.invalid for h in released] == [False]
+    assert heights[0].calibration_crc32 == calibration.crc32
+    assert wall_before < heights[0].wall_ns < time.time_ns()
+    clouds = [wire.decode(p) for p in seen.of(f"{BASE}/cloud")]
+    assert clouds
+    assert all(c.contact for c in clouds)
+    contacts = [json.loads(p) for p in seen.of(f"{BASE}/contact")]
+    assert {c["contact"] for c in contacts} == {0, 1}
+    info = last(seen, "info")
+    assert (info["profile"], info["geometry"]["calibration_crc32"]) == ("fast", calibration.crc32)
+    health = last(seen, "health")
+    assert health["latency_ms"]["p50"] > 0
+    assert {"wait", "check", "grey", "gate", "deliver"} <= set(health["stages_ms"])
+    preview = cv2.imdecode(np.frombuffer(seen.of(f"{BASE}/preview")[0], np.uint8), cv2.IMREAD_UNCHANGED)
+    assert preview.shape[:2] == (240, 320)
+
+
+def paced_start(seen: Subscriber) -> list[Any]:
+    """An opening that waits until the daemon is connected, so that nothing is lost, then fails once."""
+
+    def connected() -> None:
+        wait_until(lambda: seen.of(f"{BASE}/info"), 10, "info")
+
+    return [connected, GONE]
+
+
+def test_a_lost_camera_degrades_and_a_new_one_brings_the_stream_back(
+    tmp_path: Path, broker: Broker, seen: Subscriber, calibration: Calibration, pictures: Any, scripted: Any
+) -> None:
+    source = scripted([*paced(pictures.free, 10), GONE], GONE, GONE, paced(pictures.touched))
+    app = Running(document(tmp_path, broker.port), source, calibration)
+    try:
+        seen.wait_for(f"{BASE}/height", 5, 10)
+        wait_until(lambda: states(seen)[-1:] == ["online"], 5, "online again")
+    finally:
+        took_s = app.end()
+    assert took_s < STOP_S
+    assert states(seen)[-3:-1] == ["degraded", "online"]
+    cameras = [json.loads(p) for p in seen.of(f"{BASE}/status/camera")]
+    assert {"state": "away", "reason": str(GONE)} in cameras
+    assert {"state": "streaming", "reason": "", "script": "test"} in cameras
+    wait_until(lambda: states(seen)[-1] == "stopped", 5, "stopped")
+    assert_accounted(last(seen, "health")["frames"])
+
+
+def test_a_stop_is_quick_while_the_camera_hangs(
+    tmp_path: Path, broker: Broker, seen: Subscriber, calibration: Calibration, pictures: Any, scripted: Any
+) -> None:
+    release = threading.Event()
+    app = Running(document(tmp_path, broker.port), scripted([pictures.free, release.wait, None]), calibration)
+    try:
+        wait_until(
+            lambda: "online" in states(seen) and last(seen, "status/camera")["state"] == "streaming", 10, "online"
+        )
+        assert app.end() < STOP_S
+        wait_until(lambda: states(seen)[-1] == "stopped", 5, "stopped")
+        assert_accounted(last(seen, "health")["frames"])
+    finally:
+        release.set()
+
+
+def test_a_silent_camera_degrades_after_the_stall_time(
+    tmp_path: Path, broker: Broker, seen: Subscriber, calibration: Calibration, pictures: Any, scripted: Any
+) -> None:
+    release = threading.Event()
+    script = [pictures.free, release.wait, *paced(pictures.free, 20), None]
+    app = Running(document(tmp_path, broker.port), scripted(script), calibration)
+    wait_until(lambda: last(seen, "status/camera").get("state") == "streaming", 10, "streaming")
+    wait_until(lambda: last(seen, "status/camera")["reason"].startswith("no frame for more than"), 10, "stalled")
+    assert states(seen)[-1] == "degraded"
+    release.set()
+    app.join()
+    wait_until(lambda: states(seen)[-1] == "stopped", 5, "stopped")
+    assert "online" in states(seen)[states(seen).index("degraded") :]
+
+
+def test_a_stop_is_quick_without_a_broker_and_while_it_hangs(
+    tmp_path: Path, broker: Broker, calibration: Calibration, pictures: Any, scripted: Any
+) -> None:
+    absent = Running(document(tmp_path, free_port()), scripted(paced(pictures.touched)), calibration)
+    ledger = absent.app._ledger
+    wait_until(lambda: ledger.counts().captured > 20, 10, "frames without a broker")
+    assert absent.end() < STOP_S
+    assert_accounted(ledger.counts().as_dict())
+    assert ledger.counts().published == 0
+
+    stalled = Running(document(tmp_path, broker.port), scripted(paced(pictures.touched)), calibration)
+    ledger = stalled.app._ledger
+    wait_until(lambda: ledger.counts().published > 5, 10, "frames at the broker")
+    broker.stall()
+    try:
+        assert stalled.end() < STOP_S
+    finally:
+        broker.resume()
+    assert_accounted(ledger.counts().as_dict())
+
+
+def ask(seen: Subscriber, verb: str, **body: Any) -> Any:
+    """The reply to one request."""
+    topic = f"{BASE}/res/{verb}"
+    before = len(seen.of(topic))
+    seen.publish(f"{BASE}/req/{verb}", json.dumps({"transaction": f"t{before}", **body}).encode())
+    answer = json.loads(seen.wait_for(topic, before + 1, 10)[-1])
+    assert answer.pop("transaction") == f"t{before}"
+    return answer
+
+
+def test_requests(
+    tmp_path: Path, broker: Broker, seen: Subscriber, calibration: Calibration, pictures: Any, scripted: Any
+) -> None:
+    touch = threading.Event()
+
+    def stream() -> Iterator[Any]:
+        pause = threading.Event()
+        while True:
+            yield pictures.touched if touch.is_set() else pictures.free
+            yield lambda: pause.wait(0.02)
+
+    app = Running(document(tmp_path, broker.port), scripted(stream()), calibration)
+    try:
+        wait_until(lambda: "online" in states(seen) and seen.of(f"{BASE}/health"), 10, "online")
+        status = ask(seen, "status")
+        assert status["ok"] is True
+        assert status["result"]["source"] == "streaming"
+        assert status["result"]["health"]["frames"]["captured"] >= 0
+
+        assert ask(seen, "profile", profile="paper") == {"ok": True, "result": {"profile": "paper"}}
+        wait_until(lambda: last(seen, "info")["profile"] == "paper", 5, "info tells the profile")
+        refused = ask(seen, "profile", profile="slow")
+        assert refused == {"ok": False, "error": "profile: found slow, expected one of paper, fast"}
+        ask(seen, "profile", profile="fast")
+
+        taken = ask(seen, "reference")
+        assert taken["ok"] is True, taken
+        assert taken["result"]["frames"] == 10
+        crc = taken["result"]["calibration_crc32"]
+        wait_until(lambda: last(seen, "info")["geometry"]["calibration_crc32"] == crc, 5, "info tells the reference")
+        touch.set()
+        heights = seen.wait_for(f"{BASE}/height", len(seen.of(f"{BASE}/height")) + 1, 5)
+        assert wire.decode(heights[-1]).calibration_crc32 == crc
+        refused = ask(seen, "reference")
+        assert refused["ok"] is False
+        assert "shows contact" in refused["error"]
+    finally:
+        app.end()
+
+
+def test_a_source_that_can_never_work_ends_the_daemon(
+    tmp_path: Path, broker: Broker, calibration: Calibration, scripted: Any
+) -> None:
+    app = Running(document(tmp_path, broker.port), scripted(ConfigError("x: found nothing")), calibration)
+    app.join()
+    assert str(app.error) == "x: found nothing"
+    app.app._link.stop(1)

@@ -1,0 +1,58 @@
+"""A small painted sensor, an image a millisecond, for tests of what surrounds the core."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from tacshade_edge.core.greyscale import binarise
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.devices.calibration_file import with_crc
+from tacshade_edge.types import U8, Calibration, Disc, Frame, Geometry
+
+HEIGHT, WIDTH, PITCH_PX = 120, 160, 8.0
+DISC = Disc(59.5, 79.5, 52.0)
+
+
+def painted(*, touched: bool = False) -> U8:
+    """White markers on a dark disc; larger markers in the middle where touched."""
+    image = np.full((HEIGHT, WIDTH), 30, dtype=np.uint8)
+    for i, row in enumerate(np.arange(4, HEIGHT, PITCH_PX)):
+        for col in np.arange(4 + (i % 2) * PITCH_PX / 2, WIDTH, PITCH_PX):
+            pressed = touched and np.hypot(row - DISC.row_c, col - DISC.col_c) < 20
+            cv2.circle(image, (round(col), round(row)), 3 if pressed else 2, 200, -1)
+    return image
+
+
+def painted_calibration() -> Calibration:
+    grey = painted()
+    rows, cols = np.ogrid[:HEIGHT, :WIDTH]
+    mask = (np.hypot(rows - DISC.row_c, cols - DISC.col_c) <= DISC.radius_px).astype(np.uint8)
+    return with_crc(
+        Calibration(
+            geometry=Geometry(20.0, 30.0, 50.0, DISC),
+            polarity="bright",
+            binarisation="adaptive",
+            image_height_px=HEIGHT,
+            image_width_px=WIDTH,
+            pitch_px=PITCH_PX,
+            reference_white=255 * binarise(grey, mask, "adaptive", PITCH_PX),
+            reference_grey=grey,
+            noise_grey=0.5,
+            alpha=15.0,
+            table_grey=np.array([0, 60], dtype=np.float32),
+            table_depth_mm=np.array([0, 3], dtype=np.float32),
+            table_gain=np.ones(2, dtype=np.float32),
+        )
+    )
+
+
+FREE, TOUCHED, BLACK = painted(), painted(touched=True), np.zeros((HEIGHT, WIDTH), dtype=np.uint8)
+
+
+def touched_depth_mm() -> float:
+    """What the core makes of `TOUCHED` with the profile `fast`: a subscriber must find the same."""
+    result = Reconstructor(painted_calibration(), PROFILES["fast"]).step(Frame(0, 0, 0, TOUCHED))
+    assert result.contact
+    return float(np.nanmax(result.height.height_mm))
