@@ -222,6 +222,19 @@ class TestAway:
             rig.link.stop(2)
         assert rig.outcomes["height"] == [(s, "failed") for s in range(9)] + [(9, "published")]
 
+    def test_undelivered_retained_value_does_not_come_back_over_a_newer_one(self, rig: Rig, broker: Broker) -> None:
+        broker.stall()
+        rig.link.set_retained("status/camera", b"old")  # sent, never acknowledged
+        broker.kill()
+        wait_until(lambda: not rig.link.connected, 3, "the loss is seen")
+        rig.link.set_retained("status/camera", b"new")
+        broker.start()
+        wait_until(lambda: rig.link.connected, BACK_S, "connected")
+        with Subscriber(broker.port, f"{BASE}/#") as late:
+            rig.link.offer("contact", b"{}", 0)  # behind everything that the new connection began with
+            late.wait_for(f"{BASE}/contact")
+            assert set(late.of(f"{BASE}/status/camera")) == {b"new"}
+
     def test_stop_without_a_broker_ends_in_time(self) -> None:
         rig = Rig(free_port())
         rig.link.start()

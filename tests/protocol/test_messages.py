@@ -60,6 +60,7 @@ def test_info_places_a_pixel_in_mm() -> None:
         alpha=15.0,
         table_grey=np.zeros(0, np.float32),
         table_depth_mm=np.zeros(0, np.float32),
+        table_gain=np.zeros(0, np.float32),
         crc32=0xDEADBEEF,
     )
     info = json.loads(messages.encode_info(version="1", config_digest="ab", profile="fast", calibration=calibration))

@@ -78,6 +78,12 @@ class Broker:
             self._process.wait(10)
             self._process = None
 
+    def kill(self) -> None:
+        assert self._process is not None
+        self._process.kill()
+        self._process.wait(10)
+        self._process = None
+
     def stall(self) -> None:
         """The kernel goes on accepting connections and bytes, mosquitto does nothing."""
         self._signal(signal.SIGSTOP)
