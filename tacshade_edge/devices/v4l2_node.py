@@ -1,0 +1,103 @@
+"""What the kernel says of a video device node, asked before and beside OpenCV, which only says no."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from tacshade_edge.errors import DeviceError
+
+# linux/videodev2.h
+_VIDIOC_QUERYCAP = 0x80685600
+_VIDIOC_ENUM_FMT = 0xC0405602
+_VIDIOC_REQBUFS = 0xC0145608
+_BUF_TYPES = (1, 9)  # capture, and the multi-planar one
+_CAPTURE = 0x00000001 | 0x00001000  # V4L2_CAP_VIDEO_CAPTURE, _MPLANE
+_MEMORY_MMAP = 1
+
+
+def check_node(device: str) -> str:
+    """Return the name of the camera behind a device node.
+
+    Raises
+    ------
+    DeviceError
+        When there is no such node, it is not a video capture device, or it may not be opened; one line says which.
+    """
+    with _opened(device) as fd:
+        capability = bytearray(104)
+        try:
+            fcntl.ioctl(fd, _VIDIOC_QUERYCAP, capability)
+        except OSError as error:
+            raise DeviceError(f"camera {device}: its driver does not answer ({os.strerror(error.errno)})") from None
+    if not int.from_bytes(capability[88:92], "little") & _CAPTURE:
+        raise DeviceError(
+            f"camera {device}: this node of the device does not capture video (output or metadata);"
+            " v4l2-ctl --list-devices shows the others"
+        )
+    return capability[16:48].split(b"\0")[0].decode(errors="replace")
+
+
+def formats(device: str) -> list[str]:
+    """The four-character codes of the pixel formats that the device offers. Raises DeviceError as `check_node`."""
+    codes = []
+    with _opened(device) as fd:
+        for buf_type in _BUF_TYPES:
+            for index in range(256):
+                entry = bytearray(64)
+                entry[0:4] = index.to_bytes(4, "little")
+                entry[4:8] = buf_type.to_bytes(4, "little")
+                try:
+                    fcntl.ioctl(fd, _VIDIOC_ENUM_FMT, entry)
+                except OSError:  # the end of the list, EINVAL
+                    break
+                codes.append(entry[44:48].decode("ascii", errors="replace").strip())
+    return codes
+
+
+def is_busy(device: str) -> bool:
+    """Whether another program holds the device's buffers. Ask only after opening failed: it disturbs a stream."""
+    with _opened(device) as fd:
+        for buf_type in _BUF_TYPES:
+            request = bytearray(20)
+            request[4:8] = buf_type.to_bytes(4, "little")
+            request[8:12] = _MEMORY_MMAP.to_bytes(4, "little")
+            try:
+                fcntl.ioctl(fd, _VIDIOC_REQBUFS, request)
+            except OSError as error:
+                if error.errno == errno.EBUSY:
+                    return True
+    return False
+
+
+@contextmanager
+def _opened(device: str) -> Iterator[int]:
+    """Open a node of the video4linux class, or say in one line why not."""
+    expected = "expected a video device such as /dev/video0 or one under /dev/v4l/by-id"
+    try:
+        status = os.stat(device)
+        if not stat.S_ISCHR(status.st_mode):
+            kind = "directory" if stat.S_ISDIR(status.st_mode) else "file"
+            raise DeviceError(f"camera {device}: is a {kind}, {expected}")
+        number = f"{os.major(status.st_rdev)}:{os.minor(status.st_rdev)}"
+        subsystem = Path("/sys/dev/char", number, "subsystem")
+        if subsystem.resolve().name != "video4linux":
+            raise DeviceError(f"camera {device}: is a device but not a video device, {expected}")
+        fd = os.open(device, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
+    except (FileNotFoundError, NotADirectoryError):
+        raise DeviceError(f"camera {device}: no such device, {expected}") from None
+    except PermissionError:
+        raise DeviceError(f"camera {device}: no permission to open it (is the user in the group video?)") from None
+    except ValueError:
+        raise DeviceError(f"camera {device!r}: not a path, {expected}") from None
+    except OSError as error:
+        raise DeviceError(f"camera {device}: cannot be opened ({os.strerror(error.errno)})") from None
+    try:
+        yield fd
+    finally:
+        os.close(fd)
