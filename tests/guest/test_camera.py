@@ -1,0 +1,260 @@
+"""The V4L2 source on the kernel's test driver: real nodes, real time stamps, real faults."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import re
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from tacshade_edge.devices.v4l2 import V4l2Source
+from tacshade_edge.errors import ConfigError, DeviceError
+
+NODE = "/dev/video0"
+WEBCAM = ("node_types=0x1", "num_inputs=1", "input_types=0")
+TRACING = Path("/sys/kernel/tracing")
+
+
+def load_driver(*options: str) -> None:
+    subprocess.run(["modprobe", "vivid", "n_devs=1", *options], check=True)
+
+
+def unload_driver() -> None:
+    """The driver is busy until the last user of its node has let go."""
+    poll(lambda: subprocess.run(["modprobe", "-r", "vivid"], capture_output=True, check=False).returncode == 0)
+
+
+def control(text: str) -> None:
+    subprocess.run(["v4l2-ctl", "-d", NODE, "-c", text], check=True, capture_output=True)
+
+
+def poll(condition: Callable[[], bool], limit_s: float = 10.0) -> None:
+    deadline_s = time.monotonic() + limit_s
+    while not condition():
+        assert time.monotonic() < deadline_s, "waited in vain"
+        threading.Event().wait(0.02)
+
+
+@pytest.fixture
+def webcam() -> Iterator[None]:
+    load_driver(*WEBCAM)
+    yield
+    unload_driver()
+
+
+def source(**changes: object) -> V4l2Source:
+    asked = {"device": NODE, "width_px": 640, "height_px": 480, "fps": 30, "fourcc": "YUYV"} | changes
+    return V4l2Source(**asked)  # type: ignore[arg-type]
+
+
+def read_out(opened: V4l2Source) -> None:
+    """Read what is still in the buffers, and on."""
+    for _ in range(10):
+        opened.read()
+
+
+@pytest.fixture
+def camera(webcam: None) -> Iterator[V4l2Source]:
+    opened = source()
+    opened.open()
+    yield opened
+    opened.close()
+
+
+def test_frames_flow_with_the_kernels_time_stamps(camera: V4l2Source) -> None:
+    frames = [camera.read() for _ in range(50)]
+    described = camera.describe()
+    assert described["time_stamps"] == "kernel"
+    assert (described["format"], described["width_px"], described["height_px"]) == ("YUYV", 640, 480)
+    assert described["fps_stated"] == 25, "asked 30, the driver has 25 at this size and says so"
+    assert described["fps_measured"] == pytest.approx(25, rel=0.02)
+    assert described["exposure"] == described["white_balance"] == "no control"
+    for frame in frames:
+        assert frame is not None
+        assert frame.image.shape == (480, 640)
+        assert frame.image.flags.c_contiguous
+        assert frame.image.std() > 20, "the colour bars"
+        assert 0 <= time.monotonic_ns() - frame.t_ns < 20e9
+        assert abs((time.time_ns() - frame.wall_ns) - (time.monotonic_ns() - frame.t_ns)) < 1e8
+    times_ns = [frame.t_ns for frame in frames if frame]
+    assert all(later > earlier for earlier, later in itertools.pairwise(times_ns))
+
+
+@contextmanager
+def handed_over() -> Iterator[list[tuple[int, int]]]:
+    """Number and time stamp (ns) of each frame, from the kernel's trace: OpenCV hides the number."""
+    handed: list[tuple[int, int]] = []
+    switch = TRACING / "events/v4l2/v4l2_dqbuf/enable"
+    (TRACING / "trace").write_text("")
+    switch.write_text("1")
+    yield handed
+    switch.write_text("0")
+    events = [line for line in (TRACING / "trace").read_text().splitlines() if "v4l2_dqbuf:" in line]
+    for line in events[1:]:  # OpenCV keeps the very first frame to itself
+        fields = dict(re.findall(r"(\w+) = (\d+)", line))
+        handed.append((int(fields["sequence"]), int(fields["timestamp"])))
+
+
+def test_a_frames_time_is_the_kernels(webcam: None) -> None:
+    control("timestamp_source=1")  # start of exposure; by default the driver stamps the end, which is yet to come
+    camera = source()
+    with handed_over() as handed:
+        camera.open()
+        frames = [frame for frame in (camera.read() for _ in range(25)) if frame]
+        camera.close()
+    assert camera.describe()["time_stamps"] == "kernel"
+    assert [frame.t_ns // 1000 for frame in frames] == [stamp_ns // 1000 for _, stamp_ns in handed]
+
+
+@pytest.mark.parametrize("percent", [0, 10])
+def test_inferred_drops_are_the_kernels(webcam: None, percent: int) -> None:
+    control(f"percentage_of_dropped_buffers={percent}")
+    camera = source()
+    with handed_over() as handed:
+        camera.open()
+        frames = [frame for frame in (camera.read() for _ in range(300)) if frame]
+        camera.close()
+    numbers = [number for number, _ in handed]
+    assert len(numbers) == len(frames) == 300
+    truth = numbers[-1] - numbers[0] + 1 - len(numbers)
+    print(f"{percent} %: {truth} lost by the kernel's numbers, {camera.dropped} inferred")
+    assert percent == 0 or 10 <= truth <= 60, "the driver drops at random"
+    assert abs(camera.dropped - truth) <= 2
+    assert abs((frames[-1].seq - frames[0].seq) - (numbers[-1] - numbers[0])) <= 2
+
+
+def test_grey_format(webcam: None) -> None:
+    grey, luma = source(fourcc="GREY"), source()
+    grey.open()
+    frame = grey.read()
+    grey.close()
+    luma.open()
+    other = luma.read()
+    luma.close()
+    assert frame is not None
+    assert other is not None
+    assert frame.image.shape == other.image.shape == (480, 640)
+    # The same bars: GREY is full range, the luma of YUYV is the video range and stays so.
+    assert (frame.image.min(), other.image.min()) == (0, 16)
+    assert int(frame.image.max()) > int(other.image.max())
+
+
+def test_a_format_it_has_not(webcam: None) -> None:
+    with pytest.raises(ConfigError) as caught:
+        source(fourcc="MJPG").open()
+    assert str(caught.value) == ("camera /dev/video0: asked 640x480 MJPG, got 640x480 BGR3 (it offers YUYV, GREY)")
+
+
+def test_a_size_it_has_not(webcam: None) -> None:
+    with pytest.raises(ConfigError, match=r"^camera /dev/video0: asked 648x484 YUYV, got \d+x\d+ YUYV \(it offers"):
+        source(width_px=648, height_px=484).open()
+
+
+def test_an_exposure_it_has_not(webcam: None) -> None:
+    with pytest.raises(ConfigError, match=r"^camera /dev/video0: asked exposure 100, the driver has no such control$"):
+        source(exposure=100).open()
+
+
+def test_by_another_name(webcam: None) -> None:
+    link = Path("/dev/v4l/by-id/usb-test-video-index0")
+    link.parent.mkdir(parents=True, exist_ok=True)
+    link.unlink(missing_ok=True)
+    link.symlink_to(NODE)
+    camera = source(device=str(link))
+    camera.open()
+    assert camera.read() is not None
+    camera.close()
+
+
+def test_in_use_by_another(webcam: None) -> None:
+    command = ["v4l2-ctl", "-d", NODE, "--stream-mmap"]
+    other = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    assert other.stderr is not None
+    assert other.stderr.read(1), "it prints a mark for each frame"
+    with pytest.raises(DeviceError, match=r"^camera /dev/video0: in use by another program$"):
+        source().open()
+    assert other.stderr.read(1), "and is not disturbed"
+    other.kill()
+    other.communicate()
+
+
+def test_a_stalled_camera_does_not_block(camera: V4l2Source) -> None:
+    control("percentage_of_dropped_buffers=100")
+    began_s = time.monotonic()
+    with pytest.raises(DeviceError, match=r"no frame after \d\.\d s, the camera stalls$"):
+        read_out(camera)
+    assert time.monotonic() - began_s < 5
+    control("percentage_of_dropped_buffers=0")
+    camera.open()
+    assert camera.read() is not None
+
+
+def test_a_fatal_error_ends_reading_until_reopened(camera: V4l2Source) -> None:
+    control("inject_fatal_streaming_error=1")
+    for _ in range(2):
+        with pytest.raises(DeviceError, match="the device is gone or its driver stopped"):
+            read_out(camera)
+    camera.open()
+    frames = [camera.read() for _ in range(10)]
+    assert all(frames)
+
+
+def test_unplugged_and_plugged_in_again(camera: V4l2Source) -> None:
+    last = camera.read()
+    assert last is not None
+    keeper = os.open(NODE, os.O_RDWR)  # the driver takes a disconnect back when its last user has gone
+    control("disconnect=1")
+    with pytest.raises(DeviceError, match=r"no frame after 0\.\d s, the device is gone"):
+        read_out(camera)
+    assert Path(NODE).exists()
+    with pytest.raises(DeviceError, match=r"^camera /dev/video0: cannot be opened \(No such device\)$"):
+        camera.open()
+    os.close(keeper)
+    unload_driver()
+    with pytest.raises(DeviceError, match="no such device"):
+        camera.open()
+    plug = threading.Timer(0.5, load_driver, WEBCAM)
+    plug.start()
+    poll(Path(NODE).exists)
+    there_s = time.monotonic()
+    attempts = itertools.count(1)
+
+    def opens() -> bool:
+        next(attempts)
+        try:
+            camera.open()
+        except DeviceError:
+            return False
+        return True
+
+    poll(opens)
+    frame = camera.read()
+    took_s = time.monotonic() - there_s
+    plug.join()
+    assert frame is not None
+    print(f"first frame {took_s:.2f} s after the node, at attempt {next(attempts) - 1}")
+    assert took_s < 2
+    assert frame.seq > last.seq, "numbers go on across a reopening"
+
+
+def test_another_camera_in_its_place_is_the_devices_fault(camera: V4l2Source) -> None:
+    """The configuration has worked: to end as badly configured would keep the service down."""
+    camera.close()
+    unload_driver()
+    load_driver("node_types=0x1", "num_inputs=1", "input_types=3", "ccs_cap_mode=0")
+    with pytest.raises(DeviceError, match="asked 640x480 YUYV, got 1280x720 YUYV"):
+        camera.open()
+
+
+def test_a_node_that_does_not_capture() -> None:
+    load_driver("node_types=0x100", "num_outputs=1", "output_types=1")
+    with pytest.raises(DeviceError, match=r"^camera /dev/video0: this node of the device does not capture video"):
+        source().open()
+    unload_driver()

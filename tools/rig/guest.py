@@ -1,0 +1,183 @@
+#!/usr/bin/env python3
+"""Run a command as root under a real kernel: Debian's, in a software-emulated guest whose root is this machine's.
+
+::
+
+    tools/rig/guest.py [--out DIR] [--limit SECONDS] COMMAND [ARGUMENT...]
+
+The guest sees this machine's files at the same paths, read-only (9p); what it writes goes to memory and is lost,
+except below ``/out``, which is DIR here. COMMAND runs in the tree's folder; its output and its exit status are
+ours. 77 says that the guest cannot be run here (one line tells why), 125 that it did not finish. Only the
+standard library: it must be able to say what is missing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import lzma
+import os
+import platform
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+TREE = HERE.parents[1]
+CACHE = TREE / ".rig"
+BOOT_MODULES = ("virtio_pci", "9pnet_virtio", "9p", "overlay", "virtio_console")
+PROGRAMS = {  # what we call: the Debian package it is in
+    "qemu-system-x86_64": "qemu-system-x86",
+    "busybox": "busybox-static",
+    "cpio": "cpio",
+    "modprobe": "kmod",
+    "depmod": "kmod",
+    "v4l2-ctl": "v4l-utils",
+    "apt-get": "apt",
+    "dpkg": "dpkg",
+}
+EXIT_CANNOT, EXIT_UNFINISHED = 77, 125
+
+
+class CannotRunError(Exception):
+    """The guest cannot be run on this machine; one line says why."""
+
+
+def check() -> None:
+    """Raise CannotRunError when a program that the guest needs is not here."""
+    if platform.machine() != "x86_64":
+        raise CannotRunError(f"the guest needs an x86-64 machine, this one is {platform.machine()}")
+    os.environ["PATH"] += ":/usr/sbin:/sbin"  # kmod's programs, for who is not root
+    missing = sorted({package for program, package in PROGRAMS.items() if not shutil.which(program)})
+    if missing:
+        raise CannotRunError(f"missing Debian packages: {' '.join(missing)} (tools/install_debian.sh installs them)")
+
+
+def kernel() -> tuple[Path, str]:
+    """Unpack Debian's standard kernel once; return the folder that holds it and its version."""
+    ready = sorted(CACHE.glob("kernel-*"), key=lambda path: path.stat().st_mtime)
+    if ready:
+        return ready[-1], ready[-1].name.removeprefix("kernel-")
+    depends = _output("apt-cache", "depends", "linux-image-amd64")
+    found = re.search(r"Depends: linux-image-(\S+)", depends)
+    if not found:
+        raise CannotRunError("apt knows no linux-image-amd64 (the guest boots Debian's kernel; try apt-get update)")
+    version = found[1]
+    CACHE.mkdir(exist_ok=True)
+    print(f"guest: downloading Debian's kernel {version} (70 MB, once)", file=sys.stderr)
+    with tempfile.TemporaryDirectory(dir=CACHE) as scratch:
+        root = Path(scratch, "root")
+        _output("apt-get", "download", "-q", f"linux-image-{version}", cwd=scratch)
+        _output("dpkg", "-x", str(next(Path(scratch).glob("*.deb"))), str(root))
+        _output("depmod", "-b", str(root), version)
+        final = CACHE / f"kernel-{version}"
+        if not final.exists():  # another run may have been faster
+            root.rename(final)
+    return final, version
+
+
+def initramfs(out: Path, root: Path, version: str) -> None:
+    """Write ``out/.initrd``: busybox and the modules that reach the 9p root."""
+    with tempfile.TemporaryDirectory() as scratch:
+        top = Path(scratch)
+        for name in ("bin", "dev", "proc", "sys", "ro", "rw", "new", "modules"):
+            (top / name).mkdir()
+        shutil.copy(shutil.which("busybox") or "", top / "bin/busybox")
+        for number, module in enumerate(_modules(root, version)):
+            content = module.read_bytes()
+            if module.suffix == ".xz":
+                content = lzma.decompress(content)
+            (top / "modules" / f"{number:02}-{module.name.removesuffix('.xz')}").write_bytes(content)
+        text = (HERE / "init.sh").read_text()
+        (top / "init").write_text(text.replace("@MODULES@", f"{root}/lib/modules/{version}"))
+        (top / "init").chmod(0o755)
+        names = "\n".join(str(path.relative_to(top)) for path in sorted(top.rglob("*")))
+        with (out / ".initrd").open("wb") as archive:
+            subprocess.run(
+                ["cpio", "-o", "-H", "newc", "--quiet"], cwd=top, input=names.encode(), stdout=archive, check=True
+            )
+
+
+def _modules(root: Path, version: str) -> list[Path]:
+    """Files of the boot modules and of all they depend on, in loading order."""
+    files: dict[Path, None] = {}
+    for module in BOOT_MODULES:
+        for line in _output("modprobe", "-d", str(root), "-S", version, "--show-depends", module).splitlines():
+            if line.startswith("insmod "):
+                files[Path(line.split()[1])] = None
+    return list(files)
+
+
+def run(command: list[str], out: Path, limit_s: float) -> int:
+    """Boot, run the command, return its exit status."""
+    root, version = kernel()
+    initramfs(out, root, version)
+    (out / ".command").write_text(f"cd {shlex.quote(str(TREE))} && exec {shlex.join(command)}\n")
+    status = out / ".status"
+    status.unlink(missing_ok=True)
+    try:
+        subprocess.run(_qemu(root, version, out), stdin=subprocess.DEVNULL, timeout=limit_s, check=False)
+    except subprocess.TimeoutExpired:
+        print(f"guest: did not finish within {limit_s:g} s", file=sys.stderr)
+        return EXIT_UNFINISHED
+    if not status.exists():
+        print(f"guest: did not reach its end; the console's last lines, from {out}/.console:", file=sys.stderr)
+        print(*(out / ".console").read_text(errors="replace").splitlines()[-20:], sep="\n", file=sys.stderr)
+        return EXIT_UNFINISHED
+    return int(status.read_text())
+
+
+def _qemu(root: Path, version: str, out: Path) -> list[str]:
+    """Software emulation only: hardware virtualisation is not everywhere, and its timing would differ."""
+    share = "security_model=none,multidevs=remap"
+    return [
+        *("qemu-system-x86_64", "-M", "q35,usb=off", "-accel", "tcg,thread=multi", "-cpu", "max"),
+        *("-smp", "2", "-m", "1536", "-nodefaults", "-no-user-config", "-display", "none", "-no-reboot"),
+        *("-kernel", f"{root}/boot/vmlinuz-{version}", "-initrd", f"{out}/.initrd"),
+        *("-append", "console=ttyS0 quiet panic=-1 mitigations=off nokaslr audit=0 tsc=reliable"),
+        *("-chardev", f"file,id=console,path={out}/.console", "-serial", "chardev:console"),
+        *("-device", "virtio-serial-pci", "-chardev", "stdio,id=out,signal=off"),
+        *("-device", "virtconsole,chardev=out", "-device", "virtio-rng-pci"),
+        *("-fsdev", f"local,id=root,path=/,readonly=on,{share}", "-device", "virtio-9p-pci,fsdev=root,mount_tag=root"),
+        *("-fsdev", f"local,id=out,path={out},{share}", "-device", "virtio-9p-pci,fsdev=out,mount_tag=out"),
+    ]
+
+
+def _output(*command: str, cwd: str | None = None) -> str:
+    try:
+        return subprocess.run(command, check=True, capture_output=True, text=True, cwd=cwd).stdout
+    except subprocess.CalledProcessError as error:
+        reason = (error.stderr.strip().splitlines() or ["no message"])[-1]
+        raise CannotRunError(f"{shlex.join(command)}: {reason}") from None
+
+
+def main() -> int:
+    """Parse the command line and run."""
+    parser = argparse.ArgumentParser(prog="guest.py", description="Run COMMAND under a real kernel in a guest.")
+    parser.add_argument("--out", type=Path, help="folder that is /out in the guest (default: a new one, printed)")
+    parser.add_argument("--limit", type=float, default=300.0, metavar="SECONDS", help="give up after this (300)")
+    parser.add_argument("--check", action="store_true", help="only say whether a guest can be run here")
+    parser.add_argument("command", nargs=argparse.REMAINDER, metavar="COMMAND", help="with its arguments")
+    args = parser.parse_args()
+    try:
+        check()
+        if args.check:
+            kernel()
+            return 0
+        if not args.command:
+            parser.error("COMMAND is missing")
+        if args.out is None:
+            args.out = Path(tempfile.mkdtemp(prefix="guest-out."))
+            print(f"guest: /out is {args.out}", file=sys.stderr)
+        args.out.mkdir(parents=True, exist_ok=True)
+        return run(args.command, args.out.resolve(), args.limit)
+    except CannotRunError as error:
+        print(f"guest: {error}", file=sys.stderr)
+        return EXIT_CANNOT
+
+
+if __name__ == "__main__":
+    sys.exit(main())
