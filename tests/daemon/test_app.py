@@ -280,3 +280,26 @@ def test_a_source_that_can_never_work_ends_the_daemon(
     app.join()
     assert str(app.error) == "x: found nothing"
     app.app._link.stop(1)
+
+
+def test_a_broker_that_comes_late_and_restarts_gets_the_stream_without_help(
+    tmp_path: Path, broker: Broker, calibration: Calibration, pictures: Any, scripted: Any
+) -> None:
+    broker.stop()
+    app = Running(document(tmp_path, broker.port), scripted(paced(pictures.touched)), calibration)
+    ledger = app.app._ledger
+    try:
+        wait_until(lambda: ledger.counts().failed > 5, 10, "frames that could not be sent")
+        for _ in range(2):
+            broker.start()
+            with Subscriber(broker.port) as seen:
+                first, *_, latest = (wire.decode(p) for p in seen.wait_for(f"{BASE}/height", 5, 10))
+                assert latest.seq > first.seq
+                assert states(seen)[-1] == "online"
+                assert last(seen, "info")["geometry"]["calibration_crc32"] == calibration.crc32
+            broker.stop()
+        counts = ledger.counts()
+        assert counts.pending <= 6  # one in the mailbox, one in work, and the link's slot and two unsent
+    finally:
+        assert app.end() < STOP_S
+    assert_accounted(ledger.counts().as_dict())
