@@ -34,7 +34,7 @@ def check_node(device: str) -> str:
         try:
             fcntl.ioctl(fd, _VIDIOC_QUERYCAP, capability)
         except OSError as error:
-            raise DeviceError(f"camera {device}: its driver does not answer ({os.strerror(error.errno)})") from None
+            raise DeviceError(f"camera {device}: its driver does not answer ({error.strerror})") from None
     if not int.from_bytes(capability[88:92], "little") & _CAPTURE:
         raise DeviceError(
             f"camera {device}: this node of the device does not capture video (output or metadata);"
@@ -96,7 +96,7 @@ def _opened(device: str) -> Iterator[int]:
     except ValueError:
         raise DeviceError(f"camera {device!r}: not a path, {expected}") from None
     except OSError as error:
-        raise DeviceError(f"camera {device}: cannot be opened ({os.strerror(error.errno)})") from None
+        raise DeviceError(f"camera {device}: cannot be opened ({error.strerror})") from None
     try:
         yield fd
     finally:
