@@ -57,6 +57,11 @@ class App:
     document : Document
     source : FrameSource
     calibration : Calibration
+
+    Attributes
+    ----------
+    ledger : FrameLedger
+    link : MqttLink
     """
 
     def __init__(self, document: Document, source: FrameSource, calibration: Calibration) -> None:
@@ -65,18 +70,18 @@ class App:
         # SimpleQueue: the one queue that a signal handler may put into.
         self._events: SimpleQueue[Event] = SimpleQueue()
         self._source = source
-        self._ledger = FrameLedger()
-        self._link = registry.make_link(document, on_request=self._on_request, on_outcome=self._on_outcome)
-        self._publisher = Publisher(self._link.offer)
+        self.ledger = FrameLedger()
+        self.link = registry.make_link(document, on_request=self._on_request, on_outcome=self._on_outcome)
+        self._publisher = Publisher(self.link.offer)
         self._pipeline = Pipeline(
             source,
             Reconstructor(calibration, PROFILES[settings.profile]),
             self._publisher,
-            self._ledger,
+            self.ledger,
             self._events.put,
         )
-        self._health = Health(self._ledger, self._pipeline.timings)
-        self._requests = Requests(self._pipeline.reconstruct, self._link.reply, self._status, self._tell_info)
+        self._health = Health(self.ledger, self._pipeline.timings)
+        self._requests = Requests(self._pipeline.reconstruct, self.link.reply, self._status, self._tell_info)
         self._camera = SourceState("away", "starting")
         self._told: SourceState | None = None
         self._latest_health: dict[str, Any] = {}
@@ -99,7 +104,7 @@ class App:
         with crashes_to(self._events.put):
             self._tell_info()
             self._tell_camera()
-            self._link.start()
+            self.link.start()
             self._pipeline.start()
             self._loop()
             self._shut_down()
@@ -136,26 +141,26 @@ class App:
     def _shut_down(self) -> None:
         """Finish what is on its way, account for the rest, say goodbye."""
         self._pipeline.stop(STOP_THREADS_S)
-        given_up = self._ledger.close(STOP_FRAMES_S)
+        given_up = self.ledger.close(STOP_FRAMES_S)
         if given_up:
             _log.warning("%d frames could not be sent before the stop", given_up)
         self._tell_health()
         self._tell_camera(replace(self._camera, state="ended", reason="stopped"))
-        self._link.stop(STOP_LINK_S)
-        _log.info("stopped: %s", self._ledger.counts().as_dict())
+        self.link.stop(STOP_LINK_S)
+        _log.info("stopped: %s", self.ledger.counts().as_dict())
 
     # What other threads call: count or enqueue, nothing else.
 
     def _on_request(self, request: Request) -> None:
         if self._events.qsize() >= EVENTS_MAX:
             error = messages.encode_error(request.transaction, f"busy: {EVENTS_MAX} requests are waiting, try again")
-            self._link.reply(request, error)
+            self.link.reply(request, error)
         else:
             self._events.put(request)
 
     def _on_outcome(self, stream: str, seq: int, outcome: Outcome) -> None:
         if stream == "height":
-            self._ledger.settle(seq, outcome)
+            self.ledger.settle(seq, outcome)
 
     # What is told.
 
@@ -172,9 +177,9 @@ class App:
             return
         self._told = camera
         _log.info("source %s%s", camera.state, f": {camera.reason}" if camera.reason else "")
-        self._link.set_retained("status/camera", messages.encode_status(camera.state, camera.reason, camera.details))
+        self.link.set_retained("status/camera", messages.encode_status(camera.state, camera.reason, camera.details))
         if camera.state != "ended":
-            self._link.set_retained("state", b"online" if camera.state == "streaming" else b"degraded")
+            self.link.set_retained("state", b"online" if camera.state == "streaming" else b"degraded")
 
     def _tell_info(self) -> None:
         reconstructor = self._pipeline.reconstruct.reconstructor
@@ -184,7 +189,7 @@ class App:
             profile=reconstructor.profile.name,
             calibration=reconstructor.calibration,
         )
-        self._link.set_retained("info", info)
+        self.link.set_retained("info", info)
 
     def _status(self) -> dict[str, Any]:
         """The latest ``health`` and the state, for ``req/status``."""
@@ -194,17 +199,17 @@ class App:
     def _tell_health(self) -> None:
         latest = self._publisher.latest
         self._latest_health = self._health.snapshot(
-            latest[1] if latest else None, self._source.dropped, self._link.counters()
+            latest[1] if latest else None, self._source.dropped, self.link.counters()
         )
         self._publisher.fps = self._latest_health["delivered_fps"]
-        self._link.set_retained("health", messages.encode_health(self._latest_health), qos=0)
+        self.link.set_retained("health", messages.encode_health(self._latest_health), qos=0)
 
     def _tell_preview(self) -> None:
         latest = self._publisher.latest
-        if latest is None or not self._link.connected or latest[0].seq == self._previewed:
+        if latest is None or not self.link.connected or latest[0].seq == self._previewed:
             return
         image = latest[0].image
         self._previewed = latest[0].seq
         size = (PREVIEW_WIDTH_PX, round(PREVIEW_WIDTH_PX * image.shape[0] / image.shape[1]))
         _, jpeg = cv2.imencode(".jpg", cv2.resize(np.asarray(image), size, interpolation=cv2.INTER_AREA))
-        self._link.offer("preview", jpeg.tobytes(), latest[0].seq)
+        self.link.offer("preview", jpeg.tobytes(), latest[0].seq)

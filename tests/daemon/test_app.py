@@ -206,14 +206,14 @@ def test_a_stop_is_quick_without_a_broker_and_while_it_hangs(
     tmp_path: Path, broker: Broker, calibration: Calibration, pictures: Any, scripted: Any
 ) -> None:
     absent = Running(document(tmp_path, free_port()), scripted(paced(pictures.touched)), calibration)
-    ledger = absent.app._ledger
+    ledger = absent.app.ledger
     wait_until(lambda: ledger.counts().captured > 20, 10, "frames without a broker")
     assert absent.end() < STOP_S
     assert_accounted(ledger.counts().as_dict())
     assert ledger.counts().published == 0
 
     stalled = Running(document(tmp_path, broker.port), scripted(paced(pictures.touched)), calibration)
-    ledger = stalled.app._ledger
+    ledger = stalled.app.ledger
     wait_until(lambda: ledger.counts().published > 5, 10, "frames at the broker")
     broker.stall()
     try:
@@ -279,7 +279,7 @@ def test_a_source_that_can_never_work_ends_the_daemon(
     app = Running(document(tmp_path, broker.port), scripted(ConfigError("x: found nothing")), calibration)
     app.join()
     assert str(app.error) == "x: found nothing"
-    app.app._link.stop(1)
+    app.app.link.stop(1)
 
 
 def test_a_broker_that_comes_late_and_restarts_gets_the_stream_without_help(
@@ -287,7 +287,7 @@ def test_a_broker_that_comes_late_and_restarts_gets_the_stream_without_help(
 ) -> None:
     broker.stop()
     app = Running(document(tmp_path, broker.port), scripted(paced(pictures.touched)), calibration)
-    ledger = app.app._ledger
+    ledger = app.app.ledger
     try:
         wait_until(lambda: ledger.counts().failed > 5, 10, "frames that could not be sent")
         for _ in range(2):

@@ -1,0 +1,91 @@
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.daemon import requests
+from tacshade_edge.daemon.ledger import FrameLedger, Timings
+from tacshade_edge.daemon.mailbox import Mailbox
+from tacshade_edge.daemon.reference import REFERENCE_FRAMES
+from tacshade_edge.daemon.requests import Requests
+from tacshade_edge.daemon.workers import Reconstruct
+from tacshade_edge.protocol.messages import Request
+from tacshade_edge.types import Calibration, Frame
+
+
+class Asked:
+    """`Requests` on a worker whose frames the test gives by hand."""
+
+    def __init__(self, calibration: Calibration) -> None:
+        reconstructor = Reconstructor(calibration, PROFILES["fast"])
+        self.worker = Reconstruct(reconstructor, Mailbox[Frame](), FrameLedger(), Timings(), None)  # type: ignore[arg-type]
+        self.replies: list[dict[str, Any]] = []
+        self.changes = 0
+        self.requests = Requests(
+            self.worker, lambda _, payload: self.replies.append(json.loads(payload)), lambda: {"up": 1}, self._changed
+        )
+
+    def _changed(self) -> None:
+        self.changes += 1
+
+    def frames(self, image: Any, count: int) -> None:
+        for seq in range(count):
+            frame = Frame(seq, 0, 0, image)
+            if watch := self.worker.watch:
+                watch(frame, self.worker.reconstructor.step(frame))
+
+
+@pytest.fixture
+def asked(calibration: Calibration) -> Asked:
+    return Asked(calibration)
+
+
+def test_status_and_profile(asked: Asked) -> None:
+    asked.requests.handle(Request("status", transaction=1))
+    asked.requests.handle(Request("profile", transaction="a", profile="paper"))
+    asked.requests.handle(Request("profile", transaction="b", profile="slow"))
+    assert asked.replies == [
+        {"transaction": 1, "ok": True, "result": {"up": 1}},
+        {"transaction": "a", "ok": True, "result": {"profile": "paper"}},
+        {"transaction": "b", "ok": False, "error": "profile: found slow, expected one of paper, fast"},
+    ]
+    assert asked.worker.reconstructor.profile.name == "paper"
+    assert asked.changes == 1
+
+
+def test_a_reference_is_taken_from_the_next_frames_and_used(asked: Asked, pictures: Any) -> None:
+    before = asked.worker.reconstructor
+    asked.requests.handle(Request("reference", transaction=5))
+    asked.requests.handle(Request("reference", transaction=6))
+    assert asked.replies == [{"transaction": 6, "ok": False, "error": "busy: a reference is being taken"}]
+    asked.frames(pictures.free, REFERENCE_FRAMES - 1)
+    asked.requests.poll()
+    assert len(asked.replies) == 1
+    asked.frames(pictures.free, 1)
+    asked.requests.poll()
+    assert asked.replies[1]["ok"] is True
+    assert asked.replies[1]["result"]["calibration_crc32"] == asked.worker.reconstructor.calibration.crc32
+    assert asked.worker.reconstructor is not before
+    assert (asked.changes, asked.worker.watch) == (1, None)
+    asked.requests.poll()
+    assert len(asked.replies) == 2
+
+
+def test_a_touched_sensor_or_no_frames_leave_the_old_reference(
+    asked: Asked, pictures: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = asked.worker.reconstructor
+    asked.requests.handle(Request("reference"))
+    asked.frames(pictures.touched, 1)
+    asked.requests.poll()
+    assert "shows contact" in asked.replies[0]["error"]
+    monkeypatch.setattr(requests, "REFERENCE_TIMEOUT_S", 0.0)
+    asked.requests.handle(Request("reference"))
+    asked.requests.poll()
+    assert asked.replies[1]["error"] == "fewer than 10 frames in 0 s"
+    assert asked.worker.reconstructor is before
+    assert asked.changes == 0
