@@ -29,7 +29,7 @@ ASSUMED_NOISE_GREY = 1.0
 LOADED_GREY = 22.0
 LOADED_MM2 = 12.0
 # Pull of the fit towards "depth is proportional to ψ, alike everywhere": presses that do not vary then do no harm.
-RIDGE = 0.02
+RIDGE = 0.001
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,19 +8,23 @@ import cv2
 import numpy as np
 
 from tacshade_edge.core.greyscale import odd
-from tacshade_edge.types import F32, U8, Bool
+from tacshade_edge.types import F32, U8, Bool, freeze
 
 # The change that counts as contact: this many times the references' noise, and never less than GATE_LEVELS.
 GATE_NOISE = 6.0
-GATE_LEVELS = 14.0
+GATE_LEVELS = 20.0
 # The least area of skin over the threshold.
-GATE_MM2 = 1.5
+GATE_MM2 = 3.0
 # Cells whose window is cut by the rim below this part of its full size do not vote: a shift of the camera shows there.
 GATE_WINDOW_PART = 0.75
 
-GLARE_LEVEL = 250
-# A patch at GLARE_LEVEL is glare when a box of this many pitches fits into it; no gap between pins is so large.
-GLARE_PITCHES = 0.45
+# Every box of so many pitches holds a piece of a black pin, in contact too (measured: at most 0.9); under glare it
+# does not, and its darkest pixel is brighter than the reference's there by GLARE_LIFT or more.
+GLARE_PITCHES = 1.0
+GLARE_LIFT = 22
+# So are pixels brighter than GLARE_GAIN times the brightest marker around in the reference plus GLARE_OFFSET.
+GLARE_GAIN, GLARE_OFFSET = 1.3, 25
+GLARE_PX = 6
 # The halo around a glare spot that is not trusted either, in pitches.
 GLARE_HALO_PITCHES = 1.0
 
@@ -58,21 +62,57 @@ def gate(g_d: F32, voting: Bool, noise_grey: float, cell_mm2: float) -> GateResu
     return GateResult(contact=bool(over * cell_mm2 >= GATE_MM2), drift_grey=drift)
 
 
-def glare_mask(grey: U8, mask: U8, pitch_px: float) -> U8 | None:
-    """Pixels around specular spots that are larger than any gap between pins.
+@dataclass(frozen=True, slots=True, eq=False)
+class GlareCheck:
+    """What a sensor looks like without glare.
+
+    Attributes
+    ----------
+    darkest : uint8 (H, W)
+        The brightest that the darkest pixel around may be.
+    brightest : uint8 (H, W)
+        The brightest that a pixel may be.
+    box, halo : uint8 (n, n)
+        Neighbourhoods as morphological kernels.
+    """
+
+    darkest: U8
+    brightest: U8
+    box: U8
+    halo: U8
+
+    def __post_init__(self) -> None:
+        freeze(self, "darkest", "brightest", "box", "halo")
+
+
+def glare_check(reference_grey: U8, mask: U8, pitch_px: float) -> GlareCheck:
+    """Prepare the search for glare from the mean reference image."""
+    size = odd(GLARE_PITCHES * pitch_px)
+    halo = odd(2 * GLARE_HALO_PITCHES * pitch_px)
+    box = np.ones((size, size), dtype=np.uint8)
+    inside = cv2.multiply(reference_grey, mask)
+    return GlareCheck(
+        darkest=cv2.add(cv2.erode(reference_grey, box), GLARE_LIFT),
+        brightest=cv2.convertScaleAbs(cv2.dilate(inside, box), alpha=GLARE_GAIN, beta=GLARE_OFFSET),
+        box=box,
+        halo=np.ones((halo, halo), dtype=np.uint8),
+    )
+
+
+def glare_mask(grey: U8, mask: U8, check: GlareCheck) -> U8 | None:
+    """Pixels in and around specular spots that the reference does not have.
 
     Returns
     -------
     uint8 (H, W) or None
         1 where glare and its halo are; None without glare.
     """
-    bright = cv2.bitwise_and(cv2.threshold(grey, GLARE_LEVEL - 1, 1, cv2.THRESH_BINARY)[1], mask)
-    if cv2.countNonZero(bright) == 0:
+    lifted = cv2.compare(cv2.erode(grey, check.box), check.darkest, cv2.CMP_GT)
+    found = cv2.bitwise_and(lifted, mask)
+    bright = cv2.bitwise_and(cv2.compare(grey, check.brightest, cv2.CMP_GT), mask)
+    if cv2.countNonZero(bright) >= GLARE_PX:
+        found = cv2.bitwise_or(found, bright)
+    if cv2.countNonZero(found) == 0:
         return None
-    size = odd(GLARE_PITCHES * pitch_px)
-    core = cv2.erode(bright, np.ones((size, size), dtype=np.uint8), borderValue=0)
-    if cv2.countNonZero(core) == 0:
-        return None
-    halo = odd(size + 2 * GLARE_HALO_PITCHES * pitch_px)
-    grown: U8 = cv2.dilate(core, np.ones((halo, halo), dtype=np.uint8))
+    grown: U8 = cv2.dilate(found, check.halo)
     return grown

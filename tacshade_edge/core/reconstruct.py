@@ -18,8 +18,8 @@ from tacshade_edge.types import F32, U8, Bool, Calibration, Disc, Frame, HeightM
 Mark = Callable[[str], None]
 
 STAGES = ("check", "grey", "gate", "denoise", "depth", "cloud")
-# A larger change of light than this is worth saying (grey levels of g).
-DRIFT_LEVELS = 20.0
+# A common change of g larger than the first is said; beyond the second the frame is another picture (focus, light).
+DRIFT_LEVELS, DRIFT_INVALID_LEVELS = 12.0, 30.0
 
 
 def no_mark(stage: str) -> None:
@@ -57,6 +57,7 @@ class Reconstructor:
         mask = disc_mask(height, width, geometry.disc)
         self._mask: U8 = mask.astype(np.uint8)
         self._check = frame_check(calibration.reference_grey, mask, geometry.disc)
+        self._glare_check = contact.glare_check(calibration.reference_grey, self._mask, calibration.pitch_px)
         self._total = greyscale.box_sums(self._mask, self._window_px, self.grid)
         self.voting: Bool = self.rays.inside & (
             self._total >= contact.GATE_WINDOW_PART * min(self._window_px**2, int(self._mask.sum()))
@@ -105,8 +106,10 @@ class Reconstructor:
         g_d_raw = greyscale.grey_difference(g_raw, self.reference_ratio, self.rays.inside, self._sign)
         decision = contact.gate(g_d_raw, self.voting, self.calibration.noise_grey, self._cell_mm2)
         if abs(decision.drift_grey) > DRIFT_LEVELS:
-            degraded = f"light: g moved by {decision.drift_grey:.0f} levels everywhere"
+            degraded = f"light or focus: g moved by {decision.drift_grey:.0f} levels everywhere"
         mark("gate")
+        if abs(decision.drift_grey) > DRIFT_INVALID_LEVELS:
+            return self._nothing(frame, reason=degraded)
         if not decision.contact:
             return self._nothing(frame, degraded=degraded)
 
@@ -146,7 +149,7 @@ class Reconstructor:
     def _white_ratio(self, grey: U8) -> tuple[F32, str]:
         """Eq. 1, without the pixels under glare; and the reason for less trust."""
         calibration, mask, total, degraded = self.calibration, self._mask, self._total, ""
-        glare = contact.glare_mask(grey, mask, calibration.pitch_px)
+        glare = contact.glare_mask(grey, mask, self._glare_check)
         white = greyscale.binarise(grey, mask, calibration.binarisation, calibration.pitch_px)
         if glare is not None:
             clear = cv2.subtract(mask, glare)

@@ -24,6 +24,10 @@ ROW_BLOCKS = 8
 # Blocks of the surround never change but with the light; half of this many levels is noise.
 SURROUND_LEVELS = 25.0
 SURROUND_PART = 0.15
+# The light may change by so much before the binarised image cannot be compared with the reference's.
+LIGHT_LOW, LIGHT_HIGH = 0.45, 1.7
+# Median difference of neighbouring pixels; the pattern itself has flat places enough to leave it near the noise.
+NOISE_STEP = 9.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,10 +102,20 @@ def invalid_reason(grey: U8, check: FrameCheck) -> str:
         return f"saturated: {100 * bright / inside_px:.0f} % of the disc at {SATURATED_LEVEL} or above"
     if std < FLAT_STD:
         return f"{'black' if mean < BLACK_LEVEL else 'no contrast'}: mean grey {mean:.0f}, deviation {std:.1f}"
-    return _torn_reason(grey, check)
+    step = _noise_step(grey, check)
+    if step > NOISE_STEP:
+        return f"noise: neighbouring pixels differ by {step:.0f} grey levels"
+    return _compared_reason(grey, check)
 
 
-def _torn_reason(grey: U8, check: FrameCheck) -> str:
+def _noise_step(grey: U8, check: FrameCheck) -> float:
+    """Median difference of horizontal neighbours on every eighth row of the disc."""
+    rows, inside = grey[::8].astype(np.int16), check.mask[::8, 1:] > 0
+    return float(np.median(np.abs(np.diff(rows, axis=1))[inside])) if inside.any() else 0.0
+
+
+def _compared_reason(grey: U8, check: FrameCheck) -> str:
+    """What the reference tells: torn, moved, other light."""
     if not check.inside.any():
         return ""
     level, contrast = _blocks(grey)
@@ -111,10 +125,14 @@ def _torn_reason(grey: U8, check: FrameCheck) -> str:
     empty = int(np.count_nonzero((total >= ROW_BLOCKS) & (lost > LOST_PART * total)))
     if empty >= LOST_ROWS:
         return f"torn: {empty * BLOCK_PX} rows across the disc show no marker"
-    if not (check.surround.any() and textured.any()):
+    if not textured.any():
         return ""
     usual = float(np.median(check.level[textured]))
     gain = float(np.median(level[textured])) / max(usual, 1.0)
+    if not LIGHT_LOW < gain < LIGHT_HIGH:
+        return f"light: {gain:.2f} times the reference's, expected {LIGHT_LOW} to {LIGHT_HIGH}"
+    if not check.surround.any():
+        return ""
     expected = np.minimum(check.level * np.float32(gain), 255)
     moved = check.surround & (np.abs(level - expected) > SURROUND_LEVELS + 0.25 * expected)
     part = np.count_nonzero(moved) / np.count_nonzero(check.surround)

@@ -1,8 +1,8 @@
-"""The cheapest thing that is right: a calibrated table from gathered grey change to depth, or α · g_hn without one.
+"""The cheapest thing that is right: calibrated depth from gathered grey change, or α · g_hn without a calibration.
 
-The white ratio follows the skin's local shape, not its depth: under a flat it has risen all it can at 0.5 mm. What
-does grow with depth is how much skin changed, brighter or darker, so |g_d| is gathered around each pixel before
-the table. Measured on the simulated sensor (docs/accuracy-and-speed.md), a table of g_d itself cannot tell 1 mm from 5.
+The white ratio follows the skin's local shape, not its depth: under a flat it has risen all it can at 0.5 mm, so no
+table of g_d itself tells 1 mm from 5. What does grow with depth is how much skin changed, brighter or darker. So the
+depth of a contact comes from a table of |g_d| gathered around it, and its shape from the brightening inside it.
 """
 
 from __future__ import annotations
@@ -16,6 +16,10 @@ from tacshade_edge.types import F32
 
 # The reach of the gathering, in skin radii: 6 mm on a skin of 20 mm.
 REACH_RADII = 0.3
+# The brightening is gathered over this part of it, so that the bright spots between pins make one patch.
+SHAPE_REACH = 0.3
+# A patch whose gathered brightening stays below this is noise, and keeps its small share (grey levels).
+SHAPE_FLOOR = 8.0
 
 
 def gather(change: F32, reach_cells: float) -> F32:
@@ -51,12 +55,19 @@ def gathered_change(maps: GreyMaps, reach_cells: float) -> tuple[F32, int]:
 
 
 def solve(maps: GreyMaps, scale: DepthScale) -> Depth:
-    """Height from the table at ψ (clamped at its end), times the gain of the place; or α · g_hn."""
+    """Height from the table at ψ (clamped at its end), shaped by the brightening; or α · g_hn."""
     if scale.table_grey.size == 0:
         finite = np.isfinite(maps.g_d)
         g_d = np.where(finite, maps.g_d, np.float32(0))
         height: F32 = np.float32(scale.alpha_mm) * shape_grey(g_d, maps.g0, maps.inside)
         return Depth(height, saturated=False, repaired_px=int(finite.size - np.count_nonzero(finite)))
     psi, repaired = gathered_change(maps, scale.reach_cells)
-    height = np.interp(psi, scale.table_grey, scale.table_depth_mm).astype(np.float32) * scale.gain
+    depth = np.interp(psi, scale.table_grey, scale.table_depth_mm).astype(np.float32) * scale.gain
+    brightening = np.where(maps.inside & np.isfinite(maps.g_d), np.clip(maps.g_d, 0, 255), np.float32(0))
+    shape = np.maximum(gather(brightening.astype(np.float32), SHAPE_REACH * scale.reach_cells), 0)
+    # Each contact's brightest place gets the depth of its neighbourhood.
+    side = 2 * max(round(scale.reach_cells), 1) + 1
+    around = np.ones((side, side), dtype=np.uint8)
+    height = cv2.dilate(depth, around) * shape / np.maximum(cv2.dilate(shape, around), np.float32(SHAPE_FLOOR))
+    height = np.where(maps.inside, height, np.float32(0)).astype(np.float32)
     return Depth(height, saturated=bool((psi > scale.table_grey[-1]).any()), repaired_px=repaired)
