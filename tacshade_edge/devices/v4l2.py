@@ -118,7 +118,7 @@ class V4l2Source:
             raise
         self._capture = capture
         self._proven = True
-        _log.info("camera %s: %s", self._device, self._negotiated)
+        _log.info("camera %s: %s", self._device, ", ".join(f"{name} {got}" for name, got in self._negotiated.items()))
 
     def read(self) -> Frame | None:
         """Wait for the next frame, at most about two seconds. Raises DeviceError when the device is lost."""

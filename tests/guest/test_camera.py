@@ -8,38 +8,18 @@ import re
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from mqtt_rig import wait_until
+from vivid import NODE, WEBCAM, control, load_driver, unload_driver
 
 from tacshade_edge.devices.v4l2 import V4l2Source
 from tacshade_edge.errors import ConfigError, DeviceError
 
-NODE = "/dev/video0"
-WEBCAM = ("node_types=0x1", "num_inputs=1", "input_types=0")
 TRACING = Path("/sys/kernel/tracing")
-
-
-def load_driver(*options: str) -> None:
-    subprocess.run(["modprobe", "vivid", "n_devs=1", *options], check=True)
-
-
-def unload_driver() -> None:
-    """The driver is busy until the last user of its node has let go."""
-    poll(lambda: subprocess.run(["modprobe", "-r", "vivid"], capture_output=True, check=False).returncode == 0)
-
-
-def control(text: str) -> None:
-    subprocess.run(["v4l2-ctl", "-d", NODE, "-c", text], check=True, capture_output=True)
-
-
-def poll(condition: Callable[[], bool], limit_s: float = 10.0) -> None:
-    deadline_s = time.monotonic() + limit_s
-    while not condition():
-        assert time.monotonic() < deadline_s, "waited in vain"
-        threading.Event().wait(0.02)
 
 
 @pytest.fixture
@@ -222,7 +202,7 @@ def test_unplugged_and_plugged_in_again(camera: V4l2Source) -> None:
         camera.open()
     plug = threading.Timer(0.5, load_driver, WEBCAM)
     plug.start()
-    poll(Path(NODE).exists)
+    wait_until(Path(NODE).exists, 10, "the node is back")
     there_s = time.monotonic()
     attempts = itertools.count(1)
 
@@ -234,7 +214,7 @@ def test_unplugged_and_plugged_in_again(camera: V4l2Source) -> None:
             return False
         return True
 
-    poll(opens)
+    wait_until(opens, 10, "the camera opens")
     frame = camera.read()
     took_s = time.monotonic() - there_s
     plug.join()

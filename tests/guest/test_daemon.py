@@ -1,0 +1,133 @@
+"""The daemon on a real video device: `run` as its users run it, mosquitto and a subscriber beside it."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mqtt_rig import Broker, Subscriber, wait_until
+from painted_sensor import FREE, TOUCHED, painted_calibration
+from vivid import NODE, WEBCAM, control, load_driver, unload_driver
+
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.devices import calibration_file
+from tacshade_edge.protocol import wire
+from tacshade_edge.types import U8, Calibration, Disc, Frame
+
+TREE = Path(__file__).resolve().parents[2]
+BASE = "tacshade/tacshade"
+SCALE = 4  # of the painted sensor, to the camera's 640x480
+START_S = 60  # emulated, and its modules come over 9p
+
+
+def enlarged(image: U8) -> U8:
+    return image.repeat(SCALE, axis=0).repeat(SCALE, axis=1)
+
+
+@pytest.fixture(scope="module")
+def calibration() -> Calibration:
+    small = painted_calibration()
+    disc = small.geometry.disc
+    middle = (SCALE - 1) / 2
+    large = Disc(disc.row_c * SCALE + middle, disc.col_c * SCALE + middle, disc.radius_px * SCALE)
+    return replace(
+        small,
+        geometry=replace(small.geometry, disc=large),
+        image_height_px=small.image_height_px * SCALE,
+        image_width_px=small.image_width_px * SCALE,
+        pitch_px=small.pitch_px * SCALE,
+        reference_white=enlarged(small.reference_white),
+        reference_grey=enlarged(small.reference_grey),
+    )
+
+
+@contextmanager
+def running(folder: Path, calibration: Calibration) -> Iterator[tuple[subprocess.Popen[str], Subscriber]]:
+    """`tacshade-edge run` on the camera, until SIGTERM ends it well."""
+    calibration_file.save(folder / "c.npz", calibration)
+    config = folder / "settings.yaml"
+    with Broker(folder) as broker, Subscriber(broker.port) as seen:
+        config.write_text(
+            "calibration: c.npz\n"
+            f"source: {{kind: v4l2, device: {NODE}, width_px: 640, height_px: 480, fps: 25, fourcc: YUYV}}\n"
+            f"mqtt: {{host: 127.0.0.1, port: {broker.port}}}\n"
+        )
+        command = [sys.executable, "-m", "tacshade_edge", "run", "--config", str(config)]
+        child = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+        try:
+            wait_until(lambda: camera(seen).get("state") == "streaming", START_S, "the camera streams")
+            yield child, seen
+            child.send_signal(signal.SIGTERM)
+            _, errors = child.communicate(timeout=20)
+            assert child.returncode == 0, errors
+            assert seen.wait_for(f"{BASE}/state")[-1] == b"stopped"
+        finally:
+            child.kill()
+            print(child.communicate()[1])
+
+
+def camera(seen: Subscriber) -> Any:
+    return json.loads((seen.of(f"{BASE}/status/camera") or [b"{}"])[-1])
+
+
+def captured(seen: Subscriber) -> int:
+    return int(json.loads((seen.of(f"{BASE}/health") or [b'{"frames": {"captured": 0}}'])[-1])["frames"]["captured"])
+
+
+def test_replugged_camera_streams_within_two_seconds(tmp_path: Path, calibration: Calibration) -> None:
+    load_driver(*WEBCAM)
+    with running(tmp_path, calibration) as (child, seen):
+        keeper = os.open(NODE, os.O_RDWR)  # the driver takes a disconnect back when its last user has gone
+        control("disconnect=1")
+        wait_until(lambda: camera(seen)["state"] == "away", 5, "the daemon says that the camera is away")
+        assert NODE in camera(seen)["reason"]
+        os.close(keeper)
+        unload_driver()
+        threading.Event().wait(3)  # unplugged for longer than the longest pause between attempts
+        before = captured(seen)
+        plug = threading.Thread(target=load_driver, args=WEBCAM)
+        plug.start()
+        wait_until(Path(NODE).exists, 10, "the node is back")
+        there_s = time.monotonic()
+        wait_until(lambda: camera(seen)["state"] == "streaming", 10, "frames are back")
+        took_s = time.monotonic() - there_s
+        plug.join()
+        wait_until(lambda: captured(seen) > before + 10, 10, "frames go on")
+        print(f"streaming {took_s:.2f} s after the node was back")
+        assert took_s < 2
+        assert child.poll() is None, "the same process"
+    unload_driver()
+
+
+def test_sensor_images_through_the_device_to_a_subscriber(tmp_path: Path, calibration: Calibration) -> None:
+    """A subscriber decodes the depth that the core finds in the very image that was played."""
+    free, touched = enlarged(FREE), enlarged(TOUCHED)
+    expected = Reconstructor(calibration, PROFILES["fast"]).step(Frame(0, 0, 0, touched))
+    assert expected.contact
+    depth_mm = float(np.nanmax(expected.height.height_mm))
+    np.save(tmp_path / "images.npy", np.stack([free] * 10 + [touched] * 20))
+    command = [sys.executable, str(TREE / "tools/rig/feed_video.py"), str(tmp_path / "images.npy")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as feeder:
+        assert feeder.stdout is not None
+        assert feeder.stdout.readline() == "playing\n"
+        with running(tmp_path, calibration) as (_, seen):
+            payloads = seen.wait_for(f"{BASE}/height", 20, 30)
+            messages = [message for message in map(wire.decode, payloads) if isinstance(message, wire.HeightMessage)]
+        feeder.terminate()
+    assert len(messages) == len(payloads)
+    deepest = [float(np.nanmax(message.height_mm)) for message in messages]
+    assert max(deepest) == pytest.approx(depth_mm, abs=0.001)
+    assert min(deepest) == 0, "a release"
