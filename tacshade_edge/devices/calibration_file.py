@@ -107,7 +107,7 @@ def load(path: str | os.PathLike[str]) -> Calibration:
         ) from None
     except (KeyError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise ConfigError(
-            f"{name}: not a calibration or a damaged one ({str(error) or type(error).__name__}); "
+            f"{name}: not a calibration, or damaged ({type(error).__name__}); "
             "expected a file written by `tacshade-edge calibrate`"
         ) from None
     if _crc32(meta, arrays) != crc:

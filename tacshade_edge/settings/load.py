@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 
@@ -13,6 +13,8 @@ from tacshade_edge.errors import ConfigError
 from tacshade_edge.settings import strict_yaml
 from tacshade_edge.settings.model import Files, Settings, json_schema
 from tacshade_edge.settings.strict_yaml import Found, Key, dotted
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,19 +47,30 @@ def load(path: Path) -> Document:
     ConfigError
         ``FILE:LINE: path.to.key: found …, expected …``.
     """
-    value, found = strict_yaml.read(path)
-    if not isinstance(value, dict):
-        raise ConfigError(f"{path}:{found[()].line}: found {found[()].text}, expected a mapping of settings")
-    try:
-        settings = msgspec.convert(value, Settings)
-    except msgspec.ValidationError as error:
-        key, problem = _explain(str(error), value, found)
-        raise ConfigError(f"{_where(path, found, key)}: {problem}") from error
+    settings, found = read_struct(path, Settings, json_schema())
     known = json_schema()["$defs"]["Settings"]["properties"]["profile"]
     if settings.profile not in known["enum"]:  # msgspec cannot express names that are known only at run time
         problem = f"found {found['profile',].text}, expected {_expected(known)}"
         raise ConfigError(f"{_where(path, found, ('profile',))}: {problem}")
     return Document(path, _absolute(settings, path.absolute().parent), found)
+
+
+def read_struct(path: Path, kind: type[T], schema: dict[str, Any]) -> tuple[T, dict[Key, Found]]:
+    """Read a YAML file as one msgspec struct, whose JSON Schema is `schema`.
+
+    Raises
+    ------
+    ConfigError
+        ``FILE:LINE: path.to.key: found …, expected …``.
+    """
+    value, found = strict_yaml.read(path)
+    if not isinstance(value, dict):
+        raise ConfigError(f"{path}:{found[()].line}: found {found[()].text}, expected a mapping of settings")
+    try:
+        return msgspec.convert(value, kind), found
+    except msgspec.ValidationError as error:
+        key, problem = _explain(str(error), value, found, schema)
+        raise ConfigError(f"{_where(path, found, key)}: {problem}") from error
 
 
 def _where(path: Path, found: dict[Key, Found], key: Key) -> str:
@@ -81,37 +94,37 @@ def _absolute(settings: Settings, folder: Path) -> Settings:
     )
 
 
-def _explain(message: str, value: dict[str, Any], found: dict[Key, Found]) -> tuple[Key, str]:
+def _explain(message: str, value: dict[str, Any], found: dict[Key, Found], root: dict[str, Any]) -> tuple[Key, str]:
     """Key and ``found …, expected …`` of one msgspec error, which names a JSON path and one field."""
     path = re.search(r" - at `\$\.?([^`]*)`$", message)
     key: Key = tuple(path[1].split(".")) if path and path[1] else ()
-    schema = _schema_at(key, value)
+    schema = _schema_at(key, value, root)
     if unknown := re.match(r"Object contains unknown field `(.*?)`", message, re.DOTALL):
         return (*key, unknown[1]), f"found an unknown key, expected one of {', '.join(schema['properties'])}"
     if missing := re.match(r"Object missing required field `(.*?)`", message):
         key = (*key, missing[1])
-        return key, f"found nothing, expected {_expected(_schema_at(key, value))}"
+        return key, f"found nothing, expected {_expected(_schema_at(key, value, root))}"
     return key, f"found {found[key].text}, expected {_expected(schema)}"
 
 
-def _schema_at(key: Key, value: Any) -> dict[str, Any]:
+def _schema_at(key: Key, value: Any, root: dict[str, Any]) -> dict[str, Any]:
     """JSON Schema of the value at `key`; a tagged union is resolved by the tag that `value` gives."""
-    schema = _resolved({"$ref": "#/$defs/Settings"}, value)
+    schema = _resolved(root, value, root)
     for name in key:
         if "discriminator" in schema:  # no known tag was given: the only key to name is the tag itself
             return {"enum": list(schema["discriminator"]["mapping"])}
         value = value.get(name)
-        schema = _resolved(schema["properties"][name], value)
+        schema = _resolved(schema["properties"][name], value, root)
     return schema
 
 
-def _resolved(schema: dict[str, Any], value: Any) -> dict[str, Any]:
+def _resolved(schema: dict[str, Any], value: Any, root: dict[str, Any]) -> dict[str, Any]:
     """`schema` with its reference followed, and the struct that the tag in `value` chooses."""
     reference = schema.get("$ref")
     if "discriminator" in schema and isinstance(value, dict):
         tag = value.get(schema["discriminator"]["propertyName"])
         reference = schema["discriminator"]["mapping"].get(tag) if isinstance(tag, str) else None
-    return json_schema()["$defs"][reference.rpartition("/")[2]] if reference else schema
+    return root["$defs"][reference.rpartition("/")[2]] if reference else schema
 
 
 def _expected(schema: dict[str, Any]) -> str:
@@ -125,5 +138,7 @@ def _expected(schema: dict[str, Any]) -> str:
     text = kind.get(schema.get("type", ""), "null" if schema.get("type") == "null" else "a mapping")
     if "minimum" in schema:
         text += f" from {schema['minimum']} to {schema['maximum']}"
+    if "exclusiveMinimum" in schema:
+        text += f" above {schema['exclusiveMinimum']}" + (f" to {schema['maximum']}" if "maximum" in schema else "")
     described = schema.get("description")
     return f"{text} ({described})" if described and "properties" not in schema else text

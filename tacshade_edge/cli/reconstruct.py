@@ -1,0 +1,126 @@
+"""``tacshade-edge reconstruct``: images to height maps, clouds and a summary."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.devices import calibration_file
+from tacshade_edge.devices.images import read_image
+from tacshade_edge.devices.panel import write_panel
+from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
+from tacshade_edge.types import Frame, Reconstruction
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--calibration", type=Path, required=True, metavar="CAL.npz", help="from `calibrate`")
+    parser.add_argument("--profile", choices=sorted(PROFILES), default="fast", help="speed against accuracy (fast)")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="a .npz per image and summary.json")
+    parser.add_argument("--plot", action="store_true", help="also write a picture per image")
+    parser.add_argument("--json", action="store_true", help="print the summary")
+    parser.add_argument("images", type=Path, nargs="+", metavar="IMG")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Reconstruct every image; an unreadable one is told and the others go on."""
+    stems = [path.stem for path in args.images]
+    twice = next((path for i, path in enumerate(args.images) if path.stem in stems[:i]), None)
+    if twice is not None:
+        raise ConfigError(
+            f"{twice}: another image is called {twice.stem} too; their results would overwrite each other"
+        )
+    reconstructor = Reconstructor(calibration_file.load(args.calibration), PROFILES[args.profile])
+    records, failed = [], 0
+    try:
+        args.out.mkdir(parents=True, exist_ok=True)
+        for index, path in enumerate(args.images):
+            try:
+                image = read_image(path)
+            except DecodeError as error:
+                print(f"tacshade-edge: {error}", file=sys.stderr)
+                failed += 1
+                continue
+            result, elapsed_ms = _step(reconstructor, Frame(seq=index, t_ns=0, wall_ns=0, image=image))
+            _write(args.out / f"{path.stem}.npz", result)
+            if args.plot:
+                write_panel(args.out / f"{path.stem}.png", image, result)
+            records.append(_record(path, result, elapsed_ms))
+            if sys.stderr.isatty():
+                print(f"\r{index + 1}/{len(args.images)}", end="", file=sys.stderr)
+        summary = json.dumps(records, indent=2) + "\n"
+        (args.out / "summary.json").write_text(summary, encoding="utf-8")
+    except OSError as error:
+        raise DeviceError(f"{error.filename or args.out}: cannot be written: {error.strerror or error}") from None
+    if sys.stderr.isatty():
+        print(file=sys.stderr)
+    if args.json:
+        print(summary, end="")
+    else:
+        touched = sum(record["contact"] for record in records)
+        print(f"{args.out}: {len(records)} images reconstructed, {touched} in contact, {failed} unreadable")
+    return 1 if failed else 0
+
+
+def _step(reconstructor: Reconstructor, frame: Frame) -> tuple[Reconstruction, dict[str, float]]:
+    """One step with the time of each stage."""
+    elapsed_ms: dict[str, float] = {}
+    last = time.perf_counter_ns()
+    start = last
+
+    def mark(stage: str) -> None:
+        nonlocal last
+        now = time.perf_counter_ns()
+        elapsed_ms[stage] = round((now - last) / 1e6, 4)
+        last = now
+
+    result = reconstructor.step(frame, mark)
+    elapsed_ms["total"] = round((time.perf_counter_ns() - start) / 1e6, 4)
+    return result, elapsed_ms
+
+
+def _write(path: Path, result: Reconstruction) -> None:
+    height = result.height
+    with path.open("wb") as stream:
+        np.savez_compressed(
+            stream,
+            height_mm=height.height_mm,
+            contact=height.contact,
+            row0=height.row0,
+            col0=height.col0,
+            step_px=height.step_px,
+            points_mm=result.cloud.points_mm,
+            labels=result.cloud.labels.astype(np.int32),
+        )
+
+
+def _record(path: Path, result: Reconstruction, elapsed_ms: dict[str, float]) -> dict[str, Any]:
+    return {
+        "image": str(path),
+        "profile": result.profile,
+        "valid": result.valid,
+        "reason": result.reason,
+        "contact": result.contact,
+        "saturated": result.saturated,
+        "degraded": result.degraded,
+        "depth_max_mm": round(result.depth_max_mm, 4),
+        "repaired_px": result.repaired_px,
+        "objects": [
+            {
+                "label": o.label,
+                "centroid_mm": [round(v, 4) for v in o.centroid_mm],
+                "extent_mm": [round(v, 4) for v in o.extent_mm],
+                "depth_max_mm": round(o.depth_max_mm, 4),
+            }
+            for o in result.objects
+        ],
+        "elapsed_ms": elapsed_ms,
+    }

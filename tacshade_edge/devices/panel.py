@@ -1,0 +1,52 @@
+"""A picture of one reconstruction for a person: the image, the height in colours, the contact's outline."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from tacshade_edge.errors import DeviceError
+from tacshade_edge.types import U8, Reconstruction
+
+_LEGEND_PX = 22
+
+
+def write_panel(path: Path, image: U8, result: Reconstruction) -> None:
+    """Write image and height map side by side.
+
+    Raises
+    ------
+    DeviceError
+        The file cannot be written.
+    """
+    ok, data = cv2.imencode(".png", panel(image, result))
+    if not ok:
+        raise DeviceError(f"{path}: the picture could not be encoded")
+    path.write_bytes(data.tobytes())
+
+
+def panel(image: U8, result: Reconstruction) -> U8:
+    """The picture: uint8 (H + legend, 2 W, 3) BGR."""
+    left = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image
+    rows, cols = left.shape[:2]
+    height = result.height.height_mm
+    top = max(float(np.nanmax(height, initial=0.0)), 0.1)
+    level = np.nan_to_num(np.clip(height / top, 0, 1) * 255).astype(np.uint8)
+    right = cv2.applyColorMap(cv2.resize(level, (cols, rows), interpolation=cv2.INTER_LINEAR), cv2.COLORMAP_VIRIDIS)
+    seen = cv2.resize(np.isfinite(height).astype(np.uint8), (cols, rows), interpolation=cv2.INTER_NEAREST)
+    right[seen == 0] = 255
+    touched = cv2.resize(result.height.contact.astype(np.uint8), (cols, rows), interpolation=cv2.INTER_NEAREST)
+    outlines, _ = cv2.findContours(touched, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    cv2.drawContours(right, outlines, -1, (255, 255, 255), 1)
+    text = result.reason or (
+        f"{result.profile}: {len(result.objects)} objects, deepest {result.depth_max_mm:.2f} mm, "
+        f"colours 0 to {top:.2f} mm{' SATURATED' if result.saturated else ''} {result.degraded}"
+        if result.contact
+        else f"{result.profile}: no contact {result.degraded}"
+    )
+    legend = np.full((_LEGEND_PX, 2 * cols, 3), 255, dtype=np.uint8)
+    cv2.putText(legend, text[:120], (6, 15), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (0, 0, 0), 1, cv2.LINE_AA)
+    picture: U8 = np.vstack([np.hstack([left, right]), legend])
+    return picture

@@ -1,0 +1,57 @@
+"""SENSOR.yaml: what a person states of a sensor, for ``tacshade-edge calibrate``."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+
+from tacshade_edge.core.calibrate import Sensor
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.settings.load import read_struct
+from tacshade_edge.types import IDENTITY_POSE
+
+_UNIT_TOLERANCE = 1e-3
+
+
+class SensorFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The keys of SENSOR.yaml."""
+
+    skin_radius_mm: Annotated[float, Meta(gt=0, le=200, description="radius of the undeformed skin")]
+    visible_half_angle_deg: Annotated[float, Meta(ge=5, le=85, description="of the visible circle, at the centre")]
+    polarity: Annotated[Literal["bright", "dark"], Meta(description="bright when contact raises the white ratio")]
+    camera_distance_mm: Annotated[float, Meta(gt=0, le=1000, description="lens behind the skin's centre")] | None = None
+    alpha: Annotated[float, Meta(gt=0, le=10000, description="the paper's depth scale, without presses")] = 15.0
+    binarisation: Literal["adaptive", "global", "otsu"] = "adaptive"
+    flange_T_sensor: Annotated[
+        list[float], Meta(min_length=7, max_length=7, description="x_mm, y_mm, z_mm, qw, qx, qy, qz")
+    ] = msgspec.field(default_factory=lambda: list(IDENTITY_POSE))
+
+
+def read_sensor(path: Path) -> Sensor:
+    """Read SENSOR.yaml.
+
+    Raises
+    ------
+    ConfigError
+        ``FILE:LINE: key: found …, expected …``.
+    """
+    schema = msgspec.json.schema(SensorFile)
+    root: dict[str, Any] = {**schema["$defs"]["SensorFile"], "$defs": schema["$defs"]}
+    given, found = read_struct(path, SensorFile, root)
+    norm = math.sqrt(sum(q * q for q in given.flange_T_sensor[3:]))
+    if abs(norm - 1) > _UNIT_TOLERANCE:
+        line = found["flange_T_sensor",].line
+        raise ConfigError(f"{path}:{line}: flange_T_sensor: found a quaternion of length {norm:.4g}, expected 1")
+    return Sensor(
+        skin_radius_mm=given.skin_radius_mm,
+        camera_distance_mm=given.camera_distance_mm,
+        visible_half_angle_deg=given.visible_half_angle_deg,
+        polarity=given.polarity,
+        alpha=given.alpha,
+        binarisation=given.binarisation,
+        flange_T_sensor=tuple(given.flange_T_sensor),
+    )
