@@ -105,7 +105,7 @@ def load(path: str | os.PathLike[str]) -> Calibration:
             f"{name}: cannot read the calibration: {error.strerror or 'not an .npz file'}; "
             "expected a file written by `tacshade-edge calibrate`"
         ) from None
-    except (KeyError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+    except (KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:  # TypeError: a .npy
         raise ConfigError(
             f"{name}: not a calibration, or damaged ({type(error).__name__}); "
             "expected a file written by `tacshade-edge calibrate`"

@@ -107,14 +107,18 @@ def make_link(
 ) -> MqttLink:
     """The link to the broker that the settings name, not started. Raises ConfigError."""
     settings = document.settings
-    return MqttLink(
-        host=settings.mqtt.host,
-        port=settings.mqtt.port,
-        base_topic=f"tacshade/{settings.sensor_id}",
-        client_id=f"tacshade-{settings.sensor_id}",
-        username=settings.mqtt.username,
-        password=read_password(document),
-        tls_ca=settings.mqtt.ca_file,
-        on_request=on_request,
-        on_outcome=on_outcome,
-    )
+    password = read_password(document)
+    try:
+        return MqttLink(
+            host=settings.mqtt.host,
+            port=settings.mqtt.port,
+            base_topic=f"tacshade/{settings.sensor_id}",
+            client_id=f"tacshade-{settings.sensor_id}",
+            username=settings.mqtt.username,
+            password=password,
+            tls_ca=settings.mqtt.ca_file,
+            on_request=on_request,
+            on_outcome=on_outcome,
+        )
+    except ConfigError as error:
+        raise ConfigError(f"{document.where('mqtt')}: {error}") from error

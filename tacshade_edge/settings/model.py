@@ -46,7 +46,9 @@ Source = V4l2 | Files | Simulated
 class Mqtt(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The broker."""
 
-    host: Annotated[str, Meta(min_length=1, description="host name or address of the broker")] = "localhost"
+    host: Annotated[str, Meta(pattern=r"^[^\s/]+$", description="host name or address of the broker, no URL")] = (
+        "localhost"
+    )
     port: Annotated[int, Meta(ge=1, le=65535, description="TCP port of the broker")] = 1883
     username: Annotated[str, Meta(min_length=1, description="user name")] | None = None
     password_file: Annotated[str, Meta(min_length=1, description="file whose first line is the password")] | None = None

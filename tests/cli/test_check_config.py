@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from painted_sensor import painted_calibration
 
@@ -39,12 +40,14 @@ def test_a_good_file_is_ok(folder: Path, capsys: Any) -> None:
         ("source: {kind: simulated}\ncalibration: none.npz\n", "s.yaml:2: calibration: {folder}/none.npz: "),
         ("calibration: s.yaml\nsource: {kind: simulated}\n", "s.yaml:1: calibration: {folder}/s.yaml: "),
         ("calibration: cut.npz\nsource: {kind: simulated}\n", "s.yaml:1: calibration: {folder}/cut.npz: "),
+        ("calibration: one.npy\nsource: {kind: simulated}\n", "s.yaml:1: calibration: {folder}/one.npy: "),
         ("calibration: c.npz\n", "s.yaml: source.width_px: found 640x480 px, expected 160x120 px, the size of the"),
         (
             "calibration: c.npz\nsource: {kind: files, path: absent}\n",
             "s.yaml:2: source.path: found no {folder}/absent",
         ),
         (GOOD + "mqtt: {ca_file: no.pem}\n", "s.yaml:3: mqtt.ca_file: found no file {folder}/no.pem, expected a PEM"),
+        (GOOD + "mqtt: {ca_file: empty}\n", "s.yaml:3: mqtt: TLS authority {folder}/empty: "),
         (GOOD + "mqtt: {username: a, password_file: absent}\n", "s.yaml:3: mqtt.password_file: {folder}/absent: No"),
         (GOOD + "mqtt: {password_file: s.yaml}\n", "s.yaml:3: mqtt.password_file: found a password without a user"),
         (
@@ -59,6 +62,7 @@ def test_a_good_file_is_ok(folder: Path, capsys: Any) -> None:
 )
 def test_a_mistake_is_one_line_and_exit_78(folder: Path, capsys: Any, text: str, said: str) -> None:
     (folder / "empty").touch()
+    np.save(folder / "one.npy", np.zeros(3))
     (folder / "cut.npz").write_bytes((folder / "c.npz").read_bytes()[:-300])
     assert check(folder, text) == EXIT_CONFIG
     printed = capsys.readouterr()

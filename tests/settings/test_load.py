@@ -37,6 +37,8 @@ def write(folder: Path, text: str | bytes) -> Path:
         ("mqtt:\n  port: 99999999999999999999999\n", ":2: mqtt.port: found 999"),
         ("mqtt:\n  host: ''\n", ":2: mqtt.host: found '', expected a string"),
         ("mqtt:\n  username: 7\n", ":2: mqtt.username: found 7, expected a string (user name) or null"),
+        ("mqtt:\n  host: bad host\n", ":2: mqtt.host: found bad host, expected a string (host name or address of the"),
+        ("mqtt:\n  host: mqtt://a\n", ":2: mqtt.host: found mqtt://a, expected a string (host name or address"),
         ("mqtt: 3\n", ":1: mqtt: found 3, expected a mapping"),
         ("mqtt: [1]\n", ":1: mqtt: found a list, expected a mapping"),
         ("mqtt:\n", ":1: mqtt: found nothing, expected a mapping"),
