@@ -43,8 +43,8 @@ def two_means_split(values: F32) -> float:
     sum1 = float((counts * middles).sum()) - sum0
     with np.errstate(invalid="ignore", divide="ignore"):
         between = np.nan_to_num(n0 * n1 * (sum0 / n0 - sum1 / n1) ** 2, nan=-1.0)
-    # Equal optima lie side by side over empty bins: their middle is the boundary of k-means.
-    best = np.flatnonzero(between >= between.max() * (1 - 1e-12))
+    # Every threshold over the empty bins between two clusters is the same split: their middle is k-means' boundary.
+    best = np.flatnonzero(n0 == n0[np.argmax(between)])
     return float((edges[best[0] + 1] + edges[best[-1] + 1]) / 2)
 
 

@@ -23,8 +23,9 @@ class Grid:
     def of_image(cls, height_px: int, width_px: int, step_px: int) -> Grid:
         """Cover an image with cells in the middle of each stride; whole strides only, at least one cell."""
         rows, cols = max(height_px // step_px, 1), max(width_px // step_px, 1)
-        start = float(step_px // 2)
-        return cls(rows=rows, cols=cols, row0=start, col0=start, step_px=float(step_px))
+        # An image narrower than half a stride still holds its one cell.
+        row0, col0 = (float(min(step_px // 2, size - 1)) for size in (height_px, width_px))
+        return cls(rows=rows, cols=cols, row0=row0, col0=col0, step_px=float(step_px))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -78,9 +78,12 @@ def _median3(values: F64) -> F64:
 
 def solve(maps: GreyMaps, scale: DepthScale) -> Depth:
     """Height by the paper: g_hn (eq. 10), eq. 11, then α."""
-    g_hn = shape_grey(maps.g_d, maps.g0, maps.inside)
+    finite = np.isfinite(maps.g_d)
+    g_hn = shape_grey(np.where(finite, maps.g_d, np.float32(0)), maps.g0, maps.inside)
     z, repaired = hybrid_sfs(g_hn.astype(np.float64))
-    z = np.where(maps.inside, z, 0.0)
+    repaired += int(finite.size - np.count_nonzero(finite))
+    # Of an image without contrast the iteration makes a constant; it is no height.
+    z = np.where(maps.inside, z, 0.0) if g_hn.any() else np.zeros_like(z)
     top = float(z.max(initial=0.0))
     height: F32 = (scale.alpha_mm * z / top if top > 0 else z).astype(np.float32)
     return Depth(height_mm=height, saturated=False, repaired_px=repaired)

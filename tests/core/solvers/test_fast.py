@@ -1,0 +1,104 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tacshade_edge.core.solvers import DepthScale, GreyMaps
+from tacshade_edge.core.solvers.fast import gather, gathered_change, solve
+from tacshade_edge.types import F32
+
+SIZES = st.integers(1, 33)
+
+
+def maps_of(g_d: F32, inside: np.ndarray | None = None) -> GreyMaps:
+    g0 = np.full(g_d.shape, 100, np.float32)
+    return GreyMaps(g0 + g_d, g0, g_d, np.ones(g_d.shape, bool) if inside is None else inside)
+
+
+def scale(shape: tuple[int, int], alpha_mm: float = 2.0, top: float = 50.0, gain: float = 1.0) -> DepthScale:
+    knots = np.linspace(0, top, 6, dtype=np.float32)
+    return DepthScale(alpha_mm, knots, knots / 10, np.full(shape, gain, np.float32), reach_cells=4.0)
+
+
+@given(SIZES, SIZES, st.floats(0, 255, width=32), st.floats(0, 30))
+def test_a_constant_stays(rows: int, cols: int, level: float, reach: float) -> None:
+    gathered = gather(np.full((rows, cols), level, np.float32), reach)
+    assert gathered.shape == (rows, cols)
+    np.testing.assert_allclose(gathered, level, atol=1e-3)
+
+
+@given(SIZES, SIZES, st.floats(0.1, 30), st.integers(0, 2**32 - 1))
+def test_gathering_solves_its_equation(rows: int, cols: int, reach: float, seed: int) -> None:
+    """ψ - ℓ² ∇²ψ = change with mirrored borders, by a dense float64 solve (even sizes: no padding)."""
+    rows, cols = 2 * (rows // 8 + 1), 2 * (cols // 8 + 1)
+    change = np.random.default_rng(seed).uniform(0, 255, (rows, cols)).astype(np.float32)
+
+    def second_difference(n: int) -> np.ndarray:
+        d = np.diag(np.full(n, 2.0)) - np.eye(n, k=1) - np.eye(n, k=-1)
+        d[0, 0] = d[-1, -1] = 1.0
+        return d if n > 1 else np.zeros((1, 1))
+
+    laplace = np.kron(second_difference(rows), np.eye(cols)) + np.kron(np.eye(rows), second_difference(cols))
+    psi = np.linalg.solve(np.eye(rows * cols) + reach**2 * laplace, change.ravel().astype(float))
+    np.testing.assert_allclose(gather(change, reach), psi.reshape(rows, cols), atol=0.01)
+
+
+def test_gathering_is_symmetric_linear_and_has_unit_gain() -> None:
+    spot = np.zeros((64, 64), np.float32)
+    spot[31, 32] = 100.0
+    psi = gather(spot, 3.0)
+    assert psi.sum() == pytest.approx(100, rel=1e-4)
+    assert np.unravel_index(int(psi.argmax()), psi.shape) == (31, 32)
+    np.testing.assert_allclose(gather(spot.T, 3.0), psi.T, atol=1e-4)
+    np.testing.assert_allclose(gather(spot[::-1, ::-1], 3.0), psi[::-1, ::-1], atol=1e-4)
+    np.testing.assert_allclose(gather(3 * spot, 3.0), 3 * psi, atol=1e-3)
+    np.testing.assert_allclose(psi[31, 32 - 9 : 32 + 10], psi[31, 32 - 9 : 32 + 10][::-1], atol=1e-3)
+
+
+def test_odd_sizes_gather_like_even_ones() -> None:
+    spot = np.zeros((41, 61), np.float32)
+    spot[20, 30] = 100.0
+    wide = gather(np.pad(spot, ((0, 1), (0, 1))), 3.0)
+    np.testing.assert_allclose(gather(spot, 3.0), wide[:41, :61], atol=1e-2)
+
+
+def test_darkening_counts_as_change_and_the_outside_does_not() -> None:
+    change = np.random.default_rng(6).normal(0, 30, (20, 22)).astype(np.float32)
+    inside = np.zeros(change.shape, bool)
+    inside[4:15, 5:16] = True
+    psi, repaired = gathered_change(maps_of(change, inside), 3.0)
+    assert repaired == 0
+    assert (psi >= 0).all()
+    assert not psi[~inside].any()
+    np.testing.assert_allclose(psi, gathered_change(maps_of(-change, inside), 3.0)[0], atol=1e-4)
+
+
+def test_a_deeper_change_is_deeper_and_the_table_ends_saturated() -> None:
+    y, x = np.mgrid[:40, :40]
+    blob = np.exp(-((y - 20) ** 2 + (x - 20) ** 2) / 50).astype(np.float32)
+    depths = [solve(maps_of(np.float32(k) * blob), scale((40, 40))) for k in (10, 20, 40, 80)]
+    tops = [float(d.height_mm.max()) for d in depths]
+    assert tops == sorted(tops)
+    assert tops[0] > 0
+    assert not any(d.saturated for d in depths)
+    beyond = solve(maps_of(np.float32(80) * blob), scale((40, 40), top=10.0))
+    assert beyond.saturated
+    assert beyond.height_mm.max() == pytest.approx(1.0, rel=1e-5)  # the table's end, not an extrapolation
+
+
+def test_the_gain_scales_the_depth() -> None:
+    g_d = np.full((20, 20), 30, np.float32)
+    one, two = (solve(maps_of(g_d), scale((20, 20), gain=k)).height_mm for k in (1.0, 2.0))
+    np.testing.assert_allclose(two, 2 * one, rtol=1e-5)
+    np.testing.assert_allclose(one, 3.0, rtol=1e-3)  # all of the skin changed by 30: the table at 30
+
+
+def test_without_a_table_it_is_alpha_times_g_hn() -> None:
+    g_d = np.random.default_rng(8).uniform(0, 50, (9, 10)).astype(np.float32)
+    none = np.zeros(0, np.float32)
+    depth = solve(maps_of(g_d), DepthScale(2.5, none, none, np.zeros((0, 0), np.float32), 4.0))
+    # g0 is alike everywhere here, so g_hn is the normalised g_d.
+    np.testing.assert_allclose(depth.height_mm, 2.5 * (g_d - g_d.min()) / np.ptp(g_d), atol=1e-5)
+    assert not depth.saturated

@@ -1,0 +1,63 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tacshade_edge.core.disc import Grid, disc_mask, disc_rays, radius_squared
+from tacshade_edge.simulator.render import project
+from tacshade_edge.simulator.truth import pixel_rays
+from tacshade_edge.types import Disc, Geometry
+
+CAMERAS = [None, 4.0, 14.0, 60.0]
+
+
+@given(st.integers(1, 50), st.integers(1, 50), st.integers(1, 8))
+def test_a_grid_lies_in_its_image_and_covers_it(height: int, width: int, step: int) -> None:
+    grid = Grid.of_image(height, width, step)
+    last_row, last_col = grid.row0 + step * (grid.rows - 1), grid.col0 + step * (grid.cols - 1)
+    assert 0 <= grid.row0 <= last_row < height
+    assert 0 <= grid.col0 <= last_col < width
+    # What is left of the image at either end is less than one stride.
+    assert max(grid.row0, height - 1 - last_row, grid.col0, width - 1 - last_col) < max(step, 1) * 1.5
+
+
+def test_the_mask_holds_the_pixels_whose_centre_is_in_the_circle() -> None:
+    mask = disc_mask(7, 9, Disc(3.0, 4.0, 2.0))
+    expected = np.array([[(r - 3) ** 2 + (c - 4) ** 2 <= 4 for c in range(9)] for r in range(7)])
+    np.testing.assert_array_equal(mask, expected)
+    assert not disc_mask(7, 9, Disc(100.0, 100.0, 2.0)).any()
+
+
+def test_the_rim_is_at_one_and_the_centre_at_zero() -> None:
+    rho2 = radius_squared(Grid(11, 11, 0.0, 0.0, 1.0), Disc(5.0, 5.0, 5.0))
+    assert rho2[5, 5] == 0
+    assert rho2[5, 10] == rho2[0, 5] == 1
+
+
+@pytest.mark.parametrize("distance_mm", CAMERAS)
+def test_the_visible_circle_is_where_the_half_angle_is_seen(distance_mm: float | None) -> None:
+    geometry = Geometry(20.0, distance_mm, 50.0, Disc(118.0, 163.0, 100.0))
+    theta = np.radians(50.0)
+    for angle in (0.0, 1.0, 3.0):
+        along = np.array([np.sin(theta) * np.cos(angle), np.sin(theta) * np.sin(angle), np.cos(theta)])
+        col, row = project(geometry, 20.0 * along)
+        assert np.hypot(row - 118.0, col - 163.0) == pytest.approx(100.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("distance_mm", CAMERAS)
+def test_rays_are_those_of_the_independent_camera(distance_mm: float | None) -> None:
+    geometry = Geometry(20.0, distance_mm, 50.0, Disc(118.3, 163.6, 102.4))
+    grid = Grid.of_image(240, 320, 4)
+    rays = disc_rays(grid, geometry)
+    rows, cols = (v.ravel().astype(float) for v in np.mgrid[2:240:4, 2:320:4])
+    origin, along = pixel_rays(geometry, rows, cols)
+    if distance_mm is None:
+        u, v = origin[:, 0], origin[:, 1]
+    else:
+        u, v = along[:, 0] / along[:, 2], along[:, 1] / along[:, 2]
+    np.testing.assert_allclose(rays.u.ravel(), u, atol=2e-6)
+    np.testing.assert_allclose(rays.v.ravel(), v, atol=2e-6)
+    np.testing.assert_array_equal(rays.inside.ravel(), np.hypot(rows - 118.3, cols - 163.6) <= 102.4)
+    assert rays.inside.shape == rays.u.shape == rays.v.shape == (60, 80)
