@@ -12,8 +12,6 @@ from tacshade_edge.types import F32, F64
 
 NONE = np.zeros(0, np.float32)
 NO_TABLE = DepthScale(3.0, NONE, NONE, gain=np.zeros((0, 0), np.float32), reach_cells=5)
-    alpha_mm=3.0, table_grey=NONE, table_depth_mm=NONE, gain=np.zeros((0, 0), np.float32), reach_cells=5
-)
 
 
 def table(shape: tuple[int, int]) -> DepthScale:
