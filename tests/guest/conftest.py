@@ -18,7 +18,7 @@ import pytest
 
 TREE = Path(__file__).resolve().parents[2]
 GUEST = TREE / "tools/rig/guest.py"
-LIMIT_S = 240
+LIMIT_S = 480
 _INSIDE = "TACSHADE_GUEST_REPORTS"
 _stored = pytest.StashKey[dict[str, list[pytest.TestReport]]]()
 
