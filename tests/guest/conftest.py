@@ -39,8 +39,8 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item) -> bool | None:
-    """Outside: let the reports from the guest stand for the run."""
-    if _INSIDE in os.environ:
+    """Outside: let the reports from the guest stand for the run. (pytest asks every conftest about every item.)"""
+    if _INSIDE in os.environ or not item.path.is_relative_to(Path(__file__).parent):
         return None
     stash = item.session.stash
     if _stored not in stash:
