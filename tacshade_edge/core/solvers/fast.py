@@ -14,10 +14,11 @@ from tacshade_edge.core.greyscale import shape_grey
 from tacshade_edge.core.solvers.base import Depth, DepthScale, GreyMaps
 from tacshade_edge.types import F32
 
-# The reach of the gathering, in skin radii: 6 mm on a skin of 20 mm.
-REACH_RADII = 0.3
+# The reach of the gathering, in skin radii: 4.4 mm on a skin of 20 mm. A longer one finds wide objects too deep, a
+# shorter one small ones too flat.
+REACH_RADII = 0.22
 # The brightening is gathered over this part of it, so that the bright spots between pins make one patch.
-SHAPE_REACH = 0.3
+SHAPE_REACH = 0.4
 # A patch whose gathered brightening stays below this is noise, and keeps its small share (grey levels).
 SHAPE_FLOOR = 8.0
 
