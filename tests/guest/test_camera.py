@@ -54,7 +54,7 @@ def test_frames_flow_with_the_kernels_time_stamps(camera: V4l2Source) -> None:
     assert described["time_stamps"] == "kernel"
     assert (described["format"], described["width_px"], described["height_px"]) == ("YUYV", 640, 480)
     assert described["fps_stated"] == 25, "asked 30, the driver has 25 at this size and says so"
-    assert described["fps_measured"] == pytest.approx(25, rel=0.02)
+    assert described["fps_measured"] == pytest.approx(25, rel=0.1)
     assert described["exposure"] == described["white_balance"] == "no control"
     for frame in frames:
         assert frame is not None
