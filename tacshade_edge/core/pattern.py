@@ -20,6 +20,8 @@ _RADIAL_STEP_PX = 0.5
 _SLOW_TURN = 1 / 60
 # Steps of the search for the centre, in px at a disc of 200 px.
 _CENTRE_STEPS = (8.0, 4.0, 2.0, 1.0, 0.5, 0.25, 0.12)
+# Along the angle, just inside its rim, a pattern varies at least by this (RMS, grey levels).
+_LEAST_PATTERN = 3.0
 # Just outside the rim the pattern's variation must have fallen below this part of what it is just inside.
 _RIM_FALL = 0.5
 
@@ -43,6 +45,11 @@ def find_disc(grey: U8) -> Disc:
     best = max(starts, key=lambda rim: rim.sharpness)
     for step in _CENTRE_STEPS:
         best = _climb(grey, best, step * best.disc.radius_px / 200)
+    if best.strength < _LEAST_PATTERN:
+        raise ConfigError(
+            f"no visible circle found in the reference: the pattern varies by {best.strength:.1f} grey levels, "
+            f"expected {_LEAST_PATTERN} or more"
+        )
     if best.fall > _RIM_FALL:
         raise ConfigError(
             "no visible circle found in the reference: the pattern's variation falls only to "
@@ -53,10 +60,11 @@ def find_disc(grey: U8) -> Disc:
 
 @dataclass(frozen=True, slots=True)
 class _Rim:
-    """A circle, how sharply the pattern ends at it (grey levels), and what is left of it just outside (ratio)."""
+    """A circle; how sharply the pattern ends there, its variation just inside (grey levels), what is left outside."""
 
     disc: Disc
     sharpness: float
+    strength: float
     fall: float
 
 
@@ -150,6 +158,7 @@ def _end_of_pattern(grey: U8, disc: Disc, low: float, high: float) -> _Rim:
     return _Rim(
         Disc(disc.row_c, disc.col_c, radius),
         sharpness=float(fall[best]),
+        strength=float(inner[best]),
         fall=float(outer[best] / max(inner[best], 1e-9)),
     )
 

@@ -26,8 +26,10 @@ SURROUND_LEVELS = 25.0
 SURROUND_PART = 0.15
 # The light may change by so much before the binarised image cannot be compared with the reference's.
 LIGHT_LOW, LIGHT_HIGH = 0.45, 1.7
-# Median difference of neighbouring pixels; the pattern itself has flat places enough to leave it near the noise.
+# Median difference of neighbouring pixels; the pattern itself has flat places enough to leave it near the noise, or
+# so fine a pattern that the reference itself comes near it.
 NOISE_STEP = 9.0
+NOISE_OVER_REFERENCE = 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,6 +44,8 @@ class FrameCheck:
         Blocks wholly inside, and wholly outside near, the disc.
     level, contrast : float32 (rows, cols)
         Mean and standard deviation of the reference's grey in each block.
+    step : float
+        Median difference of the reference's neighbouring pixels.
     """
 
     mask: U8
@@ -49,6 +53,7 @@ class FrameCheck:
     surround: Bool
     level: F32
     contrast: F32
+    step: float
 
     def __post_init__(self) -> None:
         freeze(self, "mask", "inside", "surround", "level", "contrast")
@@ -70,7 +75,7 @@ def frame_check(reference_grey: U8, mask: Bool, disc: Disc) -> FrameCheck:
     if height < BLOCK_PX or width < BLOCK_PX:
         none = np.zeros((rows, cols), dtype=bool)
         flat = np.zeros((rows, cols), dtype=np.float32)
-        return FrameCheck(mask.astype(np.uint8), none, none, flat, flat)
+        return FrameCheck(mask.astype(np.uint8), none, none, flat, flat, _noise_step(reference_grey, mask))
     middle = (BLOCK_PX - 1) / 2
     r = np.hypot(
         BLOCK_PX * np.arange(rows)[:, None] + middle - disc.row_c,
@@ -79,7 +84,14 @@ def frame_check(reference_grey: U8, mask: Bool, disc: Disc) -> FrameCheck:
     half_diagonal = BLOCK_PX * 0.7072
     level, contrast = _blocks(reference_grey)
     surround = (r > disc.radius_px + half_diagonal + 2) & (r < 1.35 * disc.radius_px)
-    return FrameCheck(mask.astype(np.uint8), r < disc.radius_px - half_diagonal, surround, level, contrast)
+    return FrameCheck(
+        mask=mask.astype(np.uint8),
+        inside=r < disc.radius_px - half_diagonal,
+        surround=surround,
+        level=level,
+        contrast=contrast,
+        step=_noise_step(reference_grey, mask),
+    )
 
 
 def invalid_reason(grey: U8, check: FrameCheck) -> str:
@@ -102,15 +114,15 @@ def invalid_reason(grey: U8, check: FrameCheck) -> str:
         return f"saturated: {100 * bright / inside_px:.0f} % of the disc at {SATURATED_LEVEL} or above"
     if std < FLAT_STD:
         return f"{'black' if mean < BLACK_LEVEL else 'no contrast'}: mean grey {mean:.0f}, deviation {std:.1f}"
-    step = _noise_step(grey, check)
-    if step > NOISE_STEP:
+    step = _noise_step(grey, check.mask > 0)
+    if step > max(NOISE_STEP, check.step + NOISE_OVER_REFERENCE):
         return f"noise: neighbouring pixels differ by {step:.0f} grey levels"
     return _compared_reason(grey, check)
 
 
-def _noise_step(grey: U8, check: FrameCheck) -> float:
+def _noise_step(grey: U8, mask: Bool) -> float:
     """Median difference of horizontal neighbours on every eighth row of the disc."""
-    rows, inside = grey[::8].astype(np.int16), check.mask[::8, 1:] > 0
+    rows, inside = grey[::8].astype(np.int16), mask[::8, 1:]
     return float(np.median(np.abs(np.diff(rows, axis=1))[inside])) if inside.any() else 0.0
 
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tacshade_edge.core.solvers import DepthScale, GreyMaps
@@ -29,6 +29,7 @@ def test_a_constant_stays(rows: int, cols: int, level: float, reach: float) -> N
     np.testing.assert_allclose(gathered, level, atol=1e-3)
 
 
+@settings(deadline=None)
 @given(SIZES, SIZES, st.floats(0.1, 30), st.integers(0, 2**32 - 1))
 def test_gathering_solves_its_equation(rows: int, cols: int, reach: float, seed: int) -> None:
     """ψ - ℓ² ∇²ψ = change with mirrored borders, by a dense float64 solve (even sizes: no padding)."""

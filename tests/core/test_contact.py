@@ -1,0 +1,75 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from calibrated_sensor import HALF, calibrated, pressed, unloaded
+
+from tacshade_edge.core.contact import GATE_LEVELS, GATE_NOISE, gate, glare_check, glare_mask, light_drift
+from tacshade_edge.core.disc import disc_mask
+from tacshade_edge.core.greyscale import to_grey
+from tacshade_edge.simulator import nuisance
+from tacshade_edge.types import F32, U8
+
+VOTING = np.ones((20, 30), bool)
+
+
+def patch(level: float, cells: int = 9, base: float = 0.0) -> F32:
+    g_d = np.full((20, 30), base, np.float32)
+    g_d[5, :cells] += level
+    return g_d
+
+
+def test_the_gate_opens_on_enough_change_over_enough_skin() -> None:
+    assert gate(patch(GATE_LEVELS + 1, 3), VOTING, 0.5, 1.0).contact
+    assert not gate(patch(GATE_LEVELS + 1, 2), VOTING, 0.5, 1.0).contact  # 2 mm²
+    assert not gate(patch(GATE_LEVELS - 1), VOTING, 0.5, 1.0).contact
+    assert not gate(patch(-100), VOTING, 0.5, 1.0).contact
+
+
+def test_a_noisy_sensor_has_a_higher_gate() -> None:
+    level = GATE_NOISE * 10
+    assert not gate(patch(level - 1), VOTING, 10.0, 1.0).contact
+    assert gate(patch(level + 1), VOTING, 10.0, 1.0).contact
+
+
+@pytest.mark.parametrize("base", [-25.0, 25.0])
+def test_a_change_of_light_is_taken_off(base: float) -> None:
+    everywhere = gate(patch(0, base=base), VOTING, 0.5, 1.0)
+    assert not everywhere.contact
+    assert everywhere.drift_grey == base
+    assert gate(patch(GATE_LEVELS + 1, base=base), VOTING, 0.5, 1.0).contact
+
+
+def test_only_voters_count() -> None:
+    assert not gate(patch(200), VOTING & False, 0.5, 1.0).contact
+    rim = VOTING.copy()
+    rim[5] = False
+    assert not gate(patch(200), rim, 0.5, 1.0).contact
+    assert light_drift(patch(9), VOTING & False) == 0.0
+
+
+def masks() -> tuple[U8, U8]:
+    calibration = calibrated(HALF, 0)
+    mask = disc_mask(240, 320, calibration.geometry.disc).astype(np.uint8)
+    return calibration.reference_grey, mask
+
+
+@pytest.mark.parametrize("depth_mm", [1.0, 3.0])
+@pytest.mark.parametrize("name", ["ball", "cube", "edge"])
+def test_a_contact_is_no_glare(name: str, depth_mm: float) -> None:
+    reference, mask = masks()
+    check = glare_check(reference, mask, calibrated(HALF, 0).pitch_px)
+    assert glare_mask(to_grey(pressed(name, depth_mm).image), mask, check) is None
+
+
+@pytest.mark.parametrize("radius_px", [4, 8, 12])
+def test_glare_is_covered_and_the_rest_is_not(radius_px: float) -> None:
+    reference, mask = masks()
+    check = glare_check(reference, mask, calibrated(HALF, 0).pitch_px)
+    assert glare_mask(to_grey(unloaded()), mask, check) is None
+    found = glare_mask(to_grey(nuisance.glare(unloaded(), 110, 190, radius_px)), mask, check)
+    assert found is not None
+    rows, cols = np.indices(found.shape)
+    apart = np.hypot(rows - 110, cols - 190)
+    assert found[apart < radius_px].all()
+    assert not found[(apart > 3 * radius_px + 4 * calibrated(HALF, 0).pitch_px) & (mask > 0)].any()

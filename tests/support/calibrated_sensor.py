@@ -1,0 +1,92 @@
+"""Simulated sensors and what was calibrated on them, made once per test session."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from tacshade_edge.core.calibrate import BallPress, Sensor, calibrate
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.devices.calibration_file import with_crc
+from tacshade_edge.simulator.calibration_set import ball_presses
+from tacshade_edge.simulator.model import SensorModel, random_model, tactip
+from tacshade_edge.simulator.objects import OBJECTS
+from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.scene import SimulatedFrame, SimulatedSensor
+from tacshade_edge.types import U8, Calibration, Frame, Reconstruction
+
+FULL = SensorModel()
+# The same sensor through a camera of half the resolution.
+HALF = replace(FULL, image_height_px=240, image_width_px=320, row_c=118.2, col_c=163.8, disc_radius_px=102.5)
+TACTIP = tactip(HALF)
+
+
+def sensor_of(model: SensorModel) -> Sensor:
+    """What a person would state of a simulated sensor."""
+    return Sensor(
+        skin_radius_mm=model.skin_radius_mm,
+        camera_distance_mm=model.camera_distance_mm,
+        visible_half_angle_deg=model.visible_half_angle_deg,
+        polarity="dark" if model.pin_tip_reflectance > 0.5 else "bright",
+    )
+
+
+@cache
+def simulated(model: SensorModel = HALF) -> SimulatedSensor:
+    return SimulatedSensor(model)
+
+
+@cache
+def random_sensor(seed: int) -> SensorModel:
+    return random_model(seed)
+
+
+@cache
+def references(model: SensorModel = HALF, count: int = 5) -> tuple[U8, ...]:
+    return tuple(simulated(model).frame((), seed).image for seed in range(count))
+
+
+@cache
+def presses(model: SensorModel = HALF, count: int = 20) -> tuple[BallPress, ...]:
+    return tuple(
+        BallPress(
+            f"press {k}",
+            simulated(model).frame((press,), 100 + k).image,
+            radius_mm,
+            press.depth_mm,
+            press.x_mm,
+            press.y_mm,
+        )
+        for k, (press, radius_mm) in enumerate(ball_presses(model, count))
+    )
+
+
+@cache
+def calibrated(model: SensorModel = HALF, count: int = 20) -> Calibration:
+    """From 5 references and `count` ball presses; 0: references alone."""
+    return with_crc(calibrate(sensor_of(model), references(model), presses(model, count) if count else ()).calibration)
+
+
+@cache
+def reconstructor(profile: str, model: SensorModel = HALF, count: int = 20) -> Reconstructor:
+    return Reconstructor(calibrated(model, count), PROFILES[profile])
+
+
+@cache
+def pressed(
+    name: str, depth_mm: float, model: SensorModel = HALF, x_mm: float = 0.0, y_mm: float = 0.0
+) -> SimulatedFrame:
+    """A frame that no calibration saw."""
+    return simulated(model).frame((Press(OBJECTS[name](), x_mm, y_mm, depth_mm),), 7)
+
+
+def unloaded(model: SensorModel = HALF, noise_seed: int = 50) -> U8:
+    """A frame without contact that is not one of the references."""
+    return simulated(model).frame((), noise_seed).image
+
+
+def step(profile: str, image: U8, model: SensorModel = HALF, count: int = 20) -> Reconstruction:
+    return reconstructor(profile, model, count).step(Frame(0, 0, 0, np.array(image)))
