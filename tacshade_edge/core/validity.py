@@ -46,6 +46,8 @@ class FrameCheck:
         Mean and standard deviation of the reference's grey in each block.
     step : float
         Median difference of the reference's neighbouring pixels.
+    bright : float
+        Grey that a tenth of its disc exceeds.
     """
 
     mask: U8
@@ -54,6 +56,7 @@ class FrameCheck:
     level: F32
     contrast: F32
     step: float
+    bright: float
 
     def __post_init__(self) -> None:
         freeze(self, "mask", "inside", "surround", "level", "contrast")
@@ -75,7 +78,7 @@ def frame_check(reference_grey: U8, mask: Bool, disc: Disc) -> FrameCheck:
     if height < BLOCK_PX or width < BLOCK_PX:
         none = np.zeros((rows, cols), dtype=bool)
         flat = np.zeros((rows, cols), dtype=np.float32)
-        return FrameCheck(mask.astype(np.uint8), none, none, flat, flat, _noise_step(reference_grey, mask))
+        return FrameCheck(mask.astype(np.uint8), none, none, flat, flat, 0.0, 0.0)
     middle = (BLOCK_PX - 1) / 2
     r = np.hypot(
         BLOCK_PX * np.arange(rows)[:, None] + middle - disc.row_c,
@@ -91,6 +94,7 @@ def frame_check(reference_grey: U8, mask: Bool, disc: Disc) -> FrameCheck:
         level=level,
         contrast=contrast,
         step=_noise_step(reference_grey, mask),
+        bright=_bright(reference_grey, mask),
     )
 
 
@@ -126,6 +130,12 @@ def _noise_step(grey: U8, mask: Bool) -> float:
     return float(np.median(np.abs(np.diff(rows, axis=1))[inside])) if inside.any() else 0.0
 
 
+def _bright(grey: U8, mask: Bool) -> float:
+    """Grey level that a tenth of the disc exceeds; of every fourth pixel in both directions."""
+    inside = grey[::4, ::4][mask[::4, ::4]]
+    return float(np.percentile(inside, 90)) if inside.size else 0.0
+
+
 def _compared_reason(grey: U8, check: FrameCheck) -> str:
     """What the reference tells: torn, moved, other light."""
     if not check.inside.any():
@@ -139,10 +149,13 @@ def _compared_reason(grey: U8, check: FrameCheck) -> str:
         return f"torn: {empty * BLOCK_PX} rows across the disc show no marker"
     if not textured.any():
         return ""
-    usual = float(np.median(check.level[textured]))
-    gain = float(np.median(level[textured])) / max(usual, 1.0)
-    if not LIGHT_LOW < gain < LIGHT_HIGH:
-        return f"light: {gain:.2f} times the reference's, expected {LIGHT_LOW} to {LIGHT_HIGH}"
+    # A deep contact darkens or brightens most of the disc, but some markers stay as bright as the light: those tell
+    # less light. More light saturates them; there the common level tells.
+    gain = _bright(grey, check.mask > 0) / max(check.bright, 1.0)
+    common = float(np.median(level[textured])) / max(float(np.median(check.level[textured])), 1.0)
+    if gain < LIGHT_LOW or common > LIGHT_HIGH:
+        found = gain if gain < LIGHT_LOW else common
+        return f"light: {found:.2f} times the reference's, expected {LIGHT_LOW} to {LIGHT_HIGH}"
     if not check.surround.any():
         return ""
     expected = np.minimum(check.level * np.float32(gain), 255)

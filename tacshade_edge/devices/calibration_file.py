@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import tokenize
 import zipfile
 import zlib
 from dataclasses import replace
@@ -16,6 +18,18 @@ from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.types import Calibration, Disc, Geometry
 
 VERSION = 1
+# What numpy and zipfile raise on damaged bytes (TypeError: a .npy; RuntimeError: a flag or method zipfile lacks).
+_DAMAGE = (
+    KeyError,
+    ValueError,
+    TypeError,
+    EOFError,
+    RuntimeError,
+    MemoryError,
+    tokenize.TokenError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
 _ARRAYS = ("reference_white", "reference_grey", "table_grey", "table_depth_mm", "table_gain")
 
 
@@ -81,7 +95,8 @@ def save(path: str | os.PathLike[str], calibration: Calibration) -> Calibration:
             os.fsync(stream.fileno())
         os.replace(partial, target)
     except OSError as error:
-        partial.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
         raise DeviceError(f"{target}: cannot write the calibration: {error.strerror or error}") from None
     return stored
 
@@ -105,9 +120,9 @@ def load(path: str | os.PathLike[str]) -> Calibration:
             f"{name}: cannot read the calibration: {error.strerror or 'not an .npz file'}; "
             "expected a file written by `tacshade-edge calibrate`"
         ) from None
-    except (KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:  # TypeError: a .npy
+    except _DAMAGE:
         raise ConfigError(
-            f"{name}: not a calibration, or damaged ({type(error).__name__}); "
+            f"{name}: not a calibration, or damaged; "
             "expected a file written by `tacshade-edge calibrate`"
         ) from None
     if _crc32(meta, arrays) != crc:

@@ -33,6 +33,8 @@ def read_image(path: Path) -> U8:
         data = path.read_bytes()
     except OSError as error:
         raise DecodeError(f"{path}: {error.strerror or error}, expected an image") from error
+    except ValueError as error:  # a NUL in the name
+        raise DecodeError(f"{str(path)!r}: {error}, expected an image") from error
     for start, end in _ENDS:
         if data.startswith(start) and end not in data[-_TAIL_BYTES:]:
             raise DecodeError(f"{path}: cut short after {len(data)} bytes, expected a whole image")

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tacshade_edge.core.solvers import DepthScale, GreyMaps
-from tacshade_edge.core.solvers.fast import gather, gathered_change, solve
+from tacshade_edge.core.solvers.fast import DARKENING_FLOOR, DARKENING_WEIGHT, gather, gathered_change, solve
 from tacshade_edge.types import F32
 
 SIZES = st.integers(1, 33)
@@ -73,7 +73,9 @@ def test_darkening_counts_as_change_and_the_outside_does_not() -> None:
     assert repaired == 0
     assert (psi >= 0).all()
     assert not psi[~inside].any()
-    np.testing.assert_allclose(psi, gathered_change(maps_of(-change, inside), 3.0)[0], atol=1e-4)
+    # A dark rim says more of the depth than a bright middle: the same change is worth more as darkening.
+    dark, bright = (gathered_change(maps_of(sign * np.abs(change), inside), 3.0)[0] for sign in (-1, 1))
+    assert (dark[inside] > bright[inside]).all()
 
 
 def test_a_deeper_change_is_deeper_and_the_table_ends_saturated() -> None:
@@ -93,7 +95,9 @@ def test_the_gain_scales_the_depth() -> None:
     g_d = np.full((20, 20), 30, np.float32)
     one, two = (solve(maps_of(g_d), scale((20, 20), gain=k)).height_mm for k in (1.0, 2.0))
     np.testing.assert_allclose(two, 2 * one, rtol=1e-5)
-    np.testing.assert_allclose(one, 3.0, rtol=1e-3)  # all of the skin changed by 30: the table at 30
+    # All of the skin brightened by 30 and nothing darkened: χ = 30^(1-w) floor^w, and the table gives a tenth of it.
+    chi = 30 ** (1 - DARKENING_WEIGHT) * DARKENING_FLOOR**DARKENING_WEIGHT
+    np.testing.assert_allclose(one, chi / 10, rtol=1e-3)
 
 
 def test_without_a_table_it_is_alpha_times_g_hn() -> None:

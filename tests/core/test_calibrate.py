@@ -1,0 +1,188 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from calibrated_sensor import HALF, calibrated, pressed, presses, references, sensor_of, simulated, step, unloaded
+
+from tacshade_edge.core.calibrate import MIN_PRESSES, BallPress, Calibrated, calibrate, rezero
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.simulator import nuisance
+from tacshade_edge.simulator.model import SensorModel, random_model
+from tacshade_edge.simulator.objects import ball
+from tacshade_edge.simulator.press import Press
+from tacshade_edge.types import U8, Frame
+
+SENSOR = sensor_of(HALF)
+
+
+def fitted(table: tuple[BallPress, ...] | list[BallPress]) -> Calibrated:
+    return calibrate(SENSOR, references(), table)
+
+
+def loaded(depth_mm: float, x_mm: float, model: SensorModel = HALF) -> list[U8]:
+    sensor = simulated(model)
+    return [sensor.frame((Press(ball(6.0), x_mm, 0.0, depth_mm),), k).image for k in range(3)]
+
+
+def test_references_alone_give_what_images_tell() -> None:
+    result = calibrate(SENSOR, references())
+    calibration = result.calibration
+    assert result.warnings == ()
+    assert (calibration.image_height_px, calibration.image_width_px) == (240, 320)
+    assert calibration.geometry.disc.radius_px == pytest.approx(HALF.disc_radius_px, rel=0.005)
+    assert calibration.table_grey.size == calibration.table_depth_mm.size == calibration.table_gain.size == 0
+    assert calibration.alpha == 15.0
+    assert calibration.fit == {}
+    assert 0.2 < calibration.noise_grey < 3
+    outside = np.hypot(np.arange(240)[:, None] - HALF.row_c, np.arange(320)[None, :] - HALF.col_c) > 104
+    assert not calibration.reference_white[outside].any()
+
+
+def test_noise_is_measured_from_the_references() -> None:
+    noisy = [nuisance.noise(image, 12, k) for k, image in enumerate(references())]
+    assert calibrate(SENSOR, noisy).calibration.noise_grey > 1.5 * calibrated(count=0).noise_grey
+
+
+def test_few_references_are_said() -> None:
+    (warning,) = calibrate(SENSOR, references()[:1]).warnings
+    assert warning.startswith("1 reference: noise assumed")
+
+
+def test_references_that_cannot_be_used() -> None:
+    with pytest.raises(ConfigError, match="no reference image"):
+        calibrate(SENSOR, [])
+    with pytest.raises(ConfigError, match="reference 2 is 320x239 px, the first is 320x240"):
+        calibrate(SENSOR, [references()[0], references()[1][:-1]])
+    for image in (unloaded() * 0, unloaded() * 0 + 255, np.zeros((1, 1), np.uint8)):
+        with pytest.raises(ConfigError, match="in the reference"):
+            calibrate(SENSOR, [image] * 3)
+
+
+@pytest.mark.parametrize("x_mm", [0.0, 5.0])
+def test_a_reference_under_load_is_refused_or_allowed(x_mm: float) -> None:
+    with pytest.raises(ConfigError, match=r"taken under load.*--allow-loaded-reference"):
+        calibrate(SENSOR, loaded(3.0, x_mm))
+    (warning,) = calibrate(SENSOR, loaded(3.0, x_mm), allow_loaded_reference=True).warnings
+    assert "taken under load" in warning
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("height", [240, 480])
+def test_load_is_told_from_none_on_other_sensors(seed: int, height: int) -> None:
+    model = random_model(seed, height, height * 4 // 3)
+    assert calibrate(sensor_of(model), references(model, 3)).warnings == ()
+    for x_mm in (0.0, 5.0):
+        with pytest.raises(ConfigError, match=r"under load|in the reference"):
+            calibrate(sensor_of(model), loaded(3.0, x_mm, model))
+
+
+def test_presses_make_a_monotone_table_and_a_real_error() -> None:
+    calibration = fitted(presses()).calibration
+    table, depth = calibration.table_grey, calibration.table_depth_mm
+    assert table[0] == depth[0] == 0
+    assert (np.diff(table) > 0).all()
+    assert (np.diff(depth) > 0).all()
+    assert (calibration.table_gain > 0).all()
+    assert calibration.fit["presses"] == 20
+    assert calibration.fit["depth_mae_mm"] <= calibration.fit["depth_rmse_mm"] <= calibration.fit["depth_worst_mm"]
+    assert calibration.fit["depth_mae_mm"] < 0.45
+    assert calibration.fit["position_mae_mm"] < 2.5
+
+
+def test_cross_validation_finds_out_false_depths() -> None:
+    depths = [press.depth_mm for press in presses()]
+    np.random.default_rng(1).shuffle(depths)
+    shuffled = [replace(press, depth_mm=depth) for press, depth in zip(presses(), depths, strict=True)]
+    honest, false = (fitted(table).calibration.fit["depth_mae_mm"] for table in (presses(), shuffled))
+    assert false > 2 * honest
+
+
+def test_cross_validation_is_near_the_error_on_presses_that_it_never_saw() -> None:
+    calibration = fitted(presses()[::2] + presses()[1::4]).calibration
+    made = Reconstructor(calibration, PROFILES["fast"])
+    unseen = presses()[3::4]
+    errors = [abs(made.step(Frame(0, 0, 0, p.image)).depth_max_mm - p.depth_mm) for p in unseen]
+    assert np.mean(errors) < 3 * calibration.fit["depth_mae_mm"]
+
+
+def test_presses_without_a_place_are_located() -> None:
+    placeless = [replace(press, x_mm=None, y_mm=None) for press in presses()]
+    calibration, known = fitted(placeless).calibration, fitted(presses()).calibration
+    np.testing.assert_allclose(calibration.table_depth_mm, known.table_depth_mm, rtol=0.05)
+    assert calibration.fit["depth_mae_mm"] == pytest.approx(known.fit["depth_mae_mm"], rel=0.1)
+
+
+def test_presses_that_do_not_vary_still_calibrate() -> None:
+    one = simulated(HALF)
+    same = [
+        BallPress(str(k), one.frame((Press(ball(6.0), 0, 0, 2.0),), k).image, 6.0, 2.0, 0.0, 0.0)
+        for k in range(MIN_PRESSES)
+    ]
+    made = Reconstructor(fitted(same).calibration, PROFILES["fast"])
+    assert made.step(Frame(0, 0, 0, pressed("ball", 2.0).image)).depth_max_mm == pytest.approx(2.0, rel=0.1)
+    assert np.isfinite(made.calibration.table_depth_mm).all()
+
+
+def test_too_few_presses() -> None:
+    with pytest.raises(ConfigError, match=f"7 presses: at least {MIN_PRESSES} are needed"):
+        fitted(presses()[:7])
+
+
+@pytest.mark.parametrize("depth_mm", [0.0, -1.0, 20.0, 1e9, float("nan"), float("inf")])
+def test_a_depth_that_cannot_be(depth_mm: float) -> None:
+    with pytest.raises(ConfigError, match=r"press 0: depth .* expected 0 < depth < 20"):
+        fitted([replace(presses()[0], depth_mm=depth_mm), *presses()[1:]])
+
+
+@pytest.mark.parametrize("radius_mm", [0.0, -1.0, float("nan")])
+def test_a_ball_that_cannot_be(radius_mm: float) -> None:
+    with pytest.raises(ConfigError, match=r"press 0: .*expected .*a radius above 0"):
+        fitted([replace(presses()[0], radius_mm=radius_mm), *presses()[1:]])
+
+
+def test_press_images_that_cannot_be_used() -> None:
+    for image, said in {
+        "size": (presses()[0].image[:-2], "320x238 px, the reference is 320x240"),
+        "black": (presses()[0].image * 0, "not usable: black"),
+    }.values():
+        with pytest.raises(ConfigError, match=f"press 0: {said}"):
+            fitted([replace(presses()[0], image=image), *presses()[1:]])
+
+
+def test_presses_that_show_no_contact_are_refused() -> None:
+    with pytest.raises(ConfigError, match="no contact"):
+        fitted([replace(press, image=unloaded(noise_seed=60 + k)) for k, press in enumerate(presses())])
+
+
+def test_a_new_reference_keeps_everything_else() -> None:
+    dimmer = [nuisance.gain(unloaded(noise_seed=60 + k), 0.8) for k in range(3)]
+    renewed = rezero(calibrated(), dimmer)
+    assert renewed.crc32 == 0
+    assert renewed.reference_grey.mean() < 0.85 * calibrated().reference_grey.mean()
+    for name in ("geometry", "polarity", "pitch_px", "alpha", "fit"):
+        assert getattr(renewed, name) == getattr(calibrated(), name)
+    np.testing.assert_array_equal(renewed.table_depth_mm, calibrated().table_depth_mm)
+    image = pressed("ball", 3.0).image
+    depth_mm = Reconstructor(renewed, PROFILES["fast"]).step(Frame(0, 0, 0, nuisance.gain(image, 0.8))).depth_max_mm
+    assert depth_mm == pytest.approx(step("fast", image).depth_max_mm, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("images", "said"),
+    [
+        ([], "no image"),
+        ([unloaded() * 0], "reference refused: black"),
+        ([unloaded(), unloaded()[:-1]], "reference refused: size"),
+        (loaded(3.0, 0.0), "reference refused: .*under load"),
+        (loaded(3.0, 6.0), "reference refused: .*under load"),
+    ],
+    ids=["none", "black", "size", "load in the middle", "load"],
+)
+def test_a_new_reference_that_cannot_be_used(images: list[U8], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        rezero(calibrated(), images)

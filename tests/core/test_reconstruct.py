@@ -1,0 +1,263 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from calibrated_sensor import (
+    FULL,
+    HALF,
+    TACTIP,
+    calibrated,
+    pressed,
+    presses,
+    reconstructor,
+    references,
+    sensor_of,
+    simulated,
+    step,
+    unloaded,
+)
+
+from tacshade_edge.core.calibrate import calibrate
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.reconstruct import STAGES, Reconstructor
+from tacshade_edge.simulator import nuisance
+from tacshade_edge.simulator.model import SensorModel
+from tacshade_edge.simulator.objects import OBJECTS
+from tacshade_edge.simulator.press import Press
+from tacshade_edge.types import U8, Binarisation, Frame, Reconstruction
+
+
+def everything(result: Reconstruction) -> tuple[object, ...]:
+    """All that a result says, bit for bit."""
+    height, cloud = result.height, result.cloud
+    arrays = (height.height_mm, height.contact, cloud.points_mm, cloud.labels)
+    said = (result.valid, result.reason, result.contact, result.saturated, result.degraded, result.objects)
+    return (*said, result.volume_mm3, result.repaired_px, *(a.tobytes() for a in arrays))
+
+
+def assert_nothing(result: Reconstruction, inside: np.ndarray) -> None:
+    """Exactly 0 inside the disc, NaN outside, no object."""
+    height = result.height.height_mm
+    assert not result.contact
+    assert (height[inside] == 0).all()
+    assert np.isnan(height[~inside]).all()
+    assert not result.height.contact.any()
+    assert result.cloud.points_mm.shape == (0, 3)
+    assert result.cloud.labels.shape == (0,)
+    assert (result.objects, result.volume_mm3, result.depth_max_mm) == ((), 0.0, 0.0)
+
+
+def harmless(model: SensorModel) -> dict[str, U8]:
+    good = unloaded(model)
+    part = model.disc_radius_px / 205
+    glare = {
+        f"glare {r} px at {where}": nuisance.glare(good, model.row_c + y * part, model.col_c + x * part, r * part)
+        for r in (8, 14, 20)
+        for where, (x, y) in {"the middle": (0, 0), "the side": (80, -50)}.items()
+    }
+    return glare | {
+        "no contact": good,
+        "dimmed": nuisance.gain(good, 0.9),
+        "brightened": nuisance.gain(good, 1.1),
+        "noise": nuisance.noise(good, 5, 1),
+        "shifted down": nuisance.shift(good, 1, 0),
+        "shifted left": nuisance.shift(good, 0, -1),
+    }
+
+
+def unusable(model: SensorModel) -> dict[str, U8]:
+    good = unloaded(model)
+    return {
+        "black": good * 0,
+        "white": good * 0 + 255,
+        "saturated": nuisance.gain(good, 6),
+        "noisy": nuisance.noise(good, 30, 1),
+        "torn": nuisance.torn(good, good * 0, model.image_height_px // 2),
+        "another size": good[:-3],
+    }
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("model", [HALF, TACTIP], ids=["half", "tactip"])
+def test_without_contact_the_height_is_exactly_zero(profile: str, model: SensorModel) -> None:
+    inside = reconstructor(profile, model, 0).rays.inside
+    for name, image in harmless(model).items():
+        if model is TACTIP and "glare" in name:
+            continue  # below
+        result = step(profile, image, model, 0)
+        assert result.valid, (name, result.reason)
+        assert not result.contact, (name, result.depth_max_mm)
+        assert_nothing(result, inside)
+
+
+@pytest.mark.xfail(strict=True, reason="a wide glare spot blackens pins around it, which is contact on a TacTip")
+def test_glare_is_no_contact_on_a_sensor_that_darkens() -> None:
+    found = [n for n, image in harmless(TACTIP).items() if "glare" in n and step("fast", image, TACTIP, 0).contact]
+    assert found == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("profile", PROFILES)
+def test_without_contact_the_height_is_exactly_zero_at_full_size(profile: str) -> None:
+    test_without_contact_the_height_is_exactly_zero(profile, FULL)
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_an_unusable_frame_is_invalid_and_zero(profile: str) -> None:
+    inside = reconstructor(profile, HALF, 0).rays.inside
+    for name, image in unusable(HALF).items():
+        result = step(profile, image, HALF, 0)
+        assert not result.valid, name
+        assert result.reason, name
+        assert_nothing(result, inside)
+
+
+@pytest.mark.parametrize("name", ["ball", "cube"])
+@pytest.mark.parametrize("depth_mm", [2.0, 3.0, 4.0])
+def test_pressed_depth_is_found_within_a_quarter(name: str, depth_mm: float) -> None:
+    frame = pressed(name, depth_mm)
+    result = step("fast", frame.image)
+    assert result.contact
+    assert result.degraded == ""
+    assert result.depth_max_mm == pytest.approx(frame.truth().depth_max_mm, rel=0.25)
+    x, y, z = result.objects[0].centroid_mm
+    assert np.hypot(x, y) < 1.0
+    assert 20 - 1.25 * depth_mm < z < 20
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["ball", "cube"])
+@pytest.mark.parametrize("depth_mm", [2.0, 3.0, 4.0])
+@pytest.mark.parametrize(("x_mm", "y_mm"), [(0.0, 0.0), (4.0, -3.0), (-6.0, 0.0)])
+def test_pressed_depth_at_full_size(name: str, depth_mm: float, x_mm: float, y_mm: float) -> None:
+    frame = pressed(name, depth_mm, FULL, x_mm, y_mm)
+    result = step("fast", frame.image, FULL, 40)
+    assert result.depth_max_mm == pytest.approx(frame.truth().depth_max_mm, rel=0.25)
+
+
+def test_a_deeper_press_is_deeper() -> None:
+    depths = [step("fast", pressed("ball", d).image).depth_max_mm for d in (0.5, 1.0, 2.0, 3.0, 4.0)]
+    assert depths == sorted(depths)
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("name", ["ball", "cube", "large_crescent"])
+def test_a_result_agrees_with_itself(profile: str, name: str) -> None:
+    result = step(profile, pressed(name, 3.0).image)
+    height, cloud, rays = result.height, result.cloud, reconstructor(profile).rays
+    assert result.contact
+    assert result.valid
+    assert np.isfinite(height.height_mm[rays.inside]).all()
+    assert np.isnan(height.height_mm[~rays.inside]).all()
+    assert (height.height_mm[rays.inside] >= 0).all()
+    assert len(cloud.points_mm) == np.count_nonzero(height.contact)
+    assert set(cloud.labels.tolist()) == {o.label for o in result.objects}
+    assert result.depth_max_mm == height.height_mm[height.contact].max()
+    assert result.volume_mm3 > 0
+    # Every point lies where its height says: at r - h from the sphere's centre.
+    found = np.sort(np.linalg.norm(cloud.points_mm, axis=1))
+    np.testing.assert_allclose(found, np.sort(20 - height.height_mm[height.contact]), atol=1e-3)
+
+
+def test_two_balls_are_two_objects() -> None:
+    result = step("fast", pressed("two_balls", 3.0).image)
+    assert [o.label for o in result.objects] == [1, 2]
+    assert sorted(o.centroid_mm[0] for o in result.objects) == pytest.approx([-5, 5], abs=1.5)
+    assert [o.centroid_mm[1] for o in result.objects] == pytest.approx([0, 0], abs=1.0)
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_results_alias_neither_each_other_nor_scratch(profile: str) -> None:
+    frames = [pressed("ball", 3.0).image, unloaded(), pressed("cube", 2.0).image, unloaded() * 0]
+    made = Reconstructor(calibrated(), PROFILES[profile])
+    results = [made.step(Frame(k, 0, 0, image)) for k, image in enumerate(frames)]
+    before = [everything(r) for r in results]
+    again = [made.step(Frame(k, 0, 0, image)) for k, image in enumerate(frames)]
+    assert [everything(r) for r in results] == before
+    assert [everything(r) for r in again] == before  # whatever came between, too
+    fresh = Reconstructor(calibrated(), PROFILES[profile])
+    assert everything(fresh.step(Frame(0, 0, 0, frames[2]))) == before[2]
+    for result in results:
+        for array in (result.height.height_mm, result.height.contact, result.cloud.points_mm, result.cloud.labels):
+            assert not array.flags.writeable
+
+
+def test_a_frame_is_left_as_it_was_and_its_identity_handed_on() -> None:
+    image = pressed("ball", 3.0).image.copy()
+    before = image.tobytes()
+    result = reconstructor("fast").step(Frame(42, 43, 44, image))
+    assert image.tobytes() == before
+    assert (result.seq, result.t_ns, result.wall_ns, result.profile) == (42, 43, 44, "fast")
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_each_stage_is_marked_once_in_order(profile: str) -> None:
+    marks: list[str] = []
+    made = reconstructor(profile)
+    made.step(Frame(0, 0, 0, pressed("ball", 3.0).image), marks.append)
+    assert marks == list(STAGES)
+    for image, last in ((unloaded(), "gate"), (unloaded() * 0, "check")):
+        marks.clear()
+        made.step(Frame(0, 0, 0, image), marks.append)
+        assert marks == list(STAGES[: STAGES.index(last) + 1])
+
+
+def test_a_sensor_that_darkens() -> None:
+    assert calibrated(TACTIP).polarity == "dark"
+    frame = pressed("ball", 3.0, TACTIP)
+    result = step("fast", frame.image, TACTIP)
+    assert result.contact
+    assert result.depth_max_mm == pytest.approx(3.0, rel=0.35)
+    assert np.hypot(*result.objects[0].centroid_mm[:2]) < 1.5
+
+
+@pytest.mark.parametrize(("method", "off"), [("global", 0.4), ("otsu", 0.25)])
+def test_other_binarisations_work_too(method: Binarisation, off: float) -> None:
+    seen = [press for press in presses() if press.depth_mm > 1.0]  # less of it moves a global threshold's g too little
+    sensor = replace(sensor_of(HALF), binarisation=method)
+    made = Reconstructor(calibrate(sensor, references(), seen).calibration, PROFILES["fast"])
+    assert not made.step(Frame(0, 0, 0, unloaded())).contact
+    result = made.step(Frame(0, 0, 0, pressed("ball", 3.0).image))
+    assert result.depth_max_mm == pytest.approx(3.0, rel=off)
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_grey_frames_are_bgr_frames_with_equal_channels(profile: str) -> None:
+    grey = np.ascontiguousarray(pressed("ball", 3.0).image[:, :, 1])
+    one, three = step(profile, grey), step(profile, np.dstack([grey] * 3))
+    assert one.contact
+    assert everything(one) == everything(three)
+
+
+def test_a_view_that_is_not_contiguous_gives_the_same() -> None:
+    image = pressed("ball", 3.0).image
+    flipped = np.ascontiguousarray(image[:, ::-1])[:, ::-1]
+    result = reconstructor("fast").step(Frame(0, 0, 0, flipped))
+    assert everything(result) == everything(step("fast", image))
+
+
+@pytest.mark.parametrize(("rows", "cols"), [(241, 319), (243, 330), (360, 361)])
+def test_odd_sizes_work(rows: int, cols: int) -> None:
+    model = replace(HALF, image_height_px=rows, image_width_px=cols)
+    assert not step("fast", unloaded(model), model, 0).contact
+    result = step("fast", pressed("ball", 3.0, model).image, model, 0)
+    assert result.contact
+    assert result.height.height_mm.shape == (rows // 4, cols // 4)
+    assert np.hypot(*result.objects[0].centroid_mm[:2]) < 1.5
+
+
+def test_an_orthographic_sensor_works() -> None:
+    model = replace(HALF, camera_distance_mm=None)
+    seen = [press for press in presses(model) if press.depth_mm > 1.0 and np.hypot(press.x_mm, press.y_mm) < 8]
+    made = Reconstructor(calibrate(sensor_of(model), references(model), seen).calibration, PROFILES["fast"])
+    assert not made.step(Frame(0, 0, 0, unloaded(model))).contact
+    result = made.step(Frame(0, 0, 0, pressed("ball", 3.0, model).image))
+    assert result.depth_max_mm == pytest.approx(3.0, rel=0.35)
+
+
+def test_a_light_press_is_felt_and_a_touch_beside_the_disc_is_not_invented() -> None:
+    assert step("fast", pressed("ball", 1.0).image).contact
+    beside = simulated(HALF).frame((Press(OBJECTS["ball"](), 19.0, 0.0, 1.0),), 3).image
+    assert step("fast", beside).depth_max_mm < 1.5

@@ -1,0 +1,63 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tacshade_edge.core.calibrate import Sensor
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.settings.sensor_file import read_sensor
+
+LEAST = "skin_radius_mm: 20\nvisible_half_angle_deg: 50\npolarity: bright\n"
+
+
+def sensor_file(folder: Path, text: str) -> Path:
+    path = folder / "SENSOR.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_the_least_that_must_be_said_and_its_defaults(tmp_path: Path) -> None:
+    sensor = read_sensor(sensor_file(tmp_path, LEAST))
+    assert sensor == Sensor(20.0, None, 50.0, "bright", 15.0, "adaptive", (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
+
+
+def test_everything_that_can_be_said(tmp_path: Path) -> None:
+    text = LEAST.replace("bright", "dark") + (
+        "camera_distance_mm: 14\nalpha: 3\nbinarisation: otsu\nflange_T_sensor: [1, -2, 30.5, 0, 0.6, 0.8, 0]\n"
+    )
+    sensor = read_sensor(sensor_file(tmp_path, text))
+    assert sensor == Sensor(20.0, 14.0, 50.0, "dark", 3.0, "otsu", (1.0, -2.0, 30.5, 0.0, 0.6, 0.8, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "found nothing, expected a mapping"),
+        ("- 1\n", "SENSOR.yaml"),
+        (LEAST + "colour: red\n", r":4: colour: "),
+        (LEAST.replace("20", "-1"), r":1: skin_radius_mm: found -1"),
+        (LEAST.replace("20", "wide"), r":1: skin_radius_mm: found wide"),
+        (LEAST.replace("20", ".nan"), r":1: skin_radius_mm: found \.nan"),
+        (LEAST.replace("20", "true"), r":1: skin_radius_mm: found true"),
+        (LEAST.replace("50", "90"), r":2: visible_half_angle_deg: found 90"),
+        (LEAST.replace("bright", "up"), r":3: polarity: found up"),
+        (LEAST + "camera_distance_mm: 0\n", r":4: camera_distance_mm: found 0"),
+        (LEAST + "flange_T_sensor: [0, 0, 0, 1, 0, 0]\n", r":4: flange_T_sensor: found "),
+        (
+            LEAST + "flange_T_sensor: [0, 0, 0, 1, 1, 0, 0]\n",
+            r":4: flange_T_sensor: found a quaternion of length 1\.41",
+        ),
+        (LEAST + "alpha: 1\nalpha: 2\n", r":5: alpha: found again"),
+        (LEAST + "binarisation: magic\n", r":4: binarisation: found magic"),
+    ],
+)
+def test_a_wrong_sensor_is_told_by_line_and_key(tmp_path: Path, text: str, said: str) -> None:
+    with pytest.raises(ConfigError, match=said) as refusal:
+        read_sensor(sensor_file(tmp_path, text))
+    assert "\n" not in str(refusal.value)
+
+
+def test_no_sensor_file(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"none\.yaml: No such file"):
+        read_sensor(tmp_path / "none.yaml")
