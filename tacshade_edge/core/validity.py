@@ -158,7 +158,9 @@ def _compared_reason(grey: U8, check: FrameCheck) -> str:
         return f"light: {found:.2f} times the reference's, expected {LIGHT_LOW} to {LIGHT_HIGH}"
     if not check.surround.any():
         return ""
-    expected = np.minimum(check.level * np.float32(gain), 255)
+    # The surround's own light: a contact changes the brightness of the whole disc.
+    ratio = float(np.median(level[check.surround] / np.maximum(check.level[check.surround], 1)))
+    expected = np.minimum(check.level * np.float32(min(max(ratio, LIGHT_LOW), LIGHT_HIGH)), 255)
     moved = check.surround & (np.abs(level - expected) > SURROUND_LEVELS + 0.25 * expected)
     part = np.count_nonzero(moved) / np.count_nonzero(check.surround)
     if part > SURROUND_PART:
