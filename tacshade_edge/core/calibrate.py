@@ -13,7 +13,7 @@ from tacshade_edge.core.disc import Grid, disc_mask, radius_squared
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.core.skin import skin_points
-from tacshade_edge.core.solvers.fast import gathered_change
+from tacshade_edge.core.solvers.fast import brightening, gathered_change
 from tacshade_edge.core.validity import frame_check, invalid_reason
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import F32, F64, IDENTITY_POSE, U8, Binarisation, Bool, Calibration, Geometry, Polarity
@@ -21,6 +21,7 @@ from tacshade_edge.types import F32, F64, IDENTITY_POSE, U8, Binarisation, Bool,
 # Calibration works on the maps of this profile; its tables serve every profile with the same window.
 PROFILE = PROFILES["fast"]
 MIN_PRESSES = 8
+MAX_UNSEEN = 0.25
 TABLE_KNOTS = 33
 GAIN_KNOTS = 17
 # RMS of g between frames of one still scene when one reference alone cannot tell it.
@@ -34,7 +35,7 @@ LOADED_MM2 = 9.0
 # Second difference over two rings, measured on 60 sensors: at most 19 unloaded, a centred ball 3 mm deep 30 or more.
 RINGS = 12
 LOADED_BEND_GREY = 22.0
-# Pull of the fit towards "depth is proportional to ψ, alike everywhere": presses that do not vary then do no harm.
+# Pull of the fit towards "depth is proportional to χ, alike everywhere": presses that do not vary then do no harm.
 RIDGE = 0.001
 
 
@@ -135,7 +136,8 @@ def calibrate(
         warnings.append(loaded)
     if not presses:
         return Calibrated(unloaded, tuple(warnings))
-    return Calibrated(_fit_presses(unloaded, presses), tuple(warnings))
+    fitted, unseen = _fit_presses(unloaded, presses)
+    return Calibrated(fitted, (*warnings, *unseen))
 
 
 def rezero(calibration: Calibration, images: Sequence[U8]) -> Calibration:
@@ -224,16 +226,27 @@ def radial_bend(g0: F32, rho2: F32, voting: Bool) -> float:
     return float(np.abs(mean[:-4] - 2 * mean[2:-2] + mean[4:]).max(initial=0.0))
 
 
-def _fit_presses(unloaded: Calibration, presses: Sequence[BallPress]) -> Calibration:
-    """Log depth = a + b log ψ + c ρ² + d ρ⁴ at the deepest point of every press, by ridge regression.
+def _fit_presses(unloaded: Calibration, presses: Sequence[BallPress]) -> tuple[Calibration, list[str]]:
+    """Log depth = a + b log χ + c ρ² + d ρ⁴ for every press, by ridge regression.
 
-    Cross-validated by press: each is predicted from all the others.
+    χ is its greatest value, ρ the place that brightens most.
+
+    Cross-validated by press: each is predicted from all the others. A press that the gate does not see is left out
+    and told, up to `MAX_UNSEEN` of them.
     """
     if len(presses) < MIN_PRESSES:
         raise ConfigError(
             f"{len(presses)} presses: at least {MIN_PRESSES} are needed for a depth table (20 are better)"
         )
     reconstructor = Reconstructor(unloaded, PROFILE)
+    seen = [press for press in presses if _is_seen(reconstructor, press)]
+    unseen = [f"{p.name}: no contact to be seen, {p.depth_mm} mm is stated; left out" for p in presses if p not in seen]
+    if len(unseen) > MAX_UNSEEN * len(presses) or len(seen) < MIN_PRESSES:
+        raise ConfigError(
+            f"{len(unseen)} of {len(presses)} presses show no contact, the first is "
+            f"{unseen[0].removesuffix('; left out')}"
+        )
+    presses = seen
     rows = [_press_row(reconstructor, press) for press in presses]
     features = np.array([row[0] for row in rows])
     depth_mm = np.array([press.depth_mm for press in presses])
@@ -246,10 +259,10 @@ def _fit_presses(unloaded: Calibration, presses: Sequence[BallPress]) -> Calibra
     )
     error = predicted - depth_mm
     top = float(np.exp(features[:, 1].max()))
-    psi = np.linspace(0, 1.1 * top, TABLE_KNOTS)
+    chi = np.linspace(0, 1.1 * top, TABLE_KNOTS)
     middle = weights.copy()
     depth = np.zeros(TABLE_KNOTS)
-    depth[1:] = np.exp(middle[0] + middle[1] * np.log(psi[1:]))
+    depth[1:] = np.exp(middle[0] + middle[1] * np.log(chi[1:]))
     # Beyond the outermost press the gain of that press holds: a polynomial would run away.
     rho2 = np.minimum(np.linspace(0, 1, GAIN_KNOTS), features[:, 2].max())
     gain = np.exp(weights[2] * rho2 + weights[3] * rho2**2)
@@ -261,22 +274,22 @@ def _fit_presses(unloaded: Calibration, presses: Sequence[BallPress]) -> Calibra
         "depth_mean_ratio_error": float(np.mean(np.abs(error) / depth_mm)),
         "position_mae_mm": float(np.mean([row[1] for row in rows])),
     }
-    return replace(
+    calibration = replace(
         unloaded,
         # The paper's α for this sensor: what scales a normalised height of 1 to the mean pressed depth.
         alpha=float(np.mean(depth_mm)) / unloaded.geometry.mm_per_px,
-        table_grey=psi.astype(np.float32),
+        table_grey=chi.astype(np.float32),
         table_depth_mm=depth.astype(np.float32),
         table_gain=gain.astype(np.float32),
         fit=fit,
     )
+    return calibration, unseen
 
 
-def _press_row(reconstructor: Reconstructor, press: BallPress) -> tuple[list[float], float]:
-    """Features of one press at its deepest point, and how far that lies from the stated place (0 if not stated)."""
+def _is_seen(reconstructor: Reconstructor, press: BallPress) -> bool:
+    """Whether the gate opens for a press; refuses what cannot be a press of this sensor."""
     calibration = reconstructor.calibration
-    geometry = calibration.geometry
-    r = geometry.skin_radius_mm
+    r = calibration.geometry.skin_radius_mm
     if press.image.shape[:2] != (calibration.image_height_px, calibration.image_width_px):
         raise ConfigError(
             f"{press.name}: {press.image.shape[1]}x{press.image.shape[0]} px, "
@@ -289,18 +302,22 @@ def _press_row(reconstructor: Reconstructor, press: BallPress) -> tuple[list[flo
         )
     if reason := reconstructor.invalid_reason(press.image):
         raise ConfigError(f"{press.name}: not usable: {reason}")
-    if not reconstructor.touched(press.image):
-        raise ConfigError(f"{press.name}: no contact to be seen, {press.depth_mm} mm is stated")
+    return reconstructor.touched(press.image)
+
+
+def _press_row(reconstructor: Reconstructor, press: BallPress) -> tuple[list[float], float]:
+    """Features of one press at its deepest point, and how far that lies from the stated place (0 if not stated)."""
+    geometry = reconstructor.calibration.geometry
     maps = reconstructor.grey_maps(press.image)
-    psi, _ = gathered_change(maps, reconstructor.scale.reach_cells)
-    peak = np.unravel_index(int(np.argmax(psi)), psi.shape)
+    chi, _ = gathered_change(maps, reconstructor.scale.reach_cells)
+    peak = np.unravel_index(int(np.argmax(brightening(maps, reconstructor.scale.reach_cells))), chi.shape)
     rho2 = float(radius_squared(reconstructor.grid, geometry.disc)[peak])
-    height = np.full(psi.shape, press.depth_mm, dtype=np.float32)
+    height = np.full(chi.shape, press.depth_mm, dtype=np.float32)
     place = skin_points(height, reconstructor.rays, geometry)[0][peak]
     off = 0.0
     if press.x_mm is not None and press.y_mm is not None:
         off = math.hypot(float(place[0]) - press.x_mm, float(place[1]) - press.y_mm)
-    return [1.0, math.log(max(float(psi[peak]), 1e-3)), rho2, rho2**2], off
+    return [1.0, math.log(max(float(chi.max()), 1e-3)), rho2, rho2**2], off
 
 
 def _ridge(features: F64, log_depth: F64) -> F64:

@@ -213,7 +213,7 @@ def test_a_sensor_that_darkens() -> None:
     assert np.hypot(*result.objects[0].centroid_mm[:2]) < 1.5
 
 
-@pytest.mark.parametrize(("method", "off"), [("global", 0.4), ("otsu", 0.25)])
+@pytest.mark.parametrize(("method", "off"), [("global", 0.5), ("otsu", 0.25)])
 def test_other_binarisations_work_too(method: Binarisation, off: float) -> None:
     seen = [press for press in presses() if press.depth_mm > 1.0]  # less of it moves a global threshold's g too little
     sensor = replace(sensor_of(HALF), binarisation=method)
