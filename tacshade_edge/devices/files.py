@@ -104,6 +104,26 @@ class FilesSource:
         return image
 
 
+def first_size_px(path: Path) -> tuple[int, int] | None:
+    """Width and height of the first image; None when it cannot be decoded.
+
+    Raises
+    ------
+    ConfigError
+        There is nothing to show.
+    """
+    images, video = _look_at(path)
+    if video is not None:
+        size_px = int(video.get(cv2.CAP_PROP_FRAME_WIDTH)), int(video.get(cv2.CAP_PROP_FRAME_HEIGHT))
+        video.release()
+        return size_px
+    try:
+        image = read_image(images[0])
+    except DecodeError:
+        return None
+    return image.shape[1], image.shape[0]
+
+
 def _look_at(path: Path) -> tuple[list[Path], cv2.VideoCapture | None]:
     """The images of a folder, the one image, or the opened video. Raises ConfigError."""
     if path.is_dir():
@@ -115,6 +135,7 @@ def _look_at(path: Path) -> tuple[list[Path], cv2.VideoCapture | None]:
         raise ConfigError(f"{path}: found nothing, expected a folder of images, an image or a video file")
     if path.suffix.lower() in SUFFIXES:
         return [path], None
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)  # its warnings would double our one line
     video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     if not (video.isOpened() and video.grab()):
         raise ConfigError(f"{path}: found no video that OpenCV can read, expected a folder of images, or a video file")

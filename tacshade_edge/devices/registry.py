@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from tacshade_edge.devices import calibration_file
+from tacshade_edge.devices import calibration_file, v4l2_node
 from tacshade_edge.devices.base import FrameSource
 from tacshade_edge.devices.mqtt import MqttLink
 from tacshade_edge.devices.mqtt_outlet import Outcome
@@ -63,13 +63,24 @@ def load_calibration(document: Document) -> Calibration:
     except ConfigError as error:
         raise ConfigError(f"{document.where('calibration')}: {error}") from error
     source = settings.source
-    size = (calibration.image_width_px, calibration.image_height_px)
-    if isinstance(source, V4l2) and (source.width_px, source.height_px) != size:
+    expected = (calibration.image_width_px, calibration.image_height_px)
+    size: tuple[int, int] | None = None
+    if isinstance(source, V4l2):
+        key, size = "width_px", (source.width_px, source.height_px)
+    elif isinstance(source, Files):
+        key, size = "path", _first_size(source)
+    if size is not None and size != expected:
         raise ConfigError(
-            f"{document.where('source', 'width_px')}: found {source.width_px}x{source.height_px} px, "
-            f"expected {size[0]}x{size[1]} px, the size of the calibration's images"
+            f"{document.where('source', key)}: found {size[0]}x{size[1]} px, "
+            f"expected {expected[0]}x{expected[1]} px, the size of the calibration's images"
         )
     return calibration
+
+
+def _first_size(source: Files) -> tuple[int, int] | None:
+    from tacshade_edge.devices.files import first_size_px
+
+    return first_size_px(Path(source.path))
 
 
 def read_password(document: Document) -> str | None:
@@ -93,10 +104,16 @@ def read_password(document: Document) -> str | None:
 
 
 def check_files(document: Document) -> None:
-    """Check the files of the source and of the broker's settings. Raises ConfigError."""
+    """Check the paths of the source and the files of the broker's settings. Raises ConfigError."""
     source, mqtt = document.settings.source, document.settings.mqtt
-    if isinstance(source, Files) and not Path(source.path).exists():
-        raise ConfigError(f"{document.where('source', 'path')}: found no {source.path}, expected images or a video")
+    key = "device" if isinstance(source, V4l2) else "path"
+    try:
+        if isinstance(source, V4l2):
+            v4l2_node.check_kind(source.device)
+        elif isinstance(source, Files):
+            _first_size(source)
+    except ConfigError as error:
+        raise ConfigError(f"{document.where('source', key)}: {error}") from None
     if mqtt.ca_file is not None and not Path(mqtt.ca_file).is_file():
         raise ConfigError(f"{document.where('mqtt', 'ca_file')}: found no file {mqtt.ca_file}, expected a PEM file")
     read_password(document)

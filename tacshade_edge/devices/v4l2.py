@@ -93,14 +93,19 @@ class V4l2Source:
         Raises
         ------
         DeviceError
-            Absent, not a camera, busy, or it gives no frame.
+            Absent, does not capture, busy, or it gives no frame.
         ConfigError
-            The device gives another format or size, or not the exposure: drivers choose these by what was asked
-            alone, so asking again cannot help. Once the same configuration has worked it is a DeviceError: then
-            it is the device that changed.
+            The path is there and is no video device; or the device gives another format or size, or not the
+            exposure: drivers choose these by what was asked alone, so asking again cannot help. Once the same
+            configuration has worked it is a DeviceError: then it is the device that changed.
         """
         self.close()
-        card = v4l2_node.check_node(self._device)
+        try:
+            card = v4l2_node.check_node(self._device)
+        except ConfigError as error:
+            if self._proven:
+                raise DeviceError(str(error)) from None
+            raise
         # OpenCV reads this when it first waits; its warnings would double our one line.
         os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", str(_STALL_S))
         cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from tacshade_edge.errors import DeviceError
+from tacshade_edge.errors import ConfigError, DeviceError
 
 # linux/videodev2.h
 _VIDIOC_QUERYCAP = 0x80685600
@@ -19,6 +19,29 @@ _VIDIOC_REQBUFS = 0xC0145608
 _BUF_TYPES = (1, 9)  # capture, and the multi-planar one
 _CAPTURE = 0x00000001 | 0x00001000  # V4L2_CAP_VIDEO_CAPTURE, _MPLANE
 _MEMORY_MMAP = 1
+_EXPECTED = "expected a video device such as /dev/video0 or one under /dev/v4l/by-id"
+
+
+def check_kind(device: str) -> None:
+    """Refuse a path that is there and can never be a camera; what is absent may still come.
+
+    Raises
+    ------
+    ConfigError
+        A file, a directory, or a device of another class.
+    """
+    try:
+        status = os.stat(device)
+    except (OSError, ValueError):
+        return
+    if not stat.S_ISCHR(status.st_mode):
+        kind = "directory" if stat.S_ISDIR(status.st_mode) else "file"
+        raise ConfigError(f"camera {device}: is a {kind}, {_EXPECTED}")
+    number = f"{os.major(status.st_rdev)}:{os.minor(status.st_rdev)}"
+    subsystem = Path("/sys/dev/char", number, "subsystem")
+    # A node without an entry there is one that is being plugged or unplugged: opening it tells.
+    if subsystem.exists() and subsystem.resolve().name != "video4linux":
+        raise ConfigError(f"camera {device}: is a device but not a video device, {_EXPECTED}")
 
 
 def check_node(device: str) -> str:
@@ -26,8 +49,10 @@ def check_node(device: str) -> str:
 
     Raises
     ------
+    ConfigError
+        As `check_kind`.
     DeviceError
-        When there is no such node, it is not a video capture device, or it may not be opened; one line says which.
+        When there is no such node, it does not capture video, or it may not be opened; one line says which.
     """
     with _opened(device) as fd:
         capability = bytearray(104)
@@ -44,7 +69,7 @@ def check_node(device: str) -> str:
 
 
 def formats(device: str) -> list[str]:
-    """The four-character codes of the pixel formats that the device offers. Raises DeviceError as `check_node`."""
+    """The four-character codes of the pixel formats that the device offers. Raises as `check_node`."""
     codes = []
     with _opened(device) as fd:
         for buf_type in _BUF_TYPES:
@@ -78,23 +103,15 @@ def is_busy(device: str) -> bool:
 @contextmanager
 def _opened(device: str) -> Iterator[int]:
     """Open a node of the video4linux class, or say in one line why not."""
-    expected = "expected a video device such as /dev/video0 or one under /dev/v4l/by-id"
+    check_kind(device)
     try:
-        status = os.stat(device)
-        if not stat.S_ISCHR(status.st_mode):
-            kind = "directory" if stat.S_ISDIR(status.st_mode) else "file"
-            raise DeviceError(f"camera {device}: is a {kind}, {expected}")
-        number = f"{os.major(status.st_rdev)}:{os.minor(status.st_rdev)}"
-        subsystem = Path("/sys/dev/char", number, "subsystem")
-        if subsystem.resolve().name != "video4linux":
-            raise DeviceError(f"camera {device}: is a device but not a video device, {expected}")
         fd = os.open(device, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
     except (FileNotFoundError, NotADirectoryError):
-        raise DeviceError(f"camera {device}: no such device, {expected}") from None
+        raise DeviceError(f"camera {device}: no such device, {_EXPECTED}") from None
     except PermissionError:
         raise DeviceError(f"camera {device}: no permission to open it (is the user in the group video?)") from None
     except ValueError:
-        raise DeviceError(f"camera {device!r}: not a path, {expected}") from None
+        raise DeviceError(f"camera {device!r}: not a path, {_EXPECTED}") from None
     except OSError as error:
         raise DeviceError(f"camera {device}: cannot be opened ({error.strerror})") from None
     try:

@@ -44,7 +44,7 @@ def test_a_good_file_is_ok(folder: Path, capsys: Any) -> None:
         ("calibration: c.npz\n", "s.yaml: source.width_px: found 640x480 px, expected 160x120 px, the size of the"),
         (
             "calibration: c.npz\nsource: {kind: files, path: absent}\n",
-            "s.yaml:2: source.path: found no {folder}/absent",
+            "s.yaml:2: source.path: {folder}/absent: found nothing, expected",
         ),
         (GOOD + "mqtt: {ca_file: no.pem}\n", "s.yaml:3: mqtt.ca_file: found no file {folder}/no.pem, expected a PEM"),
         (GOOD + "mqtt: {ca_file: empty}\n", "s.yaml:3: mqtt: TLS authority {folder}/empty: "),

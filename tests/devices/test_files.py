@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tacshade_edge.devices.files import FilesSource
+from tacshade_edge.devices.files import FilesSource, first_size_px
 from tacshade_edge.errors import ConfigError, DecodeError
 
 
@@ -71,6 +71,19 @@ def test_a_damaged_image_and_one_of_another_size_are_told_and_passed_over(folder
     assert seen == [0, 2, 4]
     assert told[0].endswith("0b.png: cut short after 60 bytes, expected a whole image")
     assert told[1].endswith("1b.png: found 64x24 px, expected 64x48 px as the first")
+
+
+def test_the_size_of_the_first_image(folder: Path, tmp_path: Path) -> None:
+    assert first_size_px(folder) == (64, 48)
+    (folder / "0.png").write_bytes((folder / "0.png").read_bytes()[:60])
+    assert first_size_px(folder) is None
+    video = tmp_path / "v.avi"
+    writer = cv2.VideoWriter(str(video), cv2.VideoWriter.fourcc(*"MJPG"), 30, (64, 48))
+    writer.write(picture(40))
+    writer.release()
+    assert first_size_px(video) == (64, 48)
+    with pytest.raises(ConfigError, match="found nothing"):
+        first_size_px(folder / "none")
 
 
 @pytest.mark.parametrize("loop", [False, True])
