@@ -86,6 +86,8 @@ class Grab:
             except DecodeError as error:
                 _log.debug("%s", error)
                 self._ledger.undecodable()
+                if self._reported is None:  # nothing to see from the start; in a stream it is one counted frame
+                    self._tell(SourceState("away", str(error)))
                 continue
             if frame is None:
                 return True

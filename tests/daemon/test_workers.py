@@ -61,6 +61,13 @@ def test_a_finite_source_is_read_to_its_end(rig: Any, scripted: Any, pictures: A
     assert newest.seq == 2
 
 
+def test_a_source_that_begins_with_what_is_no_image_says_so_once(rig: Any, scripted: Any, pictures: Any) -> None:
+    r = rig(scripted([DecodeError("0.png: cut"), DecodeError("1.png: cut"), pictures.free, DecodeError("3.png"), None]))
+    r.thread.join(10)
+    assert r.states() == [("away", "0.png: cut"), ("streaming", ""), ("ended", "")]
+    assert r.ledger.counts().failed == 3
+
+
 def test_a_lost_source_is_opened_again_and_each_state_is_told_once(
     rig: Any, scripted: Any, pictures: Any, wait_until: Any
 ) -> None:
