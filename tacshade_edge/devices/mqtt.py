@@ -320,7 +320,7 @@ class MqttLink:
     def _on_disconnect(self, _client: Client, _userdata: Any, _flags: Any, code: ReasonCode, _properties: Any) -> None:
         if self._connected:
             self._drop(f"{self._where}: connection lost ({code})")
-        elif not self._refused:  # else that reason stays
+        elif not self._refused and not self._stopping:  # else that reason stays, and our own end is none
             with self._lock:
                 self._note(f"{self._where}: accepts connections but does not answer as an MQTT 5 broker ({code})")
 
