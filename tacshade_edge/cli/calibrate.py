@@ -39,6 +39,11 @@ def run(args: argparse.Namespace) -> int:
         references = [read_image(path) for path in args.reference]
     except DecodeError as error:
         raise ConfigError(f"--reference: {error}") from None
+    height, width = references[0].shape[:2]
+    for path, image in zip(args.reference, references, strict=True):
+        if image.shape[:2] != (height, width):
+            found = f"{image.shape[1]}x{image.shape[0]} px"
+            raise ConfigError(f"--reference: {path}: found {found}, expected {width}x{height} px as the first")
     presses = read_presses(args.presses) if args.presses else []
     if args.presses and not presses:
         raise ConfigError(f"{args.presses}: found no press, expected a row for each")

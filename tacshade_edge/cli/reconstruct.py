@@ -31,14 +31,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Reconstruct every image; an unreadable one is told and the others go on."""
+    """Reconstruct every image; an unreadable one, or one of another size, is told and the others go on."""
     stems = [path.stem for path in args.images]
     twice = next((path for i, path in enumerate(args.images) if path.stem in stems[:i]), None)
     if twice is not None:
         raise ConfigError(
             f"{twice}: another image is called {twice.stem} too; their results would overwrite each other"
         )
-    reconstructor = Reconstructor(calibration_file.load(args.calibration), PROFILES[args.profile])
+    calibration = calibration_file.load(args.calibration)
+    size = (calibration.image_height_px, calibration.image_width_px)
+    reconstructor = Reconstructor(calibration, PROFILES[args.profile])
     records, failed = [], 0
     try:
         args.out.mkdir(parents=True, exist_ok=True)
@@ -54,6 +56,11 @@ def run(args: argparse.Namespace) -> int:
             if args.plot:
                 write_panel(args.out / f"{path.stem}.png", image, result)
             records.append(_record(path, result, elapsed_ms))
+            if image.shape[:2] != size:  # not this sensor's: a record like any invalid frame, but a mistake
+                found, expected = (f"{width}x{height} px" for height, width in (image.shape[:2], size))
+                reason = f"found {found}, expected {expected}, the size of the calibration's images"
+                print(f"tacshade-edge: {path}: {reason}", file=sys.stderr)
+                failed += 1
             if sys.stderr.isatty():
                 print(f"\r{index + 1}/{len(args.images)}", end="", file=sys.stderr)
         summary = json.dumps(records, indent=2) + "\n"
@@ -66,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
         print(summary, end="")
     else:
         touched = sum(record["contact"] for record in records)
-        print(f"{args.out}: {len(records)} images reconstructed, {touched} in contact, {failed} unreadable")
+        print(f"{args.out}: {len(records)} images reconstructed, {touched} in contact, {failed} unusable")
     return 1 if failed else 0
 
 
