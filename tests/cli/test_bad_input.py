@@ -1,0 +1,278 @@
+"""What a user gets wrong, as the user meets it: a child process, one line on stderr, the exit code.
+
+Every line of the settings' own check is in tests/settings/test_load.py; here is one of each kind.
+"""
+
+from __future__ import annotations
+
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import cv2
+import pytest
+from mqtt_rig import free_port, wait_until
+from painted_sensor import FREE, painted_calibration
+
+from tacshade_edge.devices import calibration_file
+
+pytestmark = pytest.mark.slow  # a process each: over half a minute in all
+COMMAND = [sys.executable, "-m", "tacshade_edge"]
+FILES = "kind: files, path: images, loop: true"
+CAMERA = "kind: v4l2, width_px: 160, height_px: 120"
+SENSOR = "skin_radius_mm: 20\nvisible_half_angle_deg: 50\npolarity: bright\n"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A calibration, images and descriptions that are good, and the same damaged."""
+    made = tmp_path_factory.mktemp("bad_input")
+    calibration_file.save(made / "good.npz", painted_calibration())
+    calibration = (made / "good.npz").read_bytes()
+    (made / "cut.npz").write_bytes(calibration[:-300])
+    flipped = bytearray(calibration)
+    flipped[len(calibration) // 2] ^= 0xFF
+    (made / "flipped.npz").write_bytes(flipped)
+    (made / "images").mkdir()
+    (made / "empty").mkdir()
+    (made / "large").mkdir()
+    cv2.imwrite(str(made / "images" / "good.png"), FREE)
+    cv2.imwrite(str(made / "large" / "large.png"), cv2.resize(FREE, (320, 240)))
+    (made / "cut.png").write_bytes((made / "images" / "good.png").read_bytes()[:1000])
+    (made / "text.png").write_text("no image\n")
+    (made / "SENSOR.yaml").write_text(SENSOR)
+    (made / "unknown.yaml").write_text(SENSOR + "colour: red\n")
+    (made / "type.yaml").write_text(SENSOR.replace("20", "twenty"))
+    header = "image,indenter,radius_mm,depth_mm,x_mm,y_mm\n"
+    (made / "PRESSES.csv").write_text(header + "cut.png,ball,4.5,2,,\n")
+    return made
+
+
+def settings(
+    folder: Path,
+    *,
+    name: str = "s.yaml",
+    source: str = FILES,
+    calibration: str = "good.npz",
+    port: int | str = 1,
+    more: str = "",
+) -> str:
+    text = f"calibration: {calibration}\nsource: {{{source}}}\nmqtt: {{host: 127.0.0.1, port: {port}}}\n{more}"
+    (folder / name).write_text(text)
+    return name
+
+
+def refused(folder: Path, words: list[str], code: int) -> str:
+    """The one line on stderr of a command that must refuse."""
+    done = subprocess.run([*COMMAND, *words], cwd=folder, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == code, done.stderr
+    assert done.stderr.startswith("tacshade-edge: ")
+    assert done.stderr.count("\n") == 1, done.stderr
+    return done.stderr.removeprefix("tacshade-edge: ").rstrip("\n")
+
+
+VIDEO_DEVICE = "expected a video device such as /dev/video0 or one under /dev/v4l/by-id"
+WRITTEN_BY = "expected a file written by `tacshade-edge calibrate`"
+KEYS = "expected one of sensor_id, calibration, profile, source, mqtt"
+
+
+# Where `run` refuses, `check-config` says the same line.
+@pytest.mark.parametrize("command", [["run", "--config"], ["check-config"]])
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (
+            {"source": CAMERA + ", device: /dev/null"},
+            f"s.yaml:2: source.device: camera /dev/null: is a device but not a video device, {VIDEO_DEVICE}",
+        ),
+        (
+            {"source": CAMERA + ", device: /dev/shm"},
+            f"s.yaml:2: source.device: camera /dev/shm: is a directory, {VIDEO_DEVICE}",
+        ),
+        (
+            {"source": CAMERA + ", device: /dev/..{folder}/text.png"},
+            f"s.yaml:2: source.device: camera /dev/..{{folder}}/text.png: is a file, {VIDEO_DEVICE}",
+        ),
+        (
+            {"source": "kind: v4l2, width_px: 640, height_px: 480"},
+            "s.yaml:2: source.width_px: found 640x480 px, expected 160x120 px, the size of the calibration's images",
+        ),
+        (
+            {"source": "kind: files, path: large"},
+            "s.yaml:2: source.path: found 320x240 px, expected 160x120 px, the size of the calibration's images",
+        ),
+        (
+            {"source": "kind: files, path: empty"},
+            "s.yaml:2: source.path: {folder}/empty: found no image, expected a folder of .bmp",
+        ),
+        (
+            {"source": "kind: files, path: good.npz"},
+            "s.yaml:2: source.path: {folder}/good.npz: found no video that OpenCV can read, expected a folder",
+        ),
+        (
+            {"calibration": "none.npz"},
+            "s.yaml:1: calibration: {folder}/none.npz: cannot read the calibration: No such file or directory; "
+            + WRITTEN_BY,
+        ),
+        (
+            {"calibration": "cut.npz"},
+            f"s.yaml:1: calibration: {{folder}}/cut.npz: not a calibration, or damaged; {WRITTEN_BY}",
+        ),
+        ({"calibration": "flipped.npz"}, "s.yaml:1: calibration: {folder}/flipped.npz: "),
+        ({"more": "colour: red\n"}, f"s.yaml:4: colour: found an unknown key, {KEYS}"),
+        ({"port": "abc"}, "s.yaml:3: mqtt.port: found abc, expected an integer from 1 to 65535"),
+    ],
+)
+def test_settings_that_cannot_work(folder: Path, command: list[str], given: dict[str, str], said: str) -> None:
+    given = {key: value.replace("{folder}", str(folder)) for key, value in given.items()}
+    line = refused(folder, [*command, settings(folder, **given)], 78)
+    assert line.replace(f"{folder}/s.yaml", "s.yaml").startswith(said.replace("{folder}", str(folder)))
+
+
+CALIBRATE = ["calibrate", "--out", "o.npz", "--sensor"]
+RECONSTRUCT = ["reconstruct", "--out", "o", "--calibration"]
+GOOD = "images/good.png"
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (
+            [*CALIBRATE, "unknown.yaml", "--reference", GOOD],
+            78,
+            "unknown.yaml:4: colour: found an unknown key, expected one of skin_radius_mm, ",
+        ),
+        ([*CALIBRATE, "type.yaml", "--reference", GOOD], 78, "type.yaml:1: skin_radius_mm: found twenty, expected a "),
+        ([*CALIBRATE, "none.yaml", "--reference", GOOD], 78, "none.yaml: No such file or directory, expected a "),
+        (
+            [*CALIBRATE, "SENSOR.yaml", "--reference", GOOD, "cut.png"],
+            78,
+            "--reference: cut.png: cut short after 1000 bytes, expected a whole image",
+        ),
+        (
+            [*CALIBRATE, "SENSOR.yaml", "--reference", GOOD, "large/large.png"],
+            78,
+            "--reference: large/large.png: found 320x240 px, expected 160x120 px as the first",
+        ),
+        (
+            [*CALIBRATE, "SENSOR.yaml", "--reference", GOOD, "--presses", "PRESSES.csv"],
+            78,
+            "PRESSES.csv:2: image: cut.png: cut short after 1000 bytes, expected a whole image",
+        ),
+        ([*RECONSTRUCT, "flipped.npz", GOOD], 78, "flipped.npz: "),
+        ([*RECONSTRUCT, "text.png", GOOD], 78, f"text.png: not a calibration, or damaged; {WRITTEN_BY}"),
+        ([*RECONSTRUCT, "good.npz", GOOD, "cut.png"], 1, "cut.png: cut short after 1000 bytes, expected a whole image"),
+        ([*RECONSTRUCT, "good.npz", "text.png", GOOD], 1, "text.png: found 9 bytes that are no image, expected a "),
+        ([*RECONSTRUCT, "good.npz", "none.png", GOOD], 1, "none.png: No such file or directory, expected an image"),
+        (
+            [*RECONSTRUCT, "good.npz", "large/large.png", GOOD],
+            1,
+            "large/large.png: found 320x240 px, expected 160x120 px, the size of the calibration's images",
+        ),
+        (["simulate", "--out", "o", "--objects", "teapot"], 78, "--objects: 'teapot' is not known, expected some of "),
+        (["simulate", "--out", "SENSOR.yaml"], 1, "SENSOR.yaml: cannot be written: File exists"),
+    ],
+)
+def test_files_that_cannot_be_used(folder: Path, words: list[str], code: int, said: str) -> None:
+    assert refused(folder, words, code).startswith(said)
+
+
+@contextmanager
+def running(folder: Path, config: str) -> Iterator[Path]:
+    """`run` that goes on; the file of its stderr. It must end cleanly and without a traceback."""
+    said = folder / f"{config}.stderr"
+    with said.open("w") as errors:
+        child = subprocess.Popen([*COMMAND, "run", "--config", config], cwd=folder, stderr=errors)
+    try:
+        yield said
+        assert child.poll() is None
+        child.send_signal(signal.SIGTERM)
+        assert child.wait(20) == 0
+        assert "Traceback" not in said.read_text()
+    finally:
+        child.kill()
+        child.wait()
+
+
+def lines_with(said: Path, text: str) -> list[str]:
+    return [line for line in said.read_text().splitlines() if text in line]
+
+
+def test_a_camera_that_is_not_there_is_waited_for(folder: Path) -> None:
+    config = settings(folder, name="missing.yaml", source=CAMERA + ", device: /dev/video99")
+    with running(folder, config) as said:
+        wait_until(lambda: lines_with(said, "/dev/video99"), 20, "the line")
+        threading.Event().wait(1)  # three more attempts
+    line = f"INFO tacshade_edge.daemon.app: source away: camera /dev/video99: no such device, {VIDEO_DEVICE}"
+    assert lines_with(said, "/dev/video99") == [line]
+
+
+def test_images_that_cannot_be_decoded_are_told_once(folder: Path) -> None:
+    config = settings(folder, name="undecodable.yaml", source="kind: files, path: cut.png, loop: true, fps: 240")
+    with running(folder, config) as said:
+        wait_until(lambda: lines_with(said, "cut.png"), 20, "the line")
+    line = f"source away: {folder}/cut.png: cut short after 1000 bytes, expected a whole image"
+    assert lines_with(said, "cut.png") == [f"INFO tacshade_edge.daemon.app: {line}"]
+    assert "'published': 0" in said.read_text()
+
+
+@contextmanager
+def something_else(answer: bytes) -> Iterator[tuple[int, list[socket.socket]]]:
+    """A server that is no broker: its port, and the connections it got. Mute without an answer."""
+    connections: list[socket.socket] = []
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def serve() -> None:
+            while True:
+                try:
+                    peer, _ = server.accept()
+                except OSError:  # shut down
+                    return
+                connections.append(peer)
+                if answer:
+                    peer.sendall(answer)
+                    peer.close()
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        try:
+            yield server.getsockname()[1], connections
+        finally:
+            server.shutdown(socket.SHUT_RDWR)
+            thread.join(10)
+            for peer in connections:
+                peer.close()
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        pytest.param(b"HTTP/1.1 400 Bad Request\r\nConnection: close\r\n\r\n", id="http"),
+        pytest.param(b"SSH-2.0-OpenSSH_9.2\r\n", id="ssh"),
+        pytest.param(bytes(range(256)), id="garbage"),
+        pytest.param(b"", id="mute"),  # given up after the keepalive of 10 s
+    ],
+)
+def test_a_port_where_no_broker_listens(folder: Path, answer: bytes) -> None:
+    with something_else(answer) as (port, connections):
+        with running(folder, settings(folder, name="port.yaml", port=port)) as said:
+            wait_until(lambda: len(connections) >= (3 if answer else 2), 60, "it goes on trying")
+        told = lines_with(said, f"127.0.0.1:{port}: accepts")
+    assert len(told) == 1
+    expected = (
+        f"INFO tacshade_edge.devices.mqtt: 127.0.0.1:{port}: accepts connections but does not answer as an MQTT 5"
+    )
+    assert told[0].startswith(expected)
+
+
+def test_a_port_where_nothing_listens(folder: Path) -> None:
+    port = free_port()
+    with running(folder, settings(folder, name="nothing.yaml", port=port)) as said:
+        wait_until(lambda: lines_with(said, "refused"), 20, "the line")
+        threading.Event().wait(1.5)  # another attempt
+    assert lines_with(said, "refused") == [f"INFO tacshade_edge.devices.mqtt: 127.0.0.1:{port}: Connection refused"]
