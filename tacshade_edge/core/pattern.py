@@ -164,7 +164,7 @@ def _end_of_pattern(grey: U8, disc: Disc, low: float, high: float) -> _Rim:
 
 
 def marker_pitch_px(grey: U8, disc: Disc) -> float:
-    """Pin-to-pin distance of the hexagonal lattice at the middle of the disc.
+    """Distance of neighbouring pin tips in the image, over the middle of the disc.
 
     The first ring of the lattice's spectrum lies at 2 / (√3 pitch); it is found in the mean power over all
     directions of the middle of the disc (there perspective stretches the lattice least).

@@ -20,6 +20,8 @@ Mark = Callable[[str], None]
 STAGES = ("check", "grey", "gate", "denoise", "depth", "cloud")
 # A common change of g larger than the first is said; beyond the second the frame is another picture (focus, light).
 DRIFT_LEVELS, DRIFT_INVALID_LEVELS = 12.0, 30.0
+# With more of the disc under glare than this, the rest says too little.
+UNSEEN_INVALID = 0.4
 
 
 def no_mark(stage: str) -> None:
@@ -100,8 +102,11 @@ class Reconstructor:
         if reason:
             return self._nothing(frame, reason=reason)
 
-        g_raw, degraded = self._white_ratio(grey)
+        g_raw, unseen = self._white_ratio(grey)
+        degraded = f"glare: {100 * unseen:.0f} % of the disc unseen" if unseen > 0 else ""
         mark("grey")
+        if unseen > UNSEEN_INVALID:
+            return self._nothing(frame, reason=degraded)
 
         g_d_raw = greyscale.grey_difference(g_raw, self.reference_ratio, self.rays.inside, self._sign)
         decision = contact.gate(g_d_raw, self.voting, self.calibration.noise_grey, self._cell_mm2)
@@ -146,21 +151,21 @@ class Reconstructor:
         g_d = greyscale.grey_difference(g, self._g0, inside, self._sign)
         return GreyMaps(g=g, g0=self._g0, g_d=g_d, inside=inside)
 
-    def _white_ratio(self, grey: U8) -> tuple[F32, str]:
-        """Eq. 1, without the pixels under glare; and the reason for less trust."""
-        calibration, mask, total, degraded = self.calibration, self._mask, self._total, ""
+    def _white_ratio(self, grey: U8) -> tuple[F32, float]:
+        """Eq. 1, without the pixels under glare; and the part of the disc that these are."""
+        calibration, mask, total, unseen = self.calibration, self._mask, self._total, 0.0
         glare = contact.glare_mask(grey, mask, self._glare_check)
         white = greyscale.binarise(grey, mask, calibration.binarisation, calibration.pitch_px)
         if glare is not None:
             clear = cv2.subtract(mask, glare)
             white = cv2.multiply(white, clear)
             total = greyscale.box_sums(clear, self._window_px, self.grid)
-            degraded = f"glare: {100 * (1 - cv2.countNonZero(clear) / cv2.countNonZero(mask)):.0f} % of the disc unseen"
+            unseen = 1 - cv2.countNonZero(clear) / cv2.countNonZero(mask)
         g = greyscale.white_ratio(white, total, self._window_px, self.grid)
         if glare is not None:  # a window that sees next to nothing says nothing
             blind = total < 0.25 * self._total
             g = np.where(blind, self.reference_ratio, g).astype(np.float32)
-        return g, degraded
+        return g, unseen
 
     def _objects(self, frame: Frame, depth: Depth, degraded: str) -> Reconstruction:
         """Outline, metric points, clusters."""
