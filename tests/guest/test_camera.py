@@ -233,6 +233,21 @@ def test_another_camera_in_its_place_is_the_devices_fault(camera: V4l2Source) ->
         camera.open()
 
 
+def test_a_file_in_its_place_is_the_devices_fault(camera: V4l2Source) -> None:
+    """What a program that writes to an unplugged camera leaves; the same before any frame is the user's mistake."""
+    camera.close()
+    unload_driver()
+    device = Path("/dev/video0")
+    device.write_bytes(b"")
+    try:
+        with pytest.raises(DeviceError, match="is a file, expected a video device"):
+            camera.open()
+        with pytest.raises(ConfigError, match="is a file, expected a video device"):
+            source().open()
+    finally:
+        device.unlink()
+
+
 def test_a_node_that_does_not_capture() -> None:
     load_driver("node_types=0x100", "num_outputs=1", "output_types=1")
     with pytest.raises(DeviceError, match=r"^camera /dev/video0: this node of the device does not capture video"):
