@@ -30,6 +30,10 @@ LIGHT_LOW, LIGHT_HIGH = 0.45, 1.7
 # so fine a pattern that the reference itself comes near it.
 NOISE_STEP = 9.0
 NOISE_OVER_REFERENCE = 5.0
+# A row that differs from the next by this much more than its neighbours do, in medians of all rows, and more than the
+# reference's does, is where two frames meet (good frames reach 1.5).
+TEAR_SPIKE = 1.7
+TEAR_ROW_PX = 60
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,6 +52,8 @@ class FrameCheck:
         Median difference of the reference's neighbouring pixels.
     bright : float
         Grey that a tenth of its disc exceeds.
+    spikes : float32 (H,)
+        How much each row of the reference differs from the next, beside its neighbours.
     """
 
     mask: U8
@@ -57,9 +63,10 @@ class FrameCheck:
     contrast: F32
     step: float
     bright: float
+    spikes: F32
 
     def __post_init__(self) -> None:
-        freeze(self, "mask", "inside", "surround", "level", "contrast")
+        freeze(self, "mask", "inside", "surround", "level", "contrast", "spikes")
 
 
 def _blocks(grey: U8) -> tuple[F32, F32]:
@@ -78,7 +85,7 @@ def frame_check(reference_grey: U8, mask: Bool, disc: Disc) -> FrameCheck:
     if height < BLOCK_PX or width < BLOCK_PX:
         none = np.zeros((rows, cols), dtype=bool)
         flat = np.zeros((rows, cols), dtype=np.float32)
-        return FrameCheck(mask.astype(np.uint8), none, none, flat, flat, 0.0, 0.0)
+        return FrameCheck(mask.astype(np.uint8), none, none, flat, flat, 0.0, 0.0, np.zeros(height, dtype=np.float32))
     middle = (BLOCK_PX - 1) / 2
     r = np.hypot(
         BLOCK_PX * np.arange(rows)[:, None] + middle - disc.row_c,
@@ -95,6 +102,7 @@ def frame_check(reference_grey: U8, mask: Bool, disc: Disc) -> FrameCheck:
         contrast=contrast,
         step=_noise_step(reference_grey, mask),
         bright=_bright(reference_grey, mask),
+        spikes=_row_spikes(reference_grey, mask.astype(np.uint8)),
     )
 
 
@@ -136,6 +144,30 @@ def _bright(grey: U8, mask: Bool) -> float:
     return float(np.percentile(inside, 90)) if inside.size else 0.0
 
 
+def _row_spikes(grey: U8, mask: U8) -> F32:
+    """Mean difference of every row of the disc from the next, less its neighbours', over the median of all rows.
+
+    Returns
+    -------
+    float32 (H,)
+        0 for short rows.
+    """
+    spikes = np.zeros(grey.shape[0], dtype=np.float32)
+    width = mask.sum(axis=1, dtype=np.int64)
+    long = width >= TEAR_ROW_PX
+    if np.count_nonzero(long) < 8:
+        return spikes
+    step = cv2.multiply(cv2.absdiff(grey[:-1], grey[1:]), mask[:-1])
+    mean = np.zeros(grey.shape[0], dtype=np.float32)
+    mean[:-1] = cv2.reduce(step, 1, cv2.REDUCE_SUM, dtype=cv2.CV_32F)[:, 0]
+    mean = np.where(long, mean / np.maximum(width, 1), 0).astype(np.float32)
+    around = (np.roll(mean, 1) + np.roll(mean, -1) + np.roll(mean, 2) + np.roll(mean, -2)) / 4
+    # The first and last long rows have no neighbours to be compared with.
+    inner = long & np.roll(long, 2) & np.roll(long, -2)
+    spikes[inner] = ((mean - around) / (np.median(mean[long]) + 1))[inner]
+    return spikes
+
+
 def _compared_reason(grey: U8, check: FrameCheck) -> str:
     """What the reference tells: torn, moved, other light."""
     if not check.inside.any():
@@ -147,6 +179,9 @@ def _compared_reason(grey: U8, check: FrameCheck) -> str:
     empty = int(np.count_nonzero((total >= ROW_BLOCKS) & (lost > LOST_PART * total)))
     if empty >= LOST_ROWS:
         return f"torn: {empty * BLOCK_PX} rows across the disc show no marker"
+    over = _row_spikes(grey, check.mask) - np.maximum(check.spikes, 0)
+    if over.max(initial=0.0) > TEAR_SPIKE:
+        return f"torn: row {int(np.argmax(over))} does not continue the rows above"
     if not textured.any():
         return ""
     # A deep contact darkens or brightens most of the disc, but some markers stay as bright as the light: those tell

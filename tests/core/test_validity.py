@@ -1,8 +1,10 @@
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
-from calibrated_sensor import FULL, HALF, TACTIP, calibrated, pressed, random_sensor, simulated, unloaded
+from calibrated_sensor import FULL, HALF, TACTIP, calibrated, pressed, random_sensor, reconstructor, simulated, unloaded
 
 from tacshade_edge.core.disc import disc_mask
 from tacshade_edge.core.greyscale import to_grey
@@ -104,3 +106,11 @@ def test_tiny_images_have_an_answer(size: tuple[int, int]) -> None:
     grey = np.random.default_rng(0).integers(0, 256, size, dtype=np.uint8)
     disc = Disc(size[0] / 2, size[1] / 2, max(size) / 2)
     assert isinstance(invalid_reason(grey, frame_check(grey, disc_mask(*size, disc), disc)), str)
+
+
+@pytest.mark.parametrize("shift_px", [5, 10, 20])
+@pytest.mark.parametrize("row", [150, 240, 330])
+def test_a_small_tear_is_seen_where_two_frames_meet(row: int, shift_px: int) -> None:
+    made = reconstructor("fast", FULL)
+    torn = nuisance.torn(unloaded(FULL), unloaded(FULL, noise_seed=51), row, shift_px)
+    assert re.match(rf"torn: row {row - 1} |torn or moved", made.invalid_reason(torn))
