@@ -165,10 +165,12 @@ class App:
     # What is told.
 
     def _camera_now(self) -> SourceState:
-        """The source's state, with a stall that only the clock shows."""
+        """The source's state, with what only the clock and the reconstruction show: a stall, unusable frames."""
         silent_s = (time.monotonic_ns() - self._pipeline.grab.last_frame_ns) / 1e9
         if self._camera.state == "streaming" and silent_s > STALL_S:
             return SourceState("away", f"no frame for more than {STALL_S:.0f} s", self._camera.details)
+        if self._camera.state == "streaming" and self._health.unusable:
+            return SourceState("unusable", self._health.unusable, self._camera.details)
         return self._camera
 
     def _tell_camera(self, state: SourceState | None = None) -> None:

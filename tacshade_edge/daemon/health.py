@@ -8,6 +8,9 @@ from typing import Any
 from tacshade_edge.daemon.ledger import Counts, FrameLedger, Timings
 from tacshade_edge.types import Reconstruction
 
+# So many periods without one good frame are a state, not an event.
+UNUSABLE_PERIODS = 3
+
 
 def delivered(counts: Counts) -> int:
     """Frames that ended as they should: sent, or with nothing to send."""
@@ -15,13 +18,21 @@ def delivered(counts: Counts) -> int:
 
 
 class Health:
-    """Makes the message; the rates are between two calls of `snapshot`."""
+    """Makes the message; the rates are between two calls of `snapshot`.
+
+    Attributes
+    ----------
+    unusable : str
+        Why every frame of the last `UNUSABLE_PERIODS` periods was invalid; empty when one was good or none came.
+    """
 
     def __init__(self, ledger: FrameLedger, timings: Timings) -> None:
         self._ledger = ledger
         self._timings = timings
         self._started_ns = self._last_ns = time.monotonic_ns()
         self._last = ledger.counts()
+        self._unusable_periods = 0
+        self.unusable = ""
 
     def snapshot(self, latest: Reconstruction | None, source_dropped: int, mqtt: dict[str, int]) -> dict[str, Any]:
         """The message as a dict.
@@ -34,6 +45,7 @@ class Health:
         seconds = max(now_ns - self._last_ns, 1) / 1e9
         self._last, self._last_ns = counts, now_ns
         stages = self._timings.percentiles()
+        self._judge(before, counts, latest)
         return {
             "uptime_s": round((now_ns - self._started_ns) / 1e9, 1),
             "frames": counts.as_dict(),
@@ -47,3 +59,12 @@ class Health:
             "degraded_reason": latest.degraded if latest else "",
             "mqtt": mqtt,
         }
+
+    def _judge(self, before: Counts, counts: Counts, latest: Reconstruction | None) -> None:
+        """Whether frames come but none can be used; the first reason stays, so that it is told once."""
+        if delivered(counts) > delivered(before):
+            self._unusable_periods, self.unusable = 0, ""
+        elif counts.invalid > before.invalid:
+            self._unusable_periods += 1
+        if self._unusable_periods >= UNUSABLE_PERIODS and not self.unusable:
+            self.unusable = (latest.reason if latest else "") or "no frame can be used"

@@ -25,7 +25,7 @@ FIRST_RETRY_S, LONGEST_RETRY_S = 0.1, 1.0
 class SourceState:
     """How the frame source is; `reason` is empty when all is well."""
 
-    state: Literal["streaming", "away", "ended"]
+    state: Literal["streaming", "away", "unusable", "ended"]
     reason: str = ""
     details: dict[str, str | int | float] = field(default_factory=dict)
 

@@ -122,8 +122,7 @@ def load(path: str | os.PathLike[str]) -> Calibration:
         ) from None
     except _DAMAGE:
         raise ConfigError(
-            f"{name}: not a calibration, or damaged; "
-            "expected a file written by `tacshade-edge calibrate`"
+            f"{name}: not a calibration, or damaged; expected a file written by `tacshade-edge calibrate`"
         ) from None
     if _crc32(meta, arrays) != crc:
         raise ConfigError(f"{name}: damaged: its checksum is {_crc32(meta, arrays):08x}, {crc:08x} is stored in it")

@@ -303,3 +303,29 @@ def test_a_broker_that_comes_late_and_restarts_gets_the_stream_without_help(
     finally:
         assert app.end() < STOP_S
     assert_accounted(ledger.counts().as_dict())
+
+
+def test_nothing_but_invalid_frames_is_a_degraded_state(
+    tmp_path: Path, broker: Broker, seen: Subscriber, calibration: Calibration, pictures: Any, scripted: Any
+) -> None:
+    dark, free = threading.Event(), threading.Event()
+
+    def script() -> Iterator[Any]:
+        for picture, until in ((pictures.free, dark), (pictures.black, free)):
+            while not until.is_set():
+                yield from paced(picture, 5)
+        yield from paced(pictures.free)
+
+    app = Running(document(tmp_path, broker.port), scripted(script()), calibration)
+    try:
+        wait_until(lambda: states(seen)[-1:] == ["online"], 10, "online")
+        dark.set()
+        wait_until(lambda: states(seen)[-1:] == ["degraded"], 10, "degraded")
+        camera = last(seen, "status/camera")
+        assert camera["state"] == "unusable"
+        assert camera["reason"].startswith("black")
+        free.set()
+        wait_until(lambda: states(seen)[-1:] == ["online"], 10, "online again")
+        assert last(seen, "status/camera")["state"] == "streaming"
+    finally:
+        app.end()
