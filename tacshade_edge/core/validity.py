@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -31,9 +32,10 @@ LIGHT_LOW, LIGHT_HIGH = 0.45, 1.7
 NOISE_STEP = 9.0
 NOISE_OVER_REFERENCE = 5.0
 # A row that differs from the next by this much more than its neighbours do, in medians of all rows, and more than the
-# reference's does, is where two frames meet (good frames reach 1.5).
+# reference's does, is where two frames meet (good frames reach 1.4).
 TEAR_SPIKE = 1.7
 TEAR_ROW_PX = 60
+TEAR_BANDS, TEAR_BAND_SPIKE = 4, 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,26 +147,35 @@ def _bright(grey: U8, mask: Bool) -> float:
 
 
 def _row_spikes(grey: U8, mask: U8) -> F32:
-    """Mean difference of every row of the disc from the next, less its neighbours', over the median of all rows.
+    """How much every row of the disc differs from the next beside its neighbours, over the median of all rows.
 
     Returns
     -------
     float32 (H,)
-        0 for short rows.
+        0 for short rows, and where fewer than three of four bands of columns agree: a contact's edge may follow a
+        row, but not across the disc.
     """
     spikes = np.zeros(grey.shape[0], dtype=np.float32)
-    width = mask.sum(axis=1, dtype=np.int64)
-    long = width >= TEAR_ROW_PX
+    long = mask.sum(axis=1, dtype=np.int64) >= TEAR_ROW_PX
     if np.count_nonzero(long) < 8:
         return spikes
     step = cv2.multiply(cv2.absdiff(grey[:-1], grey[1:]), mask[:-1])
-    mean = np.zeros(grey.shape[0], dtype=np.float32)
-    mean[:-1] = cv2.reduce(step, 1, cv2.REDUCE_SUM, dtype=cv2.CV_32F)[:, 0]
-    mean = np.where(long, mean / np.maximum(width, 1), 0).astype(np.float32)
-    around = (np.roll(mean, 1) + np.roll(mean, -1) + np.roll(mean, 2) + np.roll(mean, -2)) / 4
+    columns = np.flatnonzero(mask.any(axis=0))
+    edges = np.linspace(columns[0], columns[-1] + 1, TEAR_BANDS + 1).astype(int)
+    bands = np.sort([_spikes(step, mask, long, left, right) for left, right in pairwise(edges)], axis=0)
     # The first and last long rows have no neighbours to be compared with.
-    inner = long & np.roll(long, 2) & np.roll(long, -2)
-    spikes[inner] = ((mean - around) / (np.median(mean[long]) + 1))[inner]
+    seen = long & np.roll(long, 2) & np.roll(long, -2) & (bands[1] > TEAR_BAND_SPIKE)
+    spikes[seen] = _spikes(step, mask, long, columns[0], columns[-1] + 1)[seen]
+    return spikes
+
+
+def _spikes(step: U8, mask: U8, long: Bool, left: int, right: int) -> F32:
+    """The same in the columns from `left` to before `right`, at every row; `step` are the rows' differences."""
+    mean = np.zeros(mask.shape[0], dtype=np.float32)
+    width = mask[:-1, left:right].sum(axis=1, dtype=np.int64)
+    mean[:-1] = cv2.reduce(step[:, left:right], 1, cv2.REDUCE_SUM, dtype=cv2.CV_32F)[:, 0] / np.maximum(width, 1)
+    around = (np.roll(mean, 1) + np.roll(mean, -1) + np.roll(mean, 2) + np.roll(mean, -2)) / 4
+    spikes: F32 = ((mean - around) / (np.median(mean[long]) + 1)).astype(np.float32)
     return spikes
 
 
