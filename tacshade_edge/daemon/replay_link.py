@@ -16,7 +16,7 @@ from tacshade_edge.protocol import messages
 from tacshade_edge.protocol.messages import Request
 from tacshade_edge.types import Reconstruction
 
-CONNECT_S, HAND_OVER_S, STOP_S = 5.0, 5.0, 2.0
+CONNECT_S, HAND_OVER_S, STOP_S = 2.0, 5.0, 2.0
 
 
 class ReplayLink:
