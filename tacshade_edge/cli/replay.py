@@ -28,8 +28,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--profile", choices=sorted(PROFILES), default="fast", help="speed against accuracy (fast)")
     add("--out", type=Path, metavar="DIR", help="write heights.bin, clouds.bin and summary.json")
     add("--against", type=Path, metavar="DIR", help="compare --out with this earlier run; exit 1 when they differ")
-    add("--fps", type=_positive, metavar="N", help="times of a recording without a table beside it (30)")
-    add("--speed", type=_positive, metavar="FACTOR", help="times the recording's pace (as fast as possible)")
+    add("--fps", type=positive, metavar="N", help="times of a recording without a table beside it (30)")
+    add("--speed", type=positive, metavar="FACTOR", help="times the recording's pace (as fast as possible)")
     add("--loop", type=_count, default=1, metavar="TIMES", help="go through it TIMES times, 0 until stopped (1)")
     add("--mqtt", type=_address, metavar="HOST:PORT", help="publish as `run` does")
     add("--sensor-id", type=_sensor_id, default="replay", metavar="ID", help="publish on tacshade/ID (replay)")
@@ -120,7 +120,8 @@ def _tell(line: str) -> None:
     print(f"tacshade-edge: {line}", file=sys.stderr)
 
 
-def _positive(text: str) -> float:
+def positive(text: str) -> float:
+    """A finite number over 0, for argparse."""
     value = float(text)
     if not (math.isfinite(value) and 0 < value <= 1e6):
         raise argparse.ArgumentTypeError(f"found {text}, expected a number over 0, up to a million")
