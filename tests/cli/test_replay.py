@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from mqtt_rig import wait_until
 from painted_sensor import BLACK, FREE, TOUCHED, painted_calibration, touched_depth_mm
 from recordings import write_recording
 
@@ -190,3 +192,22 @@ def test_two_processes_give_the_same_bytes(tmp_path: Path, frames: int, large: b
     assert frames // 4 < sum(record["contact"] for record in records) < frames
     assert len(set(payloads(tmp_path / "a", HEIGHTS))) == frames
     assert main(["replay", "--out", str(tmp_path / "a"), "--against", str(tmp_path / "b")]) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_run_leaves_nothing(folder: Path, number: signal.Signals) -> None:
+    out = folder / "out"
+    given = words(folder, "--out", str(out), "--speed", "1", "--loop", "1000")
+    child = subprocess.Popen([*COMMAND, *given], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    heights = out / "heights.bin.part"
+    try:
+        wait_until(lambda: heights.exists() and heights.stat().st_size > 0, 30, "the run has begun")
+        child.send_signal(number)
+        said, errors = child.communicate(timeout=20)
+    finally:
+        child.kill()
+    assert child.returncode == 130, errors
+    assert errors == f"tacshade-edge: {out}: stopped before the end, so nothing was written\n"
+    assert "frames, " in said
+    assert list(out.iterdir()) == []
