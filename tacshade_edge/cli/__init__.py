@@ -19,6 +19,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "check-config": ("check_config", "check a settings file, or export its JSON Schema"),
     "calibrate": ("calibrate", "references and ball presses to a calibration file"),
     "reconstruct": ("reconstruct", "images to height maps, clouds and a summary"),
+    "record": ("record", "the camera of the settings into a folder that `replay` reads"),
+    "replay": ("replay", "a recording through the reconstructor, to files or a broker; compare two runs"),
     "simulate": ("simulate", "write simulated images with ground truth, or a calibration set"),
 }
 

@@ -45,7 +45,7 @@ class FilesSource:
     def open(self) -> None:
         """Find the files. Raises ConfigError when there is nothing to show."""
         self.close()
-        self._images, self._video = _look_at(self._path)
+        self._images, self._video = look_at(self._path)
         self._items = self._next_items()
         self._due_ns = time.monotonic_ns()
 
@@ -112,7 +112,7 @@ def first_size_px(path: Path) -> tuple[int, int] | None:
     ConfigError
         There is nothing to show.
     """
-    images, video = _look_at(path)
+    images, video = look_at(path)
     if video is not None:
         size_px = int(video.get(cv2.CAP_PROP_FRAME_WIDTH)), int(video.get(cv2.CAP_PROP_FRAME_HEIGHT))
         video.release()
@@ -124,7 +124,7 @@ def first_size_px(path: Path) -> tuple[int, int] | None:
     return image.shape[1], image.shape[0]
 
 
-def _look_at(path: Path) -> tuple[list[Path], cv2.VideoCapture | None]:
+def look_at(path: Path) -> tuple[list[Path], cv2.VideoCapture | None]:
     """The images of a folder, the one image, or the opened video. Raises ConfigError."""
     if path.is_dir():
         images = sorted(p for p in path.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file())

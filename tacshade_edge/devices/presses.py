@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import csv
-import math
 from pathlib import Path
 
 from tacshade_edge.core.calibrate import BallPress
 from tacshade_edge.devices.images import read_image
+from tacshade_edge.devices.tables import number, read_rows
 from tacshade_edge.errors import ConfigError, DecodeError
 
 HEADER = ("image", "indenter", "radius_mm", "depth_mm", "x_mm", "y_mm")
@@ -21,24 +20,10 @@ def read_presses(path: Path) -> list[BallPress]:
     ConfigError
         ``FILE:LINE: column: found …, expected …``, or an image that cannot be read.
     """
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            reader = csv.reader(stream, strict=True)
-            lines = [(reader.line_num, row) for row in reader if row]
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror or error}, expected a CSV file of presses") from None
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise ConfigError(f"{path}: not a CSV file: {error}") from None
-    if not lines or tuple(lines[0][1]) != HEADER:
-        found = ",".join(lines[0][1]) if lines else "nothing"
-        raise ConfigError(f"{path}:1: found the header {found[:80]}, expected {','.join(HEADER)}")
-    return [_press(path, line, row) for line, row in lines[1:]]
+    return [_press(path, where, row) for where, row in read_rows(path, HEADER, "presses")]
 
 
-def _press(path: Path, line: int, row: list[str]) -> BallPress:
-    where = f"{path}:{line}"
-    if len(row) != len(HEADER):
-        raise ConfigError(f"{where}: found {len(row)} columns, expected {len(HEADER)}")
+def _press(path: Path, where: str, row: list[str]) -> BallPress:
     name, indenter, *numbers = row
     if indenter != "ball":
         raise ConfigError(f"{where}: indenter: found {indenter!r}, expected ball")
@@ -51,18 +36,8 @@ def _press(path: Path, line: int, row: list[str]) -> BallPress:
     return BallPress(
         name=f"{where}: {name}",
         image=image,
-        radius_mm=_number(where, "radius_mm", numbers[0]),
-        depth_mm=_number(where, "depth_mm", numbers[1]),
-        x_mm=_number(where, "x_mm", numbers[2]) if numbers[2] else None,
-        y_mm=_number(where, "y_mm", numbers[3]) if numbers[3] else None,
+        radius_mm=number(where, "radius_mm", numbers[0]),
+        depth_mm=number(where, "depth_mm", numbers[1]),
+        x_mm=number(where, "x_mm", numbers[2]) if numbers[2] else None,
+        y_mm=number(where, "y_mm", numbers[3]) if numbers[3] else None,
     )
-
-
-def _number(where: str, column: str, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise ConfigError(f"{where}: {column}: found {text!r}, expected a number")
-    return value

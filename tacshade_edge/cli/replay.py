@@ -1,0 +1,147 @@
+"""``tacshade-edge replay``: a recording through the reconstructor, to files, to a broker, or both."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import math
+import re
+import signal
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.daemon.replay import Deliver, Progress, replay
+from tacshade_edge.daemon.replay_link import ReplayLink
+from tacshade_edge.devices import calibration_file
+from tacshade_edge.devices.recording import Recording
+from tacshade_edge.devices.run_compare import first_difference
+from tacshade_edge.devices.run_files import RunWriter
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add = parser.add_argument
+    add("--calibration", type=Path, metavar="CAL.npz", help="from `calibrate`")
+    add("--profile", choices=sorted(PROFILES), default="fast", help="speed against accuracy (fast)")
+    add("--out", type=Path, metavar="DIR", help="write heights.bin, clouds.bin and summary.json")
+    add("--against", type=Path, metavar="DIR", help="compare --out with this earlier run; exit 1 when they differ")
+    add("--fps", type=positive, metavar="N", help="times of a recording without a table beside it (30)")
+    add("--speed", type=positive, metavar="FACTOR", help="times the recording's pace (as fast as possible)")
+    add("--loop", type=_count, default=1, metavar="TIMES", help="go through it TIMES times, 0 until stopped (1)")
+    add("--mqtt", type=_address, metavar="HOST:PORT", help="publish as `run` does")
+    add("--sensor-id", type=_sensor_id, default="replay", metavar="ID", help="publish on tacshade/ID (replay)")
+    add("input", type=Path, nargs="?", metavar="INPUT", help="folder of images or video; none: compare two runs only")
+    parser.set_defaults(refuse=parser.error)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Replay, then compare."""
+    _check(args, args.refuse)
+    code = 0
+    if args.input is not None:
+        code = _replay(args)
+    if args.against is None:
+        return code
+    difference = first_difference(args.out, args.against)
+    if difference:
+        print(f"{args.out} differs from {args.against}: {difference}")
+        return 1
+    print(f"{args.out} is the same as {args.against}")
+    return code
+
+
+def _check(args: argparse.Namespace, refuse: Callable[[str], None]) -> None:
+    """What argparse cannot say; `refuse` exits with 2."""
+    if args.against is not None and args.out is None:
+        refuse("--against compares --out DIR, which is missing")
+    if args.input is None:
+        if args.against is None:
+            refuse("expected INPUT, or --out DIR and --against DIR of two runs")
+        return
+    if args.calibration is None:
+        refuse("expected --calibration CAL.npz")
+    if args.out is None and args.mqtt is None:
+        refuse("expected --out DIR or --mqtt HOST:PORT, or both")
+    if args.loop == 0 and args.out is not None:
+        refuse("--loop 0 never ends and would fill --out DIR, expected a number from 1")
+    if args.out is not None and args.against is not None and args.out.resolve() == args.against.resolve():
+        refuse("--out and --against are the same folder, which would be overwritten")
+
+
+def _replay(args: argparse.Namespace) -> int:
+    recording = Recording(args.input, fps=args.fps, times=args.loop)
+    reconstructor = Reconstructor(calibration_file.load(args.calibration), PROFILES[args.profile])
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    progress = Progress()
+    sinks: list[Deliver] = []
+    interrupted = False
+    with contextlib.ExitStack() as stack:
+        if args.mqtt is not None:
+            host, port = args.mqtt
+            link = ReplayLink(
+                host=host, port=port, sensor_id=args.sensor_id, reconstructor=reconstructor, wait=args.speed is None
+            )
+            stack.callback(link.stop)
+            link.start()
+            sinks.append(link.add)
+        if args.out is not None:
+            writer = RunWriter(args.out, calibration_crc32=reconstructor.calibration.crc32)
+            stack.callback(writer.discard)
+            sinks.append(writer.add)
+        try:
+            replay(recording, reconstructor, sinks, progress, speed=args.speed, undecodable=_tell)
+        except KeyboardInterrupt:
+            interrupted = True
+        if args.out is not None and not interrupted:
+            writer.finish(progress.as_dict())
+    print(_line(args, progress))
+    if args.mqtt is not None:
+        counters = link.counters()
+        print(", ".join(f"{counters[name]} payloads {name}" for name in ("published", "superseded", "failed")))
+    if interrupted:
+        if args.out is not None:
+            _tell(f"{args.out}: stopped before the end, so nothing was written")
+        return 0 if args.loop == 0 else 130
+    return 1 if progress.undecodable else 0
+
+
+def _line(args: argparse.Namespace, progress: Progress) -> str:
+    return (
+        f"{args.input}: {progress.frames} frames, {progress.contacts} in contact, {progress.invalid} invalid, "
+        f"{progress.undecodable} unreadable; {progress.recorded_seconds:.2f} s of recording in "
+        f"{progress.seconds:.2f} s, {progress.speed_up:.2f} times real time"
+    )
+
+
+def _tell(line: str) -> None:
+    print(f"tacshade-edge: {line}", file=sys.stderr)
+
+
+def positive(text: str) -> float:
+    """A finite number over 0, for argparse."""
+    value = float(text)
+    if not (math.isfinite(value) and 0 < value <= 1e6):
+        raise argparse.ArgumentTypeError(f"found {text}, expected a number over 0, up to a million")
+    return value
+
+
+def _count(text: str) -> int:
+    if not (text.isascii() and text.isdecimal() and len(text) < 10):
+        raise argparse.ArgumentTypeError(f"found {text}, expected a whole number from 0")
+    return int(text)
+
+
+def _address(text: str) -> tuple[str, int]:
+    host, colon, port = text.rpartition(":")
+    if not (host and colon and port.isascii() and port.isdecimal() and 0 < int(port) < 65536):
+        raise argparse.ArgumentTypeError(f"found {text}, expected HOST:PORT")
+    return host.strip("[]"), int(port)
+
+
+def _sensor_id(text: str) -> str:
+    if not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", text):
+        raise argparse.ArgumentTypeError(f"found {text}, expected letters, digits, - and _")
+    return text

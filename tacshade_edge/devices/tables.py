@@ -1,0 +1,49 @@
+"""Strict CSV tables: a mistake is told as ``FILE:LINE: column: found …, expected …``."""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+
+from tacshade_edge.errors import ConfigError
+
+
+def read_rows(path: Path, header: tuple[str, ...], what: str) -> list[tuple[str, list[str]]]:
+    """Read a table with exactly this header; empty lines are passed over.
+
+    Returns
+    -------
+    list of (``FILE:LINE``, columns)
+
+    Raises
+    ------
+    ConfigError
+        Not readable, not CSV, another header, or a row of another length.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as stream:
+            reader = csv.reader(stream, strict=True)
+            lines = [(reader.line_num, row) for row in reader if row]
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror or error}, expected a CSV file of {what}") from None
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ConfigError(f"{path}: not a CSV file: {error}") from None
+    if not lines or tuple(lines[0][1]) != header:
+        found = ",".join(lines[0][1]) if lines else "nothing"
+        raise ConfigError(f"{path}:1: found the header {found[:80]}, expected {','.join(header)}")
+    for line, row in lines[1:]:
+        if len(row) != len(header):
+            raise ConfigError(f"{path}:{line}: found {len(row)} columns, expected {len(header)}")
+    return [(f"{path}:{line}", row) for line, row in lines[1:]]
+
+
+def number(where: str, column: str, text: str) -> float:
+    """A finite number. Raises ConfigError."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ConfigError(f"{where}: {column}: found {text!r}, expected a number")
+    return value

@@ -1,0 +1,24 @@
+"""Recordings on disk, from images."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+
+from tacshade_edge.types import U8
+
+HEADER = "image,t_ns,x_mm,y_mm,z_mm,qw,qx,qy,qz\n"
+
+
+def write_recording(folder: Path, images: Sequence[U8], period_ns: int = 10_000_000, start_ns: int = 500) -> Path:
+    """PNG frames and their table; every other row has a pose."""
+    folder.mkdir(parents=True)
+    lines = []
+    for k, image in enumerate(images):
+        cv2.imwrite(str(folder / f"{k:06d}.png"), image)
+        pose = f"{k},2.5,-3,1,0,0,0" if k % 2 else ",,,,,,"
+        lines.append(f"{k:06d}.png,{start_ns + k * period_ns},{pose}\n")
+    (folder / "frames.csv").write_text(HEADER + "".join(lines))
+    return folder
