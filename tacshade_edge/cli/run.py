@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import logging
+import os
 import signal
 from pathlib import Path
 
@@ -21,12 +22,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run until SIGTERM, SIGINT, or the end of a finite source."""
+    """Run until SIGTERM, SIGINT, or the end of a finite source; SIGHUP reloads, unless a terminal hangs up."""
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
     document = load(args.config)
     registry.check_files(document)
     app = App(document, registry.make_source(document.settings.source), registry.load_calibration(document))
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: app.stop())
+    if not os.isatty(0):
+        signal.signal(signal.SIGHUP, lambda *_: app.reload())
     app.run()
     return 0

@@ -21,10 +21,13 @@ from tacshade_edge.daemon.health import Health
 from tacshade_edge.daemon.ledger import FrameLedger, Outcome
 from tacshade_edge.daemon.pipeline import Crash, Pipeline, crashes_to
 from tacshade_edge.daemon.publisher import Publisher
+from tacshade_edge.daemon.reload import reload
 from tacshade_edge.daemon.requests import Requests
+from tacshade_edge.daemon.systemd import Progress, Service
 from tacshade_edge.daemon.workers import SourceState
 from tacshade_edge.devices import registry
 from tacshade_edge.devices.base import FrameSource
+from tacshade_edge.errors import ConfigError
 from tacshade_edge.protocol import messages
 from tacshade_edge.protocol.messages import Request
 from tacshade_edge.settings import Document, digest
@@ -46,7 +49,12 @@ class Stop:
     """Someone wants the daemon to end."""
 
 
-Event = Stop | Crash | SourceState | Request
+@dataclass(frozen=True, slots=True)
+class Reload:
+    """Someone wants the settings to be read again."""
+
+
+Event = Stop | Reload | Crash | SourceState | Request
 
 
 class App:
@@ -66,7 +74,7 @@ class App:
 
     def __init__(self, document: Document, source: FrameSource, calibration: Calibration) -> None:
         settings = document.settings
-        self._digest = digest(settings)
+        self._document = document
         # SimpleQueue: the one queue that a signal handler may put into.
         self._events: SimpleQueue[Event] = SimpleQueue()
         self._source = source
@@ -80,16 +88,21 @@ class App:
             self.ledger,
             self._events.put,
         )
+        self._service = Service(Progress(self._pipeline.grab, self._pipeline.reconstruct))
         self._health = Health(self.ledger, self._pipeline.timings)
         self._requests = Requests(self._pipeline.reconstruct, self.link.reply, self._status, self._tell_info)
         self._camera = SourceState("away", "starting")
-        self._told: SourceState | None = None
+        self._told = SourceState("ended")
         self._latest_health: dict[str, Any] = {}
         self._previewed = -1
 
     def stop(self) -> None:
         """Ask `run` to end; may be called from any thread and from a signal handler."""
         self._events.put(Stop())
+
+    def reload(self) -> None:
+        """Ask `run` to read the settings and the calibration again; callable like `stop`."""
+        self._events.put(Reload())
 
     def run(self) -> None:
         """Work until `stop` or the end of a finite source.
@@ -106,6 +119,7 @@ class App:
             self._tell_camera()
             self.link.start()
             self._pipeline.start()
+            self._service.ready()
             self._loop()
             self._shut_down()
 
@@ -116,6 +130,7 @@ class App:
             if now_s >= next_health_s:
                 next_health_s = now_s + HEALTH_PERIOD_S
                 self._tell_health()
+                self._service.tick(self._told, self._latest_health["delivered_fps"])
             if now_s >= next_preview_s:
                 next_preview_s = now_s + PREVIEW_PERIOD_S
                 self._tell_preview()
@@ -132,14 +147,34 @@ class App:
                 raise event.error
             if isinstance(event, Request):
                 self._requests.handle(event)
+            elif isinstance(event, Reload):
+                self._reload()
             else:
                 self._camera = event
                 if event.state == "ended":
                     _log.info("source ended")
                     return
 
+    def _reload(self) -> None:
+        """Take over what the settings file says now; nothing changes when it is bad."""
+        self._service.reloading()
+        try:
+            new = reload(self._document)
+        except ConfigError as error:
+            note = f"reload refused, the running settings stay: {error}"
+            _log.warning("%s", note)
+        else:
+            self._document = new.document
+            profile = PROFILES[new.document.settings.profile]
+            self._pipeline.reconstruct.reconstructor = Reconstructor(new.calibration, profile)
+            self._tell_info()
+            note = f"restart to use the new {' and '.join(new.waiting)}" if new.waiting else ""
+            _log.info("reloaded%s", f"; {note}" if note else "")
+        self._service.reloaded(note)
+
     def _shut_down(self) -> None:
         """Finish what is on its way, account for the rest, say goodbye."""
+        self._service.stopping()
         self._pipeline.stop(STOP_THREADS_S)
         given_up = self.ledger.close(STOP_FRAMES_S)
         if given_up:
@@ -187,7 +222,7 @@ class App:
         reconstructor = self._pipeline.reconstruct.reconstructor
         info = messages.encode_info(
             version=__version__,
-            config_digest=self._digest,
+            config_digest=digest(self._document.settings),
             profile=reconstructor.profile.name,
             calibration=reconstructor.calibration,
         )

@@ -58,6 +58,7 @@ class Grab:
         self._reported: SourceState | None = None
         self.retry_s = FIRST_RETRY_S
         self.last_frame_ns = 0  # CLOCK_MONOTONIC; 0 before the first
+        self.attempts = 0  # openings, and frames that could not be decoded
 
     def stop(self) -> None:
         """Make `run` return after the read that it is in."""
@@ -66,6 +67,7 @@ class Grab:
     def run(self) -> None:
         """Read until `stop`, or until a finite source ends."""
         while not self._stop.is_set():
+            self.attempts += 1
             try:
                 self._source.open()
                 if self._read_all():
@@ -85,6 +87,7 @@ class Grab:
                 frame = self._source.read()
             except DecodeError as error:
                 _log.debug("%s", error)
+                self.attempts += 1
                 self._ledger.undecodable()
                 if self._reported is None:  # nothing to see from the start; in a stream it is one counted frame
                     self._tell(SourceState("away", str(error)))
@@ -134,6 +137,7 @@ class Reconstruct:
     ) -> None:
         self.reconstructor = reconstructor
         self.watch: Callable[[Frame, Reconstruction], None] | None = None
+        self.taken = self.processed = 0  # frames; they differ while one is in work
         self._mailbox = mailbox
         self._ledger = ledger
         self._timings = timings
@@ -142,7 +146,9 @@ class Reconstruct:
     def run(self) -> None:
         """Work until the mailbox is closed and empty."""
         while (frame := self._mailbox.take()) is not None:
+            self.taken += 1
             result = self._timed(frame)
+            self.processed += 1
             if watch := self.watch:
                 watch(frame, result)
 

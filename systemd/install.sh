@@ -1,0 +1,82 @@
+#!/bin/bash
+# install.sh [--uninstall]: puts the service in place, as root; running it again changes nothing that a person edited.
+# DESTDIR=DIR stages the files below DIR and touches neither Python, users nor the running system.
+# PYTHON chooses the interpreter (3.11 to 3.13; default python3).
+set -euo pipefail
+here=$(cd "$(dirname "$0")" && pwd)
+dest=${DESTDIR:-}
+app=/opt/tacshade-edge
+# source and target
+files=(
+  "tacshade-edge.service /usr/local/lib/systemd/system/tacshade-edge.service"
+  "tacshade-edge.sysusers /usr/local/lib/sysusers.d/tacshade-edge.conf"
+  "99-tacshade.rules /etc/udev/rules.d/99-tacshade.rules"
+)
+# A person edits these: never overwritten, removed only when they are as installed.
+edited=(
+  "../config/default.yaml /etc/tacshade-edge/config.yaml"
+  "mosquitto-tacshade.conf /etc/mosquitto/conf.d/tacshade.conf"
+  "mosquitto-tacshade.acl /etc/mosquitto/tacshade.acl"
+)
+
+fail() { echo "install.sh: $1" >&2; exit "${2:-1}"; }
+live() { [ -z "$dest" ]; }
+
+install_all() {
+  for line in "${files[@]}"; do
+    read -r from to <<<"$line"
+    install -D -m 644 "$here/$from" "$dest$to"
+  done
+  if live; then
+    systemd-sysusers "${files[1]#* }"
+    python_environment
+  fi
+  install -d -m 750 "$dest/etc/tacshade-edge"
+  for line in "${edited[@]}"; do
+    read -r from to <<<"$line"
+    if [ -e "$dest$to" ]; then cmp -s "$here/$from" "$dest$to" || echo "kept: $to"; else install -D -m 644 "$here/$from" "$dest$to"; fi
+  done
+  if live; then
+    chgrp -R tacshade-edge /etc/tacshade-edge
+    refresh
+    systemctl enable --quiet tacshade-edge.service
+    echo "installed; calibrate, edit /etc/tacshade-edge/config.yaml, then: systemctl restart tacshade-edge"
+  fi
+}
+
+python_environment() {
+  local python=${PYTHON:-python3}
+  "$python" -c 'import sys; raise SystemExit(not (3, 11) <= sys.version_info[:2] < (3, 14))' 2>/dev/null ||
+    fail "found $("$python" --version 2>&1 || true), expected Python 3.11 to 3.13 (set PYTHON)"
+  [ -x "$app/bin/python" ] || "$python" -m venv "$app" || fail "expected python3-venv"
+  "$app/bin/python" -m pip install --quiet --disable-pip-version-check --upgrade "$here/..[systemd]" ||
+    fail "pip failed; systemd-python is built here and expects gcc, pkg-config, libsystemd-dev and python3-dev"
+}
+
+uninstall_all() {
+  live && { systemctl disable --quiet --now tacshade-edge.service 2>/dev/null || true; }
+  for line in "${files[@]}"; do rm -f "$dest${line#* }"; done
+  for line in "${edited[@]}"; do
+    read -r from to <<<"$line"
+    [ -e "$dest$to" ] || continue
+    if cmp -s "$here/$from" "$dest$to"; then rm -f "$dest$to"; else echo "kept: $to (edited)"; fi
+  done
+  rmdir "$dest/etc/tacshade-edge" 2>/dev/null || true
+  if live; then
+    rm -rf "$app"
+    refresh
+    echo "uninstalled; kept: /var/lib/tacshade-edge (calibrations) and the user tacshade-edge"
+  fi
+}
+
+refresh() {
+  systemctl daemon-reload
+  ! command -v udevadm >/dev/null || udevadm control --reload || true
+}
+
+live && [ "$(id -u)" -ne 0 ] && fail "expected root (or DESTDIR=DIR to stage the files)"
+case "${1:-}" in
+  "") install_all ;;
+  --uninstall) uninstall_all ;;
+  *) fail "found $1, expected --uninstall or nothing" 2 ;;
+esac

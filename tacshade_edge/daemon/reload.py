@@ -1,0 +1,48 @@
+"""Which settings can change while the daemon runs, and which wait for a restart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import msgspec
+
+from tacshade_edge.devices import registry
+from tacshade_edge.settings import Document, load
+from tacshade_edge.types import Calibration
+
+# The source, the link and its topics are made once.
+RESTART_KEYS = ("sensor_id", "source", "mqtt")
+
+
+@dataclass(frozen=True, slots=True)
+class Reloaded:
+    """What a settings file says now, as far as a running daemon can follow.
+
+    Attributes
+    ----------
+    document : Document
+        The new settings, with the running ones for every key in `RESTART_KEYS`.
+    calibration : Calibration
+    waiting : tuple of str
+        Keys that changed and need a restart.
+    """
+
+    document: Document
+    calibration: Calibration
+    waiting: tuple[str, ...]
+
+
+def reload(running: Document) -> Reloaded:
+    """Read the settings and the calibration again.
+
+    Raises
+    ------
+    ConfigError
+        They are bad, or the calibration does not fit the running source.
+    """
+    new = load(running.path)
+    registry.check_files(new)
+    kept = {key: getattr(running.settings, key) for key in RESTART_KEYS}
+    waiting = tuple(key for key, value in kept.items() if getattr(new.settings, key) != value)
+    document = replace(new, settings=msgspec.structs.replace(new.settings, **kept))
+    return Reloaded(document, registry.load_calibration(document), waiting)

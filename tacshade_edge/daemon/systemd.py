@@ -1,0 +1,101 @@
+"""What the service manager is told, through systemd-python; without a service manager nothing happens here.
+
+The messages are those of sd_notify(3); docs/service.md lists when each is sent.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import time
+
+from tacshade_edge.daemon.workers import Grab, Reconstruct, SourceState
+
+try:
+    from systemd import daemon
+except ImportError:  # it has no wheel: an extra of its own
+    daemon = None
+
+_log = logging.getLogger(__name__)
+
+
+class Progress:
+    """Whether work was done since the last question: what a watchdog may be fed with.
+
+    Parameters
+    ----------
+    grab : Grab
+    reconstruct : Reconstruct
+    """
+
+    def __init__(self, grab: Grab, reconstruct: Reconstruct) -> None:
+        self._grab = grab
+        self._reconstruct = reconstruct
+        self._processed = self._attempts = 0
+
+    def made(self, degraded: bool) -> bool:
+        """Frames were processed; or, in a state told as degraded, attempts to get some were made and no frame hangs.
+
+        Parameters
+        ----------
+        degraded : bool
+            Whether the daemon has told that no usable frames come.
+        """
+        # Before `taken`, so that a frame that comes in between cannot look like one that is done.
+        processed, attempts = self._reconstruct.processed, self._grab.attempts
+        hanging = self._reconstruct.taken > processed
+        made = processed > self._processed or (degraded and attempts > self._attempts and not hanging)
+        self._processed, self._attempts = processed, attempts
+        return made
+
+
+class Service:
+    """One daemon's conversation with the service manager.
+
+    Parameters
+    ----------
+    progress : Progress
+    """
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress = progress
+        self._note = ""
+        if daemon is None and "NOTIFY_SOCKET" in os.environ:
+            _log.warning("a service manager waits for a sign, expected the package systemd-python (extra systemd)")
+
+    def ready(self) -> None:
+        """Settings and calibration are loaded, and the threads run."""
+        _notify("READY=1")
+
+    def tick(self, told: SourceState, fps: float) -> None:
+        """Tell the status; feed the watchdog if there was progress. At least twice per ``WatchdogSec``.
+
+        Parameters
+        ----------
+        told : SourceState
+            The state that was told over MQTT.
+        fps : float
+            Frames delivered per second.
+        """
+        reason = f" ({told.reason})" if told.reason else ""
+        _notify(f"STATUS={told.state}{reason}, {fps:.1f} frames/s{self._note}")
+        if self._progress.made(degraded=told.state != "streaming"):
+            _notify("WATCHDOG=1")
+
+    def reloading(self) -> None:
+        """A reload begins; `reloaded` must follow."""
+        _notify("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
+
+    def reloaded(self, note: str) -> None:
+        """A reload is over; `note` stays in the status until the next."""
+        self._note = f"; {note}" if note else ""
+        _notify("READY=1", f"STATUS={note or 'reloaded'}")
+
+    def stopping(self) -> None:
+        """A stop begins."""
+        _notify("STOPPING=1", "STATUS=stopping")
+
+
+def _notify(*lines: str) -> None:
+    if daemon is not None:
+        daemon.notify("\n".join(lines))

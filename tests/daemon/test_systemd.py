@@ -1,0 +1,272 @@
+"""What a service manager hears: the real daemon in this process, a real datagram socket, a scripted camera."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mqtt_rig import free_port
+from painted_sensor import painted_calibration
+
+from tacshade_edge.daemon import app as app_module
+from tacshade_edge.daemon import systemd
+from tacshade_edge.daemon.app import App
+from tacshade_edge.daemon.ledger import FrameLedger, Timings
+from tacshade_edge.daemon.mailbox import Mailbox
+from tacshade_edge.daemon.systemd import Progress, Service
+from tacshade_edge.daemon.workers import Grab, Reconstruct
+from tacshade_edge.devices import calibration_file
+from tacshade_edge.errors import DecodeError, DeviceError
+from tacshade_edge.settings import load
+from tacshade_edge.types import Calibration, Frame
+
+needs_systemd = pytest.mark.skipif(systemd.daemon is None, reason="systemd-python is not installed (extra systemd)")
+GONE = DeviceError("camera /dev/video9: gone")
+
+
+class Manager:
+    """The service manager's end of the socket; keeps every message."""
+
+    def __init__(self, path: Path) -> None:
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.bind(str(path))
+        self.heard: list[str] = []
+        threading.Thread(target=self._listen, daemon=True).start()
+
+    def _listen(self) -> None:
+        while message := self._socket.recv(65536).decode():
+            self.heard.append(message)
+
+    def has(self, text: str, since: int = 0) -> bool:
+        return any(text in message for message in self.heard[since:])
+
+    def watchdogs(self) -> int:
+        return self.heard.count("WATCHDOG=1")
+
+    def statuses(self) -> int:
+        return sum(message.startswith("STATUS=") for message in self.heard)
+
+
+@pytest.fixture
+def manager(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Manager:
+    made = Manager(tmp_path / "notify")
+    monkeypatch.setattr(app_module, "HEALTH_PERIOD_S", 0.1)
+    monkeypatch.setattr(app_module, "STALL_S", 0.5)
+    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+    return made
+
+
+@pytest.fixture
+def settings(tmp_path: Path) -> Path:
+    calibration_file.save(tmp_path / "c.npz", painted_calibration())
+    path = tmp_path / "settings.yaml"
+    broker = f"mqtt: {{host: 127.0.0.1, port: {free_port()}}}\n"
+    path.write_text(f"calibration: c.npz\nprofile: fast\nsource: {{kind: simulated}}\n{broker}")
+    return path
+
+
+@pytest.fixture
+def start(settings: Path, calibration: Calibration) -> Iterator[Callable[[Any], App]]:
+    running: list[tuple[App, threading.Thread]] = []
+
+    def started(source: Any) -> App:
+        app = App(load(settings), source, calibration)
+        running.append((app, threading.Thread(target=app.run)))
+        running[-1][1].start()
+        return app
+
+    yield started
+    for app, thread in running:
+        app.stop()
+        thread.join(10)
+        assert not thread.is_alive()
+
+
+def paced(picture: Any, until: threading.Event | None = None) -> Iterator[Any]:
+    pause = threading.Event()
+    while until is None or not until.is_set():
+        yield picture
+        yield lambda: pause.wait(0.02)
+
+
+@needs_systemd
+def test_ready_status_watchdog_stopping(
+    manager: Manager, start: Any, pictures: Any, scripted: Any, wait_until: Any
+) -> None:
+    app = start(scripted(paced(pictures.touched)))
+    wait_until(lambda: manager.watchdogs() >= 2)
+    assert manager.heard[0] == "READY=1"
+    wait_until(lambda: manager.has("STATUS=streaming, "))
+    assert not manager.has("STOPPING=1")
+    app.stop()
+    wait_until(lambda: manager.has("STOPPING=1\n"))
+    assert manager.heard[-1] == "STOPPING=1\nSTATUS=stopping"
+
+
+@needs_systemd
+def test_a_hung_read_is_not_fed_although_the_main_thread_lives(
+    manager: Manager, start: Any, pictures: Any, scripted: Any, wait_until: Any
+) -> None:
+    hang, release = threading.Event(), threading.Event()
+    start(scripted(hanging(pictures, hang, release)))
+    wait_until(lambda: manager.watchdogs() >= 1)
+    hang.set()
+    wait_until(lambda: manager.has("STATUS=away (no frame for more than"))
+    fed, statuses = manager.watchdogs(), manager.statuses()
+    wait_until(lambda: manager.statuses() >= statuses + 2)
+    assert manager.watchdogs() == fed
+    release.set()
+    wait_until(lambda: manager.watchdogs() > fed)
+
+
+def hanging(pictures: Any, hang: threading.Event, release: threading.Event) -> Iterator[Any]:
+    yield from paced(pictures.free, hang)
+    yield release.wait
+    yield from paced(pictures.free)
+
+
+@needs_systemd
+def test_a_camera_that_is_away_is_told_and_its_attempts_feed_the_watchdog(
+    manager: Manager, start: Any, scripted: Any, wait_until: Any
+) -> None:
+    source = scripted(*[GONE] * 100)
+    start(source)
+    wait_until(lambda: manager.watchdogs() >= 2)
+    assert manager.has(f"STATUS=away ({GONE}), 0.0 frames/s")
+    assert len(source.opened_ns) >= 2
+
+
+@needs_systemd
+def test_reload_takes_over_the_profile_and_the_calibration(
+    manager: Manager, start: Any, settings: Path, pictures: Any, scripted: Any, wait_until: Any
+) -> None:
+    app = start(scripted(paced(pictures.free)))
+    wait_until(lambda: manager.watchdogs() >= 1)
+    before = app._pipeline.reconstruct.reconstructor
+    other = calibration_file.with_crc(replace(painted_calibration(), noise_grey=painted_calibration().noise_grey + 1.0))
+    calibration_file.save(settings.parent / "other.npz", other)
+    settings.write_text(settings.read_text().replace("c.npz", "other.npz").replace("fast", "paper"))
+    told, began_us = len(manager.heard), time.monotonic_ns() // 1000
+    app.reload()
+    wait_until(lambda: manager.has("READY=1\nSTATUS=reloaded", told))
+    reloading = next(message for message in manager.heard[told:] if message.startswith("RELOADING=1\nMONOTONIC_USEC="))
+    assert began_us <= int(reloading.rpartition("=")[2]) <= time.monotonic_ns() // 1000
+    after = app._pipeline.reconstruct.reconstructor
+    assert (before.profile.name, after.profile.name) == ("fast", "paper")
+    assert after.calibration.crc32 == other.crc32 != before.calibration.crc32
+
+
+@needs_systemd
+def test_a_bad_reload_keeps_what_runs(
+    manager: Manager,
+    start: Any,
+    settings: Path,
+    pictures: Any,
+    scripted: Any,
+    wait_until: Any,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    app = start(scripted(paced(pictures.free)))
+    wait_until(lambda: manager.watchdogs() >= 1)
+    before, good = app._pipeline.reconstruct.reconstructor, settings.read_text()
+    for old, new, problem in (
+        ("profile: fast", "profile: slow", "found slow"),
+        ("c.npz", "absent.npz", "absent.npz"),
+        ("kind", "k", "source.k"),
+    ):
+        settings.write_text(good.replace(old, new))
+        told, fed = len(manager.heard), manager.watchdogs()
+        caplog.clear()
+        app.reload()
+        wait_until(lambda told=told: manager.has("READY=1\nSTATUS=reload refused", told))
+        warnings = [record.getMessage() for record in caplog.records if "reload" in record.getMessage()]
+        assert len(warnings) == 1
+        assert problem in warnings[0]
+        wait_until(lambda told=told: manager.has("frames/s; reload refused", told))
+        wait_until(lambda fed=fed: manager.watchdogs() > fed)
+    assert app._pipeline.reconstruct.reconstructor is before
+    settings.write_text(good)
+    app.reload()
+    wait_until(lambda: manager.has("READY=1\nSTATUS=reloaded"))
+    told = len(manager.heard)
+    wait_until(lambda: manager.has("STATUS=streaming", told))
+    assert not manager.has("refused", told)
+
+
+@needs_systemd
+def test_a_new_source_or_broker_waits_for_a_restart_and_says_so(
+    manager: Manager, start: Any, settings: Path, pictures: Any, scripted: Any, wait_until: Any
+) -> None:
+    app = start(scripted(paced(pictures.free)))
+    wait_until(lambda: manager.watchdogs() >= 1)
+    text = settings.read_text().replace("kind: simulated", "kind: simulated, fps: 7").replace("127.0.0.1", "localhost")
+    settings.write_text(text.replace("fast", "paper"))
+    app.reload()
+    wait_until(lambda: manager.has("READY=1\nSTATUS=restart to use the new source and mqtt"))
+    assert app._pipeline.reconstruct.reconstructor.profile.name == "paper"
+
+
+class Steps:
+    """A reconstructor's and a sink's place, for a worker whose counters matter."""
+
+    calibration = painted_calibration()
+
+    def __init__(self) -> None:
+        self.held, self.go = threading.Event(), threading.Event()
+
+    def step(self, _frame: Frame, _mark: Any) -> Any:
+        self.held.set()
+        assert self.go.wait(10)
+
+    def deliver(self, *_: Any) -> Any:
+        return "without_contact"
+
+
+def test_a_hung_step_is_no_progress_even_while_a_lost_camera_is_tried(
+    pictures: Any, scripted: Any, wait_until: Any
+) -> None:
+    mailbox: Mailbox[Frame] = Mailbox()
+    ledger, steps = FrameLedger(), Steps()
+    worker = Reconstruct(steps, mailbox, ledger, Timings(), steps)  # type: ignore[arg-type]
+    source = scripted([pictures.free, GONE], GONE, [DecodeError("torn"), GONE], *[GONE] * 99)
+    grab = Grab(source, mailbox, ledger, lambda _state: None)
+    progress = Progress(grab, worker)
+    assert not progress.made(degraded=True)
+    threads = [threading.Thread(target=worker.run), threading.Thread(target=grab.run)]
+    for thread in threads:
+        thread.start()
+    assert steps.held.wait(10)
+    wait_until(lambda: grab.attempts >= 4)  # three openings and the torn frame
+    assert not progress.made(degraded=True)
+    steps.go.set()
+    wait_until(lambda: worker.processed == 1)
+    assert progress.made(degraded=False)
+    before = grab.attempts
+    wait_until(lambda: grab.attempts > before)
+    assert not progress.made(degraded=False)
+    before = grab.attempts
+    wait_until(lambda: grab.attempts > before)
+    assert progress.made(degraded=True)
+    grab.stop()
+    mailbox.close()
+    for thread in threads:
+        thread.join(10)
+
+
+def test_without_the_package_one_warning_and_no_message(
+    manager: Manager, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(systemd, "daemon", None)
+    service = Service(None)  # type: ignore[arg-type]
+    service.ready()
+    service.stopping()
+    assert [record.getMessage() for record in caplog.records] == [
+        "a service manager waits for a sign, expected the package systemd-python (extra systemd)"
+    ]
+    assert manager.heard == []

@@ -1,0 +1,139 @@
+"""The service under a real systemd as PID 1, with its real unit; once, then judged scene by scene."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+from typing import Any
+
+import pytest
+from calibrated_sensor import FULL, calibrated
+
+from tacshade_edge.daemon import systemd
+from tacshade_edge.devices import calibration_file
+
+CHECKOUT = Path(__file__).parents[2]
+WATCHDOG_S, STOP_S, MEMORY_MAX_MB = 10.0, 2.0, 150
+
+pytestmark = pytest.mark.slow
+
+
+def cannot_boot() -> str:
+    if os.getuid() != 0:
+        return "booting systemd needs root"
+    if shutil.which("systemd-nspawn") is None:
+        return "systemd-container is not installed"
+    return "systemd-python is not installed (extra systemd)" if systemd.daemon is None else ""
+
+
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    if reason := cannot_boot():
+        pytest.skip(reason)
+    folder = tmp_path_factory.mktemp("boot")
+    calibration_file.save(folder / "calibration.npz", calibrated(FULL))
+    for name in ("systemd", "config", "tacshade_edge"):
+        shutil.copytree(CHECKOUT / name, folder / "checkout" / name, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(Path(__file__).with_name("scenario.py"), folder)
+    version = f"{sys.version_info[0]}.{sys.version_info[1]}"
+    (folder / "scenario").write_text(
+        f"#!/bin/bash\nexec /opt/python/bin/python{version} /payload/scenario.py {version}\n"
+    )
+    (folder / "scenario").chmod(0o755)
+    binds = [
+        f"--bind-ro={sys.base_prefix}:/opt/python",
+        f"--bind-ro={sysconfig.get_path('purelib')}:/opt/site-packages",
+    ]
+    command = [CHECKOUT / "tools/rig/boot_systemd.sh", folder, *binds]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode == 125:
+        pytest.skip(f"systemd cannot be booted here: {(done.stdout + done.stderr).strip()[-300:]}")
+    assert done.returncode == 0, done.stdout + done.stderr
+    result: dict[str, Any] = json.loads((folder / "seen.json").read_text())
+    return result
+
+
+def streams(now: dict[str, str]) -> bool:
+    return now["ActiveState"] == "active" and now["StatusText"].startswith("streaming, ")
+
+
+def test_the_installed_unit_is_valid(seen: dict[str, Any]) -> None:
+    assert seen["install"]["code"] == 0, seen["install"]["output"]
+    assert seen["install"]["verify"] == [0, ""]
+
+
+def test_it_becomes_ready_and_streams_unprivileged(seen: dict[str, Any]) -> None:
+    starts = seen["starts"]
+    assert starts["code"] == 0, seen["journal"]
+    assert starts["at_ready"]["ActiveState"] == "active"
+    assert streams(starts["now"]), starts["now"]
+    process = starts["process"]
+    assert "0" not in process["Uid"].split()
+    assert (int(process["CapEff"], 16), process["NoNewPrivs"], process["Seccomp"]) == (0, "1", "2")
+    print(f"READY after {starts['ready_s']:.2f} s")
+
+
+def test_a_killed_process_is_restarted(seen: dict[str, Any]) -> None:
+    before, after = seen["killed"]["before"], seen["killed"]["after"]
+    assert streams(after)
+    assert after["NRestarts"] == "1"
+    assert after["MainPID"] != before["MainPID"]
+
+
+def test_a_reload_of_a_bad_file_keeps_it_running(seen: dict[str, Any]) -> None:
+    reloads = seen["reloads"]
+    assert reloads["bad"][0] == 0
+    assert "config.yaml:1: profile: found slow, expected one of" in reloads["refused"]["StatusText"]
+    assert streams(reloads["still"])
+    assert streams(reloads["good"])
+    assert "refused" not in reloads["good"]["StatusText"]
+    assert {reloads[key]["MainPID"] for key in ("refused", "still", "good")} == {reloads["before"]["MainPID"]}
+
+
+def test_the_watchdog_kills_a_hung_process_and_it_is_restarted(seen: dict[str, Any]) -> None:
+    hangs = seen["hangs"]
+    assert "Watchdog timeout" in hangs["journal"]
+    assert streams(hangs["after"])
+    assert int(hangs["after"]["NRestarts"]) == int(hangs["before"]["NRestarts"]) + 1
+    assert hangs["seconds"] < WATCHDOG_S + 20
+    print(f"streams again {hangs['seconds']:.1f} s after it hung")
+
+
+def test_frames_keep_the_watchdog_content_and_the_memory_stays_under_its_limit(seen: dict[str, Any]) -> None:
+    works = seen["works_a_while"]
+    assert streams(works["now"])
+    assert works["now"]["MainPID"] == works["before"]["MainPID"]
+    assert works["now"]["WatchdogUSec"] == f"{WATCHDOG_S:.0f}s"
+    assert int(works["now"]["MemoryMax"]) == MEMORY_MAX_MB * 2**20
+    own_mb, peak_mb = (int(works["process"][key].split()[0]) / 1024 for key in ("RssAnon", "VmHWM"))
+    assert own_mb < MEMORY_MAX_MB  # mapped libraries can be dropped and read again, so they do not exhaust the limit
+    print(f"own memory {own_mb:.0f} MB; resident with mapped libraries and simulator at most {peak_mb:.0f} MB")
+
+
+def test_a_stop_is_quick_and_clean(seen: dict[str, Any]) -> None:
+    stops = seen["stops"]
+    assert stops["code"] == 0
+    assert stops["seconds"] < STOP_S
+    now = stops["now"]
+    assert (now["ActiveState"], now["Result"], now["ExecMainStatus"]) == ("inactive", "success", "0")
+
+
+def test_an_absent_camera_is_no_restart_loop(seen: dict[str, Any]) -> None:
+    absent = seen["camera_is_absent"]
+    assert absent["code"] == 0
+    assert absent["now"]["ActiveState"] == "active"
+    assert absent["now"]["StatusText"].startswith("away (camera /dev/video99: ")
+    assert absent["now"]["NRestarts"] == "0"
+    assert absent["now"]["MainPID"] == absent["before"]["MainPID"]
+
+
+def test_bad_configuration_is_not_restarted(seen: dict[str, Any]) -> None:
+    bad = seen["configuration_is_bad"]
+    assert bad["code"] != 0
+    assert (bad["failed"]["ActiveState"], bad["failed"]["ExecMainStatus"]) == ("failed", "78")
+    assert (bad["later"]["ActiveState"], bad["later"]["NRestarts"]) == ("failed", "0")
