@@ -74,7 +74,8 @@ def _check(args: argparse.Namespace, refuse: Callable[[str], None]) -> None:
 def _replay(args: argparse.Namespace) -> int:
     recording = Recording(args.input, fps=args.fps, times=args.loop)
     reconstructor = Reconstructor(calibration_file.load(args.calibration), PROFILES[args.profile])
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for number in (signal.SIGTERM, signal.SIGINT):  # SIGINT too: a shell's background jobs start with it ignored
+        signal.signal(number, signal.default_int_handler)
     progress = Progress()
     sinks: list[Deliver] = []
     interrupted = False

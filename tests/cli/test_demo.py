@@ -9,6 +9,8 @@ import subprocess
 import sys
 from collections.abc import Sequence
 
+import pytest
+
 LINE = re.compile(r"^(no )?contact +depth +\d+\.\d\d mm \(pressed \d\.\d\d\)  \d objects?  +\d+\.\d fps  fast$")
 COMMAND = [sys.executable, "-m", "tacshade_edge", "demo"]
 
@@ -19,6 +21,7 @@ def depths(lines: Sequence[str]) -> list[tuple[float, float]]:
     return [(float(m[1]), float(m[2])) for m in found if m]
 
 
+@pytest.mark.slow
 def test_in_a_pipe_it_prints_plain_lines_and_ends_by_itself() -> None:
     done = subprocess.run([*COMMAND, "--seconds", "3"], capture_output=True, text=True, timeout=60, check=False)
     assert (done.returncode, done.stderr) == (0, "")
@@ -45,6 +48,7 @@ def read_to_end(leader: int) -> bytes:
     return shown
 
 
+@pytest.mark.slow
 def test_on_a_terminal_it_redraws_a_map_until_ctrl_c() -> None:
     leader, follower = pty.openpty()
     child = subprocess.Popen(COMMAND, stdout=follower, stderr=subprocess.PIPE, text=True)
