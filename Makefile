@@ -25,14 +25,14 @@ check: .venv/dev.stamp
 	.venv/bin/ruff check .
 	.venv/bin/mypy
 	.venv/bin/lint-imports
-	$(PY) -m pytest -m 'not guest and not broker and not slow'
+	$(PY) -m pytest -m 'not guest and not broker and not slow and not browser'
 
 test: .venv/dev.stamp
 	tools/install_debian.sh
 	$(PY) -m pip install --quiet --disable-pip-version-check -e '.[dev,systemd]' || \
 	  echo "tests: systemd-python could not be built: the service's tests will be skipped"
 	$(MAKE) --no-print-directory check
-	$(PY) -m pytest -m 'guest or broker or slow' -rs
+	$(PY) -m pytest -m 'guest or broker or slow or browser' -rs
 
 format: .venv/dev.stamp
 	.venv/bin/ruff format .

@@ -2,7 +2,7 @@
 # Installs the Debian packages that the tests use; one clear line when that is not possible.
 # The tests that need a missing package say so and are skipped.
 set -u
-packages=(mosquitto nodejs libsystemd-dev pkg-config gcc qemu-system-x86 kmod busybox-static cpio v4l-utils systemd-container dbus)
+packages=(mosquitto nodejs libsystemd-dev pkg-config gcc qemu-system-x86 kmod busybox-static cpio v4l-utils systemd-container dbus chromium chromium-driver)
 missing=()
 for p in "${packages[@]}"; do
   [ "$(dpkg-query -W -f='${db:Status-Status}' "$p" 2>/dev/null)" = installed ] || missing+=("$p")
@@ -11,12 +11,12 @@ done
 sudo=
 if [ "$(id -u)" -ne 0 ]; then
   if sudo -n true 2>/dev/null; then sudo="sudo -n"; else
-    echo "tests: missing Debian packages (${missing[*]}) and neither root nor sudo: the broker and guest tests will be skipped"
+    echo "tests: missing Debian packages (${missing[*]}) and neither root nor sudo: the broker, browser and guest tests will be skipped"
     exit 0
   fi
 fi
 if ! command -v apt-get >/dev/null; then
-  echo "tests: no apt-get here; missing ${missing[*]}: the broker and guest tests will be skipped"
+  echo "tests: no apt-get here; missing ${missing[*]}: the broker, browser and guest tests will be skipped"
   exit 0
 fi
 export DEBIAN_FRONTEND=noninteractive

@@ -225,6 +225,7 @@ class App:
             config_digest=digest(self._document.settings),
             profile=reconstructor.profile.name,
             calibration=reconstructor.calibration,
+            profiles=tuple(PROFILES),
         )
         self.link.set_retained("info", info)
 

@@ -5,7 +5,7 @@ JSON has no NaN and no infinity: both are written as null.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Final, Literal
 
@@ -134,8 +134,13 @@ def encode_contact(result: Reconstruction, *, fps: float) -> bytes:
     )
 
 
-def encode_info(*, version: str, config_digest: str, profile: str, calibration: Calibration) -> bytes:
-    """The ``info`` payload: what a subscriber needs to place every pixel of ``height`` in mm."""
+def encode_info(
+    *, version: str, config_digest: str, profile: str, calibration: Calibration, profiles: Sequence[str] = ()
+) -> bytes:
+    """The ``info`` payload: what a subscriber needs to place every pixel of ``height`` in mm.
+
+    `profiles` are the names that ``req/profile`` takes; empty where it takes none.
+    """
     geometry = calibration.geometry
     return _encode(
         {
@@ -143,6 +148,7 @@ def encode_info(*, version: str, config_digest: str, profile: str, calibration: 
             "wire_version": WIRE_VERSION,
             "config_digest": config_digest,
             "profile": profile,
+            "profiles": profiles,
             "geometry": {
                 "skin_radius_mm": geometry.skin_radius_mm,
                 "camera_distance_mm": geometry.camera_distance_mm,

@@ -139,6 +139,11 @@ def test_decoder_understands_what_the_encoder_writes_now(decode: Decoder) -> Non
     np.testing.assert_array_equal(decoded[1]["labels"], cloud.labels)
 
 
+def test_the_dashboard_decodes_with_the_same_lines() -> None:
+    page = (ROOT / "tacshade_edge" / "dashboard" / "static" / "wire.js").read_text()
+    assert page == code("javascript") + "\nexport { decode };\n"
+
+
 def test_vector_in_the_text_is_one_of_the_file() -> None:
     assert "".join(code("text").split()) == VECTORS[0]["hex"]
 

@@ -63,12 +63,16 @@ def test_info_places_a_pixel_in_mm() -> None:
         table_gain=np.zeros(0, np.float32),
         crc32=0xDEADBEEF,
     )
-    info = json.loads(messages.encode_info(version="1", config_digest="ab", profile="fast", calibration=calibration))
-    assert {k: info[k] for k in ("version", "wire_version", "config_digest", "profile")} == {
+    told = messages.encode_info(
+        version="1", config_digest="ab", profile="fast", calibration=calibration, profiles=("fast", "paper")
+    )
+    info = json.loads(told)
+    assert {k: info[k] for k in ("version", "wire_version", "config_digest", "profile", "profiles")} == {
         "version": "1",
         "wire_version": 1,
         "config_digest": "ab",
         "profile": "fast",
+        "profiles": ["fast", "paper"],
     }
     geometry = info["geometry"]
     assert geometry["camera_distance_mm"] is None

@@ -1,0 +1,47 @@
+"""Which pages may open the WebSocket: whoever may, may command the hand."""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+from collections.abc import Collection
+from urllib.parse import urlsplit
+
+
+def refusal(origin: str | None, host: str | None, allowed_origins: Collection[str]) -> str:
+    """Why a WebSocket request is refused; empty when it may go on.
+
+    Any web site that is open in the user's browser can try to connect to this server; the browser tells its address as
+    `origin`. It has to be ours: the `host` that the browser connected to. A site can also give its own name our
+    address (DNS rebinding), and then both agree: so a name has to be one that cannot be somebody else's.
+
+    Parameters
+    ----------
+    origin : str or None
+        The header ``Origin``; None from a program that is no browser, which needs no trick to get here.
+    host : str or None
+        The header ``Host``.
+    allowed_origins : collection of str
+        Further pages, such as ``https://hand.example.org`` of a proxy in front.
+    """
+    if origin is None or origin.lower() in allowed_origins:
+        return ""
+    if host is None or origin.lower() not in (f"http://{host.lower()}", f"https://{host.lower()}"):
+        return f"this page is from {origin[:80]}, not from here; if a proxy stands between: --origin"
+    name = urlsplit(f"//{host}").hostname or ""
+    if name != "localhost" and not _is_address(name) and name not in _own_names():
+        return f"the name {name[:80]} is not this machine's; if it should be: --origin"
+    return ""
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+def _own_names() -> set[str]:
+    own = socket.gethostname().lower()
+    return {own, f"{own.partition('.')[0]}.local"}

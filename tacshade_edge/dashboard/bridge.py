@@ -1,0 +1,145 @@
+"""MQTT over WebSocket to the broker's TCP port, byte by byte.
+
+mosquitto has a WebSocket listener of its own, but Debian 12's stalls on messages above about 4 KB, and a height map has
+10 to 600. What passes here is not looked into: user, password and permissions are between the page and the broker.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import socket
+import ssl
+from collections.abc import Coroutine
+from dataclasses import dataclass
+from typing import Any, Final
+
+from websockets.asyncio.server import ServerConnection
+from websockets.exceptions import ConnectionClosed
+
+_log = logging.getLogger(__name__)
+
+# From the page come requests of at most 4 KiB, an acknowledgement, a ping.
+FROM_PAGE_BYTES_MAX: Final = 1 << 16
+_CHUNK_BYTES: Final = 1 << 16
+_CONNECT_S: Final = 3.0
+_TRY_AGAIN: Final = 1013  # WebSocket close code "try again later"
+_BINARY_ONLY: Final = 1003
+_REASON_BYTES_MAX: Final = 123
+# A broker whose machine went away without a word is noticed after about 20 s.
+_BROKER_SOCKET: Final = (
+    (socket.IPPROTO_TCP, "TCP_NODELAY", 1),
+    (socket.SOL_SOCKET, "SO_KEEPALIVE", 1),
+    (socket.IPPROTO_TCP, "TCP_KEEPIDLE", 10),
+    (socket.IPPROTO_TCP, "TCP_KEEPINTVL", 5),
+    (socket.IPPROTO_TCP, "TCP_KEEPCNT", 2),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Broker:
+    """Where the bytes go.
+
+    Attributes
+    ----------
+    host : str
+    port : int
+    tls : ssl.SSLContext or None
+    """
+
+    host: str
+    port: int
+    tls: ssl.SSLContext | None = None
+
+    def __str__(self) -> str:
+        """HOST:PORT, as the user wrote it."""
+        return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
+
+
+class Bridge:
+    """Carries any number of pages to one broker; each has a TCP connection of its own.
+
+    Both ways wait for the slower side with at most some 100 KB in between: to a page that does not keep up, the broker
+    drops messages by its own rules.
+    """
+
+    def __init__(self, broker: Broker) -> None:
+        self._broker = broker
+        self._away = False
+
+    async def carry(self, page: ServerConnection) -> None:
+        """Carry one page until either side ends; the page is told why in the closing frame."""
+        try:
+            reader, writer = await self._connect()
+        except (OSError, TimeoutError) as error:
+            reason = f"broker {self._broker}: {_reason(error)}"
+            if not self._away:
+                _log.warning("%s; pages try again", reason)
+            self._away = True
+            await page.close(_TRY_AGAIN, _short(reason))
+            return
+        if self._away:
+            _log.info("broker %s is back", self._broker)
+        self._away = False
+        try:
+            await _until_first(_to_broker(page, writer), _to_page(reader, page))
+        finally:
+            writer.close()
+        await page.close(_TRY_AGAIN, _short(f"broker {self._broker} closed the connection"))
+
+    async def _connect(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+        broker = self._broker
+        async with asyncio.timeout(_CONNECT_S):
+            reader, writer = await asyncio.open_connection(broker.host, broker.port, ssl=broker.tls, limit=_CHUNK_BYTES)
+        sock = writer.get_extra_info("socket")
+        for level, name, value in _BROKER_SOCKET:
+            if hasattr(socket, name):
+                sock.setsockopt(level, getattr(socket, name), value)
+        return reader, writer
+
+
+async def _to_broker(page: ServerConnection, writer: asyncio.StreamWriter) -> None:
+    async for message in page:
+        if isinstance(message, str):
+            await page.close(_BINARY_ONLY, "MQTT is binary")
+            return
+        writer.write(message)
+        await writer.drain()
+
+
+async def _to_page(reader: asyncio.StreamReader, page: ServerConnection) -> None:
+    while chunk := await reader.read(_CHUNK_BYTES):
+        await page.send(chunk)
+
+
+async def _until_first(*ways: Coroutine[Any, Any, None]) -> None:
+    """Run both until one ends, then end the other; a side that went away is no error."""
+    tasks = [asyncio.ensure_future(way) for way in ways]
+    try:
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for task in tasks:
+            task.cancel()
+        ended = await asyncio.gather(*tasks, return_exceptions=True)
+    for result in ended:
+        if isinstance(result, Exception) and not isinstance(result, (ConnectionClosed, OSError)):
+            raise result
+
+
+def _reason(error: OSError | TimeoutError) -> str:
+    if isinstance(error, ssl.SSLCertVerificationError):
+        return f"its certificate is not trusted ({error.verify_message})"
+    if isinstance(error, ssl.SSLError):
+        return "no TLS there"
+    if isinstance(error, socket.gaierror):
+        return "no such host name"
+    if isinstance(error, TimeoutError):
+        return f"no answer within {_CONNECT_S:.0f} s"
+    if isinstance(error, ConnectionRefusedError):
+        return "connection refused"  # asyncio's own text repeats the address
+    return error.strerror or str(error)
+
+
+def _short(reason: str) -> str:
+    """A closing frame holds 123 bytes of reason."""
+    return reason.encode()[:_REASON_BYTES_MAX].decode(errors="ignore")

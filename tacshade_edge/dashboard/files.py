@@ -1,0 +1,78 @@
+"""The page's files, held in memory: what is not in the table does not exist."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from importlib import resources
+from importlib.resources.abc import Traversable
+from typing import Final
+
+# Python's own table of types is the machine's, and a module of another type is not executed.
+_TYPES: Final = {
+    ".html": "text/html; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".css": "text/css; charset=utf-8",
+    ".svg": "image/svg+xml",
+    ".txt": "text/plain; charset=utf-8",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class File:
+    """One file as it is sent.
+
+    Attributes
+    ----------
+    body : bytes
+    content_type : str
+    etag : str
+        Changes with the content.
+    """
+
+    body: bytes
+    content_type: str
+    etag: str
+
+
+def load() -> dict[str, File]:
+    """Every file of the page by its path in the URL; ``/`` is ``/index.html``."""
+    found = dict(_walk(resources.files(__package__) / "static", ""))
+    return {"/": found["/index.html"], **found}
+
+
+def security_headers(files: Mapping[str, File]) -> dict[str, str]:
+    """Headers of every answer: the page may load its own files, talk to its own server, and nothing else.
+
+    The import map cannot be a file of its own yet: it is the one inline script, allowed by its hash. ``blob:`` is
+    for the camera's picture, and for the worker whose timers mqtt.js uses to keep the connection in a hidden tab.
+    """
+    inline = re.findall(rb'<script type="importmap">(.*?)</script>', files["/index.html"].body, re.DOTALL)
+    hashes = " ".join(f"'sha256-{base64.b64encode(hashlib.sha256(text).digest()).decode()}'" for text in inline)
+    policy = (
+        f"default-src 'none'; script-src 'self' {hashes}; style-src 'self'; img-src 'self' blob:; connect-src 'self'; "
+        "worker-src blob:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    )
+    return {
+        "Content-Security-Policy": policy,
+        "X-Content-Type-Options": "nosniff",
+        "Referrer-Policy": "no-referrer",
+        "Cross-Origin-Resource-Policy": "same-origin",
+        # Ask every time, get 304 mostly: after an upgrade there is no page that is half old.
+        "Cache-Control": "no-cache",
+    }
+
+
+def _walk(folder: Traversable, path: str) -> Iterator[tuple[str, File]]:
+    for entry in folder.iterdir():
+        name = f"{path}/{entry.name}"
+        if entry.is_dir():
+            yield from _walk(entry, name)
+            continue
+        content_type = _TYPES.get(f".{entry.name.rpartition('.')[2]}")
+        if content_type is not None:
+            body = entry.read_bytes()
+            yield name, File(body, content_type, f'"{hashlib.sha256(body).hexdigest()[:16]}"')

@@ -1,0 +1,115 @@
+"""One port: the page's files over HTTP, and ``/mqtt`` over WebSocket."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable, Collection
+from http import HTTPStatus
+from typing import Final
+
+from websockets.asyncio.server import ServerConnection, serve
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
+from websockets.typing import Subprotocol
+
+from tacshade_edge.dashboard import access, files
+from tacshade_edge.dashboard.bridge import FROM_PAGE_BYTES_MAX, Bridge, Broker
+from tacshade_edge.errors import DeviceError
+
+_WEBSOCKET: Final = "/mqtt"
+_CLOSE_S: Final = 0.5
+
+
+class Pages:
+    """Answers HTTP requests; lets the WebSocket's pass that may.
+
+    Parameters
+    ----------
+    allowed_origins : collection of str
+        See `access.refusal`.
+    """
+
+    def __init__(self, allowed_origins: Collection[str]) -> None:
+        self._files = files.load()
+        self._headers = files.security_headers(self._files)
+        self._allowed_origins = allowed_origins
+
+    def answer(self, _page: ServerConnection, request: Request) -> Response | None:
+        """The response to a plain request or to one that may not pass; None opens the WebSocket."""
+        path = request.path.partition("?")[0]
+        if path == _WEBSOCKET:
+            return self._check(request)
+        file = self._files.get(path)
+        if file is None:
+            return self._text(HTTPStatus.NOT_FOUND, "not found")
+        if request.headers.get("If-None-Match") == file.etag:
+            return self._response(HTTPStatus.NOT_MODIFIED, b"", {"ETag": file.etag})
+        return self._response(HTTPStatus.OK, file.body, {"ETag": file.etag, "Content-Type": file.content_type})
+
+    def _check(self, request: Request) -> Response | None:
+        if request.headers.get("Upgrade", "").lower() != "websocket":
+            return self._text(HTTPStatus.UPGRADE_REQUIRED, "MQTT over WebSocket, for the page")
+        try:
+            refused = access.refusal(request.headers.get("Origin"), request.headers.get("Host"), self._allowed_origins)
+        except LookupError:  # a header twice
+            refused = "Origin or Host more than once"
+        return self._text(HTTPStatus.FORBIDDEN, refused) if refused else None
+
+    def _text(self, status: HTTPStatus, text: str) -> Response:
+        return self._response(status, f"{text}\n".encode(), {"Content-Type": "text/plain; charset=utf-8"})
+
+    def _response(self, status: HTTPStatus, body: bytes, headers: dict[str, str]) -> Response:
+        length = {} if status is HTTPStatus.NOT_MODIFIED else {"Content-Length": str(len(body))}
+        everything = Headers({**self._headers, **headers, **length, "Connection": "close"})
+        return Response(status.value, status.phrase, everything, body)
+
+
+async def run(
+    broker: Broker,
+    host: str,
+    port: int,
+    allowed_origins: Collection[str],
+    listening: Callable[[str, int], None],
+    stop: asyncio.Event,
+) -> None:
+    """Serve until `stop` is set; less than a second later every connection is closed.
+
+    Parameters
+    ----------
+    broker : Broker
+    host, port : str, int
+        To listen on; port 0 takes a free one.
+    allowed_origins : collection of str
+    listening : callable
+        ``listening(host, port)``, once, when the port is open.
+    stop : asyncio.Event
+
+    Raises
+    ------
+    DeviceError
+        The port cannot be opened.
+    """
+    # A port scanner or a browser that changed its mind is no news, and would be a traceback each.
+    quiet = logging.getLogger("websockets.server")
+    quiet.setLevel(logging.CRITICAL)
+    try:
+        # Compression would cost the board more than it saves: docs/dashboard.md has the figures.
+        server = await serve(
+            Bridge(broker).carry,
+            host,
+            port,
+            process_request=Pages(allowed_origins).answer,
+            subprotocols=[Subprotocol("mqtt")],
+            compression=None,
+            max_size=FROM_PAGE_BYTES_MAX,
+            server_header=None,
+            close_timeout=_CLOSE_S,
+            logger=quiet,
+        )
+    except OSError as error:
+        raise DeviceError(f"port {port} of {host}: {error.strerror or error}, expected one that is free") from error
+    listening(*server.sockets[0].getsockname()[:2])
+    await stop.wait()
+    server.close()
+    await server.wait_closed()

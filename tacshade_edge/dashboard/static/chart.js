@@ -1,0 +1,70 @@
+// Greatest depth over the last minute.
+
+import uPlot from "./vendor/uPlot.esm.js";
+
+const SPAN_S = 60, PERIOD_MS = 150, GAP_S = 1;
+
+export class DepthChart {
+  constructor() {
+    this.host = document.getElementById("chart");
+    this.clear();
+    new ResizeObserver(() => this.resize()).observe(this.host);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.build());
+  }
+
+  clear() {
+    this.times = [];
+    this.depths = [];
+    this.build();
+  }
+
+  /** One value, at the time when it arrived: the hand's clock is not this machine's. */
+  add(depth_mm) {
+    const now = performance.now() / 1000, last = this.times.at(-1);
+    if (last !== undefined && now - last > GAP_S) {
+      this.times.push(last + GAP_S / 2);
+      this.depths.push(null); // nothing was heard: no line
+    }
+    this.times.push(now);
+    this.depths.push(depth_mm);
+    let old = 0;
+    while (this.times[old] < now - SPAN_S) old++;
+    if (old > 200) {
+      this.times.splice(0, old);
+      this.depths.splice(0, old);
+    }
+    this.timer ||= setTimeout(() => this.draw(), PERIOD_MS);
+  }
+
+  draw() {
+    clearTimeout(this.timer);
+    this.timer = 0;
+    const now = performance.now() / 1000;
+    this.plot.setData([this.times.map((time) => time - now), this.depths], false);
+    this.plot.setScale("x", { min: -SPAN_S, max: 0 });
+  }
+
+  build() {
+    this.plot?.destroy();
+    const style = getComputedStyle(document.documentElement), colour = (name) => style.getPropertyValue(name).trim();
+    const axis = { stroke: colour("--quiet"), grid: { stroke: colour("--line"), width: 1 }, ticks: { show: false }, font: "12px system-ui, sans-serif" };
+    this.plot = new uPlot({
+      width: Math.max(this.host.clientWidth, 100),
+      height: Math.max(this.host.clientHeight, 100),
+      legend: { show: false },
+      cursor: { show: false },
+      scales: { x: { time: false }, y: { range: (_plot, _low, high) => [0, Math.max(0.5, (high ?? 0) * 1.1)] } },
+      axes: [
+        { ...axis, size: 28, values: (_plot, ticks) => ticks.map((tick) => (tick === 0 ? "now" : `${tick} s`)) },
+        { ...axis, size: 44 },
+      ],
+      series: [{}, { stroke: colour("--accent"), width: 1.5, points: { show: false } }],
+    }, [[], []], this.host);
+    this.draw();
+  }
+
+  resize() {
+    const { clientWidth: width, clientHeight: height } = this.host;
+    if (width && height) this.plot.setSize({ width, height });
+  }
+}

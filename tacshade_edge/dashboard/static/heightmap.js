@@ -1,0 +1,179 @@
+// The height map on its canvas: one canvas pixel per cell, cropped to the visible disc.
+
+import { PIXELS, STEPS, depthOf } from "./colours.js";
+import { skinPoint } from "./geometry.js";
+
+const AUTO_LEAST_MM = 0.5;
+const NICE_MM = [0.5, 1, 1.5, 2, 3, 4, 5, 6, 8, 10, 15, 20, 40];
+const AUTO_KEEPS_MS = 8000;
+
+export class HeightView {
+  constructor() {
+    this.canvas = document.getElementById("cells");
+    this.context = this.canvas.getContext("2d", { willReadFrequently: true });
+    this.overlay = document.getElementById("overlay");
+    this.disc = document.getElementById("disc");
+    this.readout = document.getElementById("cursor");
+    this.ticks = document.getElementById("ticks");
+    this.range = document.getElementById("range");
+    this.scale_mm = AUTO_LEAST_MM;
+    this.map = null;
+    this.geometry = null;
+    this.cell = null; // of the pointer: [i, j] in the map
+    this.peaks = []; // [time, mm], for the automatic scale
+    this.drawBar();
+    this.label();
+    this.canvas.addEventListener("pointermove", (event) => this.point(event));
+    this.canvas.addEventListener("pointerdown", (event) => this.point(event));
+    this.canvas.addEventListener("pointerleave", (event) => {
+      if (event.pointerType === "mouse") this.cell = null;
+      this.read();
+    });
+  }
+
+  /** Forget another hand's map. */
+  clear() {
+    this.map = this.geometry = this.cell = null;
+    this.peaks = [];
+    this.context.clearRect(0, 0, this.canvas.width, this.canvas.height);
+    this.disc.setAttribute("r", 0);
+    this.read();
+  }
+
+  /** Draw a decoded height map; geometry may be null while info has not come. */
+  draw(map, geometry) {
+    this.map = map;
+    this.geometry = geometry;
+    this.fit();
+    const { top, left, rows, cols } = this.crop, { height_mm } = map, stride = map.cols;
+    let peak_mm = 0;
+    for (let i = top; i < top + rows; i++) {
+      for (let j = left; j < left + cols; j++) {
+        const h = height_mm[i * stride + j];
+        if (h > peak_mm) peak_mm = h;
+      }
+    }
+    this.choose(peak_mm);
+    const factor = (STEPS - 1) / this.scale_mm, pixels = this.pixels;
+    for (let i = 0, at = 0; i < rows; i++) {
+      let from = (top + i) * stride + left;
+      for (let j = 0; j < cols; j++, at++, from++) {
+        const h = height_mm[from];
+        // NaN, outside the disc, is transparent.
+        pixels[at] = h !== h ? 0 : h <= 0 ? PIXELS[0] : PIXELS[Math.min(STEPS - 1, Math.round(h * factor))];
+      }
+    }
+    this.context.putImageData(this.image, 0, 0);
+    this.read();
+  }
+
+  /** What part of the map is shown, and the canvas and outline for it. */
+  fit() {
+    const { map, geometry } = this;
+    const key = [map.rows, map.cols, map.row0, map.col0, map.step_px, geometry?.calibration_crc32, geometry?.radius_px].join();
+    if (key === this.key && this.canvas.width === this.crop.cols) return;
+    this.key = key;
+    const within = (centre, radius, first, count) => {
+      if (!geometry) return [0, count];
+      const from = Math.max(0, Math.floor((centre - radius - first) / map.step_px));
+      const to = Math.min(count, Math.ceil((centre + radius - first) / map.step_px) + 1);
+      return to > from ? [from, to - from] : [0, count];
+    };
+    const [top, rows] = within(geometry?.row_c, geometry?.radius_px, map.row0, map.rows);
+    const [left, cols] = within(geometry?.col_c, geometry?.radius_px, map.col0, map.cols);
+    this.crop = { top, left, rows, cols };
+    this.canvas.width = cols;
+    this.canvas.height = rows;
+    this.image = this.context.createImageData(cols, rows);
+    this.pixels = new Uint32Array(this.image.data.buffer);
+    // The outline in units of image pixels; a cell is centred on its pixel.
+    const x = map.col0 + (left - 0.5) * map.step_px, y = map.row0 + (top - 0.5) * map.step_px;
+    this.overlay.setAttribute("viewBox", `${x} ${y} ${cols * map.step_px} ${rows * map.step_px}`);
+    this.disc.setAttribute("cx", geometry?.col_c ?? 0);
+    this.disc.setAttribute("cy", geometry?.row_c ?? 0);
+    this.disc.setAttribute("r", geometry?.radius_px ?? 0);
+  }
+
+  /** The scale: what the user set, or the least round number that holds the deepest of the last seconds. */
+  choose(peak_mm) {
+    let scale_mm = Number(this.range.value);
+    if (this.range.value === "auto") {
+      const now = performance.now();
+      this.peaks = this.peaks.filter(([time, mm]) => now - time < AUTO_KEEPS_MS && mm > peak_mm);
+      this.peaks.push([now, peak_mm]);
+      scale_mm = NICE_MM.find((nice) => nice >= this.peaks[0][1]) ?? NICE_MM.at(-1);
+    }
+    if (scale_mm === this.scale_mm) return;
+    this.scale_mm = scale_mm;
+    this.label();
+  }
+
+  drawBar() {
+    const context = document.getElementById("bar").getContext("2d"), image = context.createImageData(STEPS, 1);
+    new Uint32Array(image.data.buffer).set(PIXELS);
+    context.putImageData(image, 0, 0);
+  }
+
+  label() {
+    const parts = [0, 1, 2, 3, 4].map((k) => {
+      const tick = document.createElement("li");
+      tick.textContent = `${+((this.scale_mm * k) / 4).toFixed(3)}${k === 4 ? " mm" : ""}`;
+      return tick;
+    });
+    this.ticks.replaceChildren(...parts);
+  }
+
+  point(event) {
+    if (!this.map) return;
+    const box = this.canvas.getBoundingClientRect();
+    const i = Math.floor(((event.clientY - box.top) / box.height) * this.crop.rows);
+    const j = Math.floor(((event.clientX - box.left) / box.width) * this.crop.cols);
+    this.cell = [i + this.crop.top, j + this.crop.left];
+    this.read();
+  }
+
+  /** Tell the depth under the pointer. */
+  read() {
+    const { map, geometry, cell } = this;
+    if (!map || !cell) {
+      this.readout.textContent = "Point at the map to read a depth.";
+      return;
+    }
+    const [i, j] = cell, h = i < map.rows && j < map.cols ? map.height_mm[i * map.cols + j] : NaN;
+    const row = map.row0 + i * map.step_px, col = map.col0 + j * map.step_px;
+    const px = `row ${row.toFixed(0)}, col ${col.toFixed(0)} px`;
+    if (Number.isNaN(h)) {
+      this.readout.textContent = `outside the skin · ${px}`;
+      return;
+    }
+    const at = [0, 0, 0];
+    if (geometry) skinPoint(geometry, row, col, h, at, 0);
+    const mm = geometry ? ` · x ${at[0].toFixed(1)}, y ${at[1].toFixed(1)} mm` : "";
+    this.readout.innerHTML = "";
+    const depth = document.createElement("b");
+    depth.textContent = `${h.toFixed(3)} mm`;
+    this.readout.append(depth, `${mm} · ${px}`);
+  }
+
+  /** Depth in mm that the canvas shows for an image pixel, from its colour; NaN where it shows none. */
+  depthAt(row, col) {
+    const { map, crop } = this;
+    if (!map) return NaN;
+    const i = Math.round((row - map.row0) / map.step_px) - crop.top, j = Math.round((col - map.col0) / map.step_px) - crop.left;
+    if (i < 0 || j < 0 || i >= crop.rows || j >= crop.cols) return NaN;
+    const [red, green, blue, alpha] = this.context.getImageData(j, i, 1, 1).data;
+    return alpha === 0 ? NaN : depthOf(red, green, blue, this.scale_mm);
+  }
+
+  /** Greatest depth in mm that the canvas shows, from its colours. */
+  drawnPeak() {
+    const { data } = this.context.getImageData(0, 0, this.canvas.width, this.canvas.height);
+    let peak_mm = NaN;
+    for (let at = 0; at < data.length; at += 4) {
+      if (data[at + 3] === 0) continue;
+      const mm = depthOf(data[at], data[at + 1], data[at + 2], this.scale_mm);
+      if (!(mm <= peak_mm)) peak_mm = mm;
+    }
+    return peak_mm;
+  }
+}

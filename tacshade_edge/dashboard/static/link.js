@@ -1,0 +1,125 @@
+// MQTT to the server that this page came from, which carries it to the broker; it comes back by itself.
+
+import mqtt from "./vendor/mqtt.esm.js";
+
+const RETRY_MS = 1000, CONNECT_MS = 5000, KEEPALIVE_S = 15, ANSWER_MS = 8000;
+const NOT_AUTHORISED = [4, 5, 134, 135]; // CONNACK codes of MQTT 3.1.1 and 5
+const KEPT = "tacshade-login";
+
+export class Link {
+  /**
+   * told(level, text): how the connection is; level is "good", "wait" or "bad".
+   * refused(text): the broker wants another user or password.
+   * message(topic, payload): everything that is subscribed; payload is a view into a larger buffer.
+   */
+  constructor({ told, refused, message }) {
+    this.told = told;
+    this.refused = refused;
+    this.message = message;
+    this.waiting = new Map(); // transaction -> how to answer
+    this.topics = new Set();
+    const kept = sessionStorage.getItem(KEPT);
+    this.open(kept ? JSON.parse(kept) : {});
+  }
+
+  get connected() {
+    return this.client?.connected ?? false;
+  }
+
+  /** Connect with a user and password that are kept until the tab is closed. */
+  login(username, password) {
+    const user = { username, password };
+    sessionStorage.setItem(KEPT, JSON.stringify(user));
+    this.open(user);
+  }
+
+  open(user) {
+    this.client?.end(true);
+    const url = new URL("mqtt", location.href);
+    url.protocol = url.protocol === "https:" ? "wss:" : "ws:";
+    url.search = url.hash = "";
+    let reason = "";
+    this.told("wait", "Connecting …");
+    const client = mqtt.connect(url.href, {
+      ...user,
+      protocolVersion: 4,
+      keepalive: KEEPALIVE_S,
+      reconnectPeriod: RETRY_MS,
+      connectTimeout: CONNECT_MS,
+      queueQoSZero: false,
+      resubscribe: false, // ours, below: it also covers a client that is replaced by a login
+      // Our own socket, since mqtt.js keeps to itself why the server closed it.
+      createWebsocket: (address, protocols) => {
+        const socket = new WebSocket(address, protocols);
+        socket.binaryType = "arraybuffer";
+        socket.addEventListener("close", (event) => { reason = event.reason || "the dashboard's server does not answer"; });
+        return socket;
+      },
+    });
+    this.client = client;
+    client.on("connect", () => {
+      this.told("good", "Connected");
+      if (this.topics.size) client.subscribe([...this.topics], { qos: 0 });
+    });
+    client.on("message", (topic, payload) => {
+      if (!this.answered(topic, payload)) this.message(topic, payload);
+    });
+    client.on("close", () => {
+      if (client !== this.client || client.disconnecting) return;
+      // The socket's own event, with the reason, comes in the same turn.
+      setTimeout(() => {
+        if (client === this.client && !client.connected && !client.disconnecting) this.told("bad", `Not connected: ${reason}; trying again`);
+      });
+    });
+    client.on("error", (error) => {
+      if (client !== this.client || !NOT_AUTHORISED.includes(error.code)) return; // the rest is a close, told there
+      client.end(true);
+      sessionStorage.removeItem(KEPT);
+      this.told("bad", "The broker wants a user and password");
+      this.refused(user.username === undefined ? "The broker wants a user and password." : "The broker refused this user or password.");
+    });
+  }
+
+  subscribe(...topics) {
+    for (const topic of topics) this.topics.add(topic);
+    if (this.connected) this.client.subscribe(topics, { qos: 0 });
+  }
+
+  unsubscribe(...topics) {
+    for (const topic of topics) this.topics.delete(topic);
+    if (this.connected) this.client.unsubscribe(topics);
+  }
+
+  /** Ask a hand; resolves to its result, rejects with an Error whose message is for a person. */
+  request(sensor, verb, body) {
+    if (!this.connected) return Promise.reject(new Error("not connected"));
+    const transaction = `page-${crypto.getRandomValues(new Uint32Array(2)).join("-")}`;
+    return new Promise((resolve, reject) => {
+      const timer = setTimeout(() => {
+        this.waiting.delete(transaction);
+        reject(new Error(`no answer within ${ANSWER_MS / 1000} s`));
+      }, ANSWER_MS);
+      this.waiting.set(transaction, { resolve, reject, timer });
+      // QoS 0: what cannot be sent now is dropped, and told. QoS 1 would move the hand's zero some time later.
+      this.client.publish(`tacshade/${sensor}/req/${verb}`, JSON.stringify({ ...body, transaction }), { qos: 0 });
+    });
+  }
+
+  answered(topic, payload) {
+    if (!topic.includes("/res/")) return false;
+    let reply;
+    try {
+      reply = JSON.parse(new TextDecoder().decode(payload));
+    } catch {
+      return true;
+    }
+    const asked = this.waiting.get(reply?.transaction);
+    if (asked) {
+      this.waiting.delete(reply.transaction);
+      clearTimeout(asked.timer);
+      if (reply.ok) asked.resolve(reply.result);
+      else asked.reject(new Error(String(reply.error)));
+    }
+    return true;
+  }
+}

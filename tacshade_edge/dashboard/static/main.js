@@ -1,0 +1,333 @@
+// The page: hands, what is known of the chosen one, and when it is drawn.
+
+import { DepthChart } from "./chart.js";
+import { objectColour } from "./colours.js";
+import { zeroMap } from "./geometry.js";
+import { HeightView } from "./heightmap.js";
+import { Link } from "./link.js";
+import { element, levelOf, number, showContact, showHealth, showParts, showRates, showState } from "./panels.js";
+import { SkinView } from "./skin3d.js";
+import { decode } from "./wire.js";
+
+const CONTACT = 1, INVALID = 2, SATURATED = 4, DEGRADED = 8;
+const STALE_MS = 3000, RELEASE_LOST_MS = 500;
+const STREAMS = ["height", "cloud", "contact", "health", "preview", "status/+", "res/+"];
+const $ = (id) => document.getElementById(id);
+const text = new TextDecoder();
+
+const hands = new Map(); // sensor id -> { state, info }
+let chosen = null, view = emptyView(), undecodable = 0, drawn = 0, drawTimes = [], scheduled = false, picture = "";
+let link = null, asking = false;
+
+const heights = new HeightView(), skin = new SkinView(), chart = new DepthChart();
+link = new Link({ told: tellLink, refused: askLogin, message: take });
+link.subscribe("tacshade/+/state", "tacshade/+/info");
+
+/** All that is known of the chosen hand. */
+function emptyView() {
+  return { height: null, cloud: null, map: null, contact: null, health: null, parts: new Map(), heard_ms: null, height_ms: 0, age_ms: null };
+}
+
+// What arrives. Binary payloads are kept, newest only, and decoded when they are drawn.
+
+function take(topic, payload) {
+  const [, sensor, ...rest] = topic.split("/"), what = rest.join("/");
+  if (what === "state") tell(sensor, { state: text.decode(payload) || undefined });
+  else if (what === "info") json(payload, (info) => tell(sensor, { info }));
+  else if (sensor === chosen) takeChosen(what, payload);
+}
+
+function takeChosen(what, payload) {
+  if (what === "height" || what === "cloud") {
+    // Our own copy: mqtt.js's payload is a view that would keep the whole buffer of the socket.
+    view[what] = payload.slice();
+    if (what === "height") view.heard_ms = view.height_ms = performance.now();
+    schedule();
+  } else if (what === "contact") {
+    json(payload, (contact) => {
+      view.contact = contact;
+      view.heard_ms = performance.now();
+      chart.add(contact.depth_max_mm);
+      schedule();
+    });
+  } else if (what === "health") {
+    json(payload, (health) => {
+      view.health = health;
+      tellHealth();
+    });
+  } else if (what.startsWith("status/")) {
+    json(payload, (part) => {
+      view.parts.set(what.slice(7), part);
+      showParts(view.parts);
+      tellState();
+    });
+  } else if (what === "preview") {
+    URL.revokeObjectURL(picture);
+    picture = URL.createObjectURL(new Blob([payload.slice()], { type: "image/jpeg" }));
+    $("picture").src = picture;
+    $("preview").hidden = false;
+  }
+}
+
+function json(payload, use) {
+  let value;
+  try {
+    value = JSON.parse(text.decode(payload));
+  } catch {
+    value = null;
+  }
+  if (value === null || typeof value !== "object") undecodable++;
+  else use(value);
+}
+
+function decoded(payload) {
+  try {
+    return decode(payload);
+  } catch {
+    undecodable++;
+    return null;
+  }
+}
+
+// Hands.
+
+function tell(sensor, news) {
+  const known = hands.has(sensor);
+  if ("state" in news && news.state === undefined) hands.delete(sensor); // the retained state was taken away
+  else hands.set(sensor, { ...hands.get(sensor), ...news });
+  const wanted = decodeURIComponent(location.hash.slice(1));
+  if (chosen === null || (!known && sensor === wanted)) choose(hands.has(wanted) ? wanted : sensor);
+  tellHands();
+  if (sensor === chosen) {
+    tellState();
+    tellProfiles();
+    schedule();
+  }
+}
+
+function choose(sensor) {
+  if (sensor === chosen) return;
+  if (chosen !== null) link.unsubscribe(...STREAMS.map((stream) => `tacshade/${chosen}/${stream}`));
+  chosen = sensor;
+  view = emptyView();
+  drawTimes = [];
+  heights.clear();
+  skin.clear();
+  chart.clear();
+  $("preview").hidden = true;
+  $("answer").textContent = "";
+  $("waiting").hidden = true;
+  $("hand").hidden = false;
+  document.title = `${sensor} – TacShade`;
+  link.subscribe(...STREAMS.map((stream) => `tacshade/${sensor}/${stream}`));
+  showContact(null);
+  showParts(view.parts);
+  tellHands();
+  tellState();
+  tellProfiles();
+  tellHealth();
+  schedule();
+}
+
+function tellHands() {
+  const tabs = [...hands].sort(([a], [b]) => a.localeCompare(b)).map(([sensor, hand]) => {
+    const tab = element("button", { type: "button", role: "tab", title: hand.state ?? "unknown", onclick: () => { location.hash = encodeURIComponent(sensor); choose(sensor); } }, sensor);
+    tab.dataset.level = levelOf(hand.state);
+    tab.setAttribute("aria-selected", sensor === chosen);
+    return tab;
+  });
+  $("hands").replaceChildren(...tabs);
+}
+
+window.addEventListener("hashchange", () => {
+  const wanted = decodeURIComponent(location.hash.slice(1));
+  if (hands.has(wanted)) choose(wanted);
+});
+
+// Drawing: at most once per picture of the screen, always the newest.
+
+function schedule() {
+  if (scheduled) return;
+  scheduled = true;
+  requestAnimationFrame(draw);
+}
+
+function draw() {
+  scheduled = false;
+  const geometry = hands.get(chosen)?.info?.geometry ?? null;
+  const map = nextMap(geometry);
+  if (map) {
+    if (map.seq !== null) {
+      drawn++;
+      drawTimes.push(performance.now());
+      if (drawTimes.length > 120) drawTimes.shift();
+      view.age_ms = Date.now() - Number(map.wall_ns / 1000000n);
+    }
+    view.map = map;
+    view.drawnFor = geometry;
+    heights.draw(map, geometry);
+    skin.setSkin(map, geometry, heights.scale_mm);
+    tellFlags(map.flags);
+    if (!(map.flags & CONTACT)) tellObjects(null);
+  }
+  if (view.cloud) {
+    const cloud = decoded(view.cloud);
+    view.cloud = null;
+    if (cloud && view.map && view.map.flags & CONTACT) tellObjects(cloud);
+  }
+  showContact(view.contact);
+  tellStale();
+}
+
+/** The map to draw now, or null when the one that is shown is right. */
+function nextMap(geometry) {
+  if (view.height) {
+    const map = decoded(view.height);
+    view.height = null;
+    if (map) return map;
+  }
+  const free = view.contact?.contact === 0;
+  if (!view.map) return free && geometry ? zeroMap(geometry) : null;
+  // The one height map of a release can be lost; `contact` goes on to say that nothing touches.
+  if (free && view.map.flags & CONTACT && geometry && performance.now() - view.height_ms > RELEASE_LOST_MS) return zeroMap(geometry);
+  return geometry !== view.drawnFor ? view.map : null;
+}
+
+function tellObjects(cloud) {
+  skin.setCloud(cloud);
+  const counts = new Map();
+  for (const label of cloud?.labels ?? []) counts.set(label, (counts.get(label) ?? 0) + 1);
+  const key = [...counts.keys()].join();
+  if (key === $("objects").dataset.key) return;
+  $("objects").dataset.key = key;
+  $("objects").replaceChildren(...[...counts.keys()].sort((a, b) => a - b).map((label) => {
+    const dot = element("i", { className: "dot" });
+    dot.style.background = objectColour(label);
+    return element("span", {}, dot, `object ${label} `);
+  }));
+}
+
+function tellFlags(flags) {
+  const words = [];
+  if (flags & INVALID) words.push("frame not usable");
+  if (flags & SATURATED) words.push("deeper than calibrated: a lower bound");
+  if (flags & DEGRADED) words.push("less trust");
+  $("flags").textContent = words.join(", ");
+}
+
+// Words.
+
+function tellLink(level, words) {
+  $("link").dataset.level = level;
+  $("link").textContent = words;
+  if (level === "good") $("login").hidden = true;
+  tellControls();
+}
+
+function tellState() {
+  showState(hands.get(chosen)?.state, view.parts, view.health);
+  tellControls();
+}
+
+function tellHealth() {
+  showRates(view.health);
+  tellState();
+  showHealth(view.health, [
+    ["maps drawn", drawn], ["maps drawn per second", number(drawnPerSecond(), 1)],
+    ["camera to screen, if both clocks agree", view.age_ms === null ? "–" : `${number(view.age_ms)} ms`],
+    ["messages not understood", undecodable],
+  ]);
+}
+
+function drawnPerSecond() {
+  const now = performance.now(), latest = drawTimes.filter((time) => now - time < 2000);
+  return latest.length > 1 ? ((latest.length - 1) * 1000) / Math.max(now - latest[0], 1) : 0;
+}
+
+function tellStale() {
+  const age_ms = view.heard_ms === null ? null : performance.now() - view.heard_ms;
+  const stale = age_ms !== null && age_ms > STALE_MS;
+  $("hand").classList.toggle("is-stale", stale);
+  $("stale").hidden = !stale;
+  if (stale) $("stale").textContent = `Last frame ${Math.floor(age_ms / 1000)} s ago: what is shown is old.`;
+}
+
+setInterval(() => {
+  tellStale();
+  if (!view.health || performance.now() - (view.heard_ms ?? 0) > STALE_MS) tellHealth();
+}, 500);
+
+function askLogin(why) {
+  $("login-why").textContent = why;
+  $("login").hidden = false;
+  $("login").elements.username.focus();
+}
+
+$("login").addEventListener("submit", (event) => {
+  event.preventDefault();
+  const { username, password } = event.target.elements;
+  link.login(username.value, password.value);
+  password.value = "";
+});
+
+// Requests.
+
+function tellControls() {
+  const able = link?.connected && ["online", "degraded"].includes(hands.get(chosen)?.state) && !asking;
+  $("profile").disabled = $("rezero").disabled = !able;
+}
+
+function tellProfiles() {
+  const info = hands.get(chosen)?.info, names = [...new Set([...(info?.profiles ?? []), ...(info ? [info.profile] : [])])];
+  $("profile").replaceChildren(...names.map((name) => element("option", { textContent: name, value: name })));
+  $("profile").value = info?.profile ?? "";
+}
+
+async function ask(verb, body, doing, done) {
+  const sensor = chosen, say = (level, words) => {
+    if (sensor !== chosen) return;
+    $("answer").dataset.level = level;
+    $("answer").textContent = words;
+  };
+  asking = true;
+  tellControls();
+  say("wait", doing);
+  try {
+    say("good", done(await link.request(sensor, verb, body)));
+  } catch (error) {
+    say("bad", error.message);
+  }
+  asking = false;
+  tellControls();
+  tellProfiles();
+}
+
+$("profile").addEventListener("change", (event) => {
+  const profile = event.target.value;
+  ask("profile", { profile }, `Changing to ${profile} …`, (result) => `The profile is ${result.profile}.`);
+});
+$("rezero").addEventListener("click", () => {
+  ask("reference", {}, "Taking a new reference; do not touch the skin …", (result) => `Zero is new, from ${result.frames} frames.`);
+});
+
+$("range").value = localStorage.getItem("tacshade-range") ?? "auto";
+if ($("range").value === "") $("range").value = "auto";
+$("range").addEventListener("change", () => {
+  localStorage.setItem("tacshade-range", $("range").value);
+  if (!view.map) return;
+  heights.draw(view.map, view.drawnFor);
+  skin.setSkin(view.map, view.drawnFor, heights.scale_mm);
+});
+
+/** What the page shows, for tests and for the browser's console; it changes nothing. */
+window.tacshade = Object.freeze({
+  get drawn() { return drawn; },
+  get undecodable() { return undecodable; },
+  get sensor() { return chosen; },
+  get seq() { return view.map?.seq ?? null; },
+  get scale_mm() { return heights.scale_mm; },
+  get age_ms() { return view.age_ms; },
+  get webgl() { return skin.available; },
+  depthAt: (row, col) => heights.depthAt(row, col),
+  drawnPeak: () => heights.drawnPeak(),
+});

@@ -1,0 +1,170 @@
+// The skin and the touched objects in space: x along the image's columns, y along its rows, z towards the tip.
+
+import * as THREE from "three";
+import { OrbitControls } from "./vendor/OrbitControls.js";
+import { VIRIDIS, objectColour, stepOf } from "./colours.js";
+import { skinPoint } from "./geometry.js";
+
+// The surface: rings around the middle of the disc, so that its edge is the skin's and its cost does not depend on the map.
+const RINGS = 64, SPOKES = 144, VERTICES = 1 + RINGS * SPOKES;
+const UNIT = new Float32Array(2 * VERTICES); // row and column of each vertex, in radii of the disc from its middle
+const TRIANGLES = [];
+for (let ring = 1; ring <= RINGS; ring++) {
+  for (let spoke = 0; spoke < SPOKES; spoke++) {
+    const n = 1 + (ring - 1) * SPOKES + spoke, next = 1 + (ring - 1) * SPOKES + ((spoke + 1) % SPOKES);
+    UNIT[2 * n] = (ring / RINGS) * Math.sin((2 * Math.PI * spoke) / SPOKES);
+    UNIT[2 * n + 1] = (ring / RINGS) * Math.cos((2 * Math.PI * spoke) / SPOKES);
+    if (ring === 1) TRIANGLES.push(0, n, next);
+    else TRIANGLES.push(n - SPOKES, n, next, n - SPOKES, next, next - SPOKES);
+  }
+}
+// What a screen shows for 0 to 255, as amounts of light: light is what the lamp is multiplied with.
+const LINEAR = Float32Array.from({ length: 256 }, (_, v) => (v <= 10 ? v / 255 / 12.92 : ((v / 255 + 0.055) / 1.055) ** 2.4));
+const PERIOD_MS = 60; // between two pictures that only new data asks for; turning by hand is smooth
+const POINTS_MAX = 20000;
+
+/** Height of the nearest cell in mm; at the edge, where the disc's cells may end before the disc, 0. */
+function heightAt(map, row, col) {
+  const i = Math.round((row - map.row0) / map.step_px), j = Math.round((col - map.col0) / map.step_px);
+  const h = i >= 0 && j >= 0 && i < map.rows && j < map.cols ? map.height_mm[i * map.cols + j] : NaN;
+  return h !== h ? 0 : h;
+}
+
+export class SkinView {
+  constructor() {
+    this.host = document.getElementById("view");
+    this.available = document.createElement("canvas").getContext("webgl2") !== null;
+    if (!this.available) {
+      document.getElementById("no-webgl").hidden = false;
+      return;
+    }
+    this.renderer = new THREE.WebGLRenderer({ alpha: true, antialias: true });
+    this.renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
+    this.host.append(this.renderer.domElement);
+    this.scene = new THREE.Scene();
+    this.camera = new THREE.PerspectiveCamera(35, 1, 1, 1000);
+    this.camera.up.set(0, 0, 1);
+    this.scene.add(new THREE.AmbientLight(0xffffff, 1.6), this.camera);
+    const lamp = new THREE.DirectionalLight(0xffffff, 2.2);
+    lamp.position.set(-0.6, 0.9, 0.5); // beside the eye: a dent has a shaded side
+    this.camera.add(lamp);
+    this.controls = new OrbitControls(this.camera, this.renderer.domElement);
+    this.controls.addEventListener("change", () => this.render());
+    this.controls.addEventListener("start", () => { this.untouched = false; });
+    this.skin = new THREE.Mesh(
+      new THREE.BufferGeometry(),
+      new THREE.MeshLambertMaterial({ vertexColors: true, side: THREE.DoubleSide, polygonOffset: true, polygonOffsetFactor: 2, polygonOffsetUnits: 2 }),
+    );
+    this.cloud = new THREE.Points(new THREE.BufferGeometry(), new THREE.PointsMaterial({ size: 2.5, sizeAttenuation: false, vertexColors: true }));
+    for (const [shape, count] of [[this.skin.geometry, VERTICES], [this.cloud.geometry, POINTS_MAX]]) {
+      for (const name of ["position", "color"]) shape.setAttribute(name, new THREE.BufferAttribute(new Float32Array(3 * count), 3));
+    }
+    this.skin.geometry.setIndex(TRIANGLES);
+    this.rim = new THREE.LineLoop(new THREE.BufferGeometry(), new THREE.LineBasicMaterial({ color: 0x888888 }));
+    this.skin.frustumCulled = this.cloud.frustumCulled = this.rim.frustumCulled = false;
+    this.axes = new THREE.AxesHelper(1);
+    this.scene.add(this.skin, this.cloud, this.rim, this.axes);
+    for (const [id, object] of [["show-skin", this.skin], ["show-cloud", this.cloud]]) {
+      document.getElementById(id).addEventListener("change", (event) => {
+        object.visible = event.target.checked;
+        this.render();
+      });
+    }
+    document.getElementById("home").addEventListener("click", () => this.look());
+    new ResizeObserver(() => this.resize()).observe(this.host);
+    this.clear();
+  }
+
+  /** Forget another hand's shape. */
+  clear() {
+    if (!this.available) return;
+    this.geometry = null;
+    this.skin.geometry.setDrawRange(0, 0);
+    this.cloud.geometry.setDrawRange(0, 0);
+    this.rim.visible = this.axes.visible = false;
+    this.drawn_ms = -Infinity;
+    this.render();
+  }
+
+  setSkin(map, geometry, scale_mm) {
+    if (!this.available || !geometry) return;
+    if (geometry !== this.geometry) this.place(geometry);
+    const { position, color } = this.skin.geometry.attributes;
+    for (let n = 0, at = 0; n < VERTICES; n++, at += 3) {
+      const row = geometry.row_c + UNIT[2 * n] * geometry.radius_px, col = geometry.col_c + UNIT[2 * n + 1] * geometry.radius_px;
+      const h = heightAt(map, row, col);
+      skinPoint(geometry, row, col, h, position.array, at);
+      const step = 3 * stepOf(h, scale_mm);
+      for (let k = 0; k < 3; k++) color.array[at + k] = LINEAR[VIRIDIS[step + k]];
+    }
+    position.needsUpdate = color.needsUpdate = true;
+    this.skin.geometry.setDrawRange(0, Infinity);
+    this.skin.geometry.computeVertexNormals();
+    this.later();
+  }
+
+  setCloud(cloud) {
+    if (!this.available) return;
+    const count = cloud ? cloud.labels.length : 0, every = Math.max(1, Math.ceil(count / POINTS_MAX));
+    const { position, color } = this.cloud.geometry.attributes, colour = new THREE.Color();
+    let label = -1, shown = 0;
+    for (let n = 0; n < count; n += every, shown++) {
+      if (cloud.labels[n] !== label) {
+        label = cloud.labels[n];
+        colour.set(objectColour(label));
+      }
+      for (let k = 0; k < 3; k++) position.array[3 * shown + k] = cloud.points_mm[3 * n + k];
+      colour.toArray(color.array, 3 * shown);
+    }
+    position.needsUpdate = color.needsUpdate = true;
+    this.cloud.geometry.setDrawRange(0, shown);
+    this.later();
+  }
+
+  /** Rim, axes and eye for a sensor. */
+  place(geometry) {
+    this.geometry = geometry;
+    const theta = (geometry.visible_half_angle_deg * Math.PI) / 180, r = geometry.skin_radius_mm;
+    const ring = Array.from({ length: 96 }, (_, k) => (2 * Math.PI * k) / 96);
+    this.rim.geometry.setFromPoints(ring.map((a) => new THREE.Vector3(r * Math.sin(theta) * Math.cos(a), r * Math.sin(theta) * Math.sin(a), r * Math.cos(theta))));
+    const rim = r * Math.sin(theta);
+    this.axes.scale.setScalar(0.3 * rim);
+    this.axes.position.set(-1.1 * rim, 0.8 * rim, r * Math.cos(theta));
+    this.rim.visible = this.axes.visible = true;
+    this.look();
+  }
+
+  look() {
+    if (!this.geometry) return;
+    this.untouched = true;
+    const r = this.geometry.skin_radius_mm, theta = (this.geometry.visible_half_angle_deg * Math.PI) / 180;
+    const foot = r * Math.cos(theta), rim = r * Math.sin(theta), far = (3.6 * rim) / Math.min(1, this.camera.aspect);
+    this.controls.target.set(0, 0, foot + 0.2 * (r - foot));
+    this.camera.position.set(-0.2 * far, 0.7 * far, foot + 0.68 * far);
+    this.controls.update();
+    this.render();
+  }
+
+  resize() {
+    const { clientWidth, clientHeight } = this.host;
+    if (!clientWidth || !clientHeight) return;
+    this.camera.aspect = clientWidth / clientHeight;
+    this.camera.updateProjectionMatrix();
+    this.renderer.setSize(clientWidth, clientHeight);
+    if (this.untouched) this.look();
+    this.render();
+  }
+
+  later() {
+    if (this.timer) return;
+    this.timer = setTimeout(() => {
+      this.timer = 0;
+      this.render();
+    }, Math.max(0, this.drawn_ms + PERIOD_MS - performance.now()));
+  }
+
+  render() {
+    this.drawn_ms = performance.now();
+    this.renderer.render(this.scene, this.camera);
+  }
+}

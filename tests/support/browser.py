@@ -1,0 +1,57 @@
+"""Headless Chromium with Debian's own driver."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from selenium import webdriver
+from selenium.webdriver.chrome.service import Service
+
+CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
+
+# No sandbox, since tests may run as root in a container; WebGL without a graphics card; nothing called outside.
+_FLAGS = (
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--enable-unsafe-swiftshader",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--disable-dev-shm-usage",
+    "--force-color-profile=srgb",
+)
+
+
+@contextmanager
+def browser(profile: Path, *flags: str, size_px: tuple[int, int] = (1400, 1100)) -> Iterator[webdriver.Chrome]:
+    """A browser that has never been anywhere; `profile` is an empty folder for what it writes."""
+    assert CHROMIUM is not None
+    assert DRIVER is not None
+    options = webdriver.ChromeOptions()
+    options.binary_location = CHROMIUM
+    for flag in (*_FLAGS, f"--user-data-dir={profile}", f"--window-size={size_px[0]},{size_px[1]}", *flags):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    driver = webdriver.Chrome(options=options, service=Service(DRIVER))
+    try:
+        yield driver
+    finally:
+        driver.quit()
+
+
+def errors(driver: webdriver.Chrome) -> list[str]:
+    """What the page complained about since the last call: errors and warnings, also of the security policy."""
+    told = [f"{e['level']} {e['message']}" for e in driver.get_log("browser") if e["level"] in ("SEVERE", "WARNING")]
+    return [line for line in told if "GL Driver Message" not in line]  # a screenshot reads the software renderer back
+
+
+def page(driver: webdriver.Chrome, expression: str) -> Any:
+    """The value of a JavaScript expression in the page."""
+    return driver.execute_script(f"return {expression}")
