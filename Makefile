@@ -1,4 +1,4 @@
-# make demo    a simulated hand, live in this terminal (Python only, never root)
+# make demo    a simulated hand, live in a browser (Python only, never root)
 # make check   format, lint, types, layers and the quick tests: under a minute
 # make test    everything, with the real broker and a guest with a real kernel's video devices
 PYTHON ?= python3
@@ -10,7 +10,7 @@ PY := .venv/bin/python
 # Two stamps, so that the demo installs only what a user needs.
 .venv/run.stamp: pyproject.toml
 	$(PYTHON) -m venv .venv
-	$(PY) -m pip install --quiet --disable-pip-version-check -e .
+	$(PY) -m pip install --quiet --disable-pip-version-check -e '.[demo]'
 	touch $@
 
 .venv/dev.stamp: .venv/run.stamp

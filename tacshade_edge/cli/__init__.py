@@ -15,7 +15,7 @@ EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_CONFIG = 0, 1, 2, 78
 # name -> (module with add_arguments(parser) and run(args) -> exit code, one line of help)
 COMMANDS: dict[str, tuple[str, str]] = {
     "run": ("run", "run the daemon: camera to height maps over MQTT"),
-    "demo": ("demo", "a simulated hand with live results in the terminal; needs nothing else"),
+    "demo": ("demo", "a simulated hand, live in a browser; needs nothing else"),
     "check-config": ("check_config", "check a settings file, or export its JSON Schema"),
     "calibrate": ("calibrate", "references and ball presses to a calibration file"),
     "reconstruct": ("reconstruct", "images to height maps, clouds and a summary"),

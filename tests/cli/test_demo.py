@@ -5,63 +5,122 @@ import os
 import pty
 import re
 import signal
+import socket
 import subprocess
 import sys
-from collections.abc import Sequence
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
 
+import numpy as np
 import pytest
+from mqtt_rig import MOSQUITTO
+from page_client import PageClient
 
-LINE = re.compile(r"^(no )?contact +depth +\d+\.\d\d mm \(pressed \d\.\d\d\)  \d objects?  +\d+\.\d fps  fast$")
-COMMAND = [sys.executable, "-m", "tacshade_edge", "demo"]
+# As on a machine without mosquitto.
+WITHOUT_MOSQUITTO = "import shutil, sys; shutil.which = lambda *a, **k: None; from tacshade_edge.cli import main; "
+COMMANDS = {
+    "mosquitto": [sys.executable, "-m", "tacshade_edge", "demo"],
+    "embedded": [sys.executable, "-c", WITHOUT_MOSQUITTO + "sys.exit(main(sys.argv[1:]))", "demo"],
+}
+ADDRESS = re.compile(r"open http://127\.0\.0\.1:(\d+)/")
 
 
-def depths(lines: Sequence[str]) -> list[tuple[float, float]]:
-    """Shown and pressed depth of every line."""
-    found = [re.search(r"depth +(\d+\.\d\d) mm \(pressed (\d\.\d\d)\)", line) for line in lines]
-    return [(float(m[1]), float(m[2])) for m in found if m]
+@contextlib.contextmanager
+def demo(command: list[str], folder: Path) -> Iterator[tuple[subprocess.Popen[str], int]]:
+    """A running demo and the port of its page; its temporary files are in `folder`."""
+    process = subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "TMPDIR": str(folder)},
+    )
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline().startswith("Calibrating")
+        line = process.stdout.readline()
+        found = ADDRESS.search(line)
+        assert found, (line, process.poll(), process.stderr and process.poll() and process.stderr.read())
+        assert process.stdout.readline() == "Ctrl-C ends.\n"
+        yield process, int(found[1])
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def running(folder: Path) -> list[str]:
+    """Command lines of the processes that were started with this folder."""
+    found = []
+    for entry in Path("/proc").glob("[0-9]*/cmdline"):
+        with contextlib.suppress(OSError):
+            line = entry.read_bytes().replace(b"\0", b" ").decode(errors="replace")
+            if str(folder) in line:
+                found.append(line)
+    return found
 
 
 @pytest.mark.slow
-def test_in_a_pipe_it_prints_plain_lines_and_ends_by_itself() -> None:
-    done = subprocess.run([*COMMAND, "--seconds", "3"], capture_output=True, text=True, timeout=60, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
-    first, *lines, last = done.stdout.splitlines()
-    assert first.startswith("Calibrating")
-    assert re.fullmatch(r"\d+ frames, \d+ with contact, \d+ superseded", last)
-    assert len(lines) >= 3
-    assert all(LINE.match(line) for line in lines), lines
-    # Plumbing, not accuracy: a busy machine drops frames, and then another object is held than the first.
-    held = [shown for shown, pressed in depths(lines) if pressed == 3.0]
-    free = [shown for shown, pressed in depths(lines) if pressed == 0.0]
-    assert held
-    assert all(shown > 0.5 for shown in held)
-    assert free
-    assert all(shown == 0.0 for shown in free)
-
-
-def read_to_end(leader: int) -> bytes:
-    shown = b""
-    with contextlib.suppress(OSError):  # how a pty tells that the other side closed
-        while chunk := os.read(leader, 65536):
-            shown += chunk
-    os.close(leader)
-    return shown
+@pytest.mark.parametrize("broker", list(COMMANDS))
+def test_a_browser_sees_moving_maps_and_ctrl_c_leaves_nothing(broker: str, tmp_path: Path) -> None:
+    if broker == "mosquitto" and MOSQUITTO is None:
+        pytest.skip("mosquitto is not installed")
+    if broker == "embedded":
+        pytest.importorskip("iotcore")
+    with demo(COMMANDS[broker], tmp_path) as (process, port):
+        with PageClient(port) as page:
+            heights = page.wait_for_heights(20, 30)
+        assert running(tmp_path)
+        process.send_signal(signal.SIGINT)
+        out, errors = process.communicate(timeout=20)
+        assert (process.returncode, out, errors) == (0, "", "")
+    depths = [float(np.nanmax(message.height_mm)) for message in heights]
+    assert heights[0].height_mm.shape == (120, 160)
+    assert 1.0 < max(depths) < 6.0  # 3 mm is pressed
+    assert len(set(depths)) > 5  # it moves
+    assert running(tmp_path) == []
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.slow
-def test_on_a_terminal_it_redraws_a_map_until_ctrl_c() -> None:
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_while_it_starts_leaves_nothing(number: signal.Signals, tmp_path: Path) -> None:
     leader, follower = pty.openpty()
-    child = subprocess.Popen(COMMAND, stdout=follower, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        COMMANDS["embedded"], stdout=follower, stderr=subprocess.PIPE, env={**os.environ, "TMPDIR": str(tmp_path)}
+    )
     os.close(follower)
-    shown = b""
-    while shown.count(b"\x1b[21A") < 5:  # moved up over the block
-        shown += os.read(leader, 65536)
-    child.send_signal(signal.SIGINT)
-    shown += read_to_end(leader)
-    _, errors = child.communicate(timeout=20)
-    assert (child.returncode, errors) == (0, "")
-    assert re.search(rb"\d+ frames, \d+ with contact, \d+ superseded\r\n$", shown)
-    block = shown.decode().split("\x1b[21A")[2].replace("\x1b[K", "").splitlines()
-    assert len(block) == 21
-    assert all(set(line) <= set(" .:-=+*#%@") for line in block[:20])
-    assert block[10].startswith(".")
+    assert os.read(leader, 100).startswith(b"Calibrating")
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=20)
+    os.close(leader)
+    assert (process.returncode, errors) == (0, b"")
+    assert running(tmp_path) == []
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_it_ends_by_itself_and_two_fit_on_one_machine(tmp_path: Path) -> None:
+    with demo([*COMMANDS["embedded"], "--seconds", "2"], tmp_path) as (first, port):
+        with demo([*COMMANDS["embedded"], "--seconds", "1"], tmp_path) as (second, other):
+            assert other != port
+            assert second.wait(30) == 0
+        assert first.wait(30) == 0
+
+
+@pytest.mark.slow
+def test_a_port_in_use_is_one_line(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        done = subprocess.run(
+            [*COMMANDS["embedded"], "--http", str(port)],
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+            env={**os.environ, "TMPDIR": str(tmp_path)},
+        )
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+    assert re.match(rf"tacshade-edge: demo: the dashboard .*port {port}", done.stderr), done.stderr
+    assert tempfile.gettempdir() not in done.stderr

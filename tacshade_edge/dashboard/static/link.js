@@ -42,7 +42,7 @@ export class Link {
     this.told("wait", "Connecting …");
     const client = mqtt.connect(url.href, {
       ...user,
-      protocolVersion: 4,
+      protocolVersion: 5, // what a request needs from the daemon, and the one version that the demo's broker speaks
       keepalive: KEEPALIVE_S,
       reconnectPeriod: RETRY_MS,
       connectTimeout: CONNECT_MS,

@@ -1,0 +1,65 @@
+"""The demo's own broker on loopback: mosquitto where it is installed, else the one of the extra `demo`."""
+
+from __future__ import annotations
+
+import importlib.util
+import logging
+import os
+import shutil
+import sys
+from pathlib import Path
+
+from tacshade_edge.errors import DeviceError
+
+_SBIN = "/usr/sbin"  # Debian's mosquitto, which is not on every user's PATH
+
+# The newest full-size maps, not a history: a segment is what the broker keeps of one topic, and it keeps two.
+_EMBEDDED = """\
+id = 0
+[router]
+id = 0
+max_connections = 64
+max_outgoing_packet_count = 200
+max_segment_size = 8388608
+max_segment_count = 2
+[v5.1]
+name = "demo"
+listen = "127.0.0.1:{port}"
+next_connection_delay_ms = 1
+[v5.1.connections]
+connection_timeout_ms = 5000
+max_payload_size = 4194304
+max_inflight_count = 100
+"""
+_MOSQUITTO = """\
+listener {port} 127.0.0.1
+allow_anonymous true
+persistence false
+max_queued_messages 20
+"""
+
+
+def broker_command(folder: Path, port: int) -> list[str]:
+    """The command that serves MQTT 5 on this loopback port, its settings written into `folder`.
+
+    Raises
+    ------
+    DeviceError
+        There is neither mosquitto nor the extra.
+    """
+    mosquitto = shutil.which("mosquitto", path=f"{os.environ.get('PATH', os.defpath)}:{_SBIN}")
+    settings = folder / ("mosquitto.conf" if mosquitto else "broker.toml")
+    settings.write_text((_MOSQUITTO if mosquitto else _EMBEDDED).format(port=port), encoding="utf-8")
+    if mosquitto:
+        return [mosquitto, "-c", str(settings)]
+    if importlib.util.find_spec("iotcore") is None:
+        raise DeviceError("demo: found no mosquitto, expected it or the extra: pip install 'tacshade-edge[demo]'")
+    return [sys.executable, "-m", __name__, str(settings)]
+
+
+if __name__ == "__main__":
+    from iotcore import Broker
+
+    # rumqttd puts every message into spans of level ERROR
+    logging.getLogger("rumqttd").setLevel(logging.CRITICAL)
+    Broker(config_path=sys.argv[1]).run_forever()

@@ -1,0 +1,101 @@
+"""A process of the demo: its output in a file, its end never later than the demo's."""
+
+from __future__ import annotations
+
+import ctypes
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+from tacshade_edge.errors import DeviceError
+
+_PR_SET_PDEATHSIG: Final = 1
+_POLL_S: Final = 0.02
+_STOP_S: Final = 3.0
+
+
+def free_port() -> int:
+    """A port of the loopback interface that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+class Child:
+    """A started process.
+
+    It is in a session of its own, so that Ctrl-C reaches the demo alone, which then stops one after the other; where
+    the kernel can (Linux), it gets SIGTERM when the demo dies in any other way.
+
+    Parameters
+    ----------
+    name : str
+        For messages, and the name of its log.
+    command : sequence of str
+    folder : Path
+        Where the log goes.
+    """
+
+    def __init__(self, name: str, command: Sequence[str], folder: Path) -> None:
+        self.name = name
+        self._log = folder / f"{name}.log"
+        with self._log.open("wb") as log:
+            self._process = subprocess.Popen(
+                list(command),
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+                preexec_fn=_die_with_parent if sys.platform == "linux" else None,
+            )
+
+    @property
+    def output(self) -> str:
+        """What it has printed."""
+        return self._log.read_text(encoding="utf-8", errors="replace")
+
+    def check(self) -> None:
+        """Raise DeviceError, with the last line that it printed, when it has ended."""
+        code = self._process.poll()
+        if code is not None:
+            lines = [line for line in self.output.splitlines() if line.strip()]
+            raise DeviceError(
+                f"demo: the {self.name} ended with {code}: {lines[-1] if lines else 'it printed nothing'}"
+            )
+
+    def stop(self) -> None:
+        """End it: SIGTERM, and after 3 s SIGKILL."""
+        self._process.terminate()
+        try:
+            self._process.wait(_STOP_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+
+def wait_for_port(child: Child, port: int, timeout_s: float) -> None:
+    """Wait until someone accepts connections on this loopback port.
+
+    Raises
+    ------
+    DeviceError
+        The child ended, or did not listen within the time.
+    """
+    deadline_s = time.monotonic() + timeout_s
+    while True:
+        child.check()
+        with socket.socket() as probe:
+            if probe.connect_ex(("127.0.0.1", port)) == 0:
+                return
+        if time.monotonic() > deadline_s:
+            raise DeviceError(f"demo: the {child.name} does not listen on port {port} after {timeout_s:.0f} s")
+        time.sleep(_POLL_S)
+
+
+def _die_with_parent() -> None:
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)

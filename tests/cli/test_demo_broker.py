@@ -1,0 +1,48 @@
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+from mqtt_rig import MOSQUITTO, Subscriber
+
+from tacshade_edge.cli.demo_broker import broker_command
+from tacshade_edge.cli.demo_child import Child, free_port, wait_for_port
+from tacshade_edge.errors import DeviceError
+
+FULL_SIZE = 640 * 480 * 2 + 96
+
+
+@pytest.mark.parametrize("kind", ["mosquitto", "embedded"])
+def test_the_broker_carries_full_size_maps_and_keeps_retained_ones(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if kind == "embedded":
+        pytest.importorskip("iotcore")
+        monkeypatch.setattr(shutil, "which", lambda *_, **__: None)
+    elif MOSQUITTO is None:
+        pytest.skip("mosquitto is not installed")
+    port = free_port()
+    child = Child("broker", broker_command(tmp_path, port), tmp_path)
+    try:
+        wait_for_port(child, port, 20)
+        with Subscriber(port, "tacshade/#", v5=True) as early:
+            early.publish("tacshade/demo/state", b"online", retain=True)
+            early.wait_for("tacshade/demo/state")
+            for number in range(5):
+                early.publish("tacshade/demo/height", bytes([number]) * FULL_SIZE, qos=0)
+            maps = early.wait_for("tacshade/demo/height", 5)
+            assert [(m[0], len(m)) for m in maps] == [(number, FULL_SIZE) for number in range(5)]
+            with Subscriber(port, "tacshade/#", v5=True) as late:
+                assert late.wait_for("tacshade/demo/state") == [b"online"]
+        child.check()
+    finally:
+        child.stop()
+    assert child.output.count("\n") < 30  # not a line for every message
+
+
+def test_without_any_broker_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shutil, "which", lambda *_, **__: None)
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    with pytest.raises(DeviceError, match=r"expected it or the extra: pip install 'tacshade-edge\[demo\]'"):
+        broker_command(tmp_path, 1883)
