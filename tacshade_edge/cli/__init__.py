@@ -17,6 +17,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "run": ("run", "run the daemon: camera to height maps over MQTT"),
     "demo": ("demo", "a simulated hand, live in a browser; needs nothing else"),
     "check-config": ("check_config", "check a settings file, or export its JSON Schema"),
+    "doctor": ("doctor", "what is wrong with camera, broker, serial ports, clock; and what mends it"),
     "calibrate": ("calibrate", "references and ball presses to a calibration file"),
     "reconstruct": ("reconstruct", "images to height maps, clouds and a summary"),
     "record": ("record", "the camera of the settings into a folder that `replay` reads"),

@@ -104,6 +104,7 @@ class MqttLink:
             password=password,
             tls_ca=tls_ca,
         )
+        self._client.will_set(f"{base_topic}/state", b"offline", qos=1, retain=True)
         self._client.on_pre_connect = self._on_pre_connect
         self._client.on_connect = self._on_connect
         self._client.on_connect_fail = self._on_connect_fail

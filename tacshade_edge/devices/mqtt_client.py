@@ -31,7 +31,7 @@ def make_client(
     password: str | None,
     tls_ca: str | None,
 ) -> Client:
-    """A client that will retry every second once its loop runs; its last will is ``state`` = ``offline``.
+    """A client that will retry every second once its loop runs.
 
     MQTT 5, since only a version 5 connection is given a request's response topic and correlation data;
     what it publishes reaches 3.1.1 subscribers all the same.
@@ -45,7 +45,6 @@ def make_client(
     client = Client(CallbackAPIVersion.VERSION2, client_id=client_id, protocol=MQTTProtocolVersion.MQTTv5)
     client.reconnect_delay_set(_RECONNECT_DELAY_S, _RECONNECT_DELAY_S)
     client.connect_timeout = _CONNECT_TIMEOUT_S
-    client.will_set(f"{base_topic}/state", b"offline", qos=1, retain=True)
     client.on_socket_open = _on_socket_open
     if username is not None:
         client.username_pw_set(username, password)

@@ -105,7 +105,13 @@ def read_password(document: Document) -> str | None:
 
 def check_files(document: Document) -> None:
     """Check the paths of the source and the files of the broker's settings. Raises ConfigError."""
-    source, mqtt = document.settings.source, document.settings.mqtt
+    check_source(document)
+    check_broker_files(document)
+
+
+def check_source(document: Document) -> None:
+    """Check the path of the source. Raises ConfigError."""
+    source = document.settings.source
     key = "device" if isinstance(source, V4l2) else "path"
     try:
         if isinstance(source, V4l2):
@@ -114,6 +120,11 @@ def check_files(document: Document) -> None:
             _first_size(source)
     except ConfigError as error:
         raise ConfigError(f"{document.where('source', key)}: {error}") from None
+
+
+def check_broker_files(document: Document) -> None:
+    """Check the files of the broker's settings. Raises ConfigError."""
+    mqtt = document.settings.mqtt
     if mqtt.ca_file is not None and not Path(mqtt.ca_file).is_file():
         raise ConfigError(f"{document.where('mqtt', 'ca_file')}: found no file {mqtt.ca_file}, expected a PEM file")
     read_password(document)

@@ -6,8 +6,10 @@ import errno
 import fcntl
 import os
 import stat
+import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 from tacshade_edge.errors import ConfigError, DeviceError
@@ -16,6 +18,9 @@ from tacshade_edge.errors import ConfigError, DeviceError
 _VIDIOC_QUERYCAP = 0x80685600
 _VIDIOC_ENUM_FMT = 0xC0405602
 _VIDIOC_REQBUFS = 0xC0145608
+_VIDIOC_ENUM_FRAMESIZES = 0xC02C564A
+_VIDIOC_ENUM_FRAMEINTERVALS = 0xC034564B
+_DISCRETE = 1
 _BUF_TYPES = (1, 9)  # capture, and the multi-planar one
 _CAPTURE = 0x00000001 | 0x00001000  # V4L2_CAP_VIDEO_CAPTURE, _MPLANE
 _MEMORY_MMAP = 1
@@ -83,6 +88,75 @@ def formats(device: str) -> list[str]:
                     break
                 codes.append(entry[44:48].decode("ascii", errors="replace").strip())
     return codes
+
+
+@dataclass(frozen=True, slots=True)
+class Sizes:
+    """One size, or all from a least to a greatest in steps, in px."""
+
+    width_min_px: int
+    width_max_px: int
+    width_step_px: int
+    height_min_px: int
+    height_max_px: int
+    height_step_px: int
+
+    def holds(self, width_px: int, height_px: int) -> bool:
+        """Whether the size is one of these."""
+        return (
+            self.width_min_px <= width_px <= self.width_max_px
+            and self.height_min_px <= height_px <= self.height_max_px
+            and (width_px - self.width_min_px) % max(self.width_step_px, 1) == 0
+            and (height_px - self.height_min_px) % max(self.height_step_px, 1) == 0
+        )
+
+    def __str__(self) -> str:
+        least, most = f"{self.width_min_px}x{self.height_min_px}", f"{self.width_max_px}x{self.height_max_px}"
+        return least if least == most else f"{least} to {most}"
+
+
+def sizes(device: str, fourcc: str) -> list[Sizes]:
+    """The sizes offered in a format; empty when the driver does not list them. Raises as `check_node`."""
+    found = []
+    with _opened(device) as fd:
+        for entry in _enumerated(fd, _VIDIOC_ENUM_FRAMESIZES, 44, fourcc):
+            kind, *values = struct.unpack_from("<7I", entry, 8)
+            if kind == _DISCRETE:
+                width_px, height_px = values[:2]
+                values = [width_px, width_px, 1, height_px, height_px, 1]
+            found.append(Sizes(*values))
+            if kind != _DISCRETE:
+                break
+    return found
+
+
+def rates(device: str, fourcc: str, width_px: int, height_px: int) -> list[tuple[float, float]]:
+    """The least and greatest frame rate (1/s) of each rate or range of rates that is offered at a size.
+
+    Empty when the driver does not list them. Raises as `check_node`.
+    """
+    found = []
+    with _opened(device) as fd:
+        for entry in _enumerated(fd, _VIDIOC_ENUM_FRAMEINTERVALS, 52, fourcc, width_px, height_px):
+            kind, *fractions = struct.unpack_from("<5I", entry, 16)
+            shortest = fractions[1] / max(fractions[0], 1)
+            longest = shortest if kind == _DISCRETE else fractions[3] / max(fractions[2], 1)
+            found.append((longest, shortest))
+            if kind != _DISCRETE:
+                break
+    return found
+
+
+def _enumerated(fd: int, request: int, size_bytes: int, fourcc: str, *key: int) -> Iterator[bytearray]:
+    """The entries of one of the kernel's lists: asked by index, pixel format and what else chooses the list."""
+    for index in range(256):
+        entry = bytearray(size_bytes)
+        struct.pack_into(f"<I4s{len(key)}I", entry, 0, index, fourcc.encode().ljust(4), *key)
+        try:
+            fcntl.ioctl(fd, request, entry)
+        except OSError:  # the end of the list, EINVAL; ENOTTY when the driver has none
+            return
+        yield entry
 
 
 def is_busy(device: str) -> bool:

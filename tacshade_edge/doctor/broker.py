@@ -1,0 +1,266 @@
+"""The broker: can it be reached, does it take and give what the daemon sends, and is a daemon already there?"""
+
+from __future__ import annotations
+
+import json
+import socket
+import ssl
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from paho.mqtt.client import Client
+from paho.mqtt.enums import MQTTErrorCode
+from paho.mqtt.reasoncodes import ReasonCode
+from paho.mqtt.subscribeoptions import SubscribeOptions
+
+from tacshade_edge.devices.mqtt_client import make_client
+from tacshade_edge.doctor.finding import Finding, fault, ok, warning
+from tacshade_edge.doctor.machine import Process
+
+_KEEPALIVE_S = 3  # paho's limit for the TLS handshake too
+_ANSWER_S = 2.0
+_ROUNDS = 6  # the first warms up
+_MESSAGE_BYTES = 38_000  # a height map of 640x480
+_SLOW_MS = 20.0
+_NOT_AUTHORISED = (0x86, 0x87)  # bad user name or password, not authorised
+_BAD_VERSION = 0x84
+_ACL = "in the broker's ACL file: user {user}, then: topic readwrite tacshade/# (see systemd/mosquitto-tacshade.acl)"
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """What the broker holds of a daemon with this sensor's name.
+
+    Attributes
+    ----------
+    state : str
+        ``online``, ``degraded``, ``stopped``, ``offline``; empty when there is none.
+    reason : str
+        Why it is not online.
+    fps : float
+        Frames per second that it delivered last.
+    """
+
+    state: str = ""
+    reason: str = ""
+    fps: float = 0.0
+
+    @property
+    def alive(self) -> bool:
+        """A daemon is connected now."""
+        return self.state in ("online", "degraded")
+
+    def __str__(self) -> str:
+        return f"{self.state}, {self.fps:.1f} frames/s" + (f", {self.reason}" if self.reason else "")
+
+
+@dataclass(slots=True)
+class _Session:
+    """What has come back so far."""
+
+    greeting: ReasonCode | None = None
+    subscribed: list[ReasonCode] = field(default_factory=list)
+    published: ReasonCode | None = None
+    messages: dict[str, bytes] = field(default_factory=dict)
+    echoed: bool = False
+
+    @property
+    def is_refused(self) -> bool:
+        """The access rules denied what was published."""
+        return self.published is not None and self.published.is_failure
+
+
+def check_broker(
+    *, host: str, port: int, sensor_id: str, username: str | None, password: str | None, tls_ca: str | None
+) -> tuple[tuple[Finding, ...], Heard]:
+    """Connect as the daemon does under a name of its own, and send height-sized messages to itself.
+
+    They go to ``tacshade/<sensor-id>/doctor``, which the daemon's access rules allow; nothing is retained.
+    """
+    base = f"tacshade/{sensor_id}"
+    client = make_client(
+        host=host,
+        base_topic=base,
+        client_id="",  # the broker invents one
+        username=username,
+        password=password,
+        tls_ca=tls_ca,
+    )
+    session = _listen(client, f"{base}/doctor")
+    where = f"{host}:{port}"
+    began_s = time.monotonic()
+    trouble = _connect(client, host, port, tls_ca) or _greet(client, session, where, username, tls_ca)
+    if trouble is None:
+        took_ms = 1e3 * (time.monotonic() - began_s)
+        found = f"{where}: accepts us{' over TLS' if tls_ca else ''}, in {took_ms:.0f} ms"
+        first = ok("broker", found)
+        second = _round_trip(client, session, base, username)
+        client.disconnect()
+        return (first, second), _heard(session, base)
+    client.disconnect()
+    return (trouble,), Heard()
+
+
+def judge_daemon(heard: Heard, local: Process | None, sensor_id: str) -> Finding:
+    """Is a daemon running, and is it this machine's?"""
+    if heard.alive and local is None:
+        mend = "stop that one, or give this sensor another sensor_id"
+        return warning("daemon", f"another machine's daemon is {heard.state} as {sensor_id}", mend)
+    if local is None:
+        return ok("daemon", "not running")
+    if heard.state == "online":
+        return ok("daemon", f"running, {local}: {heard}")
+    mend = "journalctl -u tacshade-edge tells more"
+    if heard.state == "degraded":
+        return warning("daemon", f"running, {local}: {heard}", mend)
+    mend = f"was it started with these settings? {mend}"
+    return warning("daemon", f"{local} runs, but the broker knows no {sensor_id} online", mend)
+
+
+def _listen(client: Client, topic: str) -> _Session:
+    session = _Session()
+
+    def on_connect(_client: Client, _userdata: Any, _flags: Any, code: ReasonCode, _properties: Any) -> None:
+        session.greeting = code
+
+    def on_subscribe(_client: Client, _userdata: Any, _mid: int, codes: list[ReasonCode], _properties: Any) -> None:
+        session.subscribed = codes
+
+    def on_publish(_client: Client, _userdata: Any, _mid: int, code: ReasonCode, _properties: Any) -> None:
+        session.published = code
+
+    def on_message(_client: Client, _userdata: Any, message: Any) -> None:
+        if message.topic == topic:
+            session.echoed = True
+        else:
+            session.messages[message.topic] = bytes(message.payload)
+
+    client.on_connect, client.on_subscribe = on_connect, on_subscribe
+    client.on_publish, client.on_message = on_publish, on_message
+    return session
+
+
+def _connect(client: Client, host: str, port: int, tls_ca: str | None) -> Finding | None:
+    """Open the connection; what is wrong with it."""
+    where = f"{host}:{port}"
+    try:
+        client.connect(host, port, _KEEPALIVE_S, clean_start=True)
+    except socket.gaierror as error:
+        mend = "is mqtt.host spelt right, and does the network work? Try: getent hosts " + host
+        return fault("broker", f"{host}: the name has no address ({error.strerror})", mend)
+    except ssl.SSLCertVerificationError as error:
+        return fault(
+            "broker", f"{where}: its certificate is refused: {error.verify_message}", _certificate_mend(error, host)
+        )
+    except ssl.SSLError as error:
+        mend = "is mqtt.port the broker's TLS port (often 8883)? Without TLS leave mqtt.ca_file out"
+        return fault("broker", f"{where}: does not answer in TLS ({error.reason or error})", mend)
+    except ConnectionRefusedError:
+        mend = "start it: sudo systemctl enable --now mosquitto (install it first: sudo apt install mosquitto)"
+        if host not in ("localhost", "127.0.0.1", "::1"):
+            mend = (
+                "is the broker running there, on that port, and for other machines (mosquitto needs a `listener` line)?"
+            )
+        return fault("broker", f"{where}: refused, nothing listens there", mend)
+    except TimeoutError:
+        mend = f"is the address right, the machine on, its firewall open for port {port}?"
+        if tls_ca:
+            mend += " Is it the TLS port?"
+        return fault("broker", f"{where}: no answer within {_KEEPALIVE_S} s", mend)
+    except OSError as error:
+        return fault("broker", f"{where}: {error.strerror or error}", "does the network work? Is mqtt.host right?")
+    return None
+
+
+def _certificate_mend(error: ssl.SSLCertVerificationError, host: str) -> str:
+    text = error.verify_message
+    if "expired" in text or "not yet valid" in text:
+        return "renew the broker's certificate; is this machine's clock right?"
+    if "match" in text:
+        return f"set mqtt.host to a name in the certificate, or make one for {host} (subjectAltName)"
+    return "set mqtt.ca_file to the PEM file of the authority that signed the broker's certificate"
+
+
+def _greet(client: Client, session: _Session, where: str, username: str | None, tls_ca: str | None) -> Finding | None:
+    """Wait for the broker's answer to CONNECT; what is wrong with it."""
+    open_still = _pump(client, lambda: session.greeting is not None)
+    code = session.greeting
+    if code is None:
+        doing = "says nothing" if open_still else "hangs up"
+        mend = "is mqtt.port that of an MQTT broker (1883)?"
+        if tls_ca is None:
+            mend += " If it is a TLS port (8883), set mqtt.ca_file"
+        return fault("broker", f"{where}: takes connections but {doing}: not an MQTT broker", mend)
+    if code.value in _NOT_AUTHORISED:
+        if username is None:
+            mend = "it wants a user: set mqtt.username and mqtt.password_file"
+            return fault("broker", f"{where}: refuses us without a user name ({code})", mend)
+        mend = (
+            f"is the password file right? Set it anew: sudo mosquitto_passwd /etc/mosquitto/tacshade.passwd {username}"
+        )
+        return fault("broker", f"{where}: refuses the user {username} or the password ({code})", mend)
+    if code.value == _BAD_VERSION:
+        return fault("broker", f"{where}: does not speak MQTT 5", "use mosquitto 1.6 or newer")
+    if code.is_failure:
+        return fault("broker", f"{where}: refuses us: {code}", "its log says more: sudo journalctl -u mosquitto")
+    return None
+
+
+def _round_trip(client: Client, session: _Session, base: str, username: str | None) -> Finding:
+    """Subscribe to what we and the daemon publish, publish, and time it."""
+    topic = f"{base}/doctor"
+    acl = _ACL.format(user=username or "(none)")
+    client.subscribe(
+        [(f"{base}/{name}", SubscribeOptions(1)) for name in ("doctor", "state", "health", "status/camera")]
+    )
+    _pump(client, lambda: session.subscribed)
+    if not session.subscribed or any(code.is_failure for code in session.subscribed):
+        return fault("broker round trip", f"may not subscribe under {base}/", acl)
+    took_ms = []
+    for _ in range(_ROUNDS):
+        began_s = time.monotonic()
+        session.published, session.echoed = None, False
+        client.publish(topic, bytes(_MESSAGE_BYTES), qos=1)
+        _pump(client, lambda: session.echoed or session.is_refused)
+        if session.is_refused:
+            return fault("broker round trip", f"may not publish under {base}/ ({session.published})", acl)
+        if not session.echoed:
+            found = f"a message to {topic} did not come back within {_ANSWER_S:g} s"
+            return fault("broker round trip", found, f"may we read it? {acl}; or the network is too slow")
+        took_ms.append(1e3 * (time.monotonic() - began_s))
+    middle_ms = statistics.median(took_ms[1:])
+    found = f"{_MESSAGE_BYTES // 1000} KB there and back in {middle_ms:.1f} ms"
+    if middle_ms > _SLOW_MS:
+        mend = (
+            "set_tcp_nodelay true in the broker's configuration (systemd/mosquitto-tacshade.conf); a cable, not Wi-Fi"
+        )
+        return warning("broker round trip", found, mend)
+    return ok("broker round trip", found)
+
+
+def _pump(client: Client, done: Callable[[], object]) -> bool:
+    """Send and receive until `done`, the connection's end or 2 s; whether the connection is still there."""
+    deadline_s = time.monotonic() + _ANSWER_S
+    while not done() and time.monotonic() < deadline_s:
+        if client.loop(0.05) != MQTTErrorCode.MQTT_ERR_SUCCESS:
+            return False
+    return True
+
+
+def _heard(session: _Session, base: str) -> Heard:
+    health, camera = (_json(session.messages.get(f"{base}/{name}", b"")) for name in ("health", "status/camera"))
+    state = session.messages.get(f"{base}/state", b"").decode(errors="replace")[:20]
+    fps = health.get("delivered_fps", 0.0)
+    reason = camera.get("reason") or health.get("degraded_reason") or ""
+    return Heard(state, str(reason)[:200], float(fps) if isinstance(fps, int | float) else 0.0)
+
+
+def _json(payload: bytes) -> dict[str, Any]:
+    try:
+        value = json.loads(payload or b"{}")
+    except ValueError:
+        return {}
+    return value if isinstance(value, dict) else {}

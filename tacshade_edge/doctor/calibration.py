@@ -1,0 +1,117 @@
+"""The calibration: is it sound, and does the sensor still look as it did when it was made?"""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Sequence
+
+from tacshade_edge.core import pattern
+from tacshade_edge.core.calibrate import rezero
+from tacshade_edge.core.greyscale import to_grey
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.devices import registry
+from tacshade_edge.doctor.finding import Finding, fault, ok, warning
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.settings import Document
+from tacshade_edge.types import U8, Calibration, Frame
+
+_MOVED_PART = 0.02  # of the disc's radius
+_NOISIER = 3.0
+_NOISE_LEVELS = 3.0
+_DAY_S = 86400
+RECALIBRATE = "calibrate again (docs/calibration.md): tacshade-edge calibrate ... --out {path}"
+_REZERO = (
+    "with nothing touching the skin, publish {} to tacshade/SENSOR/req/reference while the daemon runs; if that does "
+    "not last, calibrate again (docs/calibration.md)"
+)
+# What invalid_reason begins with, and what mends it.
+_MENDS = {
+    "size": "set source.width_px and height_px to the calibration's, or calibrate again at this size",
+    "black": "switch the sensor's light on",
+    "no contrast": "switch the sensor's light on; is the camera in focus?",
+    "saturated": "dim the sensor's light, or lower source.exposure to what it was when calibrating",
+    "light": "bring the light and source.exposure back to what they were when calibrating, or calibrate again",
+    "noise": "more light and less gain; check the camera's cable",
+    "torn or moved": "the camera or its light moved: fix it where it was, or calibrate again",
+    "torn": "frames are damaged on their way: another USB port, a shorter cable, a lower rate",
+}
+
+
+def load(document: Document) -> tuple[Calibration | None, tuple[Finding, ...]]:
+    """The calibration that the settings name, and what is to be said of the file; None when it cannot be used."""
+    path = document.settings.calibration
+    try:
+        calibration = registry.load_calibration(document)
+    except ConfigError as error:
+        return None, (fault("calibration", str(error), RECALIBRATE.format(path=path)),)
+    days = (time.time() - os.stat(path).st_mtime) / _DAY_S
+    found = f"{path}: {calibration.crc32:08x}, {max(days, 0):.0f} days old"
+    if calibration.table_grey.size == 0:
+        mend = "take ball presses and calibrate with --presses PRESSES.csv (docs/calibration.md)"
+        return calibration, (warning("calibration", f"{found}; depth is not in true millimetres", mend),)
+    return calibration, (
+        ok("calibration", f"{found}, depth error {calibration.fit.get('depth_mae_mm', math.nan):.2f} mm"),
+    )
+
+
+def check_images(calibration: Calibration, images: Sequence[U8], live: bool) -> tuple[Finding, ...]:
+    """Compare images with the calibration's reference.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    images : sequence of uint8 (H, W) or (H, W, 3)
+        At least one.
+    live : bool
+        From a camera, so that nothing should touch the skin now; files and simulations are pressed.
+    """
+    reconstructor = Reconstructor(calibration, PROFILES["fast"])
+    result = reconstructor.step(Frame(0, 0, 0, images[-1]))
+    if not result.valid:
+        return (fault("sensor", f"frames cannot be used: {result.reason}", _mend(result.reason)),)
+    moved = _check_place(calibration, images)
+    if not live:
+        found = f"contact of {result.depth_max_mm:.1f} mm" if result.contact else "no contact"
+        return (*moved, ok("sensor", f"looks as calibrated, {found}"))
+    if result.contact:
+        found = f"the skin seems pressed by {result.depth_max_mm:.1f} mm; if nothing touches it, it has changed"
+        return (*moved, warning("sensor", found, _REZERO))
+    if result.degraded:
+        return (*moved, warning("sensor", result.degraded, _REZERO))
+    return (*moved, _check_noise(calibration, images))
+
+
+def _check_place(calibration: Calibration, images: Sequence[U8]) -> tuple[Finding, ...]:
+    """Whether the visible circle is where it was; nothing when it cannot be found (a contact may hide its rim)."""
+    old = calibration.geometry.disc
+    try:
+        new = pattern.find_disc(pattern.mean_image([to_grey(image) for image in images]))
+    except ConfigError:
+        return ()
+    shift_px = math.hypot(new.row_c - old.row_c, new.col_c - old.col_c)
+    wider_px = new.radius_px - old.radius_px
+    found = f"visible circle {shift_px:.1f} px from where it was calibrated, radius {wider_px:+.1f} px"
+    if max(shift_px, abs(wider_px)) > _MOVED_PART * old.radius_px:
+        mend = "the camera moved in the sensor: fix it where it was, or calibrate again (docs/calibration.md)"
+        return (warning("camera place", found, mend),)
+    return (ok("camera place", found),)
+
+
+def _check_noise(calibration: Calibration, images: Sequence[U8]) -> Finding:
+    """What these images would be as a new reference."""
+    try:
+        renewed = rezero(calibration, images)
+    except ConfigError as error:
+        return warning("sensor", str(error), "lift the sensor off what it touches; " + _REZERO)
+    noise = f"noise {renewed.noise_grey:.2f} grey levels, {calibration.noise_grey:.2f} when calibrated"
+    if len(images) >= 3 and renewed.noise_grey > max(_NOISE_LEVELS, _NOISIER * calibration.noise_grey):
+        mend = "steady its light (a lamp at mains frequency flickers) and whatever shakes it, then calibrate again"
+        return warning("sensor", noise, mend)
+    return ok("sensor", f"looks as calibrated, no contact, {noise if len(images) >= 3 else 'one image'}")
+
+
+def _mend(reason: str) -> str:
+    return next((mend for start, mend in _MENDS.items() if reason.startswith(start)), _REZERO)

@@ -1,0 +1,214 @@
+"""The camera: its node, what it offers, and what the frames of a second say about it."""
+
+from __future__ import annotations
+
+import contextlib
+from itertools import pairwise
+
+from tacshade_edge.core.disc import disc_mask
+from tacshade_edge.core.greyscale import to_grey
+from tacshade_edge.core.validity import frame_check, invalid_reason
+from tacshade_edge.devices import v4l2_node
+from tacshade_edge.doctor.cameras import CSI_MEND, card_name, found_cameras, has_csi_receiver, is_csi, stable_name
+from tacshade_edge.doctor.capture import Captured
+from tacshade_edge.doctor.finding import Finding, fault, ok, warning
+from tacshade_edge.doctor.machine import Machine, may_use, permission_mend
+from tacshade_edge.errors import DeviceError, TacshadeError
+from tacshade_edge.settings import V4l2
+from tacshade_edge.types import U8, Disc
+
+_FOURCCS = ("MJPG", "YUYV", "GREY")
+_RATE_PART = 0.9
+_RATE_OFF = 0.01  # 29.97 is 30
+_AGE_MAX_S = 0.5
+_SIZES_SHOWN = 8
+_PICTURE_MENDS = {
+    "black": "switch the sensor's light on, take the lens cap off, or raise source.exposure",
+    "saturated": "dim the sensor's light, or lower source.exposure",
+    "no contrast": "is the camera inside the sensor, in focus, with its light on?",
+}
+
+
+def list_cameras(machine: Machine) -> Finding:
+    """Which cameras there are, while no settings name one."""
+    cameras = found_cameras(machine)
+    if cameras:
+        return ok("camera", f"found {', '.join(_labelled(name, machine) for name in cameras)}")
+    if has_csi_receiver(machine):
+        return warning("camera", "found a CSI receiver and no USB camera", CSI_MEND)
+    return warning("camera", "found none on this machine", "plug one in; lsusb shows whether USB sees it")
+
+
+def check_device(source: V4l2, machine: Machine) -> tuple[Finding, ...]:
+    """The configured node: is it there, a camera, permitted, well named? A fault says that no frame can come."""
+    device = source.device
+    path = machine.at(device)
+    if not path.exists():
+        return (fault("camera", f"{device}: no such device", _choose(machine)),)
+    if is_csi(device, machine):
+        return (fault("camera", f"{device}: is the Raspberry Pi's own {card_name(device, machine)}", CSI_MEND),)
+    if not may_use(path) and not path.is_dir():
+        return (fault("camera", f"{device}: no permission to open it", permission_mend(path, "video")),)
+    try:
+        card = v4l2_node.check_node(str(path))
+    except TacshadeError as error:
+        return (fault("camera", _bare(error), _choose(machine)),)
+    findings = [ok("camera", f"{device}: {card}")]
+    stable = stable_name(device, machine)
+    if stable and not device.startswith(("/dev/v4l/", "/dev/tacshade/")):
+        mend = f"set source.device: {stable}"
+        findings.append(warning("camera name", f"{device} may be another camera after the next plugging", mend))
+    return (*findings, *_check_offer(source, str(path)))
+
+
+def _check_offer(source: V4l2, node: str) -> tuple[Finding, ...]:
+    """Is what the settings ask among the formats, sizes and rates that the driver lists?"""
+    size = f"{source.width_px}x{source.height_px}"
+    try:
+        formats = v4l2_node.formats(node)
+        sizes = v4l2_node.sizes(node, source.fourcc)
+        rates = v4l2_node.rates(node, source.fourcc, source.width_px, source.height_px)
+    except DeviceError as error:
+        return (fault("camera format", _bare(error), "plug it in again"),)
+    if source.fourcc not in formats:
+        usable = [code for code in _FOURCCS if code in formats]
+        mend = f"set source.fourcc: {' or '.join(usable)}" if usable else "use another camera"
+        return (fault("camera format", f"it has no {source.fourcc}, it has {', '.join(formats) or 'none'}", mend),)
+    if sizes and not any(each.holds(source.width_px, source.height_px) for each in sizes):
+        shown = ", ".join(map(str, sizes[:_SIZES_SHOWN])) + (", ..." if len(sizes) > _SIZES_SHOWN else "")
+        mend = f"set source.width_px and height_px to one of {shown}; then calibrate at that size"
+        return (fault("camera format", f"it has no {source.fourcc} of {size} px", mend),)
+    listed = ", ".join(f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}" for low, high in rates)
+    if rates and not any(low * (1 - _RATE_OFF) <= source.fps <= high * (1 + _RATE_OFF) for low, high in rates):
+        found = f"{source.fourcc} {size} does not come at {source.fps} frames/s"
+        return (warning("camera format", found, f"set source.fps to one of {listed}"),)
+    return (ok("camera format", f"{source.fourcc} {size}" + (f" at {listed} frames/s" if listed else "")),)
+
+
+def check_frames(source: V4l2, captured: Captured, machine: Machine, daemon_says: str) -> tuple[Finding, ...]:
+    """What a camera delivered, or why it did not.
+
+    Parameters
+    ----------
+    source : V4l2
+    captured : Captured
+    machine : Machine
+    daemon_says : str
+        What the running daemon says of itself; empty when none runs here.
+    """
+    if captured.error and (busy := _busy(source.device, machine, daemon_says)):
+        return (busy,)
+    findings: list[Finding] = []
+    if captured.error:
+        mend = "plug it in again, into another USB port or a powered hub; sudo dmesg tells what the kernel saw"
+        findings.append(fault("camera frames", captured.error.removeprefix(f"camera {source.device}: "), mend))
+    if not captured.t_ns:
+        return tuple(findings)
+    findings += [_check_rate(source.fps, captured), _check_stamps(captured)]
+    findings += _check_locks(captured)
+    return (*findings, check_picture(captured.images[-1]))
+
+
+def check_other_source(captured: Captured, fps: float) -> tuple[Finding, ...]:
+    """What a source that is no camera delivered: files, or the simulated sensor."""
+    if captured.error:
+        return (fault("source", captured.error, "mend source.path, or what is there"),)
+    what = captured.described.get("path", captured.described.get("device", "source"))
+    if not captured.images:
+        return (fault("source", f"{what}: gave no image", "choose another source.path"),)
+    if len(captured.t_ns) < 10:
+        return (ok("source", f"{what}: {len(captured.t_ns)} frames"), check_picture(captured.images[-1]))
+    return (_check_rate(fps, captured, check="source", what=f"{what}: "), check_picture(captured.images[-1]))
+
+
+def check_picture(image: U8) -> Finding:
+    """Whether an image shows anything, whatever the sensor."""
+    grey = to_grey(image)
+    height, width = grey.shape
+    disc = Disc((height - 1) / 2, (width - 1) / 2, min(height, width) / 2)
+    reason = invalid_reason(grey, frame_check(grey, disc_mask(height, width, disc), disc))
+    if not reason:
+        return ok("picture", f"{width}x{height} px, mean grey {grey.mean():.0f}, deviation {grey.std():.0f}")
+    mend = next(
+        (mend for start, mend in _PICTURE_MENDS.items() if reason.startswith(start)), _PICTURE_MENDS["no contrast"]
+    )
+    return fault("picture", reason, mend)
+
+
+def _busy(device: str, machine: Machine, daemon_says: str) -> Finding | None:
+    """Who holds the camera; None when nobody does."""
+    with contextlib.suppress(TacshadeError):
+        if not v4l2_node.is_busy(str(machine.at(device))):
+            return None
+        daemon, holders = machine.daemon(), machine.holders(device)
+        if daemon_says and (daemon in holders or not holders):
+            mend = "to look at the camera itself: sudo systemctl stop tacshade-edge, and start it again afterwards"
+            return warning("camera frames", f"the running daemon holds the camera; it says: {daemon_says}", mend)
+        if not holders:
+            mend = "run this with sudo to see which, and end it"
+            return fault("camera frames", "another program holds the camera", mend)
+        who = holders[0]
+        return fault("camera frames", f"{who} holds the camera", f"end that program: kill {who.pid}")
+    return None
+
+
+def _check_rate(asked_fps: float, captured: Captured, check: str = "camera frames", what: str = "") -> Finding:
+    lost = f", {captured.dropped} lost" if captured.dropped else ""
+    found = f"{what}{captured.fps:.1f} frames/s, {asked_fps:g} asked{lost}"
+    if captured.fps < _RATE_PART * asked_fps:
+        mend = (
+            "shorten source.exposure below the frame's period, choose a rate that the camera has, or a smaller size"
+            if check == "camera frames"
+            else "lower source.fps, or end what else keeps this machine busy"
+        )
+        return warning(check, found, mend)
+    if captured.dropped and check == "camera frames":
+        return warning(check, found, "use fourcc MJPG, a USB port of its own, a shorter cable")
+    return ok(check, found)
+
+
+def _check_stamps(captured: Captured) -> Finding:
+    age_s = max(arrived - taken for taken, arrived in zip(captured.t_ns, captured.arrived_ns, strict=True)) / 1e9
+    found = f"time stamps {captured.described.get('time_stamps', 'on arrival')}, frames up to {1e3 * age_s:.0f} ms old"
+    if any(later <= earlier for earlier, later in pairwise(captured.t_ns)):
+        return warning("camera time", f"{found}, not in order", "update the kernel, or use another camera")
+    if captured.described.get("time_stamps") != "kernel":
+        mend = "poses will match less well; a camera of the driver uvcvideo gives the kernel's time stamps"
+        return warning("camera time", found, mend)
+    if age_s > _AGE_MAX_S:
+        return warning("camera time", found, "end what else keeps this machine busy, or lower source.fps")
+    return ok("camera time", found)
+
+
+def _check_locks(captured: Captured) -> list[Finding]:
+    findings = []
+    for key, label in (("exposure", "exposure"), ("white_balance", "white balance")):
+        held = str(captured.described.get(key, "not known"))
+        found = f"{label}: {held}" + (" in this driver" if held == "no control" else "")
+        if held.startswith("automatic"):
+            mend = (
+                f"its changes look like touch: try `v4l2-ctl -d DEVICE -L` for a control of {label}, or another camera"
+            )
+            findings.append(warning("camera control", found, mend))
+        else:
+            findings.append(ok("camera control", found))
+    return findings
+
+
+def _choose(machine: Machine) -> str:
+    """What to do without the configured camera."""
+    cameras = found_cameras(machine)
+    if cameras:
+        return f"set source.device to one of: {', '.join(_labelled(name, machine) for name in cameras)}"
+    return (
+        CSI_MEND if has_csi_receiver(machine) else "plug the camera in (lsusb shows whether USB sees it); none is here"
+    )
+
+
+def _labelled(name: str, machine: Machine) -> str:
+    card = card_name(name, machine)
+    return f"{name} ({card})" if card else name
+
+
+def _bare(error: TacshadeError) -> str:
+    return str(error).removeprefix("camera ")

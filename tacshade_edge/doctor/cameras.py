@@ -1,0 +1,60 @@
+"""Which cameras a machine has, by the names that survive replugging."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from tacshade_edge.doctor.machine import Machine
+
+# Best first. The second are the names by USB port that this project's udev rules add.
+_NAMES = ("/dev/v4l/by-id", "/dev/tacshade", "/dev/v4l/by-path")
+# Nodes of a Raspberry Pi's own: its CSI receivers, and what every Pi has with or without a camera.
+CSI_RECEIVERS = ("unicam", "rp1-cfe")
+_OWN_NODES = (*CSI_RECEIVERS, "bcm2835-isp", "bcm2835-codec", "pispbe", "rpi-hevc-dec", "rpivid")
+CSI_MEND = (
+    "CSI (ribbon cable) cameras of a Raspberry Pi do not work through this interface: use a USB camera, or feed a "
+    "v4l2loopback device from rpicam-vid and set source.device to it"
+)
+
+
+def card_name(device: str, machine: Machine) -> str:
+    """What the driver calls the node; empty when the kernel has none."""
+    node = os.path.basename(os.path.realpath(machine.at(device)))
+    return machine.read(f"/sys/class/video4linux/{node}/name")
+
+
+def is_csi(device: str, machine: Machine) -> bool:
+    """Whether the node is one of a Raspberry Pi's own, which no USB camera is behind."""
+    return card_name(device, machine).startswith(_OWN_NODES)
+
+
+def has_csi_receiver(machine: Machine) -> bool:
+    """Whether there is a node of a CSI receiver."""
+    return any(card_name(f"/dev/{node.name}", machine).startswith(CSI_RECEIVERS) for node in _nodes(machine))
+
+
+def stable_name(device: str, machine: Machine) -> str:
+    """The name of the same node that survives replugging; empty when there is none."""
+    target = os.path.realpath(machine.at(device))
+    for folder in _NAMES:
+        for path in machine.names(folder):
+            if os.path.realpath(path) == target:
+                return machine.name_of(path)
+    return ""
+
+
+def found_cameras(machine: Machine) -> list[str]:
+    """A device name for each camera, the stable one where it has one."""
+    names = []
+    for node in _nodes(machine):
+        device = f"/dev/{node.name}"
+        # The higher indices of a USB camera carry metadata.
+        first = machine.read(f"/sys/class/video4linux/{node.name}/index") in ("", "0")
+        if first and not is_csi(device, machine):
+            names.append(stable_name(device, machine) or device)
+    return names
+
+
+def _nodes(machine: Machine) -> list[Path]:
+    return machine.names("/dev", "video[0-9]*")

@@ -1,0 +1,70 @@
+"""Frames of the daemon's own source, taken as the daemon takes them, before anything is judged."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from dataclasses import dataclass, field
+
+from tacshade_edge.devices.base import FrameSource
+from tacshade_edge.errors import TacshadeError
+from tacshade_edge.types import U8
+
+FRAMES = 30
+LIMIT_S = 3.0
+_IMAGES_KEPT = 10  # the last ones; a camera's first may still be settling
+_SETTLING = 5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Captured:
+    """What a source gave.
+
+    Attributes
+    ----------
+    images : tuple of uint8 (H, W) or (H, W, 3)
+        The last ten at most.
+    t_ns, arrived_ns : tuple of int
+        CLOCK_MONOTONIC when each frame was taken, as the source says, and when it was read.
+    dropped : int
+        As the source counts them.
+    described : dict
+        What was negotiated, as in ``status/camera``.
+    error : str
+        Why it did not open, or ended early; empty when it did neither.
+    """
+
+    images: tuple[U8, ...] = ()
+    t_ns: tuple[int, ...] = ()
+    arrived_ns: tuple[int, ...] = ()
+    dropped: int = 0
+    described: dict[str, str | int | float] = field(default_factory=dict)
+    error: str = ""
+
+    @property
+    def fps(self) -> float:
+        """The true rate, without the first frames, which often come late; 0 when there are too few."""
+        t_ns = self.t_ns[_SETTLING:]
+        return 1e9 * (len(t_ns) - 1) / (t_ns[-1] - t_ns[0]) if len(t_ns) > 1 and t_ns[-1] > t_ns[0] else 0.0
+
+
+def capture(source: FrameSource) -> Captured:
+    """Open a source, read 30 frames or as many as come in 3 s, close it."""
+    images: deque[U8] = deque(maxlen=_IMAGES_KEPT)
+    t_ns: list[int] = []
+    arrived_ns: list[int] = []
+    described: dict[str, str | int | float] = {}
+    error = ""
+    try:
+        source.open()
+        deadline_s = time.monotonic() + LIMIT_S
+        while len(t_ns) < FRAMES and time.monotonic() < deadline_s and (frame := source.read()) is not None:
+            images.append(frame.image)
+            t_ns.append(frame.t_ns)
+            arrived_ns.append(time.monotonic_ns())
+        described = source.describe()
+    except TacshadeError as problem:
+        error = str(problem)
+    finally:
+        source.close()
+    return Captured(tuple(images), tuple(t_ns), tuple(arrived_ns), source.dropped, described, error)

@@ -1,0 +1,127 @@
+"""Every check in its order: the one place that knows them all.
+
+What may hang runs in threads with a limit: broker, serial ports, disk, clock and board side by side, then the
+camera's node, its frames, and what is computed of them. Together under 20 s, whatever hangs.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import TypeVar
+
+from tacshade_edge.devices import registry
+from tacshade_edge.doctor import calibration
+from tacshade_edge.doctor.board import check_board
+from tacshade_edge.doctor.broker import Heard, check_broker, judge_daemon
+from tacshade_edge.doctor.camera import check_device, check_frames, check_other_source, list_cameras
+from tacshade_edge.doctor.capture import Captured, capture
+from tacshade_edge.doctor.clock import check_clock
+from tacshade_edge.doctor.disk import check_disk
+from tacshade_edge.doctor.finding import Finding, fault
+from tacshade_edge.doctor.limits import outcome, start
+from tacshade_edge.doctor.machine import Machine
+from tacshade_edge.doctor.serial import check_serial
+from tacshade_edge.doctor.settings import check_settings
+from tacshade_edge.settings import Document, Source, V4l2
+
+T = TypeVar("T")
+Findings = tuple[Finding, ...]
+
+MACHINE_S, NODE_S, CAPTURE_S, JUDGE_S = 7.0, 2.0, 7.0, 3.0
+_STATE_FOLDER = Path("/var/lib/tacshade-edge")
+_REPLUG = "unplug the camera and plug it in again; if it stays so, reboot"
+_AGAIN = "run it again; if it stays so, reboot; then report it with this line"
+
+
+def diagnose(config: Path, machine: Machine) -> Iterator[Finding]:
+    """Check all that can be checked; findings come as soon as they are known.
+
+    The first is on the settings file; what needs no settings is checked without them too.
+    """
+    finding, document, broker_usable = check_settings(config)
+    yield finding
+    settings = document.settings if document else None
+    deadline_s = time.monotonic() + MACHINE_S
+    folder = Path(settings.calibration).parent if settings else _STATE_FOLDER
+    parts: dict[str, Callable[[], Findings]] = {
+        "serial": lambda: check_serial(machine),
+        "disk": lambda: check_disk(folder, machine),
+        "clock": check_clock,
+        "board": lambda: check_board(machine),
+    }
+    broker = start(lambda: _ask_broker(document, machine)) if document and broker_usable else None
+    running = {name: start(check) for name, check in parts.items()}
+    heard = Heard()
+    if broker:
+        findings, heard = outcome(broker, deadline_s, _no_broker)
+        yield from findings
+    for name, check in running.items():
+        yield from outcome(check, deadline_s, _failed(name, _AGAIN))
+    if document is None:
+        yield from _limited(lambda: (list_cameras(machine),), NODE_S, _failed("camera", _AGAIN))
+    else:
+        yield from _sensor(document, heard, machine)
+
+
+def _sensor(document: Document, heard: Heard, machine: Machine) -> Iterator[Finding]:
+    """The source, and its frames against the calibration."""
+    source = document.settings.source
+    found: Findings = ()
+    if isinstance(source, V4l2):
+        found = _limited(partial(check_device, source, machine), NODE_S, _failed("camera", _REPLUG))
+        yield from found
+    captured = Captured()
+    if not any(finding.state == "fault" for finding in found):
+        captured, found = _limited(lambda: _watch(source, heard, machine), CAPTURE_S, _no_frames)
+        yield from found
+    yield from _limited(lambda: _judge(document, captured), JUDGE_S, _failed("calibration", _AGAIN))
+
+
+def _watch(source: Source, heard: Heard, machine: Machine) -> tuple[Captured, Findings]:
+    captured = capture(registry.make_source(source))
+    if not isinstance(source, V4l2):
+        return captured, check_other_source(captured, source.fps)
+    daemon_says = "nothing, it is not on this broker" if machine.daemon() else ""
+    return captured, check_frames(source, captured, machine, str(heard) if heard.alive else daemon_says)
+
+
+def _judge(document: Document, captured: Captured) -> Findings:
+    known, findings = calibration.load(document)
+    if known is None or not captured.images:
+        return findings
+    return (*findings, *calibration.check_images(known, captured.images, isinstance(document.settings.source, V4l2)))
+
+
+def _ask_broker(document: Document, machine: Machine) -> tuple[Findings, Heard]:
+    mqtt, sensor_id = document.settings.mqtt, document.settings.sensor_id
+    findings, heard = check_broker(
+        host=mqtt.host,
+        port=mqtt.port,
+        sensor_id=sensor_id,
+        username=mqtt.username,
+        password=registry.read_password(document),
+        tls_ca=mqtt.ca_file,
+    )
+    if any(finding.state == "fault" for finding in findings):
+        return findings, heard
+    return (*findings, judge_daemon(heard, machine.daemon(), sensor_id)), heard
+
+
+def _no_broker(why: str) -> tuple[Findings, Heard]:
+    mend = "is mqtt.host right, does the network work, and is the name server reachable?"
+    return (fault("broker", why, mend),), Heard()
+
+
+def _no_frames(why: str) -> tuple[Captured, Findings]:
+    return Captured(), (fault("camera frames", why, _REPLUG),)
+
+
+def _failed(check: str, mend: str) -> Callable[[str], Findings]:
+    return lambda why: (fault(check, why, mend),)
+
+
+def _limited(job: Callable[[], T], limit_s: float, failed: Callable[[str], T]) -> T:
+    return outcome(start(job), time.monotonic() + limit_s, failed)

@@ -1,0 +1,45 @@
+"""Where calibrations and recordings go: is there room, may it be written, is the card worn out?"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from tacshade_edge.doctor.finding import Finding, fault, ok, warning
+from tacshade_edge.doctor.machine import Machine
+
+_FULL_BYTES, _LOW_BYTES = 50_000_000, 1_000_000_000
+_WORN = 9  # of 10, in JEDEC's estimate of an eMMC's life
+
+
+def check_disk(folder: Path, machine: Machine) -> tuple[Finding, ...]:
+    """Findings on the file system of `folder` (or of its first parent that exists)."""
+    existing = next(path for path in (folder, *folder.parents) if path.is_dir())
+    status = os.statvfs(existing)
+    read_only = bool(status.f_flag & os.ST_RDONLY)
+    return (*judge(folder, status.f_bavail * status.f_frsize, read_only), *check_wear(machine))
+
+
+def judge(folder: Path, free_bytes: int, read_only: bool) -> tuple[Finding, ...]:
+    """Findings on what statvfs(2) tells."""
+    if read_only:
+        mend = "mount it writable; if it became read-only by itself the card may be failing: sudo dmesg tells"
+        return (fault("disk", f"{folder} is on a read-only file system", mend),)
+    free = f"{folder}: {free_bytes / 1e9:.1f} GB free"
+    clear = "delete old recordings and logs (sudo journalctl --vacuum-size=100M; sudo apt clean)"
+    if free_bytes < _FULL_BYTES:
+        return (fault("disk", f"{free}, too little to write a calibration", clear),)
+    if free_bytes < _LOW_BYTES:
+        return (warning("disk", f"{free}, recordings will soon fill it", clear),)
+    return (ok("disk", free),)
+
+
+def check_wear(machine: Machine) -> tuple[Finding, ...]:
+    """A warning for each eMMC that is near its end by its own count; SD cards do not tell."""
+    worn = []
+    for block in machine.names("/sys/block", "mmcblk*"):
+        steps = [int(word, 16) for word in machine.read(f"/sys/block/{block.name}/device/life_time").split()]
+        if max(steps, default=0) >= _WORN:
+            found = f"{block.name} has used {10 * (max(steps) - 1)} % or more of its life"
+            worn.append(warning("disk", found, "copy what matters and replace it soon"))
+    return tuple(worn)

@@ -1,0 +1,95 @@
+"""What the kernel's file systems tell of devices and processes; the root is an argument, so that tests build one."""
+
+from __future__ import annotations
+
+import grp
+import os
+import pwd
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+
+@dataclass(frozen=True, slots=True)
+class Process:
+    """A process: its number and its command line."""
+
+    pid: int
+    words: tuple[str, ...]
+
+    def __str__(self) -> str:
+        command = " ".join(os.path.basename(word) for word in self.words)
+        return f"process {self.pid} ({command[:60] or 'no name'})"
+
+
+@dataclass(frozen=True, slots=True)
+class Machine:
+    """The machine below `root`, which has dev, proc and sys."""
+
+    root: Path = Path("/")
+
+    def at(self, path: str) -> Path:
+        """The absolute `path` on this machine."""
+        return self.root / path.lstrip("/")
+
+    def name_of(self, path: Path) -> str:
+        """The absolute path that the machine's users know."""
+        return f"/{path.relative_to(self.root)}"
+
+    def read(self, path: str) -> str:
+        """The stripped text of a file; empty when there is none that may be read."""
+        try:
+            return self.at(path).read_text(errors="replace").strip()
+        except OSError:
+            return ""
+
+    def names(self, folder: str, pattern: str = "*") -> list[Path]:
+        """What a folder holds, in the order of the names; nothing when there is no folder."""
+        return sorted(self.at(folder).glob(pattern), key=lambda path: (len(path.name), path.name))
+
+    def processes(self) -> list[Process]:
+        """Every process that may be seen, but this one."""
+        found = []
+        for folder in self.names("/proc", "[0-9]*"):
+            words = tuple(self.read(f"/proc/{folder.name}/cmdline").rstrip("\0").split("\0"))
+            if int(folder.name) != os.getpid():
+                found.append(Process(int(folder.name), words))
+        return found
+
+    def holders(self, device: str) -> list[Process]:
+        """The other processes that have a device open, as far as may be seen (root sees all)."""
+        target = os.path.realpath(self.at(device))
+        return [process for process in self.processes() if self._holds(process, target)]
+
+    def _holds(self, process: Process, target: str) -> bool:
+        try:
+            return any(os.readlink(fd) == target for fd in self.at(f"/proc/{process.pid}/fd").iterdir())
+        except OSError:  # it ended meanwhile, or is another user's
+            return False
+
+    def daemon(self) -> Process | None:
+        """The ``tacshade-edge run`` of this machine."""
+        for process in self.processes():
+            for program, command in pairwise(process.words[:4]):
+                if os.path.basename(program) in ("tacshade-edge", "tacshade_edge") and command == "run":
+                    return process
+        return None
+
+
+def may_use(path: Path) -> bool:
+    """Whether this user may read and write a device."""
+    return os.access(path, os.R_OK | os.W_OK, effective_ids=True)
+
+
+def permission_mend(path: Path, usual_group: str) -> str:
+    """The command that gives this user the device."""
+    user = pwd.getpwuid(os.geteuid()).pw_name
+    try:
+        group = grp.getgrgid(path.stat().st_gid).gr_name
+    except KeyError:
+        group = usual_group
+    if group == "root":  # no group to join: udev's rules are missing
+        return "install udev's rules (systemd/install.sh does), then plug it in again"
+    if user in grp.getgrnam(group).gr_mem:
+        return f"{user} is in the group {group} since the last login: log out and in again"
+    return f"sudo usermod -aG {group} {user}, then log out and in again"

@@ -1,0 +1,73 @@
+"""Serial ports that a robot may be on: permission, other users, FTDI's delay. No port is opened: that resets robots."""
+
+from __future__ import annotations
+
+import os
+import re
+
+from tacshade_edge.doctor.finding import Finding, ok, warning
+from tacshade_edge.doctor.machine import Machine, may_use, permission_mend
+
+_PORT = re.compile(r"tty(USB|ACM|AMA|S|THS)\d+")
+_NO_UART = "0"  # /sys/class/tty/ttyS*/type of a place where there is no chip
+_LATENCY_MS = 1
+_FTDI_RULE = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'
+
+
+def check_serial(machine: Machine) -> tuple[Finding, ...]:
+    """One line for each port that is well, one for each thing that is not."""
+    ports = [path.name for path in machine.names("/sys/class/tty", "tty*") if _PORT.fullmatch(path.name)]
+    ports = [port for port in ports if machine.read(f"/sys/class/tty/{port}/type") != _NO_UART]
+    if not ports:
+        return (ok("serial", "no serial port found; none is needed without a robot's poses"),)
+    return tuple(finding for port in ports for finding in _check_port(port, machine))
+
+
+def _check_port(port: str, machine: Machine) -> tuple[Finding, ...]:
+    device = f"/dev/{port}"
+    path = machine.at(device)
+    names = [device, *_stable_names(device, machine)]
+    label = device if len(names) == 1 else f"{device}, best called {names[1]}"
+    if not path.exists():
+        return (warning("serial", f"{device}: the kernel has this port, /dev does not", "sudo udevadm trigger"),)
+    wrong = []
+    if not may_use(path):
+        wrong.append(warning("serial", f"{label}: no permission", permission_mend(path, "dialout")))
+    if _is_console(port, machine):
+        mend = (
+            f"sudo systemctl disable --now serial-getty@{port}; on a Raspberry Pi also: sudo raspi-config, Interface "
+            "Options, Serial Port, no login shell, then reboot. Leave it if no robot is on this port"
+        )
+        wrong.append(warning("serial", f"{label}: the system's console is on it and would talk to a robot", mend))
+    wrong += [
+        warning("serial", f"{label}: in use by {process}", f"end it, if a robot is on this port: kill {process.pid}")
+        for process in machine.holders(device)
+        if not any(word.endswith("getty") for word in process.words[:1])
+    ]
+    timer = machine.read(f"/sys/class/tty/{port}/device/latency_timer")
+    if timer.isdecimal() and int(timer) > _LATENCY_MS:
+        mend = (
+            f"echo {_LATENCY_MS} | sudo tee /sys/class/tty/{port}/device/latency_timer; to keep it, put this line into "
+            f"/etc/udev/rules.d/90-ftdi.rules: {_FTDI_RULE}"
+        )
+        wrong.append(warning("serial", f"{label}: its chip holds bytes back for up to {timer} ms", mend))
+    return tuple(wrong) or (ok("serial", f"{label}: free to use"),)
+
+
+def _stable_names(device: str, machine: Machine) -> list[str]:
+    target = os.path.realpath(machine.at(device))
+    folders = ("/dev/serial/by-id", "/dev/serial/by-path")
+    paths = [path for folder in folders for path in machine.names(folder)]
+    return [machine.name_of(path) for path in paths if os.path.realpath(path) == target]
+
+
+def _is_console(port: str, machine: Machine) -> bool:
+    """Whether the kernel or a login uses the port; serial0 is a Pi's name for its first one."""
+    consoles = [word.partition("=")[2] for word in machine.read("/proc/cmdline").split() if word.startswith("console=")]
+    targets = [os.path.realpath(machine.at(f"/dev/{name.partition(',')[0]}")) for name in consoles]
+    if os.path.realpath(machine.at(f"/dev/{port}")) in targets:
+        return True
+    return any(
+        process.words[0].endswith("getty") and any(word in (port, f"/dev/{port}") for word in process.words[1:])
+        for process in machine.processes()
+    )

@@ -1,0 +1,40 @@
+"""The settings file: what `run` would refuse at its start, as one finding."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tacshade_edge.devices import registry
+from tacshade_edge.doctor.finding import Finding, fault, ok
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.settings import Document, load
+
+SETTINGS = "settings"
+_UNTIL = "until then {} not checked"
+
+
+def check_settings(config: Path) -> tuple[Finding, Document | None, bool]:
+    """Read the settings.
+
+    Returns
+    -------
+    finding : Finding
+    document : Document or None
+        None when they cannot be used at all.
+    broker : bool
+        Whether the broker's part can be used; its password and certificate files are checked here.
+    """
+    try:
+        document = load(config)
+    except ConfigError as error:
+        until = _UNTIL.format("the configured camera, the calibration and the broker are")
+        mend = f"mend that line (config/default.yaml explains every key); {until}"
+        if not config.exists():
+            mend = f"copy config/default.yaml there and edit it, or give --config FILE; {until}"
+        return fault(SETTINGS, str(error), mend), None, False
+    try:
+        registry.check_broker_files(document)
+        registry.make_link(document, on_request=lambda _: None, on_outcome=lambda *_: None)
+    except ConfigError as error:
+        return fault(SETTINGS, str(error), f"mend that line; {_UNTIL.format('the broker is')}"), document, False
+    return ok(SETTINGS, f"{config}, sensor {document.settings.sensor_id}"), document, True
