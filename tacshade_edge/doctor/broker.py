@@ -20,6 +20,7 @@ from tacshade_edge.devices.mqtt_client import make_client
 from tacshade_edge.doctor.finding import Finding, fault, ok, warning
 from tacshade_edge.doctor.machine import Process
 
+_CONNECT_S = 3.0
 _KEEPALIVE_S = 3  # paho's limit for the TLS handshake too
 _ANSWER_S = 2.0
 _ROUNDS = 6  # the first warms up
@@ -144,9 +145,13 @@ def _listen(client: Client, topic: str) -> _Session:
 
 
 def _connect(client: Client, host: str, port: int, tls_ca: str | None) -> Finding | None:
-    """Open the connection; what is wrong with it."""
+    """Open the connection; what is wrong with it.
+
+    Once by ourselves, since paho leaves a socket open whose TLS handshake failed, then by paho.
+    """
     where = f"{host}:{port}"
     try:
+        _reach(host, port, tls_ca)
         client.connect(host, port, _KEEPALIVE_S, clean_start=True)
     except socket.gaierror as error:
         mend = "is mqtt.host spelt right, and does the network work? Try: getent hosts " + host
@@ -169,10 +174,19 @@ def _connect(client: Client, host: str, port: int, tls_ca: str | None) -> Findin
         mend = f"is the address right, the machine on, its firewall open for port {port}?"
         if tls_ca:
             mend += " Is it the TLS port?"
-        return fault("broker", f"{where}: no answer within {_KEEPALIVE_S} s", mend)
+        return fault("broker", f"{where}: no answer within {_CONNECT_S:g} s", mend)
     except OSError as error:
         return fault("broker", f"{where}: {error.strerror or error}", "does the network work? Is mqtt.host right?")
     return None
+
+
+def _reach(host: str, port: int, tls_ca: str | None) -> None:
+    """Open and close a connection. Raises OSError."""
+    with socket.create_connection((host, port), _CONNECT_S) as plain:
+        if tls_ca is not None:
+            context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+            context.load_verify_locations(tls_ca)
+            context.wrap_socket(plain, server_hostname=host).close()
 
 
 def _certificate_mend(error: ssl.SSLCertVerificationError, host: str) -> str:
@@ -231,7 +245,11 @@ def _round_trip(client: Client, session: _Session, base: str, username: str | No
             found = f"a message to {topic} did not come back within {_ANSWER_S:g} s"
             return fault("broker round trip", found, f"may we read it? {acl}; or the network is too slow")
         took_ms.append(1e3 * (time.monotonic() - began_s))
-    middle_ms = statistics.median(took_ms[1:])
+    return judge_round_trip(statistics.median(took_ms[1:]))
+
+
+def judge_round_trip(middle_ms: float) -> Finding:
+    """Whether messages of 38 KB are quick enough."""
     found = f"{_MESSAGE_BYTES // 1000} KB there and back in {middle_ms:.1f} ms"
     if middle_ms > _SLOW_MS:
         mend = (

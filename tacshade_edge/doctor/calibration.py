@@ -19,21 +19,21 @@ from tacshade_edge.settings import Document
 from tacshade_edge.types import U8, Calibration, Frame
 
 _MOVED_PART = 0.02  # of the disc's radius
-_NOISIER = 3.0
-_NOISE_LEVELS = 3.0
+_NOISIER, _NOISE_LEVELS = 2.0, 2.0
 _DAY_S = 86400
 RECALIBRATE = "calibrate again (docs/calibration.md): tacshade-edge calibrate ... --out {path}"
 _REZERO = (
     "with nothing touching the skin, publish {} to tacshade/SENSOR/req/reference while the daemon runs; if that does "
     "not last, calibrate again (docs/calibration.md)"
 )
-# What invalid_reason begins with, and what mends it.
+# What the reason of an unusable or a degraded frame begins with, and what mends it.
 _MENDS = {
     "size": "set source.width_px and height_px to the calibration's, or calibrate again at this size",
     "black": "switch the sensor's light on",
     "no contrast": "switch the sensor's light on; is the camera in focus?",
     "saturated": "dim the sensor's light, or lower source.exposure to what it was when calibrating",
     "light": "bring the light and source.exposure back to what they were when calibrating, or calibrate again",
+    "glare": "light from outside falls into the sensor or mirrors in it: shade it",
     "noise": "more light and less gain; check the camera's cable",
     "torn or moved": "the camera or its light moved: fix it where it was, or calibrate again",
     "torn": "frames are damaged on their way: another USB port, a shorter cable, a lower rate",
@@ -80,7 +80,7 @@ def check_images(calibration: Calibration, images: Sequence[U8], live: bool) -> 
         found = f"the skin seems pressed by {result.depth_max_mm:.1f} mm; if nothing touches it, it has changed"
         return (*moved, warning("sensor", found, _REZERO))
     if result.degraded:
-        return (*moved, warning("sensor", result.degraded, _REZERO))
+        return (*moved, warning("sensor", result.degraded, _mend(result.degraded)))
     return (*moved, _check_noise(calibration, images))
 
 

@@ -1,0 +1,102 @@
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from calibrated_sensor import HALF, calibrated, pressed, unloaded
+from painted_sensor import painted_calibration
+
+from tacshade_edge.devices import calibration_file
+from tacshade_edge.doctor.calibration import check_images, load
+from tacshade_edge.doctor.finding import Finding
+from tacshade_edge.settings import load as load_settings
+from tacshade_edge.types import U8
+
+
+def judged(images: Sequence[U8], live: bool = True) -> dict[str, Finding]:
+    findings = check_images(calibrated(HALF), images, live)
+    assert all(bool(finding.mend) == (finding.state != "ok") for finding in findings)
+    return {finding.check: finding for finding in findings}
+
+
+def free(count: int = 5) -> list[U8]:
+    return [unloaded(noise_seed=50 + k) for k in range(count)]
+
+
+def test_a_sensor_as_it_was_calibrated() -> None:
+    findings = judged(free())
+    assert [finding.state for finding in findings.values()] == ["ok", "ok"]
+    assert findings["sensor"].found.startswith("looks as calibrated, no contact, noise ")
+
+
+def test_a_camera_that_moved() -> None:
+    shifted = [np.roll(image, 4, axis=1) for image in free()]
+    place = judged(shifted)["camera place"]
+    assert place.state == "warning"
+    assert place.found.startswith(("visible circle 3.", "visible circle 4."))
+    assert "fix it where it was" in place.mend
+
+
+def test_a_pressed_skin() -> None:
+    images = [pressed("ball", 3.0).image]
+    sensor = judged(images)["sensor"]
+    assert sensor.state == "warning"
+    assert "the skin seems pressed by" in sensor.found
+    assert judged(images, live=False)["sensor"].state == "ok", "files show presses"
+
+
+@pytest.mark.parametrize(
+    ("image", "reason", "mend"),
+    [
+        (np.zeros((240, 320), np.uint8), "black", "switch the sensor's light on"),
+        (np.zeros((480, 640), np.uint8), "size: 640x480 px, calibrated for 320x240", "set source.width_px"),
+        (np.full((240, 320), 255, np.uint8), "saturated", "dim the sensor's light"),
+        ((unloaded() * 0.35).astype(np.uint8), "light: ", "bring the light"),
+    ],
+)
+def test_an_image_that_cannot_be_used(image: U8, reason: str, mend: str) -> None:
+    sensor = judged([image])["sensor"]
+    assert sensor.state == "fault"
+    assert sensor.found.startswith(f"frames cannot be used: {reason}")
+    assert sensor.mend.startswith(mend)
+
+
+def test_a_sensor_that_shakes() -> None:
+    shaken = [np.roll(image, k % 2, axis=1) for k, image in enumerate(free(6))]
+    sensor = judged(shaken)["sensor"]
+    assert sensor.state == "warning"
+    assert sensor.found.startswith("noise ")
+    assert "when calibrated" in sensor.found
+
+
+def test_glare() -> None:
+    image = unloaded().copy()
+    image[100:130, 150:180] = 255
+    sensor = judged([image])["sensor"]
+    assert sensor.state == "warning"
+    assert sensor.found.startswith("glare: ")
+    assert "shade it" in sensor.mend
+
+
+def test_the_file(tmp_path: Path) -> None:
+    config = tmp_path / "s.yaml"
+    config.write_text("calibration: c.npz\nsource: {kind: simulated}\n")
+    absent, (finding,) = load(load_settings(config))
+    assert absent is None
+    assert finding.state == "fault"
+    assert f"--out {tmp_path}/c.npz" in finding.mend
+    calibration_file.save(tmp_path / "c.npz", painted_calibration())
+    known, (finding,) = load(load_settings(config))
+    assert known is not None
+    assert finding.state == "ok"
+    assert f"{known.crc32:08x}, 0 days old" in finding.found
+    calibration_file.save(tmp_path / "c.npz", calibrated(HALF, 0))
+    _, (finding,) = load(load_settings(config))
+    assert finding.state == "warning"
+    assert "--presses" in finding.mend
+    config.write_text("calibration: c.npz\n")
+    known, (finding,) = load(load_settings(config))
+    assert known is None
+    assert "found 640x480 px, expected 320x240 px" in finding.found

@@ -1,0 +1,95 @@
+from __future__ import annotations
+
+import os
+import socket
+import time
+from pathlib import Path
+from typing import Any
+
+import cv2
+import pytest
+from mqtt_rig import free_port
+from painted_sensor import FREE, painted_calibration
+
+from tacshade_edge.devices import calibration_file
+from tacshade_edge.doctor.diagnose import CAPTURE_S, JUDGE_S, MACHINE_S, NODE_S, diagnose
+from tacshade_edge.doctor.finding import Finding
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    calibration_file.save(tmp_path / "c.npz", painted_calibration())
+    cv2.imwrite(str(tmp_path / "a.png"), FREE)
+    path = tmp_path / "s.yaml"
+    path.write_text(
+        f"calibration: c.npz\nmqtt: {{port: {free_port()}}}\n"
+        "source: {kind: files, path: a.png, fps: 240, loop: true}\n"
+    )
+    return path
+
+
+def checked(config: Path, machine: Any) -> dict[str, Finding]:
+    found: dict[str, Finding] = {}
+    for finding in diagnose(config, machine):
+        assert bool(finding.mend) == (finding.state != "ok"), finding
+        assert "\n" not in finding.found + finding.mend, "a line"
+        found[finding.check] = finding
+    return found
+
+
+def test_every_subject_is_checked_whatever_another_says(config: Path, machine: Any) -> None:
+    found = checked(config, machine)
+    assert {"settings", "broker", "serial", "disk", "clock", "source", "picture", "calibration", "sensor"} <= set(found)
+    assert found["settings"].state == "ok"
+    assert "refused, nothing listens there" in found["broker"].found
+    assert "daemon" not in found, "nobody to ask"
+    assert found["sensor"].found == "looks as calibrated, no contact"
+
+
+def test_bad_settings_come_first_and_the_machine_is_checked(config: Path, machine: Any) -> None:
+    config.write_text("sensor: 1\n")
+    found = checked(config, machine)
+    assert next(iter(found)) == "settings"
+    assert found["settings"].state == "fault"
+    assert set(found) == {"settings", "serial", "disk", "clock", "camera"}
+
+
+def test_without_the_camera_the_calibration_is_read(config: Path, machine: Any) -> None:
+    config.write_text("calibration: c.npz\nsource: {kind: v4l2, width_px: 160, height_px: 120}\n")
+    found = checked(config, machine)
+    assert found["camera"].found == "/dev/video0: no such device"
+    assert found["calibration"].state == "ok"
+    assert "sensor" not in found
+
+
+def test_a_check_that_breaks_is_one_fault(config: Path, machine: Any) -> None:
+    machine.put("/sys/devices/platform/soc/soc:firmware/get_throttled", "not a number")
+    found = checked(config, machine)
+    assert found["board"].state == "fault"
+    assert found["board"].found.startswith("the check itself failed: ValueError")
+    assert found["sensor"].state == "ok"
+
+
+@pytest.mark.broker  # for its seconds of waiting
+def test_a_camera_and_a_broker_that_hang_are_left(config: Path, machine: Any) -> None:
+    """A pipe without a writer hangs whoever opens it, as a broken driver does."""
+    pipe = config.with_name("pipe")
+    os.mkfifo(pipe)
+    with socket.socket() as silent:
+        silent.bind(("127.0.0.1", 0))
+        silent.listen()
+        config.write_text(
+            f"calibration: pipe\nmqtt: {{host: 127.0.0.1, port: {silent.getsockname()[1]}}}\n"
+            "source: {kind: simulated}\n"
+        )
+        began_s = time.monotonic()
+        found = checked(config, machine)
+        took_s = time.monotonic() - began_s
+    assert "says nothing" in found["broker"].found
+    assert (found["calibration"].state, found["calibration"].found) == ("fault", "no answer in time")
+    assert took_s < 20
+    os.close(os.open(pipe, os.O_RDWR | os.O_NONBLOCK))
+
+
+def test_the_limits_keep_the_promise() -> None:
+    assert MACHINE_S + NODE_S + CAPTURE_S + JUDGE_S < 20

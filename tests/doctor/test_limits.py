@@ -1,0 +1,28 @@
+from __future__ import annotations
+
+import threading
+import time
+
+from tacshade_edge.doctor.limits import outcome, start
+
+
+def test_a_result() -> None:
+    assert outcome(start(lambda: 5), time.monotonic() + 10, lambda why: -1) == 5
+
+
+def test_a_job_that_hangs_is_left_behind() -> None:
+    release = threading.Event()
+    began_s = time.monotonic()
+    hung = start(lambda: str(release.wait(60)))
+    quick = start(lambda: "quick")
+    deadline_s = began_s + 0.05
+    assert outcome(hung, deadline_s, lambda why: why) == "no answer in time"
+    assert outcome(quick, deadline_s, lambda why: why) == "quick", "though the limit has passed"
+    assert time.monotonic() - began_s < 30
+    release.set()
+
+
+def test_a_job_that_breaks_is_told() -> None:
+    broken = start(lambda: str(1 // 0))
+    told = outcome(broken, time.monotonic() + 10, lambda why: why)
+    assert told == "the check itself failed: ZeroDivisionError: integer division or modulo by zero"

@@ -1,0 +1,41 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tacshade_edge.doctor.settings import check_settings
+
+
+@pytest.mark.parametrize(
+    ("text", "usable", "said"),
+    [
+        ("sensor: a\n", False, ":1: sensor: found an unknown key"),
+        ("source: {kind: simulated}\nmqtt: {ca_file: no.pem}\n", True, ":2: mqtt.ca_file: found no file"),
+        ("mqtt: {ca_file: s.yaml}\n", True, ":1: mqtt: TLS authority"),
+        ("mqtt: {username: a, password_file: none}\n", True, ":1: mqtt.password_file: "),
+    ],
+)
+def test_bad_settings(tmp_path: Path, text: str, usable: bool, said: str) -> None:
+    config = tmp_path / "s.yaml"
+    config.write_text(text)
+    finding, document, broker = check_settings(config)
+    assert finding.state == "fault"
+    assert finding.found.startswith(f"{config}{said}")
+    assert finding.mend.startswith("mend that line")
+    assert (document is not None, broker) == (usable, False)
+
+
+def test_no_file(tmp_path: Path) -> None:
+    finding, document, _ = check_settings(tmp_path / "none.yaml")
+    assert finding.mend.startswith("copy config/default.yaml there")
+    assert document is None
+
+
+def test_good_settings(tmp_path: Path) -> None:
+    config = tmp_path / "s.yaml"
+    config.write_text("sensor_id: left\n")
+    finding, document, broker = check_settings(config)
+    assert (finding.state, finding.found) == ("ok", f"{config}, sensor left")
+    assert document is not None
+    assert broker
