@@ -108,8 +108,8 @@ def check_broker(
 def judge_daemon(heard: Heard, local: Process | None, sensor_id: str) -> Finding:
     """Is a daemon running, and is it this machine's?"""
     if heard.alive and local is None:
-        mend = "stop that one, or give this sensor another sensor_id"
-        return warning("daemon", f"another machine's daemon is {heard.state} as {sensor_id}", mend)
+        mend = "stop that other daemon, or give this sensor another sensor_id"
+        return warning("daemon", f"none runs here, yet {sensor_id} is {heard.state} on this broker", mend)
     if local is None:
         return ok("daemon", "not running")
     if heard.state == "online":

@@ -14,6 +14,7 @@ from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.devices import registry
 from tacshade_edge.doctor.finding import Finding, fault, ok, warning
+from tacshade_edge.doctor.settings import AS_SERVICE
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.settings import Document
 from tacshade_edge.types import U8, Calibration, Frame
@@ -21,7 +22,10 @@ from tacshade_edge.types import U8, Calibration, Frame
 _MOVED_PART = 0.02  # of the disc's radius
 _NOISIER, _NOISE_LEVELS = 2.0, 2.0
 _DAY_S = 86400
-RECALIBRATE = "calibrate again (docs/calibration.md): tacshade-edge calibrate ... --out {path}"
+_CALIBRATE = (
+    "make one (docs/calibration.md): tacshade-edge calibrate --sensor SENSOR.yaml --reference ref_*.png "
+    "--presses PRESSES.csv --out {path}"
+)
 _REZERO = (
     "with nothing touching the skin, publish {} to tacshade/SENSOR/req/reference while the daemon runs; if that does "
     "not last, calibrate again (docs/calibration.md)"
@@ -46,7 +50,10 @@ def load(document: Document) -> tuple[Calibration | None, tuple[Finding, ...]]:
     try:
         calibration = registry.load_calibration(document)
     except ConfigError as error:
-        return None, (fault("calibration", str(error), RECALIBRATE.format(path=path)),)
+        mend = _CALIBRATE.format(path=path)
+        if os.path.exists(path) and not os.access(path, os.R_OK):
+            mend = f"run this with sudo, or as the service does: {AS_SERVICE}"
+        return None, (fault("calibration", str(error), mend),)
     days = (time.time() - os.stat(path).st_mtime) / _DAY_S
     found = f"{path}: {calibration.crc32:08x}, {max(days, 0):.0f} days old"
     if calibration.table_grey.size == 0:

@@ -20,6 +20,7 @@ from tacshade_edge.types import U8, Disc
 _FOURCCS = ("MJPG", "YUYV", "GREY")
 _RATE_PART = 0.9
 _RATE_OFF = 0.01  # 29.97 is 30
+_LOST_PART = 0.05  # a stream's start may cost a frame
 _AGE_MAX_S = 0.5
 _SIZES_SHOWN = 8
 _PICTURE_MENDS = {
@@ -162,7 +163,7 @@ def _check_rate(asked_fps: float, captured: Captured, check: str = "camera frame
             else "lower source.fps, or end what else keeps this machine busy"
         )
         return warning(check, found, mend)
-    if captured.dropped and check == "camera frames":
+    if captured.dropped > _LOST_PART * len(captured.t_ns) and check == "camera frames":
         return warning(check, found, "use fourcc MJPG, a USB port of its own, a shorter cable")
     return ok(check, found)
 

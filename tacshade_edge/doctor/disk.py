@@ -14,7 +14,7 @@ _WORN = 9  # of 10, in JEDEC's estimate of an eMMC's life
 
 def check_disk(folder: Path, machine: Machine) -> tuple[Finding, ...]:
     """Findings on the file system of `folder` (or of its first parent that exists)."""
-    existing = next(path for path in (folder, *folder.parents) if path.is_dir())
+    existing = next(path for path in (folder, *folder.parents) if os.path.isdir(path))
     status = os.statvfs(existing)
     read_only = bool(status.f_flag & os.ST_RDONLY)
     return (*judge(folder, status.f_bavail * status.f_frsize, read_only), *check_wear(machine))

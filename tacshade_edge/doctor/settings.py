@@ -10,6 +10,7 @@ from tacshade_edge.errors import ConfigError
 from tacshade_edge.settings import Document, load
 
 SETTINGS = "settings"
+AS_SERVICE = "sudo -u tacshade-edge /opt/tacshade-edge/bin/tacshade-edge doctor"
 _UNTIL = "until then {} not checked"
 
 
@@ -28,13 +29,20 @@ def check_settings(config: Path) -> tuple[Finding, Document | None, bool]:
         document = load(config)
     except ConfigError as error:
         until = _UNTIL.format("the configured camera, the calibration and the broker are")
-        mend = f"mend that line (config/default.yaml explains every key); {until}"
-        if not config.exists():
-            mend = f"copy config/default.yaml there and edit it, or give --config FILE; {until}"
-        return fault(SETTINGS, str(error), mend), None, False
+        return fault(SETTINGS, str(error), f"{_mend(config)}; {until}"), None, False
     try:
         registry.check_broker_files(document)
         registry.make_link(document, on_request=lambda _: None, on_outcome=lambda *_: None)
     except ConfigError as error:
         return fault(SETTINGS, str(error), f"mend that line; {_UNTIL.format('the broker is')}"), document, False
     return ok(SETTINGS, f"{config}, sensor {document.settings.sensor_id}"), document, True
+
+
+def _mend(config: Path) -> str:
+    try:
+        config.open("rb").close()
+    except PermissionError:
+        return f"run this with sudo, or as the service does: {AS_SERVICE}"
+    except OSError:
+        return "copy config/default.yaml there and edit it, or give --config FILE"
+    return "mend that line (config/default.yaml explains every key)"

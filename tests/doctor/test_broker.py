@@ -181,7 +181,7 @@ def test_a_broker_that_hangs(tmp_path: Path) -> None:
         (Heard("stopped"), False, "ok", "not running"),
         (Heard("online", fps=29.9), True, "ok", "process 5 (tacshade-edge run): online, 29.9 frames/s"),
         (Heard("degraded", "no device", 0.0), True, "warning", "degraded, 0.0 frames/s, no device"),
-        (Heard("online"), False, "warning", "another machine's daemon is online as left"),
+        (Heard("online"), False, "warning", "none runs here, yet left is online on this broker"),
         (Heard("offline"), True, "warning", "the broker knows no left online"),
     ],
 )

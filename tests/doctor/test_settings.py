@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import os
+import shutil
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -39,3 +42,19 @@ def test_good_settings(tmp_path: Path) -> None:
     assert (finding.state, finding.found) == ("ok", f"{config}, sensor left")
     assert document is not None
     assert broker
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root to become someone else")
+def test_settings_that_this_user_may_not_read() -> None:
+    """As the service's own folder is."""
+    folder = Path(tempfile.mkdtemp())
+    (folder / "s.yaml").write_text("sensor_id: left\n")
+    folder.chmod(0o700)
+    os.seteuid(65534)
+    try:
+        finding, _, _ = check_settings(folder / "s.yaml")
+    finally:
+        os.seteuid(0)
+        shutil.rmtree(folder)
+    assert finding.state == "fault"
+    assert finding.mend.startswith("run this with sudo")

@@ -1,0 +1,175 @@
+"""What `doctor` says of a real video device: there, absent, busy, of another size, slow, unplugged."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from mqtt_rig import wait_until
+from painted_sensor import painted_calibration
+from vivid import NODE, WEBCAM, control, load_driver, unload_driver
+
+from tacshade_edge.devices import calibration_file, registry
+from tacshade_edge.doctor.camera import check_device, check_frames, list_cameras
+from tacshade_edge.doctor.capture import Captured, capture
+from tacshade_edge.doctor.finding import Finding
+from tacshade_edge.doctor.machine import Machine
+from tacshade_edge.settings import V4l2
+
+MACHINE = Machine()
+GOOD = V4l2(device=NODE, width_px=640, height_px=480, fps=25, fourcc="YUYV")
+BY_ID = Path("/dev/v4l/by-id/usb-test-video-index0")
+START_S = 120  # emulated, and its modules come over 9p
+
+
+@pytest.fixture(autouse=True)
+def webcam() -> Iterator[None]:
+    load_driver(*WEBCAM)
+    yield
+    BY_ID.unlink(missing_ok=True)
+    unload_driver()
+
+
+def asked(**changes: object) -> V4l2:
+    values = {name: getattr(GOOD, name) for name in GOOD.__struct_fields__} | changes
+    return V4l2(**values)  # type: ignore[arg-type]
+
+
+def states(findings: tuple[Finding, ...]) -> dict[str, str]:
+    print(*findings, sep="\n")
+    assert all(bool(finding.mend) == (finding.state != "ok") for finding in findings)
+    return {finding.check: finding.state for finding in findings}
+
+
+def frames(source: V4l2, daemon_says: str = "") -> tuple[Captured, tuple[Finding, ...]]:
+    captured = capture(registry.make_source(source))
+    return captured, check_frames(source, captured, MACHINE, daemon_says)
+
+
+def test_a_good_camera() -> None:
+    assert states(check_device(GOOD, MACHINE)) == {"camera": "ok", "camera format": "ok"}
+    captured, found = frames(GOOD)
+    kept_up = captured.dropped <= 1 and captured.fps > 23  # an emulated machine may not
+    assert states(found) == {
+        "camera frames": "ok" if kept_up else "warning",
+        "camera time": "ok",
+        "camera control": "ok",
+        "picture": "ok",
+    }
+    assert "no control in this driver" in next(f.found for f in found if f.check == "camera control")
+    assert list_cameras(MACHINE).found.startswith(f"found {NODE} (vivid")
+
+
+def test_the_offer_is_the_drivers() -> None:
+    listed = subprocess.run(["v4l2-ctl", "-d", NODE, "--list-formats-ext"], check=True, capture_output=True, text=True)
+    assert "Discrete 640x480" in listed.stdout
+    by_format = check_device(asked(fourcc="MJPG"), MACHINE)[-1]
+    assert (by_format.state, by_format.mend) == ("fault", "set source.fourcc: YUYV or GREY")
+    by_size = check_device(asked(width_px=648), MACHINE)[-1]
+    assert (by_size.state, by_size.found) == ("fault", "it has no YUYV of 648x480 px")
+    for size in ("320x180", "640x360", "640x480", "1280x720"):
+        assert (f"Discrete {size}" in listed.stdout) is (size in by_size.mend)
+    by_rate = check_device(asked(fps=120), MACHINE)[-1]
+    assert by_rate.state == "warning"
+    assert "does not come at 120 frames/s" in by_rate.found
+    assert "25" in by_rate.mend
+
+
+def test_slower_than_asked() -> None:
+    """The driver gives 25 at this size, whatever is asked."""
+    captured, found = frames(asked(fps=30))
+    assert captured.described["fps_stated"] == 25
+    assert found[0].state == "warning"
+    assert found[0].found.endswith(" frames/s, 30 asked")
+
+
+def test_lost_frames() -> None:
+    control("percentage_of_dropped_buffers=20")
+    captured, found = frames(GOOD)
+    assert captured.dropped > 0
+    assert found[0].state == "warning"
+    assert f"{captured.dropped} lost" in found[0].found
+
+
+def test_a_stable_name_is_better() -> None:
+    BY_ID.parent.mkdir(parents=True, exist_ok=True)
+    BY_ID.symlink_to(NODE)
+    name = next(finding for finding in check_device(GOOD, MACHINE) if finding.check == "camera name")
+    assert (name.state, name.mend) == ("warning", f"set source.device: {BY_ID}")
+    assert "camera name" not in states(check_device(asked(device=str(BY_ID)), MACHINE))
+    (missing,) = check_device(asked(device="/dev/video7"), MACHINE)
+    assert missing.state == "fault"
+    assert missing.mend.startswith(f"set source.device to one of: {BY_ID} (vivid")
+
+
+def test_held_by_another_program() -> None:
+    command = ["v4l2-ctl", "-d", NODE, "--stream-mmap"]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as other:
+        assert other.stderr is not None
+        assert other.stderr.read(1), "it prints a mark for each frame"
+        _, (finding,) = frames(GOOD)
+        assert finding.state == "fault"
+        assert finding.found.startswith(f"process {other.pid} (v4l2-ctl ")
+        assert finding.mend.endswith(f"kill {other.pid}")
+        assert other.stderr.read(1), "and is not disturbed"
+        other.kill()
+
+
+def test_held_by_the_daemon(tmp_path: Path) -> None:
+    small = painted_calibration()
+    grey = small.reference_grey.repeat(4, axis=0).repeat(4, axis=1)
+    large = replace(small, image_height_px=480, image_width_px=640, reference_grey=grey, reference_white=grey)
+    calibration_file.save(tmp_path / "c.npz", large)
+    config = tmp_path / "settings.yaml"
+    source = f"{{kind: v4l2, device: {NODE}, width_px: 640, height_px: 480, fps: 25, fourcc: YUYV}}"
+    config.write_text(f"calibration: c.npz\nsource: {source}\nmqtt: {{host: 127.0.0.1, port: 9}}\n")
+    command = [sys.executable, "-m", "tacshade_edge", "run", "--config", str(config)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as daemon:
+        assert daemon.stderr is not None
+        for line in daemon.stderr:
+            if "source streaming" in line:
+                break
+        wait_until(lambda: [held.pid for held in MACHINE.holders(NODE)] == [daemon.pid], START_S, "it has the camera")
+        found = MACHINE.daemon()
+        assert found is not None
+        assert found.pid == daemon.pid
+        _, (finding,) = frames(GOOD, "online, 25.0 frames/s")
+        assert finding.state == "warning"
+        assert finding.found == "the running daemon holds the camera; it says: online, 25.0 frames/s"
+        daemon.kill()
+
+
+def test_unplugged() -> None:
+    keeper = os.open(NODE, os.O_RDWR)  # the driver takes a disconnect back when its last user has gone
+    control("disconnect=1")
+    (finding,) = check_device(GOOD, MACHINE)
+    os.close(keeper)
+    assert finding.state == "fault"
+    assert finding.found == f"{NODE}: cannot be opened (No such device)"
+
+
+def test_a_camera_that_gives_no_frame() -> None:
+    control("percentage_of_dropped_buffers=100")
+    _, (finding,) = frames(GOOD)
+    assert finding.state == "fault"
+    assert finding.found.startswith("no frame after ")
+
+
+def test_the_command(tmp_path: Path) -> None:
+    unload_driver()
+    config = tmp_path / "settings.yaml"
+    config.write_text("mqtt: {host: 127.0.0.1, port: 9}\n")
+    command = [sys.executable, "-m", "tacshade_edge", "doctor", "--config", str(config), "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    assert (done.returncode, done.stderr) == (1, "")
+    found = {each["check"]: each for each in json.loads(done.stdout)}
+    assert found["camera"]["found"] == f"{NODE}: no such device"
+    assert found["camera"]["mend"].startswith("plug the camera in")
+    assert found["serial"]["found"].startswith("/dev/ttyS0: the system's console is on it"), "this guest's own"
+    assert found["broker"]["state"] == found["calibration"]["state"] == "fault"
