@@ -39,6 +39,17 @@ TEAR_BANDS, TEAR_BAND_SPIKE = 4, 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _Rows:
+    """The disc's rows: `edges` (TEAR_BANDS + 1) of the bands of columns, pixels (H, TEAR_BANDS + 1) of each row in each
+    band and in all, at least 1, and which rows (H,) are `long`; fewer than 8 are none.
+    """
+
+    edges: tuple[int, ...]
+    width_px: F32
+    long: Bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class FrameCheck:
     """What a good frame of one sensor looks like, in blocks of 8x8 px.
 
@@ -54,6 +65,8 @@ class FrameCheck:
         Median difference of the reference's neighbouring pixels.
     bright : float
         Grey that a tenth of its disc exceeds.
+    rows : _Rows
+        Where the disc's rows are.
     spikes : float32 (H,)
         How much each row of the reference differs from the next, beside its neighbours.
     """
@@ -65,6 +78,7 @@ class FrameCheck:
     contrast: F32
     step: float
     bright: float
+    rows: _Rows
     spikes: F32
 
     def __post_init__(self) -> None:
@@ -84,10 +98,13 @@ def frame_check(reference_grey: U8, mask: Bool, disc: Disc) -> FrameCheck:
     """Prepare the check from the mean reference image."""
     height, width = reference_grey.shape
     rows, cols = max(height // BLOCK_PX, 1), max(width // BLOCK_PX, 1)
+    inside = mask.astype(np.uint8)
+    disc_rows = _rows(inside)
     if height < BLOCK_PX or width < BLOCK_PX:
         none = np.zeros((rows, cols), dtype=bool)
         flat = np.zeros((rows, cols), dtype=np.float32)
-        return FrameCheck(mask.astype(np.uint8), none, none, flat, flat, 0.0, 0.0, np.zeros(height, dtype=np.float32))
+        spikes = np.zeros(height, dtype=np.float32)
+        return FrameCheck(inside, none, none, flat, flat, 0.0, 0.0, disc_rows, spikes)
     middle = (BLOCK_PX - 1) / 2
     r = np.hypot(
         BLOCK_PX * np.arange(rows)[:, None] + middle - disc.row_c,
@@ -97,14 +114,15 @@ def frame_check(reference_grey: U8, mask: Bool, disc: Disc) -> FrameCheck:
     level, contrast = _blocks(reference_grey)
     surround = (r > disc.radius_px + half_diagonal + 2) & (r < 1.35 * disc.radius_px)
     return FrameCheck(
-        mask=mask.astype(np.uint8),
+        mask=inside,
         inside=r < disc.radius_px - half_diagonal,
         surround=surround,
         level=level,
         contrast=contrast,
         step=_noise_step(reference_grey, mask),
         bright=_bright(reference_grey, mask),
-        spikes=_row_spikes(reference_grey, mask.astype(np.uint8)),
+        rows=disc_rows,
+        spikes=_row_spikes(reference_grey, inside, disc_rows),
     )
 
 
@@ -146,7 +164,17 @@ def _bright(grey: U8, mask: Bool) -> float:
     return float(np.percentile(inside, 90)) if inside.size else 0.0
 
 
-def _row_spikes(grey: U8, mask: U8) -> F32:
+def _rows(mask: U8) -> _Rows:
+    long = mask.sum(axis=1, dtype=np.int64) >= TEAR_ROW_PX
+    if np.count_nonzero(long) < 8:
+        return _Rows((), np.ones((mask.shape[0], TEAR_BANDS + 1), dtype=np.float32), np.zeros_like(long))
+    columns = np.flatnonzero(mask.any(axis=0))
+    edges = tuple(np.linspace(columns[0], columns[-1] + 1, TEAR_BANDS + 1).astype(int).tolist())
+    widths = [mask[:, left:right].sum(axis=1, dtype=np.float32) for left, right in pairwise(edges)]
+    return _Rows(edges, np.maximum(np.stack([*widths, sum(widths)], axis=1), 1), long)
+
+
+def _row_spikes(grey: U8, mask: U8, rows: _Rows) -> F32:
     """How much every row of the disc differs from the next beside its neighbours, over the median of all rows.
 
     Returns
@@ -156,26 +184,21 @@ def _row_spikes(grey: U8, mask: U8) -> F32:
         row, but not across the disc.
     """
     spikes = np.zeros(grey.shape[0], dtype=np.float32)
-    long = mask.sum(axis=1, dtype=np.int64) >= TEAR_ROW_PX
-    if np.count_nonzero(long) < 8:
+    if not rows.edges:
         return spikes
     step = cv2.multiply(cv2.absdiff(grey[:-1], grey[1:]), mask[:-1])
-    columns = np.flatnonzero(mask.any(axis=0))
-    edges = np.linspace(columns[0], columns[-1] + 1, TEAR_BANDS + 1).astype(int)
-    bands = np.sort([_spikes(step, mask, long, left, right) for left, right in pairwise(edges)], axis=0)
+    mean = np.zeros((grey.shape[0], TEAR_BANDS + 1), dtype=np.float32)
+    for band, (left, right) in enumerate(pairwise(rows.edges)):
+        mean[:-1, band] = cv2.reduce(step[:, left:right], 1, cv2.REDUCE_SUM, dtype=cv2.CV_32F)[:, 0]
+    mean[:, -1] = mean[:, :-1].sum(axis=1)
+    mean /= rows.width_px
     # The first and last long rows have no neighbours to be compared with.
-    seen = long & np.roll(long, 2) & np.roll(long, -2) & (bands[1] > TEAR_BAND_SPIKE)
-    spikes[seen] = _spikes(step, mask, long, columns[0], columns[-1] + 1)[seen]
-    return spikes
-
-
-def _spikes(step: U8, mask: U8, long: Bool, left: int, right: int) -> F32:
-    """The same in the columns from `left` to before `right`, at every row; `step` are the rows' differences."""
-    mean = np.zeros(mask.shape[0], dtype=np.float32)
-    width = mask[:-1, left:right].sum(axis=1, dtype=np.int64)
-    mean[:-1] = cv2.reduce(step[:, left:right], 1, cv2.REDUCE_SUM, dtype=cv2.CV_32F)[:, 0] / np.maximum(width, 1)
-    around = (np.roll(mean, 1) + np.roll(mean, -1) + np.roll(mean, 2) + np.roll(mean, -2)) / 4
-    spikes: F32 = ((mean - around) / (np.median(mean[long]) + 1)).astype(np.float32)
+    padded = np.concatenate((mean[-2:], mean, mean[:2]))
+    around = (padded[:-4] + padded[1:-3] + padded[3:-1] + padded[4:]) / 4
+    each = (mean - around) / (np.median(mean[rows.long], axis=0) + 1)
+    agree = np.count_nonzero(each[:, :-1] > TEAR_BAND_SPIKE, axis=1) >= TEAR_BANDS - 1
+    seen = rows.long & np.roll(rows.long, 2) & np.roll(rows.long, -2) & agree
+    spikes[seen] = each[seen, -1]
     return spikes
 
 
@@ -190,7 +213,7 @@ def _compared_reason(grey: U8, check: FrameCheck) -> str:
     empty = int(np.count_nonzero((total >= ROW_BLOCKS) & (lost > LOST_PART * total)))
     if empty >= LOST_ROWS:
         return f"torn: {empty * BLOCK_PX} rows across the disc show no marker"
-    over = _row_spikes(grey, check.mask) - np.maximum(check.spikes, 0)
+    over = _row_spikes(grey, check.mask, check.rows) - np.maximum(check.spikes, 0)
     if over.max(initial=0.0) > TEAR_SPIKE:
         return f"torn: row {int(np.argmax(over))} does not continue the rows above"
     if not textured.any():
