@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from tacshade_edge.core.disc import Grid
+from tacshade_edge.core.total_variation import chambolle
 from tacshade_edge.types import F32, U8, Binarisation, Bool
 
 # The adaptive threshold looks this many marker pitches wide: wide enough to hold black and white everywhere,
@@ -118,7 +119,7 @@ def white_ratio(white: U8, total: F32, window_px: int, grid: Grid, full_scale: f
 
 
 def denoise_tv(g: F32, inside: Bool, weight: float) -> F32:
-    """Total-variation denoising of the white ratio, Fig. 4(d), by scikit-image's Chambolle solver.
+    """Total-variation denoising of the white ratio, Fig. 4(d).
 
     Outside the disc the mean of the inside stands, so that its edge is not an edge of the image.
 
@@ -135,10 +136,8 @@ def denoise_tv(g: F32, inside: Bool, weight: float) -> F32:
     """
     if weight == 0 or not inside.any():
         return g
-    from skimage.restoration import denoise_tv_chambolle  # slow to import, and not every profile needs it
-
-    filled = np.where(inside, g, g[inside].mean()) / np.float32(255)
-    smooth: F32 = (255 * denoise_tv_chambolle(filled, weight=weight)).astype(np.float32)
+    filled: F32 = np.divide(np.where(inside, g, g[inside].mean()), np.float32(255))
+    smooth: F32 = (255 * chambolle(filled, weight)).astype(np.float32)
     return smooth
 
 

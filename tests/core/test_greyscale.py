@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from skimage.restoration import denoise_tv_chambolle
 
 from tacshade_edge.core import greyscale
 from tacshade_edge.core.disc import Grid, disc_mask
@@ -108,14 +107,6 @@ def test_grey_of_three_equal_channels_is_that_channel() -> None:
     grey = RNG.integers(0, 256, (16, 256), dtype=np.uint8)
     np.testing.assert_array_equal(greyscale.to_grey(np.dstack([grey] * 3)), grey)
     assert greyscale.to_grey(grey) is grey
-
-
-@pytest.mark.parametrize("weight", [0.05, 0.1, 1.0])
-def test_tv_is_scikit_images(weight: float) -> None:
-    g = RNG.uniform(0, 255, (31, 42)).astype(np.float32)
-    smooth = greyscale.denoise_tv(g, np.ones(g.shape, bool), weight)
-    np.testing.assert_allclose(smooth, 255 * denoise_tv_chambolle(g.astype(np.float64) / 255, weight=weight), atol=0.05)
-    assert smooth.dtype == np.float32
 
 
 def test_tv_does_not_see_the_outside() -> None:

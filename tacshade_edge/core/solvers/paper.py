@@ -16,17 +16,20 @@ from tacshade_edge.types import F32, F64
 
 ITERATIONS = 25
 EPS = 2.2e-16
+MEDIAN_ROWS = 16
 
 C128 = npt.NDArray[np.complex128]
 
 
-def _backward(z: C128, axis: int) -> C128:
-    """Backward difference with a zero first row or column."""
-    d = np.zeros_like(z)
+def _backward(z: C128, axis: int, out: C128 | None = None) -> C128:
+    """Backward difference with a zero first row or column; into `out` when given."""
+    d = np.zeros_like(z) if out is None else out
     if axis == 0:
-        d[1:] = z[1:] - z[:-1]
+        d[0] = 0
+        np.subtract(z[1:], z[:-1], out=d[1:])
     else:
-        d[:, 1:] = z[:, 1:] - z[:, :-1]
+        d[:, 0] = 0
+        np.subtract(z[:, 1:], z[:, :-1], out=d[:, 1:])
     return d
 
 
@@ -51,28 +54,46 @@ def hybrid_sfs(g_hn: F64) -> tuple[F64, int]:
     finite = np.isfinite(g_hn)
     repaired = int(finite.size - np.count_nonzero(finite))
     with np.errstate(all="ignore"):  # overflow is this method's normal course; it is repaired and counted below
-        image = np.where(finite, g_hn, 0.0).astype(np.complex128)
-        p: C128 = np.fft.fft2(_backward(image, axis=1))
-        q: C128 = np.fft.fft2(_backward(image, axis=0))
-        z = np.zeros_like(image)
-        for n in range(ITERATIONS + 1):
-            norm2 = 1 + p * p + q * q
-            reflectance = 1 / np.sqrt(norm2)
-            reflectance = np.where(reflectance.real < 0, 0, reflectance)
-            f = image - reflectance
-            z = f if n == 0 else z - f / ((p + q) / (norm2 * np.sqrt(norm2)) + EPS)
-            p, q = _backward(z, axis=1), _backward(z, axis=0)
-        magnitude = np.abs(z)
+        magnitude = np.abs(_iterate(np.where(finite, g_hn, 0.0).astype(np.complex128)))
     good = np.isfinite(magnitude)
     repaired += int(good.size - np.count_nonzero(good))
     return _median3(np.where(good, magnitude, 0.0)), repaired
 
 
+def _iterate(image: C128) -> C128:
+    """Z of eq. 11; in place wherever it can be, as every array of a whole image takes 5 MB."""
+    p: C128 = np.fft.fft2(_backward(image, axis=1))
+    q: C128 = np.fft.fft2(_backward(image, axis=0))
+    z = image
+    for n in range(ITERATIONS + 1):
+        norm2 = p * p
+        norm2 += 1
+        norm2 += q * q
+        root = np.sqrt(norm2)
+        f: C128 = np.divide(1, root)  # the reflectance
+        f[f.real < 0] = 0
+        np.subtract(image, f, out=f)
+        if n == 0:
+            z = f
+        else:
+            norm2 *= root
+            p += q
+            slope = np.divide(p, norm2, out=norm2)
+            slope += EPS
+            f /= slope
+            z -= f
+        _backward(z, axis=1, out=p)
+        _backward(z, axis=0, out=q)
+    return z
+
+
 def _median3(values: F64) -> F64:
     """3x3 median in float64; the border repeats."""
     padded = np.pad(values, 1, mode="edge")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3))
-    median: F64 = np.median(windows.reshape(*values.shape, 9), axis=-1)
+    median = np.empty_like(values)
+    for row in range(0, len(values), MEDIAN_ROWS):  # nine copies of a whole image would be most of a step's memory
+        windows = np.lib.stride_tricks.sliding_window_view(padded[row : row + MEDIAN_ROWS + 2], (3, 3))
+        median[row : row + MEDIAN_ROWS] = np.median(windows.reshape(*windows.shape[:2], 9), axis=-1)
     return median
 
 
