@@ -71,7 +71,8 @@ uninstall_all() {
 
 refresh() {
   systemctl daemon-reload
-  ! command -v udevadm >/dev/null || udevadm control --reload || true
+  # Where udev runs: the rules, for cameras that are plugged in already too.
+  [ ! -S /run/udev/control ] || { udevadm control --reload && udevadm trigger --subsystem-match=video4linux; }
 }
 
 live && [ "$(id -u)" -ne 0 ] && fail "expected root (or DESTDIR=DIR to stage the files)"

@@ -2,7 +2,7 @@
 
 The tests are ordinary ones, written for the inside: root, Debian's kernel, nothing to lose. On the outside each
 file's chosen tests are run by one pytest in the guest, which writes its reports to /out; here they are read back
-and take the place of a run.
+and take the place of a run. A file with the mark `systemd` gets a guest in which systemd and udev run.
 """
 
 from __future__ import annotations
@@ -62,7 +62,8 @@ def _run(item: pytest.Item) -> dict[str, list[pytest.TestReport]]:
     out.mkdir(parents=True, exist_ok=True)
     reports.unlink(missing_ok=True)
     inside = ["env", f"{_INSIDE}=/out/{reports.name}", sys.executable, "-m", "pytest", "-p", "no:cacheprovider"]
-    command = [sys.executable, str(GUEST), "--out", str(out), "--limit", str(LIMIT_S), *inside]
+    systemd = ["--systemd"] if item.get_closest_marker("systemd") else []
+    command = [sys.executable, str(GUEST), *systemd, "--out", str(out), "--limit", str(LIMIT_S), *inside]
     done = subprocess.run(
         [*command, *(other.nodeid for other in chosen)], cwd=TREE, text=True, capture_output=True, check=False
     )

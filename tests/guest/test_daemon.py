@@ -11,49 +11,29 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from mqtt_rig import Broker, Subscriber, wait_until
-from painted_sensor import FREE, TOUCHED, painted_calibration
+from painted_sensor import FREE, TOUCHED, enlarged, enlarged_calibration
 from vivid import NODE, WEBCAM, control, load_driver, unload_driver
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.devices import calibration_file
 from tacshade_edge.protocol import wire
-from tacshade_edge.types import U8, Calibration, Disc, Frame
+from tacshade_edge.types import Calibration, Frame
 
 TREE = Path(__file__).resolve().parents[2]
 BASE = "tacshade/tacshade"
-SCALE = 4  # of the painted sensor, to the camera's 640x480
 START_S = 120  # emulated, and its modules come over 9p
-
-
-def enlarged(image: U8) -> U8:
-    """As a lens would show it: without its blur, rows that follow the painted pattern look torn."""
-    return np.asarray(cv2.GaussianBlur(image.repeat(SCALE, axis=0).repeat(SCALE, axis=1), (0, 0), 1.5), np.uint8)
 
 
 @pytest.fixture(scope="module")
 def calibration() -> Calibration:
-    small = painted_calibration()
-    disc = small.geometry.disc
-    middle = (SCALE - 1) / 2
-    large = Disc(disc.row_c * SCALE + middle, disc.col_c * SCALE + middle, disc.radius_px * SCALE)
-    return replace(
-        small,
-        geometry=replace(small.geometry, disc=large),
-        image_height_px=small.image_height_px * SCALE,
-        image_width_px=small.image_width_px * SCALE,
-        pitch_px=small.pitch_px * SCALE,
-        reference_white=enlarged(small.reference_white),
-        reference_grey=enlarged(small.reference_grey),
-    )
+    return enlarged_calibration()
 
 
 @contextmanager

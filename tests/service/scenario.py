@@ -10,84 +10,77 @@ import json
 import os
 import shutil
 import signal
-import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-UNIT = "tacshade-edge.service"
-CONFIG = Path("/etc/tacshade-edge/config.yaml")
-APP = Path("/opt/tacshade-edge")
+from booted_service import CONFIG, UNIT, fresh, frozen, journal, process, sh, show, streaming, threads, until
+
 GOOD = "source: {kind: simulated}\n"
-PROPERTIES = (
-    "ActiveState,SubState,Result,MainPID,NRestarts,ExecMainStatus,StatusText,MemoryMax,MemoryCurrent,UID,WatchdogUSec"
+INSTALL = "/payload/checkout/systemd/install.sh"
+# What install.sh may leave behind nothing of.
+PLACES = (
+    "/opt",
+    "/usr/local/lib/systemd",
+    "/usr/local/lib/sysusers.d",
+    "/etc/udev/rules.d",
+    "/etc/mosquitto",
+    "/etc/tacshade-edge",
 )
 
 
-def sh(*command: str) -> tuple[int, str]:
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    return done.returncode, (done.stdout + done.stderr).strip()
+def files() -> list[str]:
+    found = (path for place in PLACES for path in Path(place).rglob("*") if path.is_file() or path.is_symlink())
+    return sorted(str(path) for path in found if not str(path).startswith("/opt/python/"))
 
 
-def show() -> dict[str, str]:
-    lines = sh("systemctl", "show", UNIT, f"--property={PROPERTIES}")[1].splitlines()
-    return dict(line.split("=", 1) for line in lines)
-
-
-def until(condition: Callable[[dict[str, str]], bool], seconds: float) -> dict[str, str]:
-    """The service's properties when the condition holds, or at the deadline: the judge sees which."""
-    deadline = time.monotonic() + seconds
-    while not condition(now := show()) and time.monotonic() < deadline:
-        time.sleep(0.1)
-    return now
-
-
-def streaming(now: dict[str, str]) -> bool:
-    return now["ActiveState"] == "active" and now["StatusText"].startswith("streaming")
-
-
-def fresh(config: str) -> int:
-    """Stop, forget the past, start with these settings; the exit code of the start."""
-    sh("systemctl", "stop", UNIT)
-    sh("systemctl", "reset-failed", UNIT)
-    CONFIG.write_text(config)
-    return sh("systemctl", "start", UNIT)[0]
-
-
-def process(pid: str) -> dict[str, str]:
-    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
-    return dict(line.split(":\t", 1) for line in lines if ":\t" in line)
+def install_sh(*words: str) -> tuple[int, str]:
+    """As root on a machine that has the packages at hand instead of a network."""
+    return sh(INSTALL, *words, PYTHON=f"/opt/python/bin/{sys.argv[1]}", PIP_NO_INDEX="1", PIP_FIND_LINKS="/wheels")
 
 
 def install() -> dict[str, Any]:
-    """The shipped files through install.sh; the program from what the tests run with, as pip would lay it out."""
-    code, output = sh("env", "DESTDIR=/", "/payload/checkout/systemd/install.sh")
-    version = f"python{sys.argv[1]}"
-    site = APP / "lib" / version / "site-packages"
-    site.mkdir(parents=True)
-    shutil.copytree("/payload/checkout/tacshade_edge", site / "tacshade_edge")
-    (site / "dependencies.pth").write_text("/opt/site-packages\n")
-    (APP / "bin").mkdir()
-    (APP / "bin/python").symlink_to(f"/opt/python/bin/{version}")
-    (APP / "pyvenv.cfg").write_text("home = /opt/python/bin\n")
-    script = APP / "bin/tacshade-edge"
-    script.write_text(f"#!{APP}/bin/python\nfrom tacshade_edge.cli import main\nraise SystemExit(main())\n")
-    script.chmod(0o755)
     # A Python below /root names its library there, where the unit must not look.
     Path("/etc/ld.so.conf.d/00-python.conf").write_text("/opt/python/lib\n")
     sh("ldconfig")
-    users = sh("systemd-sysusers", "/usr/local/lib/sysusers.d/tacshade-edge.conf")
-    sh("chgrp", "-R", "tacshade-edge", str(CONFIG.parent))
+    before = files()
+    first = install_sh()
     state = Path("/var/lib/tacshade-edge")
-    state.mkdir()
+    state.mkdir(exist_ok=True)
     shutil.copy("/payload/calibration.npz", state)
     shutil.chown(state / "calibration.npz", "tacshade-edge")
     shutil.chown(state, "tacshade-edge")
-    sh("systemctl", "daemon-reload")
     verify = sh("systemd-analyze", "verify", f"/usr/local/lib/systemd/system/{UNIT}")
-    return {"code": code, "output": output, "users": users, "verify": verify}
+    enabled = sh("systemctl", "is-enabled", UNIT)
+    config = CONFIG.stat()
+    access = (
+        config.st_uid,
+        sh("id", "-g", "tacshade-edge")[1] == str(config.st_gid),
+        oct(CONFIG.parent.stat().st_mode),
+    )
+    return {"before": before, "first": first, "enabled": enabled, "verify": verify, "access": access}
+
+
+def installs_again() -> dict[str, Any]:
+    """Over a running service, with an edited config.yaml."""
+    CONFIG.write_text(f"# mine\n{GOOD}")
+    before, there = show(), files()
+    done = install_sh()
+    return {"done": done, "before": before, "now": show(), "same": files() == there, "config": CONFIG.read_text()}
+
+
+def uninstalls() -> dict[str, Any]:
+    """While it runs; then once more."""
+    shutil.copy("/payload/checkout/config/default.yaml", CONFIG)
+    running = fresh(CONFIG.read_text().replace("kind: v4l2", "kind: v4l2 # mine"))
+    shutil.copy("/payload/checkout/config/default.yaml", CONFIG)
+    done = install_sh("--uninstall")
+    again = install_sh("--uninstall")
+    enabled = sh("systemctl", "is-enabled", UNIT)
+    calibration = Path("/var/lib/tacshade-edge/calibration.npz").exists()
+    left = {"files": files(), "enabled": enabled, "calibration": calibration}
+    return {"running": running, "done": done, "again": again, "now": show(), **left}
 
 
 def starts() -> dict[str, Any]:
@@ -119,12 +112,18 @@ def reloads() -> dict[str, Any]:
 
 
 def hangs() -> dict[str, Any]:
+    """The thread `reconstruct` alone, in whatever it does: the last that a start makes (docs/architecture.md)."""
+    fresh(GOOD)
     before = show()
+    last = threads(before["MainPID"])[-1]
+    until(streaming, 20)
     began = time.monotonic()
-    os.kill(int(before["MainPID"]), signal.SIGSTOP)
-    after = until(lambda now: streaming(now) and now["NRestarts"] != before["NRestarts"], 40)
-    journal = sh("journalctl", "--unit", UNIT, "--output=cat", "--no-pager")[1]
-    return {"before": before, "after": after, "seconds": time.monotonic() - began, "journal": journal}
+    with frozen(last):
+        without = until(lambda now: now["StatusText"] == "streaming, 0.0 frames/s", 8)
+        killed = until(lambda now: now["NRestarts"] != before["NRestarts"], 30)
+    after = until(streaming, 20)
+    seen = {"before": before, "without": without, "killed": killed, "after": after, "journal": journal()}
+    return {"seconds": time.monotonic() - began, **seen}
 
 
 def works_a_while() -> dict[str, Any]:
@@ -156,13 +155,16 @@ def configuration_is_bad() -> dict[str, Any]:
 
 
 def main() -> None:
-    steps = (install, starts, killed, reloads, hangs, works_a_while, stops, camera_is_absent, configuration_is_bad)
+    steps = (
+        *(install, starts, installs_again, killed, reloads, works_a_while, hangs, stops),
+        *(camera_is_absent, configuration_is_bad, uninstalls),
+    )
     seen: dict[str, Any] = {}
     for step in steps:
         began = time.monotonic()
         seen[step.__name__] = step()
         print(f"{step.__name__}: {time.monotonic() - began:.1f} s", flush=True)
-    seen["journal"] = sh("journalctl", "--unit", UNIT, "--output=cat", "--no-pager")[1]
+    seen["journal"] = journal()
     Path("/payload/seen.json").write_text(json.dumps(seen))
 
 

@@ -7,7 +7,6 @@ import os
 import shutil
 import subprocess
 import sys
-import sysconfig
 from pathlib import Path
 from typing import Any
 
@@ -31,29 +30,44 @@ def cannot_boot() -> str:
     return "systemd-python is not installed (extra systemd)" if systemd.daemon is None else ""
 
 
+def copy_checkout(folder: Path) -> None:
+    """The tree as a clone has it, as far as an installation needs it."""
+    for name in ("systemd", "config", "tacshade_edge"):
+        shutil.copytree(CHECKOUT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(CHECKOUT / name, folder)
+
+
+def fill(wheels: Path) -> None:
+    """All that pip needs to build and install the program without a network."""
+    command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--wheel-dir", str(wheels), f"{CHECKOUT}[systemd]"]
+    done = subprocess.run([*command, "hatchling>=1.25,<2"], capture_output=True, text=True, check=False)
+    if done.returncode:
+        pytest.skip(f"pip cannot fetch the program's packages here: {done.stderr.strip()[-300:]}")
+    for own in wheels.glob("tacshade_edge-*"):
+        own.unlink()
+
+
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     if reason := cannot_boot():
         pytest.skip(reason)
     folder = tmp_path_factory.mktemp("boot")
     calibration_file.save(folder / "calibration.npz", calibrated(FULL))
-    for name in ("systemd", "config", "tacshade_edge"):
-        shutil.copytree(CHECKOUT / name, folder / "checkout" / name, ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copy(Path(__file__).with_name("scenario.py"), folder)
-    version = f"{sys.version_info[0]}.{sys.version_info[1]}"
-    (folder / "scenario").write_text(
-        f"#!/bin/bash\nexec /opt/python/bin/python{version} /payload/scenario.py {version}\n"
-    )
+    copy_checkout(folder / "checkout")
+    fill(folder / "wheels")
+    for script in (CHECKOUT / "tests/service/scenario.py", CHECKOUT / "tests/support/booted_service.py"):
+        shutil.copy(script, folder)
+    python = f"python{sys.version_info[0]}.{sys.version_info[1]}"
+    (folder / "scenario").write_text(f"#!/bin/bash\nexec /opt/python/bin/{python} /payload/scenario.py {python}\n")
     (folder / "scenario").chmod(0o755)
-    binds = [
-        f"--bind-ro={sys.base_prefix}:/opt/python",
-        f"--bind-ro={sysconfig.get_path('purelib')}:/opt/site-packages",
-    ]
+    binds = [f"--bind-ro={sys.base_prefix}:/opt/python", f"--bind-ro={folder / 'wheels'}:/wheels"]
     command = [CHECKOUT / "tools/rig/boot_systemd.sh", folder, *binds]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode == 125:
         pytest.skip(f"systemd cannot be booted here: {(done.stdout + done.stderr).strip()[-300:]}")
     assert done.returncode == 0, done.stdout + done.stderr
+    print(done.stdout)
     result: dict[str, Any] = json.loads((folder / "seen.json").read_text())
     return result
 
@@ -62,9 +76,45 @@ def streams(now: dict[str, str]) -> bool:
     return now["ActiveState"] == "active" and now["StatusText"].startswith("streaming, ")
 
 
-def test_the_installed_unit_is_valid(seen: dict[str, Any]) -> None:
-    assert seen["install"]["code"] == 0, seen["install"]["output"]
-    assert seen["install"]["verify"] == [0, ""]
+def test_the_installed_unit_is_valid_and_enabled(seen: dict[str, Any]) -> None:
+    install = seen["install"]
+    code, output = install["first"]
+    assert code == 0, output
+    assert output.startswith("installed; ")
+    assert "ailed" not in output
+    assert install["verify"] == [0, ""]
+    assert install["enabled"] == [0, "enabled"]
+    assert install["access"] == [0, True, "0o40750"]
+
+
+def test_an_installation_over_a_running_service_keeps_it_and_what_was_edited(seen: dict[str, Any]) -> None:
+    again = seen["installs_again"]
+    code, output = again["done"]
+    assert code == 0, output
+    assert "kept: /etc/tacshade-edge/config.yaml" in output
+    assert again["config"].startswith("# mine\n")
+    assert again["same"]
+    assert streams(again["now"])
+    assert again["now"]["MainPID"] == again["before"]["MainPID"]
+
+
+def test_uninstalling_leaves_nothing_but_what_it_says(seen: dict[str, Any]) -> None:
+    gone = seen["uninstalls"]
+    assert gone["running"] == 0
+    code, output = gone["done"]
+    assert (code, output) == (
+        0,
+        "uninstalled; kept: /var/lib/tacshade-edge (calibrations) and the user tacshade-edge",
+    )
+    assert gone["again"] == gone["done"]
+    assert gone["files"] == seen["install"]["before"]
+    assert gone["calibration"]
+    assert (gone["now"]["LoadState"], gone["now"]["ActiveState"], gone["now"]["MainPID"]) == (
+        "not-found",
+        "inactive",
+        "0",
+    )
+    assert gone["enabled"][0] != 0
 
 
 def test_it_becomes_ready_and_streams_unprivileged(seen: dict[str, Any]) -> None:
@@ -95,9 +145,12 @@ def test_a_reload_of_a_bad_file_keeps_it_running(seen: dict[str, Any]) -> None:
     assert {reloads[key]["MainPID"] for key in ("refused", "still", "good")} == {reloads["before"]["MainPID"]}
 
 
-def test_the_watchdog_kills_a_hung_process_and_it_is_restarted(seen: dict[str, Any]) -> None:
+def test_the_watchdog_kills_a_process_whose_reconstruction_hangs(seen: dict[str, Any]) -> None:
+    """Camera, broker link and main thread go on all the while."""
     hangs = seen["hangs"]
+    assert hangs["without"]["StatusText"] == "streaming, 0.0 frames/s"
     assert "Watchdog timeout" in hangs["journal"]
+    assert "daemon/workers.py" in hangs["journal"].split("Watchdog timeout")[-1], "it logs where each thread was"
     assert streams(hangs["after"])
     assert int(hangs["after"]["NRestarts"]) == int(hangs["before"]["NRestarts"]) + 1
     assert hangs["seconds"] < WATCHDOG_S + 20

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 
@@ -12,6 +14,7 @@ from tacshade_edge.devices.calibration_file import with_crc
 from tacshade_edge.types import U8, Calibration, Disc, Frame, Geometry
 
 HEIGHT, WIDTH, PITCH_PX = 120, 160, 8.0
+SCALE = 4  # of `enlarged`
 DISC = Disc(59.5, 79.5, 52.0)
 
 
@@ -56,3 +59,25 @@ def touched_depth_mm() -> float:
     result = Reconstructor(painted_calibration(), PROFILES["fast"]).step(Frame(0, 0, 0, TOUCHED))
     assert result.contact
     return float(np.nanmax(result.height.height_mm))
+
+
+def enlarged(image: U8) -> U8:
+    """To 640x480, as a lens would show it: without its blur, rows that follow the painted pattern look torn."""
+    return np.asarray(cv2.GaussianBlur(image.repeat(SCALE, axis=0).repeat(SCALE, axis=1), (0, 0), 1.5), np.uint8)
+
+
+def enlarged_calibration() -> Calibration:
+    """Of the painted sensor, enlarged."""
+    small = painted_calibration()
+    disc = small.geometry.disc
+    middle = (SCALE - 1) / 2
+    large = Disc(disc.row_c * SCALE + middle, disc.col_c * SCALE + middle, disc.radius_px * SCALE)
+    return replace(
+        small,
+        geometry=replace(small.geometry, disc=large),
+        image_height_px=small.image_height_px * SCALE,
+        image_width_px=small.image_width_px * SCALE,
+        pitch_px=small.pitch_px * SCALE,
+        reference_white=enlarged(small.reference_white),
+        reference_grey=enlarged(small.reference_grey),
+    )

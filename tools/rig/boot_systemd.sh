@@ -15,29 +15,9 @@ mkdir "$work/rw" "$root"
 mount -t tmpfs tmpfs "$work/rw"
 mkdir "$work/rw/upper" "$work/rw/work"
 mount -t overlay overlay -o "lowerdir=/,upperdir=$work/rw/upper,workdir=$work/rw/work" "$root"
-# Nothing of this machine's own services, mounts and identity.
-: >"$root/etc/fstab"
-rm -f "$root/.dockerenv" "$root/payload"
-echo 0123456789abcdef0123456789abcdef >"$root/etc/machine-id"
-units=$root/etc/systemd/system
-mkdir -p "$units"
-ln -sf /dev/null "$units/tmp.mount"
-cat >"$units/scenario.target" <<'X'
-[Unit]
-Wants=scenario.service
-Requires=sysinit.target dbus.socket
-X
-cat >"$units/scenario.service" <<'X'
-[Unit]
-After=sysinit.target dbus.socket
-SuccessAction=exit-force
-FailureAction=exit-force
-[Service]
-Type=oneshot
-Environment=HOME=/root SYSTEMD_COLORS=0 SYSTEMD_PAGER=cat
-ExecStart=/bin/bash -c '/payload/scenario >/scenario.out 2>&1 </dev/null; echo $? >/scenario.rc'
-TimeoutStartSec=infinity
-X
+rm -f "$root/payload"
+"$(dirname "$(readlink -f "$0")")/systemd_root.sh" "$root"
+echo '/payload/scenario >/scenario.out 2>&1 </dev/null; echo $? >/scenario.rc' >"$root/scenario.sh"
 SYSTEMD_NSPAWN_TMPFS_TMP=0 timeout -k 5 "${LIMIT_S:-180}" systemd-nspawn --quiet --directory="$root" --boot --register=no \
   --keep-unit --private-network --bind="$folder:/payload" "$@" \
   systemd.unit=scenario.target systemd.show_status=0 </dev/null >"$work/console" 2>&1 || true

@@ -3,12 +3,13 @@
 
 ::
 
-    tools/rig/guest.py [--out DIR] [--limit SECONDS] COMMAND [ARGUMENT...]
+    tools/rig/guest.py [--systemd] [--out DIR] [--limit SECONDS] COMMAND [ARGUMENT...]
 
 The guest sees this machine's files at the same paths, read-only (9p); what it writes goes to memory and is lost,
 except below ``/out``, which is DIR here. COMMAND runs in the tree's folder; its output and its exit status are
-ours. 77 says that the guest cannot be run here (one line tells why), 125 that it did not finish. Only the
-standard library: it must be able to say what is missing.
+ours. With --systemd it runs when systemd and udev have started, as on any machine. 77 says that the guest cannot be
+run here (one line tells why), 125 that it did not finish. Only the standard library: it must be able to say what is
+missing.
 """
 
 from __future__ import annotations
@@ -39,6 +40,7 @@ PROGRAMS = {  # what we call: the Debian package it is in
     "apt-get": "apt",
     "dpkg": "dpkg",
 }
+SYSTEMD_PROGRAMS = {"/lib/systemd/systemd": "systemd", "udevadm": "udev", "dbus-daemon": "dbus"}
 EXIT_CANNOT, EXIT_UNFINISHED = 77, 125
 
 
@@ -46,12 +48,13 @@ class CannotRunError(Exception):
     """The guest cannot be run on this machine; one line says why."""
 
 
-def check() -> None:
+def check(systemd: bool) -> None:
     """Raise CannotRunError when a program that the guest needs is not here."""
     if platform.machine() != "x86_64":
         raise CannotRunError(f"the guest needs an x86-64 machine, this one is {platform.machine()}")
     os.environ["PATH"] += ":/usr/sbin:/sbin"  # kmod's programs, for who is not root
-    missing = sorted({package for program, package in PROGRAMS.items() if not shutil.which(program)})
+    programs = PROGRAMS | (SYSTEMD_PROGRAMS if systemd else {})
+    missing = sorted({package for program, package in programs.items() if not shutil.which(program)})
     if missing:
         raise CannotRunError(f"missing Debian packages: {' '.join(missing)} (tools/install_debian.sh installs them)")
 
@@ -79,7 +82,7 @@ def kernel() -> tuple[Path, str]:
     return final, version
 
 
-def initramfs(out: Path, root: Path, version: str) -> None:
+def initramfs(out: Path, root: Path, version: str, systemd: bool) -> None:
     """Write ``out/.initrd``: busybox and the modules that reach the 9p root."""
     with tempfile.TemporaryDirectory() as scratch:
         top = Path(scratch)
@@ -92,7 +95,8 @@ def initramfs(out: Path, root: Path, version: str) -> None:
                 content = lzma.decompress(content)
             (top / "modules" / f"{number:02}-{module.name.removesuffix('.xz')}").write_bytes(content)
         text = (HERE / "init.sh").read_text()
-        (top / "init").write_text(text.replace("@MODULES@", f"{root}/lib/modules/{version}"))
+        text = text.replace("@MODULES@", f"{root}/lib/modules/{version}")
+        (top / "init").write_text(text.replace("@SYSTEMD@", str(HERE) if systemd else ""))
         (top / "init").chmod(0o755)
         names = "\n".join(str(path.relative_to(top)) for path in sorted(top.rglob("*")))
         with (out / ".initrd").open("wb") as archive:
@@ -111,15 +115,15 @@ def _modules(root: Path, version: str) -> list[Path]:
     return list(files)
 
 
-def run(command: list[str], out: Path, limit_s: float) -> int:
+def run(command: list[str], out: Path, limit_s: float, systemd: bool) -> int:
     """Boot, run the command, return its exit status."""
     root, version = kernel()
-    initramfs(out, root, version)
+    initramfs(out, root, version, systemd)
     (out / ".command").write_text(f"cd {shlex.quote(str(TREE))} && exec {shlex.join(command)}\n")
     status = out / ".status"
     status.unlink(missing_ok=True)
     try:
-        subprocess.run(_qemu(root, version, out), stdin=subprocess.DEVNULL, timeout=limit_s, check=False)
+        subprocess.run(_qemu(root, version, out, systemd), stdin=subprocess.DEVNULL, timeout=limit_s, check=False)
     except subprocess.TimeoutExpired:
         print(f"guest: did not finish within {limit_s:g} s", file=sys.stderr)
         return EXIT_UNFINISHED
@@ -130,14 +134,15 @@ def run(command: list[str], out: Path, limit_s: float) -> int:
     return int(status.read_text())
 
 
-def _qemu(root: Path, version: str, out: Path) -> list[str]:
+def _qemu(root: Path, version: str, out: Path, systemd: bool) -> list[str]:
     """Software emulation only: hardware virtualisation is not everywhere, and its timing would differ."""
+    more = " systemd.unit=scenario.target systemd.show_status=0" if systemd else ""
     share = "security_model=none,multidevs=remap"
     return [
         *("qemu-system-x86_64", "-M", "q35,usb=off", "-accel", "tcg,thread=multi", "-cpu", "max"),
         *("-smp", "2", "-m", "1536", "-nodefaults", "-no-user-config", "-display", "none", "-no-reboot"),
         *("-kernel", f"{root}/boot/vmlinuz-{version}", "-initrd", f"{out}/.initrd"),
-        *("-append", "console=ttyS0 quiet panic=-1 mitigations=off nokaslr audit=0 tsc=reliable"),
+        *("-append", "console=ttyS0 quiet panic=-1 mitigations=off nokaslr audit=0 tsc=reliable" + more),
         *("-chardev", f"file,id=console,path={out}/.console", "-serial", "chardev:console"),
         *("-device", "virtio-serial-pci", "-chardev", "stdio,id=out,signal=off"),
         *("-device", "virtconsole,chardev=out", "-device", "virtio-rng-pci"),
@@ -159,11 +164,12 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="guest.py", description="Run COMMAND under a real kernel in a guest.")
     parser.add_argument("--out", type=Path, help="folder that is /out in the guest (default: a new one, printed)")
     parser.add_argument("--limit", type=float, default=300.0, metavar="SECONDS", help="give up after this (300)")
+    parser.add_argument("--systemd", action="store_true", help="boot systemd and udev first")
     parser.add_argument("--check", action="store_true", help="only say whether a guest can be run here")
     parser.add_argument("command", nargs=argparse.REMAINDER, metavar="COMMAND", help="with its arguments")
     args = parser.parse_args()
     try:
-        check()
+        check(args.systemd)
         if args.check:
             kernel()
             return 0
@@ -173,7 +179,7 @@ def main() -> int:
             args.out = Path(tempfile.mkdtemp(prefix="guest-out."))
             print(f"guest: /out is {args.out}", file=sys.stderr)
         args.out.mkdir(parents=True, exist_ok=True)
-        return run(args.command, args.out.resolve(), args.limit)
+        return run(args.command, args.out.resolve(), args.limit, args.systemd)
     except CannotRunError as error:
         print(f"guest: {error}", file=sys.stderr)
         return EXIT_CANNOT

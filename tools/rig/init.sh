@@ -1,6 +1,6 @@
 #!/bin/busybox sh
 # First process of the guest (guest.py packs it): reach the host's root over 9p, lay a memory file system over it,
-# run /out/.command there, leave its exit status in /out/.status, power off.
+# run /out/.command there, under systemd as PID 1 if that is wanted; leave its exit status in /out/.status, power off.
 export PATH=/bin
 /bin/busybox --install -s /bin
 mount -t proc proc /proc
@@ -21,6 +21,19 @@ modules=@MODULES@
 rm -rf "/new/lib/modules/${modules##*/}"
 ln -s "$modules" "/new/lib/modules/${modules##*/}"
 for folder in dev proc sys; do mount --move /$folder /new/$folder; done
+if [ -n "@SYSTEMD@" ]; then
+  umount /new/dev/pts
+  mkdir -p /new/etc/tmpfiles.d
+  ln -sf /dev/null /new/etc/tmpfiles.d/tmp.conf # it would empty /tmp
+  sh "/new@SYSTEMD@/systemd_root.sh" /new
+  cat > /new/scenario.sh <<'END'
+export HOME=/root LANG=C.UTF-8 PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin
+bash /out/.command > /dev/hvc0 2>&1 < /dev/null
+echo $? > /out/.status
+sync
+END
+  exec switch_root /new /lib/systemd/systemd
+fi
 cat > /rw/first.sh <<'END'
 export HOME=/root LANG=C.UTF-8 PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin
 mount -t tmpfs tmpfs /run

@@ -1,0 +1,204 @@
+"""The installed service with a real camera driver, udev, control groups and mosquitto, under systemd as PID 1.
+
+One boot, one service; the tests follow each other as its days do. tests/service/test_boot.py has what needs no camera.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+import stat
+import subprocess
+import sys
+import sysconfig
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from booted_service import CONFIG, UNIT, fresh, journal, process, sh, show, streaming, until
+from mqtt_rig import Subscriber, wait_until
+from painted_sensor import FREE, TOUCHED, enlarged, enlarged_calibration
+from vivid import NODE, control, unload_driver
+
+from tacshade_edge.devices import calibration_file
+
+pytestmark = [pytest.mark.systemd, pytest.mark.slow]
+
+TREE = Path(__file__).resolve().parents[2]
+APP = Path("/opt/tacshade-edge")
+STATE = Path("/var/lib/tacshade-edge")
+GROUP = Path("/sys/fs/cgroup/system.slice") / UNIT
+# The name that 99-tacshade.rules gives to the driver's camera.
+CAMERA = Path("/dev/tacshade/camera-platform-vivid_0")
+GOOD = f"source: {{kind: v4l2, device: {CAMERA}, width_px: 640, height_px: 480, fps: 25, fourcc: YUYV}}\n"
+WATCHDOG_S, MEMORY_MAX = 10.0, 150 * 2**20
+START_S = 90  # emulated, and its modules come over 9p
+# What the emulation needs and no machine: time to start, and the tests' own Python in the place of Debian's.
+DROP_IN = "[Service]\nTimeoutStartSec=120\nTimeoutStopSec=20\nEnvironment=LD_LIBRARY_PATH=/opt/python/lib\n"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def installed() -> None:
+    """The shipped files through install.sh; the program from what the tests run with, as pip would lay it out."""
+    assert sh("env", "DESTDIR=/", str(TREE / "systemd/install.sh"))[0] == 0
+    python = f"python{sys.version_info[0]}.{sys.version_info[1]}"
+    site = APP / "lib" / python / "site-packages"
+    site.mkdir(parents=True)
+    shutil.copytree(TREE / "tacshade_edge", site / "tacshade_edge")
+    for name, origin in (("python", sys.base_prefix), ("site-packages", sysconfig.get_path("purelib"))):
+        Path("/opt", name).mkdir()
+        assert sh("mount", "--bind", origin, f"/opt/{name}")[0] == 0
+    (site / "dependencies.pth").write_text("/opt/site-packages\n")
+    (APP / "bin").mkdir()
+    (APP / "bin/python").symlink_to(f"/opt/python/bin/{python}")
+    (APP / "pyvenv.cfg").write_text("home = /opt/python/bin\n")
+    script = APP / "bin/tacshade-edge"
+    script.write_text(f"#!{APP}/bin/python\nfrom tacshade_edge.cli import main\nraise SystemExit(main())\n")
+    script.chmod(0o755)
+    drop_in = Path(f"/etc/systemd/system/{UNIT}.d/emulated.conf")
+    drop_in.parent.mkdir()
+    drop_in.write_text(DROP_IN)
+    assert sh("systemd-sysusers", "/usr/local/lib/sysusers.d/tacshade-edge.conf")[0] == 0
+    assert sh("chgrp", "-R", "tacshade-edge", str(CONFIG.parent))[0] == 0
+    STATE.mkdir()
+    calibration_file.save(STATE / "calibration.npz", enlarged_calibration())
+    for path in (STATE, STATE / "calibration.npz"):
+        shutil.chown(path, "tacshade-edge", "tacshade-edge")
+    np.save("/run/images.npy", np.stack([enlarged(FREE)] * 5 + [enlarged(TOUCHED)] * 15))
+    for command in (("daemon-reload",), ("start", "mosquitto")):  # with Debian's unit and our drop-in
+        assert sh("systemctl", *command)[0] == 0, sh("journalctl", "--no-pager", "-n", "50")[1]
+    sh("udevadm", "control", "--reload")
+
+
+@contextlib.contextmanager
+def plugged_in() -> Iterator[None]:
+    """A camera that shows the sensor's images."""
+    command = [sys.executable, str(TREE / "tools/rig/feed_video.py"), "/run/images.npy"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as feeder:
+        assert feeder.stdout is not None
+        try:
+            assert feeder.stdout.readline() == "playing\n"
+            yield
+        finally:
+            feeder.terminate()
+
+
+def in_status(text: str, seconds: float) -> dict[str, str]:
+    """The service's properties once its status says so."""
+    now = until(lambda now: text in now["StatusText"], seconds)
+    assert text in now["StatusText"], (now, journal())
+    return now
+
+
+def test_it_waits_for_a_camera_that_has_never_been_there() -> None:
+    assert not Path(NODE).exists()
+    assert fresh(GOOD) == 0, journal()
+    now = in_status("away", START_S)
+    assert now["ActiveState"] == "active"
+    assert now["NRestarts"] == "0"
+    assert "videodev" in Path("/proc/modules").read_text(), "the class is known before DeviceAllow names it"
+
+
+def test_the_life_of_a_plugged_in_camera() -> None:
+    before = show()
+    with plugged_in():
+        assert sh("udevadm", "settle")[0] == 0
+        assert CAMERA.resolve() == Path(NODE), "the name by the port"
+        node = Path(NODE).stat()
+        assert (stat.S_IMODE(node.st_mode), node.st_gid) == (
+            0o660,
+            int(sh("getent", "group", "video")[1].split(":")[2]),
+        )
+        streams_unprivileged(before)
+        memory_is_counted_and_bounded()
+        a_stalled_camera_is_left_alone()
+        a_bad_file_changes_nothing()
+        too_much_memory_ends_it_and_it_comes_back()
+    unplugged_it_waits()
+    with plugged_in():
+        now = until(streaming, START_S)
+        assert streaming(now), journal()
+        a_clean_stop()
+
+
+def streams_unprivileged(before: dict[str, str]) -> None:
+    with Subscriber(1883) as seen:
+        seen.wait_for("tacshade/tacshade/height", 5, START_S)
+    now = in_status("streaming, ", 20)
+    assert now["MainPID"] == before["MainPID"], "plugging in takes no restart"
+    who = process(now["MainPID"])
+    assert "0" not in who["Uid"].split()
+    assert (int(who["CapEff"], 16), who["NoNewPrivs"], who["Seccomp"]) == (0, "1", "2")
+    assert sh("getent", "group", "video")[1].split(":")[2] in who["Groups"].split()
+
+
+def memory_is_counted_and_bounded() -> None:
+    assert int((GROUP / "memory.max").read_text()) == MEMORY_MAX
+    assert (GROUP / "memory.swap.max").read_text().strip() == "0"
+    counted, who = int(show()["MemoryCurrent"]), process(show()["MainPID"])
+    assert 20 * 2**20 < counted < MEMORY_MAX
+    kinds = dict(line.split() for line in (GROUP / "memory.stat").read_text().splitlines())
+    told = {name: round(int(kinds[name]) / 2**20) for name in ("anon", "file", "kernel_stack", "sock")}
+    print(f"MemoryCurrent {counted / 2**20:.0f} MB ({told}), VmRSS {int(who['VmRSS'].split()[0]) / 1024:.0f} MB")
+
+
+def a_stalled_camera_is_left_alone() -> None:
+    before = show()
+    control("percentage_of_dropped_buffers=100")
+    in_status("the camera stalls", 20)
+    time.sleep(1.2 * WATCHDOG_S)  # only feeding the watchdog keeps it
+    now = show()
+    assert (now["MainPID"], now["NRestarts"]) == (before["MainPID"], before["NRestarts"])
+    control("percentage_of_dropped_buffers=0")
+    in_status("streaming, ", 20)
+
+
+def a_bad_file_changes_nothing() -> None:
+    before = show()
+    CONFIG.write_text("profile: slow\n" + GOOD)
+    os.kill(int(before["MainPID"]), signal.SIGHUP)
+    in_status("reload refused", 20)
+    CONFIG.write_text(GOOD)
+    now = in_status("streaming, ", 20)
+    assert now["MainPID"] == before["MainPID"]
+
+
+def too_much_memory_ends_it_and_it_comes_back() -> None:
+    """The same as kill -9, by the kernel and for the limit that the unit sets, lowered below what it takes."""
+    before = show()
+    sh("systemctl", "set-property", "--runtime", UNIT, "MemoryMax=30M")
+    now = until(lambda now: now["NRestarts"] != before["NRestarts"], 30)
+    sh("systemctl", "set-property", "--runtime", UNIT, f"MemoryMax={MEMORY_MAX}")
+    assert now["NRestarts"] != before["NRestarts"]
+    assert "oom-kill" in journal()
+    now = until(streaming, START_S)
+    assert streaming(now), journal()
+    assert now["MainPID"] != before["MainPID"]
+
+
+def unplugged_it_waits() -> None:
+    before = show()
+    keeper = os.open(NODE, os.O_RDWR)  # the driver takes a disconnect back when its last user has gone
+    control("disconnect=1")
+    in_status("away", 20)
+    Path(NODE).unlink()  # a real unplug does this, and the daemon must not take hold of it again
+    os.close(keeper)
+    unload_driver()
+    wait_until(lambda: not CAMERA.is_symlink(), 10, "udev takes the name away")
+    time.sleep(1.2 * WATCHDOG_S)
+    now = in_status("away", 1)
+    assert (now["ActiveState"], now["MainPID"], now["NRestarts"]) == ("active", before["MainPID"], before["NRestarts"])
+
+
+def a_clean_stop() -> None:
+    began = time.monotonic()
+    with Subscriber(1883) as seen:
+        assert sh("systemctl", "stop", UNIT)[0] == 0
+        wait_until(lambda: seen.of("tacshade/tacshade/state")[-1:] == [b"stopped"], 5, "it says goodbye")
+    now = show()
+    assert (now["ActiveState"], now["Result"], now["ExecMainStatus"]) == ("inactive", "success", "0")
+    print(f"stopped within {time.monotonic() - began:.1f} s, emulated")
