@@ -1,4 +1,4 @@
-"""The shipped files: what systemd and mosquitto themselves say of them, and what install.sh does with them."""
+"""The shipped files: what systemd itself says of them, and what install.sh does with them."""
 
 from __future__ import annotations
 
@@ -9,9 +9,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from mqtt_rig import MOSQUITTO, free_port, wait_until
-from paho.mqtt.client import Client
-from paho.mqtt.enums import CallbackAPIVersion
 
 from tacshade_edge.settings import load
 
@@ -20,7 +17,6 @@ EXPOSURE_MAX = 1.5
 PROGRAM = "/opt/tacshade-edge/bin/tacshade-edge"
 ANALYZE = shutil.which("systemd-analyze")
 needs_analyze = pytest.mark.skipif(ANALYZE is None, reason="systemd is not installed")
-needs_broker = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
 
 
 def analyze(*words: str | Path) -> str:
@@ -96,80 +92,3 @@ def test_a_wrong_option_is_one_line(tmp_path: Path) -> None:
     command = [FILES / "install.sh", "--remove"]
     done = subprocess.run(command, env={"DESTDIR": str(tmp_path)}, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (2, "install.sh: found --remove, expected --uninstall or nothing\n")
-
-
-def start_broker(folder: Path, text: str) -> subprocess.Popen[str]:
-    path = folder / "mosquitto.conf"
-    path.write_text(f"user root\n{text}\n")
-    return subprocess.Popen([str(MOSQUITTO), "-c", str(path)], stderr=subprocess.PIPE, text=True)
-
-
-def answer(port: int, ca: Path | None, user: str | None) -> str:
-    """What the broker says to a connection."""
-    told: list[str] = []
-    client = Client(CallbackAPIVersion.VERSION2)
-    client.on_connect = lambda _c, _d, _f, reason, _p: told.append(str(reason))
-    if ca is not None:
-        client.tls_set(str(ca))
-    if user is not None:
-        client.username_pw_set(user, "secret")
-    client.connect("127.0.0.1", port)
-    client.loop_start()
-    try:
-        wait_until(lambda: told, 5, "an answer to CONNECT")
-    finally:
-        client.disconnect()
-        client.loop_stop()
-    return told[0]
-
-
-def accepts(port: int, ca: Path | None, user: str | None) -> bool:
-    try:
-        return answer(port, ca, user) == "Success"
-    except OSError:
-        return False
-
-
-@pytest.mark.broker
-@needs_broker
-def test_mosquitto_takes_the_drop_in_as_shipped(tmp_path: Path) -> None:
-    port = free_port()
-    broker = start_broker(
-        tmp_path, f"port {port}\nallow_anonymous true\n{(FILES / 'mosquitto-tacshade.conf').read_text()}"
-    )
-    try:
-        wait_until(lambda: accepts(port, None, None), 10, "a connection")
-    finally:
-        broker.terminate()
-        _, errors = broker.communicate(timeout=10)
-    assert "Error" not in errors
-
-
-@pytest.mark.broker
-@needs_broker
-def test_mosquitto_takes_the_drop_in_filled_in(tmp_path: Path) -> None:
-    port = free_port()
-    key, certificate, passwords = tmp_path / "server.key", tmp_path / "server.crt", tmp_path / "passwd"
-    options = "req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 2 -subj /CN=localhost"
-    names = ["-addext", "subjectAltName=IP:127.0.0.1", "-keyout", str(key), "-out", str(certificate)]
-    subprocess.run(["openssl", *options.split(), *names], check=True, capture_output=True)
-    passwords.touch(0o600)
-    subprocess.run(["mosquitto_passwd", "-b", passwords, "tacshade", "secret"], check=True, capture_output=True)
-    text = (FILES / "mosquitto-tacshade.conf").read_text().replace("#: ", "")
-    for old, new in (
-        ("/etc/mosquitto/tacshade.passwd", passwords),
-        ("/etc/mosquitto/tacshade.acl", FILES / "mosquitto-tacshade.acl"),
-        ("/etc/mosquitto/certs/server.crt", certificate),
-        ("/etc/mosquitto/certs/server.key", key),
-        ("listener 8883", f"listener {port}"),
-    ):
-        assert old in text
-        text = text.replace(old, str(new))
-    broker = start_broker(tmp_path, text)
-    try:
-        wait_until(lambda: accepts(port, certificate, "tacshade"), 10, "a connection with a password over TLS")
-        assert answer(port, certificate, None) == "Not authorized"
-    finally:
-        broker.terminate()
-        _, errors = broker.communicate(timeout=10)
-    assert "Error" not in errors
