@@ -20,7 +20,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "doctor": ("doctor", "what is wrong with camera, broker, serial ports, clock; and what mends it"),
     "calibrate": ("calibrate", "references and ball presses to a calibration file"),
     "reconstruct": ("reconstruct", "images to height maps, clouds and a summary"),
-    "record": ("record", "the camera of the settings into a folder that `replay` reads"),
+    "record": ("record", "ask the running daemon for a recording that `replay` reads"),
     "replay": ("replay", "a recording through the reconstructor, to files or a broker; compare two runs"),
     "dashboard": ("dashboard", "a live page for the browser: height maps, 3-D view, health; works offline"),
     "simulate": ("simulate", "write simulated images with ground truth, or a calibration set"),

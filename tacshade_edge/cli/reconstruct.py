@@ -7,7 +7,6 @@ import json
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.devices import calibration_file
 from tacshade_edge.devices.images import read_image
 from tacshade_edge.devices.panel import write_panel
+from tacshade_edge.devices.summary import summary
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
 from tacshade_edge.types import Frame, Reconstruction
 
@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
             _write(args.out / f"{path.stem}.npz", result)
             if args.plot:
                 write_panel(args.out / f"{path.stem}.png", image, result)
-            records.append(_record(path, result, elapsed_ms))
+            records.append({"image": str(path), **summary(result), "elapsed_ms": elapsed_ms})
             if image.shape[:2] != size:  # not this sensor's: a record like any invalid frame, but a mistake
                 found, expected = (f"{width}x{height} px" for height, width in (image.shape[:2], size))
                 reason = f"found {found}, expected {expected}, the size of the calibration's images"
@@ -63,14 +63,14 @@ def run(args: argparse.Namespace) -> int:
                 failed += 1
             if sys.stderr.isatty():
                 print(f"\r{index + 1}/{len(args.images)}", end="", file=sys.stderr)
-        summary = json.dumps(records, indent=2) + "\n"
-        (args.out / "summary.json").write_text(summary, encoding="utf-8")
+        text = json.dumps(records, indent=2) + "\n"
+        (args.out / "summary.json").write_text(text, encoding="utf-8")
     except OSError as error:
         raise DeviceError(f"{error.filename or args.out}: cannot be written: {error.strerror or error}") from None
     if sys.stderr.isatty():
         print(file=sys.stderr)
     if args.json:
-        print(summary, end="")
+        print(text, end="")
     else:
         touched = sum(record["contact"] for record in records)
         print(f"{args.out}: {len(records)} images reconstructed, {touched} in contact, {failed} unusable")
@@ -107,27 +107,3 @@ def _write(path: Path, result: Reconstruction) -> None:
             points_mm=result.cloud.points_mm,
             labels=result.cloud.labels.astype(np.int32),
         )
-
-
-def _record(path: Path, result: Reconstruction, elapsed_ms: dict[str, float]) -> dict[str, Any]:
-    return {
-        "image": str(path),
-        "profile": result.profile,
-        "valid": result.valid,
-        "reason": result.reason,
-        "contact": result.contact,
-        "saturated": result.saturated,
-        "degraded": result.degraded,
-        "depth_max_mm": round(result.depth_max_mm, 4),
-        "repaired_px": result.repaired_px,
-        "objects": [
-            {
-                "label": o.label,
-                "centroid_mm": [round(v, 4) for v in o.centroid_mm],
-                "extent_mm": [round(v, 4) for v in o.extent_mm],
-                "depth_max_mm": round(o.depth_max_mm, 4),
-            }
-            for o in result.objects
-        ],
-        "elapsed_ms": elapsed_ms,
-    }

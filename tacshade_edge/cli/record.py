@@ -1,52 +1,101 @@
-"""``tacshade-edge record``: the camera of the settings into a folder that `replay` reads."""
+"""``tacshade-edge record``: asks the running daemon for a recording, and waits for it."""
 
 from __future__ import annotations
 
 import argparse
+import json
 import signal
 import sys
 import threading
+import time
 from pathlib import Path
+from typing import Any
 
 from tacshade_edge.cli.check_config import DEFAULT_CONFIG
 from tacshade_edge.cli.replay import positive
-from tacshade_edge.daemon.record import record
-from tacshade_edge.daemon.workers import SourceState
 from tacshade_edge.devices import registry
-from tacshade_edge.devices.recorder import FREE_FLOOR_BYTES, Recorder
+from tacshade_edge.devices.mqtt_caller import MqttCaller
+from tacshade_edge.errors import DeviceError
 from tacshade_edge.settings import load
+
+ANSWER_S, WRITTEN_S, PERIOD_S = 3.0, 20.0, 0.5
+STATUS = "status/recorder"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add = parser.add_argument
-    add("--config", type=Path, default=DEFAULT_CONFIG, metavar="FILE", help="settings (default: %(default)s)")
-    add("--out", type=Path, required=True, metavar="DIR", help="a new folder")
+    add("--config", type=Path, default=DEFAULT_CONFIG, metavar="FILE", help="the daemon's settings (%(default)s)")
+    add("--name", metavar="NAME", help="of the recording's folder (date and time)")
     add("--seconds", type=positive, required=True, metavar="N", help="how long; Ctrl-C ends it earlier")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Record; 1 when the disk ended it or no frame came."""
+    """Record; 1 when something else than the time or a person ended it, or no frame came."""
     document = load(args.config)
-    registry.check_files(document)
-    registry.load_calibration(document)
+    registry.check_broker_files(document)
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
-    recorder = Recorder(args.out, free_floor_bytes=FREE_FLOOR_BYTES)
-    recorder.copy(args.config, "settings.yaml")
-    recorder.copy(Path(document.settings.calibration), "calibration.npz")
-    source = registry.make_source(document.settings.source)
-    ending = record(source, recorder, seconds=args.seconds, stopped=stop.is_set, told=_tell)
-    print(f"{args.out}: {recorder.frames} frames ({ending})")
-    if ending == "disk":
-        line = (
-            f"{args.out}: stopped with less than {FREE_FLOOR_BYTES // 2**20} MiB free on the disk; what is there stays"
-        )
-        print(f"tacshade-edge: {line}", file=sys.stderr)
-    return 0 if recorder.frames and ending != "disk" else 1
+    caller = MqttCaller(
+        registry.broker_address(document),
+        sensor_id=document.settings.sensor_id,
+        verb="record",
+        watched=(STATUS, "state"),
+    )
+    try:
+        caller.start()
+        name = {} if args.name is None else {"name": args.name}
+        folder = caller.ask({"action": "start", "seconds": args.seconds, **name}, ANSWER_S)["folder"]
+        ended = _follow(caller, folder, args.seconds, stop)
+    finally:
+        caller.stop()
+    dropped = f", {ended['dropped']} dropped" if ended["dropped"] else ""
+    print(f"{folder}: {ended['frames']} frames, {ended['bytes'] / 1e6:.1f} MB{dropped} ({ended['ending']})")
+    if reason := ended.get("reason"):  # as `status/recorder` has it
+        raise DeviceError(f"{folder}: stopped: {reason}; what is there stays")
+    if ended["frames"] == 0:
+        raise DeviceError(f"{folder}: no frame came")
+    return 0
 
 
-def _tell(state: SourceState) -> None:
-    if state.reason:
-        print(f"tacshade-edge: source {state.state}: {state.reason}", file=sys.stderr)
+def _follow(caller: MqttCaller, folder: str, seconds: float, stop: threading.Event) -> dict[str, Any]:
+    """Show how it goes until it is over; what the daemon said of it last."""
+    live = sys.stderr.isatty()
+    deadline_s = time.monotonic() + seconds + WRITTEN_S
+    try:
+        while not stop.is_set():
+            status = _status(caller, folder)
+            if _over(status):
+                return status
+            if caller.latest("state") in (b"stopped", b"offline") or time.monotonic() > deadline_s:
+                return _last_words(caller, folder)
+            if live:
+                figures = f"{status.get('frames', 0)} frames, {status.get('bytes', 0) / 1e6:.1f} MB"
+                print(f"\r{folder}: {figures}, {status.get('dropped', 0)} dropped ", end="", file=sys.stderr)
+            caller.wait_for(stop.is_set, PERIOD_S)
+        try:
+            return caller.ask({"action": "stop"}, WRITTEN_S)
+        except DeviceError:  # it may have ended by itself just now
+            return _last_words(caller, folder)
+    finally:
+        if live:
+            print(file=sys.stderr)
+
+
+def _last_words(caller: MqttCaller, folder: str) -> dict[str, Any]:
+    """What was told of a recording that must be over. Raises DeviceError."""
+    if caller.wait_for(lambda: _over(_status(caller, folder)), ANSWER_S):
+        return _status(caller, folder)
+    state = caller.latest("state").decode() or "silent"
+    raise DeviceError(f"{folder}: the daemon is {state} and did not say how it ended; what it wrote is there")
+
+
+def _over(status: dict[str, Any]) -> bool:
+    return status.get("state") in ("idle", "stopped")
+
+
+def _status(caller: MqttCaller, folder: str) -> dict[str, Any]:
+    """``status/recorder`` of this recording; empty before it comes."""
+    status: dict[str, Any] = json.loads(caller.latest(STATUS) or b"{}")
+    return status if status.get("folder") == folder else {}

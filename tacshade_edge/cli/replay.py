@@ -15,10 +15,12 @@ from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.replay import Deliver, Progress, replay
 from tacshade_edge.daemon.replay_link import ReplayLink
-from tacshade_edge.devices import calibration_file
+from tacshade_edge.devices import calibration_file, registry
+from tacshade_edge.devices.mqtt_client import BrokerAddress
 from tacshade_edge.devices.recording import Recording
 from tacshade_edge.devices.run_compare import first_difference
 from tacshade_edge.devices.run_files import RunWriter
+from tacshade_edge.settings import load
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--speed", type=positive, metavar="FACTOR", help="times the recording's pace (as fast as possible)")
     add("--loop", type=_count, default=1, metavar="TIMES", help="go through it TIMES times, 0 until stopped (1)")
     add("--mqtt", type=_address, metavar="HOST:PORT", help="publish as `run` does")
+    add("--config", type=Path, metavar="FILE", help="publish as `run` does, to the broker of these settings")
     add("--sensor-id", type=_sensor_id, default="replay", metavar="ID", help="publish on tacshade/ID (replay)")
     add("input", type=Path, nargs="?", metavar="INPUT", help="folder of images or video; none: compare two runs only")
     parser.set_defaults(refuse=parser.error)
@@ -63,8 +66,10 @@ def _check(args: argparse.Namespace, refuse: Callable[[str], None]) -> None:
         return
     if args.calibration is None:
         refuse("expected --calibration CAL.npz")
-    if args.out is None and args.mqtt is None:
-        refuse("expected --out DIR or --mqtt HOST:PORT, or both")
+    if args.mqtt is not None and args.config is not None:
+        refuse("--mqtt and --config both name a broker, expected one of them")
+    if args.out is None and args.mqtt is None and args.config is None:
+        refuse("expected --out DIR, a broker (--mqtt HOST:PORT or --config FILE), or both")
     if args.loop == 0 and args.out is not None:
         refuse("--loop 0 never ends and would fill --out DIR, expected a number from 1")
     if args.out is not None and args.against is not None and args.out.resolve() == args.against.resolve():
@@ -72,7 +77,10 @@ def _check(args: argparse.Namespace, refuse: Callable[[str], None]) -> None:
 
 
 def _replay(args: argparse.Namespace) -> int:
+    broker = _broker(args)
     recording = Recording(args.input, fps=args.fps, times=args.loop)
+    if recording.cut_off:
+        _tell(f"{args.input}: the recording was cut off, what was written until then is replayed")
     reconstructor = Reconstructor(calibration_file.load(args.calibration), PROFILES[args.profile])
     for number in (signal.SIGTERM, signal.SIGINT):  # SIGINT too: a shell's background jobs start with it ignored
         signal.signal(number, signal.default_int_handler)
@@ -80,10 +88,9 @@ def _replay(args: argparse.Namespace) -> int:
     sinks: list[Deliver] = []
     interrupted = False
     with contextlib.ExitStack() as stack:
-        if args.mqtt is not None:
-            host, port = args.mqtt
+        if broker is not None:
             link = ReplayLink(
-                host=host, port=port, sensor_id=args.sensor_id, reconstructor=reconstructor, wait=args.speed is None
+                broker=broker, sensor_id=args.sensor_id, reconstructor=reconstructor, wait=args.speed is None
             )
             stack.callback(link.stop)
             link.start()
@@ -99,7 +106,7 @@ def _replay(args: argparse.Namespace) -> int:
         if args.out is not None and not interrupted:
             writer.finish(progress.as_dict())
     print(_line(args, progress))
-    if args.mqtt is not None:
+    if broker is not None:
         counters = link.counters()
         print(", ".join(f"{counters[name]} payloads {name}" for name in ("published", "superseded", "failed")))
     if interrupted:
@@ -107,6 +114,17 @@ def _replay(args: argparse.Namespace) -> int:
             _tell(f"{args.out}: stopped before the end, so nothing was written")
         return 0 if args.loop == 0 else 130
     return 1 if progress.undecodable else 0
+
+
+def _broker(args: argparse.Namespace) -> BrokerAddress | None:
+    if args.config is not None:
+        document = load(args.config)
+        registry.check_broker_files(document)
+        return registry.broker_address(document)
+    if args.mqtt is None:
+        return None
+    host, port = args.mqtt
+    return BrokerAddress(host=host, port=port, username=None, password=None, tls_ca=None)
 
 
 def _line(args: argparse.Namespace, progress: Progress) -> str:

@@ -21,6 +21,8 @@ from tacshade_edge.daemon.health import Health
 from tacshade_edge.daemon.ledger import FrameLedger, Outcome
 from tacshade_edge.daemon.pipeline import Crash, Pipeline, crashes_to
 from tacshade_edge.daemon.publisher import Publisher
+from tacshade_edge.daemon.record import DAEMON_STOPPED, SOURCE_ENDED, LiveRecorder, RecordingEnded
+from tacshade_edge.daemon.record_requests import RecordRequests
 from tacshade_edge.daemon.reload import reload
 from tacshade_edge.daemon.requests import Requests
 from tacshade_edge.daemon.systemd import Progress, Service
@@ -41,7 +43,7 @@ PREVIEW_WIDTH_PX = 320
 STALL_S = 3.0
 EVENTS_MAX = 16
 # Together under 2 s, whatever hangs.
-STOP_THREADS_S, STOP_FRAMES_S, STOP_LINK_S = 0.8, 0.2, 0.6
+STOP_THREADS_S, STOP_FRAMES_S, STOP_RECORD_S, STOP_LINK_S = 0.8, 0.2, 0.2, 0.6
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +56,7 @@ class Reload:
     """Someone wants the settings to be read again."""
 
 
-Event = Stop | Reload | Crash | SourceState | Request
+Event = Stop | Reload | Crash | SourceState | Request | RecordingEnded
 
 
 class App:
@@ -90,7 +92,13 @@ class App:
         )
         self._service = Service(Progress(self._pipeline.grab, self._pipeline.reconstruct))
         self._health = Health(self.ledger, self._pipeline.timings)
-        self._requests = Requests(self._pipeline.reconstruct, self.link.reply, self._status, self._tell_info)
+        self._recorder = LiveRecorder(self._pipeline.grab, self._events.put)
+        self._record = RecordRequests(
+            self._recorder, self.link.reply, lambda status: self.link.set_retained("status/recorder", status)
+        )
+        self._requests = Requests(
+            self._pipeline.reconstruct, self.link.reply, self._status, self._changed, self._on_record
+        )
         self._camera = SourceState("away", "starting")
         self._told = SourceState("ended")
         self._latest_health: dict[str, Any] = {}
@@ -136,6 +144,7 @@ class App:
                 self._tell_preview()
             self._tell_camera()
             self._requests.poll()
+            self._record.poll()
             try:
                 event = self._events.get(timeout=max(0.0, min(next_health_s, next_preview_s) - time.monotonic()))
             except Empty:
@@ -149,10 +158,11 @@ class App:
                 self._requests.handle(event)
             elif isinstance(event, Reload):
                 self._reload()
-            else:
+            elif isinstance(event, SourceState):
                 self._camera = event
                 if event.state == "ended":
                     _log.info("source ended")
+                    self._recorder.end(SOURCE_ENDED)
                     return
 
     def _reload(self) -> None:
@@ -167,7 +177,8 @@ class App:
             self._document = new.document
             profile = PROFILES[new.document.settings.profile]
             self._pipeline.reconstruct.reconstructor = Reconstructor(new.calibration, profile)
-            self._tell_info()
+            self._recorder.event("reload", waiting=list(new.waiting))
+            self._changed()
             note = f"restart to use the new {' and '.join(new.waiting)}" if new.waiting else ""
             _log.info("reloaded%s", f"; {note}" if note else "")
         self._service.reloaded(note)
@@ -175,10 +186,13 @@ class App:
     def _shut_down(self) -> None:
         """Finish what is on its way, account for the rest, say goodbye."""
         self._service.stopping()
+        self._recorder.end(DAEMON_STOPPED)
         self._pipeline.stop(STOP_THREADS_S)
         given_up = self.ledger.close(STOP_FRAMES_S)
         if given_up:
             _log.warning("%d frames could not be sent before the stop", given_up)
+        self._recorder.join(STOP_RECORD_S)
+        self._record.poll()
         self._tell_health()
         self._tell_camera(replace(self._camera, state="ended", reason="stopped"))
         self.link.stop(STOP_LINK_S)
@@ -197,6 +211,19 @@ class App:
         if stream == "height":
             self.ledger.settle(seq, outcome)
 
+    # What changes.
+
+    def _changed(self) -> None:
+        """The reconstructor was replaced."""
+        reconstructor = self._pipeline.reconstruct.reconstructor
+        self._recorder.reconstructs_with(reconstructor.profile.name, reconstructor.calibration.crc32)
+        self._tell_info()
+
+    def _on_record(self, request: Request) -> None:
+        self._record.handle(
+            request, self._document.settings, self._pipeline.reconstruct.reconstructor, self._camera_now()
+        )
+
     # What is told.
 
     def _camera_now(self) -> SourceState:
@@ -213,6 +240,7 @@ class App:
         if camera == self._told:
             return
         self._told = camera
+        self._recorder.event("source", state=camera.state, reason=camera.reason)
         _log.info("source %s%s", camera.state, f": {camera.reason}" if camera.reason else "")
         self.link.set_retained("status/camera", messages.encode_status(camera.state, camera.reason, camera.details))
         if camera.state != "ended":
@@ -237,7 +265,7 @@ class App:
     def _tell_health(self) -> None:
         latest = self._publisher.latest
         self._latest_health = self._health.snapshot(
-            latest[1] if latest else None, self._source.dropped, self.link.counters()
+            latest[1] if latest else None, self._source.dropped, self.link.counters(), self._recorder.counts()
         )
         self._publisher.fps = self._latest_health["delivered_fps"]
         self.link.set_retained("health", messages.encode_health(self._latest_health), qos=0)

@@ -34,7 +34,9 @@ class Health:
         self._unusable_periods = 0
         self.unusable = ""
 
-    def snapshot(self, latest: Reconstruction | None, source_dropped: int, mqtt: dict[str, int]) -> dict[str, Any]:
+    def snapshot(
+        self, latest: Reconstruction | None, source_dropped: int, mqtt: dict[str, int], recorder: dict[str, int]
+    ) -> dict[str, Any]:
         """The message as a dict.
 
         ``frames`` holds captured = published + superseded + without_contact + invalid + failed + pending, all of
@@ -58,6 +60,7 @@ class Health:
             "invalid_reason": latest.reason if latest else "",
             "degraded_reason": latest.degraded if latest else "",
             "mqtt": mqtt,
+            "recorder": recorder,
         }
 
     def _judge(self, before: Counts, counts: Counts, latest: Reconstruction | None) -> None:

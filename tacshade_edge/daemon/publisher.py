@@ -36,10 +36,13 @@ class Publisher:
         self.latest = frame, result
         changed = result.contact != self._touching
         self._touching = result.contact
+        crc32, pose, error_us = calibration.crc32, frame.pose, frame.pose_error_us
         if result.contact or changed:
-            self._offer("height", wire.encode_height(result, calibration_crc32=calibration.crc32), result.seq)
+            height = wire.encode_height(result, calibration_crc32=crc32, pose=pose, pose_error_us=error_us)
+            self._offer("height", height, result.seq)
         if result.contact:
-            self._offer("cloud", wire.encode_cloud(result, calibration_crc32=calibration.crc32), result.seq)
+            cloud = wire.encode_cloud(result, calibration_crc32=crc32, pose=pose, pose_error_us=error_us)
+            self._offer("cloud", cloud, result.seq)
         told_ns = self._told_contact_ns
         if result.contact or changed or told_ns is None or result.t_ns - told_ns >= CONTACT_PERIOD_NS:
             self._told_contact_ns = result.t_ns

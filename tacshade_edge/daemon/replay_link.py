@@ -9,6 +9,7 @@ from tacshade_edge import __version__
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.publisher import Publisher
 from tacshade_edge.devices.mqtt import MqttLink
+from tacshade_edge.devices.mqtt_client import BrokerAddress
 from tacshade_edge.devices.mqtt_outlet import Outcome
 from tacshade_edge.devices.recording import RecordedFrame
 from tacshade_edge.errors import DeviceError
@@ -24,7 +25,7 @@ class ReplayLink:
 
     Parameters
     ----------
-    host, port : str, int
+    broker : BrokerAddress
     sensor_id : str
     reconstructor : Reconstructor
     wait : bool
@@ -36,8 +37,8 @@ class ReplayLink:
         A host name that can never work.
     """
 
-    def __init__(self, *, host: str, port: int, sensor_id: str, reconstructor: Reconstructor, wait: bool) -> None:
-        self._where = f"{host}:{port}"
+    def __init__(self, *, broker: BrokerAddress, sensor_id: str, reconstructor: Reconstructor, wait: bool) -> None:
+        self._where = f"{broker['host']}:{broker['port']}"
         self._calibration = reconstructor.calibration
         self._profile = reconstructor.profile.name
         self._wait = wait
@@ -47,8 +48,7 @@ class ReplayLink:
         self._frames = 0
         self._publisher = Publisher(self._offer)
         self._link = MqttLink(
-            host=host,
-            port=port,
+            **broker,
             base_topic=f"tacshade/{sensor_id}",
             client_id=f"tacshade-replay-{sensor_id}",
             on_request=self._on_request,

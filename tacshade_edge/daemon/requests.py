@@ -35,6 +35,8 @@ class Requests:
         The answer to ``status``.
     changed : callable
         Called after the reconstructor was replaced.
+    record : callable
+        Does and answers the verb ``record``.
     """
 
     def __init__(
@@ -43,11 +45,13 @@ class Requests:
         reply: Callable[[Request, bytes], None],
         status: Callable[[], dict[str, Any]],
         changed: Callable[[], None],
+        record: Callable[[Request], None],
     ) -> None:
         self._worker = worker
         self._reply = reply
         self._status = status
         self._changed = changed
+        self._record = record
         self._reference: tuple[Request, float] | None = None  # and its deadline
         self._taken: tuple[list[U8], str] | None = None  # set by the reconstruct thread, once
 
@@ -55,6 +59,8 @@ class Requests:
         """Do or refuse one request."""
         if request.verb == "status":
             self._reply(request, encode_result(request.transaction, self._status()))
+        elif request.verb == "record":
+            self._record(request)
         elif request.verb == "profile":
             self._set_profile(request)
         else:

@@ -59,6 +59,7 @@ class Grab:
         self.retry_s = FIRST_RETRY_S
         self.last_frame_ns = 0  # CLOCK_MONOTONIC; 0 before the first
         self.attempts = 0  # openings, and frames that could not be decoded
+        self.tap: Callable[[Frame], None] | None = None  # sees every captured frame; must not wait
 
     def stop(self) -> None:
         """Make `run` return after the read that it is in."""
@@ -96,6 +97,8 @@ class Grab:
                 return True
             self._ledger.captured(frame.seq)
             self.last_frame_ns = time.monotonic_ns()
+            if tap := self.tap:
+                tap(frame)
             if (superseded := self._mailbox.put(frame)) is not None:
                 self._ledger.settle(superseded.seq, "superseded")
             if self._reported is None or self._reported.state != "streaming":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
+import io
 import json
 import os
 import tokenize
@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from tacshade_edge.devices.whole_files import write_whole
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.types import Calibration, Disc, Geometry
 
@@ -82,22 +83,14 @@ def save(path: str | os.PathLike[str], calibration: Calibration) -> Calibration:
     DeviceError
         The file cannot be written.
     """
-    target = Path(path)
     stored = with_crc(calibration)
     meta, arrays = _content(stored)
-    partial = target.with_name(target.name + ".part")
+    stream = io.BytesIO()
+    np.savez_compressed(stream, meta=np.frombuffer(meta, dtype=np.uint8), crc32=np.uint32(stored.crc32), **arrays)
     try:
-        with open(partial, "wb") as stream:
-            np.savez_compressed(
-                stream, meta=np.frombuffer(meta, dtype=np.uint8), crc32=np.uint32(stored.crc32), **arrays
-            )
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(partial, target)
+        write_whole(Path(path), stream.getvalue())
     except OSError as error:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
-        raise DeviceError(f"{target}: cannot write the calibration: {error.strerror or error}") from None
+        raise DeviceError(f"{path}: cannot write the calibration: {error.strerror or error}") from None
     return stored
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import socket
 import ssl
-from typing import Any, Final
+from typing import Any, Final, TypedDict
 
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
@@ -20,6 +20,16 @@ _INCOMING_BYTES_MAX: Final = 65536
 # Linux; elsewhere the last two may not exist. Unsent bytes in the kernel are stale frames, so few may be there.
 # A peer that takes nothing for 4 s is given up, before TCP's retries are further apart than our own attempts.
 _SOCKET_OPTIONS: Final = (("TCP_NODELAY", 1), ("TCP_NOTSENT_LOWAT", 1 << 17), ("TCP_USER_TIMEOUT", 4000))
+
+
+class BrokerAddress(TypedDict):
+    """Where a broker is and how it lets us in: arguments of everything that connects to one."""
+
+    host: str
+    port: int
+    username: str | None
+    password: str | None
+    tls_ca: str | None
 
 
 def make_client(

@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -17,6 +17,7 @@ import numpy as np
 from tacshade_edge.devices.files import look_at
 from tacshade_edge.devices.images import SUFFIXES, read_image
 from tacshade_edge.devices.tables import number, read_rows
+from tacshade_edge.devices.whole_files import part
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import U8, Frame, Pose
 
@@ -38,15 +39,16 @@ class Row:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordedFrame:
-    """A frame with the name of its image (of a video: the frame's number) and the pose at its time, if known."""
+    """A frame with the name of its image (of a video: the frame's number)."""
 
     name: str
     frame: Frame
-    pose: Pose | None
 
 
-def read_table(path: Path) -> list[Row]:
+def read_table(path: Path, *, cut_off: bool = False) -> list[Row]:
     """Read ``image,t_ns,x_mm,y_mm,z_mm,qw,qx,qy,qz``; the seven columns of the pose may be empty, all or none.
+
+    `cut_off` leaves out a last line without an end: of a recording whose writer died.
 
     Raises
     ------
@@ -54,7 +56,7 @@ def read_table(path: Path) -> list[Row]:
         ``FILE:LINE: column: found …, expected …``; time stamps that do not increase; no row.
     """
     rows: list[Row] = []
-    for where, columns in read_rows(path, HEADER, "frames"):
+    for where, columns in read_rows(path, HEADER, "frames", cut_off=cut_off):
         row = _row(where, columns)
         if rows and row.t_ns <= rows[-1].t_ns:
             raise ConfigError(f"{where}: t_ns: found {row.t_ns}, expected more than {rows[-1].t_ns} of the row before")
@@ -92,6 +94,11 @@ class Recording:
     times : int
         How often it is gone through; 0 is for ever. Time stamps and numbers go on growing.
 
+    Attributes
+    ----------
+    cut_off : bool
+        Its writer died: what it wrote until then is here.
+
     Raises
     ------
     ConfigError
@@ -102,7 +109,8 @@ class Recording:
         self._path = path
         self._period_ns = 1e9 / (fps or DEFAULT_FPS)
         self._table = _table_beside(path)
-        self._rows = None if self._table is None else read_table(self._table)
+        self.cut_off = self._table is not None and self._table == part(path / TABLE_NAME)
+        self._rows = None if self._table is None else read_table(self._table, cut_off=self.cut_off)
         if fps is not None and self._table is not None:
             raise ConfigError(f"--fps: found {fps:g}, expected none: {self._table} has the time stamps")
         self._shift_ns = 0
@@ -125,7 +133,7 @@ class Recording:
         seq, (row, picture) = entry
         image = read_image(picture) if isinstance(picture, Path) else picture
         # No wall clock was there: 0, so that equal recordings give equal bytes.
-        return RecordedFrame(row.image, Frame(seq=seq, t_ns=row.t_ns, wall_ns=0, image=image), row.pose)
+        return RecordedFrame(row.image, Frame(seq=seq, t_ns=row.t_ns, wall_ns=0, image=image, pose=row.pose))
 
     def _one_pass(self) -> Iterator[tuple[Row, Path | U8]]:
         first_ns = last_ns = count = 0
@@ -133,7 +141,8 @@ class Recording:
             first_ns = row.t_ns if count == 0 else first_ns
             last_ns = row.t_ns
             count += 1
-            yield Row(row.image, row.t_ns + self._shift_ns, row.pose), picture
+            t_ns = row.t_ns + self._shift_ns
+            yield Row(row.image, t_ns, None if row.pose is None else replace(row.pose, t_ns=t_ns)), picture
         self._shift_ns += (
             last_ns - first_ns + round((last_ns - first_ns) / (count - 1) if count > 1 else self._period_ns)
         )
@@ -169,6 +178,8 @@ class Recording:
 def _table_beside(path: Path) -> Path | None:
     if path.is_dir():
         table = path / TABLE_NAME
+        if not table.exists() and part(table).exists():
+            return part(table)
     elif path.is_file() and path.suffix.lower() not in SUFFIXES:
         table = path.with_suffix(".csv")
     else:

@@ -9,6 +9,7 @@ from typing import Any
 from tacshade_edge.devices import calibration_file, v4l2_node
 from tacshade_edge.devices.base import FrameSource
 from tacshade_edge.devices.mqtt import MqttLink
+from tacshade_edge.devices.mqtt_client import BrokerAddress
 from tacshade_edge.devices.mqtt_outlet import Outcome
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.protocol.messages import Request
@@ -134,19 +135,26 @@ def make_link(
     document: Document, on_request: Callable[[Request], None], on_outcome: Callable[[str, int, Outcome], None]
 ) -> MqttLink:
     """The link to the broker that the settings name, not started. Raises ConfigError."""
-    settings = document.settings
-    password = read_password(document)
+    sensor_id = document.settings.sensor_id
     try:
         return MqttLink(
-            host=settings.mqtt.host,
-            port=settings.mqtt.port,
-            base_topic=f"tacshade/{settings.sensor_id}",
-            client_id=f"tacshade-{settings.sensor_id}",
-            username=settings.mqtt.username,
-            password=password,
-            tls_ca=settings.mqtt.ca_file,
+            **broker_address(document),
+            base_topic=f"tacshade/{sensor_id}",
+            client_id=f"tacshade-{sensor_id}",
             on_request=on_request,
             on_outcome=on_outcome,
         )
     except ConfigError as error:
         raise ConfigError(f"{document.where('mqtt')}: {error}") from error
+
+
+def broker_address(document: Document) -> BrokerAddress:
+    """The broker that the settings name, with the password. Raises ConfigError."""
+    mqtt = document.settings.mqtt
+    return BrokerAddress(
+        host=mqtt.host,
+        port=mqtt.port,
+        username=mqtt.username,
+        password=read_password(document),
+        tls_ca=mqtt.ca_file,
+    )

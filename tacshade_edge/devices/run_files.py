@@ -15,7 +15,9 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from tacshade_edge.devices.recording import RecordedFrame
-from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
+from tacshade_edge.devices.summary import summary
+from tacshade_edge.devices.whole_files import part, sync, told, write_whole
+from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.protocol import wire
 from tacshade_edge.types import Reconstruction
 
@@ -43,85 +45,58 @@ class RunWriter:
         self._crc32 = calibration_crc32
         self._records: list[dict[str, Any]] = []
         self._streams: dict[str, BinaryIO] = {}
-        with self._told():
+        self._whole = False
+        with told(folder):
             folder.mkdir(parents=True, exist_ok=True)
             for name in (SUMMARY, TIMINGS, HEIGHTS, CLOUDS):
                 (folder / name).unlink(missing_ok=True)
             for name in (HEIGHTS, CLOUDS):
-                self._streams[name] = self._part(name).open("wb")
+                self._streams[name] = part(folder / name).open("wb")
 
     def add(self, recorded: RecordedFrame, result: Reconstruction) -> None:
         """Write a frame."""
-        with self._told():
-            self._streams[HEIGHTS].write(wire.encode_height(result, calibration_crc32=self._crc32))
-            self._streams[CLOUDS].write(wire.encode_cloud(result, calibration_crc32=self._crc32))
+        frame = recorded.frame
+        with told(self._folder):
+            for name, encode in ((HEIGHTS, wire.encode_height), (CLOUDS, wire.encode_cloud)):
+                payload = encode(
+                    result, calibration_crc32=self._crc32, pose=frame.pose, pose_error_us=frame.pose_error_us
+                )
+                self._streams[name].write(payload)
         self._records.append(_record(recorded, result))
 
     def finish(self, timings: Mapping[str, Any]) -> None:
         """Make the run whole."""
-        with self._told():
+        with told(self._folder):
             for stream in self._streams.values():
                 stream.flush()
                 os.fsync(stream.fileno())
                 stream.close()
             lines = ",\n".join(json.dumps(record) for record in self._records)  # a line each, for diff and grep
-            self._write(TIMINGS, json.dumps(timings, indent=2) + "\n")
-            self._write(SUMMARY, f"[\n{lines}\n]\n")
-            for name in (HEIGHTS, CLOUDS, TIMINGS, SUMMARY):
-                self._part(name).replace(self._folder / name)
+            for name in (HEIGHTS, CLOUDS):
+                part(self._folder / name).replace(self._folder / name)
+            write_whole(self._folder / TIMINGS, (json.dumps(timings, indent=2) + "\n").encode())
+            write_whole(self._folder / SUMMARY, f"[\n{lines}\n]\n".encode())
+            sync(self._folder)
+        self._whole = True
 
     def discard(self) -> None:
         """Remove what was begun; after `finish` there is nothing to remove."""
         for stream in self._streams.values():
             with contextlib.suppress(OSError):
                 stream.close()
-        for name in (HEIGHTS, CLOUDS, TIMINGS, SUMMARY):
-            with contextlib.suppress(OSError):
-                self._part(name).unlink(missing_ok=True)
-
-    def _part(self, name: str) -> Path:
-        return self._folder / (name + ".part")
-
-    def _write(self, name: str, text: str) -> None:
-        with self._part(name).open("w", encoding="utf-8") as stream:
-            stream.write(text)
-            stream.flush()
-            os.fsync(stream.fileno())
-
-    @contextlib.contextmanager
-    def _told(self) -> Iterator[None]:
-        try:
-            yield
-        except OSError as error:
-            where = error.filename or self._folder
-            raise DeviceError(f"{where}: cannot be written: {error.strerror or error}") from None
+        for name in () if self._whole else (HEIGHTS, CLOUDS, TIMINGS):
+            for path in (part(self._folder / name), self._folder / name):
+                with contextlib.suppress(OSError):
+                    path.unlink(missing_ok=True)
 
 
 def _record(recorded: RecordedFrame, result: Reconstruction) -> dict[str, Any]:
-    pose = recorded.pose
+    pose = recorded.frame.pose
     return {
         "image": recorded.name,
         "seq": result.seq,
         "t_ns": result.t_ns,
-        "profile": result.profile,
-        "valid": result.valid,
-        "reason": result.reason,
-        "contact": result.contact,
-        "saturated": result.saturated,
-        "degraded": result.degraded,
-        "depth_max_mm": round(result.depth_max_mm, 4),
-        "volume_mm3": round(result.volume_mm3, 4),
-        "repaired_px": result.repaired_px,
-        "objects": [
-            {
-                "label": o.label,
-                "centroid_mm": [round(v, 4) for v in o.centroid_mm],
-                "extent_mm": [round(v, 4) for v in o.extent_mm],
-                "depth_max_mm": round(o.depth_max_mm, 4),
-                "area_mm2": round(o.area_mm2, 4),
-            }
-            for o in result.objects
-        ],
+        **summary(result),
         "pose": None if pose is None else [pose.x_mm, pose.y_mm, pose.z_mm, pose.qw, pose.qx, pose.qy, pose.qz],
     }
 

@@ -4,13 +4,23 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from tacshade_edge.errors import ConfigError
 
 
-def read_rows(path: Path, header: tuple[str, ...], what: str) -> list[tuple[str, list[str]]]:
+def read_rows(path: Path, header: tuple[str, ...], what: str, *, cut_off: bool = False) -> list[tuple[str, list[str]]]:
     """Read a table with exactly this header; empty lines are passed over.
+
+    Parameters
+    ----------
+    path : Path
+    header : tuple of str
+    what : str
+        What the rows are, for a person.
+    cut_off : bool
+        Its writer died: a last line without an end is left out.
 
     Returns
     -------
@@ -23,7 +33,7 @@ def read_rows(path: Path, header: tuple[str, ...], what: str) -> list[tuple[str,
     """
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
-            reader = csv.reader(stream, strict=True)
+            reader = csv.reader(_whole_lines(stream) if cut_off else stream, strict=True)
             lines = [(reader.line_num, row) for row in reader if row]
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror or error}, expected a CSV file of {what}") from None
@@ -36,6 +46,10 @@ def read_rows(path: Path, header: tuple[str, ...], what: str) -> list[tuple[str,
         if len(row) != len(header):
             raise ConfigError(f"{path}:{line}: found {len(row)} columns, expected {len(header)}")
     return [(f"{path}:{line}", row) for line, row in lines[1:]]
+
+
+def _whole_lines(lines: Iterable[str]) -> Iterator[str]:
+    return (line for line in lines if line.endswith("\n"))
 
 
 def number(where: str, column: str, text: str) -> float:

@@ -6,7 +6,7 @@ JSON has no NaN and no infinity: both are written as null.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Final, Literal
 
 import msgspec
@@ -16,9 +16,10 @@ from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol.wire import WIRE_VERSION
 from tacshade_edge.types import Calibration, Reconstruction
 
-Verb = Literal["reference", "profile", "status"]
+Verb = Literal["reference", "profile", "status", "record"]
 Transaction = Annotated[str, msgspec.Meta(max_length=128)] | Annotated[int, msgspec.Meta(ge=-(2**53), le=2**53)] | None
 REQUEST_BYTES_MAX: Final = 4096
+RECORD_S_MAX: Final = 86400
 
 
 class _Reference(msgspec.Struct, forbid_unknown_fields=True):
@@ -34,14 +35,29 @@ class _Status(msgspec.Struct, forbid_unknown_fields=True):
     transaction: Transaction = None
 
 
+class _RecordStart(msgspec.Struct, forbid_unknown_fields=True, tag_field="action", tag="start"):
+    seconds: Annotated[float, msgspec.Meta(gt=0, le=RECORD_S_MAX)]
+    name: Annotated[str, msgspec.Meta(pattern=r"\A[A-Za-z0-9_-][A-Za-z0-9._-]{0,63}\Z")] | None = None
+    transaction: Transaction = None
+
+
+class _RecordStop(msgspec.Struct, forbid_unknown_fields=True, tag_field="action", tag="stop"):
+    transaction: Transaction = None
+
+
 class _Echo(msgspec.Struct):
     transaction: Transaction = None
 
 
-_BODIES: Final[dict[Verb, type[_Reference | _Profile | _Status]]] = {
+_BODIES: Final[dict[Verb, Any]] = {
     "reference": _Reference,
     "profile": _Profile,
     "status": _Status,
+    "record": _RecordStart | _RecordStop,
+}
+_KEYS: Final[dict[Verb, str]] = {
+    "profile": '"profile": NAME, ',
+    "record": '"action": "start", "seconds": NUMBER, "name": letters, digits, . _ - (optional), or "action": "stop", ',
 }
 
 
@@ -52,11 +68,18 @@ class Request:
     Attributes
     ----------
     verb : str
-        ``reference`` (take a new reference now), ``profile`` (change to `profile`), ``status`` (report).
+        ``reference`` (take a new reference now), ``profile`` (change to `profile`), ``status`` (report),
+        ``record`` (start or stop a recording).
     transaction : str, int or None
         The caller's own mark, given back in the reply.
     profile : str
         Empty unless the verb is ``profile``.
+    action : str
+        ``start`` or ``stop`` of the verb ``record``, else empty.
+    name : str
+        Of the recording to start; empty is for the daemon to choose.
+    seconds : float
+        How long it shall be.
     response_topic : str or None
         MQTT 5: where the caller wants the reply; None is ``res/<verb>``.
     correlation : bytes or None
@@ -68,6 +91,9 @@ class Request:
     profile: str = ""
     response_topic: str | None = None
     correlation: bytes | None = None
+    action: Literal["", "start", "stop"] = ""
+    name: str = ""
+    seconds: float = 0.0
 
 
 def parse_request(
@@ -89,8 +115,12 @@ def parse_request(
         body = msgspec.json.decode(payload or b"{}", type=_BODIES[known])
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise DecodeError(f"req/{verb}: {_one_line(str(error))}; expected {_expected(known)}") from error
-    profile = body.profile if isinstance(body, _Profile) else ""
-    return Request(known, body.transaction, profile, response_topic, correlation)
+    request = Request(known, body.transaction, response_topic=response_topic, correlation=correlation)
+    if isinstance(body, _Profile):
+        return replace(request, profile=body.profile)
+    if isinstance(body, _RecordStart):
+        return replace(request, action="start", name=body.name or "", seconds=body.seconds)
+    return replace(request, action="stop") if isinstance(body, _RecordStop) else request
 
 
 def parse_transaction(payload: bytes) -> str | int | None:
@@ -194,5 +224,4 @@ def _one_line(text: str) -> str:
 
 
 def _expected(verb: Verb) -> str:
-    keys = '"profile": NAME, ' if verb == "profile" else ""
-    return f'a JSON object {{{keys}"transaction": TEXT or INTEGER}}, transaction optional'
+    return f'a JSON object {{{_KEYS.get(verb, "")}"transaction": TEXT or INTEGER}}, transaction optional'

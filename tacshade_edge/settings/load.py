@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
+import yaml
 
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.settings import strict_yaml
@@ -55,6 +56,12 @@ def load(path: Path) -> Document:
     return Document(path, _absolute(settings, path.absolute().parent), found)
 
 
+def to_yaml(settings: Settings) -> str:
+    """The text of a settings file that says the same."""
+    text: str = yaml.safe_dump(msgspec.to_builtins(settings), sort_keys=False, allow_unicode=True)
+    return text
+
+
 def read_struct(path: Path, kind: type[T], schema: dict[str, Any]) -> tuple[T, dict[Key, Found]]:
     """Read a YAML file as one msgspec struct, whose JSON Schema is `schema`.
 
@@ -91,6 +98,7 @@ def _absolute(settings: Settings, folder: Path) -> Settings:
         calibration=at(settings.calibration),
         source=replace(source, path=at(source.path)) if isinstance(source, Files) else source,
         mqtt=replace(mqtt, password_file=at(mqtt.password_file), ca_file=at(mqtt.ca_file)),
+        recorder=replace(settings.recorder, folder=at(settings.recorder.folder)),
     )
 
 

@@ -55,6 +55,14 @@ class Mqtt(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     ca_file: Annotated[str, Meta(min_length=1, description="PEM file of the CA; TLS is used when given")] | None = None
 
 
+class Recorder(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Recordings that ``req/record`` asks for."""
+
+    folder: Annotated[str, Meta(min_length=1, description="a folder for recordings, each in its own below")] = (
+        "/var/lib/tacshade-edge/recordings"
+    )
+
+
 class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Everything that a user can set."""
 
@@ -69,6 +77,7 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     )
     source: Annotated[V4l2 | Files | Simulated, Meta(description="where frames come from")] = V4l2()
     mqtt: Annotated[Mqtt, Meta(description="the broker")] = Mqtt()
+    recorder: Annotated[Recorder, Meta(description="recordings")] = Recorder()
 
 
 def json_schema() -> dict[str, Any]:

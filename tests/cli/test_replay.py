@@ -107,7 +107,8 @@ def test_an_unreadable_image_does_not_stop_the_others(folder: Path, capsys: pyte
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        ([], "expected --out DIR or --mqtt HOST:PORT, or both"),
+        ([], "expected --out DIR, a broker (--mqtt HOST:PORT or --config FILE), or both"),
+        (["--mqtt", "h:1", "--config", "c"], "--mqtt and --config both name a broker"),
         (["--out", "o", "--loop", "0"], "--loop 0 never ends"),
         (["--out", "o", "--loop", "-1"], "found -1, expected a whole number from 0"),
         (["--out", "o", "--speed", "0"], "found 0, expected a number over 0"),

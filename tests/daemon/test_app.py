@@ -16,6 +16,8 @@ from mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port, wait_until
 from painted_sensor import touched_depth_mm
 
 from tacshade_edge.daemon.app import App
+from tacshade_edge.devices import calibration_file
+from tacshade_edge.devices.recording import read_table
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
 from tacshade_edge.protocol import wire
 from tacshade_edge.settings import Document, load
@@ -52,7 +54,9 @@ def paced(image: U8, frames: int | None = None, period_s: float = 0.02) -> Itera
 def document(folder: Path, port: int) -> Document:
     path = folder / "settings.yaml"
     path.write_text(
-        f"sensor_id: hand-1\nsource: {{kind: simulated}}\nmqtt: {{host: 127.0.0.1, port: {port}}}\n", encoding="utf-8"
+        f"sensor_id: hand-1\nsource: {{kind: simulated}}\nmqtt: {{host: 127.0.0.1, port: {port}}}\n"
+        "recorder: {folder: recs}\n",
+        encoding="utf-8",
     )
     return load(path)
 
@@ -329,3 +333,62 @@ def test_nothing_but_invalid_frames_is_a_degraded_state(
         assert last(seen, "status/camera")["state"] == "streaming"
     finally:
         app.end()
+
+
+def test_a_recording_goes_on_while_the_camera_is_lost_and_ends_with_its_reference(
+    tmp_path: Path, broker: Broker, seen: Subscriber, calibration: Calibration, pictures: Any, scripted: Any
+) -> None:
+    lose = threading.Event()
+
+    def first() -> Iterator[Any]:
+        while not lose.is_set():
+            yield from paced(pictures.free, 2)
+        yield GONE
+
+    folder = tmp_path / "recs" / "one"
+    app = Running(document(tmp_path, broker.port), scripted(first(), GONE, paced(pictures.free)), calibration)
+    try:
+        wait_until(lambda: "online" in states(seen) and seen.of(f"{BASE}/health"), 10, "online")
+        wait_until(lambda: last(seen, "status/recorder") == {"state": "idle", "reason": ""}, 5, "idle")
+        assert ask(seen, "record", action="stop") == {"ok": False, "error": "found no recording to stop"}
+        started = ask(seen, "record", action="start", seconds=600, name="one")
+        assert started == {"ok": True, "result": {"folder": str(folder)}}
+        again = ask(seen, "record", action="start", seconds=600, name="two")
+        assert again == {"ok": False, "error": f"busy: recording to {folder}"}
+        wait_until(lambda: last(seen, "status/recorder")["frames"] > 5, 10, "frames")
+        assert last(seen, "status/recorder")["state"] == "recording"
+        lose.set()
+        wait_until(lambda: b"degraded" in seen.of(f"{BASE}/state"), 10, "degraded")
+        wait_until(lambda: states(seen)[-1] == "online", 10, "online again")
+        frames = last(seen, "status/recorder")["frames"]
+        ask(seen, "profile", profile="paper")
+        ask(seen, "profile", profile="fast")
+        wait_until(lambda: last(seen, "status/recorder")["frames"] > frames + 5, 10, "more frames")
+        crc = ask(seen, "reference")["result"]["calibration_crc32"]
+        wait_until(lambda: last(seen, "status/recorder")["state"] == "stopped", 10, "stopped")
+        status = last(seen, "status/recorder")
+        assert status["reason"] == status["ending"] == "another reference or calibration came into use"
+        wait_until(lambda: last(seen, "health")["recorder"]["written"] == status["frames"], 5, "health has them")
+        assert last(seen, "health")["recorder"] == {"written": status["frames"], "dropped": 0, "waiting": 0}
+
+        # The next has the new reference beside it, and a stop that is answered when all is written.
+        ask(seen, "record", action="start", seconds=600, name="two")
+        wait_until(lambda: last(seen, "status/recorder")["frames"] > 5, 10, "frames")
+        stopped = ask(seen, "record", action="stop")["result"]
+        assert stopped["ending"] == "stopped"
+        assert len(read_table(tmp_path / "recs" / "two" / "frames.csv")) == stopped["frames"]
+        assert calibration_file.load(tmp_path / "recs" / "two" / "calibration.npz").crc32 == crc
+        wait_until(lambda: last(seen, "status/recorder")["state"] == "idle", 5, "idle")
+    finally:
+        app.end()
+    events = [json.loads(line) for line in (folder / "events.jsonl").read_text().splitlines()]
+    assert [event["kind"] for event in events] == ["start", "source", "source", *["reconstruction"] * 3]
+    assert [event["data"]["state"] for event in events[:3]] == ["streaming", "away", "streaming"]
+    assert events[1]["data"]["reason"] == str(GONE)
+    assert [event["data"]["profile"] for event in events[3:]] == ["paper", "fast", "fast"]
+    crcs = [event["data"]["calibration_crc32"] for event in events[3:]]
+    assert crcs == [calibration.crc32, calibration.crc32, crc]
+    assert calibration_file.load(folder / "calibration.npz").crc32 == calibration.crc32
+    rows = read_table(folder / "frames.csv")
+    lost_ns = events[1]["t_ns"]
+    assert rows[0].t_ns < lost_ns < rows[-1].t_ns

@@ -11,8 +11,9 @@ from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.publisher import Publisher
 from tacshade_edge.protocol import wire
-from tacshade_edge.types import Calibration, Frame
+from tacshade_edge.types import Calibration, Frame, Pose
 
+POSE = Pose(5, 1.0, 2.0, 3.0, 0.0, 1.0, 0.0, 0.0)
 PERIOD_NS = 20_000_000  # 50 frames per second
 
 
@@ -66,3 +67,14 @@ def test_an_invalid_frame_ends_a_contact_with_a_flag_and_is_silent_after(
     assert played.seqs("height") == [0, 1, 3]
     assert played.outcomes == [None, None, "invalid", None]
     assert [(h.contact, h.invalid) for h in played.decoded("height")] == [(True, False), (False, True), (True, False)]
+
+
+def test_a_known_pose_goes_with_height_and_cloud(calibration: Calibration, pictures: Any) -> None:
+    offers: list[tuple[str, bytes]] = []
+    publisher = Publisher(lambda stream, payload, _: offers.append((stream, payload)))
+    reconstructor = Reconstructor(calibration, PROFILES["fast"])
+    frames = [Frame(0, 5, 0, pictures.touched, POSE, 70), Frame(1, 6, 0, pictures.touched)]
+    for frame in frames:
+        publisher.deliver(frame, reconstructor.step(frame), calibration)
+    decoded = [wire.decode(payload) for stream, payload in offers if stream != "contact"]
+    assert [(m.pose, m.pose_error_us) for m in decoded] == [(POSE, 70)] * 2 + [(None, 0)] * 2

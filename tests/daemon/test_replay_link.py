@@ -14,6 +14,7 @@ from recordings import write_recording
 from tacshade_edge.cli import main
 from tacshade_edge.devices import calibration_file
 from tacshade_edge.devices.run_files import CLOUDS, HEIGHTS, payloads
+from tacshade_edge.protocol import wire
 
 BASE = "tacshade/replay"
 needs_broker = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
@@ -42,6 +43,8 @@ def test_as_fast_as_possible_loses_nothing(
         assert cameras == ["streaming", "ended"]
     # Every frame with contact and the one that ends it, the same bytes as in the files.
     assert heights == list(payloads(out, HEIGHTS))[5:96]
+    decoded = [wire.decode(payload) for payload in heights]
+    assert [m.pose.x_mm if m.pose else None for m in decoded[:4]] == [5.0, None, 7.0, None]  # every other row has one
     assert clouds == list(payloads(out, CLOUDS))[5:95]
     assert "0 payloads superseded, 0 payloads failed" in capsys.readouterr().out
 
@@ -64,6 +67,26 @@ def test_an_endless_loop_ends_cleanly_with_ctrl_c(tmp_path: Path, given: list[st
         assert "frames, " in said
         seen.wait_for("tacshade/left/state", 2)
         assert seen.of("tacshade/left/state")[-1] == b"stopped"
+
+
+@pytest.mark.broker
+@needs_broker
+def test_a_broker_with_password_and_tls_is_named_by_a_settings_file(
+    tmp_path: Path, given: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "password").write_text("secret\n")
+    with Broker(tmp_path, users={"hand": "secret"}, tls=True) as broker:
+        config = tmp_path / "config.yaml"
+        access = f"username: hand, password_file: password, ca_file: {broker.ca}"
+        config.write_text(f"mqtt: {{host: 127.0.0.1, port: {broker.port}, {access}}}\n")
+        assert main([*given, "--config", str(config)]) == 0
+        assert "0 payloads superseded, 0 payloads failed" in capsys.readouterr().out
+        (tmp_path / "password").write_text("wrong\n")
+        assert main([*given, "--config", str(config)]) == 1
+        assert "refused: Not authorized; expected a broker at" in capsys.readouterr().err
+    (tmp_path / "password").unlink()
+    assert main([*given, "--config", str(config)]) == 78
+    assert "config.yaml:1: mqtt.password_file: " in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -25,8 +25,13 @@ class Asked:
         self.worker = Reconstruct(reconstructor, Mailbox[Frame](), FrameLedger(), Timings(), None)  # type: ignore[arg-type]
         self.replies: list[dict[str, Any]] = []
         self.changes = 0
+        self.records: list[Request] = []
         self.requests = Requests(
-            self.worker, lambda _, payload: self.replies.append(json.loads(payload)), lambda: {"up": 1}, self._changed
+            self.worker,
+            lambda _, payload: self.replies.append(json.loads(payload)),
+            lambda: {"up": 1},
+            self._changed,
+            self.records.append,
         )
 
     def _changed(self) -> None:
@@ -55,6 +60,12 @@ def test_status_and_profile(asked: Asked) -> None:
     ]
     assert asked.worker.reconstructor.profile.name == "paper"
     assert asked.changes == 1
+
+
+def test_a_record_request_is_passed_on(asked: Asked) -> None:
+    asked.requests.handle(Request("record", action="stop"))
+    assert [request.action for request in asked.records] == ["stop"]
+    assert asked.replies == []
 
 
 def test_a_reference_is_taken_from_the_next_frames_and_used(asked: Asked, pictures: Any) -> None:

@@ -44,10 +44,10 @@ def test_a_table_gives_order_times_and_poses(folder: Path) -> None:
     names = [rows[2].split(",")[0], rows[0].split(",")[0]]
     (folder / "frames.csv").write_text(f"{HEADER}{names[0]},7,,,,,,,\n{names[1]},9,1,2,3,0.6,0,-0.8,0\n")
     first, second = every(Recording(folder))
-    assert (first.name, first.frame.seq, first.frame.t_ns, first.pose) == ("000002.png", 0, 7, None)
+    assert (first.name, first.frame.seq, first.frame.t_ns, first.frame.pose) == ("000002.png", 0, 7, None)
     assert first.frame.image[0, 0, 0] == 20
     assert (second.name, second.frame.seq, second.frame.wall_ns) == ("000000.png", 1, 0)
-    assert second.pose == Pose(9, 1.0, 2.0, 3.0, 0.6, 0.0, -0.8, 0.0)
+    assert second.frame.pose == Pose(9, 1.0, 2.0, 3.0, 0.6, 0.0, -0.8, 0.0)
 
 
 def test_without_a_table_the_times_are_made(folder: Path) -> None:

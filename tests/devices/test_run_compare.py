@@ -33,7 +33,7 @@ def write(folder: Path, change: Change = same, frames: int = 3) -> Path:
     for seq, image in enumerate([FREE, TOUCHED, TOUCHED][:frames]):
         frame = Frame(seq, 10 * seq, 0, image)
         result = reconstructor.step(frame)
-        writer.add(RecordedFrame(f"{seq}.png", frame, None), change(result) if seq == 2 else result)
+        writer.add(RecordedFrame(f"{seq}.png", frame), change(result) if seq == 2 else result)
     writer.finish({"seconds": float(frames)})
     return folder
 

@@ -22,8 +22,8 @@ def results() -> list[tuple[RecordedFrame, Reconstruction]]:
     reconstructor = Reconstructor(painted_calibration(), PROFILES["fast"])
     pose = Pose(10, 1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0)
     frames = [
-        RecordedFrame("a.png", Frame(0, 5, 0, FREE), None),
-        RecordedFrame("b.png", Frame(2, 10, 0, TOUCHED), pose),
+        RecordedFrame("a.png", Frame(0, 5, 0, FREE)),
+        RecordedFrame("b.png", Frame(2, 10, 0, TOUCHED, pose)),
     ]
     return [(recorded, reconstructor.step(recorded.frame)) for recorded in frames]
 
@@ -39,13 +39,14 @@ def test_a_run_is_the_wire_payloads_and_a_record_per_frame(tmp_path: Path) -> No
     write(tmp_path / "new" / "run").finish({"seconds": 1.0})
     folder = tmp_path / "new" / "run"
     assert sorted(p.name for p in folder.iterdir()) == ["clouds.bin", "heights.bin", "summary.json", "timings.json"]
-    given = [result for _, result in results()]
-    assert list(payloads(folder, HEIGHTS)) == [wire.encode_height(r, calibration_crc32=CRC32) for r in given]
-    assert list(payloads(folder, CLOUDS)) == [wire.encode_cloud(r, calibration_crc32=CRC32) for r in given]
+    given = [(result, recorded.frame.pose) for recorded, result in results()]
+    assert list(payloads(folder, HEIGHTS)) == [wire.encode_height(r, calibration_crc32=CRC32, pose=p) for r, p in given]
+    assert list(payloads(folder, CLOUDS)) == [wire.encode_cloud(r, calibration_crc32=CRC32, pose=p) for r, p in given]
     free, touched = read_summary(folder)
     assert (free["image"], free["seq"], free["t_ns"], free["contact"], free["pose"]) == ("a.png", 0, 5, False, None)
     assert (touched["seq"], touched["contact"], touched["pose"]) == (2, True, [1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0])
     message = wire.decode(list(payloads(folder, HEIGHTS))[1])
+    assert message.pose == given[1][1] is not None
     assert isinstance(message, wire.HeightMessage)
     assert touched["depth_max_mm"] == pytest.approx(np.nanmax(message.height_mm), abs=2e-3)
     assert json.loads((folder / "timings.json").read_text()) == {"seconds": 1.0}
