@@ -2,13 +2,16 @@
 
 ::
 
-    .venv/bin/python tools/bench_daemon.py [--fps 60] [--seconds 20] [--profile fast] [--json FILE]
+    .venv/bin/python tools/bench_daemon.py [--fps 60] [--seconds 20] [--profile fast] [--record] [--json FILE]
 
 Four processes: mosquitto on a loopback port, the daemon (or the null daemon), a subscriber that decodes, and this
 one. The frames are a ring of pre-rendered 640x480 images of a ball that goes in and out, so that drawing costs
 nothing. The null daemon reads the same ring and offers the same ``height``, ``cloud`` and ``contact`` bytes under
 each frame's time stamp, without reconstructing: what it takes is transport. Latency is from the frame's time stamp to
 the end of the subscriber's decode; both read the same CLOCK_MONOTONIC. The ring (29 MB) is in the peak memory of both.
+
+With ``--record`` it is the daemon alone and the daemon asked to record, to the folder for temporary files. The ring is
+then grey, as a camera's frames are (10 MB), and what encoding a frame costs is told for both kinds.
 """
 
 from __future__ import annotations
@@ -31,6 +34,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 
@@ -40,23 +45,34 @@ from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.app import App
 from tacshade_edge.daemon.ledger import FrameLedger
 from tacshade_edge.devices import calibration_file, registry
+from tacshade_edge.devices.mqtt_caller import MqttCaller
+from tacshade_edge.devices.recorder import PNG_OPTIONS
 from tacshade_edge.devices.simulated import SimulatedSource
 from tacshade_edge.protocol import messages, wire
 from tacshade_edge.settings import Document, load
 from tacshade_edge.simulator.objects import ball
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.script import Script
-from tacshade_edge.types import Reconstruction
+from tacshade_edge.types import Frame, Reconstruction
 
 RING = 32
 BASE = "tacshade/bench"
 OUTCOMES = ("published", "superseded", "without_contact", "invalid", "failed")
 
 
-def ring_source(fps: float) -> SimulatedSource:
+class GreyRing(SimulatedSource):
+    """The ring as a camera would give it."""
+
+    def read(self) -> Frame:
+        """The next frame, of one channel."""
+        frame = super().read()
+        return dataclasses.replace(frame, image=np.ascontiguousarray(frame.image[:, :, 1]))
+
+
+def ring_source(fps: float, kind: type[SimulatedSource] = SimulatedSource) -> SimulatedSource:
     """The ring, rendered already; a few of its frames are without contact."""
     script = Script((Press(ball(6.0), 1.0, -2.0, 3.5),), approach=RING // 2 - 1, hold=8, release=8, pause=1)
-    source = SimulatedSource(fps=fps, script=script, ring=RING)
+    source = kind(fps=fps, script=script, ring=RING)
     source.open()
     source.close()
     return source
@@ -69,9 +85,9 @@ def cost(began: resource.struct_rusage, began_s: float) -> dict[str, float]:
     return {"cpu_ratio": round(cpu_s / (time.monotonic() - began_s), 3), "peak_mb": round(now.ru_maxrss / 1024, 1)}
 
 
-def daemon(document: Document, fps: float) -> None:
+def daemon(document: Document, fps: float, kind: type[SimulatedSource] = SimulatedSource) -> None:
     """The real one, on the ring."""
-    source = ring_source(fps)
+    source = ring_source(fps, kind)
     app = App(document, source, registry.load_calibration(document))
     signal.signal(signal.SIGTERM, lambda *_: app.stop())
     began, began_s = resource.getrusage(resource.RUSAGE_SELF), time.monotonic()
@@ -188,10 +204,15 @@ def measure(role: str, config: Path, port: int, args: argparse.Namespace) -> dic
     assert listen.stdout is not None
     assert listen.stdout.readline() == "ready\n"
     worker = subprocess.Popen(
-        [*me, "--role", role, "--config", str(config), "--fps", str(args.fps)], stdout=subprocess.PIPE, text=True
+        [*me, "--role", role, "--config", str(config), "--fps", str(args.fps), *["--record"] * args.record],
+        stdout=subprocess.PIPE,
+        text=True,
     )
     try:
-        threading.Event().wait(args.seconds)
+        if role == "recording":
+            record(load(config), args.seconds)
+        else:
+            threading.Event().wait(args.seconds)
         worker.send_signal(signal.SIGTERM)
         costs = json.loads(worker.communicate(timeout=20)[0])
         figures: dict[str, Any] = json.loads(listen.communicate(timeout=20)[0])
@@ -202,6 +223,38 @@ def measure(role: str, config: Path, port: int, args: argparse.Namespace) -> dic
     accounted = frames["pending"] == 0 and frames["captured"] == sum(frames[name] for name in OUTCOMES)
     accounted = accounted and figures["received"] == figures["distinct"] == frames["published"]
     return {"role": role, **costs, **figures, "accounted": accounted}
+
+
+def record(document: Document, seconds: float) -> None:
+    """Ask the daemon for a recording as soon as it runs, and wait until it should be over."""
+    began_s, pause = time.monotonic(), threading.Event()
+    caller = MqttCaller(
+        registry.broker_address(document), sensor_id=document.settings.sensor_id, verb="record", watched=("state",)
+    )
+    caller.start()
+    if not caller.wait_for(lambda: caller.latest("state") == b"online", 20):
+        raise SystemExit("bench_daemon: the daemon does not come online")
+    caller.ask({"action": "start", "seconds": seconds - (time.monotonic() - began_s) - 1.0}, 5)
+    caller.stop()
+    pause.wait(began_s + seconds - time.monotonic())
+
+
+def encoding() -> str:
+    """What the recorder's encoding of a frame costs, beside OpenCV's with zlib's level 1 alone."""
+    source = ring_source(60)
+    source.open()
+    colour = [source.read().image for _ in range(RING)]
+    lines = []
+    for what, images in (("grey", [np.ascontiguousarray(image[:, :, 1]) for image in colour]), ("colour", colour)):
+        for name, options in (("recorder", PNG_OPTIONS), ("zlib level 1", (cv2.IMWRITE_PNG_COMPRESSION, 1))):
+            ms, sizes = [], []
+            for image in images:
+                began_s = time.thread_time()
+                _, png = cv2.imencode(".png", image, options)
+                ms.append(1e3 * (time.thread_time() - began_s))
+                sizes.append(png.size)
+            lines.append(f"{what}, {name}: {np.median(ms):.1f} ms, {np.median(sizes) / 1e3:.0f} kB")
+    return "\n".join(lines)
 
 
 def table(results: list[dict[str, Any]]) -> str:
@@ -222,6 +275,7 @@ def main() -> int:
     parser.add_argument("--fps", type=float, default=60.0)
     parser.add_argument("--seconds", type=float, default=20.0, help="of each run, start included")
     parser.add_argument("--profile", choices=list(PROFILES), default="fast")
+    parser.add_argument("--record", action="store_true", help="the daemon without and with a recording")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there too")
     for hidden, kind in (("--role", str), ("--config", Path), ("--port", int)):  # of the child processes
         parser.add_argument(hidden, type=kind, help=argparse.SUPPRESS)
@@ -231,7 +285,10 @@ def main() -> int:
         return 0
     if args.role:
         document = load(args.config)
-        (daemon if args.role == "daemon" else null_daemon)(document, args.fps)
+        if args.role == "null":
+            null_daemon(document, args.fps)
+        else:
+            daemon(document, args.fps, GreyRing if args.record else SimulatedSource)
         return 0
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -240,12 +297,15 @@ def main() -> int:
             config = folder / "config.yaml"
             config.write_text(
                 f"sensor_id: bench\nprofile: {args.profile}\ncalibration: c.npz\n"
-                f"source: {{kind: simulated}}\nmqtt: {{host: 127.0.0.1, port: {port}}}\n"
+                f"source: {{kind: simulated}}\nmqtt: {{host: 127.0.0.1, port: {port}}}\nrecorder: {{folder: recs}}\n"
             )
-            results = [measure(role, config, port, args) for role in ("daemon", "null")]
+            roles = ("daemon", "recording") if args.record else ("daemon", "null")
+            results = [measure(role, config, port, args) for role in roles]
     print(table(results))
     stages = results[0]["health"]["stages_ms"]
     print("stages, p50 / p99 ms: " + ", ".join(f"{name} {s['p50']} / {s['p99']}" for name, s in stages.items()))
+    if args.record:
+        print(f"recorder: {results[1]['health']['recorder']}\n{encoding()}")
     if args.json:
         args.json.write_text(json.dumps(results, indent=1) + "\n")
     return 0 if all(r["accounted"] for r in results) else 1
