@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from tacshade_edge.devices.frame_table import Row, read_table, table_in
 from tacshade_edge.devices.images import SUFFIXES, read_image
 from tacshade_edge.errors import ConfigError, DecodeError
-from tacshade_edge.types import U8, Frame
+from tacshade_edge.types import U8, Frame, Pose
 
 
 class FilesSource:
-    """A `FrameSource` of a folder of images (in the order of their names), one image, or a video file.
+    """A `FrameSource` of a folder of images, one image, or a video file.
+
+    A folder's images come in the order of its table (`frame_table`) with the poses that it has, or of their names.
 
     Parameters
     ----------
@@ -34,6 +38,7 @@ class FilesSource:
         self._due_ns = 0
         self._size: tuple[int, int] | None = None
         self._images: list[Path] = []
+        self._poses: dict[Path, Pose | None] = {}
         self._video: cv2.VideoCapture | None = None
         self._items: Iterator[Path | U8] = iter(())
 
@@ -43,9 +48,12 @@ class FilesSource:
         return 0
 
     def open(self) -> None:
-        """Find the files. Raises ConfigError when there is nothing to show."""
+        """Find the files. Raises ConfigError when there is nothing to show, or the table is wrong."""
         self.close()
         self._images, self._video = look_at(self._path)
+        if (rows := _rows(self._path)) is not None:
+            self._poses = {self._path / row.image: row.pose for row in rows}
+            self._images = [self._path / row.image for row in rows]
         self._items = self._next_items()
         self._due_ns = time.monotonic_ns()
 
@@ -68,7 +76,9 @@ class FilesSource:
         self._due_ns += self._period_ns
         t_ns, wall_ns, seq = time.monotonic_ns(), time.time_ns(), self._seq
         self._seq += 1
-        return Frame(seq=seq, t_ns=t_ns, wall_ns=wall_ns, image=self._checked(item))
+        pose = self._poses.get(item) if isinstance(item, Path) else None
+        at = None if pose is None else replace(pose, t_ns=t_ns)
+        return Frame(seq=seq, t_ns=t_ns, wall_ns=wall_ns, image=self._checked(item), pose=at)
 
     def close(self) -> None:
         """Release the video file."""
@@ -110,18 +120,24 @@ def first_size_px(path: Path) -> tuple[int, int] | None:
     Raises
     ------
     ConfigError
-        There is nothing to show.
+        There is nothing to show, or the table is wrong.
     """
     images, video = look_at(path)
     if video is not None:
         size_px = int(video.get(cv2.CAP_PROP_FRAME_WIDTH)), int(video.get(cv2.CAP_PROP_FRAME_HEIGHT))
         video.release()
         return size_px
+    rows = _rows(path)
     try:
-        image = read_image(images[0])
+        image = read_image(path / rows[0].image if rows else images[0])
     except DecodeError:
         return None
     return image.shape[1], image.shape[0]
+
+
+def _rows(path: Path) -> list[Row] | None:
+    table = table_in(path) if path.is_dir() else None
+    return None if table is None else read_table(table, cut_off=table.suffix == ".part")
 
 
 def look_at(path: Path) -> tuple[list[Path], cv2.VideoCapture | None]:

@@ -12,7 +12,7 @@ from typing import BinaryIO
 import cv2
 
 from tacshade_edge.devices import calibration_file
-from tacshade_edge.devices.recording import HEADER, TABLE_NAME
+from tacshade_edge.devices.frame_table import HEADER, TABLE_NAME
 from tacshade_edge.devices.whole_files import part, sync, told, write_whole
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.types import Calibration, Frame, Pose

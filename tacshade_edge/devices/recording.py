@@ -6,7 +6,6 @@ The table beside it is ``frames.csv`` in a folder, and ``NAME.csv`` beside a vid
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,26 +14,12 @@ import cv2
 import numpy as np
 
 from tacshade_edge.devices.files import look_at
+from tacshade_edge.devices.frame_table import Row, read_table, table_in
 from tacshade_edge.devices.images import SUFFIXES, read_image
-from tacshade_edge.devices.tables import number, read_rows
-from tacshade_edge.devices.whole_files import part
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.types import U8, Frame, Pose
+from tacshade_edge.types import U8, Frame
 
-HEADER = ("image", "t_ns", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
-TABLE_NAME = "frames.csv"
 DEFAULT_FPS = 30.0
-T_NS_MAX = 2**62  # a looped recording goes on from here, and the wire holds 64 bits
-UNIT_TOLERANCE = 1e-3
-
-
-@dataclass(frozen=True, slots=True)
-class Row:
-    """One line of the table."""
-
-    image: str
-    t_ns: int
-    pose: Pose | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,44 +28,6 @@ class RecordedFrame:
 
     name: str
     frame: Frame
-
-
-def read_table(path: Path, *, cut_off: bool = False) -> list[Row]:
-    """Read ``image,t_ns,x_mm,y_mm,z_mm,qw,qx,qy,qz``; the seven columns of the pose may be empty, all or none.
-
-    `cut_off` leaves out a last line without an end: of a recording whose writer died.
-
-    Raises
-    ------
-    ConfigError
-        ``FILE:LINE: column: found …, expected …``; time stamps that do not increase; no row.
-    """
-    rows: list[Row] = []
-    for where, columns in read_rows(path, HEADER, "frames", cut_off=cut_off):
-        row = _row(where, columns)
-        if rows and row.t_ns <= rows[-1].t_ns:
-            raise ConfigError(f"{where}: t_ns: found {row.t_ns}, expected more than {rows[-1].t_ns} of the row before")
-        rows.append(row)
-    if not rows:
-        raise ConfigError(f"{path}: found no row, expected one for each frame")
-    return rows
-
-
-def _row(where: str, columns: list[str]) -> Row:
-    name, time, *pose = columns
-    if not name:
-        raise ConfigError(f"{where}: image: found nothing, expected a file's name, or a frame's number in a video")
-    if not (time.isascii() and time.isdecimal() and len(time) < 20 and int(time) <= T_NS_MAX):
-        raise ConfigError(f"{where}: t_ns: found {time!r}, expected a whole number from 0 to 2^62")
-    empty = [text == "" for text in pose]
-    if all(empty):
-        return Row(name, int(time), None)
-    if any(empty):
-        raise ConfigError(f"{where}: x_mm to qz: found {7 - sum(empty)} of the 7, expected all or none")
-    values = [number(where, column, text) for column, text in zip(HEADER[2:], pose, strict=True)]
-    if abs((norm := math.hypot(*values[3:])) - 1) > UNIT_TOLERANCE:
-        raise ConfigError(f"{where}: qw, qx, qy, qz: found the norm {norm:.4g}, expected a unit quaternion")
-    return Row(name, int(time), Pose(int(time), *values))
 
 
 class Recording:
@@ -109,7 +56,7 @@ class Recording:
         self._path = path
         self._period_ns = 1e9 / (fps or DEFAULT_FPS)
         self._table = _table_beside(path)
-        self.cut_off = self._table is not None and self._table == part(path / TABLE_NAME)
+        self.cut_off = self._table is not None and self._table.suffix == ".part"
         self._rows = None if self._table is None else read_table(self._table, cut_off=self.cut_off)
         if fps is not None and self._table is not None:
             raise ConfigError(f"--fps: found {fps:g}, expected none: {self._table} has the time stamps")
@@ -177,9 +124,9 @@ class Recording:
 
 def _table_beside(path: Path) -> Path | None:
     if path.is_dir():
-        table = path / TABLE_NAME
-        if not table.exists() and part(table).exists():
-            return part(table)
+        if (found := table_in(path)) is not None:
+            return found
+        table = path
     elif path.is_file() and path.suffix.lower() not in SUFFIXES:
         table = path.with_suffix(".csv")
     else:

@@ -19,7 +19,8 @@ from painted_sensor import FREE, TOUCHED, painted_calibration
 
 from tacshade_edge.cli import main
 from tacshade_edge.devices import calibration_file
-from tacshade_edge.devices.recording import Recording, read_table
+from tacshade_edge.devices.frame_table import HEADER, read_table
+from tacshade_edge.devices.recording import Recording
 from tacshade_edge.devices.run_files import HEIGHTS, payloads
 from tacshade_edge.protocol import wire
 from tacshade_edge.settings import load
@@ -51,6 +52,8 @@ def start(tmp_path: Path, broker: Broker, seen: Subscriber) -> Iterator[Start]:
     for i, image in enumerate([FREE] * 3 + [TOUCHED] * 30):
         noisy = np.clip(image + noise.normal(0, 4, image.shape), 0, 255).astype(np.uint8)
         cv2.imwrite(str(tmp_path / "images" / f"{i:02d}.png"), noisy)
+    rows = [f"{i:02d}.png,{i},{i / 7},2,3,0,0,-1,0\n" for i in range(33)]
+    (tmp_path / "images" / "frames.csv").write_text(",".join(HEADER) + "\n" + "".join(rows))
     write_settings(tmp_path, broker.port)
     children: list[Child] = []
 
@@ -118,9 +121,11 @@ def test_a_replay_of_the_recording_gives_what_the_daemon_published(
     live = [wire.decode(payload) for payload in seen.of(f"{BASE}/height")]
     meanwhile = [height for height in live if rows[0].t_ns <= height.t_ns <= rows[-1].t_ns]
     assert len(meanwhile) > 10
+    assert {row.pose and (row.pose.x_mm, row.pose.qy) for row in rows} <= {(i / 7, -1.0) for i in range(33)}
     for height in meanwhile:
         assert isinstance(height, wire.HeightMessage)
         assert height.height_mm.tobytes() == again[height.t_ns].height_mm.tobytes()
+        assert height.pose == again[height.t_ns].pose
         assert (height.contact, height.calibration_crc32) == (again[height.t_ns].contact, written["calibration_crc32"])
     settings, kept = load(tmp_path / "s.yaml").settings, load(rec / "settings.yaml").settings
     assert kept.calibration == str(rec / "calibration.npz")

@@ -17,7 +17,7 @@ from painted_sensor import touched_depth_mm
 
 from tacshade_edge.daemon.app import App
 from tacshade_edge.devices import calibration_file
-from tacshade_edge.devices.recording import read_table
+from tacshade_edge.devices.frame_table import read_table
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
 from tacshade_edge.protocol import wire
 from tacshade_edge.settings import Document, load

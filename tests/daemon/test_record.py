@@ -20,7 +20,8 @@ from tacshade_edge.daemon.ledger import FrameLedger
 from tacshade_edge.daemon.mailbox import Mailbox
 from tacshade_edge.daemon.record import LiveRecorder, Recorded, RecordingEnded
 from tacshade_edge.daemon.workers import Grab
-from tacshade_edge.devices.recording import Recording, read_table
+from tacshade_edge.devices.frame_table import read_table
+from tacshade_edge.devices.recording import Recording
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.types import Calibration, Frame
 

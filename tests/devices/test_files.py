@@ -8,6 +8,7 @@ import pytest
 
 from tacshade_edge.devices.files import FilesSource, first_size_px
 from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.types import Pose
 
 
 def picture(level: int, height: int = 48, width: int = 64) -> np.ndarray:
@@ -31,6 +32,26 @@ def test_a_folder_gives_its_images_in_the_order_of_their_names_then_ends(folder:
     assert source.describe() == {"path": str(folder), "fps": pytest.approx(240), "images": 3}
     source.close()
     source.close()
+
+
+def test_a_table_gives_the_order_and_the_poses(folder: Path) -> None:
+    table = folder / "frames.csv"
+    table.write_text("image,t_ns,x_mm,y_mm,z_mm,qw,qx,qy,qz\n2.png,5,1,2,3,1,0,0,0\n0.png,6,,,,,,,\n")
+    source = FilesSource(path=folder, fps=240, loop=False)
+    source.open()
+    first, second, end = (source.read() for _ in range(3))
+    assert first is not None
+    assert second is not None
+    assert (int(first.image[0, 0, 0]), int(second.image[0, 0, 0]), end) == (80, 0, None)
+    assert first.pose == Pose(first.t_ns, 1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0)
+    assert second.pose is None
+    cv2.imwrite(str(folder / "2.png"), picture(0, height=24))
+    assert first_size_px(folder) == (64, 24)
+    table.write_text("image\n")
+    with pytest.raises(ConfigError, match=r"frames\.csv:1: found the header image, expected"):
+        first_size_px(folder)
+    with pytest.raises(ConfigError, match=r"frames\.csv:1: found the header image, expected"):
+        source.open()
 
 
 def test_frames_come_no_faster_than_asked(folder: Path) -> None:

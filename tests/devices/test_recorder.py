@@ -8,8 +8,9 @@ import pytest
 from painted_sensor import painted_calibration
 
 from tacshade_edge.devices import calibration_file
+from tacshade_edge.devices.frame_table import read_table
 from tacshade_edge.devices.recorder import Recorder
-from tacshade_edge.devices.recording import Recording, read_table
+from tacshade_edge.devices.recording import Recording
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.types import U8, Frame, Pose
 

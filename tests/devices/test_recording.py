@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from recordings import HEADER, write_recording
 
-from tacshade_edge.devices.recording import RecordedFrame, Recording, read_table
+from tacshade_edge.devices.recording import RecordedFrame, Recording
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.types import Pose
 
@@ -98,29 +98,6 @@ def test_an_image_that_cannot_be_read_leaves_a_gap(folder: Path) -> None:
     assert third is not None
     assert (third.frame.seq, third.frame.t_ns) == (2, 20_000_500)
     assert recording.read() is None
-
-
-@pytest.mark.parametrize(
-    ("row", "said"),
-    [
-        ("", r"frames\.csv: found no row, expected one for each frame"),
-        ("a.png,1\n", r"frames\.csv:2: found 2 columns, expected 9"),
-        (",1,,,,,,,\n", ":2: image: found nothing, expected a file's name"),
-        ("a.png,,,,,,,,\n", ":2: t_ns: found '', expected a whole number from 0 to"),
-        ("a.png,-1,,,,,,,\n", ":2: t_ns: found '-1', expected a whole number"),
-        ("a.png,1.5,,,,,,,\n", ":2: t_ns: found '1.5', expected a whole number"),
-        (f"a.png,{2**62 + 1},,,,,,,\n", ":2: t_ns: found '4611686018427387905', expected a whole number"),
-        ("a.png,5,,,,,,,\na.png,5,,,,,,,\n", ":3: t_ns: found 5, expected more than 5 of the row before"),
-        ("a.png,5,1,,,,,,\n", ":2: x_mm to qz: found 1 of the 7, expected all or none"),
-        ("a.png,5,1,2,x,1,0,0,0\n", ":2: z_mm: found 'x', expected a number"),
-        ("a.png,5,1,2,3,1,1,0,0\n", ":2: qw, qx, qy, qz: found the norm 1.414, expected a unit quaternion"),
-    ],
-)
-def test_a_wrong_table_is_told_by_line_and_column(tmp_path: Path, row: str, said: str) -> None:
-    (tmp_path / "frames.csv").write_text(HEADER + row)
-    with pytest.raises(ConfigError, match=said) as refusal:
-        read_table(tmp_path / "frames.csv")
-    assert "\n" not in str(refusal.value)
 
 
 def test_nothing_to_replay(tmp_path: Path, folder: Path) -> None:
