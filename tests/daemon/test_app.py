@@ -348,7 +348,7 @@ def test_a_recording_goes_on_while_the_camera_is_lost_and_ends_with_its_referenc
     folder = tmp_path / "recs" / "one"
     app = Running(document(tmp_path, broker.port), scripted(first(), GONE, paced(pictures.free)), calibration)
     try:
-        wait_until(lambda: "online" in states(seen) and seen.of(f"{BASE}/health"), 10, "online")
+        wait_until(lambda: last(seen, "status/camera").get("state") == "streaming", 10, "streaming")
         wait_until(lambda: last(seen, "status/recorder") == {"state": "idle", "reason": ""}, 5, "idle")
         assert ask(seen, "record", action="stop") == {"ok": False, "error": "found no recording to stop"}
         started = ask(seen, "record", action="start", seconds=600, name="one")
@@ -358,8 +358,9 @@ def test_a_recording_goes_on_while_the_camera_is_lost_and_ends_with_its_referenc
         wait_until(lambda: last(seen, "status/recorder")["frames"] > 5, 10, "frames")
         assert last(seen, "status/recorder")["state"] == "recording"
         lose.set()
-        wait_until(lambda: b"degraded" in seen.of(f"{BASE}/state"), 10, "degraded")
-        wait_until(lambda: states(seen)[-1] == "online", 10, "online again")
+        cameras = f"{BASE}/status/camera"
+        wait_until(lambda: any(str(GONE).encode() in told for told in seen.of(cameras)), 10, "lost")
+        wait_until(lambda: last(seen, "status/camera")["state"] == "streaming", 10, "back")
         frames = last(seen, "status/recorder")["frames"]
         ask(seen, "profile", profile="paper")
         ask(seen, "profile", profile="fast")
