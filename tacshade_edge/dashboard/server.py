@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 from collections.abc import Callable, Collection
 from http import HTTPStatus
@@ -19,6 +20,7 @@ from tacshade_edge.errors import DeviceError
 
 _WEBSOCKET: Final = "/mqtt"
 _CLOSE_S: Final = 0.5
+_STOP_S: Final = 0.7
 
 
 class Pages:
@@ -112,4 +114,6 @@ async def run(
     listening(*server.sockets[0].getsockname()[:2])
     await stop.wait()
     server.close()
-    await server.wait_closed()
+    # A connection that never said anything would be waited for as long as it may take to speak: 10 s.
+    with contextlib.suppress(TimeoutError):
+        await asyncio.wait_for(server.wait_closed(), _STOP_S)

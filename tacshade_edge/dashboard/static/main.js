@@ -95,8 +95,10 @@ function tell(sensor, news) {
   const known = hands.has(sensor);
   if ("state" in news && news.state === undefined) hands.delete(sensor); // the retained state was taken away
   else hands.set(sensor, { ...hands.get(sensor), ...news });
+  // The hand of the address; without one the first that is there, rather than one that was here last week.
   const wanted = decodeURIComponent(location.hash.slice(1));
-  if (chosen === null || (!known && sensor === wanted)) choose(hands.has(wanted) ? wanted : sensor);
+  if (wanted ? !known && sensor === wanted : works(sensor) && !works(chosen) && view.heard_ms === null) choose(sensor);
+  if (chosen === null) choose(sensor);
   tellHands();
   if (sensor === chosen) {
     tellState();
@@ -104,6 +106,8 @@ function tell(sensor, news) {
     schedule();
   }
 }
+
+const works = (sensor) => ["online", "degraded"].includes(hands.get(sensor)?.state);
 
 function choose(sensor) {
   if (sensor === chosen) return;
@@ -273,7 +277,7 @@ $("login").addEventListener("submit", (event) => {
 // Requests.
 
 function tellControls() {
-  const able = link?.connected && ["online", "degraded"].includes(hands.get(chosen)?.state) && !asking;
+  const able = link?.connected && works(chosen) && !asking;
   $("profile").disabled = $("rezero").disabled = !able;
 }
 

@@ -44,9 +44,9 @@ export class SkinView {
     this.scene = new THREE.Scene();
     this.camera = new THREE.PerspectiveCamera(35, 1, 1, 1000);
     this.camera.up.set(0, 0, 1);
-    this.scene.add(new THREE.AmbientLight(0xffffff, 1.6), this.camera);
-    const lamp = new THREE.DirectionalLight(0xffffff, 2.2);
-    lamp.position.set(-0.6, 0.9, 0.5); // beside the eye: a dent has a shaded side
+    this.scene.add(new THREE.AmbientLight(0xffffff, 1.3), this.camera);
+    const lamp = new THREE.DirectionalLight(0xffffff, 3);
+    lamp.position.set(-1, 0.7, 0.15); // beside the eye: a dent has a shaded side
     this.camera.add(lamp);
     this.controls = new OrbitControls(this.camera, this.renderer.domElement);
     this.controls.addEventListener("change", () => this.render());
@@ -129,7 +129,7 @@ export class SkinView {
     this.rim.geometry.setFromPoints(ring.map((a) => new THREE.Vector3(r * Math.sin(theta) * Math.cos(a), r * Math.sin(theta) * Math.sin(a), r * Math.cos(theta))));
     const rim = r * Math.sin(theta);
     this.axes.scale.setScalar(0.3 * rim);
-    this.axes.position.set(-1.1 * rim, 0.8 * rim, r * Math.cos(theta));
+    this.axes.position.set(-1.05 * rim, -0.75 * rim, r * Math.cos(theta));
     this.rim.visible = this.axes.visible = true;
     this.look();
   }
@@ -140,7 +140,7 @@ export class SkinView {
     const r = this.geometry.skin_radius_mm, theta = (this.geometry.visible_half_angle_deg * Math.PI) / 180;
     const foot = r * Math.cos(theta), rim = r * Math.sin(theta), far = (3.6 * rim) / Math.min(1, this.camera.aspect);
     this.controls.target.set(0, 0, foot + 0.2 * (r - foot));
-    this.camera.position.set(-0.2 * far, 0.7 * far, foot + 0.68 * far);
+    this.camera.position.set(0.2 * far, -0.7 * far, foot + 0.68 * far);
     this.controls.update();
     this.render();
   }

@@ -1,0 +1,386 @@
+"""The dashboard's server: its files, who may open the WebSocket, and the bytes through it; real sockets."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import re
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from dashboard_process import dashboard
+from mqtt_rig import MOSQUITTO, Broker, wait_until
+from paho.mqtt.client import Client
+from paho.mqtt.enums import CallbackAPIVersion
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+
+from tacshade_edge.dashboard import files, server
+from tacshade_edge.dashboard.access import refusal
+from tacshade_edge.dashboard.bridge import Broker as Address
+
+STATIC = Path(files.__file__).parent / "static"
+Serve = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
+
+
+def run(test: Coroutine[Any, Any, None]) -> None:
+    async def limited() -> None:
+        async with asyncio.timeout(30):
+            await test
+
+    asyncio.run(limited())
+
+
+@asynccontextmanager
+async def running(broker_port: int = 1, origins: frozenset[str] = frozenset()) -> AsyncIterator[int]:
+    """The server in this process; its port."""
+    port: asyncio.Future[int] = asyncio.get_running_loop().create_future()
+    stop = asyncio.Event()
+    serving = asyncio.create_task(
+        server.run(
+            Address("127.0.0.1", broker_port), "127.0.0.1", 0, origins, lambda _host, p: port.set_result(p), stop
+        )
+    )
+    yield await port
+    stop.set()
+    await serving
+
+
+@asynccontextmanager
+async def tcp(serve: Serve) -> AsyncIterator[int]:
+    """A TCP server in the place of the broker."""
+    listener = await asyncio.start_server(serve, "127.0.0.1", 0)
+    async with listener:
+        yield int(listener.sockets[0].getsockname()[1])
+
+
+def websocket(port: int, **words: Any) -> connect:
+    return connect(f"ws://127.0.0.1:{port}/mqtt", subprotocols=["mqtt"], compression=None, max_size=None, **words)
+
+
+async def get(port: int, path: str, *headers: str) -> tuple[int, dict[str, str], bytes]:
+    """A request exactly as written: no client tidies the path."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    lines = [f"GET {path} HTTP/1.1", f"Host: 127.0.0.1:{port}", *headers]
+    writer.write("\r\n".join([*lines, "", ""]).encode())
+    head, _, body = (await reader.read()).partition(b"\r\n\r\n")
+    writer.close()
+    status, *fields = head.decode().split("\r\n")
+    return int(status.split()[1]), {k.lower(): v for k, v in (f.split(": ", 1) for f in fields)}, body
+
+
+async def echo(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    while chunk := await reader.read(65536):
+        writer.write(chunk)
+        await writer.drain()
+    writer.close()
+
+
+def test_the_page_and_all_that_it_names_is_served() -> None:
+    async def test() -> None:
+        async with running() as port:
+            status, headers, index = await get(port, "/")
+            assert (status, headers["content-type"]) == (200, "text/html; charset=utf-8")
+            assert index == (STATIC / "index.html").read_bytes()
+            named = re.findall(r'(?:src|href)="([^"]+)"', index.decode())
+            named += re.findall(r'"three": "\./([^"]+)"', index.decode())
+            for script in STATIC.glob("*.js"):
+                named += re.findall(r'from "\./([^"]+)"', script.read_text())
+            types = {"js": "text/javascript; charset=utf-8", "css": "text/css; charset=utf-8", "svg": "image/svg+xml"}
+            assert len(set(named)) > 10
+            for name in set(named):
+                status, headers, body = await get(port, f"/{name}?v=1")
+                assert (status, headers["content-type"]) == (200, types[name.rpartition(".")[2]]), name
+                assert body == (STATIC / name).read_bytes()
+
+    run(test())
+
+
+def test_nothing_is_named_that_is_not_here() -> None:
+    """Offline means: no address of another machine in the page's own files."""
+    for path in [*STATIC.glob("*.js"), *STATIC.glob("*.html"), *STATIC.glob("*.css")]:
+        assert re.findall(r"(?:https?:)?//[a-z0-9-]+\.[a-z]", path.read_text()) == [], path.name
+
+
+def test_a_file_is_sent_once() -> None:
+    async def test() -> None:
+        async with running() as port:
+            _, headers, _ = await get(port, "/main.js")
+            status, again, body = await get(port, "/main.js", f"If-None-Match: {headers['etag']}")
+            assert (status, body, again["etag"]) == (304, b"", headers["etag"])
+            assert (await get(port, "/main.js", 'If-None-Match: "other"'))[0] == 200
+
+    run(test())
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/../server.py",
+        "/vendor/../../server.py",
+        "/%2e%2e/server.py",
+        "/..%2fserver.py",
+        "//etc/passwd",
+        "/etc/passwd",
+        "/vendor/",
+        "/vendor",
+        "/static/index.html",
+        "/vendor/vendored.md",
+        "/index.html/",
+        "/\\..\\server.py",
+        "http://127.0.0.1/main.js",
+    ],
+)
+def test_what_is_not_in_the_table_does_not_exist(path: str) -> None:
+    async def test() -> None:
+        async with running() as port:
+            assert (await get(port, path))[0] == 404
+
+    run(test())
+
+
+def test_the_page_may_load_its_own_files_only() -> None:
+    async def test() -> None:
+        async with running() as port:
+            for path in ("/", "/main.js", "/none"):
+                headers = (await get(port, path))[1]
+                policy = headers["content-security-policy"]
+                assert "default-src 'none'" in policy
+                assert "frame-ancestors 'none'" in policy
+                assert "unsafe" not in policy
+                assert headers["x-content-type-options"] == "nosniff"
+            # The one inline script is allowed by its hash, so the hash has to be that of the page as it is.
+            assert policy.count("'sha256-") == (STATIC / "index.html").read_text().count('<script type="importmap">')
+
+    run(test())
+
+
+@pytest.mark.parametrize(
+    ("origin", "host", "passes"),
+    [
+        ("http://127.0.0.1:8080", "127.0.0.1:8080", True),
+        ("http://localhost:8080", "localhost:8080", True),
+        ("http://[::1]:8080", "[::1]:8080", True),
+        ("http://192.168.1.7:8080", "192.168.1.7:8080", True),
+        ("https://hand.example", "hand.example", True),  # given with --origin
+        ("https://hand.example", "127.0.0.1:8080", True),  # as many proxies ask
+        (None, "127.0.0.1:8080", True),  # no browser
+        ("http://evil.example", "127.0.0.1:8080", False),
+        ("http://127.0.0.1:9999", "127.0.0.1:8080", False),  # another server on this machine
+        ("http://evil.example:8080", "evil.example:8080", False),  # its name, our address
+        ("http://localhost.evil.example", "localhost.evil.example", False),
+        ("null", "127.0.0.1:8080", False),  # a file, a sandboxed frame
+        ("http://127.0.0.1:8080", None, False),
+        ("", "", False),
+    ],
+)
+def test_who_may_open_the_websocket(origin: str | None, host: str | None, passes: bool) -> None:
+    assert (refusal(origin, host, {"https://hand.example"}) == "") is passes
+
+
+def test_another_page_is_refused_before_any_byte_reaches_the_broker() -> None:
+    connected = []
+
+    async def count(_reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        connected.append(1)
+        writer.close()
+
+    async def test() -> None:
+        async with tcp(count) as broker, running(broker) as port:
+            with pytest.raises(InvalidStatus) as refused:
+                await websocket(port, origin="http://evil.example").__aenter__()
+            assert refused.value.response.status_code == 403
+            assert b"not from here" in (refused.value.response.body or b"")
+            assert (await get(port, "/mqtt"))[0] == 426
+            assert connected == []
+            async with websocket(port, origin=f"http://127.0.0.1:{port}") as page:
+                with pytest.raises(ConnectionClosed):
+                    await page.recv()
+            assert connected == [1]
+
+    run(test())
+
+
+def test_bytes_pass_both_ways_unchanged() -> None:
+    sent = [bytes([n]) * (1 + n * 997) for n in range(60)]
+
+    async def receive(page: ClientConnection, size: int) -> bytes:
+        received = b""
+        while len(received) < size:
+            message = await page.recv()
+            assert isinstance(message, bytes)
+            received += message
+        return received
+
+    async def test() -> None:
+        async with tcp(echo) as broker, running(broker) as port, websocket(port) as page:
+            assert page.subprotocol == "mqtt"
+            receiving = asyncio.create_task(receive(page, sum(map(len, sent))))
+            for message in sent:
+                await page.send(message)
+            assert await receiving == b"".join(sent)
+
+    run(test())
+
+
+@pytest.mark.parametrize(("message", "code"), [("text", 1003), (b"x" * (1 << 17), 1009)])
+def test_what_is_no_mqtt_is_refused(message: str | bytes, code: int) -> None:
+    async def test() -> None:
+        async with tcp(echo) as broker, running(broker) as port, websocket(port) as page:
+            await page.send(message)
+            with pytest.raises(ConnectionClosed) as closed:
+                await page.recv()
+            assert closed.value.rcvd is not None
+            assert closed.value.rcvd.code == code
+
+    run(test())
+
+
+def test_a_broker_that_is_away_is_told_and_tried_again() -> None:
+    async def reason(port: int) -> str:
+        async with websocket(port) as page:
+            with pytest.raises(ConnectionClosed) as closed:
+                await page.recv()
+            assert closed.value.rcvd is not None
+            assert closed.value.rcvd.code == 1013
+            return closed.value.rcvd.reason
+
+    async def hang_up(_reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.close()
+
+    async def test() -> None:
+        async with tcp(echo) as broker:
+            pass
+        async with running(broker) as port:
+            assert await reason(port) == f"broker 127.0.0.1:{broker}: connection refused"
+            listener = await asyncio.start_server(hang_up, "127.0.0.1", broker)
+            async with listener:
+                assert await reason(port) == f"broker 127.0.0.1:{broker} closed the connection"
+            assert (await get(port, "/"))[0] == 200
+
+    run(test())
+
+
+def test_a_page_that_goes_away_leaves_no_connection_at_the_broker() -> None:
+    ended = asyncio.Event()
+
+    async def until_end(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await reader.read()
+        ended.set()
+        writer.close()
+
+    async def test() -> None:
+        async with tcp(until_end) as broker, running(broker) as port:
+            async with websocket(port) as page:
+                await page.send(b"hello")
+                page.transport.abort()  # no closing frame: a tab that crashed
+            await ended.wait()
+
+    run(test())
+
+
+def test_a_page_that_does_not_read_makes_the_broker_wait() -> None:
+    """The server holds some hundred KB, the kernel some MB; the broker notices, and drops by its own rules."""
+    written = 0
+
+    async def flood(_reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        nonlocal written
+        try:
+            while True:
+                writer.write(bytes(65536))
+                await writer.drain()
+                written += 65536
+        except ConnectionError:
+            pass
+
+    async def test() -> None:
+        async with tcp(flood) as broker, running(broker) as port, websocket(port, max_queue=1) as page:
+            await page.recv()
+            before = -1
+            while written != before:
+                before = written
+                await asyncio.sleep(0.1)
+            assert 0 < written < 64 << 20
+            page.transport.abort()
+
+    run(test())
+
+
+def test_it_stops_with_open_connections() -> None:
+    async def test() -> None:
+        async with tcp(echo) as broker:
+            async with running(broker) as port:
+                pages = [await websocket(port).__aenter__() for _ in range(3)]
+                began = asyncio.get_running_loop().time()
+            assert asyncio.get_running_loop().time() - began < 5  # it is 0.01 s; a close time-out would be 10
+            for page in pages:
+                with pytest.raises(ConnectionClosed):
+                    await page.recv()
+
+    run(test())
+
+
+def test_vendored_files_are_the_ones_that_are_listed() -> None:
+    text = (STATIC / "vendor" / "vendored.md").read_text()
+    listed = dict(re.findall(r"^\| (\S+) \|.*\| `([0-9a-f]{64})` \|$", text, re.MULTILINE))
+    found = {path for path in (STATIC / "vendor").iterdir() if path.suffix in (".js", ".css")}
+    assert listed == {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in found}
+    assert sum(path.stat().st_size for path in found) < 2_000_000
+
+
+needs_broker = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
+
+
+def client_through(address: str) -> Client:
+    """Paho over WebSocket, through the dashboard's server."""
+    host, port = address.removeprefix("http://").rstrip("/").rsplit(":", 1)
+    client = Client(CallbackAPIVersion.VERSION2, transport="websockets")
+    client.ws_set_options(path="/mqtt")
+    client.connect_async(host, int(port))
+    return client
+
+
+@pytest.mark.broker
+@needs_broker
+@pytest.mark.parametrize("tls", [False, True])
+def test_height_maps_of_full_size_come_through_mosquitto(tmp_path: Path, tls: bool) -> None:
+    payload = bytes(range(256)) * 2400  # 614 KB, as 640x480 cells
+    received: list[bytes] = []
+    with Broker(tmp_path, tls=tls) as broker:
+        words = ["--ca-file", str(broker.ca)] if tls else []
+        with dashboard(f"127.0.0.1:{broker.port}", *words) as address:
+            reader, writer = client_through(address), Client(CallbackAPIVersion.VERSION2)
+            reader.on_connect = lambda client, *_: client.subscribe("height")
+            reader.on_subscribe = lambda *_: writer.loop_start()
+            reader.on_message = lambda _client, _data, message: received.append(message.payload)
+            writer.on_connect = lambda client, *_: [client.publish("height", payload) for _ in range(10)]
+            if tls:
+                writer.tls_set(ca_certs=str(broker.ca))
+            writer.connect_async("127.0.0.1", broker.port)
+            reader.loop_start()
+            wait_until(lambda: len(received) == 10, 20, "ten maps")
+            for client in (reader, writer):
+                client.disconnect()
+                client.loop_stop()
+    assert set(received) == {payload}
+
+
+@pytest.mark.broker
+@needs_broker
+def test_the_brokers_users_are_the_pages_users(tmp_path: Path) -> None:
+    answers: list[bool] = []
+    with Broker(tmp_path, users={"eve": "right"}) as broker, dashboard(f"127.0.0.1:{broker.port}") as address:
+        for password in ("wrong", "right"):
+            client = client_through(address)
+            client.username_pw_set("eve", password)
+            client.on_connect = lambda _client, _data, _flags, code, _properties: answers.append(not code.is_failure)
+            client.loop_start()
+            before = len(answers)
+            wait_until(lambda before=before: len(answers) > before, 10, "an answer")  # type: ignore[misc]
+            client.disconnect()
+            client.loop_stop()
+    assert answers[0] is False
+    assert answers[-1] is True

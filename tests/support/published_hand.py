@@ -1,0 +1,86 @@
+"""A hand without a daemon: what one publishes, of any size and at any pace, from shapes that the caller draws."""
+
+from __future__ import annotations
+
+import time
+from types import TracebackType
+
+import numpy as np
+from paho.mqtt.client import Client
+from paho.mqtt.enums import CallbackAPIVersion
+
+from tacshade_edge.protocol import messages, wire
+from tacshade_edge.types import Calibration, Disc, Geometry, HeightMap, ObjectCloud, Reconstruction, TouchedObject
+
+ROWS, COLS = 480, 640
+DISC = Disc(236.0, 328.0, 205.0)
+CRC = 0x1234ABCD
+
+
+def calibration() -> Calibration:
+    """Of a 640x480 camera; only what `info` tells of it is of use."""
+    image = np.zeros((ROWS, COLS), np.uint8)
+    no_table = np.zeros(0, np.float32)
+    geometry = Geometry(20.0, 30.0, 55.0, DISC)
+    return Calibration(
+        *(geometry, "bright", "adaptive", ROWS, COLS, 20.0, image, image, 1.0, 15.0, no_table, no_table, no_table),
+        crc32=CRC,
+    )
+
+
+def bump(seq: int, depth_mm: float, row: float, col: float, step_px: int = 1, width_px: float = 60.0) -> Reconstruction:
+    """A result: a bell of `depth_mm` at an image pixel, exactly 0 without depth."""
+    rows, cols = np.mgrid[0:ROWS:step_px, 0:COLS:step_px]
+    away2 = (rows - row) ** 2 + (cols - col) ** 2
+    height = (depth_mm * np.exp(-away2 / (2 * width_px**2))).astype(np.float32)
+    height[np.hypot(rows - DISC.row_c, cols - DISC.col_c) > DISC.radius_px] = np.nan
+    touched = np.argwhere(height[::4, ::4] > 0.3 * depth_mm) if depth_mm else np.empty((0, 2))
+    points = np.zeros((len(touched), 3), np.float32)
+    points[:, :2] = (touched[:, ::-1] * 4 * step_px - (DISC.col_c, DISC.row_c)) * 0.08
+    points[:, 2] = np.sqrt(np.maximum((20 - depth_mm) ** 2 - (points[:, :2] ** 2).sum(axis=1), 0))
+    cloud = ObjectCloud(points, np.ones(len(points), np.uint16))
+    objects = (TouchedObject(1, (0.5, -1.5, 17.0), (4.0, 4.0, 1.0), depth_mm, 50.0),) if depth_mm else ()
+    grid = HeightMap(height, height > 0.3 * depth_mm, 0.0, 0.0, float(step_px))
+    contact = depth_mm > 0
+    return Reconstruction(
+        *(seq, time.monotonic_ns(), time.time_ns(), "fast", True, "", contact, False, "", grid, cloud, objects, 60.0)
+    )
+
+
+class PublishedHand:
+    """Its retained topics are told when it is entered, its results when asked."""
+
+    def __init__(
+        self, port: int, sensor_id: str = "drawn", username: str | None = None, password: str | None = None
+    ) -> None:
+        self.base = f"tacshade/{sensor_id}"
+        self._port = port
+        self.client = Client(CallbackAPIVersion.VERSION2)
+        if username is not None:
+            self.client.username_pw_set(username, password)
+
+    def __enter__(self) -> PublishedHand:
+        self.client.connect("127.0.0.1", self._port)
+        self.client.loop_start()
+        info = messages.encode_info(
+            version="0", config_digest="0", profile="fast", calibration=calibration(), profiles=("fast", "paper")
+        )
+        self.tell("info", info, retain=True)
+        self.tell("state", b"online", retain=True)
+        self.tell("status/camera", messages.encode_status("streaming", "", {"device": "drawn"}), retain=True)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.client.disconnect()
+        self.client.loop_stop()
+
+    def tell(self, topic: str, payload: bytes, *, retain: bool = False) -> None:
+        self.client.publish(f"{self.base}/{topic}", payload, 1 if retain else 0, retain)
+
+    def show(self, result: Reconstruction) -> None:
+        """Publish a result as the daemon does."""
+        self.tell("height", wire.encode_height(result, calibration_crc32=CRC))
+        self.tell("cloud", wire.encode_cloud(result, calibration_crc32=CRC))
+        self.tell("contact", messages.encode_contact(result, fps=30.0))
