@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import os
+import socket
 from collections.abc import Callable, Collection
 from http import HTTPStatus
 from typing import Final
@@ -109,8 +111,11 @@ async def run(
             close_timeout=_CLOSE_S,
             logger=quiet,
         )
+    except socket.gaierror as error:
+        raise DeviceError(f"address {host}: {error.strerror}, expected one of this machine") from error
     except OSError as error:
-        raise DeviceError(f"port {port} of {host}: {error.strerror or error}, expected one that is free") from error
+        reason = os.strerror(error.errno) if error.errno else str(error)
+        raise DeviceError(f"port {port} of {host}: {reason}, expected a free port of this machine") from error
     listening(*server.sockets[0].getsockname()[:2])
     await stop.wait()
     server.close()

@@ -40,8 +40,14 @@ def test_a_port_in_use_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
         assert cli.main(["dashboard", "--http", str(port)]) == 1
     out, errors = capsys.readouterr()
     assert out == ""
-    assert errors.startswith(f"tacshade-edge: port {port} of 127.0.0.1: ")
-    assert errors.count("\n") == 1
+    assert errors == (
+        f"tacshade-edge: port {port} of 127.0.0.1: Address already in use, expected a free port of this machine\n"
+    )
+
+
+def test_an_address_of_another_machine_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["dashboard", "--http", "0", "--host", "192.0.2.1"]) == 1
+    assert "port 0 of 192.0.2.1: Cannot assign requested address" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -39,8 +39,7 @@ function take(topic, payload) {
 
 function takeChosen(what, payload) {
   if (what === "height" || what === "cloud") {
-    // Our own copy: mqtt.js's payload is a view that would keep the whole buffer of the socket.
-    view[what] = payload.slice();
+    view[what] = payload;
     if (what === "height") view.heard_ms = view.height_ms = performance.now();
     schedule();
   } else if (what === "contact") {
@@ -63,7 +62,7 @@ function takeChosen(what, payload) {
     });
   } else if (what === "preview") {
     URL.revokeObjectURL(picture);
-    picture = URL.createObjectURL(new Blob([payload.slice()], { type: "image/jpeg" }));
+    picture = URL.createObjectURL(new Blob([payload], { type: "image/jpeg" }));
     $("picture").src = picture;
     $("preview").hidden = false;
   }
@@ -101,8 +100,8 @@ function tell(sensor, news) {
   if (chosen === null) choose(sensor);
   tellHands();
   if (sensor === chosen) {
-    tellState();
     tellProfiles();
+    tellState();
     schedule();
   }
 }
@@ -135,8 +134,8 @@ function choose(sensor) {
 
 function tellHands() {
   const tabs = [...hands].sort(([a], [b]) => a.localeCompare(b)).map(([sensor, hand]) => {
-    const tab = element("button", { type: "button", role: "tab", title: hand.state ?? "unknown", onclick: () => { location.hash = encodeURIComponent(sensor); choose(sensor); } }, sensor);
-    tab.dataset.level = levelOf(hand.state);
+    const tab = element("button", { type: "button", role: "tab", title: link?.connected ? hand.state ?? "unknown" : "not connected", onclick: () => { location.hash = encodeURIComponent(sensor); choose(sensor); } }, sensor);
+    tab.dataset.level = link?.connected ? levelOf(hand.state) : "off";
     tab.setAttribute("aria-selected", sensor === chosen);
     return tab;
   });
@@ -225,11 +224,12 @@ function tellLink(level, words) {
   $("link").dataset.level = level;
   $("link").textContent = words;
   if (level === "good") $("login").hidden = true;
-  tellControls();
+  if (chosen !== null) tellState();
+  tellHands();
 }
 
 function tellState() {
-  showState(hands.get(chosen)?.state, view.parts, view.health);
+  showState(hands.get(chosen)?.state, view.parts, view.health, link?.connected);
   tellControls();
 }
 
@@ -278,7 +278,8 @@ $("login").addEventListener("submit", (event) => {
 
 function tellControls() {
   const able = link?.connected && works(chosen) && !asking;
-  $("profile").disabled = $("rezero").disabled = !able;
+  $("rezero").disabled = !able;
+  $("profile").disabled = !able || !hands.get(chosen).info;
 }
 
 function tellProfiles() {

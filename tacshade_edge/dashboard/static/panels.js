@@ -15,7 +15,7 @@ export function element(name, properties = {}, ...children) {
 }
 
 export function number(value, digits = 0) {
-  return typeof value === "number" && Number.isFinite(value) ? value.toFixed(digits) : "–";
+  return typeof value === "number" && Number.isFinite(value) ? value.toFixed(digits).replace(/^-(0\.?0*)$/, "$1") : "–";
 }
 
 function put(id, text) {
@@ -36,11 +36,16 @@ export function showRates(health) {
 }
 
 /** The state of the hand with every reason that is known for it. */
-export function showState(state, parts, health) {
+export function showState(state, parts, health, connected) {
   const reasons = [...parts].filter(([, part]) => part.reason).map(([name, part]) => `${name}: ${part.reason}`);
   if (health?.invalid_reason) reasons.push(`latest frame not usable: ${health.invalid_reason}`);
   if (health?.degraded_reason) reasons.push(`less trust: ${health.degraded_reason}`);
   const line = document.getElementById("state");
+  if (!connected) {
+    line.dataset.level = "off";
+    line.textContent = `last heard: ${state ?? "nothing"}`;
+    return;
+  }
   line.dataset.level = reasons.length && state === "online" ? "warn" : levelOf(state);
   line.replaceChildren(element("b", { textContent: state ?? "unknown" }), reasons.length ? ` ${reasons.join("; ")}` : "");
 }

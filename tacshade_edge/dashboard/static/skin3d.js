@@ -21,13 +21,18 @@ for (let ring = 1; ring <= RINGS; ring++) {
 // What a screen shows for 0 to 255, as amounts of light: light is what the lamp is multiplied with.
 const LINEAR = Float32Array.from({ length: 256 }, (_, v) => (v <= 10 ? v / 255 / 12.92 : ((v / 255 + 0.055) / 1.055) ** 2.4));
 const PERIOD_MS = 60; // between two pictures that only new data asks for; turning by hand is smooth
+const SHARE = 4; // of the renderer's time that such pictures may take: a quarter, the rest is the height map's
 const POINTS_MAX = 20000;
 
-/** Height of the nearest cell in mm; at the edge, where the disc's cells may end before the disc, 0. */
+/** Height in mm between four cells; a cell outside the disc, or of the edge that the grid leaves out, counts as 0. */
 function heightAt(map, row, col) {
-  const i = Math.round((row - map.row0) / map.step_px), j = Math.round((col - map.col0) / map.step_px);
-  const h = i >= 0 && j >= 0 && i < map.rows && j < map.cols ? map.height_mm[i * map.cols + j] : NaN;
-  return h !== h ? 0 : h;
+  const y = (row - map.row0) / map.step_px, x = (col - map.col0) / map.step_px, i = Math.floor(y), j = Math.floor(x);
+  const cell = (r, c) => {
+    const h = r >= 0 && c >= 0 && r < map.rows && c < map.cols ? map.height_mm[r * map.cols + c] : 0;
+    return h !== h ? 0 : h;
+  };
+  const above = cell(i, j) + (x - j) * (cell(i, j + 1) - cell(i, j)), below = cell(i + 1, j) + (x - j) * (cell(i + 1, j + 1) - cell(i + 1, j));
+  return above + (y - i) * (below - above);
 }
 
 export class SkinView {
@@ -83,6 +88,7 @@ export class SkinView {
     this.cloud.geometry.setDrawRange(0, 0);
     this.rim.visible = this.axes.visible = false;
     this.drawn_ms = -Infinity;
+    this.period_ms = PERIOD_MS;
     this.render();
   }
 
@@ -129,7 +135,7 @@ export class SkinView {
     this.rim.geometry.setFromPoints(ring.map((a) => new THREE.Vector3(r * Math.sin(theta) * Math.cos(a), r * Math.sin(theta) * Math.sin(a), r * Math.cos(theta))));
     const rim = r * Math.sin(theta);
     this.axes.scale.setScalar(0.3 * rim);
-    this.axes.position.set(-1.05 * rim, -0.75 * rim, r * Math.cos(theta));
+    this.axes.position.set(-0.85 * rim, -0.85 * rim, r * Math.cos(theta));
     this.rim.visible = this.axes.visible = true;
     this.look();
   }
@@ -138,8 +144,8 @@ export class SkinView {
     if (!this.geometry) return;
     this.untouched = true;
     const r = this.geometry.skin_radius_mm, theta = (this.geometry.visible_half_angle_deg * Math.PI) / 180;
-    const foot = r * Math.cos(theta), rim = r * Math.sin(theta), far = (3.6 * rim) / Math.min(1, this.camera.aspect);
-    this.controls.target.set(0, 0, foot + 0.2 * (r - foot));
+    const foot = r * Math.cos(theta), rim = r * Math.sin(theta), far = (3.8 * rim) / Math.min(1, this.camera.aspect);
+    this.controls.target.set(0, -0.12 * rim, foot);
     this.camera.position.set(0.2 * far, -0.7 * far, foot + 0.68 * far);
     this.controls.update();
     this.render();
@@ -155,16 +161,36 @@ export class SkinView {
     this.render();
   }
 
+  /** Ask for a picture of new data, once the last one is done and has been paid for. */
   later() {
-    if (this.timer) return;
+    this.wanted = true;
+    if (this.timer || this.fence) return;
     this.timer = setTimeout(() => {
       this.timer = 0;
       this.render();
-    }, Math.max(0, this.drawn_ms + PERIOD_MS - performance.now()));
+    }, Math.max(0, this.drawn_ms + this.period_ms - performance.now()));
   }
 
   render() {
+    this.wanted = false;
     this.drawn_ms = performance.now();
     this.renderer.render(this.scene, this.camera);
+    if (this.fence) return;
+    // Commands return at once and are carried out elsewhere: only a fence tells what a picture costs. Without a graphics
+    // card it is a hundred times more, and whoever does not wait has a browser that is always behind.
+    const gl = this.renderer.getContext(), began_ms = this.drawn_ms;
+    this.fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    gl.flush();
+    const done = () => {
+      if (this.fence && !gl.isContextLost() && gl.getSyncParameter(this.fence, gl.SYNC_STATUS) !== gl.SIGNALED) {
+        setTimeout(done, 5);
+        return;
+      }
+      gl.deleteSync(this.fence);
+      this.fence = null;
+      this.period_ms = Math.max(PERIOD_MS, SHARE * (performance.now() - began_ms));
+      if (this.wanted) this.later();
+    };
+    setTimeout(done, 5);
   }
 }

@@ -1,0 +1,452 @@
+"""The page in headless Chromium, against the real broker, daemon and dashboard process.
+
+::
+
+    TACSHADE_SCREENSHOTS=docs/images .venv/bin/python -m pytest tests/dashboard/test_page.py
+
+also writes the pictures of docs/dashboard.md.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from browser import CHROMIUM, DRIVER, browser, errors
+from dashboard_process import dashboard
+from mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port, wait_until
+from published_hand import COLS, DISC, PublishedHand, bump
+from selenium.webdriver import ActionChains, Chrome
+from selenium.webdriver.common.by import By
+from selenium.webdriver.support.select import Select
+
+from tacshade_edge.cli.demo_sensor import make_calibration
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.devices import calibration_file
+from tacshade_edge.protocol import wire
+from tacshade_edge.simulator.scene import SimulatedSensor
+from tacshade_edge.simulator.script import demonstration
+
+MISSING = [
+    name for name, found in (("Chromium", CHROMIUM), ("its driver", DRIVER), ("mosquitto", MOSQUITTO)) if not found
+]
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.skipif(bool(MISSING), reason=f"{', '.join(MISSING)} not installed"),
+]
+PICTURES = os.environ.get("TACSHADE_SCREENSHOTS")
+FPS = 10
+SCRIPT = demonstration()
+SOLVER_RATIO = 0.25  # what `fast` may be off on a ball; the daemon's own test on a camera has the same
+
+
+@pytest.fixture(scope="module")
+def calibration(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("sensor") / "calibration.npz"
+    calibration_file.save(path, make_calibration())
+    return path
+
+
+@pytest.fixture(scope="module")
+def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chrome]:
+    with browser(tmp_path_factory.mktemp("chromium")) as driver:
+        yield driver
+
+
+@pytest.fixture
+def page(chromium: Chrome) -> Iterator[Chrome]:
+    """The browser; a test that ends with a complaint in the console has failed."""
+    errors(chromium)
+    yield chromium
+    told = errors(chromium)
+    chromium.get("about:blank")
+    assert told == []
+
+
+@contextmanager
+def daemon(folder: Path, calibration: Path, port: int, sensor_id: str = "left-index", fps: int = FPS) -> Iterator[None]:
+    """The real daemon on the simulated sensor."""
+    config = folder / f"{sensor_id}.yaml"
+    config.write_text(
+        f"sensor_id: {sensor_id}\ncalibration: {calibration}\nsource: {{kind: simulated, fps: {fps}}}\n"
+        f"mqtt: {{host: 127.0.0.1, port: {port}}}\n"
+    )
+    command = [sys.executable, "-m", "tacshade_edge", "run", "--config", str(config)]
+    child = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+    try:
+        yield
+        child.send_signal(signal.SIGTERM)
+        assert child.wait(10) == 0
+    finally:
+        child.kill()
+        child.wait()
+
+
+def js(page: Chrome, expression: str) -> Any:
+    return page.execute_script(f"return {expression}")
+
+
+def text(page: Chrome, element: str) -> str:
+    return str(page.find_element(By.ID, element).text)
+
+
+def shows(page: Chrome, element: str, part: str, timeout_s: float = 15) -> None:
+    wait_until(lambda: part in text(page, element), timeout_s, f"{part!r} in #{element}")
+
+
+def drawn(page: Chrome, timeout_s: float = 20) -> None:
+    """Wait until one more map is on the screen."""
+    before = js(page, "window.tacshade ? tacshade.drawn : 0")
+    wait_until(lambda: js(page, "window.tacshade ? tacshade.drawn : 0") > before, timeout_s, "a map is drawn")
+
+
+def opened(page: Chrome, address: str, sensor_id: str = "") -> None:
+    page.get(address + (f"#{sensor_id}" if sensor_id else ""))
+    shows(page, "link", "Connected")
+
+
+def until_shown(page: Chrome, hand: PublishedHand, result: Callable[[], Any], seq: int) -> None:
+    """Publish until it is on the screen: QoS 0, and the page may still be subscribing."""
+
+    def again() -> bool:
+        hand.show(result())
+        return bool(js(page, f"tacshade.seq === {seq}"))
+
+    wait_until(again, 15, f"map {seq} on the screen")
+
+
+def picture(page: Chrome, name: str, size_px: tuple[int, int] | None = None) -> None:
+    if PICTURES is None:
+        return
+    before = page.get_window_size()
+    if size_px is not None:
+        page.set_window_size(*size_px)
+        drawn_at = js(page, "performance.now()")
+        wait_until(lambda: js(page, "performance.now()") > drawn_at + 1000, 10, "the new size is drawn")
+    Path(PICTURES).mkdir(parents=True, exist_ok=True)
+    page.save_screenshot(str(Path(PICTURES) / f"{name}.png"))
+    page.set_window_size(before["width"], before["height"])
+
+
+def pressed_mm(seq: int) -> float:
+    """The greatest h that the simulated hand makes in this frame."""
+    return float(SimulatedSensor().frame(SCRIPT.at(seq)).skin.height_mm.max())
+
+
+def held(seq: int | None) -> str:
+    """Name of what is pressed to its full depth in this frame; empty while it moves and without contact."""
+    now, before, after = (SCRIPT.at((seq or 1) + k) for k in (0, -1, 1))
+    return now[0].shape.name if seq and now and now == before == after else ""
+
+
+def test_the_drawn_depth_is_the_pressed_depth(page: Chrome, tmp_path: Path, calibration: Path) -> None:
+    """From the colours of the canvas back to mm, against the payload and against what the simulated hand pressed."""
+    with (
+        Broker(tmp_path) as broker,
+        dashboard(f"127.0.0.1:{broker.port}") as address,
+        Subscriber(broker.port, "tacshade/left-index/height") as seen,
+    ):
+        opened(page, address)
+        assert page.find_element(By.ID, "waiting").is_displayed()
+        with daemon(tmp_path, calibration, broker.port):
+            shots: dict[str, tuple[int, float, float, str]] = {}
+
+            def look() -> bool:
+                # One script, so that all is of one map. The ball is the one object that the profile was fitted to.
+                seq, peak, scale, pixels = js(
+                    page,
+                    "[tacshade.seq, tacshade.drawnPeak(), tacshade.scale_mm, window.cells.toDataURL()]",
+                )
+                name = "free" if peak == 0 else held(seq)
+                if name:
+                    shots[name] = (seq, peak, scale, pixels)
+                return {"ball", "cube", "small_crescent"} <= set(shots)
+
+            wait_until(look, 90, "cube, crescent and ball were shown")
+            picture(page, "dashboard", (1000, 1240))
+            assert text(page, "state") == "online"
+            assert Select(page.find_element(By.ID, "profile")).first_selected_option.text == "fast"
+            sent = {h.seq: h for h in map(wire.decode, seen.of("tacshade/left-index/height"))}
+    for name, (seq, peak, scale, _) in shots.items():
+        height = sent[seq]
+        assert isinstance(height, wire.HeightMessage)
+        # Half a colour, half a step of the wire.
+        assert peak == pytest.approx(float(np.nanmax(height.height_mm)), abs=scale / 255 / 2 + 0.0005), name
+    assert shots["ball"][1] == pytest.approx(pressed_mm(shots["ball"][0]), rel=SOLVER_RATIO)
+    assert len({pixels for *_, pixels in shots.values()}) == len(shots)
+
+
+def test_every_cell_has_the_colour_of_its_depth(page: Chrome, tmp_path: Path) -> None:
+    """A known shape: where it lies, how it falls off, what is outside, and what the pointer reads."""
+    row, col = DISC.row_c + 40, DISC.col_c - 60
+    with (
+        Broker(tmp_path) as broker,
+        dashboard(f"127.0.0.1:{broker.port}") as address,
+        PublishedHand(broker.port) as hand,
+    ):
+        opened(page, address)
+        until_shown(page, hand, lambda: bump(7, 2.6, row, col), 7)
+        truth = bump(7, 2.6, row, col).height.height_mm
+        scale = js(page, "tacshade.scale_mm")
+        assert scale == 3
+        for r, c in [(row, col), (row + 50, col), (row, col + 90), (DISC.row_c - 180, DISC.col_c)]:
+            shown = js(page, f"tacshade.depthAt({r}, {c})")
+            assert shown == pytest.approx(float(truth[round(r), round(c)]), abs=scale / 255), (r, c)
+        assert js(page, f"tacshade.depthAt({DISC.row_c}, {DISC.col_c + DISC.radius_px + 1})") is None  # NaN
+        assert js(page, f"tacshade.depthAt(1, {COLS - 1})") is None
+
+        canvas = page.find_element(By.ID, "cells")
+        to_screen = canvas.rect["width"] / (2 * DISC.radius_px)
+        ActionChains(page).move_to_element_with_offset(canvas, round(-60 * to_screen), round(40 * to_screen)).perform()
+        shows(page, "cursor", "2.6")
+        shows(page, "cursor", "x -")
+        shows(page, "n-depth", "2.60")
+        shows(page, "objects", "object 1")
+
+        Select(page.find_element(By.ID, "range")).select_by_value("10")
+        assert js(page, "tacshade.scale_mm") == 10
+        assert js(page, f"tacshade.depthAt({row}, {col})") == pytest.approx(2.6, abs=10 / 255)
+        shows(page, "ticks", "10 mm")
+        Select(page.find_element(By.ID, "range")).select_by_value("auto")
+
+        until_shown(page, hand, lambda: bump(8, 0.0, row, col), 8)  # released
+        assert js(page, "tacshade.drawnPeak()") == 0
+        assert text(page, "objects") == ""
+
+
+def test_it_recovers_from_a_broker_restart(page: Chrome, tmp_path: Path, calibration: Path) -> None:
+    with Broker(tmp_path) as broker, dashboard(f"127.0.0.1:{broker.port}") as address:
+        with daemon(tmp_path, calibration, broker.port):
+            opened(page, address)
+            drawn(page)
+            broker.kill()
+            shows(page, "link", "Not connected: broker 127.0.0.1")
+            shows(page, "link", "connection refused; trying again")
+            assert not page.find_element(By.ID, "rezero").is_enabled()
+            shows(page, "stale", "s ago")
+            picture(page, "dashboard-away", (760, 560))
+            broker.start()
+            shows(page, "link", "Connected")
+            drawn(page)
+            wait_until(lambda: text(page, "stale") == "", 10, "no longer stale")
+        shows(page, "state", "stopped")
+        assert not page.find_element(By.ID, "rezero").is_enabled()
+
+
+def test_it_recovers_from_a_restart_of_its_server(chromium: Chrome, tmp_path: Path) -> None:
+    with Broker(tmp_path) as broker, PublishedHand(broker.port):
+        words = f"127.0.0.1:{broker.port}", "--http", str(free_port())
+        with dashboard(*words) as address:
+            opened(chromium, address)
+        shows(chromium, "link", "the dashboard's server does not answer; trying again")
+        with dashboard(*words):
+            shows(chromium, "link", "Connected")
+            shows(chromium, "state", "online")
+            # The browser itself complains of every attempt that nobody answered, and nothing else does.
+            assert [e for e in errors(chromium) if "ERR_CONNECTION_REFUSED" not in e] == []
+            chromium.get("about:blank")
+
+
+def test_profile_and_zero_are_changed_through_requests(page: Chrome, tmp_path: Path, calibration: Path) -> None:
+    with (
+        Broker(tmp_path) as broker,
+        dashboard(f"127.0.0.1:{broker.port}") as address,
+        Subscriber(broker.port, "tacshade/left-index/+/+") as seen,
+        daemon(tmp_path, calibration, broker.port),
+    ):
+        opened(page, address)
+        profile = Select(page.find_element(By.ID, "profile"))
+        wait_until(lambda: page.find_element(By.ID, "profile").is_enabled(), 15, "the hand is online")
+        assert [option.text for option in profile.options] == list(PROFILES)
+        profile.select_by_value("paper")
+        shows(page, "answer", "The profile is paper.")
+        wait_until(lambda: page.find_element(By.ID, "profile").is_enabled(), 15, "the answer")
+        Select(page.find_element(By.ID, "profile")).select_by_value("fast")
+        shows(page, "answer", "The profile is fast.")
+
+        page.find_element(By.ID, "rezero").click()
+        reply = json.loads(seen.wait_for("tacshade/left-index/res/reference", 1, 15)[0])
+        shows(page, "answer", "Zero is new" if reply["ok"] else reply["error"])
+        wait_until(lambda: page.find_element(By.ID, "rezero").is_enabled(), 15, "it may be asked again")
+
+
+def test_what_a_hand_refuses_or_does_not_answer_is_told(page: Chrome, tmp_path: Path) -> None:
+    with (
+        Broker(tmp_path) as broker,
+        dashboard(f"127.0.0.1:{broker.port}") as address,
+        PublishedHand(broker.port) as hand,
+        Subscriber(broker.port, "tacshade/+/req/+") as seen,
+    ):
+        opened(page, address)
+        wait_until(lambda: page.find_element(By.ID, "rezero").is_enabled(), 15, "the hand is online")
+        page.find_element(By.ID, "rezero").click()
+        asked = json.loads(seen.wait_for("tacshade/drawn/req/reference")[0])
+        hand.tell("res/reference", json.dumps({"transaction": "of somebody else", "ok": True, "result": {}}).encode())
+        hand.tell("res/reference", b"no JSON")
+        hand.tell(
+            "res/reference", json.dumps({"transaction": asked["transaction"], "ok": False, "error": "touched"}).encode()
+        )
+        wait_until(lambda: text(page, "answer") == "touched", 15, "the error")
+        page.find_element(By.ID, "rezero").click()
+        shows(page, "answer", "no answer within 8 s", 20)
+
+
+def test_several_hands(page: Chrome, tmp_path: Path) -> None:
+    def tabs() -> list[str]:
+        return [tab.text for tab in page.find_elements(By.CSS_SELECTOR, "#hands button")]
+
+    with (
+        Broker(tmp_path) as broker,
+        dashboard(f"127.0.0.1:{broker.port}") as address,
+        PublishedHand(broker.port, "thumb") as thumb,
+        PublishedHand(broker.port, "index") as index,
+    ):
+        opened(page, address, "thumb")
+        wait_until(lambda: tabs() == ["index", "thumb"], 10, "both tabs")
+        until_shown(page, thumb, lambda: bump(1, 1.5, 200, 300, step_px=4), 1)
+        index.show(bump(99, 0.9, 200, 300, step_px=4))
+        thumb.show(bump(2, 1.0, 200, 300, step_px=4))
+        wait_until(lambda: js(page, "tacshade.seq === 2"), 10, "only the chosen hand's")
+        page.find_elements(By.CSS_SELECTOR, "#hands button")[0].click()
+        assert js(page, "[tacshade.sensor, tacshade.seq]") == ["index", None]
+        until_shown(page, index, lambda: bump(100, 0.9, 200, 300, step_px=4), 100)
+        assert js(page, "tacshade.drawnPeak()") == pytest.approx(0.9, abs=0.01)
+        assert page.current_url.endswith("#index")
+        assert page.title.startswith("index")
+        index.tell("state", b"offline", retain=True)
+        shows(page, "state", "offline")
+        assert js(page, "tacshade.sensor") == "index"  # the page does not jump away from what one looks at
+
+
+def test_strange_messages_are_counted_and_shown_as_text(page: Chrome, tmp_path: Path) -> None:
+    evil = '<img src=x onerror="document.title=1"> & <b>bold</b>'
+    with (
+        Broker(tmp_path) as broker,
+        dashboard(f"127.0.0.1:{broker.port}") as address,
+        PublishedHand(broker.port) as hand,
+    ):
+        opened(page, address)
+        until_shown(page, hand, lambda: bump(1, 1.5, 200, 300, step_px=4), 1)
+        assert js(page, "tacshade.undecodable") == 0
+        sound = wire.encode_height(bump(2, 2.0, 200, 300, step_px=4), calibration_crc32=1)
+        for count, damaged in enumerate([b"", sound[:50], sound[:-1], sound[:200] + b"!" + sound[201:]], 1):
+            hand.tell("height", damaged)
+            wait_until(lambda count=count: js(page, "tacshade.undecodable") == count, 10, f"{count} counted")  # type: ignore[misc]
+        for topic in ("health", "contact", "status/camera", "info"):
+            for payload in (b"{", b"null", b"\xff\xfe", b"[]"):
+                hand.tell(topic, payload)
+        hand.tell("preview", b"no JPEG")
+        hand.tell("status/camera", json.dumps({"state": "away", "reason": evil, "device": {"a": [evil]}}).encode())
+        hand.tell("health", json.dumps({evil: evil, "temperature_c": {"cpu": 61.5}}).encode())
+        shows(page, "parts", evil)
+        shows(page, "state", evil)
+        shows(page, "tables", "61.5")
+        until_shown(page, hand, lambda: bump(3, 1.0, 200, 300, step_px=4), 3)
+        assert page.title == "drawn – TacShade"
+
+
+def test_a_broker_with_users_asks_for_one(page: Chrome, tmp_path: Path) -> None:
+    users = {"eve": "right"}
+    with (
+        Broker(tmp_path, users=users) as broker,
+        dashboard(f"127.0.0.1:{broker.port}") as address,
+        PublishedHand(broker.port, "drawn", "eve", "right") as hand,
+    ):
+        page.get(address)
+        shows(page, "login", "wants a user and password")
+        for name, word in (("eve", "wrong"), ("eve", "right")):
+            field = page.find_element(By.NAME, "username")
+            field.clear()
+            field.send_keys(name)
+            page.find_element(By.NAME, "password").send_keys(word)
+            page.find_element(By.CSS_SELECTOR, "#login button").click()
+            shows(page, "link" if word == "right" else "login-why", "Connected" if word == "right" else "refused")
+        assert not page.find_element(By.ID, "login").is_displayed()
+        until_shown(page, hand, lambda: bump(1, 1.5, 200, 300, step_px=4), 1)
+        page.refresh()  # kept for this tab
+        shows(page, "link", "Connected")
+        js(page, "sessionStorage.clear()")
+
+
+def test_without_webgl_the_rest_goes_on(tmp_path: Path) -> None:
+    with (
+        Broker(tmp_path) as broker,
+        dashboard(f"127.0.0.1:{broker.port}") as address,
+        PublishedHand(broker.port) as hand,
+        browser(tmp_path / "chromium", "--disable-3d-apis") as page,
+    ):
+        opened(page, address)
+        until_shown(page, hand, lambda: bump(1, 1.5, 200, 300), 1)
+        assert "no WebGL" in text(page, "view")
+        assert js(page, "tacshade.drawnPeak()") == pytest.approx(1.5, abs=0.01)
+        assert errors(page) == []
+
+
+def test_the_skin_is_drawn_in_space(page: Chrome, tmp_path: Path) -> None:
+    """Pixels of the 3-D view: something is there, it follows the press, and the boxes switch its parts."""
+
+    def pixels() -> str:
+        return str(page.find_element(By.ID, "view").screenshot_as_base64)
+
+    with (
+        Broker(tmp_path) as broker,
+        dashboard(f"127.0.0.1:{broker.port}") as address,
+        PublishedHand(broker.port) as hand,
+    ):
+        opened(page, address)
+        assert js(page, "tacshade.webgl")
+        wait_until(lambda: js(page, "tacshade.sensor"), 10, "the hand")
+        empty = pixels()
+        until_shown(page, hand, lambda: bump(1, 2.0, 200, 300), 1)
+        wait_until(lambda: pixels() != empty, 10, "the skin")
+        pressed = pixels()
+        page.find_element(By.ID, "show-cloud").click()
+        wait_until(lambda: pixels() != pressed, 10, "without the objects")
+        page.find_element(By.ID, "show-skin").click()
+        page.find_element(By.ID, "show-cloud").click()
+        wait_until(lambda: pixels() not in (empty, pressed), 10, "the objects alone")
+
+
+@pytest.mark.parametrize(
+    ("name", "size_px", "flags"), [("phone", (400, 850), ()), ("dark", (1400, 1000), ("--force-dark-mode",))]
+)
+def test_it_fits_the_screen(tmp_path: Path, name: str, size_px: tuple[int, int], flags: tuple[str, ...]) -> None:
+    with (
+        Broker(tmp_path) as broker,
+        dashboard(f"127.0.0.1:{broker.port}") as address,
+        PublishedHand(broker.port, "left-index") as hand,
+        browser(tmp_path / "chromium", *flags, size_px=size_px) as page,
+    ):
+        page.set_window_size(*size_px)
+        opened(page, address)
+        until_shown(page, hand, lambda: bump(1, 2.4, 200, 360, step_px=4), 1)
+        width, scrolled = js(page, "[document.documentElement.clientWidth, document.documentElement.scrollWidth]")
+        assert scrolled <= width
+        map_width = page.find_element(By.ID, "cells").rect["width"]
+        assert min(300, 0.8 * width) <= map_width <= width
+        dark = js(page, "getComputedStyle(document.documentElement).backgroundColor") == "rgb(20, 23, 27)"
+        assert dark == (name == "dark")
+        if name == "phone":
+            picture(page, "dashboard-phone")
+        assert errors(page) == []
+
+
+def test_maps_of_full_size_are_drawn_as_they_come() -> None:
+    """Thirty 640x480 maps a second. A loose bound: a test's machine has other work too."""
+    root = Path(__file__).parents[2]
+    command = [sys.executable, "tools/bench_dashboard.py", "--seconds", "5", "--json"]
+    environment = {**os.environ, "PYTHONPATH": str(root / "tests" / "support")}
+    done = subprocess.run(command, cwd=root, env=environment, stdout=subprocess.PIPE, timeout=120, check=True)
+    figures = json.loads(done.stdout)
+    assert figures["drawn_per_s"] >= 10
+    assert figures["age_ms"]["p50"] < 1000  # the newest is drawn, nothing queues up
+    assert (figures["undecodable"], figures["console_errors"]) == (0, [])
