@@ -7,7 +7,9 @@ mosquitto has a WebSocket listener of its own, but Debian 12's stalls on message
 from __future__ import annotations
 
 import asyncio
+import errno
 import logging
+import os
 import socket
 import ssl
 from collections.abc import Coroutine
@@ -135,9 +137,10 @@ def _reason(error: OSError | TimeoutError) -> str:
         return "no such host name"
     if isinstance(error, TimeoutError):
         return f"no answer within {_CONNECT_S:.0f} s"
-    if isinstance(error, ConnectionRefusedError):
-        return "connection refused"  # asyncio's own text repeats the address
-    return error.strerror or str(error)
+    # asyncio's own text repeats the addresses, and has no number when there were several, as localhost often has.
+    if isinstance(error, ConnectionRefusedError) or f"[Errno {errno.ECONNREFUSED}]" in str(error):
+        return "connection refused"
+    return os.strerror(error.errno) if error.errno else str(error)
 
 
 def _short(reason: str) -> str:

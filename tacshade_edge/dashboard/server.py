@@ -20,6 +20,8 @@ from tacshade_edge.dashboard import access, files
 from tacshade_edge.dashboard.bridge import FROM_PAGE_BYTES_MAX, Bridge, Broker
 from tacshade_edge.errors import DeviceError
 
+_log = logging.getLogger(__name__)
+
 _WEBSOCKET: Final = "/mqtt"
 _CLOSE_S: Final = 0.5
 _STOP_S: Final = 0.7
@@ -38,6 +40,7 @@ class Pages:
         self._files = files.load()
         self._headers = files.security_headers(self._files)
         self._allowed_origins = allowed_origins
+        self._refused = ""
 
     def answer(self, _page: ServerConnection, request: Request) -> Response | None:
         """The response to a plain request or to one that may not pass; None opens the WebSocket."""
@@ -58,7 +61,12 @@ class Pages:
             refused = access.refusal(request.headers.get("Origin"), request.headers.get("Host"), self._allowed_origins)
         except LookupError:  # a header twice
             refused = "Origin or Host more than once"
-        return self._text(HTTPStatus.FORBIDDEN, refused) if refused else None
+        if not refused:
+            return None
+        if refused != self._refused:  # a browser hides the answer from its user, and asks again every second
+            _log.warning("WebSocket refused: %s", "".join(c if c.isprintable() else "?" for c in refused))
+        self._refused = refused
+        return self._text(HTTPStatus.FORBIDDEN, refused)
 
     def _text(self, status: HTTPStatus, text: str) -> Response:
         return self._response(status, f"{text}\n".encode(), {"Content-Type": "text/plain; charset=utf-8"})

@@ -35,14 +35,14 @@ def run(test: Coroutine[Any, Any, None]) -> None:
 
 
 @asynccontextmanager
-async def running(broker_port: int = 1, origins: frozenset[str] = frozenset()) -> AsyncIterator[int]:
+async def running(
+    broker_port: int = 1, origins: frozenset[str] = frozenset(), host: str = "127.0.0.1"
+) -> AsyncIterator[int]:
     """The server in this process; its port."""
     port: asyncio.Future[int] = asyncio.get_running_loop().create_future()
     stop = asyncio.Event()
     serving = asyncio.create_task(
-        server.run(
-            Address("127.0.0.1", broker_port), "127.0.0.1", 0, origins, lambda _host, p: port.set_result(p), stop
-        )
+        server.run(Address(host, broker_port), "127.0.0.1", 0, origins, lambda _host, p: port.set_result(p), stop)
     )
     yield await port
     stop.set()
@@ -181,7 +181,7 @@ def test_who_may_open_the_websocket(origin: str | None, host: str | None, passes
     assert (refusal(origin, host, {"https://hand.example"}) == "") is passes
 
 
-def test_another_page_is_refused_before_any_byte_reaches_the_broker() -> None:
+def test_another_page_is_refused_before_any_byte_reaches_the_broker(caplog: pytest.LogCaptureFixture) -> None:
     connected = []
 
     async def count(_reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -194,6 +194,8 @@ def test_another_page_is_refused_before_any_byte_reaches_the_broker() -> None:
                 await websocket(port, origin="http://evil.example").__aenter__()
             assert refused.value.response.status_code == 403
             assert b"not from here" in (refused.value.response.body or b"")
+            with pytest.raises(InvalidStatus):
+                await websocket(port, origin="http://evil.example").__aenter__()
             assert (await get(port, "/mqtt"))[0] == 426
             assert connected == []
             async with websocket(port, origin=f"http://127.0.0.1:{port}") as page:
@@ -202,6 +204,7 @@ def test_another_page_is_refused_before_any_byte_reaches_the_broker() -> None:
             assert connected == [1]
 
     run(test())
+    assert [r.getMessage().count("--origin http://evil.example") for r in caplog.records] == [1]  # told once
 
 
 def test_bytes_pass_both_ways_unchanged() -> None:
@@ -260,6 +263,25 @@ def test_a_broker_that_is_away_is_told_and_tried_again() -> None:
             async with listener:
                 assert await reason(port) == f"broker 127.0.0.1:{broker} closed the connection"
             assert (await get(port, "/"))[0] == 200
+
+    run(test())
+
+
+@pytest.mark.parametrize("host", ["localhost", "127.0.0.1", "::1"])
+def test_a_closed_port_is_told_in_two_words(host: str) -> None:
+    """A name of several addresses fails in another way than one address."""
+
+    async def refused(_reader: asyncio.StreamReader, _writer: asyncio.StreamWriter) -> None:
+        raise AssertionError("nobody may come here")
+
+    async def test() -> None:
+        async with tcp(refused) as broker:
+            pass
+        async with running(broker, host=host) as port, websocket(port) as page:
+            with pytest.raises(ConnectionClosed) as closed:
+                await page.recv()
+            assert closed.value.rcvd is not None
+            assert closed.value.rcvd.reason.endswith(f":{broker}: connection refused")
 
     run(test())
 

@@ -52,7 +52,7 @@ export class Link {
       createWebsocket: (address, protocols) => {
         const socket = new WebSocket(address, protocols);
         socket.binaryType = "arraybuffer";
-        socket.addEventListener("close", (event) => { reason = event.reason || "the dashboard's server does not answer"; });
+        socket.addEventListener("close", (event) => { reason = event.reason || "the dashboard's server does not answer, or does not know this address (it then says so)"; });
         return socket;
       },
     });
