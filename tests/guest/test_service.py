@@ -76,12 +76,14 @@ def installed() -> None:
 
 @contextlib.contextmanager
 def plugged_in() -> Iterator[None]:
-    """A camera that shows the sensor's images."""
+    """A camera that shows the sensor's images; udev tells of it once it is set up, which takes the only user."""
+    sh("udevadm", "control", "--stop-exec-queue")
     command = [sys.executable, str(TREE / "tools/rig/feed_video.py"), "/run/images.npy"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as feeder:
         assert feeder.stdout is not None
         try:
             assert feeder.stdout.readline() == "playing\n"
+            sh("udevadm", "control", "--start-exec-queue")
             yield
         finally:
             feeder.terminate()
