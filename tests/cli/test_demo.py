@@ -14,7 +14,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mqtt_rig import MOSQUITTO
+from browser import CHROMIUM, DRIVER, browser, errors
+from mqtt_rig import MOSQUITTO, wait_until
 from page_client import PageClient
 
 # As on a machine without mosquitto.
@@ -124,3 +125,24 @@ def test_a_port_in_use_is_one_line(tmp_path: Path) -> None:
     assert done.stderr.count("\n") == 1
     assert re.match(rf"tacshade-edge: demo: the dashboard .*port {port}", done.stderr), done.stderr
     assert tempfile.gettempdir() not in done.stderr
+
+
+@pytest.mark.browser
+@pytest.mark.skipif(not (CHROMIUM and DRIVER), reason="Chromium or its driver is not installed")
+@pytest.mark.parametrize("broker", list(COMMANDS))
+def test_the_page_draws_the_presses(broker: str, tmp_path: Path) -> None:
+    if broker == "mosquitto" and MOSQUITTO is None:
+        pytest.skip("mosquitto is not installed")
+    if broker == "embedded":
+        pytest.importorskip("iotcore")
+    profile = tmp_path / "chromium"
+    with demo(COMMANDS[broker], tmp_path) as (_, port), browser(profile) as page:
+        page.get(f"http://127.0.0.1:{port}/")
+        peaks: set[float] = set()
+
+        def moves() -> bool:
+            peaks.add(page.execute_script("return window.tacshade?.seq == null ? 0 : tacshade.drawnPeak()"))
+            return 0 in peaks and len(peaks) > 5 and 1.0 < max(peaks) < 8.0
+
+        wait_until(moves, 60, "depths that change on the canvas")
+        assert errors(page) == []
