@@ -23,6 +23,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "record": ("record", "ask the running daemon for a recording that `replay` reads"),
     "replay": ("replay", "a recording through the reconstructor, to files or a broker; compare two runs"),
     "dashboard": ("dashboard", "a live page for the browser: height maps, 3-D view, health; works offline"),
+    "evaluate": ("evaluate", "score profiles against ground truth: the paper's Experiment 1, or your own images"),
     "simulate": ("simulate", "write simulated images with ground truth, or a calibration set"),
 }
 

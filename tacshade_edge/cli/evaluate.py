@@ -1,0 +1,206 @@
+"""``tacshade-edge evaluate``: Experiment 1 of the paper on simulated sensors, or a user's own images with truth."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from tacshade_edge.core.calibrate import MIN_PRESSES
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.devices import calibration_file
+from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.simulator.objects import OBJECTS, PAPER_OBJECTS
+from tacshade_edge.studies.evaluate import picture, report
+from tacshade_edge.studies.evaluate.own_images import evaluate_images, images_in
+from tacshade_edge.studies.evaluate.score import Row
+from tacshade_edge.studies.evaluate.sensors import FAMILIES, FINAL_SEED, SensorName
+from tacshade_edge.studies.evaluate.summary import figures
+from tacshade_edge.studies.evaluate.work import Evaluation, Plan, Timing, evaluate, time_profiles
+from tacshade_edge.studies.parallel import usable_cores
+
+WORKING_SENSORS = "default,5,11,21"
+FINAL_SENSORS = tuple(SensorName(family, FINAL_SEED + k) for family in FAMILIES for k in (1, 2, 3))
+SIMULATED = ("sensors", "final", "objects", "presses", "references")
+"""Options that mean nothing to a user's own images."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument(
+        "--profile",
+        nargs="+",
+        choices=list(PROFILES),
+        metavar="NAME",
+        default=[name for name in PROFILES if name != "paper"],
+        help=f"some of {', '.join(PROFILES)} (all but paper, which takes a second for each frame)",
+    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="write evaluation.csv, evaluation.json, figure6.png")
+    parser.add_argument("--json", action="store_true", help="print the summary as JSON")
+    simulated = parser.add_argument_group("simulated sensors")
+    which = simulated.add_mutually_exclusive_group()
+    which.add_argument(
+        "--sensors",
+        type=_sensors,
+        metavar="SEED,...",
+        help=f"[FAMILY:]SEED below {FINAL_SEED} or default ({WORKING_SENSORS}); families: {', '.join(FAMILIES)}",
+    )
+    which.add_argument(
+        "--final",
+        action="store_true",
+        default=None,
+        help=f"sensors from seed {FINAL_SEED} on, for the figures of a release: not to be looked at while working",
+    )
+    simulated.add_argument("--objects", type=_objects, metavar="NAME,...", help=f"of {', '.join(OBJECTS)} (all)")
+    simulated.add_argument("--presses", type=_count, metavar="N", help="ball presses in each calibration; 0: none (40)")
+    simulated.add_argument("--references", type=_count, metavar="N", help="reference images in each calibration (8)")
+    own = parser.add_argument_group("your own images")
+    own.add_argument("--calibration", type=Path, metavar="CAL.npz", help="from `calibrate`")
+    own.add_argument("--images", type=Path, metavar="DIR", help="images, each with its truth as STEM.npz beside it")
+    parser.set_defaults(usage_error=parser.error)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Evaluate; print the tables, write the files."""
+    if (args.calibration is None) != (args.images is None):
+        args.usage_error("--calibration CAL.npz and --images DIR belong together")
+    if args.images is None:
+        return _simulated(args)
+    given = [name for name in SIMULATED if getattr(args, name) is not None]
+    if given:
+        args.usage_error(f"--{given[0]} is for simulated sensors, not for your own images")
+    return _own(args)
+
+
+def _simulated(args: argparse.Namespace) -> int:
+    presses = 40 if args.presses is None else args.presses
+    if 0 < presses < MIN_PRESSES:
+        args.usage_error(f"--presses: found {presses}, expected 0, or {MIN_PRESSES} or more")
+    if args.references == 0:
+        args.usage_error("--references: found 0, expected 1 or more")
+    sensors = args.sensors or tuple(SensorName.parse(word) for word in WORKING_SENSORS.split(","))
+    plan = Plan(
+        sensors=FINAL_SENSORS if args.final else sensors,
+        profiles=tuple(dict.fromkeys(args.profile)),
+        objects=args.objects or tuple(OBJECTS),
+        references=args.references or 8,
+        presses=presses,
+    )
+    _make_folder(args.out)
+    if args.out and not picture.can_draw():
+        print(f"tacshade-edge: figure6.png will be missing: {picture.INSTALL}", file=sys.stderr)
+    found = evaluate(plan, usable_cores(), _progress)
+    timings = time_profiles(plan, found.calibrations[0].calibration, _progress)
+    _publish(args, found.rows, timings, _settings(plan, found))
+    if args.out and picture.can_draw():
+        profile = _best(found.rows)
+        names = [name for name in plan.objects if name in PAPER_OBJECTS] or plan.objects
+        calibration = found.calibrations[0].calibration
+        shown = picture.columns(plan.sensors[0], calibration, profile, names)
+        _write(args.out / "figure6.png", picture.draw(shown, calibration, profile))
+    return 0
+
+
+def _own(args: argparse.Namespace) -> int:
+    calibration = calibration_file.load(args.calibration)
+    images = images_in(args.images)
+    _make_folder(args.out)
+    mistakes: list[str] = []
+
+    def mistake(text: str) -> None:
+        mistakes.append(text)
+        print(f"tacshade-edge: {text}", file=sys.stderr)
+
+    profiles = tuple(dict.fromkeys(args.profile))
+    name = args.calibration.name
+    rows, timings = evaluate_images(calibration, name, profiles, images, _progress, mistake)
+    if not rows:
+        raise ConfigError(f"{args.images}: found no image that can be scored, expected one with its truth")
+    settings = {"calibration": str(args.calibration), "crc32": f"{calibration.crc32:08x}", "images": str(args.images)}
+    _publish(args, rows, timings, settings)
+    return 1 if mistakes else 0
+
+
+def _settings(plan: Plan, found: Evaluation) -> dict[str, Any]:
+    """The plan, and each sensor as it is and as it was calibrated."""
+    sensors = [
+        {
+            "name": str(name),
+            "model": asdict(name.make().model),
+            "fit": made.calibration.fit,
+            "warnings": list(made.warnings),
+        }
+        for name, made in zip(plan.sensors, found.calibrations, strict=True)
+    ]
+    return {**asdict(plan), "sensors": sensors}
+
+
+def _best(rows: Sequence[Row]) -> str:
+    """The profile with the smallest mean ME."""
+    profiles = list(dict.fromkeys(r.profile for r in rows))
+    return min(profiles, key=lambda p: figures(r for r in rows if r.profile == p).me_mm)
+
+
+def _publish(
+    args: argparse.Namespace, rows: Sequence[Row], timings: Mapping[str, Timing], settings: Mapping[str, Any]
+) -> None:
+    summary = json.dumps(report.document(rows, timings, settings), indent=1)
+    print(summary if args.json else report.table(rows, timings))
+    if args.out:
+        _write(args.out / "evaluation.csv", report.csv_text(rows).encode())
+        _write(args.out / "evaluation.json", summary.encode() + b"\n")
+
+
+def _make_folder(folder: Path | None) -> None:
+    """Before minutes of work, not after."""
+    if folder is None:
+        return
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DeviceError(f"{folder}: cannot be written: {error.strerror or error}") from None
+
+
+def _write(path: Path, content: bytes) -> None:
+    try:
+        path.write_bytes(content)
+    except OSError as error:
+        raise DeviceError(f"{path}: cannot be written: {error.strerror or error}") from None
+
+
+def _progress(what: str, done: int, total: int) -> None:
+    if sys.stderr.isatty():
+        print(f"\r{what}: {done}/{total} ", end="\n" if done == total else "", file=sys.stderr, flush=True)
+
+
+def _sensors(text: str) -> tuple[SensorName, ...]:
+    try:
+        names = tuple(SensorName.parse(word) for word in text.split(","))
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    kept = [name for name in names if name.seed is not None and name.seed >= FINAL_SEED]
+    if kept:
+        raise argparse.ArgumentTypeError(f"{kept[0]}: seeds from {FINAL_SEED} on are kept for --final")
+    return tuple(dict.fromkeys(names))
+
+
+def _objects(text: str) -> tuple[str, ...]:
+    names = tuple(dict.fromkeys(word.strip() for word in text.split(",")))
+    unknown = [name for name in names if name not in OBJECTS]
+    if unknown:
+        raise argparse.ArgumentTypeError(f"{unknown[0]!r} is not known, expected some of {', '.join(OBJECTS)}")
+    return names
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if not 0 <= value < 10_000:
+        raise ValueError(text)
+    return value
+
+
+_count.__name__ = "whole number"  # argparse's messages show it

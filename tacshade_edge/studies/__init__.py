@@ -1,0 +1,1 @@
+"""Long jobs over many frames: how good a reconstruction is, and what it costs."""

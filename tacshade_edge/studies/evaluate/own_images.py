@@ -1,0 +1,183 @@
+"""A user's own images with ground truth: what is beside them, and how well it is found."""
+
+from __future__ import annotations
+
+import math
+import time
+import tokenize
+import zipfile
+import zlib
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tacshade_edge.core.disc import Grid, disc_rays
+from tacshade_edge.core.skin import skin_points
+from tacshade_edge.devices.images import SUFFIXES, read_image
+from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.studies.evaluate.score import KnownTruth, Label, Row, score
+from tacshade_edge.studies.evaluate.sensors import reconstructor
+from tacshade_edge.studies.evaluate.work import Report, Timing
+from tacshade_edge.types import Calibration, Frame, Geometry
+
+EXPECTED = "points_mm, or height_mm and contact"
+# What numpy and zipfile raise on damaged bytes.
+_DAMAGE = (KeyError, ValueError, TypeError, EOFError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error)
+
+
+def images_in(folder: Path) -> list[Path]:
+    """Images of a folder, by name. Raises ConfigError when it is none, or holds none."""
+    if not folder.is_dir():
+        raise ConfigError(f"{folder}: found no folder there, expected one with images and their truth (.npz)")
+    found = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
+    if not found:
+        raise ConfigError(f"{folder}: found no image, expected some with their truth (.npz) beside them")
+    return found
+
+
+def read_truth(path: Path, image_size_px: tuple[int, int], geometry: Geometry) -> tuple[KnownTruth, str]:
+    """Read what is known of an image: the keys that ``tacshade-edge simulate`` writes.
+
+    Parameters
+    ----------
+    path : Path
+        ``points_mm`` (N, 3), or ``height_mm`` and ``contact`` (rows, cols), or all three; where they are not given,
+        ``row0``, ``col0``, ``step_px`` are 0, 0, 1 and ``depth_max_mm`` is the greatest height.
+    image_size_px : (int, int)
+        Height and width.
+    geometry : Geometry
+        To find the points of a height map that comes without.
+
+    Returns
+    -------
+    (KnownTruth, object)
+        The object's name, or the file's where it does not say.
+
+    Raises
+    ------
+    DecodeError
+        Absent, damaged, other keys, or of another size.
+    """
+    content = _content(path)
+    contact = height = None
+    if "contact" in content:
+        contact = _array(path, content, "contact", 2).astype(bool)
+    if "height_mm" in content:
+        height = _array(path, content, "height_mm", 2)
+    row0, col0 = (_number(path, content, key, 0.0) for key in ("row0", "col0"))
+    step = _number(path, content, "step_px", 1.0)
+    for name, grid in (("contact", contact), ("height_mm", height)):
+        if grid is not None:
+            _check_covers(path, name, grid.shape, (row0, col0, step), image_size_px)
+    if "points_mm" in content:
+        points = _array(path, content, "points_mm", 2)
+        if points.shape[1] != 3 or not np.isfinite(points).all():
+            raise DecodeError(f"{path}: points_mm: found shape {points.shape}, expected finite numbers (N, 3)")
+    elif height is not None and contact is not None:
+        if not np.isfinite(height[contact]).all():
+            raise DecodeError(f"{path}: height_mm: found NaN where contact is, expected mm")
+        rays = disc_rays(Grid(height.shape[0], height.shape[1], row0, col0, step), geometry)
+        points = skin_points(height.astype(np.float32), rays, geometry)[0][contact]
+    else:
+        raise DecodeError(f"{path}: found the keys {', '.join(sorted(content)) or 'none'}; expected {EXPECTED}")
+    top = geometry.skin_radius_mm - float(np.linalg.norm(points, axis=1).min()) if len(points) else 0.0
+    if height is not None:
+        top = float(np.nanmax(height, initial=0.0))
+    depth_max = _number(path, content, "depth_max_mm", top)
+    if len(points) and not depth_max > 0:
+        raise DecodeError(f"{path}: found a contact whose greatest depth is {depth_max:.3g} mm, expected one above 0")
+    name = str(content["object"]) if "object" in content else path.stem
+    return KnownTruth(points.astype(np.float32), depth_max, contact, row0, col0, step), name
+
+
+def _content(path: Path) -> dict[str, Any]:
+    try:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as npz:
+            return {key: npz[key] for key in npz.files}
+    except FileNotFoundError:
+        raise DecodeError(f"{path}: found no such file, expected the image's truth: {EXPECTED}") from None
+    except OSError as error:
+        raise DecodeError(f"{path}: {error.strerror or 'not an .npz file'}, expected {EXPECTED}") from None
+    except (*_DAMAGE, AttributeError, tokenize.TokenError):  # AttributeError: a .npy is no archive
+        raise DecodeError(f"{path}: not an .npz file, or damaged; expected {EXPECTED}") from None
+
+
+def _array(path: Path, content: dict[str, Any], key: str, dimensions: int) -> Any:
+    array = content[key]
+    if array.ndim != dimensions or array.dtype.kind not in "bfiu":
+        raise DecodeError(
+            f"{path}: {key}: found {array.dtype} of shape {array.shape}, expected numbers in {dimensions} dimensions"
+        )
+    return array
+
+
+def _number(path: Path, content: dict[str, Any], key: str, default: float) -> float:
+    if key not in content:
+        return default
+    value = content[key]
+    if value.size != 1 or value.dtype.kind not in "fiu" or not math.isfinite(value.item()):
+        raise DecodeError(f"{path}: {key}: found {value!r}, expected one number")
+    number = float(value.item())
+    if key == "step_px" and number <= 0:
+        raise DecodeError(f"{path}: step_px: found {number}, expected a number above 0")
+    return number
+
+
+def _check_covers(
+    path: Path,
+    key: str,
+    shape: tuple[int, ...],
+    grid: tuple[float, float, float],
+    image_size_px: tuple[int, int],
+) -> None:
+    """Refuse a map that leaves more of the image uncovered than its step."""
+    step = grid[2]
+    for origin, count, size in zip(grid[:2], shape, image_size_px, strict=True):
+        if not -step < origin < step or not -step < size - 1 - (origin + step * (count - 1)) < step:
+            raise DecodeError(
+                f"{path}: {key}: found {shape[1]}x{shape[0]} cells of {step:g} px, which do not cover the image's "
+                f"{image_size_px[1]}x{image_size_px[0]} px"
+            )
+
+
+def evaluate_images(
+    calibration: Calibration,
+    sensor: str,
+    profiles: Sequence[str],
+    images: Sequence[Path],
+    report: Report,
+    mistake: Callable[[str], None],
+) -> tuple[list[Row], dict[str, Timing]]:
+    """Score images; one that cannot be is told to `mistake` in a line, and the others go on.
+
+    Every step is timed, one after the other in this process.
+    """
+    size = (calibration.image_height_px, calibration.image_width_px)
+    made = {profile: reconstructor(calibration, profile) for profile in profiles}
+    taken: dict[str, list[float]] = {profile: [] for profile in profiles}
+    rows = []
+    for k, path in enumerate(images):
+        report("images scored", k, len(images))
+        try:
+            image = read_image(path)
+            if image.shape[:2] != size:
+                found, expected = (f"{width}x{height} px" for height, width in (image.shape[:2], size))
+                raise DecodeError(f"{path}: found {found}, expected {expected}, the size of the calibration's images")
+            truth, name = read_truth(path.with_suffix(".npz"), size, calibration.geometry)
+        except DecodeError as error:
+            mistake(str(error))
+            continue
+        frame = Frame(0, 0, 0, image)
+        for profile, each in made.items():
+            if not taken[profile]:
+                each.step(frame)  # the first step imports and allocates
+            start = time.perf_counter_ns()
+            result = each.step(frame)
+            taken[profile].append((time.perf_counter_ns() - start) / 1e6)
+            label = Label(sensor, name if len(truth.points_mm) else "none", path.name)
+            rows.append(score(label, truth, result))
+    report("images scored", len(images), len(images))
+    timings = {p: Timing(float(np.median(ms)), len(ms)) for p, ms in taken.items() if ms}
+    return rows, timings

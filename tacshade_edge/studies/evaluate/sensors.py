@@ -1,0 +1,98 @@
+"""The sensors of a study: families of simulated ones by name, each calibrated as a user calibrates his own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from tacshade_edge.core.calibrate import BallPress, Calibrated, Sensor, calibrate
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.simulator.calibration_set import ball_presses
+from tacshade_edge.simulator.model import SensorModel, random_model
+from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.scene import SimulatedFrame, SimulatedSensor
+from tacshade_edge.types import Calibration
+
+FINAL_SEED = 9000
+"""Sensors from this seed on are for final figures; nobody looks at them while working on what is measured."""
+
+# Each image of a sensor has a noise seed of its own: references, presses, scenes, frames without contact.
+REFERENCE_NOISE, PRESS_NOISE, SCENE_NOISE, NULL_NOISE = 1000, 2000, 3000, 4000
+
+
+class PressedSensor(Protocol):
+    """What a family makes of a seed."""
+
+    model: SensorModel
+
+    def frame(self, presses: Sequence[Press] = (), noise_seed: int = 0) -> SimulatedFrame:
+        """Take a picture."""
+        ...
+
+
+def _tacshade(seed: int | None) -> PressedSensor:
+    return SimulatedSensor(SensorModel() if seed is None else random_model(seed))
+
+
+FAMILIES: dict[str, Callable[[int | None], PressedSensor]] = {"tacshade": _tacshade}
+"""Family to the sensor of a seed (None: its default one); another family is one line here."""
+
+
+@dataclass(frozen=True, slots=True)
+class SensorName:
+    """A sensor that can be made again: its family, and its seed or None for the family's default."""
+
+    family: str
+    seed: int | None
+
+    @classmethod
+    def parse(cls, text: str) -> SensorName:
+        """Read ``default``, ``SEED``, ``FAMILY:default`` or ``FAMILY:SEED``. Raises ValueError."""
+        family, colon, seed = text.strip().rpartition(":")
+        family = family if colon else "tacshade"
+        if family not in FAMILIES:
+            raise ValueError(f"no sensor family is called {family!r}, expected one of {', '.join(FAMILIES)}")
+        if seed == "default":
+            return cls(family, None)
+        if not (seed.isascii() and seed.isdigit() and len(seed) < 10):
+            raise ValueError(f"found {seed!r}, expected a seed (a whole number) or default")
+        return cls(family, int(seed))
+
+    def __str__(self) -> str:
+        """Write what `parse` reads."""
+        seed = "default" if self.seed is None else str(self.seed)
+        return seed if self.family == "tacshade" else f"{self.family}:{seed}"
+
+    def make(self) -> PressedSensor:
+        """Make the sensor."""
+        return FAMILIES[self.family](self.seed)
+
+
+def calibrated(name: SensorName, references: int, presses: int) -> Calibrated:
+    """Calibrate on references and known ball presses, without looking at the model beyond its SENSOR.yaml.
+
+    Raises
+    ------
+    ConfigError
+        With the sensor's name: it cannot be calibrated so.
+    """
+    sensor = name.make()
+    model = sensor.model
+    stated = Sensor(model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, "bright")
+    unloaded = [sensor.frame((), REFERENCE_NOISE + k).image for k in range(references)]
+    pressed = [
+        BallPress(f"press {k}", sensor.frame((p,), PRESS_NOISE + k).image, radius, p.depth_mm, p.x_mm, p.y_mm)
+        for k, (p, radius) in enumerate(ball_presses(model, presses, name.seed or 0))
+    ]
+    try:
+        return calibrate(stated, unloaded, pressed)
+    except ConfigError as error:
+        raise ConfigError(f"sensor {name}: {error}") from None
+
+
+def reconstructor(calibration: Calibration, profile: str) -> Reconstructor:
+    """Make the reconstructor of a profile by name."""
+    return Reconstructor(calibration, PROFILES[profile])

@@ -1,0 +1,154 @@
+"""The jobs of an evaluation: calibrate sensors, press objects, time profiles."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain
+from typing import TypeVar
+
+import cv2
+import numpy as np
+
+from tacshade_edge.core.calibrate import Calibrated
+from tacshade_edge.simulator.objects import OBJECTS
+from tacshade_edge.studies.evaluate.scenes import DEPTHS_MM, NULL_FRAMES, null_images, scenes
+from tacshade_edge.studies.evaluate.score import KnownTruth, Label, Row, score
+from tacshade_edge.studies.evaluate.sensors import SensorName, calibrated, reconstructor
+from tacshade_edge.studies.parallel import ordered_map
+from tacshade_edge.types import Calibration, Frame
+
+NOTHING = np.zeros((0, 3), dtype=np.float32)
+TIMED_OBJECTS, TIMED_ROUNDS = 5, 3
+"""So many frames are timed, each so often."""
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+Report = Callable[[str, int, int], None]
+"""Told what is done, how many of it, and of how many."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What is to be evaluated; equal plans give equal rows.
+
+    Attributes
+    ----------
+    sensors : tuple of SensorName
+    profiles, objects : tuple of str
+        Keys of `PROFILES` and `OBJECTS`.
+    references, presses : int
+        What each sensor is calibrated on.
+    depths_mm : tuple of float
+    null_frames : int
+        Frames without contact for each sensor.
+    """
+
+    sensors: tuple[SensorName, ...]
+    profiles: tuple[str, ...]
+    objects: tuple[str, ...] = tuple(OBJECTS)
+    references: int = 8
+    presses: int = 40
+    depths_mm: tuple[float, ...] = DEPTHS_MM
+    null_frames: int = NULL_FRAMES
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evaluation:
+    """What came of a plan: a row for each frame and profile, and each sensor's calibration."""
+
+    rows: tuple[Row, ...]
+    calibrations: tuple[Calibrated, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """Milliseconds for a frame in contact, one thread, nothing beside it."""
+
+    p50_ms: float
+    steps: int
+
+
+def evaluate(plan: Plan, cores: int, report: Report) -> Evaluation:
+    """Run a plan.
+
+    Raises
+    ------
+    ConfigError
+        A sensor cannot be calibrated.
+    DeviceError
+        A worker process was killed.
+    """
+    found = tuple(_each(_calibrate, [(plan, name) for name in plan.sensors], cores, report, "sensors calibrated"))
+    known = [(plan, name, made.calibration) for name, made in zip(plan.sensors, found, strict=True)]
+    tasks = [(*each, what) for each in known for what in (*plan.objects, None)]
+    rows = chain.from_iterable(_each(_rows, tasks, cores, report, "objects pressed"))
+    return Evaluation(tuple(rows), found)
+
+
+def _each(
+    function: Callable[[Task], Result], tasks: Sequence[Task], cores: int, report: Report, what: str
+) -> Iterator[Result]:
+    report(what, 0, len(tasks))
+    for k, result in enumerate(ordered_map(function, tasks, cores)):
+        report(what, k + 1, len(tasks))
+        yield result
+
+
+def _calibrate(task: tuple[Plan, SensorName]) -> Calibrated:
+    plan, name = task
+    return calibrated(name, plan.references, plan.presses)
+
+
+def _rows(task: tuple[Plan, SensorName, Calibration, str | None]) -> list[Row]:
+    """Every press of one object on one sensor, or of nothing, by every profile."""
+    plan, name, calibration, object_name = task
+    sensor = name.make()
+    made = [reconstructor(calibration, profile) for profile in plan.profiles]
+    rows = []
+    if object_name is None:
+        for what, image in null_images(sensor, plan.null_frames):
+            label, truth = Label(str(name), "none", what), KnownTruth(NOTHING, 0.0, None)
+            rows += [score(label, truth, each.step(Frame(0, 0, 0, image))) for each in made]
+        return rows
+    for scene in scenes(sensor.model, name.seed, object_name, plan.depths_mm):
+        frame = sensor.frame((scene.press,), scene.noise_seed)
+        true = frame.truth()
+        truth = KnownTruth(true.points_mm, true.depth_max_mm, true.contact)
+        press = scene.press
+        label = Label(str(name), object_name, "", press.depth_mm, press.x_mm, press.y_mm, press.rotation_deg)
+        rows += [score(label, truth, each.step(Frame(0, 0, 0, frame.image))) for each in made]
+    return rows
+
+
+def time_profiles(plan: Plan, calibration: Calibration, report: Report) -> dict[str, Timing]:
+    """Time every profile on the first sensor and the first objects, each once, in the middle, at the middle depth.
+
+    In this process, one after the other, with one thread of OpenCV's.
+    """
+    name = plan.sensors[0]
+    sensor = name.make()
+    depth_mm = plan.depths_mm[len(plan.depths_mm) // 2]
+    frames = []
+    for object_name in plan.objects[:TIMED_OBJECTS]:
+        scene = scenes(sensor.model, name.seed, object_name, (depth_mm,))[0]
+        frames.append(Frame(0, 0, 0, sensor.frame((scene.press,), scene.noise_seed).image))
+    timings = {}
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        for k, profile in enumerate(plan.profiles):
+            report("profiles timed", k, len(plan.profiles))
+            made = reconstructor(calibration, profile)
+            made.step(frames[0])  # the first step imports and allocates
+            taken = []
+            for frame in frames * TIMED_ROUNDS:
+                start = time.perf_counter_ns()
+                made.step(frame)
+                taken.append((time.perf_counter_ns() - start) / 1e6)
+            timings[profile] = Timing(float(np.median(taken)), len(taken))
+        report("profiles timed", len(plan.profiles), len(plan.profiles))
+    finally:
+        cv2.setNumThreads(threads)
+    return timings

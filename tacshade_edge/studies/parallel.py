@@ -1,0 +1,66 @@
+"""Independent jobs over the machine's cores, in the order of their tasks."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.connection import wait
+from typing import TypeVar
+
+import cv2
+
+from tacshade_edge.errors import DeviceError
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+
+def usable_cores() -> int:
+    """Cores that this process may use (``taskset`` limits them)."""
+    return len(os.sched_getaffinity(0))
+
+
+def ordered_map(function: Callable[[Task], Result], tasks: Sequence[Task], cores: int) -> Iterator[Result]:
+    """Yield ``function(task)`` for every task, in order, from up to `cores` processes; with one, in this one.
+
+    Parameters
+    ----------
+    function : callable
+        Of a module, so that another process finds it.
+
+    Raises
+    ------
+    DeviceError
+        A process was killed.
+    """
+    cores = min(cores, len(tasks))
+    if cores < 2:
+        yield from map(function, tasks)
+        return
+    context = multiprocessing.get_context("spawn")  # fork would copy OpenCV's threads' locks
+    pool = ProcessPoolExecutor(cores, mp_context=context, initializer=_start)
+    try:
+        yield from pool.map(function, tasks)
+    except BrokenProcessPool:
+        raise DeviceError("a worker process was ended from outside (not enough memory?)") from None
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _start() -> None:
+    """One thread for each process; and none outlives the command, however that ends."""
+    cv2.setNumThreads(1)
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def follow() -> None:
+        wait([parent.sentinel])
+        os._exit(1)
+
+    threading.Thread(target=follow, name="follow-parent", daemon=True).start()
