@@ -276,11 +276,12 @@ def _colour_bar(figure: Figure, shown: Any, box: Any, text: str) -> None:
 
 
 def _png(canvas: Any) -> bytes:
-    """Encode in 256 colours: half the bytes, and no eye sees it."""
+    """Encode in 256 dithered colours: a third of the bytes, and no eye sees it."""
     from PIL import Image  # comes with matplotlib
 
     canvas.draw()
     picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+    palette = picture.quantize(256, method=Image.Quantize.MAXCOVERAGE)  # keeps white white
     stream = io.BytesIO()
-    picture.quantize(256).save(stream, format="png", optimize=True)
+    picture.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG).save(stream, format="png", optimize=True)
     return stream.getvalue()
