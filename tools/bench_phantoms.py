@@ -5,7 +5,8 @@
 
     .venv/bin/python tools/bench_phantoms.py
 
-The sensors of bench_baseline.py. Prints a line per phantom and a table: frames, refused as invalid, degraded, phantoms.
+Three sensors, each calibrated on 40 ball presses. Prints a line per phantom and a table: frames, refused as invalid,
+degraded, phantoms.
 """
 
 from __future__ import annotations
@@ -14,15 +15,14 @@ from collections import defaultdict
 
 import cv2
 import numpy as np
-from bench_baseline import SENSOR_SEEDS, calibrated
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.simulator import nuisance
-from tacshade_edge.simulator.model import SensorModel, random_model
-from tacshade_edge.simulator.scene import SimulatedSensor
+from tacshade_edge.studies.evaluate.sensors import SensorName, calibrated
 from tacshade_edge.types import U8, Disc, Frame
 
+SENSORS = ("default", "5", "11")
 PLACES = ((0.0, 0.0), (0.4, 0.2), (-0.5, 0.5), (0.1, -0.8))  # row, col in disc radii
 
 
@@ -62,9 +62,8 @@ def main() -> None:
     cv2.setNumThreads(1)
     counts: dict[str, np.ndarray] = defaultdict(lambda: np.zeros(4, dtype=int))
     deepest: dict[str, float] = defaultdict(float)
-    for seed in SENSOR_SEEDS:
-        simulated = SimulatedSensor(SensorModel() if seed is None else random_model(seed))
-        calibration = calibrated(simulated)
+    for sensor in map(SensorName.parse, SENSORS):
+        simulated, calibration = sensor.make(), calibrated(sensor, 8, 40).calibration
         made = Reconstructor(calibration, PROFILES["fast"])
         for kind, images in cases(simulated.frame((), 5).image, calibration.geometry.disc).items():
             for name, image in images:
@@ -72,7 +71,7 @@ def main() -> None:
                 counts[kind] += (1, not result.valid, bool(result.degraded), result.contact)
                 if result.contact:
                     deepest[kind] = max(deepest[kind], result.depth_max_mm)
-                    print(f"phantom: sensor {seed}, {kind}, {name}: {result.depth_max_mm:.2f} mm {result.degraded}")
+                    print(f"phantom: sensor {sensor}, {kind}, {name}: {result.depth_max_mm:.2f} mm {result.degraded}")
     print(
         "\n| frames without contact | frames | invalid | degraded | phantoms | deepest mm |\n|---|---|---|---|---|---|"
     )

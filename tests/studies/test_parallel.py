@@ -1,0 +1,88 @@
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from mqtt_rig import wait_until
+
+from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.studies.parallel import ordered_map, usable_cores
+
+
+def slow_first(task: int) -> tuple[int, int]:
+    time.sleep(0.3 if task == 0 else 0)
+    return task, os.getpid()
+
+
+def refuse(task: int) -> int:
+    if task == 1:
+        raise ConfigError("sensor 1: no")
+    return task
+
+
+def die(task: int) -> int:
+    os.kill(os.getpid(), signal.SIGKILL)
+    return task
+
+
+def test_one_core_works_in_this_process() -> None:
+    assert list(ordered_map(slow_first, [1, 2, 3], 1)) == [(k, os.getpid()) for k in (1, 2, 3)]
+    assert list(ordered_map(slow_first, [], 4)) == []
+    assert usable_cores() >= 1
+
+
+@pytest.mark.slow  # it starts interpreters, as do the next ones
+def test_results_keep_the_order_of_their_tasks_over_processes() -> None:
+    found = list(ordered_map(slow_first, list(range(6)), 2))
+    assert [task for task, _ in found] == list(range(6))
+    assert os.getpid() not in {pid for _, pid in found}
+
+
+@pytest.mark.slow
+def test_a_mistake_in_a_process_is_the_callers() -> None:
+    with pytest.raises(ConfigError, match="sensor 1: no"):
+        list(ordered_map(refuse, [0, 1, 2], 2))
+
+
+@pytest.mark.slow
+def test_a_killed_process_is_one_line() -> None:
+    with pytest.raises(DeviceError, match="ended from outside"):
+        list(ordered_map(die, [0, 1], 2))
+
+
+def alive(pid: int) -> bool:
+    """Whether a process runs; one that has ended and waits for its parent's question does not."""
+    try:
+        with open(f"/proc/{pid}/stat", encoding="utf-8") as file:
+            return file.read().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+SCRIPT = """
+import os, time
+from tacshade_edge.studies.parallel import ordered_map
+
+def work(task):
+    print(os.getpid(), flush=True)
+    time.sleep(600)
+
+if __name__ == "__main__":
+    list(ordered_map(work, [0, 1], 2))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_no_process_outlives_the_command(number: signal.Signals, tmp_path: os.PathLike[str]) -> None:
+    path = os.path.join(tmp_path, "work.py")
+    with open(path, "w", encoding="utf-8") as file:
+        file.write(SCRIPT)
+    with subprocess.Popen([sys.executable, path], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as made:
+        assert made.stdout is not None
+        workers = [int(made.stdout.readline()) for _ in range(2)]
+        made.send_signal(number)
+        made.wait(timeout=20)
+        wait_until(lambda: not any(map(alive, workers)), timeout_s=20, what="both workers are gone")
