@@ -113,7 +113,8 @@ def _own(args: argparse.Namespace) -> int:
 
     def mistake(text: str) -> None:
         mistakes.append(text)
-        print(f"tacshade-edge: {text}", file=sys.stderr)
+        over = "\r\033[K" if sys.stderr.isatty() else ""  # the line of the progress
+        print(f"{over}tacshade-edge: {text}", file=sys.stderr)
 
     profiles = tuple(dict.fromkeys(args.profile))
     name = args.calibration.name

@@ -72,7 +72,7 @@ def test_without_matplotlib_all_but_the_picture(
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert main([*SMALL, "--sensors", "half:default", "--out", str(tmp_path), "--json"]) == 0
     printed = capsys.readouterr()
-    missing = "matplotlib is not installed: pip install 'tacshade-edge[studies]'"
+    missing = "matplotlib and scikit-image draw it: pip install 'tacshade-edge[studies]'"
     assert printed.err == f"tacshade-edge: figure6.png will be missing: {missing}\n"
     assert json.loads(printed.out) == json.loads((tmp_path / "evaluation.json").read_text())
     assert sorted(p.name for p in tmp_path.iterdir()) == ["evaluation.csv", "evaluation.json"]

@@ -1,4 +1,4 @@
-"""The rows of the paper's Fig. 6, a column for each object; matplotlib is imported only here, and only to draw."""
+"""The rows of the paper's Fig. 6, a column for each object; `PACKAGES` are imported only here, and only to draw."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 
 COLUMNS = 5
 DEPTH_MM = 3.0
-INSTALL = "matplotlib is not installed: pip install 'tacshade-edge[studies]'"
+PACKAGES = ("matplotlib", "skimage")
+INSTALL = "matplotlib and scikit-image draw it: pip install 'tacshade-edge[studies]'"
 HEIGHT_COLOURS = "YlGnBu"  # pale where nothing is pressed, so that the skin's shading shows
 FOUND_COLOUR, TRUE_COLOUR = "#e4572e", "#3d6fb4"
 # Enough of each that their shape shows, few enough that a page stays small.
@@ -35,8 +36,8 @@ _OBJECT_HEIGHT_MM, _GAP_MM = 8.0, 4.0  # how much of an object is drawn, and how
 
 
 def can_draw() -> bool:
-    """Whether matplotlib is there (without importing it)."""
-    return importlib.util.find_spec("matplotlib") is not None
+    """Whether what draws it is installed (without importing it)."""
+    return all(importlib.util.find_spec(name) is not None for name in PACKAGES)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,7 +75,7 @@ def draw(made: Sequence[Column], calibration: Calibration, profile: str, dpi: in
     Raises
     ------
     ImportError
-        matplotlib is not installed.
+        What draws it is not installed (`can_draw`).
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -83,7 +84,7 @@ def draw(made: Sequence[Column], calibration: Calibration, profile: str, dpi: in
     figure = Figure(figsize=(0.9 + 2.9 * count, 12.6), dpi=dpi, facecolor="white")
     canvas = FigureCanvasAgg(figure)
     rows = figure.add_gridspec(
-        6, 1, left=0.055, right=0.945, top=0.945, bottom=0.03, hspace=0.09, height_ratios=(2.3, 2.6, 1.0, 1.5, 1.7, 2.2)
+        6, 1, left=0.055, right=0.945, top=0.945, bottom=0.035, hspace=0.09, height_ratios=(2.3, 2.6, 1.0, 1.5, 1.7, 2.2)
     )
     top_mm = max(max(float(np.nanmax(c.truth.height_mm)), float(np.nanmax(c.result.height.height_mm))) for c in made)
     bars = []
@@ -97,7 +98,7 @@ def draw(made: Sequence[Column], calibration: Calibration, profile: str, dpi: in
         bars.append(_heights(figure, cells[3], column, calibration.geometry.disc, top_mm))
         _skin(figure.add_subplot(cells[4], projection="3d"), column, calibration, top_mm)
         _clouds(figure.add_subplot(cells[5], projection="3d"), column)
-    names = ("scene", "camera image", "grey maps", "height (greatest)", "skin (eq. 2)", "cloud")
+    names = ("scene", "camera image", "grey maps", "height (greatest)", "skin (eq. 2)", "cloud (mm)")
     for i, text in enumerate(names):
         box = rows[i].get_position(figure)
         figure.text(0.022, (box.y0 + box.y1) / 2, text, rotation=90, ha="center", va="center", fontsize=12)
@@ -248,7 +249,7 @@ def _clouds(axes: Any, column: Column) -> None:
     text = "no contact found"
     if column.score.points:
         text = f"ME {column.score.me_mm:.2f} mm, SD {100 * column.score.sd:.0f} %"
-    axes.text2D(0.5, -0.02, text, transform=axes.transAxes, ha="center", fontsize=10)
+    axes.text2D(0.5, -0.05, text, transform=axes.transAxes, ha="center", fontsize=10)
 
 
 def _thinned(points: F32) -> F32:

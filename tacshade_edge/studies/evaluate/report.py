@@ -24,7 +24,7 @@ from tacshade_edge.studies.evaluate.summary import (
 )
 from tacshade_edge.studies.evaluate.work import Timing
 
-PACKAGES = ("tacshade-edge", "numpy", "opencv-contrib-python-headless", "scipy", "scikit-image")
+PACKAGES = ("tacshade-edge", "numpy", "opencv-contrib-python-headless", "scipy")
 MEASURES = ("ME mm", "back mm", "SD %", "SD sum %", "IoU", "depth off %", "worst %", "missed")
 PAPER_ROW = "Table I (real sensor)"
 

@@ -55,7 +55,8 @@ def test_the_mesh_of_an_object_is_that_object() -> None:
     np.testing.assert_allclose(np.linalg.norm(vertices - (0, 0, 6), axis=1)[vertices[:, 2] < 6], 6, atol=0.05)
 
 
-def test_without_matplotlib_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("package", picture.PACKAGES)
+def test_without_a_package_it_says_so(package: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert picture.can_draw()
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.setitem(sys.modules, package, None)
     assert not picture.can_draw()
