@@ -84,7 +84,14 @@ def draw(made: Sequence[Column], calibration: Calibration, profile: str, dpi: in
     figure = Figure(figsize=(0.9 + 2.9 * count, 12.6), dpi=dpi, facecolor="white")
     canvas = FigureCanvasAgg(figure)
     rows = figure.add_gridspec(
-        6, 1, left=0.055, right=0.945, top=0.945, bottom=0.035, hspace=0.09, height_ratios=(2.3, 2.6, 1.0, 1.5, 1.7, 2.2)
+        6,
+        1,
+        left=0.055,
+        right=0.945,
+        top=0.945,
+        bottom=0.035,
+        hspace=0.09,
+        height_ratios=(2.3, 2.6, 1.0, 1.5, 1.7, 2.2),
     )
     top_mm = max(max(float(np.nanmax(c.truth.height_mm)), float(np.nanmax(c.result.height.height_mm))) for c in made)
     bars = []
