@@ -1,4 +1,4 @@
-"""``tacshade-edge calibrate``: references and ball presses to a calibration file."""
+"""``tacshade-edge calibrate``: references and ball presses to a calibration file, or a new reference for one."""
 
 from __future__ import annotations
 
@@ -6,21 +6,27 @@ import argparse
 import json
 import math
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from tacshade_edge.core.calibrate import calibrate
+from tacshade_edge.core import drift
+from tacshade_edge.core.calibrate import Calibrated, calibrate, rezero
 from tacshade_edge.devices import calibration_file
 from tacshade_edge.devices.images import read_image
 from tacshade_edge.devices.presses import read_presses
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.settings.sensor_file import read_sensor
-from tacshade_edge.types import Calibration
+from tacshade_edge.types import U8, Calibration
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--sensor", type=Path, required=True, metavar="SENSOR.yaml", help="what is known of the sensor")
+    kind = parser.add_mutually_exclusive_group(required=True)
+    kind.add_argument("--sensor", type=Path, metavar="SENSOR.yaml", help="what is known of the sensor")
+    kind.add_argument(
+        "--rezero", type=Path, metavar="CAL.npz", help="only take a new reference, and keep all else of this file"
+    )
     parser.add_argument(
         "--reference", type=Path, required=True, nargs="+", metavar="IMG", help="images of the unloaded skin, 5 or more"
     )
@@ -30,41 +36,83 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--allow-loaded-reference", action="store_true", help="warn only when the reference seems taken under load"
     )
     parser.add_argument("--json", action="store_true", help="print what was fitted as JSON")
+    parser.set_defaults(usage_error=parser.error)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Fit, write, and say how good it is."""
+    """Fit or re-zero, write, and say how good it is."""
+    if args.rezero is not None:
+        if args.presses:
+            args.usage_error("--presses has no meaning with --rezero, which keeps the depth table")
+        return _rezero(args)
     sensor = read_sensor(args.sensor)
-    try:
-        references = [read_image(path) for path in args.reference]
-    except DecodeError as error:
-        raise ConfigError(f"--reference: {error}") from None
-    height, width = references[0].shape[:2]
-    for path, image in zip(args.reference, references, strict=True):
-        if image.shape[:2] != (height, width):
-            found = f"{image.shape[1]}x{image.shape[0]} px"
-            raise ConfigError(f"--reference: {path}: found {found}, expected {width}x{height} px as the first")
+    references = _read_references(args.reference)
     presses = read_presses(args.presses) if args.presses else []
     if args.presses and not presses:
         raise ConfigError(f"{args.presses}: found no press, expected a row for each")
     result = calibrate(sensor, references, presses, args.allow_loaded_reference)
     stored = calibration_file.save(args.out, result.calibration)
-    report = _report(stored, list(result.warnings))
-    if args.json:
-        print(json.dumps(report, indent=2))
-        return 0
-    for warning in result.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
-    print(f"{args.out}: calibration {stored.crc32:08x}")
-    for key, value in report.items():
-        if key not in ("warnings", "crc32"):
-            print(f"  {key}: {value:.4g}" if isinstance(value, float) else f"  {key}: {value}")
-    if not presses:
-        print("  depth is not calibrated: without --presses it is the paper's α times a normalised height")
+    _tell(args, stored, result.warnings, _judged(result))
+    if not args.json:
+        print(result.verdict.line)
+        for advice in result.verdict.advice:
+            print(f"  to do: {advice}")
     return 0
 
 
-def _report(calibration: Calibration, warnings: list[str]) -> dict[str, Any]:
+def _rezero(args: argparse.Namespace) -> int:
+    old = calibration_file.load(args.rezero)
+    images = _read_references(args.reference)
+    try:
+        renewed = rezero(old, images, args.allow_loaded_reference)
+    except ConfigError as error:
+        raise ConfigError(f"{args.rezero}: {error}") from None
+    disc = old.geometry.disc
+    found = drift.drift(drift.look(old.reference_grey, disc, old.pitch_px), renewed.reference_grey)
+    changes = (drift.moved_reason(found, disc), drift.aged_reason(found))
+    warnings = [f"{change} since {args.rezero}" for change in changes if change]
+    changed = {
+        "moved_px": round(found.moved_px, 2),
+        "light": round(found.light, 3),
+        "contrast": round(found.contrast, 3),
+    }
+    _tell(args, calibration_file.save(args.out, renewed), warnings, changed)
+    return 0
+
+
+def _read_references(paths: Sequence[Path]) -> list[U8]:
+    try:
+        references = [read_image(path) for path in paths]
+    except DecodeError as error:
+        raise ConfigError(f"--reference: {error}") from None
+    height, width = references[0].shape[:2]
+    for path, image in zip(paths, references, strict=True):
+        if image.shape[:2] != (height, width):
+            found = f"{image.shape[1]}x{image.shape[0]} px"
+            raise ConfigError(f"--reference: {path}: found {found}, expected {width}x{height} px as the first")
+    return references
+
+
+def _tell(args: argparse.Namespace, stored: Calibration, warnings: Sequence[str], more: dict[str, Any]) -> None:
+    report = _report(stored)
+    if args.json:
+        print(json.dumps(report | more | {"warnings": list(warnings)}, indent=2))
+        return
+    for warning in warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    print(f"{args.out}: calibration {stored.crc32:08x}")
+    shown = report | {key: value for key, value in more.items() if isinstance(value, float)}
+    for key, value in shown.items():
+        if key != "crc32":
+            print(f"  {key}: {value:.4g}" if isinstance(value, float) else f"  {key}: {value}")
+
+
+def _judged(result: Calibrated) -> dict[str, Any]:
+    """The verdict for ``--json``."""
+    return {"verdict": result.verdict.grade, "verdict_line": result.verdict.line, "to_do": list(result.verdict.advice)}
+
+
+def _report(calibration: Calibration) -> dict[str, Any]:
     geometry = calibration.geometry
     return {
         "crc32": f"{calibration.crc32:08x}",
@@ -77,5 +125,4 @@ def _report(calibration: Calibration, warnings: list[str]) -> dict[str, Any]:
         "noise_grey": round(calibration.noise_grey, 3),
         "alpha": round(calibration.alpha, 3),
         **{key: round(value, 4) for key, value in calibration.fit.items() if math.isfinite(value)},
-        "warnings": warnings,
     }

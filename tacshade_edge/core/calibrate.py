@@ -8,20 +8,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tacshade_edge.core import greyscale, pattern
+from tacshade_edge.core import drift, greyscale, pattern, press_checks
 from tacshade_edge.core.disc import Grid, disc_mask, radius_squared
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.core.skin import skin_points
 from tacshade_edge.core.solvers.fast import brightening, gathered_change
 from tacshade_edge.core.validity import frame_check, invalid_reason
+from tacshade_edge.core.verdict import Verdict, judge
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import F32, F64, IDENTITY_POSE, U8, Binarisation, Bool, Calibration, Geometry, Polarity
 
 # Calibration works on the maps of this profile; its tables serve every profile with the same window.
 PROFILE = PROFILES["fast"]
 MIN_PRESSES = 8
-MAX_UNSEEN = 0.25
+MAX_LEFT_OUT = 0.25
 TABLE_KNOTS = 33
 GAIN_KNOTS = 17
 # RMS of g between frames of one still scene when one reference alone cannot tell it.
@@ -35,6 +36,8 @@ LOADED_MM2 = 9.0
 # Second difference over two rings, measured on 60 sensors: at most 19 unloaded, a centred ball 3 mm deep 30 or more.
 RINGS = 12
 LOADED_BEND_GREY = 22.0
+# A new reference with less contrast than this part of the old one's cannot serve the old tables.
+WORN_CONTRAST = 0.6
 # Pull of the fit towards "depth is proportional to χ, alike everywhere": presses that do not vary then do no harm.
 RIDGE = 0.001
 
@@ -70,6 +73,7 @@ class Calibrated:
 
     calibration: Calibration
     warnings: tuple[str, ...]
+    verdict: Verdict
 
 
 def calibrate(
@@ -134,19 +138,33 @@ def calibrate(
         raise ConfigError(f"{loaded}; take it again without contact, or pass --allow-loaded-reference")
     if loaded:
         warnings.append(loaded)
+    warnings += _check_references(unloaded, greys, allow_loaded_reference)
     if not presses:
-        return Calibrated(unloaded, tuple(warnings))
-    fitted, unseen = _fit_presses(unloaded, presses)
-    return Calibrated(fitted, (*warnings, *unseen))
+        return Calibrated(unloaded, tuple(warnings), judge({}, geometry, (), ()))
+    usable, rows, told = _usable_presses(unloaded, presses)
+    fitted, error_mm = _fit_presses(unloaded, usable)
+    agreement = {"agreement_mae_mm": press_checks.agreement_mm(rows, geometry)}
+    fitted = replace(fitted, fit=fitted.fit | agreement)
+    missing = press_checks.coverage(rows, geometry)
+    worst = sorted(zip(np.abs(error_mm), (row.name for row in rows), strict=True), reverse=True)
+    verdict = judge(fitted.fit, geometry, missing, tuple((name, float(error)) for error, name in worst))
+    return Calibrated(fitted, (*warnings, *told, *missing), verdict)
 
 
-def rezero(calibration: Calibration, images: Sequence[U8]) -> Calibration:
+def rezero(calibration: Calibration, images: Sequence[U8], allow_loaded: bool = False) -> Calibration:
     """The same calibration with a reference from new images of the unloaded skin.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    images : sequence of uint8 (H, W) or (H, W, 3)
+    allow_loaded : bool
+        Take it even when the skin seems touched.
 
     Raises
     ------
     ConfigError
-        An image cannot be used, or the skin is touched.
+        An image cannot be used, the camera moved too far for the calibration's geometry, or the skin is touched.
     """
     if not images:
         raise ConfigError("no image to take a reference from")
@@ -157,8 +175,18 @@ def rezero(calibration: Calibration, images: Sequence[U8]) -> Calibration:
     for grey in greys:
         if reason := invalid_reason(grey, check):
             raise ConfigError(f"reference refused: {reason}")
+    old = drift.look(calibration.reference_grey, geometry.disc, calibration.pitch_px)
+    for found in (drift.drift(old, grey) for grey in greys):
+        if drift.moved_too_far(found, geometry.disc):
+            moved = drift.moved_reason(found, geometry.disc)
+            raise ConfigError(f"reference refused: {moved}; fix the camera where it was, or calibrate again")
+        if found.contrast < WORN_CONTRAST:
+            raise ConfigError(
+                f"reference refused: {found.contrast:.2f} times the contrast, expected {WORN_CONTRAST} or more: "
+                "clean or focus the lens, or calibrate again"
+            )
     renewed = _with_reference(replace(calibration, reference_grey=pattern.mean_image(greys), crc32=0), greys)
-    if loaded := loaded_reason(renewed):
+    if not allow_loaded and (loaded := loaded_reason(renewed)):
         raise ConfigError(f"reference refused: {loaded}")
     return renewed
 
@@ -226,27 +254,81 @@ def radial_bend(g0: F32, rho2: F32, voting: Bool) -> float:
     return float(np.abs(mean[:-4] - 2 * mean[2:-2] + mean[4:]).max(initial=0.0))
 
 
-def _fit_presses(unloaded: Calibration, presses: Sequence[BallPress]) -> tuple[Calibration, list[str]]:
-    """Log depth = a + b log χ + c ρ² + d ρ⁴ for every press, by ridge regression.
+def _check_references(calibration: Calibration, greys: Sequence[U8], allow_loaded: bool) -> list[str]:
+    """Warnings where the references differ from each other; refuses what no mean of them can mend."""
+    disc = calibration.geometry.disc
+    first = drift.look(greys[0], disc, calibration.pitch_px)
+    warnings = []
+    for number, grey in enumerate(greys[1:], start=2):
+        found = drift.drift(first, grey)
+        moved = drift.moved_reason(found, disc)
+        if drift.moved_too_far(found, disc):
+            raise ConfigError(f"reference {number}: {moved} since reference 1; fix the camera and take them all again")
+        if reason := moved or drift.aged_reason(found):
+            warnings.append(f"reference {number}: {reason} against reference 1")
+    # A pressed reference raises the measured noise, and would hide behind it.
+    reconstructor = Reconstructor(replace(calibration, noise_grey=ASSUMED_NOISE_GREY), PROFILE)
+    pressed = [str(number) for number, grey in enumerate(greys, start=1) if reconstructor.touched(grey)]
+    if pressed:
+        reason = f"reference {', '.join(pressed)}: seems pressed, it differs from the mean of all references"
+        if not allow_loaded:
+            raise ConfigError(f"{reason}; take it again without contact, or pass --allow-loaded-reference")
+        warnings.append(reason)
+    return warnings
 
-    χ is its greatest value, ρ the place that brightens most.
 
-    Cross-validated by press: each is predicted from all the others. A press that the gate does not see is left out
-    and told, up to `MAX_UNSEEN` of them.
+def _usable_presses(
+    unloaded: Calibration, presses: Sequence[BallPress]
+) -> tuple[list[BallPress], list[press_checks.Evidence], list[str]]:
+    """The presses to fit, what their images show, and what is to be said of the others.
+
+    A press without contact, of a camera that moved, or that disagrees with what is stated of it is left out and told,
+    up to `MAX_LEFT_OUT` of them.
     """
     if len(presses) < MIN_PRESSES:
         raise ConfigError(
             f"{len(presses)} presses: at least {MIN_PRESSES} are needed for a depth table (20 are better)"
         )
+    geometry = unloaded.geometry
     reconstructor = Reconstructor(unloaded, PROFILE)
-    seen = [press for press in presses if _is_seen(reconstructor, press)]
-    unseen = [f"{p.name}: no contact to be seen, {p.depth_mm} mm is stated; left out" for p in presses if p not in seen]
-    if len(unseen) > MAX_UNSEEN * len(presses) or len(seen) < MIN_PRESSES:
-        raise ConfigError(
-            f"{len(unseen)} of {len(presses)} presses show no contact, the first is "
-            f"{unseen[0].removesuffix('; left out')}"
-        )
-    presses = seen
+    reference = drift.look(unloaded.reference_grey, geometry.disc, unloaded.pitch_px)
+    kept: list[BallPress] = []
+    left_out: list[str] = []
+    warnings: list[str] = []
+    for press in presses:
+        seen = _is_seen(reconstructor, press)
+        found = drift.drift(reference, greyscale.to_grey(press.image))
+        moved, aged = drift.moved_reason(found, geometry.disc), drift.aged_reason(found)
+        if drift.moved_too_far(found, geometry.disc):
+            left_out.append(f"{press.name}: {moved} since the references")
+        elif not seen:
+            left_out.append(f"{press.name}: no contact to be seen, {press.depth_mm} mm is stated")
+        else:
+            kept.append(press)
+            if reason := moved or aged:
+                warnings.append(f"{press.name}: {reason} since the references")
+    rows = [
+        press_checks.gather_evidence(reconstructor, p.name, p.image, (p.radius_mm, p.depth_mm, p.x_mm, p.y_mm))
+        for p in kept
+    ]
+    hints = list(press_checks.hints(rows, geometry)) if len(rows) >= MIN_PRESSES else []
+    wrong = {found.index: found.reason for found in press_checks.disagreements(rows, geometry)}
+    left_out += wrong.values()
+    usable = [k for k in range(len(kept)) if k not in wrong]
+    if len(left_out) > MAX_LEFT_OUT * len(presses) or len(usable) < MIN_PRESSES:
+        raise ConfigError("; ".join([f"{len(left_out)} of {len(presses)} presses cannot be used", *hints, left_out[0]]))
+    told = [*hints, *warnings, *(f"{reason}; left out" for reason in left_out)]
+    return [kept[k] for k in usable], [rows[k] for k in usable], told
+
+
+def _fit_presses(unloaded: Calibration, presses: Sequence[BallPress]) -> tuple[Calibration, F64]:
+    """Log depth = a + b log χ + c ρ² + d ρ⁴ for every press, by ridge regression.
+
+    χ is its greatest value, ρ the place that brightens most.
+
+    Cross-validated by press: each is predicted from all the others; its error in mm is returned too.
+    """
+    reconstructor = Reconstructor(unloaded, PROFILE)
     rows = [_press_row(reconstructor, press) for press in presses]
     features = np.array([row[0] for row in rows])
     depth_mm = np.array([press.depth_mm for press in presses])
@@ -283,7 +365,7 @@ def _fit_presses(unloaded: Calibration, presses: Sequence[BallPress]) -> tuple[C
         table_gain=gain.astype(np.float32),
         fit=fit,
     )
-    return calibration, unseen
+    return calibration, error
 
 
 def _is_seen(reconstructor: Reconstructor, press: BallPress) -> bool:

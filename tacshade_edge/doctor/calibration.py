@@ -7,7 +7,7 @@ import os
 import time
 from collections.abc import Sequence
 
-from tacshade_edge.core import pattern
+from tacshade_edge.core import drift, pattern
 from tacshade_edge.core.calibrate import rezero
 from tacshade_edge.core.greyscale import to_grey
 from tacshade_edge.core.profiles import PROFILES
@@ -19,7 +19,6 @@ from tacshade_edge.errors import ConfigError
 from tacshade_edge.settings import Document
 from tacshade_edge.types import U8, Calibration, Frame
 
-_MOVED_PART = 0.02  # of the disc's radius
 _NOISIER, _NOISE_LEVELS = 2.0, 2.0
 _DAY_S = 86400
 _CALIBRATE = (
@@ -29,6 +28,10 @@ _CALIBRATE = (
 _REZERO = (
     "with nothing touching the skin, publish {} to tacshade/SENSOR/req/reference while the daemon runs; if that does "
     "not last, calibrate again (docs/calibration.md)"
+)
+_AGED = (
+    "bring light, exposure and focus back to what they were, or take a new reference: tacshade-edge calibrate --rezero "
+    "CAL.npz --reference ref_*.png --out NEW.npz"
 )
 # What the reason of an unusable or a degraded frame begins with, and what mends it.
 _MENDS = {
@@ -79,7 +82,8 @@ def check_images(calibration: Calibration, images: Sequence[U8], live: bool) -> 
     result = reconstructor.step(Frame(0, 0, 0, images[-1]))
     if not result.valid:
         return (fault("sensor", f"frames cannot be used: {result.reason}", _mend(result.reason)),)
-    moved = _check_place(calibration, images)
+    found_drift = _drift(calibration, images)
+    moved = _check_place(calibration, found_drift)
     if not live:
         found = f"contact of {result.depth_max_mm:.1f} mm" if result.contact else "no contact"
         return (*moved, ok("sensor", f"looks as calibrated, {found}"))
@@ -88,23 +92,25 @@ def check_images(calibration: Calibration, images: Sequence[U8], live: bool) -> 
         return (*moved, warning("sensor", found, _REZERO))
     if result.degraded:
         return (*moved, warning("sensor", result.degraded, _mend(result.degraded)))
+    if aged := drift.aged_reason(found_drift):
+        return (*moved, warning("sensor", f"{aged} since it was calibrated", _AGED))
     return (*moved, _check_noise(calibration, images))
 
 
-def _check_place(calibration: Calibration, images: Sequence[U8]) -> tuple[Finding, ...]:
-    """Whether the visible circle is where it was; nothing when it cannot be found (a contact may hide its rim)."""
-    old = calibration.geometry.disc
-    try:
-        new = pattern.find_disc(pattern.mean_image([to_grey(image) for image in images]))
-    except ConfigError:
+def _drift(calibration: Calibration, images: Sequence[U8]) -> drift.Drift:
+    old = drift.look(calibration.reference_grey, calibration.geometry.disc, calibration.pitch_px)
+    return drift.drift(old, pattern.mean_image([to_grey(image) for image in images]))
+
+
+def _check_place(calibration: Calibration, found: drift.Drift) -> tuple[Finding, ...]:
+    """Whether the visible circle is where it was; nothing when that cannot be seen (a contact may hide it)."""
+    if found.still_part == 0:
         return ()
-    shift_px = math.hypot(new.row_c - old.row_c, new.col_c - old.col_c)
-    wider_px = new.radius_px - old.radius_px
-    found = f"visible circle {shift_px:.1f} px from where it was calibrated, radius {wider_px:+.1f} px"
-    if max(shift_px, abs(wider_px)) > _MOVED_PART * old.radius_px:
+    said = f"visible circle {found.shift_px:.1f} px from where it was calibrated, size {100 * (found.zoom - 1):+.1f} %"
+    if drift.moved_too_far(found, calibration.geometry.disc):
         mend = "the camera moved in the sensor: fix it where it was, or calibrate again (docs/calibration.md)"
-        return (warning("camera place", found, mend),)
-    return (ok("camera place", found),)
+        return (warning("camera place", said, mend),)
+    return (ok("camera place", said),)
 
 
 def _check_noise(calibration: Calibration, images: Sequence[U8]) -> Finding:

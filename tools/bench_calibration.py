@@ -1,0 +1,287 @@
+#!/usr/bin/env python3
+"""What `calibrate` finds wrong, and what it finds wrong in good sets: docs/calibration.md has the tables.
+
+::
+
+    .venv/bin/python tools/bench_calibration.py [--sensors 30] [--first 8100] [--jobs 1]
+
+Every sensor is drawn at random (640x480), with 5 references and 24 ball presses. A good set must pass without a word;
+then one thing at a time is made wrong in it, and what is said (or refused) is counted.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from tacshade_edge.core import drift
+from tacshade_edge.core.calibrate import BallPress, Calibrated, Sensor, calibrate, rezero
+from tacshade_edge.core.greyscale import to_grey
+from tacshade_edge.core.press_checks import Evidence, first_touch_mm
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.simulator import nuisance
+from tacshade_edge.simulator.calibration_set import ball_presses
+from tacshade_edge.simulator.model import SensorModel, random_model
+from tacshade_edge.simulator.objects import ball
+from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.scene import SimulatedSensor
+from tacshade_edge.types import U8
+
+REFERENCES, PRESSES = 5, 24
+
+
+@dataclass(frozen=True, slots=True)
+class Set:
+    """What a user brings."""
+
+    model: SensorModel
+    simulated: SimulatedSensor
+    sensor: Sensor
+    references: list[U8]
+    presses: list[BallPress]
+
+    def calibrate(self, references: list[U8] | None = None, presses: list[BallPress] | None = None) -> Calibrated:
+        """Calibrate on this set, or on one of which something was changed."""
+        return calibrate(self.sensor, references or self.references, self.presses if presses is None else presses)
+
+
+def good_set(seed: int) -> Set:
+    """A good set of a random sensor."""
+    model = random_model(seed)
+    simulated = SimulatedSensor(model)
+    sensor = Sensor(model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, "bright")
+    presses = [
+        BallPress(f"press {k}", to_grey(simulated.frame([p], 2000 + k).image), r, p.depth_mm, p.x_mm, p.y_mm)
+        for k, (p, r) in enumerate(ball_presses(model, PRESSES, seed))
+    ]
+    references = [to_grey(simulated.frame((), 1000 + k).image) for k in range(REFERENCES)]
+    return Set(model, simulated, sensor, references, presses)
+
+
+def answer(made: Callable[[], Calibrated]) -> str:
+    """All that is said of a set."""
+    try:
+        result = made()
+    except ConfigError as error:
+        return f"refused: {error}"
+    return "\n".join((*result.warnings, result.verdict.line))
+
+
+def one_press(given: Set, k: int, **changed: float) -> list[BallPress]:
+    """The presses with one of them stated otherwise."""
+    presses = list(given.presses)
+    presses[k] = replace(presses[k], **changed)
+    return presses
+
+
+def shifted(image: U8, px: float) -> U8:
+    """Move an image to the right."""
+    matrix = np.array([[1, 0, px], [0, 1, 0]], dtype=np.float64)
+    size = (image.shape[1], image.shape[0])
+    return np.asarray(cv2.warpAffine(image, matrix, size, borderMode=cv2.BORDER_REPLICATE), np.uint8)
+
+
+def uneven(image: U8, part: float) -> U8:
+    """Darken one side: one LED of a ring has aged."""
+    ramp = 1 - part * np.linspace(0, 1, image.shape[1], dtype=np.float32)[None, :]
+    return np.asarray(np.rint(image * ramp), np.uint8)
+
+
+def wrong_things(given: Set, rng: np.random.Generator) -> Iterator[tuple[str, str, str]]:
+    """What is wrong, what must be in the answer, and the answer."""
+    presses, references, scale = given.presses, given.references, given.model.skin_radius_mm / 20
+    chosen = int(rng.integers(4, len(presses) - 2))
+    press = presses[chosen]
+    name = f"{press.name}:"
+
+    def told(made: list[BallPress]) -> str:
+        return answer(lambda: given.calibrate(presses=made))
+
+    for off in (-1.5, 1.0, 1.5, 2.0):
+        if press.depth_mm + off * scale > 0.3:
+            stated = one_press(given, chosen, depth_mm=press.depth_mm + off * scale)
+            yield f"one depth {off:+.1f} mm off", f"{name} depth", told(stated)
+    for factor in (0.5, 2.0):
+        yield (
+            f"one ball radius times {factor}",
+            name,
+            told(one_press(given, chosen, radius_mm=press.radius_mm * factor)),
+        )
+    yield "one place 5 mm off", name, told(one_press(given, chosen, x_mm=(press.x_mm or 0) + 5 * scale))
+    shuffled = rng.permutation([p.depth_mm for p in presses])
+    yield (
+        "all depths shuffled", "refused|poor",
+        told([replace(p, depth_mm=float(d)) for p, d in zip(presses, shuffled, strict=True)]),
+    )  # fmt: skip
+    for unit, factor in (("cm", 0.1), ("inches", 1 / 25.4), ("m", 0.001)):
+        yield (
+            f"depths in {unit}",
+            f"depths in {unit}?",
+            told([replace(p, depth_mm=p.depth_mm * factor) for p in presses]),
+        )
+    touch = first_touch_mm(
+        [Evidence("", 1, 1, 1, 0, 0, p.radius_mm, 0, p.x_mm, p.y_mm) for p in presses], given.model.geometry
+    )
+    travel = [replace(p, depth_mm=p.depth_mm - float(t)) for p, t in zip(presses, touch, strict=True)]
+    yield "depths are travel from first touch", "travel from first touch", told(travel)
+    for off in (0.5, 1.0):
+        made = [replace(p, depth_mm=p.depth_mm + off * scale) for p in presses]
+        yield f"all depths {off} mm too great", "if all are", told(made)
+    yield "x and y swapped", "swapped", told([replace(p, x_mm=p.y_mm, y_mm=p.x_mm) for p in presses])
+    yield "y with the other sign", "other sign", told([replace(p, y_mm=-(p.y_mm or 0)) for p in presses])
+    near = sorted(presses, key=lambda p: (p.x_mm or 0) ** 2 + (p.y_mm or 0) ** 2)[:8]
+    yield "8 presses in the middle", "close together", told(near)
+    yield "half the disc", "no press lies|close together", told([p for p in presses if (p.x_mm or 0) > -1])
+    alike = sorted(presses, key=lambda p: p.depth_mm)[-10:]
+    yield "10 presses of like depth", "deep: other depths", told(alike)
+    alike = sorted(presses, key=lambda p: p.radius_mm)[8:16]
+    yield "8 presses of like radius", "ball radii", told(alike)
+
+    for px in (0.5, 1.0, 2.0, 6.0):
+        yield (
+            f"camera {px} px away at one press", f"{name} the image moved",
+            told([replace(p, image=shifted(p.image, px)) if p is press else p for p in presses]),
+        )  # fmt: skip
+    for px in (1.0, 2.0, 6.0):
+        made = [references[0], *(shifted(image, px) for image in references[1:])]
+        yield (
+            f"camera {px} px away after the first reference",
+            "moved",
+            answer(lambda made=made: given.calibrate(made, [])),
+        )
+    for label, change in {
+        "light x 0.75": lambda image: nuisance.gain(image, 0.75),
+        "light x 0.9 (compensated)": lambda image: nuisance.gain(image, 0.9),
+        "one side 40 % darker": lambda image: uneven(image, 0.4),
+        "blurred by 1.5 px": lambda image: nuisance.defocus(image, 1.5),
+    }.items():
+        made = [replace(p, image=change(p.image)) if p is press else p for p in presses]
+        yield f"{label} at one press", f"{name}", told(made)
+    for depth in (1.0, 2.0):
+        image = to_grey(given.simulated.frame((Press(ball(6.0 * scale), 3, 2, depth * scale),), 5).image)
+        yield (
+            f"one reference of 5 under {depth} mm", "pressed|load",
+            answer(lambda image=image: given.calibrate([*references[1:], image], [])),
+        )  # fmt: skip
+
+
+def rezeros(given: Set, result: Calibrated) -> Iterator[tuple[str, str, str]]:
+    """New references that must be taken, and some that must not."""
+    scale = given.model.skin_radius_mm / 20
+
+    def said(images: list[U8]) -> str:
+        try:
+            rezero(result.calibration, images)
+        except ConfigError as error:
+            return f"refused: {error}"
+        return "taken"
+
+    free = [to_grey(given.simulated.frame((), 3000 + k).image) for k in range(5)]
+    yield "rezero: untouched", "taken", said(free)
+    yield "rezero: light x 0.7", "taken", said([nuisance.gain(image, 0.7) for image in free])
+    yield "rezero: 2 px away", "taken", said([shifted(image, 2) for image in free])
+    yield "rezero: 6 px away", "refused", said([shifted(image, 6) for image in free])
+    yield "rezero: light x 0.4", "refused", said([nuisance.gain(image, 0.4) for image in free])
+    yield "rezero: blurred by 3 px", "refused", said([nuisance.defocus(image, 3) for image in free])
+    for depth in (1.0, 2.0, 3.0):
+        image = to_grey(given.simulated.frame((Press(ball(6.0 * scale), 3, 2, depth * scale),), 5).image)
+        yield f"rezero: under {depth} mm", "refused", said([image] * 3)
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """One sensor's figures: false alarms, what was found, (label, depth, agreement, grade), drift of good presses."""
+
+    alarms: list[str]
+    found: list[tuple[str, bool]]
+    quality: list[tuple[str, float, float, str]]
+    drifts: list[drift.Drift]
+
+
+def measure(seed: int) -> Measured:
+    """Everything of one sensor."""
+    cv2.setNumThreads(1)
+    rng = np.random.default_rng(seed)
+    given = good_set(seed)
+    try:
+        result = given.calibrate()
+    except ConfigError as error:
+        return Measured([f"sensor {seed}: refused: {error}"], [], [], [])
+    calibration = result.calibration
+    look = drift.look(calibration.reference_grey, calibration.geometry.disc, calibration.pitch_px)
+    scale = given.model.skin_radius_mm / 20
+    quality = []
+    for sigma in (0.0, 0.3, 0.6):
+        label = f"depths stated {sigma} mm off (standard deviation)" if sigma else "good sets"
+        jitter = sigma * scale * rng.standard_normal(PRESSES)
+        presses = [replace(p, depth_mm=max(p.depth_mm + e, 0.2)) for p, e in zip(given.presses, jitter, strict=True)]
+        try:
+            made = given.calibrate(presses=presses)
+        except ConfigError:
+            quality.append((label, np.nan, np.nan, "refused"))
+            continue
+        fit = made.calibration.fit
+        quality.append((label, fit["depth_mae_mm"] / scale, fit["agreement_mae_mm"] / scale, made.verdict.grade))
+    found = [
+        (label, any(part in said for part in wanted.split("|")))
+        for label, wanted, said in (*wrong_things(given, rng), *rezeros(given, result))
+    ]
+    alarms = [f"sensor {seed}: {warning}" for warning in result.warnings]
+    return Measured(alarms, found, quality, [drift.drift(look, press.image) for press in given.presses])
+
+
+def report(measured: Sequence[Measured]) -> str:
+    """The document's tables, in Markdown."""
+    good = sum(bool(m.found) for m in measured)
+    alarms = [alarm for m in measured for alarm in m.alarms]
+    lines = [f"False alarms in {len(measured)} good sets ({good} calibrated, {good * PRESSES} presses): {len(alarms)}"]
+    lines += [f"- {alarm}" for alarm in alarms] + ["", "| what was wrong | said |", "|---|---|"]
+    found: dict[str, list[bool]] = {}
+    for label, hit in (pair for m in measured for pair in m.found):
+        found.setdefault(label, []).append(hit)
+    lines += [f"| {label} | {sum(hits)} of {len(hits)} |" for label, hits in found.items()]
+    lines += [
+        "",
+        "| presses | depth_mae_mm median, 90 %, worst | agreement_mae_mm likewise | good, fair, poor, refused |",
+        "|---|---|---|---|",
+    ]
+    quality = [row for m in measured for row in m.quality]
+    for label in dict.fromkeys(row[0] for row in quality):
+        rows = [row for row in quality if row[0] == label]
+        cells = [label]
+        for column in (1, 2):
+            quantiles = np.nanquantile([row[column] for row in rows], [0.5, 0.9, 1.0])
+            cells.append(", ".join(f"{v:.2f}" for v in quantiles))
+        grades = [sum(row[3] == grade for row in rows) for grade in ("good", "fair", "poor", "refused")]
+        cells.append(", ".join(map(str, grades)))
+        lines.append(f"| {' | '.join(cells)} |")
+    all_drifts = [d for m in measured for d in m.drifts]
+    seen = [d for d in all_drifts if d.still_part > 0]
+    lines += [
+        "",
+        f"Drift of good presses: measured in {len(seen)} of {len(all_drifts)}; the most: "
+        f"shift {max(d.shift_px for d in seen):.2f} px, with turn and zoom {max(d.moved_px for d in seen):.2f} px, "
+        f"light {min(d.light for d in seen):.3f} to {max(d.light for d in seen):.3f}, "
+        f"uneven {max(d.uneven for d in seen):.3f}, contrast {min(d.contrast for d in seen):.2f}",
+    ]
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Measure, print the tables."""
+    parser = argparse.ArgumentParser(description="What `calibrate` detects, and its false alarms.")
+    parser.add_argument("--sensors", type=int, default=30)
+    parser.add_argument("--first", type=int, default=8100, help="seed of the first sensor")
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    args = parser.parse_args()
+    with ProcessPoolExecutor(args.jobs) as pool:
+        print(report(list(pool.map(measure, range(args.first, args.first + args.sensors)))))
+
+
+if __name__ == "__main__":
+    main()
