@@ -182,13 +182,14 @@ def moved_too_far(found: Drift, disc: Disc) -> bool:
 
 def aged_reason(found: Drift) -> str:
     """How light or focus changed; empty when they did not, or so little that it is compensated."""
+    said = []
     if not _LIGHT_LOW <= found.light <= _LIGHT_HIGH:
-        return f"{found.light:.2f} times the light"
+        said.append(f"{found.light:.2f} times the light")
     if found.uneven > _UNEVEN:
-        return f"the light falls otherwise: it varies by {100 * found.uneven:.0f} % over the disc"
+        said.append(f"the light falls otherwise (it varies by {100 * found.uneven:.0f} % over the disc)")
     if found.contrast < _CONTRAST:
-        return f"blurred or dirty: {found.contrast:.2f} times the contrast"
-    return ""
+        said.append(f"blurred or dirty ({found.contrast:.2f} times the contrast)")
+    return ", ".join(said)
 
 
 def _statistics(grey: U8, pitch_px: float) -> tuple[F32, F32]:

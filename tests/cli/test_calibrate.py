@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -8,11 +9,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from calibrated_sensor import pressed
+from calibrated_sensor import calibrated, pressed, unloaded
 from sensor_files import write_files
 
 from tacshade_edge.cli import main
 from tacshade_edge.devices import calibration_file
+from tacshade_edge.simulator import nuisance
 
 
 @pytest.fixture(scope="module")
@@ -99,6 +101,70 @@ def test_a_result_that_cannot_be_written(words: list[str], tmp_path: Path, capsy
     out = tmp_path / "none" / "cal.npz"
     assert main(["calibrate", *words[:2], *words[4:], "--out", str(out)]) == 1
     assert f"{out}: cannot write the calibration" in one_line(capsys.readouterr().err)
+
+
+def test_the_verdict_is_said(words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table = tmp_path / "PRESSES.csv"
+    rows = Path(words[3]).read_text().splitlines()
+    folder = Path(words[3]).parent
+    few = [rows[0], *(str(folder / row) for row in rows[1:11])]
+    table.write_text("\n".join(few) + "\n")
+    command = ["calibrate", *words[:2], "--presses", str(table), *words[4:], "--out", str(tmp_path / "cal.npz")]
+    assert main(command) == 0
+    printed = capsys.readouterr()
+    assert re.search(r"^(fair|poor): ball depth within \d\.\d\d mm", printed.out, re.MULTILINE)
+    assert "  to do: 10 presses: 20 to 40" in printed.out
+    assert main([*command, "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["verdict"] in ("fair", "poor")
+    assert report["verdict_line"].startswith(report["verdict"])
+    assert report["to_do"][0].startswith("10 presses")
+
+
+def test_rezero_keeps_all_but_the_reference(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    old, new = tmp_path / "old.npz", tmp_path / "new.npz"
+    assert main(["calibrate", *words, "--out", str(old)]) == 0
+    dim = []
+    for k in range(3):
+        dim.append(str(tmp_path / f"dim{k}.png"))
+        cv2.imwrite(dim[-1], nuisance.gain(unloaded(noise_seed=70 + k), 0.7))
+    capsys.readouterr()
+    assert main(["calibrate", "--rezero", str(old), "--reference", *dim, "--out", str(new), "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["light"] == pytest.approx(0.7, abs=0.02)
+    (warning,) = report["warnings"]
+    assert warning.endswith(f"times the light since {old}")
+    before, after = calibration_file.load(old), calibration_file.load(new)
+    assert report["crc32"] == f"{after.crc32:08x}" != f"{before.crc32:08x}"
+    assert (after.geometry, after.fit, after.alpha) == (before.geometry, before.fit, before.alpha)
+    np.testing.assert_array_equal(after.table_depth_mm, before.table_depth_mm)
+    assert after.reference_grey.mean() < 0.8 * before.reference_grey.mean()
+
+
+def test_rezero_refuses_in_one_line(words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    old, out = tmp_path / "old.npz", tmp_path / "new.npz"
+    calibration_file.save(old, calibrated())
+    images = {
+        "moved": nuisance.shift(unloaded(), 0, 5),
+        "loaded": pressed("cube", 3.0).image,
+        "small": unloaded()[:200],
+    }
+    said = {"moved": "the image moved by 5.0 px", "loaded": "taken under load", "small": "size: 320x200 px"}
+    for name, image in images.items():
+        cv2.imwrite(str(tmp_path / f"{name}.png"), image)
+        command = ["calibrate", "--rezero", str(old), "--reference", str(tmp_path / f"{name}.png"), "--out", str(out)]
+        assert main(command) == 78
+        line = one_line(capsys.readouterr().err)
+        assert f"{old}: reference refused: " in line
+        assert said[name] in line
+        assert not out.exists()
+    for wrong in (["--rezero", str(old), *words[:2]], ["--rezero", str(old), *words[2:4]], []):
+        with pytest.raises(SystemExit) as usage:
+            main(["calibrate", *wrong, "--reference", str(tmp_path / "moved.png"), "--out", str(out)])
+        assert usage.value.code == 2
+        assert "--rezero" in capsys.readouterr().err
 
 
 def test_the_process_exits_with_78(tmp_path: Path) -> None:

@@ -159,6 +159,78 @@ def test_press_images_that_cannot_be_used() -> None:
             fitted([replace(presses()[0], image=image), *presses()[1:]])
 
 
+def test_a_good_set_is_called_good() -> None:
+    result = fitted(presses())
+    assert result.warnings == ()
+    assert result.verdict.grade == "good"
+    assert result.calibration.fit["agreement_mae_mm"] < result.calibration.fit["depth_mae_mm"]
+    assert calibrate(SENSOR, references()).verdict.grade == "uncalibrated"
+
+
+def test_a_press_that_disagrees_is_named_and_left_out() -> None:
+    wrong = replace(presses()[6], depth_mm=presses()[6].depth_mm + 2.5)
+    result = fitted([*presses()[:6], wrong, *presses()[7:]])
+    (warning,) = result.warnings
+    assert warning.startswith(f"press 6: depth {wrong.depth_mm:.2f} mm is stated, ")
+    assert warning.endswith("; left out")
+    assert result.calibration.fit["presses"] == 19
+
+
+def test_too_many_that_disagree_are_refused_with_the_likely_reason() -> None:
+    swapped = [replace(press, x_mm=press.y_mm, y_mm=press.x_mm) for press in presses()]
+    with pytest.raises(ConfigError, match=r"of 20 presses cannot be used; .* if x and y are swapped; press \d+: x "):
+        fitted(swapped)
+
+
+def test_a_wrong_unit_is_said() -> None:
+    in_cm = fitted([replace(press, depth_mm=press.depth_mm / 10) for press in presses()])
+    assert any(warning.endswith("are the depths in cm?") for warning in in_cm.warnings)
+
+
+def test_clustered_presses_say_what_is_missing() -> None:
+    near = sorted(presses(), key=lambda p: (p.x_mm or 0) ** 2 + (p.y_mm or 0) ** 2)[:MIN_PRESSES]
+    result = fitted(near)
+    assert any("close together" in warning for warning in result.warnings)
+    assert result.verdict.grade != "good"
+    assert any("close together" in advice for advice in result.verdict.advice)
+
+
+def moved(image: U8, px: int) -> U8:
+    return nuisance.shift(image, 0, px)
+
+
+def test_a_camera_that_moved_at_a_press_or_for_all_of_them() -> None:
+    one = [replace(presses()[0], image=moved(presses()[0].image, 1)), *presses()[1:]]
+    assert fitted(one).warnings == ("press 0: the image moved by 1.0 px since the references",)
+    far = [replace(presses()[0], image=moved(presses()[0].image, 5)), *presses()[1:]]
+    (warning,) = fitted(far).warnings
+    assert warning.startswith("press 0: the image moved by 5.0 px")
+    assert warning.endswith("since the references; left out")
+    with pytest.raises(ConfigError, match=r"20 of 20 presses cannot be used; press 0: the image moved by"):
+        fitted([replace(press, image=moved(press.image, 5)) for press in presses()])
+
+
+def test_other_light_at_a_press_is_said() -> None:
+    dim = [replace(presses()[0], image=nuisance.gain(presses()[0].image, 0.7)), *presses()[1:]]
+    (warning,) = fitted(dim).warnings
+    assert warning.startswith("press 0: 0.7")
+    assert warning.endswith("times the light since the references")
+
+
+def test_references_that_differ_from_each_other() -> None:
+    others = list(references()[1:])
+    (warning,) = calibrate(SENSOR, [moved(references()[0], 1), *others[:3]]).warnings[:1]
+    assert warning == "reference 2: the image moved by 1.0 px against reference 1"
+    with pytest.raises(ConfigError, match=r"reference 3: the image moved by 5\.0 px since reference 1; fix the camera"):
+        calibrate(SENSOR, [*others[:2], moved(others[2], 5)])
+    (warning,) = calibrate(SENSOR, [*others, nuisance.gain(references()[0], 0.7)]).warnings
+    assert warning.startswith("reference 5: 0.7")
+    one_loaded = [*others, simulated(HALF).frame((Press(ball(6.0), 3, 2, 1.5),), 9).image]
+    with pytest.raises(ConfigError, match="reference 5: seems pressed"):
+        calibrate(SENSOR, one_loaded)
+    assert any("seems pressed" in said for said in calibrate(SENSOR, one_loaded, (), True).warnings)
+
+
 def test_presses_that_show_no_contact_are_refused() -> None:
     with pytest.raises(ConfigError, match="no contact"):
         fitted([replace(press, image=unloaded(noise_seed=60 + k)) for k, press in enumerate(presses())])
@@ -185,9 +257,15 @@ def test_a_new_reference_keeps_everything_else() -> None:
         ([unloaded(), unloaded()[:-1]], "reference refused: size"),
         (loaded(3.0, 0.0), "reference refused: .*under load"),
         (loaded(3.0, 6.0), "reference refused: .*under load"),
+        ([nuisance.shift(unloaded(), 0, 4)] * 3, "reference refused: the image moved by 4.0 px; .*calibrate again"),
+        ([nuisance.defocus(unloaded(), 2.5)] * 3, "reference refused: 0.* times the contrast"),
     ],
-    ids=["none", "black", "size", "load in the middle", "load"],
+    ids=["none", "black", "size", "load in the middle", "load", "moved", "blurred"],
 )
 def test_a_new_reference_that_cannot_be_used(images: list[U8], said: str) -> None:
     with pytest.raises(ConfigError, match=said):
         rezero(calibrated(), images)
+
+
+def test_a_load_may_be_allowed() -> None:
+    assert rezero(calibrated(), loaded(3.0, 6.0), allow_loaded=True).crc32 == 0

@@ -12,6 +12,7 @@ from tacshade_edge.devices import calibration_file
 from tacshade_edge.doctor.calibration import check_images, load
 from tacshade_edge.doctor.finding import Finding
 from tacshade_edge.settings import load as load_settings
+from tacshade_edge.simulator import nuisance
 from tacshade_edge.types import U8
 
 
@@ -37,6 +38,13 @@ def test_a_camera_that_moved() -> None:
     assert place.state == "warning"
     assert place.found.startswith(("visible circle 3.", "visible circle 4."))
     assert "fix it where it was" in place.mend
+
+
+def test_a_sensor_that_aged() -> None:
+    sensor = judged([nuisance.gain(image, 0.7) for image in free()])["sensor"]
+    assert sensor.state == "warning"
+    assert sensor.found.endswith("times the light since it was calibrated")
+    assert "--rezero" in sensor.mend
 
 
 def test_a_pressed_skin() -> None:
