@@ -69,7 +69,7 @@ def answer(made: Callable[[], Calibrated]) -> str:
         result = made()
     except ConfigError as error:
         return f"refused: {error}"
-    return "\n".join((*result.warnings, result.verdict.line))
+    return "\n".join((*result.warnings, result.verdict.line, *result.verdict.advice))
 
 
 def one_press(given: Set, k: int, **changed: float) -> list[BallPress]:
@@ -231,7 +231,7 @@ def measure(seed: int, detect: bool) -> Measured:
         (label, any(part in said for part in wanted.split("|")))
         for label, wanted, said in ((*wrong_things(given, rng), *rezeros(given, result)) if detect else ())
     ]
-    alarms = [f"sensor {seed}: {warning}" for warning in result.warnings]
+    alarms = [f"sensor {seed}: {said}" for said in (*result.warnings, *result.verdict.advice)]
     return Measured(alarms, found, quality, [drift.drift(look, press.image) for press in given.presses])
 
 

@@ -148,7 +148,7 @@ def calibrate(
     missing = press_checks.coverage(rows, geometry)
     worst = sorted(zip(np.abs(error_mm), (row.name for row in rows), strict=True), reverse=True)
     verdict = judge(fitted.fit, geometry, missing, tuple((name, float(error)) for error, name in worst))
-    return Calibrated(fitted, (*warnings, *told, *missing), verdict)
+    return Calibrated(fitted, (*warnings, *told), verdict)
 
 
 def rezero(calibration: Calibration, images: Sequence[U8], allow_loaded: bool = False) -> Calibration:

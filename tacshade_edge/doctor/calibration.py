@@ -92,6 +92,8 @@ def check_images(calibration: Calibration, images: Sequence[U8], live: bool) -> 
         return (*moved, warning("sensor", found, _REZERO))
     if result.degraded:
         return (*moved, warning("sensor", result.degraded, _mend(result.degraded)))
+    if drift.moved_too_far(found_drift, calibration.geometry.disc):
+        return moved
     if aged := drift.aged_reason(found_drift):
         return (*moved, warning("sensor", f"{aged} since it was calibrated", _AGED))
     return (*moved, _check_noise(calibration, images))
