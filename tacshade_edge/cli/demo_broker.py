@@ -49,7 +49,10 @@ def broker_command(folder: Path, port: int) -> list[str]:
     """
     mosquitto = shutil.which("mosquitto", path=f"{os.environ.get('PATH', os.defpath)}:{_SBIN}")
     settings = folder / ("mosquitto.conf" if mosquitto else "broker.toml")
-    settings.write_text((_MOSQUITTO if mosquitto else _EMBEDDED).format(port=port), encoding="utf-8")
+    text = (_MOSQUITTO if mosquitto else _EMBEDDED).format(port=port)
+    if mosquitto and os.getuid() == 0:
+        text += "user root\n"  # the kernel forgets to end it with us when it changes its user
+    settings.write_text(text, encoding="utf-8")
     if mosquitto:
         return [mosquitto, "-c", str(settings)]
     if importlib.util.find_spec("iotcore") is None:

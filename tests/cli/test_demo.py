@@ -29,7 +29,7 @@ ADDRESS = re.compile(r"open http://127\.0\.0\.1:(\d+)/")
 
 @contextlib.contextmanager
 def demo(command: list[str], folder: Path) -> Iterator[tuple[subprocess.Popen[str], int]]:
-    """A running demo and the port of its page; its temporary files are in `folder`."""
+    """A running demo and the port of its page; its temporary files are in `folder`. Killed, it leaves no process."""
     process = subprocess.Popen(
         command,
         stdout=subprocess.PIPE,
@@ -48,6 +48,7 @@ def demo(command: list[str], folder: Path) -> Iterator[tuple[subprocess.Popen[st
     finally:
         process.kill()
         process.communicate()
+        wait_until(lambda: not running(folder), 10, "every process of the demo is gone")
 
 
 def running(folder: Path) -> list[str]:
