@@ -302,7 +302,8 @@ def test_what_a_hand_refuses_or_does_not_answer_is_told(page: Chrome, tmp_path: 
 
 def test_several_hands(page: Chrome, tmp_path: Path) -> None:
     def tabs() -> list[str]:
-        return [tab.text for tab in page.find_elements(By.CSS_SELECTOR, "#hands button")]
+        # in one step: the page replaces the tabs when a hand tells its state
+        return list(js(page, "[...document.querySelectorAll('#hands button')].map(tab => tab.innerText.trim())"))
 
     with (
         Broker(tmp_path) as broker,
