@@ -25,7 +25,7 @@ check: .venv/dev.stamp
 	.venv/bin/ruff check .
 	.venv/bin/mypy
 	.venv/bin/lint-imports
-	$(PY) -m pytest -m 'not guest and not broker and not slow and not browser'
+	$(PY) -m pytest -n auto -m 'not guest and not broker and not slow and not browser'
 
 test: .venv/dev.stamp
 	tools/install_debian.sh

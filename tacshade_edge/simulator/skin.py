@@ -23,6 +23,7 @@ GRID_STEPS_PER_RADIUS = 80
 """The grid's step is r / 80 at the apex: 0.25 mm on a skin of 20 mm."""
 
 _TRACE_TOLERANCE_MM = 1e-4
+_TRACE_STEPS = 400  # a ray that runs along a wall needs many; few rays do
 _SOLVE_TOLERANCE_MM = 1e-4
 
 
@@ -129,7 +130,7 @@ def _obstacle(radius_mm: float, step_mm: float, presses: Sequence[Press]) -> F32
     index = np.flatnonzero(rays[..., 2] > rim)
     ray = rays.reshape(-1, 3)[index]
     t: F32 = np.full(len(index), start, np.float32)
-    for _ in range(80):
+    for _ in range(_TRACE_STEPS):
         d = distance_mm(presses, radius_mm, ray * t[:, None])
         hit = d < _TRACE_TOLERANCE_MM
         obstacle.flat[index[hit]] = np.maximum(radius_mm - t[hit], 0)

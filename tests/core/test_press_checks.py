@@ -78,7 +78,7 @@ def test_a_false_depth_is_named_and_the_true_one_is_found(seed: int, k: int, fac
     assert len(named) <= 2
     assert named[k].startswith(f"press {k}: depth {stated_mm:.2f} mm is stated, ")
     found_mm = float(named[k].split("is stated, ")[1].split(" mm")[0])
-    assert found_mm == pytest.approx(true_mm, abs=0.6)
+    assert found_mm == pytest.approx(true_mm, abs=1.0)
 
 
 @settings(max_examples=20)
