@@ -1,0 +1,111 @@
+"""Maps on the disc-normalised grid: every sensor's visible circle fills the same square, whatever its camera."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from tacshade_edge.core.disc import Grid
+from tacshade_edge.types import F32, F64, U8, Disc, Geometry
+
+CELLS = 112
+"""Cells along a side."""
+
+REACH = 1.02
+"""Half the square's side, in radii of the disc."""
+
+
+def map_grid(disc: Disc) -> Grid:
+    """The cells of the map as a grid of image positions (their middles; not whole pixels)."""
+    step = 2 * REACH * disc.radius_px / CELLS
+    first = (0.5 - CELLS / 2) * step
+    return Grid(rows=CELLS, cols=CELLS, row0=disc.row_c + first, col0=disc.col_c + first, step_px=step)
+
+
+def disc_average(values: U8, disc: Disc) -> F32:
+    """Mean of an image over each cell of the map: exact, as if every pixel were a small square of one value.
+
+    Parameters
+    ----------
+    values : uint8 (H, W)
+
+    Returns
+    -------
+    float32 (CELLS, CELLS)
+        0 counts where a cell leaves the image.
+    """
+    grid = map_grid(disc)
+    total = cv2.integral(values, sdepth=cv2.CV_32S)
+    rows = _between(total, grid.row0, grid.step_px)
+    both = _between(np.ascontiguousarray(rows.T), grid.col0, grid.step_px)
+    result: F32 = (both.T / grid.step_px**2).astype(np.float32)
+    return result
+
+
+def _between(total: np.typing.NDArray[np.generic], first: float, step: float) -> F64:
+    """Integral along axis 0 from each cell's lower edge to its upper one; linear between pixels."""
+    # Pixel i reaches from i - 0.5 to i + 0.5, and row i of `total` is the sum up to i - 0.5.
+    edge = np.clip(first + step * (np.arange(CELLS + 1) - 0.5) + 0.5, 0, total.shape[0] - 1)
+    low = np.minimum(edge.astype(np.intp), total.shape[0] - 2)
+    part = (edge - low)[:, None]
+    at = total[low] * (1 - part) + total[low + 1] * part
+    return np.asarray(np.diff(at, axis=0), np.float64)
+
+
+def geometry_maps(geometry: Geometry, pitch_px: float) -> F32:
+    """What is known of a sensor at each cell before any frame.
+
+    Returns
+    -------
+    float32 (6, CELLS, CELLS)
+        Position x and y in disc radii; how far the image of a skin point moves in x and in y, in disc radii, when
+        the point moves by one disc radius (in mm) towards the camera along its axis; cosine between the camera's ray
+        and the undeformed skin's normal; marker pitch in tenths of the disc's radius.
+    """
+    disc = geometry.disc
+    axis = (np.arange(CELLS) + 0.5 - CELLS / 2) * (2 * REACH / CELLS)
+    x, y = np.meshgrid(axis, axis)
+    rho2 = np.minimum(x * x + y * y, 1.0)
+    sin_half = np.sin(np.radians(geometry.visible_half_angle_deg))
+    if geometry.camera_distance_mm is None:
+        gain = np.zeros_like(x)
+        cosine = np.sqrt(1 - rho2 * sin_half**2)
+    else:
+        d = geometry.camera_distance_mm / geometry.skin_radius_mm
+        slope2 = rho2 * (geometry.disc.radius_px / geometry.f_px) ** 2
+        k = 1 + slope2
+        # In skin radii: the ray's far meeting with the sphere, z + d along the axis from the camera.
+        root = np.sqrt(np.maximum(d * d - k * (d * d - 1), 0))
+        along = (d + root) / k
+        gain = sin_half / along
+        cosine = (along * k - d) / np.sqrt(k)
+    pitch = np.full_like(x, 10 * pitch_px / disc.radius_px)
+    return np.stack((x, y, gain * x, gain * y, cosine, pitch)).astype(np.float32)
+
+
+def at_grid(values: F32, disc: Disc, grid: Grid) -> F32:
+    """Bilinear samples of a map at the cells of an image grid; the border repeats.
+
+    Parameters
+    ----------
+    values : float32 (CELLS, CELLS)
+
+    Returns
+    -------
+    float32 (grid.rows, grid.cols)
+    """
+    here = map_grid(disc)
+    scale = grid.step_px / here.step_px
+    to_map = np.array(
+        ((scale, 0, (grid.col0 - here.col0) / here.step_px), (0, scale, (grid.row0 - here.row0) / here.step_px))
+    )
+    return np.asarray(
+        cv2.warpAffine(
+            values,
+            to_map,
+            (grid.cols, grid.rows),
+            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+            borderMode=cv2.BORDER_REPLICATE,
+        ),
+        np.float32,
+    )

@@ -1,0 +1,85 @@
+import numpy as np
+import pytest
+
+from tacshade_edge.core import discmap
+from tacshade_edge.core.disc import Grid, disc_rays
+from tacshade_edge.core.skin import skin_points
+from tacshade_edge.types import Disc, Geometry
+
+DISC = Disc(row_c=61.3, col_c=83.9, radius_px=47.7)
+
+
+def test_the_square_holds_the_disc_and_its_cells_tile_it() -> None:
+    grid = discmap.map_grid(DISC)
+    assert grid.rows == grid.cols == discmap.CELLS
+    reach = discmap.REACH * DISC.radius_px
+    assert grid.row0 - grid.step_px / 2 == pytest.approx(DISC.row_c - reach)
+    assert grid.col0 + (grid.cols - 0.5) * grid.step_px == pytest.approx(DISC.col_c + reach)
+
+
+def test_averages_keep_the_total_and_say_where_it_is() -> None:
+    image = np.zeros((130, 160), dtype=np.uint8)
+    image[40, 70] = 200
+    cells = discmap.disc_average(image, DISC)
+    grid = discmap.map_grid(DISC)
+    assert cells.sum() * grid.step_px**2 == pytest.approx(200, rel=1e-5)
+    rows, cols = np.mgrid[: discmap.CELLS, : discmap.CELLS]
+    row = (cells * (grid.row0 + grid.step_px * rows)).sum() / cells.sum()
+    col = (cells * (grid.col0 + grid.step_px * cols)).sum() / cells.sum()
+    assert abs(row - 40) <= grid.step_px
+    assert abs(col - 70) <= grid.step_px
+
+
+def test_a_cell_is_the_exact_mean_of_the_pixels_it_covers() -> None:
+    rng = np.random.default_rng(3)
+    image = rng.integers(0, 255, (130, 160), dtype=np.uint8)
+    # A disc whose cells are exactly a pixel wide, and begin at a pixel's edge.
+    disc = Disc(row_c=64.5, col_c=79.5, radius_px=discmap.CELLS / discmap.REACH / 2)
+    cells = discmap.disc_average(image, disc)
+    first_row, first_col = round(disc.row_c + 0.5) - discmap.CELLS // 2, round(disc.col_c + 0.5) - discmap.CELLS // 2
+    n = discmap.CELLS
+    assert discmap.map_grid(disc).step_px == pytest.approx(1.0)
+    np.testing.assert_allclose(cells, image[first_row : first_row + n, first_col : first_col + n], atol=1e-3)
+
+
+def test_beyond_the_image_is_nothing() -> None:
+    image = np.full((60, 60), 255, dtype=np.uint8)
+    cells = discmap.disc_average(image, Disc(0.0, 0.0, 40.0))
+    assert cells[: discmap.CELLS // 2 - 2].max() == 0
+    assert cells[-30:, -30:][0, 0] == pytest.approx(255, rel=1e-4)
+
+
+def test_samples_of_a_map_lie_where_the_image_grid_looks() -> None:
+    here = discmap.map_grid(DISC)
+    plane = (here.row0 + here.step_px * np.arange(discmap.CELLS))[:, None] + 0 * np.arange(discmap.CELLS)[None, :]
+    grid = Grid.of_image(130, 160, 4)
+    found = discmap.at_grid(plane.astype(np.float32), DISC, grid)
+    rows = grid.row0 + 4 * np.arange(grid.rows)
+    inside = (rows > here.row0) & (rows < here.row0 + here.step_px * (discmap.CELLS - 1))
+    np.testing.assert_allclose(found[inside, grid.cols // 2], rows[inside], atol=here.step_px / 16)
+
+
+@pytest.mark.parametrize("distance", [None, 8.0, 14.0, 30.0])
+def test_what_is_known_agrees_with_the_camera(distance: float | None) -> None:
+    geometry = Geometry(20.0, distance, 50.0, DISC)
+    known = discmap.geometry_maps(geometry, 6.0)
+    x, y, gain_x, _, cosine, pitch = known
+    grid = discmap.map_grid(DISC)
+    rays = disc_rays(grid, geometry)
+    row, col = 40, 75
+    assert rays.inside[row, col]
+    points, _ = skin_points(np.zeros(rays.inside.shape, dtype=np.float32), rays, geometry)
+    point = points[row, col].astype(float)
+    camera = np.array((0.0, 0.0, -(distance or 1e9)))
+    ray = (point - camera) / np.linalg.norm(point - camera)
+    assert cosine[row, col] == pytest.approx(ray @ point / 20.0, abs=2e-3)
+    assert x[row, col] == pytest.approx((grid.col0 + grid.step_px * col - DISC.col_c) / DISC.radius_px, abs=1e-6)
+    assert y[row, col] == pytest.approx((grid.row0 + grid.step_px * row - DISC.row_c) / DISC.radius_px, abs=1e-6)
+    assert pitch[0, 0] == pytest.approx(60 / DISC.radius_px)
+    moved = point - (0, 0, 0.01)
+    if distance is None:
+        assert gain_x[row, col] == 0
+    else:
+        shift_px = geometry.f_px * (moved[0] / (moved[2] + distance) - point[0] / (point[2] + distance))
+        unit_mm = 20 * np.sin(np.radians(50))
+        assert gain_x[row, col] == pytest.approx(shift_px / DISC.radius_px / 0.01 * unit_mm, rel=5e-3)

@@ -1,0 +1,82 @@
+#!/usr/bin/env python3
+"""Write a checkpoint as ONNX, prove that OpenCV runs it alike, and say where it came from.
+
+::
+
+    .venv-train/bin/python tools/train/export.py --run RUN --out accurate.onnx
+
+Beside the ONNX file goes a JSON file of the same name: command, seed, commit, data, figures, SHA-256.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import subprocess
+import time
+import warnings
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from network import Net
+
+OPSET = 13
+TOLERANCE = 1e-4
+
+
+def main() -> None:
+    """Export and check."""
+    parser = argparse.ArgumentParser(description="Export the learned inverse.")
+    parser.add_argument("--run", type=Path, required=True)
+    parser.add_argument("--out", type=Path, required=True)
+    args = parser.parse_args()
+    cv2.setNumThreads(1)
+    state = torch.load(args.run / "checkpoint.pt", weights_only=True)
+    widths = tuple(int(w) for w in state["arguments"]["widths"].strip("()[]").split(","))
+    mean = {k.removeprefix("module."): v for k, v in state["mean"].items() if k.startswith("module.")}
+    net = Net(inputs=mean["down.0.0.weight"].shape[1], widths=widths)
+    net.load_state_dict(mean)
+    net.eval()
+    inputs = mean["down.0.0.weight"].shape[1]
+    x = torch.rand(1, inputs, 56, 56, generator=torch.Generator().manual_seed(1))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # the exporter that needs nothing beside torch
+        torch.onnx.export(net, (x,), str(args.out), dynamo=False, opset_version=OPSET, input_names=["maps"],
+                          output_names=["depth_and_contact"])  # fmt: skip
+    run = cv2.dnn.readNetFromONNX(str(args.out))
+    with torch.no_grad():
+        expected = net(x).numpy()
+    run.setInput(x.numpy())
+    off = float(np.abs(run.forward() - expected).max())
+    times = []
+    for _ in range(50):
+        start = time.perf_counter()
+        run.setInput(x.numpy())
+        run.forward()
+        times.append(1e3 * (time.perf_counter() - start))
+    sha256 = hashlib.sha256(args.out.read_bytes()).hexdigest()
+    commit = subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=True).stdout.strip()
+    rows = [json.loads(line) for line in (args.run / "figures.jsonl").read_text().splitlines()]
+    about = {
+        "sha256": sha256,
+        "bytes": args.out.stat().st_size,
+        "parameters": sum(p.numel() for p in net.parameters()),
+        "commit": commit,
+        "training": {k: v for k, v in state["arguments"].items() if k not in ("data", "out")},
+        "steps": state["step"],
+        "shards": state["shards"],
+        "figures": rows[-1],
+        "opencv_minus_torch": off,
+        "ms_one_thread_p50": round(float(np.median(times)), 2),
+    }
+    args.out.with_suffix(".json").write_text(json.dumps(about, indent=1) + "\n")
+    print(json.dumps(about, indent=1))
+    if off > TOLERANCE:
+        raise SystemExit(f"OpenCV's result differs by {off}, at most {TOLERANCE} was expected")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,197 @@
+#!/usr/bin/env python3
+"""Train the network on the shards of make_data.py; run again to go on from the last checkpoint.
+
+::
+
+    .venv-train/bin/python tools/train/train.py --data DATA --out RUN [--steps 40000] [--threads 2]
+
+The first two shards are never trained on; they give the figures of each report. A batch depends on the seed and its
+number alone, so an interrupted run goes on with the batches that it would have seen (while the shards are the same).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from network import HEIGHT_SCALE, Net
+from torch import Tensor
+from torch.nn import functional
+
+VALIDATION_SHARDS = 2
+DISC_MM = 15.0
+"""A typical disc radius, to print figures in mm."""
+
+
+@dataclass(slots=True, eq=False)
+class Data:
+    """All samples, in memory as stored; `sensor` is the row of `reference` and `known` of each frame."""
+
+    reference: np.ndarray
+    known: np.ndarray
+    frame: np.ndarray
+    height: np.ndarray
+    contact: np.ndarray
+    sensor: np.ndarray
+
+
+def load(paths: list[Path]) -> Data:
+    """Read shards."""
+    parts: dict[str, list[np.ndarray]] = {k: [] for k in ("reference", "known", "frame", "height", "contact")}
+    for path in paths:
+        with np.load(path) as shard:
+            for name, values in parts.items():
+                array = shard[name]
+                values.append(array[..., ::2, ::2] if name == "known" else array)
+    joined = {name: np.concatenate(values) for name, values in parts.items()}
+    sensors, frames = joined["frame"].shape[:2]
+    for name in ("frame", "height", "contact"):
+        joined[name] = joined[name].reshape(sensors * frames, *joined[name].shape[2:])
+    return Data(**joined, sensor=np.repeat(np.arange(sensors), frames))
+
+
+def batch(data: Data, index: np.ndarray, turn: int = 0) -> tuple[Tensor, Tensor, Tensor]:
+    """Inputs (B, 14, 56, 56); 10 h and contact (B, 112, 112). `turn`: which of the square's 8 symmetries."""
+
+    def turned(array: np.ndarray) -> np.ndarray:
+        array = np.rot90(array, turn % 4, axes=(1, 2))
+        return np.ascontiguousarray(array[:, :, ::-1] if turn >= 4 else array)
+
+    sensor = data.sensor[index]
+    maps = np.stack((turned(data.frame[index]), turned(data.reference[sensor])), axis=1)
+    maps = torch.from_numpy(maps).float() / 255
+    # A turned sensor is another sensor of the family, whose positions are where they were.
+    known = torch.from_numpy(data.known[sensor].astype(np.float32))
+    x = torch.cat((functional.pixel_unshuffle(maps, 2), known), 1)
+    height = torch.from_numpy(turned(data.height[index]).astype(np.float32) * HEIGHT_SCALE)
+    contact = np.unpackbits(data.contact[index], axis=-1)
+    return x.contiguous(memory_format=torch.channels_last), height, torch.from_numpy(turned(contact)).float()
+
+
+def split_output(y: Tensor) -> tuple[Tensor, Tensor]:
+    """Height and contact logits (B, 112, 112)."""
+    y = functional.pixel_shuffle(y.float(), 2)
+    return y[:, 0], y[:, 1]
+
+
+def loss_of(y: Tensor, height: Tensor, contact: Tensor) -> Tensor:
+    """Height and its slope, heavier in contact; the contact's outline."""
+    found, logit = split_output(y)
+    top = height.amax((1, 2), keepdim=True)
+    weight = (0.5 + 5 * contact) * (1.5 / (top + 0.7))
+    off = found - height
+    level = (weight * off.abs()).mean()
+    slope = (weight[:, 1:] * (off[:, 1:] - off[:, :-1]).abs()).mean()
+    slope = slope + (weight[:, :, 1:] * (off[:, :, 1:] - off[:, :, :-1]).abs()).mean()
+    edge = functional.binary_cross_entropy_with_logits(logit, contact)
+    p = torch.sigmoid(logit)
+    dice = 1 - (2 * (p * contact).sum((1, 2)) + 20) / ((p + contact).sum((1, 2)) + 20)
+    return level + 1.5 * slope + edge + 0.15 * dice.mean()
+
+
+def figures(net: Net, data: Data) -> dict[str, float]:
+    """Errors on sensors that were not trained on, as if their disc's radius were 15 mm."""
+    net.eval()
+    errors, relative, ious, shapes = [], [], [], []
+    with torch.no_grad():
+        for start in range(0, len(data.frame), 32):
+            x, height, contact = batch(data, np.arange(start, min(start + 32, len(data.frame))))
+            with torch.autocast("cpu", torch.bfloat16):
+                y = net(x)
+            found, logit = split_output(y)
+            for f, h, p, c in zip(found, height, logit > 0, contact > 0, strict=True):
+                if c.sum() < 20:
+                    continue
+                off = (f - h)[c] * (DISC_MM / HEIGHT_SCALE)
+                errors.append(float(off.abs().mean()))
+                shapes.append(float((off - off.median()).abs().mean()))
+                relative.append(float(abs(f.max() / h.max() - 1)))
+                ious.append(float((p & c).sum() / (p | c).sum()))
+    net.train()
+    names = ("error_mm", "shape_error_mm", "depth_error", "iou")
+    return {n: round(float(np.mean(v)), 4) for n, v in zip(names, (errors, shapes, relative, ious), strict=True)}
+
+
+def main() -> None:
+    """Train."""
+    parser = argparse.ArgumentParser(description="Train the learned inverse.")
+    parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--steps", type=int, default=40_000)
+    parser.add_argument("--batch", type=int, default=32)
+    parser.add_argument("--rate", type=float, default=4e-3)
+    parser.add_argument("--widths", type=int, nargs=4, default=(16, 32, 48, 64))
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--report", type=int, default=1000, metavar="STEPS")
+    args = parser.parse_args()
+    torch.set_num_threads(args.threads)
+    torch.manual_seed(args.seed)
+    args.out.mkdir(parents=True, exist_ok=True)
+    net = Net(widths=tuple(args.widths)).to(memory_format=torch.channels_last)
+    mean = torch.optim.swa_utils.AveragedModel(
+        net, multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(0.998), use_buffers=True
+    )
+    optimiser = torch.optim.AdamW(net.parameters(), args.rate, weight_decay=1e-3)
+    checkpoint = args.out / "checkpoint.pt"
+    step = 0
+    if checkpoint.exists():
+        state = torch.load(checkpoint, weights_only=True)
+        net.load_state_dict(state["net"])
+        mean.load_state_dict(state["mean"])
+        optimiser.load_state_dict(state["optimiser"])
+        step = state["step"]
+    shards = sorted(args.data.glob("shard_*.npz"))
+    check = load(shards[:VALIDATION_SHARDS])
+    data = load(shards[VALIDATION_SHARDS:])
+    start, total = time.perf_counter(), 0.0
+    print(f"step {step}: {len(data.frame)} frames of {len(data.reference)} sensors", flush=True)
+    while step < args.steps:
+        rng = np.random.default_rng((args.seed, step))
+        warm = min(1.0, (step + 1) / 500)
+        rate = args.rate * warm * (0.5 + 0.5 * math.cos(math.pi * step / args.steps)) + 1e-6
+        for group in optimiser.param_groups:
+            group["lr"] = rate
+        x, height, contact = batch(data, rng.integers(len(data.frame), size=args.batch), int(rng.integers(8)))
+        with torch.autocast("cpu", torch.bfloat16):
+            y = net(x)
+        loss = loss_of(y, height, contact)
+        optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(net.parameters(), 2.0)
+        optimiser.step()
+        mean.update_parameters(net)
+        step += 1
+        total += float(loss.detach())
+        if step % args.report == 0 or step == args.steps:
+            seconds = time.perf_counter() - start
+            row = {"step": step, "loss": round(total / args.report, 4), **figures(mean.module, check)}
+            row |= {"frames": len(data.frame), "s_per_step": round(seconds / args.report, 4)}
+            print(json.dumps(row), flush=True)
+            with (args.out / "figures.jsonl").open("a") as file:
+                file.write(json.dumps(row) + "\n")
+            state = {
+                "net": net.state_dict(),
+                "mean": mean.state_dict(),
+                "optimiser": optimiser.state_dict(),
+                "step": step,
+                "arguments": {k: str(v) for k, v in vars(args).items()},
+                "shards": len(shards),
+            }
+            torch.save(state, checkpoint.with_suffix(".part"))
+            os.replace(checkpoint.with_suffix(".part"), checkpoint)
+            now = sorted(args.data.glob("shard_*.npz"))
+            if len(now) >= len(shards) + 4:  # data made meanwhile
+                shards, data = now, load(now[VALIDATION_SHARDS:])
+            start, total = time.perf_counter(), 0.0
+
+
+if __name__ == "__main__":
+    main()
