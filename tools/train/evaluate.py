@@ -23,13 +23,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 from other_family import OtherSensor, other_model
-from refit import Refit, apply_refit, fit_refit, press_rows
 
 from tacshade_edge.core import discmap, pattern
 from tacshade_edge.core.disc import Grid, disc_mask, disc_rays
 from tacshade_edge.core.greyscale import binarise, to_grey
 from tacshade_edge.core.metrics import contact_iou, score_cloud
+from tacshade_edge.core.refit import Ball, apply_refit, fit_refit, press_rows, stated_ball
 from tacshade_edge.core.skin import skin_points
+from tacshade_edge.core.solvers.accurate import Inverse, LearnedInverse
+from tacshade_edge.devices.network import load_network
 from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.simulator.model import SensorModel, random_model
 from tacshade_edge.simulator.objects import OBJECTS, PAPER_OBJECTS
@@ -131,30 +133,22 @@ class Solver:
     """The learned inverse of one sensor from its references."""
 
     def __init__(self, onnx: Path, model: SensorModel, references: list[U8]) -> None:
-        self._net = cv2.dnn.readNetFromONNX(str(onnx))
         mean = pattern.mean_image(references)
         disc = pattern.find_disc(mean)
-        self.pitch_px = pattern.marker_pitch_px(mean, disc)
+        self._pitch_px = pattern.marker_pitch_px(mean, disc)
         self.geometry = Geometry(model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, disc)
-        self.mask = disc_mask(*mean.shape, disc).astype(np.uint8)
-        self.unit_mm = model.skin_radius_mm * math.sin(math.radians(model.visible_half_angle_deg))
-        self.known = discmap.geometry_maps(self.geometry, self.pitch_px)
-        self.reference = np.mean([self.white(r) for r in references], axis=0)
+        self._mask = disc_mask(*mean.shape, disc).astype(np.uint8)
+        white = np.mean([self._white(r) for r in references], axis=0)
+        reference = np.rint(255 * white).astype(np.uint8)
+        self._inverse = LearnedInverse(load_network(onnx), self.geometry, self._pitch_px, reference)
+        self.known = self._inverse.known
 
-    def white(self, image: U8) -> F32:
-        """The map of white."""
-        white = binarise(image, self.mask, "adaptive", self.pitch_px)
-        return discmap.disc_average(white, self.geometry.disc)
+    def _white(self, image: U8) -> U8:
+        return binarise(image, self._mask, "adaptive", self._pitch_px)
 
-    def maps(self, image: U8) -> tuple[F32, F32]:
+    def maps(self, image: U8) -> Inverse:
         """H in mm and contact logit on the map's cells."""
-        both = np.stack((self.white(image), self.reference))
-        n = discmap.CELLS // 2
-        folded = both.reshape(2, n, 2, n, 2).transpose(0, 2, 4, 1, 3).reshape(8, n, n)
-        self._net.setInput(np.concatenate((folded, self.known[:, ::2, ::2]))[None].astype(np.float32))
-        out = self._net.forward()[0]
-        out = out.reshape(2, 2, 2, n, n).transpose(0, 3, 1, 4, 2).reshape(2, 2 * n, 2 * n)
-        return out[0] * (self.unit_mm / 10), out[1]
+        return self._inverse(self._white(image))
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,15 +168,15 @@ class Row:
     me_true_outline: float
 
 
-def score(way: str, name: str, solver: Solver, refit: Refit | None, scene: Scene) -> Row:
+def score(way: str, name: str, solver: Solver, refit: F32, scene: Scene) -> Row:
     """Reconstruct and compare."""
-    height, logit = solver.maps(scene.image)
-    height = apply_refit(refit, height, solver.known) if refit is not None else height
+    inverse = solver.maps(scene.image)
+    height = apply_refit(refit, inverse.height_mm, solver.known)
     disc = solver.geometry.disc
     grid = Grid.of_image(*scene.image.shape, STRIDE_PX)
     rays = disc_rays(grid, solver.geometry)
-    h = np.maximum(discmap.at_grid(height.astype(np.float32), disc, grid), 0)
-    touched = (discmap.at_grid(logit, disc, grid) > 0) & rays.inside
+    h = np.maximum(discmap.at_grid(height, disc, grid), 0)
+    touched = (discmap.at_grid(inverse.contact_logit, disc, grid) > 0) & rays.inside
     points, _ = skin_points(h, rays, solver.geometry)
     result = score_cloud(points[touched], scene.points, scene.depth_mm)
     ideal = score_cloud(points[scene.contact & rays.inside], scene.points, scene.depth_mm)
@@ -198,13 +192,18 @@ def evaluate(onnx: Path, taken: Taken, name: str) -> list[Row]:
     """Without a press and with 40."""
     one = Solver(onnx, taken.model, taken.references[:1])
     many = Solver(onnx, taken.model, taken.references)
-    rows = [
-        press_rows(many.maps(image), many.known, many.geometry, press.x_mm, press.y_mm, press.depth_mm, radius)
+    presses = [
+        rows
         for image, press, radius in taken.presses
+        if (rows := press_rows(many.maps(image), many.known, many.geometry, _ball(many.geometry, press, radius)))
     ]
-    refit = fit_refit(rows)
-    result = [score("no press", name, one, None, s) for s in taken.scenes]
+    result = [score("no press", name, one, np.zeros(0, np.float32), s) for s in taken.scenes]
+    refit = fit_refit(presses)
     return result + [score("40 presses", name, many, refit, s) for s in taken.scenes]
+
+
+def _ball(geometry: Geometry, press: Press, radius_mm: float) -> Ball:
+    return stated_ball(geometry, press.x_mm, press.y_mm, press.depth_mm, radius_mm)
 
 
 def summary(rows: Sequence[Row]) -> dict[str, float]:
