@@ -253,6 +253,8 @@ class Calibration:
     table_gain : float32 (M,)
         Factor on the depth at ρ² = i / (M - 1), ρ the distance from the disc's centre in its radii; M = 0
         without presses.
+    refit : float32 (6,)
+        Weights of `core.refit.apply_refit`; empty without presses.
     fit : dict of str to float
         Fitted figures to show a person (cross-validated error and so on), all in mm or px as named.
     flange_T_sensor : 7 floats
@@ -274,9 +276,10 @@ class Calibration:
     table_grey: F32
     table_depth_mm: F32
     table_gain: F32
+    refit: F32 = field(default_factory=lambda: np.zeros(0, dtype=np.float32))
     fit: dict[str, float] = field(default_factory=dict)
     flange_T_sensor: tuple[float, ...] = IDENTITY_POSE
     crc32: int = 0
 
     def __post_init__(self) -> None:
-        freeze(self, "reference_white", "reference_grey", "table_grey", "table_depth_mm", "table_gain")
+        freeze(self, "reference_white", "reference_grey", "table_grey", "table_depth_mm", "table_gain", "refit")

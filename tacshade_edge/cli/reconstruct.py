@@ -14,6 +14,7 @@ from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.devices import calibration_file
 from tacshade_edge.devices.images import read_image
+from tacshade_edge.devices.network import make_reconstructor
 from tacshade_edge.devices.panel import write_panel
 from tacshade_edge.devices.summary import summary
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
@@ -40,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
         )
     calibration = calibration_file.load(args.calibration)
     size = (calibration.image_height_px, calibration.image_width_px)
-    reconstructor = Reconstructor(calibration, PROFILES[args.profile])
+    reconstructor = make_reconstructor(calibration, PROFILES[args.profile])
     records, failed = [], 0
     try:
         args.out.mkdir(parents=True, exist_ok=True)

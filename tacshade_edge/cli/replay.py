@@ -12,11 +12,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.replay import Deliver, Progress, replay
 from tacshade_edge.daemon.replay_link import ReplayLink
 from tacshade_edge.devices import calibration_file, registry
 from tacshade_edge.devices.mqtt_client import BrokerAddress
+from tacshade_edge.devices.network import make_reconstructor
 from tacshade_edge.devices.recording import Recording
 from tacshade_edge.devices.run_compare import first_difference
 from tacshade_edge.devices.run_files import RunWriter
@@ -81,7 +81,7 @@ def _replay(args: argparse.Namespace) -> int:
     recording = Recording(args.input, fps=args.fps, times=args.loop)
     if recording.cut_off:
         _tell(f"{args.input}: the recording was cut off, what was written until then is replayed")
-    reconstructor = Reconstructor(calibration_file.load(args.calibration), PROFILES[args.profile])
+    reconstructor = make_reconstructor(calibration_file.load(args.calibration), PROFILES[args.profile])
     for number in (signal.SIGTERM, signal.SIGINT):  # SIGINT too: a shell's background jobs start with it ignored
         signal.signal(number, signal.default_int_handler)
     progress = Progress()

@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tacshade_edge.core import drift, greyscale, pattern, press_checks
+from tacshade_edge.core import drift, greyscale, pattern, press_checks, refit
 from tacshade_edge.core.disc import Grid, disc_mask, radius_squared
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.core.skin import skin_points
+from tacshade_edge.core.solvers.accurate import Network
 from tacshade_edge.core.solvers.fast import brightening, gathered_change
 from tacshade_edge.core.validity import frame_check, invalid_reason
 from tacshade_edge.core.verdict import Verdict, judge
@@ -81,6 +82,7 @@ def calibrate(
     references: Sequence[U8],
     presses: Sequence[BallPress] = (),
     allow_loaded_reference: bool = False,
+    network: Network | None = None,
 ) -> Calibrated:
     """Fit everything that images can tell of a sensor.
 
@@ -93,6 +95,8 @@ def calibrate(
         None, or at least `MIN_PRESSES`.
     allow_loaded_reference : bool
         Warn instead of refusing.
+    network : Network, optional
+        With it, the learned solver is refitted to the presses too.
 
     Raises
     ------
@@ -143,6 +147,8 @@ def calibrate(
         return Calibrated(unloaded, tuple(warnings), judge({}, geometry, (), ()))
     usable, rows, told = _usable_presses(unloaded, presses)
     fitted, error_mm = _fit_presses(unloaded, usable)
+    if network is not None:
+        fitted = _refit_learned(fitted, usable, network)
     agreement = {"agreement_mae_mm": press_checks.agreement_mm(rows, geometry)}
     fitted = replace(fitted, fit=fitted.fit | agreement)
     missing = press_checks.coverage(rows, geometry)
@@ -366,6 +372,40 @@ def _fit_presses(unloaded: Calibration, presses: Sequence[BallPress]) -> tuple[C
         fit=fit,
     )
     return calibration, error
+
+
+def _refit_learned(calibration: Calibration, presses: Sequence[BallPress], network: Network) -> Calibration:
+    """Refit the learned solver, and say how far off the greatest h of each press is when fitted without it."""
+    geometry = calibration.geometry
+    reconstructor = Reconstructor(calibration, PROFILES["accurate"], network)
+    rows, tops = [], []
+    for press in presses:
+        inverse = reconstructor.inverse(press.image)
+        if press.x_mm is not None and press.y_mm is not None:
+            ball: refit.Ball | None = refit.stated_ball(
+                geometry, press.x_mm, press.y_mm, press.depth_mm, press.radius_mm
+            )
+        else:
+            ball = refit.located_ball(geometry, inverse, press.depth_mm, press.radius_mm)
+        made = refit.press_rows(inverse, reconstructor.known, geometry, ball) if ball is not None else None
+        if made is not None and ball is not None:
+            rows.append(made)
+            tops.append((inverse, ball.depth_max_mm(geometry.skin_radius_mm)))
+    weights = refit.fit_refit(rows)
+    if weights.size == 0:
+        return calibration
+    errors = []
+    for k, (inverse, top_mm) in enumerate(tops):
+        without = refit.fit_refit(rows[:k] + rows[k + 1 :])
+        height = refit.apply_refit(without, inverse.height_mm, reconstructor.known)
+        errors.append(float(height[inverse.contact_logit > 0].max()) - top_mm)
+    off = np.abs(errors)
+    figures = {
+        "accurate_presses": float(len(rows)),
+        "accurate_depth_mae_mm": float(off.mean()),
+        "accurate_depth_worst_mm": float(off.max()),
+    }
+    return replace(calibration, refit=weights, fit=calibration.fit | figures)
 
 
 def _is_seen(reconstructor: Reconstructor, press: BallPress) -> bool:

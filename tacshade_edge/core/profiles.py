@@ -13,7 +13,7 @@ class Profile:
     ----------
     name : str
     solver : str
-        Key of ``core.solvers.SOLVERS``.
+        Key of ``core.solvers.SOLVERS``, or ``core.solvers.LEARNED``.
     stride_px : int
         Stride of eq. 1 and so of every map after it.
     window_pitches : int
@@ -34,5 +34,7 @@ PROFILES: dict[str, Profile] = {
     for p in (
         Profile(name="paper", solver="paper", stride_px=1, window_pitches=2, tv_weight=0.1),
         Profile(name="fast", solver="fast", stride_px=4, window_pitches=2, tv_weight=0.05),
+        # Eq. 1 serves its gate only.
+        Profile(name="accurate", solver="accurate", stride_px=4, window_pitches=2, tv_weight=0.0),
     )
 }

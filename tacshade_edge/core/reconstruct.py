@@ -7,11 +7,13 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from tacshade_edge.core import clusters, contact, greyscale
+from tacshade_edge.core import clusters, contact, discmap, greyscale
 from tacshade_edge.core.disc import DiscRays, Grid, disc_mask, disc_rays, radius_squared
 from tacshade_edge.core.profiles import Profile
+from tacshade_edge.core.refit import apply_refit
 from tacshade_edge.core.skin import cell_area_mm2, skin_points
-from tacshade_edge.core.solvers import SOLVERS, Depth, DepthScale, GreyMaps, fast
+from tacshade_edge.core.solvers import LEARNED, SOLVERS, Depth, DepthScale, GreyMaps, fast
+from tacshade_edge.core.solvers.accurate import DEEPEST_RADII, Inverse, LearnedInverse, Network
 from tacshade_edge.core.validity import frame_check, invalid_reason
 from tacshade_edge.types import F32, U8, Bool, Calibration, Disc, Frame, HeightMap, ObjectCloud, Reconstruction
 
@@ -37,6 +39,15 @@ def radial_gain(table: F32, grid: Grid, disc: Disc) -> F32:
     return gain
 
 
+def _learned(calibration: Calibration, profile: Profile, network: Network | None) -> LearnedInverse | None:
+    """The network prepared for the sensor, where the profile wants one."""
+    if profile.solver != LEARNED:
+        return None
+    if network is None:
+        raise ValueError(f"profile {profile.name} needs a network")
+    return LearnedInverse(network, calibration.geometry, calibration.pitch_px, calibration.reference_white)
+
+
 class Reconstructor:
     """Turns frames of one calibrated sensor into reconstructions, deterministically.
 
@@ -44,14 +55,16 @@ class Reconstructor:
     ----------
     calibration : Calibration
     profile : Profile
+    network : Network, optional
+        What a profile with the learned solver runs; ValueError where it is missing.
     """
 
-    def __init__(self, calibration: Calibration, profile: Profile) -> None:
+    def __init__(self, calibration: Calibration, profile: Profile, network: Network | None = None) -> None:
         geometry = calibration.geometry
         height, width = calibration.image_height_px, calibration.image_width_px
         self.calibration = calibration
         self.profile = profile
-        self._solve = SOLVERS[profile.solver]
+        self._learned = _learned(calibration, profile, network)
         self._sign = 1.0 if calibration.polarity == "bright" else -1.0
         self._window_px = greyscale.odd(profile.window_pitches * calibration.pitch_px)
         self.grid = Grid.of_image(height, width, profile.stride_px)
@@ -102,7 +115,7 @@ class Reconstructor:
         if reason:
             return self._nothing(frame, reason=reason)
 
-        g_raw, unseen = self._white_ratio(grey)
+        white, g_raw, unseen = self._white_ratio(grey)
         degraded = f"glare: {100 * unseen:.0f} % of the disc unseen" if unseen > 0 else ""
         mark("grey")
         if unseen > UNSEEN_INVALID:
@@ -118,13 +131,16 @@ class Reconstructor:
         if not decision.contact:
             return self._nothing(frame, degraded=degraded)
 
-        maps = self._denoised(g_raw, decision.drift_grey)
-        mark("denoise")
-
-        depth = self._solve(maps, self.scale)
+        if self._learned is None:
+            maps = self._denoised(g_raw, decision.drift_grey)
+            mark("denoise")
+            depth, touched = SOLVERS[self.profile.solver](maps, self.scale), None
+        else:
+            mark("denoise")
+            depth, touched = self._run_learned(self._learned, white)
         mark("depth")
 
-        result = self._objects(frame, depth, degraded)
+        result = self._objects(frame, depth, touched, degraded)
         mark("cloud")
         return result
 
@@ -134,15 +150,41 @@ class Reconstructor:
 
     def touched(self, image: U8) -> bool:
         """Whether the contact gate opens for an image."""
-        g_raw, _ = self._white_ratio(greyscale.to_grey(image))
+        _, g_raw, _ = self._white_ratio(greyscale.to_grey(image))
         g_d_raw = greyscale.grey_difference(g_raw, self.reference_ratio, self.rays.inside, self._sign)
         return contact.gate(g_d_raw, self.voting, self.calibration.noise_grey, self._cell_mm2).contact
 
     def grey_maps(self, image: U8) -> GreyMaps:
         """The maps that the solver would get from an image, without validity check and gate: for calibration."""
-        g_raw, _ = self._white_ratio(greyscale.to_grey(image))
+        _, g_raw, _ = self._white_ratio(greyscale.to_grey(image))
         g_d_raw = greyscale.grey_difference(g_raw, self.reference_ratio, self.rays.inside, self._sign)
         return self._denoised(g_raw, contact.light_drift(g_d_raw, self.voting))
+
+    def inverse(self, image: U8) -> Inverse:
+        """What the network makes of an image, without validity check, gate and refit: for calibration."""
+        if self._learned is None:
+            raise ValueError(f"profile {self.profile.name} has no network")
+        return self._learned(self._white_ratio(greyscale.to_grey(image))[0])
+
+    @property
+    def known(self) -> F32:
+        """What the network is told of the sensor (`discmap.geometry_maps`)."""
+        if self._learned is None:
+            raise ValueError(f"profile {self.profile.name} has no network")
+        return self._learned.known
+
+    def _run_learned(self, learned: LearnedInverse, white: U8) -> tuple[Depth, Bool]:
+        """Refitted height and contact on the grid."""
+        disc = self.calibration.geometry.disc
+        inverse = learned(white)
+        refitted = apply_refit(self.calibration.refit, inverse.height_mm, learned.known)
+        finite = np.isfinite(refitted)
+        height = np.maximum(discmap.at_grid(np.where(finite, refitted, np.float32(0)), disc, self.grid), 0)
+        height = np.where(self.rays.inside, height, np.float32(0)).astype(np.float32)
+        touched: Bool = (discmap.at_grid(inverse.contact_logit, disc, self.grid) > 0) & self.rays.inside
+        deepest = DEEPEST_RADII * self.calibration.geometry.skin_radius_mm
+        saturated = bool(height[touched].max(initial=0.0) > deepest)
+        return Depth(height, saturated, int(finite.size - np.count_nonzero(finite))), touched
 
     def _denoised(self, g_raw: F32, drift_grey: float) -> GreyMaps:
         """TV denoising, then eq. 9 without the common change of light."""
@@ -151,31 +193,36 @@ class Reconstructor:
         g_d = greyscale.grey_difference(g, self._g0, inside, self._sign)
         return GreyMaps(g=g, g0=self._g0, g_d=g_d, inside=inside)
 
-    def _white_ratio(self, grey: U8) -> tuple[F32, float]:
-        """Eq. 1, without the pixels under glare; and the part of the disc that these are."""
+    def _white_ratio(self, grey: U8) -> tuple[U8, F32, float]:
+        """White pixels, eq. 1 of them without those under glare, and the part of the disc that these are."""
         calibration, mask, total, unseen = self.calibration, self._mask, self._total, 0.0
         glare = contact.glare_mask(grey, mask, self._glare_check)
         white = greyscale.binarise(grey, mask, calibration.binarisation, calibration.pitch_px)
         if glare is not None:
             clear = cv2.subtract(mask, glare)
             white = cv2.multiply(white, clear)
+            # A network that sees black there would see pins; what stood there without contact says nothing.
+            usual = (self.calibration.reference_white > 127).astype(np.uint8)
+            shown = cv2.add(white, cv2.multiply(usual, glare))
             total = greyscale.box_sums(clear, self._window_px, self.grid)
             unseen = 1 - cv2.countNonZero(clear) / cv2.countNonZero(mask)
         g = greyscale.white_ratio(white, total, self._window_px, self.grid)
         if glare is not None:  # a window that sees next to nothing says nothing
             blind = total < 0.25 * self._total
             g = np.where(blind, self.reference_ratio, g).astype(np.float32)
-        return g, unseen
+            return shown, g, unseen
+        return white, g, unseen
 
-    def _objects(self, frame: Frame, depth: Depth, degraded: str) -> Reconstruction:
-        """Outline, metric points, clusters."""
+    def _objects(self, frame: Frame, depth: Depth, touched: Bool | None, degraded: str) -> Reconstruction:
+        """Outline (the paper's split of heights where the solver gives none), metric points, clusters."""
         inside = self.rays.inside
         height = np.minimum(depth.height_mm, np.float32(self.calibration.geometry.skin_radius_mm))
         height = np.where(inside, height, np.float32(np.nan)).astype(np.float32)
-        split = clusters.two_means_split(height[inside])
+        if touched is None:
+            touched = inside & (np.nan_to_num(height) > clusters.two_means_split(height[inside]))
         points, _ = skin_points(height, self.rays, self.calibration.geometry)
         area = cell_area_mm2(points)
-        labels = clusters.label_objects(inside & (np.nan_to_num(height) > split), area)
+        labels = clusters.label_objects(touched, area)
         objects = clusters.describe_objects(labels, points, height, area)
         if not objects:
             return self._nothing(frame, degraded=degraded)

@@ -20,7 +20,9 @@ from tacshade_edge.core.solvers.accurate import Inverse
 from tacshade_edge.types import F32, F64, Geometry
 
 # Pull towards "as it is", and how much less the plain factor is pulled.
-RIDGE, RIDGE_FACTOR = 0.003, 0.03
+RIDGE, RIDGE_FACTOR = 0.03, 0.003
+# Balls tell the factor of other shapes only to about a tenth: corrections that small are noise (log factor).
+DOUBT = 0.1
 # A contact of fewer cells says nothing; fewer presses neither.
 LEAST_CELLS, LEAST_PRESSES = 12, 5
 # No sensor is farther from the network's idea of it.
@@ -119,7 +121,11 @@ def fit_refit(presses: Sequence[PressRows]) -> F32:
     prior[0] = 1.0
     pull = RIDGE * len(presses) * np.diag([RIDGE_FACTOR] + [1.0] * (rows.shape[1] - 1))
     weights = np.linalg.solve(rows.T @ rows + pull, rows.T @ target + pull @ prior)
-    return np.asarray(weights, dtype=np.float32)
+    # The first feature is 1, so the first column is the network's own h.
+    factors = [float(p.rows[:, 0] @ p.target) / float(p.rows[:, 0] @ p.rows[:, 0]) for p in presses]
+    typical = math.log(max(float(np.median(factors)), 1e-3))
+    trust = typical**2 / (typical**2 + DOUBT**2)
+    return np.asarray(prior + trust * (weights - prior), dtype=np.float32)
 
 
 def apply_refit(weights: F32, height_mm: F32, known: F32) -> F32:

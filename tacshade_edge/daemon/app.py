@@ -16,7 +16,6 @@ import numpy as np
 
 from tacshade_edge import __version__
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.health import Health
 from tacshade_edge.daemon.ledger import FrameLedger, Outcome
 from tacshade_edge.daemon.pipeline import Crash, Pipeline, crashes_to
@@ -29,6 +28,7 @@ from tacshade_edge.daemon.systemd import Progress, Service
 from tacshade_edge.daemon.workers import SourceState
 from tacshade_edge.devices import registry
 from tacshade_edge.devices.base import FrameSource
+from tacshade_edge.devices.network import make_reconstructor
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.protocol import messages
 from tacshade_edge.protocol.messages import Request
@@ -85,7 +85,7 @@ class App:
         self._publisher = Publisher(self.link.offer)
         self._pipeline = Pipeline(
             source,
-            Reconstructor(calibration, PROFILES[settings.profile]),
+            make_reconstructor(calibration, PROFILES[settings.profile]),
             self._publisher,
             self.ledger,
             self._events.put,
@@ -176,7 +176,7 @@ class App:
         else:
             self._document = new.document
             profile = PROFILES[new.document.settings.profile]
-            self._pipeline.reconstruct.reconstructor = Reconstructor(new.calibration, profile)
+            self._pipeline.reconstruct.reconstructor = make_reconstructor(new.calibration, profile)
             self._recorder.event("reload", waiting=list(new.waiting))
             self._changed()
             note = f"restart to use the new {' and '.join(new.waiting)}" if new.waiting else ""

@@ -9,10 +9,10 @@ from typing import Any
 
 from tacshade_edge.core.calibrate import rezero
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.reference import REFERENCE_FRAMES, ReferenceCollector
 from tacshade_edge.daemon.workers import Reconstruct
 from tacshade_edge.devices.calibration_file import with_crc
+from tacshade_edge.devices.network import make_reconstructor
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.protocol.messages import Request, encode_error, encode_result
 from tacshade_edge.types import U8
@@ -82,7 +82,7 @@ class Requests:
         if profile is None:
             self._refuse(request, f"profile: found {request.profile}, expected one of {', '.join(PROFILES)}")
             return
-        self._worker.reconstructor = Reconstructor(self._worker.reconstructor.calibration, profile)
+        self._worker.reconstructor = make_reconstructor(self._worker.reconstructor.calibration, profile)
         self._changed()
         _log.info("profile is now %s", profile.name)
         self._reply(request, encode_result(request.transaction, {"profile": profile.name}))
@@ -107,7 +107,7 @@ class Requests:
         except ConfigError as error:
             self._refuse(request, str(error))
             return
-        self._worker.reconstructor = Reconstructor(calibration, before.profile)
+        self._worker.reconstructor = make_reconstructor(calibration, before.profile)
         self._changed()
         _log.info("new reference from %d frames, until the next start", len(images))
         result = {"frames": len(images), "calibration_crc32": calibration.crc32, "noise_grey": calibration.noise_grey}

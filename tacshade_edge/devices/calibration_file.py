@@ -18,7 +18,7 @@ from tacshade_edge.devices.whole_files import write_whole
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.types import Calibration, Disc, Geometry
 
-VERSION = 1
+VERSION = 2
 # What numpy and zipfile raise on damaged bytes (TypeError: a .npy; RuntimeError: a flag or method zipfile lacks).
 _DAMAGE = (
     KeyError,
@@ -31,7 +31,7 @@ _DAMAGE = (
     zipfile.BadZipFile,
     zlib.error,
 )
-_ARRAYS = ("reference_white", "reference_grey", "table_grey", "table_depth_mm", "table_gain")
+_ARRAYS = ("reference_white", "reference_grey", "table_grey", "table_depth_mm", "table_gain", "refit")
 
 
 def _content(calibration: Calibration) -> tuple[bytes, dict[str, Any]]:
@@ -58,7 +58,7 @@ def _content(calibration: Calibration) -> tuple[bytes, dict[str, Any]]:
 
 def _crc32(meta: bytes, arrays: dict[str, Any]) -> int:
     crc = zlib.crc32(meta)
-    for name in _ARRAYS:
+    for name in arrays:
         array = np.ascontiguousarray(arrays[name])
         crc = zlib.crc32(f"{name}{array.dtype.str}{array.shape}".encode(), crc)
         crc = zlib.crc32(array.tobytes(), crc)
@@ -106,7 +106,8 @@ def load(path: str | os.PathLike[str]) -> Calibration:
     try:
         with open(name, "rb") as stream, np.load(stream, allow_pickle=False) as npz:
             meta = npz["meta"].tobytes()
-            arrays = {key: npz[key] for key in _ARRAYS}
+            # Another version has other arrays; its checksum is of those.
+            arrays = {key: npz[key] for key in _ARRAYS if key in npz}
             crc = int(npz["crc32"])
     except OSError as error:
         raise ConfigError(

@@ -8,8 +8,11 @@ from importlib import resources
 import cv2
 import numpy as np
 
+from tacshade_edge.core.profiles import Profile
+from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.core.solvers import LEARNED
 from tacshade_edge.core.solvers.accurate import Network
-from tacshade_edge.types import F32, U8
+from tacshade_edge.types import F32, U8, Calibration
 
 
 def load_network(onnx: str | os.PathLike[str] | None = None) -> Network:
@@ -27,3 +30,8 @@ def load_network(onnx: str | os.PathLike[str] | None = None) -> Network:
         return np.asarray(net.forward()[0], dtype=np.float32)
 
     return run
+
+
+def make_reconstructor(calibration: Calibration, profile: Profile) -> Reconstructor:
+    """A reconstructor, with a network of its own where the profile wants one."""
+    return Reconstructor(calibration, profile, load_network() if profile.solver == LEARNED else None)

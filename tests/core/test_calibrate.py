@@ -9,6 +9,7 @@ from calibrated_sensor import HALF, calibrated, pressed, presses, references, se
 from tacshade_edge.core.calibrate import MIN_PRESSES, BallPress, Calibrated, calibrate, rezero
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.devices.network import load_network
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.simulator.model import SensorModel, random_model
@@ -268,3 +269,22 @@ def test_a_new_reference_that_cannot_be_used(images: list[U8], said: str) -> Non
 
 def test_a_load_may_be_allowed() -> None:
     assert rezero(calibrated(), loaded(3.0, 6.0), allow_loaded=True).crc32 == 0
+
+
+def test_with_a_network_the_learned_solver_is_refitted_and_judged() -> None:
+    made = calibrated()
+    assert made.refit.shape == (6,)
+    assert made.fit["accurate_presses"] >= 18
+    assert made.fit["accurate_depth_mae_mm"] < 0.3
+    assert made.fit["accurate_depth_worst_mm"] >= made.fit["accurate_depth_mae_mm"]
+    without = fitted(presses()).calibration
+    assert without.refit.size == 0
+    assert "accurate_presses" not in without.fit
+    assert calibrated(count=0).refit.size == 0
+
+
+def test_presses_without_a_place_refit_about_as_well() -> None:
+    somewhere = [replace(press, x_mm=None, y_mm=None) for press in presses()]
+    made = calibrate(SENSOR, references(), somewhere, network=load_network()).calibration
+    assert made.fit["accurate_presses"] >= 18
+    assert made.fit["accurate_depth_mae_mm"] < calibrated().fit["accurate_depth_mae_mm"] + 0.1

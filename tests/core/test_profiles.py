@@ -3,22 +3,22 @@ from __future__ import annotations
 import pytest
 
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.solvers import SOLVERS
+from tacshade_edge.core.solvers import LEARNED, SOLVERS
 
 
 @pytest.mark.parametrize("name", PROFILES)
 def test_a_profile_can_be_run(name: str) -> None:
     profile = PROFILES[name]
     assert profile.name == name
-    assert profile.solver in SOLVERS
+    assert profile.solver in SOLVERS or profile.solver == LEARNED
     assert profile.stride_px >= 1
     assert profile.window_pitches >= 1  # a whole number: the pattern itself averages out
     assert isinstance(profile.window_pitches, int)
     assert profile.tv_weight >= 0
 
 
-def test_the_two_of_the_spine_are_there() -> None:
-    assert {"paper", "fast"} <= set(PROFILES)
+def test_those_of_the_spine_are_there() -> None:
+    assert {"paper", "fast", "accurate"} <= set(PROFILES)
     assert PROFILES["paper"].stride_px == 1
 
 

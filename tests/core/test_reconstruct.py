@@ -22,6 +22,7 @@ from calibrated_sensor import (
 from tacshade_edge.core.calibrate import calibrate
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import STAGES, Reconstructor
+from tacshade_edge.devices.network import make_reconstructor
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.objects import OBJECTS
@@ -171,13 +172,13 @@ def test_two_balls_are_two_objects() -> None:
 @pytest.mark.parametrize("profile", PROFILES)
 def test_results_alias_neither_each_other_nor_scratch(profile: str) -> None:
     frames = [pressed("ball", 3.0).image, unloaded(), pressed("cube", 2.0).image, unloaded() * 0]
-    made = Reconstructor(calibrated(), PROFILES[profile])
+    made = make_reconstructor(calibrated(), PROFILES[profile])
     results = [made.step(Frame(k, 0, 0, image)) for k, image in enumerate(frames)]
     before = [everything(r) for r in results]
     again = [made.step(Frame(k, 0, 0, image)) for k, image in enumerate(frames)]
     assert [everything(r) for r in results] == before
     assert [everything(r) for r in again] == before  # whatever came between, too
-    fresh = Reconstructor(calibrated(), PROFILES[profile])
+    fresh = make_reconstructor(calibrated(), PROFILES[profile])
     assert everything(fresh.step(Frame(0, 0, 0, frames[2]))) == before[2]
     for result in results:
         for array in (result.height.height_mm, result.height.contact, result.cloud.points_mm, result.cloud.labels):

@@ -112,10 +112,10 @@ def test_what_is_no_calibration_is_refused(tmp_path: Path) -> None:
 
 
 def test_another_version_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(calibration_file, "VERSION", 2)
+    monkeypatch.setattr(calibration_file, "VERSION", 3)
     calibration_file.save(tmp_path / "new.npz", painted_calibration())
     monkeypatch.undo()
-    with pytest.raises(ConfigError, match=r"new\.npz: calibration version 2, expected 1"):
+    with pytest.raises(ConfigError, match=r"new\.npz: calibration version 3, expected 2"):
         calibration_file.load(tmp_path / "new.npz")
 
 

@@ -11,6 +11,7 @@ from tacshade_edge.core.calibrate import BallPress, Sensor, calibrate
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.devices.calibration_file import with_crc
+from tacshade_edge.devices.network import load_network, make_reconstructor
 from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.simulator.model import SensorModel, random_model, tactip
 from tacshade_edge.simulator.objects import OBJECTS
@@ -67,12 +68,13 @@ def presses(model: SensorModel = HALF, count: int = 20) -> tuple[BallPress, ...]
 @cache
 def calibrated(model: SensorModel = HALF, count: int = 20) -> Calibration:
     """From 5 references and `count` ball presses; 0: references alone."""
-    return with_crc(calibrate(sensor_of(model), references(model), presses(model, count) if count else ()).calibration)
+    table = presses(model, count) if count else ()
+    return with_crc(calibrate(sensor_of(model), references(model), table, network=load_network()).calibration)
 
 
 @cache
 def reconstructor(profile: str, model: SensorModel = HALF, count: int = 20) -> Reconstructor:
-    return Reconstructor(calibrated(model, count), PROFILES[profile])
+    return make_reconstructor(calibrated(model, count), PROFILES[profile])
 
 
 @cache

@@ -22,7 +22,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from other_family import OtherSensor, other_model
 
 from tacshade_edge.core import discmap, pattern
 from tacshade_edge.core.disc import Grid, disc_mask, disc_rays
@@ -35,6 +34,7 @@ from tacshade_edge.devices.network import load_network
 from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.simulator.model import SensorModel, random_model
 from tacshade_edge.simulator.objects import OBJECTS, PAPER_OBJECTS
+from tacshade_edge.simulator.other_family import OtherSensor, other_model
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.types import F32, U8, Geometry

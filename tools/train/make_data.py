@@ -5,7 +5,8 @@
 
     .venv-train/bin/python tools/train/make_data.py --out DATA --sensors 2400 [--frames 12] [--workers 2]
 
-Shard k holds the sensors of seeds FIRST_SEED + 24 k and following: the same command, the same data.
+Shard k holds the sensors of seeds FIRST_SEED + 24 k and following: the same command, the same data. Shards from 5000 on
+(`--first-shard 5000`) hold sensors that are uneven, from 10000 on more so (`samples.UNEVEN_FROM`, `WIDE_FROM`).
 """
 
 from __future__ import annotations
@@ -52,10 +53,11 @@ def main() -> None:
     parser.add_argument("--sensors", type=int, default=2400)
     parser.add_argument("--frames", type=int, default=12, help="of each sensor")
     parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--first-shard", type=int, default=0)
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
-    shards = -(-args.sensors // SENSORS_PER_SHARD)
-    jobs = [(args.out / f"shard_{k:05d}.npz", FIRST_SEED + k * SENSORS_PER_SHARD, args.frames) for k in range(shards)]
+    numbers = range(args.first_shard, args.first_shard - (-args.sensors // SENSORS_PER_SHARD))
+    jobs = [(args.out / f"shard_{k:05d}.npz", FIRST_SEED + k * SENSORS_PER_SHARD, args.frames) for k in numbers]
     with multiprocessing.get_context("spawn").Pool(args.workers) as pool:
         for line in pool.imap(make_shard, jobs):
             if line:

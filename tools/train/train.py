@@ -26,6 +26,7 @@ from torch import Tensor
 from torch.nn import functional
 
 VALIDATION_SHARDS = 2
+FIRST_UNEVEN = "shard_05000"
 DISC_MM = 15.0
 """A typical disc radius, to print figures in mm."""
 
@@ -40,6 +41,8 @@ class Data:
     height: np.ndarray
     contact: np.ndarray
     sensor: np.ndarray
+    order: np.ndarray
+    """Frames to draw from; those of uneven sensors thrice."""
 
 
 def load(paths: list[Path]) -> Data:
@@ -54,7 +57,10 @@ def load(paths: list[Path]) -> Data:
     sensors, frames = joined["frame"].shape[:2]
     for name in ("frame", "height", "contact"):
         joined[name] = joined[name].reshape(sensors * frames, *joined[name].shape[2:])
-    return Data(**joined, sensor=np.repeat(np.arange(sensors), frames))
+    uneven = sum(len(r) for r, path in zip(parts["reference"], paths, strict=True) if path.stem >= FIRST_UNEVEN)
+    order = np.arange(sensors * frames)
+    order = np.concatenate((order, np.tile(order[len(order) - uneven * frames :], 2)))
+    return Data(**joined, sensor=np.repeat(np.arange(sensors), frames), order=order)
 
 
 def batch(data: Data, index: np.ndarray, turn: int = 0) -> tuple[Tensor, Tensor, Tensor]:
@@ -159,7 +165,7 @@ def main() -> None:
         rate = args.rate * warm * (0.5 + 0.5 * math.cos(math.pi * step / args.steps)) + 1e-6
         for group in optimiser.param_groups:
             group["lr"] = rate
-        x, height, contact = batch(data, rng.integers(len(data.frame), size=args.batch), int(rng.integers(8)))
+        x, height, contact = batch(data, rng.choice(data.order, size=args.batch), int(rng.integers(8)))
         with torch.autocast("cpu", torch.bfloat16):
             y = net(x)
         loss = loss_of(y, height, contact)

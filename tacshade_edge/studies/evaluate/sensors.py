@@ -9,9 +9,11 @@ from typing import Protocol
 from tacshade_edge.core.calibrate import BallPress, Calibrated, Sensor, calibrate
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.devices.network import load_network, make_reconstructor
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.simulator.model import SensorModel, random_model
+from tacshade_edge.simulator.other_family import OtherSensor, other_model
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedFrame, SimulatedSensor
 from tacshade_edge.types import Calibration
@@ -37,7 +39,11 @@ def _tacshade(seed: int | None) -> PressedSensor:
     return SimulatedSensor(SensorModel() if seed is None else random_model(seed))
 
 
-FAMILIES: dict[str, Callable[[int | None], PressedSensor]] = {"tacshade": _tacshade}
+def _other(seed: int | None) -> PressedSensor:
+    return OtherSensor(other_model(0 if seed is None else seed))
+
+
+FAMILIES: dict[str, Callable[[int | None], PressedSensor]] = {"tacshade": _tacshade, "other": _other}
 """Family to the sensor of a seed (None: its default one); another family is one line here."""
 
 
@@ -88,11 +94,11 @@ def calibrated(name: SensorName, references: int, presses: int) -> Calibrated:
         for k, (p, radius) in enumerate(ball_presses(model, presses, name.seed or 0))
     ]
     try:
-        return calibrate(stated, unloaded, pressed)
+        return calibrate(stated, unloaded, pressed, network=load_network())
     except ConfigError as error:
         raise ConfigError(f"sensor {name}: {error}") from None
 
 
 def reconstructor(calibration: Calibration, profile: str) -> Reconstructor:
     """Make the reconstructor of a profile by name."""
-    return Reconstructor(calibration, PROFILES[profile])
+    return make_reconstructor(calibration, PROFILES[profile])
