@@ -23,6 +23,8 @@ import numpy as np
 import torch
 from network import Net
 
+from tacshade_edge.core import discmap
+
 OPSET = 13
 TOLERANCE = 1e-4
 
@@ -37,11 +39,12 @@ def main() -> None:
     state = torch.load(args.run / "checkpoint.pt", weights_only=True)
     widths = tuple(int(w) for w in state["arguments"]["widths"].strip("()[]").split(","))
     mean = {k.removeprefix("module."): v for k, v in state["mean"].items() if k.startswith("module.")}
-    net = Net(inputs=mean["down.0.0.weight"].shape[1], widths=widths)
+    fold = int(state["arguments"]["fold"])
+    net = Net(fold, widths)
     net.load_state_dict(mean)
     net.eval()
     inputs = mean["down.0.0.weight"].shape[1]
-    x = torch.rand(1, inputs, 56, 56, generator=torch.Generator().manual_seed(1))
+    x = torch.rand(1, inputs, discmap.CELLS // fold, discmap.CELLS // fold, generator=torch.Generator().manual_seed(1))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # the exporter that needs nothing beside torch
         torch.onnx.export(net, (x,), str(args.out), dynamo=False, opset_version=OPSET, input_names=["maps"],
@@ -65,7 +68,7 @@ def main() -> None:
         "bytes": args.out.stat().st_size,
         "parameters": sum(p.numel() for p in net.parameters()),
         "commit": commit,
-        "training": {k: v for k, v in state["arguments"].items() if k not in ("data", "out")},
+        "training": {k: v for k, v in state["arguments"].items() if k not in ("data", "out", "start")},
         "steps": state["step"],
         "shards": state["shards"],
         "figures": rows[-1],

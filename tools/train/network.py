@@ -1,4 +1,4 @@
-"""The network: a small U over 56x56 cells; 112x112 maps go in and out as four channels of half the size."""
+"""The network: a small U; 112x112 maps go in and out folded: 4 channels of 56x56 (fold 2) or 16 of 28x28 (fold 4)."""
 
 from __future__ import annotations
 
@@ -10,6 +10,9 @@ from torch.nn import functional
 
 HEIGHT_SCALE = 10.0
 """The network's h is in tenths of the disc's radius: about 0 to 4."""
+
+KNOWN = 6
+"""Maps of `discmap.geometry_maps`."""
 
 
 def block(inputs: int, outputs: int) -> nn.Sequential:
@@ -25,13 +28,18 @@ def block(inputs: int, outputs: int) -> nn.Sequential:
 
 
 class Net(nn.Module):
-    """Maps (B, inputs, 56, 56) to (B, 8, 56, 56): 10 h / disc radius at the four cells, then contact logits there."""
+    """Folded maps (B, 2 fold² + 6, N, N) to (B, 2 fold², N, N), N = 112 / fold.
 
-    def __init__(self, inputs: int = 14, widths: tuple[int, ...] = (16, 32, 48, 64)) -> None:
+    In: white of frame and reference, then what is known of the sensor. Out: 10 h / disc radius, then contact logits.
+    """
+
+    def __init__(self, fold: int = 2, widths: tuple[int, ...] = (16, 32, 48, 64)) -> None:
         super().__init__()
+        inputs = 2 * fold * fold + KNOWN
+        self.fold = fold
         self.down = nn.ModuleList(block(i, o) for i, o in zip((inputs, *widths[:-1]), widths, strict=True))
         self.up = nn.ModuleList(block(a + b, a) for a, b in pairwise(widths))
-        self.head = nn.Conv2d(widths[0], 8, 1)
+        self.head = nn.Conv2d(widths[0], 2 * fold * fold, 1)
 
     def forward(self, x: Tensor) -> Tensor:
         """Run it."""

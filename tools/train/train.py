@@ -3,7 +3,7 @@
 
 ::
 
-    .venv-train/bin/python tools/train/train.py --data DATA --out RUN [--steps 40000] [--threads 2]
+    .venv-train/bin/python tools/train/train.py --data DATA --out RUN [--fold 4 --widths 16 32 48] [--steps 20000]
 
 The first two shards are never trained on; they give the figures of each report. A batch depends on the seed and its
 number alone, so an interrupted run goes on with the batches that it would have seen (while the shards are the same).
@@ -26,7 +26,6 @@ from torch import Tensor
 from torch.nn import functional
 
 VALIDATION_SHARDS = 2
-FIRST_UNEVEN = "shard_05000"
 DISC_MM = 15.0
 """A typical disc radius, to print figures in mm."""
 
@@ -41,30 +40,26 @@ class Data:
     height: np.ndarray
     contact: np.ndarray
     sensor: np.ndarray
-    order: np.ndarray
-    """Frames to draw from; those of uneven sensors thrice."""
+    fold: int
 
 
-def load(paths: list[Path]) -> Data:
+def load(paths: list[Path], fold: int) -> Data:
     """Read shards."""
     parts: dict[str, list[np.ndarray]] = {k: [] for k in ("reference", "known", "frame", "height", "contact")}
     for path in paths:
         with np.load(path) as shard:
             for name, values in parts.items():
                 array = shard[name]
-                values.append(array[..., ::2, ::2] if name == "known" else array)
+                values.append(array[..., ::fold, ::fold] if name == "known" else array)
     joined = {name: np.concatenate(values) for name, values in parts.items()}
     sensors, frames = joined["frame"].shape[:2]
     for name in ("frame", "height", "contact"):
         joined[name] = joined[name].reshape(sensors * frames, *joined[name].shape[2:])
-    uneven = sum(len(r) for r, path in zip(parts["reference"], paths, strict=True) if path.stem >= FIRST_UNEVEN)
-    order = np.arange(sensors * frames)
-    order = np.concatenate((order, np.tile(order[len(order) - uneven * frames :], 2)))
-    return Data(**joined, sensor=np.repeat(np.arange(sensors), frames), order=order)
+    return Data(**joined, sensor=np.repeat(np.arange(sensors), frames), fold=fold)
 
 
 def batch(data: Data, index: np.ndarray, turn: int = 0) -> tuple[Tensor, Tensor, Tensor]:
-    """Inputs (B, 14, 56, 56); 10 h and contact (B, 112, 112). `turn`: which of the square's 8 symmetries."""
+    """Inputs of `Net`; 10 h and contact (B, 112, 112). `turn`: which of the square's 8 symmetries."""
 
     def turned(array: np.ndarray) -> np.ndarray:
         array = np.rot90(array, turn % 4, axes=(1, 2))
@@ -75,21 +70,21 @@ def batch(data: Data, index: np.ndarray, turn: int = 0) -> tuple[Tensor, Tensor,
     maps = torch.from_numpy(maps).float() / 255
     # A turned sensor is another sensor of the family, whose positions are where they were.
     known = torch.from_numpy(data.known[sensor].astype(np.float32))
-    x = torch.cat((functional.pixel_unshuffle(maps, 2), known), 1)
+    x = torch.cat((functional.pixel_unshuffle(maps, data.fold), known), 1)
     height = torch.from_numpy(turned(data.height[index]).astype(np.float32) * HEIGHT_SCALE)
     contact = np.unpackbits(data.contact[index], axis=-1)
     return x.contiguous(memory_format=torch.channels_last), height, torch.from_numpy(turned(contact)).float()
 
 
-def split_output(y: Tensor) -> tuple[Tensor, Tensor]:
+def split_output(y: Tensor, fold: int) -> tuple[Tensor, Tensor]:
     """Height and contact logits (B, 112, 112)."""
-    y = functional.pixel_shuffle(y.float(), 2)
+    y = functional.pixel_shuffle(y.float(), fold)
     return y[:, 0], y[:, 1]
 
 
-def loss_of(y: Tensor, height: Tensor, contact: Tensor) -> Tensor:
+def loss_of(y: Tensor, fold: int, height: Tensor, contact: Tensor) -> Tensor:
     """Height and its slope, heavier in contact; the contact's outline."""
-    found, logit = split_output(y)
+    found, logit = split_output(y, fold)
     top = height.amax((1, 2), keepdim=True)
     weight = (0.5 + 5 * contact) * (1.5 / (top + 0.7))
     off = found - height
@@ -111,7 +106,7 @@ def figures(net: Net, data: Data) -> dict[str, float]:
             x, height, contact = batch(data, np.arange(start, min(start + 32, len(data.frame))))
             with torch.autocast("cpu", torch.bfloat16):
                 y = net(x)
-            found, logit = split_output(y)
+            found, logit = split_output(y, data.fold)
             for f, h, p, c in zip(found, height, logit > 0, contact > 0, strict=True):
                 if c.sum() < 20:
                     continue
@@ -130,10 +125,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Train the learned inverse.")
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--steps", type=int, default=40_000)
+    parser.add_argument("--steps", type=int, default=20_000)
     parser.add_argument("--batch", type=int, default=32)
     parser.add_argument("--rate", type=float, default=4e-3)
-    parser.add_argument("--widths", type=int, nargs=4, default=(16, 32, 48, 64))
+    parser.add_argument("--widths", type=int, nargs="+", default=(16, 32, 48, 64))
+    parser.add_argument("--fold", type=int, choices=(2, 4), default=2)
+    parser.add_argument("--start", type=Path, metavar="CHECKPOINT", help="weights to begin with")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--report", type=int, default=1000, metavar="STEPS")
@@ -141,7 +138,9 @@ def main() -> None:
     torch.set_num_threads(args.threads)
     torch.manual_seed(args.seed)
     args.out.mkdir(parents=True, exist_ok=True)
-    net = Net(widths=tuple(args.widths)).to(memory_format=torch.channels_last)
+    net = Net(args.fold, tuple(args.widths)).to(memory_format=torch.channels_last)
+    if args.start is not None:
+        net.load_state_dict(torch.load(args.start, weights_only=True)["net"])
     mean = torch.optim.swa_utils.AveragedModel(
         net, multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(0.998), use_buffers=True
     )
@@ -155,8 +154,8 @@ def main() -> None:
         optimiser.load_state_dict(state["optimiser"])
         step = state["step"]
     shards = sorted(args.data.glob("shard_*.npz"))
-    check = load(shards[:VALIDATION_SHARDS])
-    data = load(shards[VALIDATION_SHARDS:])
+    check = load(shards[:VALIDATION_SHARDS], args.fold)
+    data = load(shards[VALIDATION_SHARDS:], args.fold)
     start, total = time.perf_counter(), 0.0
     print(f"step {step}: {len(data.frame)} frames of {len(data.reference)} sensors", flush=True)
     while step < args.steps:
@@ -165,10 +164,10 @@ def main() -> None:
         rate = args.rate * warm * (0.5 + 0.5 * math.cos(math.pi * step / args.steps)) + 1e-6
         for group in optimiser.param_groups:
             group["lr"] = rate
-        x, height, contact = batch(data, rng.choice(data.order, size=args.batch), int(rng.integers(8)))
+        x, height, contact = batch(data, rng.integers(len(data.frame), size=args.batch), int(rng.integers(8)))
         with torch.autocast("cpu", torch.bfloat16):
             y = net(x)
-        loss = loss_of(y, height, contact)
+        loss = loss_of(y, args.fold, height, contact)
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         torch.nn.utils.clip_grad_norm_(net.parameters(), 2.0)
@@ -195,7 +194,7 @@ def main() -> None:
             os.replace(checkpoint.with_suffix(".part"), checkpoint)
             now = sorted(args.data.glob("shard_*.npz"))
             if len(now) >= len(shards) + 4:  # data made meanwhile
-                shards, data = now, load(now[VALIDATION_SHARDS:])
+                shards, data = now, load(now[VALIDATION_SHARDS:], args.fold)
             start, total = time.perf_counter(), 0.0
 
 
