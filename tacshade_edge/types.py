@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -247,14 +248,8 @@ class Calibration:
         RMS of g between the references (eq. 1 at the window of the profiles), grey levels.
     alpha : float
         Depth scale used where no table is (the paper's α).
-    table_grey, table_depth_mm : float32 (K,)
-        Monotone table from the gathered grey change (`core.solvers.fast`, grey levels, from 0 up) to h in mm at
-        the middle of the disc; K = 0 without presses.
-    table_gain : float32 (M,)
-        Factor on the depth at ρ² = i / (M - 1), ρ the distance from the disc's centre in its radii; M = 0
-        without presses.
-    refit : float32 (6,)
-        Weights of `core.refit.apply_refit`; empty without presses.
+    refits : mapping of str to float32 (K,)
+        For each profile that was refitted to presses, the weights of `core.refit.apply_refit`.
     fit : dict of str to float
         Fitted figures to show a person (cross-validated error and so on), all in mm or px as named.
     flange_T_sensor : 7 floats
@@ -273,13 +268,12 @@ class Calibration:
     reference_grey: U8
     noise_grey: float
     alpha: float
-    table_grey: F32
-    table_depth_mm: F32
-    table_gain: F32
-    refit: F32 = field(default_factory=lambda: np.zeros(0, dtype=np.float32))
+    refits: Mapping[str, F32] = field(default_factory=dict)
     fit: dict[str, float] = field(default_factory=dict)
     flange_T_sensor: tuple[float, ...] = IDENTITY_POSE
     crc32: int = 0
 
     def __post_init__(self) -> None:
-        freeze(self, "reference_white", "reference_grey", "table_grey", "table_depth_mm", "table_gain", "refit")
+        freeze(self, "reference_white", "reference_grey")
+        for weights in self.refits.values():
+            weights.setflags(write=False)

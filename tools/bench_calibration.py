@@ -226,7 +226,9 @@ def measure(seed: int, detect: bool) -> Measured:
             quality.append((label, np.nan, np.nan, "refused"))
             continue
         fit = made.calibration.fit
-        quality.append((label, fit["depth_mae_mm"] / scale, fit["agreement_mae_mm"] / scale, made.verdict.grade))
+        quality.append(
+            (label, fit["accurate_depth_mae_mm"] / scale, fit["agreement_mae_mm"] / scale, made.verdict.grade)
+        )
     found = [
         (label, any(part in said for part in wanted.split("|")))
         for label, wanted, said in ((*wrong_things(given, rng), *rezeros(given, result)) if detect else ())
@@ -247,7 +249,7 @@ def report(measured: Sequence[Measured]) -> str:
     lines += [f"| {label} | {sum(hits)} of {len(hits)} |" for label, hits in found.items()]
     lines += [
         "",
-        "| presses | depth_mae_mm median, 90 %, worst | agreement_mae_mm likewise | good, fair, poor, refused |",
+        "| presses | depth error mm: median, 90 %, worst | agreement_mae_mm likewise | good, fair, poor, refused |",
         "|---|---|---|---|",
     ]
     quality = [row for m in measured for row in m.quality]

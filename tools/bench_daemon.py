@@ -41,11 +41,11 @@ from paho.mqtt.enums import CallbackAPIVersion
 
 from tacshade_edge.cli.demo_sensor import make_calibration
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.app import App
 from tacshade_edge.daemon.ledger import FrameLedger
 from tacshade_edge.devices import calibration_file, registry
 from tacshade_edge.devices.mqtt_caller import MqttCaller
+from tacshade_edge.devices.network import make_reconstructor
 from tacshade_edge.devices.recorder import PNG_OPTIONS
 from tacshade_edge.devices.simulated import SimulatedSource
 from tacshade_edge.protocol import messages, wire
@@ -99,7 +99,7 @@ def null_daemon(document: Document, fps: float) -> None:
     """The same bytes at the same rate."""
     source = ring_source(fps)
     calibration = registry.load_calibration(document)
-    reconstructor = Reconstructor(calibration, PROFILES[document.settings.profile])
+    reconstructor = make_reconstructor(calibration, PROFILES[document.settings.profile])
     source.open()
     ready: dict[int, Reconstruction] = {}
     while len(ready) < RING:

@@ -17,8 +17,10 @@ import cv2
 import numpy as np
 
 from tacshade_edge.core.greyscale import shape_grey
-from tacshade_edge.core.profiles import PROFILES, Profile
+from tacshade_edge.core.preprocess import Preprocessor
+from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.core.solvers import SOLVERS, Depth, GreyMaps
 from tacshade_edge.simulator.objects import PAPER_OBJECTS
 from tacshade_edge.studies.evaluate.scenes import DEPTHS_MM, scenes
 from tacshade_edge.studies.evaluate.score import KnownTruth, Label, Row, score
@@ -29,12 +31,16 @@ from tacshade_edge.types import Calibration, Frame
 SENSORS = ("default", "5", "11")
 
 
+def scaled_grey(maps: GreyMaps, alpha_mm: float) -> Depth:
+    """`paper` without its iterations: α g_hn."""
+    height = np.float32(alpha_mm) * shape_grey(maps.g_d, maps.g0, maps.inside)
+    return Depth(height, saturated=False, repaired_px=0)
+
+
 def without_iterations(calibration: Calibration) -> Reconstructor:
-    """`paper` with the solver that only scales g_hn: `fast` without its table."""
-    paper = PROFILES["paper"]
-    none = np.zeros(0, dtype=np.float32)
-    plain = replace(calibration, table_grey=none, table_depth_mm=none, table_gain=none)
-    return Reconstructor(plain, Profile("paper_0", "fast", paper.stride_px, paper.window_pitches, paper.tv_weight))
+    """The profile `paper` with that solver."""
+    SOLVERS["paper_0"] = scaled_grey
+    return Reconstructor(calibration, replace(PROFILES["paper"], name="paper_0", solver="paper_0"))
 
 
 def main() -> None:
@@ -57,7 +63,7 @@ def main() -> None:
                     taken[result.profile].append(1e3 * (time.process_time() - start))
                     rows.append(score(Label(str(name), object_name), truth, result))
                     if result.profile == "paper":
-                        maps = made.grey_maps(frame.image)
+                        maps = Preprocessor(calibration, made.profile).grey_maps(frame.image)
                         g_hn = shape_grey(maps.g_d, maps.g0, maps.inside)[maps.inside]
                         height = result.height.height_mm[maps.inside]
                         correlations.append(float(np.corrcoef(height, g_hn)[0, 1]))

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.devices.network import make_reconstructor
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.studies.evaluate.sensors import SensorName, calibrated
 from tacshade_edge.types import U8, Disc, Frame
@@ -64,7 +64,7 @@ def main() -> None:
     deepest: dict[str, float] = defaultdict(float)
     for sensor in map(SensorName.parse, SENSORS):
         simulated, calibration = sensor.make(), calibrated(sensor, 8, 40).calibration
-        made = Reconstructor(calibration, PROFILES["fast"])
+        made = make_reconstructor(calibration, PROFILES["fast"])
         for kind, images in cases(simulated.frame((), 5).image, calibration.geometry.disc).items():
             for name, image in images:
                 result = made.step(Frame(0, 0, 0, image))

@@ -14,7 +14,7 @@ from tacshade_edge.core import drift
 from tacshade_edge.core.calibrate import Calibrated, calibrate, rezero
 from tacshade_edge.devices import calibration_file
 from tacshade_edge.devices.images import read_image
-from tacshade_edge.devices.network import load_network
+from tacshade_edge.devices.network import load_networks
 from tacshade_edge.devices.presses import read_presses
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.settings.sensor_file import read_sensor
@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     presses = read_presses(args.presses) if args.presses else []
     if args.presses and not presses:
         raise ConfigError(f"{args.presses}: found no press, expected a row for each")
-    result = calibrate(sensor, references, presses, args.allow_loaded_reference, load_network())
+    result = calibrate(sensor, references, presses, args.allow_loaded_reference, load_networks())
     stored = calibration_file.save(args.out, result.calibration)
     _tell(args, stored, result.warnings, _judged(result))
     if not args.json:

@@ -2,30 +2,28 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tacshade_edge.core import drift, greyscale, pattern, press_checks, refit
 from tacshade_edge.core.disc import Grid, disc_mask, radius_squared
-from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.preprocess import Preprocessor
+from tacshade_edge.core.profiles import LEARNED, PROFILES, Profile
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.core.skin import skin_points
-from tacshade_edge.core.solvers.accurate import Network
-from tacshade_edge.core.solvers.fast import brightening, gathered_change
+from tacshade_edge.core.solvers.learned import Network
 from tacshade_edge.core.validity import frame_check, invalid_reason
 from tacshade_edge.core.verdict import Verdict, judge
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.types import F32, F64, IDENTITY_POSE, U8, Binarisation, Bool, Calibration, Geometry, Polarity
+from tacshade_edge.types import F32, IDENTITY_POSE, U8, Binarisation, Bool, Calibration, Geometry, Polarity
 
-# Calibration works on the maps of this profile; its tables serve every profile with the same window.
-PROFILE = PROFILES["fast"]
+# The maps that references and presses are judged by.
+PROFILE = Profile(name="calibration", solver=LEARNED, stride_px=4, window_pitches=2, tv_weight=0.05)
+# The profile whose error says how good a calibration is.
+JUDGED = "accurate"
 MIN_PRESSES = 8
 MAX_LEFT_OUT = 0.25
-TABLE_KNOTS = 33
-GAIN_KNOTS = 17
 # RMS of g between frames of one still scene when one reference alone cannot tell it.
 ASSUMED_NOISE_GREY = 1.0
 # An unloaded skin is alike all around: a patch that differs this much from its ring is a load (grey levels, mm²),
@@ -37,10 +35,8 @@ LOADED_MM2 = 9.0
 # Second difference over two rings, measured on 60 sensors: at most 19 unloaded, a centred ball 3 mm deep 30 or more.
 RINGS = 12
 LOADED_BEND_GREY = 22.0
-# A new reference with less contrast than this part of the old one's cannot serve the old tables.
+# A new reference with less contrast than this part of the old one's cannot serve the old refit.
 WORN_CONTRAST = 0.6
-# Pull of the fit towards "depth is proportional to χ, alike everywhere": presses that do not vary then do no harm.
-RIDGE = 0.001
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +78,7 @@ def calibrate(
     references: Sequence[U8],
     presses: Sequence[BallPress] = (),
     allow_loaded_reference: bool = False,
-    network: Network | None = None,
+    networks: Mapping[str, Network] | None = None,
 ) -> Calibrated:
     """Fit everything that images can tell of a sensor.
 
@@ -95,8 +91,8 @@ def calibrate(
         None, or at least `MIN_PRESSES`.
     allow_loaded_reference : bool
         Warn instead of refusing.
-    network : Network, optional
-        With it, the learned solver is refitted to the presses too.
+    networks : mapping of str to Network, optional
+        Of each profile that is to be refitted to the presses.
 
     Raises
     ------
@@ -128,9 +124,6 @@ def calibrate(
             reference_grey=mean,
             noise_grey=ASSUMED_NOISE_GREY,
             alpha=sensor.alpha,
-            table_grey=np.zeros(0, dtype=np.float32),
-            table_depth_mm=np.zeros(0, dtype=np.float32),
-            table_gain=np.zeros(0, dtype=np.float32),
             flange_T_sensor=sensor.flange_T_sensor,
         ),
         greys,
@@ -146,14 +139,21 @@ def calibrate(
     if not presses:
         return Calibrated(unloaded, tuple(warnings), judge({}, geometry, (), ()))
     usable, rows, told = _usable_presses(unloaded, presses)
-    fitted, error_mm = _fit_presses(unloaded, usable)
-    if network is not None:
-        fitted = _refit_learned(fitted, usable, network)
-    agreement = {"agreement_mae_mm": press_checks.agreement_mm(rows, geometry)}
-    fitted = replace(fitted, fit=fitted.fit | agreement)
-    missing = press_checks.coverage(rows, geometry)
-    worst = sorted(zip(np.abs(error_mm), (row.name for row in rows), strict=True), reverse=True)
-    verdict = judge(fitted.fit, geometry, missing, tuple((name, float(error)) for error, name in worst))
+    fitted = replace(
+        unloaded,
+        # The paper's α for this sensor: what scales a normalised height of 1 to the mean pressed depth.
+        alpha=float(np.mean([press.depth_mm for press in usable])) / geometry.mm_per_px,
+        fit={
+            "presses": float(len(usable)),
+            "agreement_mae_mm": press_checks.agreement_mm(rows, geometry),
+            "position_mae_mm": press_checks.position_mae_mm(rows),
+        },
+    )
+    worst: list[tuple[str, float]] = []
+    for name, network in (networks or {}).items():
+        fitted, errors = _refit(fitted, usable, PROFILES[name], network)
+        worst = sorted(errors, key=lambda row: -abs(row[1])) if name == JUDGED else worst
+    verdict = judge(fitted.fit, geometry, press_checks.coverage(rows, geometry), worst)
     return Calibrated(fitted, (*warnings, *told), verdict)
 
 
@@ -222,17 +222,16 @@ def _with_reference(calibration: Calibration, greys: Sequence[U8]) -> Calibratio
 def loaded_reason(calibration: Calibration) -> str:
     """Why a reference seems to have been taken under load; empty when it does not."""
     disc = calibration.geometry.disc
-    reconstructor = Reconstructor(calibration, PROFILE)
-    g0 = reconstructor.reference_ratio
-    cell_mm2 = (PROFILE.stride_px * calibration.geometry.mm_per_px) ** 2
-    rho2 = radius_squared(reconstructor.grid, disc)
-    residual = ring_residual(g0, rho2, reconstructor.voting)
-    deviation = 1.4826 * float(np.median(np.abs(residual[reconstructor.voting]))) if reconstructor.voting.any() else 0.0
+    front = Preprocessor(calibration, PROFILE)
+    g0 = front.reference_ratio
+    rho2 = radius_squared(front.grid, disc)
+    residual = ring_residual(g0, rho2, front.voting)
+    deviation = 1.4826 * float(np.median(np.abs(residual[front.voting]))) if front.voting.any() else 0.0
     threshold = max(LOADED_GREY, LOADED_DEVIATIONS * deviation)
-    area = float(np.count_nonzero(np.abs(residual) > threshold)) * cell_mm2
+    area = float(np.count_nonzero(np.abs(residual) > threshold)) * front.cell_mm2
     if area >= LOADED_MM2:
         return f"the reference seems taken under load: {area:.0f} mm² of it differ from the skin around the centre"
-    bend = radial_bend(g0, rho2, reconstructor.voting)
+    bend = radial_bend(g0, rho2, front.voting)
     if bend > LOADED_BEND_GREY:
         return f"the reference seems taken under load in the middle: its profile bends by {bend:.0f} grey levels"
     return ""
@@ -273,8 +272,8 @@ def _check_references(calibration: Calibration, greys: Sequence[U8], allow_loade
         if reason := moved or drift.aged_reason(found):
             warnings.append(f"reference {number}: {reason} against reference 1")
     # A pressed reference raises the measured noise, and would hide behind it.
-    reconstructor = Reconstructor(replace(calibration, noise_grey=ASSUMED_NOISE_GREY), PROFILE)
-    pressed = [str(number) for number, grey in enumerate(greys, start=1) if reconstructor.touched(grey)]
+    front = Preprocessor(replace(calibration, noise_grey=ASSUMED_NOISE_GREY), PROFILE)
+    pressed = [str(number) for number, grey in enumerate(greys, start=1) if front.touched(grey)]
     if pressed:
         reason = f"reference {', '.join(pressed)}: seems pressed, it differs from the mean of all references"
         if not allow_loaded:
@@ -292,17 +291,15 @@ def _usable_presses(
     up to `MAX_LEFT_OUT` of them.
     """
     if len(presses) < MIN_PRESSES:
-        raise ConfigError(
-            f"{len(presses)} presses: at least {MIN_PRESSES} are needed for a depth table (20 are better)"
-        )
+        raise ConfigError(f"{len(presses)} presses: at least {MIN_PRESSES} are needed (20 are better)")
     geometry = unloaded.geometry
-    reconstructor = Reconstructor(unloaded, PROFILE)
+    front = Preprocessor(unloaded, PROFILE)
     reference = drift.look(unloaded.reference_grey, geometry.disc, unloaded.pitch_px)
     kept: list[BallPress] = []
     left_out: list[str] = []
     warnings: list[str] = []
     for press in presses:
-        seen = _is_seen(reconstructor, press)
+        seen = _is_seen(front, press)
         found = drift.drift(reference, greyscale.to_grey(press.image))
         moved, aged = drift.moved_reason(found, geometry.disc), drift.aged_reason(found)
         if drift.moved_too_far(found, geometry.disc):
@@ -314,8 +311,7 @@ def _usable_presses(
             if reason := moved or aged:
                 warnings.append(f"{press.name}: {reason} since the references")
     rows = [
-        press_checks.gather_evidence(reconstructor, p.name, p.image, (p.radius_mm, p.depth_mm, p.x_mm, p.y_mm))
-        for p in kept
+        press_checks.gather_evidence(front, p.name, p.image, (p.radius_mm, p.depth_mm, p.x_mm, p.y_mm)) for p in kept
     ]
     hints = list(press_checks.hints(rows, geometry)) if len(rows) >= MIN_PRESSES else []
     wrong = {found.index: found.reason for found in press_checks.disagreements(rows, geometry)}
@@ -327,58 +323,16 @@ def _usable_presses(
     return [kept[k] for k in usable], [rows[k] for k in usable], told
 
 
-def _fit_presses(unloaded: Calibration, presses: Sequence[BallPress]) -> tuple[Calibration, F64]:
-    """Log depth = a + b log χ + c ρ² + d ρ⁴ for every press, by ridge regression.
+def _refit(
+    calibration: Calibration, presses: Sequence[BallPress], profile: Profile, network: Network
+) -> tuple[Calibration, list[tuple[str, float]]]:
+    """Refit a profile to the presses.
 
-    χ is its greatest value, ρ the place that brightens most.
-
-    Cross-validated by press: each is predicted from all the others; its error in mm is returned too.
+    And how far off (mm) the greatest h of each press is with weights that were fitted without it.
     """
-    reconstructor = Reconstructor(unloaded, PROFILE)
-    rows = [_press_row(reconstructor, press) for press in presses]
-    features = np.array([row[0] for row in rows])
-    depth_mm = np.array([press.depth_mm for press in presses])
-    weights = _ridge(features, np.log(depth_mm))
-    predicted = np.array(
-        [
-            math.exp(float(features[k] @ _ridge(np.delete(features, k, 0), np.log(np.delete(depth_mm, k)))))
-            for k in range(len(presses))
-        ]
-    )
-    error = predicted - depth_mm
-    top = float(np.exp(features[:, 1].max()))
-    chi = np.linspace(0, 1.1 * top, TABLE_KNOTS)
-    middle = weights.copy()
-    depth = np.zeros(TABLE_KNOTS)
-    depth[1:] = np.exp(middle[0] + middle[1] * np.log(chi[1:]))
-    # Beyond the outermost press the gain of that press holds: a polynomial would run away.
-    rho2 = np.minimum(np.linspace(0, 1, GAIN_KNOTS), features[:, 2].max())
-    gain = np.exp(weights[2] * rho2 + weights[3] * rho2**2)
-    fit = {
-        "presses": float(len(presses)),
-        "depth_mae_mm": float(np.mean(np.abs(error))),
-        "depth_rmse_mm": float(np.sqrt(np.mean(error**2))),
-        "depth_worst_mm": float(np.max(np.abs(error))),
-        "depth_mean_ratio_error": float(np.mean(np.abs(error) / depth_mm)),
-        "position_mae_mm": float(np.mean([row[1] for row in rows])),
-    }
-    calibration = replace(
-        unloaded,
-        # The paper's α for this sensor: what scales a normalised height of 1 to the mean pressed depth.
-        alpha=float(np.mean(depth_mm)) / unloaded.geometry.mm_per_px,
-        table_grey=chi.astype(np.float32),
-        table_depth_mm=depth.astype(np.float32),
-        table_gain=gain.astype(np.float32),
-        fit=fit,
-    )
-    return calibration, error
-
-
-def _refit_learned(calibration: Calibration, presses: Sequence[BallPress], network: Network) -> Calibration:
-    """Refit the learned solver, and say how far off the greatest h of each press is when fitted without it."""
     geometry = calibration.geometry
-    reconstructor = Reconstructor(calibration, PROFILES["accurate"], network)
-    rows, tops = [], []
+    reconstructor = Reconstructor(calibration, profile, network)
+    rows, tops, names = [], [], []
     for press in presses:
         inverse = reconstructor.inverse(press.image)
         if press.x_mm is not None and press.y_mm is not None:
@@ -391,9 +345,10 @@ def _refit_learned(calibration: Calibration, presses: Sequence[BallPress], netwo
         if made is not None and ball is not None:
             rows.append(made)
             tops.append((inverse, ball.depth_max_mm(geometry.skin_radius_mm)))
+            names.append(press.name)
     weights = refit.fit_refit(rows)
     if weights.size == 0:
-        return calibration
+        return calibration, []
     errors = []
     for k, (inverse, top_mm) in enumerate(tops):
         without = refit.fit_refit(rows[:k] + rows[k + 1 :])
@@ -401,16 +356,17 @@ def _refit_learned(calibration: Calibration, presses: Sequence[BallPress], netwo
         errors.append(float(height[inverse.contact_logit > 0].max()) - top_mm)
     off = np.abs(errors)
     figures = {
-        "accurate_presses": float(len(rows)),
-        "accurate_depth_mae_mm": float(off.mean()),
-        "accurate_depth_worst_mm": float(off.max()),
+        f"{profile.name}_presses": float(len(rows)),
+        f"{profile.name}_depth_mae_mm": float(off.mean()),
+        f"{profile.name}_depth_worst_mm": float(off.max()),
     }
-    return replace(calibration, refit=weights, fit=calibration.fit | figures)
+    refitted = replace(calibration, refits={**calibration.refits, profile.name: weights}, fit=calibration.fit | figures)
+    return refitted, list(zip(names, errors, strict=True))
 
 
-def _is_seen(reconstructor: Reconstructor, press: BallPress) -> bool:
+def _is_seen(front: Preprocessor, press: BallPress) -> bool:
     """Whether the gate opens for a press; refuses what cannot be a press of this sensor."""
-    calibration = reconstructor.calibration
+    calibration = front.calibration
     r = calibration.geometry.skin_radius_mm
     if press.image.shape[:2] != (calibration.image_height_px, calibration.image_width_px):
         raise ConfigError(
@@ -422,30 +378,6 @@ def _is_seen(reconstructor: Reconstructor, press: BallPress) -> bool:
             f"{press.name}: depth {press.depth_mm} mm, ball radius {press.radius_mm} mm; "
             f"expected 0 < depth < {r} and a radius above 0"
         )
-    if reason := reconstructor.invalid_reason(press.image):
+    if reason := front.invalid_reason(press.image):
         raise ConfigError(f"{press.name}: not usable: {reason}")
-    return reconstructor.touched(press.image)
-
-
-def _press_row(reconstructor: Reconstructor, press: BallPress) -> tuple[list[float], float]:
-    """Features of one press at its deepest point, and how far that lies from the stated place (0 if not stated)."""
-    geometry = reconstructor.calibration.geometry
-    maps = reconstructor.grey_maps(press.image)
-    chi, _ = gathered_change(maps, reconstructor.scale.reach_cells)
-    peak = np.unravel_index(int(np.argmax(brightening(maps, reconstructor.scale.reach_cells))), chi.shape)
-    rho2 = float(radius_squared(reconstructor.grid, geometry.disc)[peak])
-    height = np.full(chi.shape, press.depth_mm, dtype=np.float32)
-    place = skin_points(height, reconstructor.rays, geometry)[0][peak]
-    off = 0.0
-    if press.x_mm is not None and press.y_mm is not None:
-        off = math.hypot(float(place[0]) - press.x_mm, float(place[1]) - press.y_mm)
-    return [1.0, math.log(max(float(chi.max()), 1e-3)), rho2, rho2**2], off
-
-
-def _ridge(features: F64, log_depth: F64) -> F64:
-    """Least squares of log depth, pulled towards exponent 1 and no dependence on the place."""
-    prior = np.array([0.0, 1.0, 0.0, 0.0])
-    pull = RIDGE * len(features) * np.diag([0.0, 1.0, 1.0, 1.0])
-    normal = features.T @ features + pull
-    weights: F64 = np.linalg.solve(normal, features.T @ log_depth + pull @ prior)
-    return weights
+    return front.touched(press.image)

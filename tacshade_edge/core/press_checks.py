@@ -1,6 +1,6 @@
 """Do the presses agree with what is stated of them, and do they cover what a calibration must cover?
 
-The judge is a fit of its own, sharper than the depth table because here the ball and its place are known: the travel
+The judge is a fit of its own, sharper than a reconstruction because here the ball and its place are known: the travel
 from first touch is a power law of what the image shows. (The depth of a press is that travel and how far the ball's
 lowest point lay from the skin at first touch.) Its figures are those of docs/calibration.md, "What it checks".
 """
@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.core.gathered import REACH_RADII, brightening, gathered_change
+from tacshade_edge.core.preprocess import Preprocessor
 from tacshade_edge.core.skin import skin_points
-from tacshade_edge.core.solvers.fast import brightening, gathered_change
 from tacshade_edge.types import F64, U8, Geometry
 
 # log(travel) on 1, log χ, ρ², ρ⁴, log ball radius, log brightened area, log brightening: the mean weights of 29
@@ -85,7 +85,7 @@ class Disagreement:
 
 
 def gather_evidence(
-    reconstructor: Reconstructor,
+    front: Preprocessor,
     name: str,
     image: U8,
     stated: tuple[float, float, float | None, float | None],
@@ -94,29 +94,38 @@ def gather_evidence(
 
     Parameters
     ----------
-    reconstructor : Reconstructor
-        Of the sensor without a table.
+    front : Preprocessor
     name : str
     image : uint8 (H, W) or (H, W, 3)
     stated : radius_mm, depth_mm, x_mm, y_mm
     """
-    geometry, reach = reconstructor.calibration.geometry, reconstructor.scale.reach_cells
-    maps = reconstructor.grey_maps(image)
-    chi, _ = gathered_change(maps, reach)
+    geometry = front.calibration.geometry
+    reach = REACH_RADII * geometry.skin_radius_mm / (front.profile.stride_px * geometry.mm_per_px)
+    maps = front.grey_maps(image)
+    chi = gathered_change(maps, reach)
     bright = brightening(maps, reach)
     peak = np.unravel_index(int(np.argmax(bright)), bright.shape)
     height = np.full(chi.shape, stated[1], dtype=np.float32)
-    place = skin_points(height, reconstructor.rays, geometry)[0][peak]
-    cell_mm2 = (reconstructor.profile.stride_px * geometry.mm_per_px) ** 2
+    place = skin_points(height, front.rays, geometry)[0][peak]
     return Evidence(
         name,
         max(float(chi.max()), 1e-3),
         max(float(bright.max()), 0.1),
-        max(float(np.count_nonzero(bright > 0.5 * bright.max())), 1.0) * cell_mm2,
+        max(float(np.count_nonzero(bright > 0.5 * bright.max())), 1.0) * front.cell_mm2,
         float(place[0]),
         float(place[1]),
         *stated,
     )
+
+
+def position_mae_mm(rows: Sequence[Evidence]) -> float:
+    """How far from the stated places the skin brightens most, on average; 0 where none is stated."""
+    off = [
+        math.hypot(row.found_x_mm - row.x_mm, row.found_y_mm - row.y_mm)
+        for row in rows
+        if row.x_mm is not None and row.y_mm is not None
+    ]
+    return float(np.mean(off)) if off else 0.0
 
 
 def disagreements(rows: Sequence[Evidence], geometry: Geometry) -> tuple[Disagreement, ...]:

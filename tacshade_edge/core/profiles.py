@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+LEARNED = "learned"
+"""The solver that takes the white pixels and finds the contact too, with the network of the profile's name."""
+
 
 @dataclass(frozen=True, slots=True)
 class Profile:
@@ -13,7 +16,7 @@ class Profile:
     ----------
     name : str
     solver : str
-        Key of ``core.solvers.SOLVERS``, or ``core.solvers.LEARNED``.
+        Key of ``core.solvers.SOLVERS``, or `LEARNED`.
     stride_px : int
         Stride of eq. 1 and so of every map after it.
     window_pitches : int
@@ -33,8 +36,8 @@ PROFILES: dict[str, Profile] = {
     p.name: p
     for p in (
         Profile(name="paper", solver="paper", stride_px=1, window_pitches=2, tv_weight=0.1),
-        Profile(name="fast", solver="fast", stride_px=4, window_pitches=2, tv_weight=0.05),
-        # Eq. 1 serves its gate only.
-        Profile(name="accurate", solver="accurate", stride_px=4, window_pitches=2, tv_weight=0.0),
+        # Eq. 1 serves the gate of these only.
+        Profile(name="fast", solver=LEARNED, stride_px=4, window_pitches=2, tv_weight=0.0),
+        Profile(name="accurate", solver=LEARNED, stride_px=4, window_pitches=2, tv_weight=0.0),
     )
 }

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import cv2
 import numpy as np
 
-from tacshade_edge.core import clusters, contact, discmap, greyscale
-from tacshade_edge.core.disc import DiscRays, Grid, disc_mask, disc_rays, radius_squared
-from tacshade_edge.core.profiles import Profile
+from tacshade_edge.core import clusters, discmap, greyscale
+from tacshade_edge.core.preprocess import Preprocessor
+from tacshade_edge.core.profiles import LEARNED, Profile
 from tacshade_edge.core.refit import apply_refit
 from tacshade_edge.core.skin import cell_area_mm2, skin_points
-from tacshade_edge.core.solvers import LEARNED, SOLVERS, Depth, DepthScale, GreyMaps, fast
-from tacshade_edge.core.solvers.accurate import DEEPEST_RADII, Inverse, LearnedInverse, Network
-from tacshade_edge.core.validity import frame_check, invalid_reason
-from tacshade_edge.types import F32, U8, Bool, Calibration, Disc, Frame, HeightMap, ObjectCloud, Reconstruction
+from tacshade_edge.core.solvers import SOLVERS, Depth
+from tacshade_edge.core.solvers.learned import DEEPEST_RADII, Inverse, LearnedInverse, Network
+from tacshade_edge.types import F32, U8, Bool, Calibration, Frame, HeightMap, ObjectCloud, Reconstruction
 
 Mark = Callable[[str], None]
 
@@ -28,15 +26,6 @@ UNSEEN_INVALID = 0.4
 
 def no_mark(stage: str) -> None:
     """Ignore a stage's end."""
-
-
-def radial_gain(table: F32, grid: Grid, disc: Disc) -> F32:
-    """`Calibration.table_gain` at every cell of a grid; empty for an empty table."""
-    if table.size == 0:
-        return np.zeros((0, 0), dtype=np.float32)
-    knots = np.linspace(0, 1, table.size)
-    gain: F32 = np.interp(radius_squared(grid, disc), knots, table).astype(np.float32)
-    return gain
 
 
 def _learned(calibration: Calibration, profile: Profile, network: Network | None) -> LearnedInverse | None:
@@ -60,36 +49,15 @@ class Reconstructor:
     """
 
     def __init__(self, calibration: Calibration, profile: Profile, network: Network | None = None) -> None:
-        geometry = calibration.geometry
-        height, width = calibration.image_height_px, calibration.image_width_px
         self.calibration = calibration
         self.profile = profile
+        self._front = Preprocessor(calibration, profile)
         self._learned = _learned(calibration, profile, network)
-        self._sign = 1.0 if calibration.polarity == "bright" else -1.0
-        self._window_px = greyscale.odd(profile.window_pitches * calibration.pitch_px)
-        self.grid = Grid.of_image(height, width, profile.stride_px)
-        self.rays: DiscRays = disc_rays(self.grid, geometry)
-        mask = disc_mask(height, width, geometry.disc)
-        self._mask: U8 = mask.astype(np.uint8)
-        self._check = frame_check(calibration.reference_grey, mask, geometry.disc)
-        self._glare_check = contact.glare_check(calibration.reference_grey, self._mask, calibration.pitch_px)
-        self._total = greyscale.box_sums(self._mask, self._window_px, self.grid)
-        self.voting: Bool = self.rays.inside & (
-            self._total >= contact.GATE_WINDOW_PART * min(self._window_px**2, int(self._mask.sum()))
-        )
-        self.reference_ratio = greyscale.white_ratio(
-            calibration.reference_white, self._total, self._window_px, self.grid, full_scale=1.0
-        )
-        self._g0 = greyscale.denoise_tv(self.reference_ratio, self.rays.inside, profile.tv_weight)
+        self._refit = calibration.refits.get(profile.name, np.zeros(0, dtype=np.float32))
+        self.grid = self._front.grid
+        self.rays = self._front.rays
         # α is per pixel of the image (the paper ties it to the image's resolution).
-        self.scale = DepthScale(
-            alpha_mm=calibration.alpha * geometry.mm_per_px,
-            table_grey=calibration.table_grey,
-            table_depth_mm=calibration.table_depth_mm,
-            gain=radial_gain(calibration.table_gain, self.grid, geometry.disc),
-            reach_cells=fast.REACH_RADII * geometry.skin_radius_mm / (profile.stride_px * geometry.mm_per_px),
-        )
-        self._cell_mm2 = (profile.stride_px * geometry.mm_per_px) ** 2
+        self._alpha_mm = calibration.alpha * calibration.geometry.mm_per_px
         zero = np.where(self.rays.inside, np.float32(0), np.float32(np.nan)).astype(np.float32)
         self._untouched = HeightMap(
             height_mm=zero,
@@ -109,20 +77,20 @@ class Reconstructor:
         mark : callable
             Called with a stage's name (`STAGES`) at its end; a caller with a clock times them so.
         """
+        front = self._front
         grey = greyscale.to_grey(frame.image)
-        reason = invalid_reason(grey, self._check)
+        reason = front.invalid_reason(grey)
         mark("check")
         if reason:
             return self._nothing(frame, reason=reason)
 
-        white, g_raw, unseen = self._white_ratio(grey)
+        white, g_raw, unseen = front.white_ratio(grey)
         degraded = f"glare: {100 * unseen:.0f} % of the disc unseen" if unseen > 0 else ""
         mark("grey")
         if unseen > UNSEEN_INVALID:
             return self._nothing(frame, reason=degraded)
 
-        g_d_raw = greyscale.grey_difference(g_raw, self.reference_ratio, self.rays.inside, self._sign)
-        decision = contact.gate(g_d_raw, self.voting, self.calibration.noise_grey, self._cell_mm2)
+        decision = front.gate(g_raw)
         if abs(decision.drift_grey) > DRIFT_LEVELS:
             degraded = f"light or focus: g moved by {decision.drift_grey:.0f} levels everywhere"
         mark("gate")
@@ -132,9 +100,9 @@ class Reconstructor:
             return self._nothing(frame, degraded=degraded)
 
         if self._learned is None:
-            maps = self._denoised(g_raw, decision.drift_grey)
+            maps = front.denoised(g_raw, decision.drift_grey)
             mark("denoise")
-            depth, touched = SOLVERS[self.profile.solver](maps, self.scale), None
+            depth, touched = SOLVERS[self.profile.solver](maps, self._alpha_mm), None
         else:
             mark("denoise")
             depth, touched = self._run_learned(self._learned, white)
@@ -144,27 +112,11 @@ class Reconstructor:
         mark("cloud")
         return result
 
-    def invalid_reason(self, image: U8) -> str:
-        """Why an image cannot be used; empty for a good one."""
-        return invalid_reason(greyscale.to_grey(image), self._check)
-
-    def touched(self, image: U8) -> bool:
-        """Whether the contact gate opens for an image."""
-        _, g_raw, _ = self._white_ratio(greyscale.to_grey(image))
-        g_d_raw = greyscale.grey_difference(g_raw, self.reference_ratio, self.rays.inside, self._sign)
-        return contact.gate(g_d_raw, self.voting, self.calibration.noise_grey, self._cell_mm2).contact
-
-    def grey_maps(self, image: U8) -> GreyMaps:
-        """The maps that the solver would get from an image, without validity check and gate: for calibration."""
-        _, g_raw, _ = self._white_ratio(greyscale.to_grey(image))
-        g_d_raw = greyscale.grey_difference(g_raw, self.reference_ratio, self.rays.inside, self._sign)
-        return self._denoised(g_raw, contact.light_drift(g_d_raw, self.voting))
-
     def inverse(self, image: U8) -> Inverse:
         """What the network makes of an image, without validity check, gate and refit: for calibration."""
         if self._learned is None:
             raise ValueError(f"profile {self.profile.name} has no network")
-        return self._learned(self._white_ratio(greyscale.to_grey(image))[0])
+        return self._learned(self._front.white_ratio(greyscale.to_grey(image))[0])
 
     @property
     def known(self) -> F32:
@@ -177,7 +129,7 @@ class Reconstructor:
         """Refitted height and contact on the grid."""
         disc = self.calibration.geometry.disc
         inverse = learned(white)
-        refitted = apply_refit(self.calibration.refit, inverse.height_mm, learned.known)
+        refitted = apply_refit(self._refit, inverse.height_mm, learned.known)
         finite = np.isfinite(refitted)
         height = np.maximum(discmap.at_grid(np.where(finite, refitted, np.float32(0)), disc, self.grid), 0)
         height = np.where(self.rays.inside, height, np.float32(0)).astype(np.float32)
@@ -185,33 +137,6 @@ class Reconstructor:
         deepest = DEEPEST_RADII * self.calibration.geometry.skin_radius_mm
         saturated = bool(height[touched].max(initial=0.0) > deepest)
         return Depth(height, saturated, int(finite.size - np.count_nonzero(finite))), touched
-
-    def _denoised(self, g_raw: F32, drift_grey: float) -> GreyMaps:
-        """TV denoising, then eq. 9 without the common change of light."""
-        inside = self.rays.inside
-        g = greyscale.denoise_tv(g_raw - np.float32(self._sign * drift_grey), inside, self.profile.tv_weight)
-        g_d = greyscale.grey_difference(g, self._g0, inside, self._sign)
-        return GreyMaps(g=g, g0=self._g0, g_d=g_d, inside=inside)
-
-    def _white_ratio(self, grey: U8) -> tuple[U8, F32, float]:
-        """White pixels, eq. 1 of them without those under glare, and the part of the disc that these are."""
-        calibration, mask, total, unseen = self.calibration, self._mask, self._total, 0.0
-        glare = contact.glare_mask(grey, mask, self._glare_check)
-        white = greyscale.binarise(grey, mask, calibration.binarisation, calibration.pitch_px)
-        if glare is not None:
-            clear = cv2.subtract(mask, glare)
-            white = cv2.multiply(white, clear)
-            # A network that sees black there would see pins; what stood there without contact says nothing.
-            usual = (self.calibration.reference_white > 127).astype(np.uint8)
-            shown = cv2.add(white, cv2.multiply(usual, glare))
-            total = greyscale.box_sums(clear, self._window_px, self.grid)
-            unseen = 1 - cv2.countNonZero(clear) / cv2.countNonZero(mask)
-        g = greyscale.white_ratio(white, total, self._window_px, self.grid)
-        if glare is not None:  # a window that sees next to nothing says nothing
-            blind = total < 0.25 * self._total
-            g = np.where(blind, self.reference_ratio, g).astype(np.float32)
-            return shown, g, unseen
-        return white, g, unseen
 
     def _objects(self, frame: Frame, depth: Depth, touched: Bool | None, degraded: str) -> Reconstruction:
         """Outline (the paper's split of heights where the solver gives none), metric points, clusters."""

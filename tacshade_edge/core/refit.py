@@ -16,7 +16,7 @@ import numpy as np
 from tacshade_edge.core import discmap
 from tacshade_edge.core.disc import disc_rays
 from tacshade_edge.core.skin import skin_points
-from tacshade_edge.core.solvers.accurate import Inverse
+from tacshade_edge.core.solvers.learned import Inverse
 from tacshade_edge.types import F32, F64, Geometry
 
 # Pull towards "as it is", and how much less the plain factor is pulled.

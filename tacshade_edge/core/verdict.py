@@ -11,7 +11,7 @@ from tacshade_edge.types import Geometry
 
 Grade = Literal["good", "fair", "poor", "uncalibrated"]
 
-# Cross-validated mean error of the depth table on a skin of 20 mm, and how well the presses agree with each other when
+# Cross-validated mean depth error of `accurate` on a skin of 20 mm, and how well the presses agree with each other when
 # ball and place are known. docs/calibration.md has what good presses give, and presses stated 0.3 and 0.6 mm off.
 _DEPTH_GOOD_MM, _DEPTH_FAIR_MM = 0.45, 0.65
 _AGREE_GOOD_MM, _AGREE_FAIR_MM = 0.25, 0.45
@@ -35,29 +35,30 @@ def judge(
     Parameters
     ----------
     fit : mapping of str to float
-        `Calibration.fit` with `depth_mae_mm`, `depth_worst_mm` and `agreement_mae_mm`; empty without presses.
+        `Calibration.fit` with `accurate_depth_mae_mm`, `accurate_depth_worst_mm` and `agreement_mae_mm`; empty
+        without presses.
     geometry : Geometry
     missing : sequence of str
         What `press_checks.coverage` misses.
     worst : sequence of (name, error in mm)
         The presses, the worst first.
     """
-    if "depth_mae_mm" not in fit:
+    if "accurate_depth_mae_mm" not in fit:
         return Verdict(
             "uncalibrated",
-            "depth is not calibrated: without --presses it is the paper's α times a normalised height",
+            "depth is what sensors of this kind give on average: no --presses to measure how good that is for this one",
             ("take 20 to 40 ball presses and pass --presses PRESSES.csv (docs/calibration.md)",),
         )
     scale = geometry.skin_radius_mm / 20
-    depth, agree = fit["depth_mae_mm"] / scale, fit["agreement_mae_mm"] / scale
+    depth, agree = fit["accurate_depth_mae_mm"] / scale, fit["agreement_mae_mm"] / scale
     grade: Grade = "good"
     if depth > _DEPTH_GOOD_MM or agree > _AGREE_GOOD_MM or missing:
         grade = "fair"
     if depth > _DEPTH_FAIR_MM or agree > _AGREE_FAIR_MM:
         grade = "poor"
     line = (
-        f"{grade}: ball depth within {_up(fit['depth_mae_mm'])} mm of what was stated on average, "
-        f"{_up(fit['depth_worst_mm'])} mm at worst, on presses it had not seen"
+        f"{grade}: ball depth within {_up(fit['accurate_depth_mae_mm'])} mm of what was stated on average, "
+        f"{_up(fit['accurate_depth_worst_mm'])} mm at worst, on presses it had not seen"
     )
     advice = list(missing)
     if agree > _AGREE_GOOD_MM:

@@ -31,7 +31,8 @@ _DAMAGE = (
     zipfile.BadZipFile,
     zlib.error,
 )
-_ARRAYS = ("reference_white", "reference_grey", "table_grey", "table_depth_mm", "table_gain", "refit")
+_ARRAYS = ("reference_white", "reference_grey")
+_REFIT = "refit_"
 
 
 def _content(calibration: Calibration) -> tuple[bytes, dict[str, Any]]:
@@ -53,7 +54,9 @@ def _content(calibration: Calibration) -> tuple[bytes, dict[str, Any]]:
         "fit": calibration.fit,
         "flange_T_sensor": list(calibration.flange_T_sensor),
     }
-    return json.dumps(meta, sort_keys=True).encode(), {name: getattr(calibration, name) for name in _ARRAYS}
+    arrays: dict[str, Any] = {name: getattr(calibration, name) for name in _ARRAYS}
+    arrays |= {_REFIT + name: calibration.refits[name] for name in sorted(calibration.refits)}
+    return json.dumps(meta, sort_keys=True).encode(), arrays
 
 
 def _crc32(meta: bytes, arrays: dict[str, Any]) -> int:
@@ -106,8 +109,8 @@ def load(path: str | os.PathLike[str]) -> Calibration:
     try:
         with open(name, "rb") as stream, np.load(stream, allow_pickle=False) as npz:
             meta = npz["meta"].tobytes()
-            # Another version has other arrays; its checksum is of those.
-            arrays = {key: npz[key] for key in _ARRAYS if key in npz}
+            # In the file's order; another version has other arrays, and its checksum is of those.
+            arrays = {key: npz[key] for key in npz.files if key not in ("meta", "crc32")}
             crc = int(npz["crc32"])
     except OSError as error:
         raise ConfigError(
@@ -126,6 +129,9 @@ def load(path: str | os.PathLike[str]) -> Calibration:
 def _from_content(name: str, meta: dict[str, Any], arrays: dict[str, Any], crc: int) -> Calibration:
     if meta.get("version") != VERSION:
         raise ConfigError(f"{name}: calibration version {meta.get('version')}, expected {VERSION}: calibrate again")
+    refits = {key.removeprefix(_REFIT): array for key, array in arrays.items() if key.startswith(_REFIT)}
+    if set(arrays) - {_REFIT + key for key in refits} != set(_ARRAYS):
+        raise ConfigError(f"{name}: not a calibration; expected a file written by `tacshade-edge calibrate`")
     height, width = arrays["reference_white"].shape
     return Calibration(
         geometry=Geometry(
@@ -144,5 +150,7 @@ def _from_content(name: str, meta: dict[str, Any], arrays: dict[str, Any], crc: 
         fit=meta["fit"],
         flange_T_sensor=tuple(meta["flange_T_sensor"]),
         crc32=crc,
-        **arrays,
+        reference_white=arrays["reference_white"],
+        reference_grey=arrays["reference_grey"],
+        refits=refits,
     )

@@ -11,8 +11,8 @@ from tacshade_edge.core import drift, pattern
 from tacshade_edge.core.calibrate import rezero
 from tacshade_edge.core.greyscale import to_grey
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.devices import registry
+from tacshade_edge.devices.network import make_reconstructor
 from tacshade_edge.doctor.finding import Finding, fault, ok, warning
 from tacshade_edge.doctor.settings import AS_SERVICE
 from tacshade_edge.errors import ConfigError
@@ -59,11 +59,11 @@ def load(document: Document) -> tuple[Calibration | None, tuple[Finding, ...]]:
         return None, (fault("calibration", str(error), mend),)
     days = (time.time() - os.stat(path).st_mtime) / _DAY_S
     found = f"{path}: {calibration.crc32:08x}, {max(days, 0):.0f} days old"
-    if calibration.table_grey.size == 0:
+    if not calibration.refits:
         mend = "take ball presses and calibrate with --presses PRESSES.csv (docs/calibration.md)"
         return calibration, (warning("calibration", f"{found}; depth is not in true millimetres", mend),)
     return calibration, (
-        ok("calibration", f"{found}, depth error {calibration.fit.get('depth_mae_mm', math.nan):.2f} mm"),
+        ok("calibration", f"{found}, depth error {calibration.fit.get('accurate_depth_mae_mm', math.nan):.2f} mm"),
     )
 
 
@@ -78,7 +78,7 @@ def check_images(calibration: Calibration, images: Sequence[U8], live: bool) -> 
     live : bool
         From a camera, so that nothing should touch the skin now; files and simulations are pressed.
     """
-    reconstructor = Reconstructor(calibration, PROFILES["fast"])
+    reconstructor = make_reconstructor(calibration, PROFILES["fast"])
     result = reconstructor.step(Frame(0, 0, 0, images[-1]))
     if not result.valid:
         return (fault("sensor", f"frames cannot be used: {result.reason}", _mend(result.reason)),)

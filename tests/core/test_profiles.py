@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.solvers import LEARNED, SOLVERS
+from tacshade_edge.core.profiles import LEARNED, PROFILES
+from tacshade_edge.core.solvers import SOLVERS
 
 
 @pytest.mark.parametrize("name", PROFILES)
@@ -22,5 +22,5 @@ def test_those_of_the_spine_are_there() -> None:
     assert PROFILES["paper"].stride_px == 1
 
 
-def test_every_profile_shares_the_window_that_the_tables_were_made_with() -> None:
+def test_every_profile_shares_the_window_that_the_gate_was_made_with() -> None:
     assert len({profile.window_pitches for profile in PROFILES.values()}) == 1

@@ -21,7 +21,7 @@ from calibrated_sensor import (
 
 from tacshade_edge.core.calibrate import calibrate
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.reconstruct import STAGES, Reconstructor
+from tacshade_edge.core.reconstruct import STAGES
 from tacshade_edge.devices.network import make_reconstructor
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.simulator.model import SensorModel
@@ -85,7 +85,7 @@ def unusable(model: SensorModel) -> dict[str, U8]:
 def test_without_contact_the_height_is_exactly_zero(profile: str, model: SensorModel) -> None:
     inside = reconstructor(profile, model, 0).rays.inside
     for name, image in harmless(model).items():
-        if model is TACTIP and "glare" in name:
+        if (profile, model) == ("paper", TACTIP) and "glare" in name:
             continue  # below
         result = step(profile, image, model, 0)
         assert result.valid, (name, result.reason)
@@ -94,8 +94,8 @@ def test_without_contact_the_height_is_exactly_zero(profile: str, model: SensorM
 
 
 @pytest.mark.xfail(strict=True, reason="a wide glare spot blackens pins around it, which is contact on a TacTip")
-def test_glare_is_no_contact_on_a_sensor_that_darkens() -> None:
-    found = [n for n, image in harmless(TACTIP).items() if "glare" in n and step("fast", image, TACTIP, 0).contact]
+def test_glare_is_no_contact_for_paper_on_a_sensor_that_darkens() -> None:
+    found = [n for n, image in harmless(TACTIP).items() if "glare" in n and step("paper", image, TACTIP, 0).contact]
     assert found == []
 
 
@@ -218,7 +218,7 @@ def test_a_sensor_that_darkens() -> None:
 def test_other_binarisations_work_too(method: Binarisation, off: float) -> None:
     seen = [press for press in presses() if press.depth_mm > 1.0]  # less of it moves a global threshold's g too little
     sensor = replace(sensor_of(HALF), binarisation=method)
-    made = Reconstructor(calibrate(sensor, references(), seen).calibration, PROFILES["fast"])
+    made = make_reconstructor(calibrate(sensor, references(), seen).calibration, PROFILES["fast"])
     assert not made.step(Frame(0, 0, 0, unloaded())).contact
     result = made.step(Frame(0, 0, 0, pressed("ball", 3.0).image))
     assert result.depth_max_mm == pytest.approx(3.0, rel=off)
@@ -252,7 +252,7 @@ def test_odd_sizes_work(rows: int, cols: int) -> None:
 def test_an_orthographic_sensor_works() -> None:
     model = replace(HALF, camera_distance_mm=None)
     seen = [press for press in presses(model) if press.depth_mm > 1.0 and np.hypot(press.x_mm, press.y_mm) < 8]
-    made = Reconstructor(calibrate(sensor_of(model), references(model), seen).calibration, PROFILES["fast"])
+    made = make_reconstructor(calibrate(sensor_of(model), references(model), seen).calibration, PROFILES["fast"])
     assert not made.step(Frame(0, 0, 0, unloaded(model))).contact
     result = made.step(Frame(0, 0, 0, pressed("ball", 3.0, model).image))
     assert result.depth_max_mm == pytest.approx(3.0, rel=0.35)

@@ -6,7 +6,7 @@ import pytest
 from tacshade_edge.core import discmap, refit
 from tacshade_edge.core.disc import disc_rays
 from tacshade_edge.core.skin import skin_points
-from tacshade_edge.core.solvers.accurate import Inverse
+from tacshade_edge.core.solvers.learned import Inverse
 from tacshade_edge.types import F32, Disc, Geometry
 
 DISC = Disc(61.3, 83.9, 47.7)

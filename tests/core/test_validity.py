@@ -4,10 +4,12 @@ import re
 
 import numpy as np
 import pytest
-from calibrated_sensor import FULL, HALF, TACTIP, calibrated, pressed, random_sensor, reconstructor, simulated, unloaded
+from calibrated_sensor import FULL, HALF, TACTIP, calibrated, pressed, random_sensor, simulated, unloaded
 
 from tacshade_edge.core.disc import disc_mask
 from tacshade_edge.core.greyscale import to_grey
+from tacshade_edge.core.preprocess import Preprocessor
+from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.validity import FrameCheck, frame_check, invalid_reason
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.simulator.model import SensorModel
@@ -111,6 +113,6 @@ def test_tiny_images_have_an_answer(size: tuple[int, int]) -> None:
 @pytest.mark.parametrize("shift_px", [5, 10, 20])
 @pytest.mark.parametrize("row", [150, 240, 330])
 def test_a_small_tear_is_seen_where_two_frames_meet(row: int, shift_px: int) -> None:
-    made = reconstructor("fast", FULL)
+    made = Preprocessor(calibrated(FULL), PROFILES["fast"])
     torn = nuisance.torn(unloaded(FULL), unloaded(FULL, noise_seed=51), row, shift_px)
     assert re.match(rf"torn: row {row - 1} |torn or moved", made.invalid_reason(torn))

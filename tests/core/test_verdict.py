@@ -6,7 +6,7 @@ from tacshade_edge.core.verdict import judge
 from tacshade_edge.types import Disc, Geometry
 
 GEOMETRY = Geometry(20.0, 14.0, 50.0, Disc(100, 100, 80))
-GOOD = {"depth_mae_mm": 0.201, "depth_worst_mm": 0.7, "agreement_mae_mm": 0.1}
+GOOD = {"accurate_depth_mae_mm": 0.201, "accurate_depth_worst_mm": 0.7, "agreement_mae_mm": 0.1}
 WORST = (("press 3", 0.7), ("press 1", 0.5), ("press 2", 0.4), ("press 9", 0.1))
 
 
@@ -22,8 +22,12 @@ def test_a_good_one_needs_nothing() -> None:
 @pytest.mark.parametrize(
     ("figures", "grade", "advice"),
     [
-        ({"depth_mae_mm": 0.5}, "fair", "repeat these presses, or more like them: press 3 (0.7 mm off), press 1"),
-        ({"depth_mae_mm": 0.9}, "poor", "repeat these presses"),
+        (
+            {"accurate_depth_mae_mm": 0.5},
+            "fair",
+            "repeat these presses, or more like them: press 3 (0.7 mm off), press 1",
+        ),
+        ({"accurate_depth_mae_mm": 0.9}, "poor", "repeat these presses"),
         ({"agreement_mae_mm": 0.3}, "fair", "the presses agree with each other only within 0.30 mm"),
         ({"agreement_mae_mm": 0.5}, "poor", "measure their depths and places more exactly"),
     ],
@@ -38,14 +42,14 @@ def test_what_is_not_good_says_what_to_do(figures: dict[str, float], grade: str,
 
 
 def test_what_is_missing_comes_first() -> None:
-    verdict = judge(GOOD | {"depth_mae_mm": 0.6}, GEOMETRY, ("no press lies at x < 0",), WORST)
+    verdict = judge(GOOD | {"accurate_depth_mae_mm": 0.6}, GEOMETRY, ("no press lies at x < 0",), WORST)
     assert verdict.grade == "fair"
     assert verdict.advice[0] == "no press lies at x < 0"
     assert len(verdict.advice) == 2
 
 
 def test_lengths_scale_with_the_skin() -> None:
-    figures = GOOD | {"depth_mae_mm": 0.5}
+    figures = GOOD | {"accurate_depth_mae_mm": 0.5}
     assert judge(figures, GEOMETRY, (), WORST).grade == "fair"
     assert judge(figures, Geometry(28.0, 14.0, 50.0, Disc(100, 100, 80)), (), WORST).grade == "good"
 

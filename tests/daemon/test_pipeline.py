@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.ledger import FrameLedger, Outcome
 from tacshade_edge.daemon.pipeline import Crash, Pipeline, crashes_to
 from tacshade_edge.daemon.workers import SourceState
+from tacshade_edge.devices.network import make_reconstructor
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import Calibration, Frame, Reconstruction
 
@@ -21,7 +21,7 @@ class Published:
 
 
 def pipeline(source: Any, calibration: Calibration, told: list[SourceState], sink: Any = None) -> Pipeline:
-    reconstructor = Reconstructor(calibration, PROFILES["fast"])
+    reconstructor = make_reconstructor(calibration, PROFILES["fast"])
     return Pipeline(source, reconstructor, sink or Published(), FrameLedger(), told.append)
 
 

@@ -5,19 +5,19 @@ from typing import Any
 import pytest
 
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.reference import REFERENCE_FRAMES, ReferenceCollector
+from tacshade_edge.devices.network import make_reconstructor
 from tacshade_edge.types import Calibration, Frame
 
 
 def result_depth_mm(calibration: Calibration, image: Any) -> float:
-    return Reconstructor(calibration, PROFILES["fast"]).step(Frame(0, 0, 0, image)).depth_max_mm
+    return make_reconstructor(calibration, PROFILES["fast"]).step(Frame(0, 0, 0, image)).depth_max_mm
 
 
 def collect(calibration: Calibration, images: list[Any]) -> list[tuple[int, str]]:
     told: list[tuple[int, str]] = []
     collector = ReferenceCollector(lambda taken, reason: told.append((len(taken), reason)))
-    reconstructor = Reconstructor(calibration, PROFILES["fast"])
+    reconstructor = make_reconstructor(calibration, PROFILES["fast"])
     for seq, image in enumerate(images):
         frame = Frame(seq, 0, 0, image)
         collector.watch(frame, reconstructor.step(frame))

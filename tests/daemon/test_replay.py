@@ -8,8 +8,8 @@ from painted_sensor import BLACK, FREE, TOUCHED, painted_calibration
 from recordings import write_recording
 
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.replay import Progress, replay
+from tacshade_edge.devices.network import make_reconstructor
 from tacshade_edge.devices.recording import RecordedFrame, Recording
 from tacshade_edge.types import Reconstruction
 
@@ -27,7 +27,7 @@ def play(folder: Path, speed: float | None) -> tuple[Progress, list[tuple[int, b
         delivered.append((result.seq, result.contact, time.monotonic()))
 
     progress = Progress()
-    reconstructor = Reconstructor(painted_calibration(), PROFILES["fast"])
+    reconstructor = make_reconstructor(painted_calibration(), PROFILES["fast"])
     replay(Recording(folder), reconstructor, [deliver], progress, speed=speed, undecodable=told.append)
     return progress, delivered, told
 

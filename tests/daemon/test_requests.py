@@ -6,13 +6,13 @@ from typing import Any
 import pytest
 
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon import requests
 from tacshade_edge.daemon.ledger import FrameLedger, Timings
 from tacshade_edge.daemon.mailbox import Mailbox
 from tacshade_edge.daemon.reference import REFERENCE_FRAMES
 from tacshade_edge.daemon.requests import Requests
 from tacshade_edge.daemon.workers import Reconstruct
+from tacshade_edge.devices.network import make_reconstructor
 from tacshade_edge.protocol.messages import Request
 from tacshade_edge.types import Calibration, Frame
 
@@ -21,7 +21,7 @@ class Asked:
     """`Requests` on a worker whose frames the test gives by hand."""
 
     def __init__(self, calibration: Calibration) -> None:
-        reconstructor = Reconstructor(calibration, PROFILES["fast"])
+        reconstructor = make_reconstructor(calibration, PROFILES["fast"])
         self.worker = Reconstruct(reconstructor, Mailbox[Frame](), FrameLedger(), Timings(), None)  # type: ignore[arg-type]
         self.replies: list[dict[str, Any]] = []
         self.changes = 0

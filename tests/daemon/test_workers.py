@@ -11,6 +11,7 @@ from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.ledger import FrameLedger, Outcome, Timings
 from tacshade_edge.daemon.mailbox import Mailbox
 from tacshade_edge.daemon.workers import Grab, Reconstruct, SourceState
+from tacshade_edge.devices.network import make_reconstructor
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
 from tacshade_edge.types import Calibration, Frame, Reconstruction
 
@@ -133,7 +134,7 @@ def test_reconstruct_delivers_times_and_settles_every_frame(
 ) -> None:
     mailbox: Mailbox[Frame] = Mailbox()
     ledger, timings, sink = FrameLedger(), Timings(), Collected()
-    worker = Reconstruct(Reconstructor(calibration, PROFILES["fast"]), mailbox, ledger, timings, sink)
+    worker = Reconstruct(make_reconstructor(calibration, PROFILES["fast"]), mailbox, ledger, timings, sink)
     watched: list[int] = []
     worker.watch = lambda frame, result: watched.append(result.seq)
     thread = threading.Thread(target=worker.run)

@@ -6,51 +6,58 @@ import numpy as np
 import pytest
 from calibrated_sensor import calibrated, pressed
 
-from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.profiles import LEARNED, PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.core.solvers.accurate import Network
-from tacshade_edge.devices.network import load_network, make_reconstructor
+from tacshade_edge.core.solvers.learned import KNOWN, Network
+from tacshade_edge.devices.network import load_network, load_networks, make_reconstructor
 from tacshade_edge.types import F32, Frame
 
 WEIGHTS = resources.files("tacshade_edge.core.solvers") / "weights"
+NAMES = [name for name, profile in PROFILES.items() if profile.solver == LEARNED]
 
 
-def maps(seed: int = 0) -> F32:
-    return np.random.default_rng(seed).random((14, 56, 56), dtype=np.float32)
+def maps(network: Network, seed: int = 0) -> F32:
+    n, cells = network.fold**2, 112 // network.fold
+    return np.random.default_rng(seed).random((2 * n + KNOWN, cells, cells), dtype=np.float32)
 
 
-@pytest.fixture(scope="module")
-def network() -> Network:
-    return load_network()
+@pytest.fixture(scope="module", params=NAMES)
+def network(request: pytest.FixtureRequest) -> Network:
+    return load_network(request.param)
 
 
-def test_the_weights_are_those_of_their_provenance() -> None:
-    about = json.loads((WEIGHTS / "accurate.json").read_text())
-    stored = (WEIGHTS / "accurate.onnx").read_bytes()
+def test_every_learned_profile_has_its_network() -> None:
+    assert sorted(load_networks()) == sorted(NAMES) == ["accurate", "fast"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_weights_are_those_of_their_provenance(name: str) -> None:
+    about = json.loads((WEIGHTS / f"{name}.json").read_text())
+    stored = (WEIGHTS / f"{name}.onnx").read_bytes()
     assert about["sha256"] == hashlib.sha256(stored).hexdigest()
     assert about["bytes"] == len(stored) <= 1_000_000
     assert about["opencv_minus_torch"] <= 1e-4
 
 
 def test_the_shipped_network_answers_with_height_and_contact(network: Network) -> None:
-    out = network(maps())
-    assert out.shape == (8, 56, 56)
+    out = network.run(maps(network))
+    assert out.shape == (2 * network.fold**2, 112 // network.fold, 112 // network.fold)
     assert out.dtype == np.float32
     assert np.isfinite(out).all()
 
 
 def test_an_answer_stays_when_the_next_is_given(network: Network) -> None:
-    first = network(maps(0))
+    first = network.run(maps(network, 0))
     before = first.tobytes()
-    network(maps(1))
-    assert first.tobytes() == before == network(maps(0)).tobytes()
+    network.run(maps(network, 1))
+    assert first.tobytes() == before == network.run(maps(network, 0)).tobytes()
 
 
-def test_only_the_profile_that_needs_it_gets_a_network() -> None:
+def test_only_a_profile_that_needs_it_gets_a_network() -> None:
     frame = Frame(0, 0, 0, pressed("ball", 3.0).image)
-    assert make_reconstructor(calibrated(), PROFILES["fast"]).step(frame).contact
-    assert make_reconstructor(calibrated(), PROFILES["accurate"]).step(frame).contact
+    for name in PROFILES:
+        assert make_reconstructor(calibrated(), PROFILES[name]).step(frame).contact
     with pytest.raises(ValueError, match="profile accurate needs a network"):
         Reconstructor(calibrated(), PROFILES["accurate"])
-    with pytest.raises(ValueError, match="profile fast has no network"):
-        make_reconstructor(calibrated(), PROFILES["fast"]).inverse(frame.image)
+    with pytest.raises(ValueError, match="profile paper has no network"):
+        make_reconstructor(calibrated(), PROFILES["paper"]).inverse(frame.image)

@@ -8,13 +8,13 @@ import pytest
 from painted_sensor import BLACK, FREE, HEIGHT, TOUCHED, WIDTH, painted_calibration
 
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.devices.network import make_reconstructor
 from tacshade_edge.devices.panel import panel, write_panel
 from tacshade_edge.types import U8, Frame, Reconstruction
 
 
 def result_of(image: U8) -> Reconstruction:
-    return Reconstructor(painted_calibration(), PROFILES["fast"]).step(Frame(0, 0, 0, image))
+    return make_reconstructor(painted_calibration(), PROFILES["fast"]).step(Frame(0, 0, 0, image))
 
 
 @pytest.mark.parametrize("image", [FREE, TOUCHED, BLACK], ids=["free", "touched", "black"])

@@ -12,7 +12,7 @@ import pytest
 from painted_sensor import FREE, TOUCHED, painted_calibration
 
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.devices.network import make_reconstructor
 from tacshade_edge.devices.recording import RecordedFrame
 from tacshade_edge.devices.run_compare import first_difference
 from tacshade_edge.devices.run_files import HEIGHTS, SUMMARY, RunWriter
@@ -28,7 +28,7 @@ def same(result: Reconstruction) -> Reconstruction:
 
 def write(folder: Path, change: Change = same, frames: int = 3) -> Path:
     """A run of three frames, the last touched and changed."""
-    reconstructor = Reconstructor(painted_calibration(), PROFILES["fast"])
+    reconstructor = make_reconstructor(painted_calibration(), PROFILES["fast"])
     writer = RunWriter(folder, calibration_crc32=1)
     for seq, image in enumerate([FREE, TOUCHED, TOUCHED][:frames]):
         frame = Frame(seq, 10 * seq, 0, image)

@@ -8,7 +8,7 @@ import pytest
 from painted_sensor import FREE, TOUCHED, painted_calibration
 
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.devices.network import make_reconstructor
 from tacshade_edge.devices.recording import RecordedFrame
 from tacshade_edge.devices.run_files import CLOUDS, HEIGHTS, SUMMARY, RunWriter, payloads, read_summary
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
@@ -19,7 +19,7 @@ CRC32 = 0xABCD
 
 
 def results() -> list[tuple[RecordedFrame, Reconstruction]]:
-    reconstructor = Reconstructor(painted_calibration(), PROFILES["fast"])
+    reconstructor = make_reconstructor(painted_calibration(), PROFILES["fast"])
     pose = Pose(10, 1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0)
     frames = [
         RecordedFrame("a.png", Frame(0, 5, 0, FREE)),

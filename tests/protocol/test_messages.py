@@ -58,9 +58,6 @@ def test_info_places_a_pixel_in_mm() -> None:
         reference_grey=np.zeros((480, 640), np.uint8),
         noise_grey=1.0,
         alpha=15.0,
-        table_grey=np.zeros(0, np.float32),
-        table_depth_mm=np.zeros(0, np.float32),
-        table_gain=np.zeros(0, np.float32),
         crc32=0xDEADBEEF,
     )
     told = messages.encode_info(

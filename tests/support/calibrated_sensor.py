@@ -11,7 +11,7 @@ from tacshade_edge.core.calibrate import BallPress, Sensor, calibrate
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.devices.calibration_file import with_crc
-from tacshade_edge.devices.network import load_network, make_reconstructor
+from tacshade_edge.devices.network import load_networks, make_reconstructor
 from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.simulator.model import SensorModel, random_model, tactip
 from tacshade_edge.simulator.objects import OBJECTS
@@ -69,7 +69,7 @@ def presses(model: SensorModel = HALF, count: int = 20) -> tuple[BallPress, ...]
 def calibrated(model: SensorModel = HALF, count: int = 20) -> Calibration:
     """From 5 references and `count` ball presses; 0: references alone."""
     table = presses(model, count) if count else ()
-    return with_crc(calibrate(sensor_of(model), references(model), table, network=load_network()).calibration)
+    return with_crc(calibrate(sensor_of(model), references(model), table, networks=load_networks()).calibration)
 
 
 @cache

@@ -9,8 +9,8 @@ import numpy as np
 
 from tacshade_edge.core.greyscale import binarise
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.devices.calibration_file import with_crc
+from tacshade_edge.devices.network import make_reconstructor
 from tacshade_edge.types import U8, Calibration, Disc, Frame, Geometry
 
 HEIGHT, WIDTH, PITCH_PX = 120, 160, 8.0
@@ -44,9 +44,8 @@ def painted_calibration() -> Calibration:
             reference_grey=grey,
             noise_grey=0.5,
             alpha=15.0,
-            table_grey=np.array([0, 60], dtype=np.float32),
-            table_depth_mm=np.array([0, 3], dtype=np.float32),
-            table_gain=np.ones(2, dtype=np.float32),
+            refits={"accurate": np.array([1, 0, 0, 0, 0, 0], dtype=np.float32)},
+            fit={"accurate_depth_mae_mm": 0.2},
         )
     )
 
@@ -56,7 +55,7 @@ FREE, TOUCHED, BLACK = painted(), painted(touched=True), np.zeros((HEIGHT, WIDTH
 
 def touched_depth_mm() -> float:
     """What the core makes of `TOUCHED` with the profile `fast`: a subscriber must find the same."""
-    result = Reconstructor(painted_calibration(), PROFILES["fast"]).step(Frame(0, 0, 0, TOUCHED))
+    result = make_reconstructor(painted_calibration(), PROFILES["fast"]).step(Frame(0, 0, 0, TOUCHED))
     assert result.contact
     return float(np.nanmax(result.height.height_mm))
 

@@ -29,8 +29,8 @@ from tacshade_edge.core.greyscale import binarise, to_grey
 from tacshade_edge.core.metrics import contact_iou, score_cloud
 from tacshade_edge.core.refit import Ball, apply_refit, fit_refit, press_rows, stated_ball
 from tacshade_edge.core.skin import skin_points
-from tacshade_edge.core.solvers.accurate import Inverse, LearnedInverse
-from tacshade_edge.devices.network import load_network
+from tacshade_edge.core.solvers.learned import Inverse, LearnedInverse
+from tacshade_edge.devices.network import read_network
 from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.simulator.model import SensorModel, random_model
 from tacshade_edge.simulator.objects import OBJECTS, PAPER_OBJECTS
@@ -140,7 +140,7 @@ class Solver:
         self._mask = disc_mask(*mean.shape, disc).astype(np.uint8)
         white = np.mean([self._white(r) for r in references], axis=0)
         reference = np.rint(255 * white).astype(np.uint8)
-        self._inverse = LearnedInverse(load_network(onnx), self.geometry, self._pitch_px, reference)
+        self._inverse = LearnedInverse(read_network(onnx), self.geometry, self._pitch_px, reference)
         self.known = self._inverse.known
 
     def _white(self, image: U8) -> U8:

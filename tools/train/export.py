@@ -66,6 +66,7 @@ def main() -> None:
     about = {
         "sha256": sha256,
         "bytes": args.out.stat().st_size,
+        "fold": fold,
         "parameters": sum(p.numel() for p in net.parameters()),
         "commit": commit,
         "training": {k: v for k, v in state["arguments"].items() if k not in ("data", "out", "start")},

@@ -1,11 +1,8 @@
-"""Depth solvers behind one protocol; a new one is one file and one line here. The learned one stands beside them."""
+"""Depth from grey maps: a new solver is one file and one line here. The learned one takes the white pixels instead."""
 
-from tacshade_edge.core.solvers import fast, paper
-from tacshade_edge.core.solvers.base import Depth, DepthScale, GreyMaps, Solver
+from tacshade_edge.core.solvers import paper
+from tacshade_edge.core.solvers.base import Depth, GreyMaps, Solver
 
-LEARNED = "accurate"
-"""The solver that works on the binarised frame and finds the contact too (`accurate`): it is no entry of `SOLVERS`."""
+SOLVERS: dict[str, Solver] = {"paper": paper.solve}
 
-SOLVERS: dict[str, Solver] = {"paper": paper.solve, "fast": fast.solve}
-
-__all__ = ["LEARNED", "SOLVERS", "Depth", "DepthScale", "GreyMaps", "Solver"]
+__all__ = ["SOLVERS", "Depth", "GreyMaps", "Solver"]

@@ -1,4 +1,4 @@
-"""The one interface of every depth solver."""
+"""The interface of the solvers that work on grey maps."""
 
 from __future__ import annotations
 
@@ -31,32 +31,6 @@ class GreyMaps:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DepthScale:
-    """What turns a solver's result into mm.
-
-    Attributes
-    ----------
-    alpha_mm : float
-        mm for a normalised height of 1: the paper's α times the size of a pixel.
-    table_grey, table_depth_mm : float32 (K,)
-        See `Calibration`; K = 0 without presses.
-    gain : float32 (rows, cols)
-        `Calibration.table_gain` at each cell; empty without presses.
-    reach_cells : float
-        Over how many cells the grey change is gathered.
-    """
-
-    alpha_mm: float
-    table_grey: F32
-    table_depth_mm: F32
-    gain: F32
-    reach_cells: float
-
-    def __post_init__(self) -> None:
-        freeze(self, "table_grey", "table_depth_mm", "gain")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Depth:
     """A solver's answer.
 
@@ -78,4 +52,5 @@ class Depth:
         freeze(self, "height_mm")
 
 
-Solver = Callable[[GreyMaps, DepthScale], Depth]
+Solver = Callable[[GreyMaps, float], Depth]
+"""Of the maps and α in mm: what a normalised height of 1 is."""

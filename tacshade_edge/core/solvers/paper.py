@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tacshade_edge.core.greyscale import shape_grey
-from tacshade_edge.core.solvers.base import Depth, DepthScale, GreyMaps
+from tacshade_edge.core.solvers.base import Depth, GreyMaps
 from tacshade_edge.types import F32, F64
 
 ITERATIONS = 25
@@ -97,7 +97,7 @@ def _median3(values: F64) -> F64:
     return median
 
 
-def solve(maps: GreyMaps, scale: DepthScale) -> Depth:
+def solve(maps: GreyMaps, alpha_mm: float) -> Depth:
     """Height by the paper: g_hn (eq. 10), eq. 11, then α."""
     finite = np.isfinite(maps.g_d)
     g_hn = shape_grey(np.where(finite, maps.g_d, np.float32(0)), maps.g0, maps.inside)
@@ -106,5 +106,5 @@ def solve(maps: GreyMaps, scale: DepthScale) -> Depth:
     # Of an image without contrast the iteration makes a constant; it is no height.
     z = np.where(maps.inside, z, 0.0) if g_hn.any() else np.zeros_like(z)
     top = float(z.max(initial=0.0))
-    height: F32 = (scale.alpha_mm * z / top if top > 0 else z).astype(np.float32)
+    height: F32 = (alpha_mm * z / top if top > 0 else z).astype(np.float32)
     return Depth(height_mm=height, saturated=False, repaired_px=repaired)

@@ -13,6 +13,8 @@ import numpy as np
 from tacshade_edge.core.disc import disc_rays
 from tacshade_edge.core.greyscale import to_grey
 from tacshade_edge.core.metrics import CloudScore, score_cloud
+from tacshade_edge.core.preprocess import Preprocessor
+from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.skin import skin_points
 from tacshade_edge.core.solvers import GreyMaps
 from tacshade_edge.simulator.press import Press
@@ -57,7 +59,7 @@ def columns(name: SensorName, calibration: Calibration, profile: str, objects: S
     """Press the first `COLUMNS` objects `DEPTH_MM` deep near the middle of a sensor."""
     sensor = name.make()
     solve = reconstructor(calibration, profile)
-    fine = reconstructor(calibration, "paper")  # its maps are as fine as the image
+    fine = Preprocessor(calibration, PROFILES["paper"])  # its maps are as fine as the image
     made = []
     for object_name in objects[:COLUMNS]:
         scene = scenes(sensor.model, name.seed, object_name, (DEPTH_MM,))[0]

@@ -9,7 +9,7 @@ from typing import Protocol
 from tacshade_edge.core.calibrate import BallPress, Calibrated, Sensor, calibrate
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.devices.network import load_network, make_reconstructor
+from tacshade_edge.devices.network import load_networks, make_reconstructor
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.simulator.model import SensorModel, random_model
@@ -94,7 +94,7 @@ def calibrated(name: SensorName, references: int, presses: int) -> Calibrated:
         for k, (p, radius) in enumerate(ball_presses(model, presses, name.seed or 0))
     ]
     try:
-        return calibrate(stated, unloaded, pressed, network=load_network())
+        return calibrate(stated, unloaded, pressed, networks=load_networks())
     except ConfigError as error:
         raise ConfigError(f"sensor {name}: {error}") from None
 

@@ -6,17 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
-from tacshade_edge.core.solvers import SOLVERS, Depth, DepthScale, GreyMaps
+from tacshade_edge.core.solvers import SOLVERS, Depth, GreyMaps
 from tacshade_edge.core.solvers.paper import hybrid_sfs
 from tacshade_edge.types import F32, F64
 
-NONE = np.zeros(0, np.float32)
-NO_TABLE = DepthScale(3.0, NONE, NONE, gain=np.zeros((0, 0), np.float32), reach_cells=5)
-
-
-def table(shape: tuple[int, int]) -> DepthScale:
-    knots = np.linspace(0, 100, 5, dtype=np.float32)
-    return DepthScale(3.0, knots, knots / 25, np.ones(shape, np.float32), reach_cells=5)
+ALPHA_MM = 3.0
 
 
 def bump(rows: int = 40, cols: int = 50, top: float = 80.0) -> F32:
@@ -24,10 +18,10 @@ def bump(rows: int = 40, cols: int = 50, top: float = 80.0) -> F32:
     return (top * np.exp(-((y - rows / 2) ** 2 + (x - cols / 2) ** 2) / 60)).astype(np.float32)
 
 
-def solve(solver: str, g_d: F32, *, tabled: bool = False, inside: bool = True) -> Depth:
+def solve(solver: str, g_d: F32, *, inside: bool = True) -> Depth:
     g0 = np.full(g_d.shape, 120, np.float32)
     maps = GreyMaps(g=g0 + g_d, g0=g0, g_d=g_d, inside=np.full(g_d.shape, inside))
-    return SOLVERS[solver](maps, table(g_d.shape) if tabled else NO_TABLE)
+    return SOLVERS[solver](maps, ALPHA_MM)
 
 
 def spike() -> F32:
@@ -66,14 +60,13 @@ EXTREMES: dict[str, Callable[[], F32]] = {
     "row": lambda: np.arange(9, dtype=np.float32)[None],
     "column": lambda: np.arange(9, dtype=np.float32)[:, None],
 }
-WAYS = [("paper", False), ("paper", True), ("fast", False), ("fast", True)]
 
 
-@pytest.mark.parametrize(("solver", "tabled"), WAYS)
+@pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("name", EXTREMES)
-def test_every_solver_is_finite_at_the_extremes(solver: str, tabled: bool, name: str) -> None:
+def test_every_solver_is_finite_at_the_extremes(solver: str, name: str) -> None:
     g_d = EXTREMES[name]()
-    depth = solve(solver, g_d, tabled=tabled)
+    depth = solve(solver, g_d)
     assert depth.height_mm.shape == g_d.shape
     assert depth.height_mm.dtype == np.float32
     assert np.isfinite(depth.height_mm).all()
@@ -81,12 +74,12 @@ def test_every_solver_is_finite_at_the_extremes(solver: str, tabled: bool, name:
     assert solver == "paper" or depth.repaired_px == 0
 
 
-@pytest.mark.parametrize(("solver", "tabled"), WAYS)
+@pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_bad_input_is_repaired_and_counted(solver: str, tabled: bool, bad: float) -> None:
+def test_bad_input_is_repaired_and_counted(solver: str, bad: float) -> None:
     good, g_d = bump(), bump()
     g_d[3, 4] = bad
-    depth, unharmed = solve(solver, g_d, tabled=tabled), solve(solver, good, tabled=tabled)
+    depth, unharmed = solve(solver, g_d), solve(solver, good)
     assert np.isfinite(depth.height_mm).all()
     assert unharmed.repaired_px == 0
     assert depth.repaired_px == 1
@@ -94,31 +87,31 @@ def test_bad_input_is_repaired_and_counted(solver: str, tabled: bool, bad: float
     assert depth.height_mm.max() == pytest.approx(unharmed.height_mm.max(), rel=0.02)
 
 
-@pytest.mark.parametrize(("solver", "tabled"), WAYS)
-def test_nothing_but_nan_is_nothing(solver: str, tabled: bool) -> None:
-    depth = solve(solver, np.full((8, 9), np.nan, np.float32), tabled=tabled)
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_nothing_but_nan_is_nothing(solver: str) -> None:
+    depth = solve(solver, np.full((8, 9), np.nan, np.float32))
     assert not depth.height_mm.any()
     assert depth.repaired_px == 72
 
 
-@pytest.mark.parametrize(("solver", "tabled"), WAYS)
-def test_outside_the_disc_is_zero(solver: str, tabled: bool) -> None:
-    assert not solve(solver, bump(), tabled=tabled, inside=False).height_mm.any()
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_outside_the_disc_is_zero(solver: str) -> None:
+    assert not solve(solver, bump(), inside=False).height_mm.any()
     g_d = bump()
     inside = np.zeros(g_d.shape, bool)
     inside[:, :30] = True
     g0 = np.full(g_d.shape, 120, np.float32)
     maps = GreyMaps(g=g0 + g_d, g0=g0, g_d=np.where(inside, g_d, np.float32(0)), inside=inside)
-    height = SOLVERS[solver](maps, table(g_d.shape) if tabled else NO_TABLE).height_mm
+    height = SOLVERS[solver](maps, ALPHA_MM).height_mm
     assert not height[~inside].any()
     assert height[inside].any()
 
 
-@pytest.mark.parametrize(("solver", "tabled"), WAYS)
-def test_the_same_maps_give_the_same_bytes_and_stay_as_they_were(solver: str, tabled: bool) -> None:
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_the_same_maps_give_the_same_bytes_and_stay_as_they_were(solver: str) -> None:
     g_d = noise()
     before = g_d.tobytes()
-    first, second = (solve(solver, g_d, tabled=tabled).height_mm.tobytes() for _ in range(2))
+    first, second = (solve(solver, g_d).height_mm.tobytes() for _ in range(2))
     assert first == second
     assert g_d.tobytes() == before
 

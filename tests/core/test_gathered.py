@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tacshade_edge.core.solvers import DepthScale, GreyMaps
-from tacshade_edge.core.solvers.fast import DARKENING_FLOOR, DARKENING_WEIGHT, gather, gathered_change, solve
+from tacshade_edge.core.gathered import DARKENING_FLOOR, DARKENING_WEIGHT, gather, gathered_change
+from tacshade_edge.core.solvers import GreyMaps
 from tacshade_edge.types import F32
 
 SIZES = st.integers(1, 33)
@@ -15,11 +15,6 @@ SIZES = st.integers(1, 33)
 def maps_of(g_d: F32, inside: np.ndarray | None = None) -> GreyMaps:
     g0 = np.full(g_d.shape, 100, np.float32)
     return GreyMaps(g0 + g_d, g0, g_d, np.ones(g_d.shape, bool) if inside is None else inside)
-
-
-def scale(shape: tuple[int, int], alpha_mm: float = 2.0, top: float = 50.0, gain: float = 1.0) -> DepthScale:
-    knots = np.linspace(0, top, 6, dtype=np.float32)
-    return DepthScale(alpha_mm, knots, knots / 10, np.full(shape, gain, np.float32), reach_cells=4.0)
 
 
 @given(SIZES, SIZES, st.floats(0, 255, width=32), st.floats(0, 30))
@@ -69,41 +64,21 @@ def test_darkening_counts_as_change_and_the_outside_does_not() -> None:
     change = np.random.default_rng(6).normal(0, 30, (20, 22)).astype(np.float32)
     inside = np.zeros(change.shape, bool)
     inside[4:15, 5:16] = True
-    psi, repaired = gathered_change(maps_of(change, inside), 3.0)
-    assert repaired == 0
+    psi = gathered_change(maps_of(change, inside), 3.0)
     assert (psi >= 0).all()
     assert not psi[~inside].any()
     # A dark rim says more of the depth than a bright middle: the same change is worth more as darkening.
-    dark, bright = (gathered_change(maps_of(sign * np.abs(change), inside), 3.0)[0] for sign in (-1, 1))
+    dark, bright = (gathered_change(maps_of(sign * np.abs(change), inside), 3.0) for sign in (-1, 1))
     assert (dark[inside] > bright[inside]).all()
 
 
-def test_a_deeper_change_is_deeper_and_the_table_ends_saturated() -> None:
-    y, x = np.mgrid[:40, :40]
-    blob = np.exp(-((y - 20) ** 2 + (x - 20) ** 2) / 50).astype(np.float32)
-    depths = [solve(maps_of(np.float32(k) * blob), scale((40, 40))) for k in (10, 20, 40, 80)]
-    tops = [float(d.height_mm.max()) for d in depths]
-    assert tops == sorted(tops)
-    assert tops[0] > 0
-    assert not any(d.saturated for d in depths)
-    beyond = solve(maps_of(np.float32(80) * blob), scale((40, 40), top=1.0))
-    assert beyond.saturated
-    assert beyond.height_mm.max() == pytest.approx(0.1, rel=1e-5)  # the table's end, not an extrapolation
+def test_a_constant_brightening_has_the_floor_as_its_darkening() -> None:
+    chi = gathered_change(maps_of(np.full((20, 20), 30, np.float32)), 4.0)
+    np.testing.assert_allclose(chi, 30 ** (1 - DARKENING_WEIGHT) * DARKENING_FLOOR**DARKENING_WEIGHT, rtol=1e-3)
 
 
-def test_the_gain_scales_the_depth() -> None:
-    g_d = np.full((20, 20), 30, np.float32)
-    one, two = (solve(maps_of(g_d), scale((20, 20), gain=k)).height_mm for k in (1.0, 2.0))
-    np.testing.assert_allclose(two, 2 * one, rtol=1e-5)
-    # All of the skin brightened by 30 and nothing darkened: χ = 30^(1-w) floor^w, and the table gives a tenth of it.
-    chi = 30 ** (1 - DARKENING_WEIGHT) * DARKENING_FLOOR**DARKENING_WEIGHT
-    np.testing.assert_allclose(one, chi / 10, rtol=1e-3)
-
-
-def test_without_a_table_it_is_alpha_times_g_hn() -> None:
-    g_d = np.random.default_rng(8).uniform(0, 50, (9, 10)).astype(np.float32)
-    none = np.zeros(0, np.float32)
-    depth = solve(maps_of(g_d), DepthScale(2.5, none, none, np.zeros((0, 0), np.float32), 4.0))
-    # g0 is alike everywhere here, so g_hn is the normalised g_d.
-    np.testing.assert_allclose(depth.height_mm, 2.5 * (g_d - g_d.min()) / np.ptp(g_d), atol=1e-5)
-    assert not depth.saturated
+def test_what_is_not_finite_counts_as_no_change() -> None:
+    change = np.full((20, 20), 30, np.float32)
+    change[3, 4], change[5, 6] = np.nan, np.inf
+    repaired = np.where(np.isfinite(change), change, np.float32(0))
+    np.testing.assert_array_equal(gathered_change(maps_of(change), 4.0), gathered_change(maps_of(repaired), 4.0))

@@ -16,12 +16,28 @@ import numpy as np
 from tacshade_edge.core import discmap
 from tacshade_edge.types import F32, U8, Geometry, freeze
 
-Network = Callable[[F32], F32]
-"""Maps (14, CELLS/2, CELLS/2) to (8, CELLS/2, CELLS/2)."""
+KNOWN = 6
+"""Maps of `discmap.geometry_maps`."""
 
 HEIGHT_SCALE = 10.0
 # On a skin of 20 mm the training presses end at 6.5 mm; deeper answers are extrapolated.
 DEEPEST_RADII = 0.325
+
+
+@dataclass(frozen=True, slots=True)
+class Network:
+    """A network and how it wants its maps.
+
+    Attributes
+    ----------
+    fold : int
+        Each square of fold x fold cells makes as many channels (`fold`).
+    run : callable
+        Maps (2 fold² + KNOWN, N, N) to (2 fold², N, N), N = CELLS / fold.
+    """
+
+    fold: int
+    run: Callable[[F32], F32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,26 +76,28 @@ class LearnedInverse:
         self._disc = geometry.disc
         self.known = discmap.geometry_maps(geometry, pitch_px)
         self._unit_mm = geometry.skin_radius_mm * math.sin(math.radians(geometry.visible_half_angle_deg))
-        reference = fold(discmap.disc_average(reference_white, geometry.disc)[None] / np.float32(255))
-        # The frame's four channels come first; the rest stays.
-        self._still = np.concatenate((reference, self.known[:, ::2, ::2]))
+        n = network.fold
+        reference = fold(discmap.disc_average(reference_white, geometry.disc)[None] / np.float32(255), n)
+        # The frame's channels come first; the rest stays.
+        self._still = np.concatenate((reference, self.known[:, ::n, ::n]))
 
     def __call__(self, white: U8) -> Inverse:
         """Run it on a binarised frame, uint8 (H, W), 0 or 1."""
-        frame = fold(discmap.disc_average(white, self._disc)[None])
-        height, logit = unfold(self._network(np.concatenate((frame, self._still))))
+        frame = fold(discmap.disc_average(white, self._disc)[None], self._network.fold)
+        height, logit = unfold(self._network.run(np.concatenate((frame, self._still))), self._network.fold)
         return Inverse(height * np.float32(self._unit_mm / HEIGHT_SCALE), logit)
 
 
-def fold(maps: F32) -> F32:
-    """(C, N, N) to (4 C, N/2, N/2): each square of four cells becomes four channels."""
+def fold(maps: F32, by: int) -> F32:
+    """(C, N, N) to (by² C, N/by, N/by): each square of by x by cells becomes as many channels."""
     c, n, _ = maps.shape
-    half = n // 2
-    return np.ascontiguousarray(maps.reshape(c, half, 2, half, 2).transpose(0, 2, 4, 1, 3)).reshape(4 * c, half, half)
+    part = n // by
+    folded = maps.reshape(c, part, by, part, by).transpose(0, 2, 4, 1, 3)
+    return np.ascontiguousarray(folded).reshape(by * by * c, part, part)
 
 
-def unfold(maps: F32) -> F32:
-    """The inverse of `fold`: (4 C, N/2, N/2) to (C, N, N)."""
-    c, half, _ = maps.shape
-    folded = maps.reshape(c // 4, 2, 2, half, half).transpose(0, 3, 1, 4, 2)
-    return np.ascontiguousarray(folded).reshape(c // 4, 2 * half, 2 * half)
+def unfold(maps: F32, by: int) -> F32:
+    """The inverse of `fold`: (by² C, N/by, N/by) to (C, N, N)."""
+    c, part, _ = maps.shape
+    unfolded = maps.reshape(c // by**2, by, by, part, part).transpose(0, 3, 1, 4, 2)
+    return np.ascontiguousarray(unfolded).reshape(c // by**2, by * part, by * part)

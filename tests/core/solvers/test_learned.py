@@ -1,0 +1,62 @@
+import numpy as np
+import pytest
+
+from tacshade_edge.core import discmap
+from tacshade_edge.core.solvers.learned import LearnedInverse, Network, fold, unfold
+from tacshade_edge.types import F32, Disc, Geometry
+
+GEOMETRY = Geometry(20.0, 14.0, 50.0, Disc(61.3, 83.9, 47.7))
+UNIT_MM = 20 * np.sin(np.radians(50))
+
+
+@pytest.mark.parametrize("by", [2, 4])
+def test_folding_is_undone_by_unfolding(by: int) -> None:
+    maps = np.random.default_rng(by).random((2, 24, 24), dtype=np.float32)
+    folded = fold(maps, by)
+    assert folded.shape == (2 * by * by, 24 // by, 24 // by)
+    np.testing.assert_array_equal(unfold(folded, by), maps)
+
+
+def test_folding_keeps_neighbours_together() -> None:
+    maps = np.arange(2 * 6 * 6, dtype=np.float32).reshape(2, 6, 6)
+    folded = fold(maps, 2)
+    assert folded[:4, 1, 2].tolist() == [maps[0, 2, 4], maps[0, 2, 5], maps[0, 3, 4], maps[0, 3, 5]]
+
+
+@pytest.mark.parametrize("by", [2, 4])
+def test_the_network_gets_frame_reference_and_what_is_known_and_its_answer_becomes_mm(by: int) -> None:
+    rng = np.random.default_rng(0)
+    white = rng.integers(0, 2, (130, 160), dtype=np.uint8)
+    reference = rng.integers(0, 256, (130, 160), dtype=np.uint8)
+    seen: list[F32] = []
+    n = by * by
+
+    def answer(maps: F32) -> F32:
+        seen.append(maps.copy())
+        return maps[: 2 * n]
+
+    made = LearnedInverse(Network(by, answer), GEOMETRY, 6.0, reference)(white)
+    (maps,) = seen
+    assert maps.shape == (2 * n + 6, discmap.CELLS // by, discmap.CELLS // by)
+    assert maps.dtype == np.float32
+    np.testing.assert_allclose(unfold(maps[:n], by)[0], discmap.disc_average(white, GEOMETRY.disc))
+    np.testing.assert_allclose(
+        unfold(maps[n : 2 * n], by)[0], discmap.disc_average(reference, GEOMETRY.disc) / 255, rtol=1e-6, atol=1e-7
+    )
+    np.testing.assert_array_equal(maps[2 * n :], discmap.geometry_maps(GEOMETRY, 6.0)[:, ::by, ::by])
+    np.testing.assert_allclose(made.height_mm, unfold(maps[:n], by)[0] * UNIT_MM / 10, rtol=1e-6)
+    np.testing.assert_array_equal(made.contact_logit, unfold(maps[n : 2 * n], by)[0])
+    with pytest.raises(ValueError, match="read-only"):
+        made.height_mm[0, 0] = 1
+
+
+def test_one_frame_does_not_change_the_next() -> None:
+    def network(maps: F32) -> F32:
+        return maps[:8]
+
+    inverse = LearnedInverse(Network(2, network), GEOMETRY, 6.0, np.zeros((130, 160), dtype=np.uint8))
+    dark, bright = np.zeros((130, 160), dtype=np.uint8), np.ones((130, 160), dtype=np.uint8)
+    first = inverse(dark)
+    before = first.height_mm.tobytes()
+    inverse(bright)
+    assert first.height_mm.tobytes() == before == inverse(dark).height_mm.tobytes()
