@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
     """Fit or re-zero, write, and say how good it is."""
     if args.rezero is not None:
         if args.presses:
-            args.usage_error("--presses has no meaning with --rezero, which keeps the depth table")
+            args.usage_error("--presses has no meaning with --rezero, which keeps what was fitted to presses")
         return _rezero(args)
     sensor = read_sensor(args.sensor)
     references = _read_references(args.reference)

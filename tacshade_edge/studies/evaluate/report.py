@@ -30,7 +30,19 @@ PAPER_ROW = "Table I (real sensor)"
 
 
 def table(rows: Sequence[Row], timings: Mapping[str, Timing]) -> str:
-    """Markdown that is also readable as it is: the objects, the sensors, the profiles."""
+    """Markdown that is also readable as it is: the objects, the sensors, the profiles; of each family by itself."""
+    families = list(dict.fromkeys(_family(r) for r in rows))
+    if len(families) < 2:
+        return _family_table(rows, timings)
+    parts = ((family, _family_table([r for r in rows if _family(r) == family], timings)) for family in families)
+    return "\n\n".join(f"Family {family}\n\n{text}" for family, text in parts)
+
+
+def _family(row: Row) -> str:
+    return row.sensor.rpartition(":")[0] or "tacshade"
+
+
+def _family_table(rows: Sequence[Row], timings: Mapping[str, Timing]) -> str:
     profiles = list(dict.fromkeys(r.profile for r in rows))
     objects = list(dict.fromkeys(r.object for r in rows if r.true_points))
     blocks = (

@@ -49,6 +49,15 @@ def test_part_of_table_i_has_a_mean_of_that_part() -> None:
     assert "Other objects" not in text
 
 
+def test_families_are_not_mixed() -> None:
+    other = [replace(row, sensor=f"other:{row.sensor}", me_mm=2 * row.me_mm) for row in ROWS]
+    text = table([*ROWS, *other], TIMINGS)
+    first, second = text.split("Family other")
+    assert first.startswith("Family tacshade")
+    assert first.removeprefix("Family tacshade").strip() == table(ROWS, TIMINGS)
+    assert second.strip() == table(other, TIMINGS)
+
+
 def test_frames_without_contact_alone_make_a_table() -> None:
     assert cells(table([NULL], {}).splitlines()[-1]) == ["fast", "", "1", "0", "0.00", "0", ""]
 
