@@ -23,6 +23,7 @@ from tacshade_edge.core import drift
 from tacshade_edge.core.calibrate import BallPress, Calibrated, Sensor, calibrate, rezero
 from tacshade_edge.core.greyscale import to_grey
 from tacshade_edge.core.press_checks import Evidence, first_touch_mm
+from tacshade_edge.devices.network import load_networks
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.simulator.calibration_set import ball_presses
@@ -47,7 +48,8 @@ class Set:
 
     def calibrate(self, references: list[U8] | None = None, presses: list[BallPress] | None = None) -> Calibrated:
         """Calibrate on this set, or on one of which something was changed."""
-        return calibrate(self.sensor, references or self.references, self.presses if presses is None else presses)
+        taken = self.presses if presses is None else presses
+        return calibrate(self.sensor, references or self.references, taken, networks=load_networks())
 
 
 def good_set(seed: int) -> Set:

@@ -13,7 +13,7 @@ Grade = Literal["good", "fair", "poor", "uncalibrated"]
 
 # Cross-validated mean depth error of `accurate` on a skin of 20 mm, and how well the presses agree with each other when
 # ball and place are known. docs/calibration.md has what good presses give, and presses stated 0.3 and 0.6 mm off.
-_DEPTH_GOOD_MM, _DEPTH_FAIR_MM = 0.45, 0.65
+_DEPTH_GOOD_MM, _DEPTH_FAIR_MM = 0.30, 0.50
 _AGREE_GOOD_MM, _AGREE_FAIR_MM = 0.25, 0.45
 _REPEAT = 3
 

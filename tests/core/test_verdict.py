@@ -42,14 +42,14 @@ def test_what_is_not_good_says_what_to_do(figures: dict[str, float], grade: str,
 
 
 def test_what_is_missing_comes_first() -> None:
-    verdict = judge(GOOD | {"accurate_depth_mae_mm": 0.6}, GEOMETRY, ("no press lies at x < 0",), WORST)
+    verdict = judge(GOOD | {"accurate_depth_mae_mm": 0.4}, GEOMETRY, ("no press lies at x < 0",), WORST)
     assert verdict.grade == "fair"
     assert verdict.advice[0] == "no press lies at x < 0"
     assert len(verdict.advice) == 2
 
 
 def test_lengths_scale_with_the_skin() -> None:
-    figures = GOOD | {"accurate_depth_mae_mm": 0.5}
+    figures = GOOD | {"accurate_depth_mae_mm": 0.4}
     assert judge(figures, GEOMETRY, (), WORST).grade == "fair"
     assert judge(figures, Geometry(28.0, 14.0, 50.0, Disc(100, 100, 80)), (), WORST).grade == "good"
 
