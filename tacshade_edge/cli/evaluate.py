@@ -21,10 +21,16 @@ from tacshade_edge.studies.evaluate.score import Row
 from tacshade_edge.studies.evaluate.sensors import FAMILIES, FINAL_SEED, SensorName
 from tacshade_edge.studies.evaluate.summary import figures
 from tacshade_edge.studies.evaluate.work import Evaluation, Plan, Timing, evaluate, time_profiles
+from tacshade_edge.studies.limits import picture as limits_picture
+from tacshade_edge.studies.limits.summary import text as limits_text
+from tacshade_edge.studies.limits.work import Plan as LimitsPlan
+from tacshade_edge.studies.limits.work import limits
 from tacshade_edge.studies.parallel import usable_cores
+from tacshade_edge.studies.tables import csv_text
 
 WORKING_SENSORS = "default,5,11,21"
 FINAL_SENSORS = tuple(SensorName(family, FINAL_SEED + k) for family in FAMILIES for k in (1, 2, 3))
+LIMITS_SENSORS = "default,5,11"
 SIMULATED = ("sensors", "final", "objects", "presses", "references")
 """Options that mean nothing to a user's own images."""
 
@@ -41,6 +47,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help="write evaluation.csv, evaluation.json, figure6.png")
     parser.add_argument("--json", action="store_true", help="print the summary as JSON")
+    parser.add_argument(
+        "--limits",
+        action="store_true",
+        help=f"where it ends instead: phantoms, least and greatest depth, finest shape ({LIMITS_SENSORS})",
+    )
     simulated = parser.add_argument_group("simulated sensors")
     which = simulated.add_mutually_exclusive_group()
     which.add_argument(
@@ -68,12 +79,37 @@ def run(args: argparse.Namespace) -> int:
     """Evaluate; print the tables, write the files."""
     if (args.calibration is None) != (args.images is None):
         args.usage_error("--calibration CAL.npz and --images DIR belong together")
+    if args.limits:
+        return _limits(args)
     if args.images is None:
         return _simulated(args)
     given = [name for name in SIMULATED if getattr(args, name) is not None]
     if given:
         args.usage_error(f"--{given[0]} is for simulated sensors, not for your own images")
     return _own(args)
+
+
+def _limits(args: argparse.Namespace) -> int:
+    unfit = [name for name in ("images", "objects", "presses", "references") if getattr(args, name) is not None]
+    if unfit or args.json:
+        args.usage_error(f"--{unfit[0] if unfit else 'json'} does not go with --limits")
+    sensors = args.sensors or tuple(SensorName.parse(word) for word in LIMITS_SENSORS.split(","))
+    plan = LimitsPlan(FINAL_SENSORS if args.final else sensors, tuple(dict.fromkeys(args.profile)))
+    _make_folder(args.out)
+    drawn = args.out is not None and limits_picture.can_draw()
+    if args.out and not drawn:
+        print(f"tacshade-edge: the plots will be missing: {limits_picture.INSTALL}", file=sys.stderr)
+    found = limits(plan, usable_cores(), _progress)
+    text = limits_text(found, plan)
+    print(text)
+    if args.out:
+        _write(args.out / "limits.md", text.encode() + b"\n")
+        for kind, rows in found.tables():
+            _write(args.out / f"limits_{kind}.csv", csv_text(type(rows[0]), rows).encode())
+    if drawn:
+        for name, content in limits_picture.draw(found).items():
+            _write(args.out / name, content)
+    return 0
 
 
 def _simulated(args: argparse.Namespace) -> int:

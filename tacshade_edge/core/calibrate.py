@@ -19,7 +19,7 @@ from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import F32, IDENTITY_POSE, U8, Binarisation, Bool, Calibration, Geometry, Polarity
 
 # The maps that references and presses are judged by.
-PROFILE = Profile(name="calibration", solver=LEARNED, stride_px=4, window_pitches=2, tv_weight=0.05)
+PROFILE = Profile(name="calibration", solver=LEARNED, stride_px=4, window_pitches=2, tv_weight=0.05, gate_levels=20)
 # The profile whose error says how good a calibration is.
 JUDGED = "accurate"
 MIN_PRESSES = 8

@@ -10,9 +10,8 @@ import numpy as np
 from tacshade_edge.core.greyscale import odd
 from tacshade_edge.types import F32, U8, Bool, freeze
 
-# The change that counts as contact: this many times the references' noise, and never less than GATE_LEVELS.
+# The change that counts as contact: this many times the references' noise, and never less than the profile's level.
 GATE_NOISE = 6.0
-GATE_LEVELS = 20.0
 # The least area of skin over the threshold.
 GATE_MM2 = 3.0
 # Cells whose window is cut by the rim below this part of its full size do not vote: a shift of the camera shows there.
@@ -42,7 +41,7 @@ def light_drift(g_d: F32, voting: Bool) -> float:
     return float(np.median(g_d[voting])) if voting.any() else 0.0
 
 
-def gate(g_d: F32, voting: Bool, noise_grey: float, cell_mm2: float) -> GateResult:
+def gate(g_d: F32, voting: Bool, noise_grey: float, cell_mm2: float, levels: float) -> GateResult:
     """Absolute contact gate.
 
     Parameters
@@ -55,9 +54,11 @@ def gate(g_d: F32, voting: Bool, noise_grey: float, cell_mm2: float) -> GateResu
         RMS of g without contact.
     cell_mm2 : float
         Area of skin per cell.
+    levels : float
+        The least change that counts (`Profile.gate_levels`).
     """
     drift = light_drift(g_d, voting)
-    threshold = max(GATE_LEVELS, GATE_NOISE * noise_grey)
+    threshold = max(levels, GATE_NOISE * noise_grey)
     over = int(np.count_nonzero((g_d - np.float32(drift) > threshold) & voting))
     return GateResult(contact=bool(over * cell_mm2 >= GATE_MM2), drift_grey=drift)
 

@@ -53,7 +53,8 @@ class Preprocessor:
     def gate(self, g_raw: F32) -> contact.GateResult:
         """Whether anything touches, by eq. 9 of eq. 1."""
         g_d_raw = greyscale.grey_difference(g_raw, self.reference_ratio, self.rays.inside, self.sign)
-        return contact.gate(g_d_raw, self.voting, self.calibration.noise_grey, self.cell_mm2)
+        levels = self.profile.gate_levels
+        return contact.gate(g_d_raw, self.voting, self.calibration.noise_grey, self.cell_mm2, levels)
 
     def touched(self, image: U8) -> bool:
         """Whether the contact gate opens for an image."""

@@ -23,6 +23,9 @@ class Profile:
         Side of eq. 1's window, in marker pitches; whole, so that the pattern itself averages out.
     tv_weight : float
         Weight of the total-variation denoising, in units of g/255; 0 leaves it out.
+    gate_levels : float
+        Least change of grey that opens the contact gate. A solver that finds the contact itself took no glare for
+        one, so its gate only has to stay shut for the dent that a release leaves (13.6 at most for 0.2 mm).
     """
 
     name: str
@@ -30,14 +33,15 @@ class Profile:
     stride_px: int
     window_pitches: int
     tv_weight: float
+    gate_levels: float
 
 
 PROFILES: dict[str, Profile] = {
     p.name: p
     for p in (
-        Profile(name="paper", solver="paper", stride_px=1, window_pitches=2, tv_weight=0.1),
+        Profile(name="paper", solver="paper", stride_px=1, window_pitches=2, tv_weight=0.1, gate_levels=20),
         # Eq. 1 serves the gate of these only.
-        Profile(name="fast", solver=LEARNED, stride_px=4, window_pitches=2, tv_weight=0.0),
-        Profile(name="accurate", solver=LEARNED, stride_px=4, window_pitches=2, tv_weight=0.0),
+        Profile(name="fast", solver=LEARNED, stride_px=4, window_pitches=2, tv_weight=0.0, gate_levels=15),
+        Profile(name="accurate", solver=LEARNED, stride_px=4, window_pitches=2, tv_weight=0.0, gate_levels=15),
     )
 }

@@ -13,6 +13,27 @@ def gain(image: U8, factor: float) -> U8:
     return np.asarray(np.clip(image.astype(np.float32) * factor + 0.5, 0, 255), np.uint8)
 
 
+def uneven(image: U8, row_c: float, col_c: float, radius_px: float, loss: float, angle_deg: float) -> U8:
+    """Dim one side, as an LED of the ring that ages does: by `loss` (a ratio) at the rim there, not at all opposite."""
+    rows, cols = np.ogrid[: image.shape[0], : image.shape[1]]
+    angle = np.radians(angle_deg)
+    along = ((rows - row_c) * np.sin(angle) + (cols - col_c) * np.cos(angle)) / radius_px
+    light = np.asarray(1 - loss * np.clip((1 + along) / 2, 0, 1), np.float32)
+    if image.ndim == 3:
+        light = light[..., None]
+    return np.asarray(np.clip(image * light + 0.5, 0, 255), np.uint8)
+
+
+def warm(image: U8, row_c: float, col_c: float, part: float) -> U8:
+    """Warm the camera and its LEDs up, all the way at `part` 1: 8 % less light, black 6 levels up, 0.3 % larger."""
+    zoom = 1 + 0.003 * part
+    to_cold = np.array(((1 / zoom, 0, col_c * (1 - 1 / zoom)), (0, 1 / zoom, row_c * (1 - 1 / zoom))))
+    size = (image.shape[1], image.shape[0])
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    larger = cv2.warpAffine(image, to_cold, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(np.clip(larger.astype(np.float32) * (1 - 0.08 * part) + 6 * part + 0.5, 0, 255), np.uint8)
+
+
 def glare(image: U8, row: float, col: float, radius_px: float, grey: float = 220.0) -> U8:
     """Add a highlight that fades over `radius_px` (its standard deviation)."""
     rows, cols = np.ogrid[: image.shape[0], : image.shape[1]]

@@ -148,6 +148,18 @@ def _edge() -> Shape:
     return Shape("edge", sdf)
 
 
+def bars(width_mm: float, gap_mm: float, length_mm: float = 12.0) -> Shape:
+    """Two flat bars of a width along y, beside each other along x; a gap of 0 makes them one."""
+    one = _rectangle(width_mm / 2, length_mm / 2)
+    middle = (gap_mm + width_mm) / 2
+    return _extrude("bars", lambda x, y: one(np.abs(x) - middle, y))
+
+
+def ridge(width_mm: float, length_mm: float = 12.0) -> Shape:
+    """One flat bar along y; 0.4 mm and wider, for its edges are rounded."""
+    return _extrude("ridge", _rectangle(width_mm / 2, length_mm / 2))
+
+
 def _cone() -> Shape:
     profile = _polygon(((-7.0, 9.0), (0.0, 0.0), (7.0, 9.0), (7.0, 20.0), (-7.0, 20.0)))
     return _revolve("cone", lambda rho, z: profile(rho, z - 0.8) - 0.8)

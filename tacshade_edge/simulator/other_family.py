@@ -10,7 +10,7 @@ import numpy as np
 from tacshade_edge.simulator.model import SensorModel, random_model
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedFrame
-from tacshade_edge.simulator.skin import Skin, press_skin
+from tacshade_edge.simulator.skin import Skin, left_over, press_skin
 from tacshade_edge.simulator.varied_print import PinProfile, VariedRenderer, lattice_print
 
 CAPS = PinProfile(height=1.0, part=0.7, cap=True)
@@ -29,6 +29,11 @@ class OtherSensor:
         return SimulatedFrame(
             self._renderer.expose(self._renderer.draw(skin), noise_seed), tuple(presses), skin, self.model
         )
+
+    def released(self, presses: Sequence[Press], part: float, noise_seed: int = 0) -> SimulatedFrame:
+        """As `SimulatedSensor.released`."""
+        skin = left_over(two_scale_skin(self.model, tuple(presses)), part)
+        return SimulatedFrame(self._renderer.expose(self._renderer.draw(skin), noise_seed), (), skin, self.model)
 
 
 def other_model(seed: int) -> SensorModel:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.render import Renderer
-from tacshade_edge.simulator.skin import Skin, press_skin
+from tacshade_edge.simulator.skin import Skin, left_over, press_skin
 from tacshade_edge.simulator.truth import Truth, measure
 from tacshade_edge.types import F32, U8
 
@@ -59,3 +59,8 @@ class SimulatedSensor:
             self._last = (key, skin, self._renderer.draw(skin))
         _, skin, clean = self._last
         return SimulatedFrame(self._renderer.expose(clean, noise_seed), key, skin, self.model)
+
+    def released(self, presses: Sequence[Press], part: float, noise_seed: int = 0) -> SimulatedFrame:
+        """Take a picture after the presses are gone, while the skin still keeps a part of its deformation."""
+        skin = left_over(press_skin(self.model.skin_radius_mm, self.model.skin_decay_mm, tuple(presses)), part)
+        return SimulatedFrame(self._renderer.expose(self._renderer.draw(skin), noise_seed), (), skin, self.model)

@@ -60,6 +60,12 @@ def undeformed(radius_mm: float) -> Skin:
     return Skin(radius_mm, step, zero, zero)
 
 
+def left_over(skin: Skin, part: float) -> Skin:
+    """What a skin that creeps keeps of its shape for a while after a release: the same dent, shallower, no object."""
+    height = np.asarray(skin.height_mm * np.float32(part), np.float32)
+    return Skin(skin.radius_mm, skin.step_mm, height, np.zeros_like(skin.obstacle_mm))
+
+
 def press_skin(radius_mm: float, decay_mm: float, presses: Sequence[Press]) -> Skin:
     """Find the skin's shape under the given objects.
 

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -50,7 +51,7 @@ def of_own(folder: Path, *more: str) -> list[str]:
 @pytest.mark.slow
 @pytest.mark.usefixtures("half")
 def test_the_files_and_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([*SMALL, "--sensors", "half:default", "--out", str(tmp_path / "out")]) == 0
+    assert main([*SMALL, "--profile", "fast", "--sensors", "half:default", "--out", str(tmp_path / "out")]) == 0
     printed = capsys.readouterr()
     assert printed.err == ""
     assert "Table I (real sensor)" in printed.out
@@ -169,3 +170,45 @@ def test_final_sensors_are_those_that_nobody_may_name() -> None:
     for name in evaluate.FINAL_SENSORS:
         with pytest.raises(Exception, match="kept for --final"):
             evaluate._sensors(str(name))
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("half")
+def test_limits_writes_its_tables_and_plots(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    small = partial(
+        evaluate.LimitsPlan,
+        references=1,
+        presses=8,
+        null_frames=8,
+        beyond_frames=5,
+        ball_radii_mm=(6.0,),
+        faint_depths_mm=(1.0,),
+        faint_places=1,
+        depths_mm=(3.0,),
+        deep_places=1,
+        pitches_mm=(1.9,),
+        gaps_mm=(4.0,),
+        widths_mm=(2.0,),
+        fine_places=1,
+        disturbed_places=1,
+    )
+    monkeypatch.setattr(evaluate, "LimitsPlan", small)
+    words = ["evaluate", "--limits", "--sensors", "half:default", "--profile", "accurate", "--out", str(tmp_path)]
+    assert main(words) == 0
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    assert printed.out == (tmp_path / "limits.md").read_text(encoding="utf-8")
+    kinds = ("deep", "disturbed", "faint", "fine", "nulls")
+    assert sorted(p.name for p in tmp_path.glob("*.csv")) == [f"limits_{kind}.csv" for kind in kinds]
+    assert len(list(tmp_path.glob("limits_*.png"))) == 4
+    assert {row["profile"] for row in table(tmp_path / "limits_faint.csv")} == {"accurate"}
+
+
+@pytest.mark.parametrize("words", [["--json"], ["--objects", "ball"], ["--presses", "8"]])
+def test_limits_refuses_what_it_would_not_heed(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as left:
+        main(["evaluate", "--limits", *words])
+    assert left.value.code == 2
+    assert f"{words[0]} does not go with --limits" in capsys.readouterr().err

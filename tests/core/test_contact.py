@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 from calibrated_sensor import HALF, calibrated, pressed, unloaded
 
-from tacshade_edge.core.contact import GATE_LEVELS, GATE_NOISE, gate, glare_check, glare_mask, light_drift
+from tacshade_edge.core.contact import GATE_NOISE, gate, glare_check, glare_mask, light_drift
 from tacshade_edge.core.disc import disc_mask
 from tacshade_edge.core.greyscale import to_grey
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.types import F32, U8
 
 VOTING = np.ones((20, 30), bool)
+LEVELS = 15.0
 
 
 def patch(level: float, cells: int = 9, base: float = 0.0) -> F32:
@@ -20,31 +21,31 @@ def patch(level: float, cells: int = 9, base: float = 0.0) -> F32:
 
 
 def test_the_gate_opens_on_enough_change_over_enough_skin() -> None:
-    assert gate(patch(GATE_LEVELS + 1, 3), VOTING, 0.5, 1.0).contact
-    assert not gate(patch(GATE_LEVELS + 1, 2), VOTING, 0.5, 1.0).contact  # 2 mm²
-    assert not gate(patch(GATE_LEVELS - 1), VOTING, 0.5, 1.0).contact
-    assert not gate(patch(-100), VOTING, 0.5, 1.0).contact
+    assert gate(patch(LEVELS + 1, 3), VOTING, 0.5, 1.0, LEVELS).contact
+    assert not gate(patch(LEVELS + 1, 2), VOTING, 0.5, 1.0, LEVELS).contact  # 2 mm²
+    assert not gate(patch(LEVELS - 1), VOTING, 0.5, 1.0, LEVELS).contact
+    assert not gate(patch(-100), VOTING, 0.5, 1.0, LEVELS).contact
 
 
 def test_a_noisy_sensor_has_a_higher_gate() -> None:
     level = GATE_NOISE * 10
-    assert not gate(patch(level - 1), VOTING, 10.0, 1.0).contact
-    assert gate(patch(level + 1), VOTING, 10.0, 1.0).contact
+    assert not gate(patch(level - 1), VOTING, 10.0, 1.0, LEVELS).contact
+    assert gate(patch(level + 1), VOTING, 10.0, 1.0, LEVELS).contact
 
 
 @pytest.mark.parametrize("base", [-25.0, 25.0])
 def test_a_change_of_light_is_taken_off(base: float) -> None:
-    everywhere = gate(patch(0, base=base), VOTING, 0.5, 1.0)
+    everywhere = gate(patch(0, base=base), VOTING, 0.5, 1.0, LEVELS)
     assert not everywhere.contact
     assert everywhere.drift_grey == base
-    assert gate(patch(GATE_LEVELS + 1, base=base), VOTING, 0.5, 1.0).contact
+    assert gate(patch(LEVELS + 1, base=base), VOTING, 0.5, 1.0, LEVELS).contact
 
 
 def test_only_voters_count() -> None:
-    assert not gate(patch(200), VOTING & False, 0.5, 1.0).contact
+    assert not gate(patch(200), VOTING & False, 0.5, 1.0, LEVELS).contact
     rim = VOTING.copy()
     rim[5] = False
-    assert not gate(patch(200), rim, 0.5, 1.0).contact
+    assert not gate(patch(200), rim, 0.5, 1.0, LEVELS).contact
     assert light_drift(patch(9), VOTING & False) == 0.0
 
 

@@ -262,3 +262,18 @@ def test_a_light_press_is_felt_and_a_touch_beside_the_disc_is_not_invented() -> 
     assert step("fast", pressed("ball", 1.0).image).contact
     beside = simulated(HALF).frame((Press(OBJECTS["ball"](), 19.0, 0.0, 1.0),), 3).image
     assert step("fast", beside).depth_max_mm < 1.5
+
+
+def test_a_solver_that_finds_the_contact_itself_is_asked_earlier() -> None:
+    faint = pressed("ball", 0.3, HALF, 4.0).image
+    assert not step("fast", faint).contact
+    found = step("accurate", faint)
+    assert found.contact
+    assert found.depth_max_mm == pytest.approx(0.35, abs=0.15)
+
+
+def test_what_a_release_leaves_in_the_skin_is_no_contact() -> None:
+    for x_mm in (0.0, 5.0):
+        left = simulated(HALF).released((Press(OBJECTS["ball"](), x_mm, 0.0, 4.0),), 0.05, 3)
+        assert left.skin.height_mm.max() >= 0.2
+        assert not step("accurate", left.image).contact

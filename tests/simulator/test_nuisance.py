@@ -48,3 +48,18 @@ def test_noise_has_its_deviation_and_its_seed() -> None:
     assert result.mean() == pytest.approx(128, abs=0.2)
     assert np.array_equal(result, nuisance.noise(grey, 10.0, 1))
     assert not np.array_equal(result, nuisance.noise(grey, 10.0, 2))
+
+
+def test_uneven_light_dims_one_side_alone() -> None:
+    result = nuisance.uneven(np.full((41, 41), 200, np.uint8), 20, 20, 20, 0.5, 0.0)
+    assert result[20, [0, 20, 40]].tolist() == [200, 150, 100]
+    assert (result == result[0]).all()
+
+
+def test_warming_up_lifts_black_dims_white_and_enlarges() -> None:
+    board = np.where(np.arange(200) < 180, np.uint8(0), np.uint8(200)) * np.ones((9, 1), np.uint8)
+    np.testing.assert_array_equal(nuisance.warm(board, 4, 0, 0.0), board)
+    result = nuisance.warm(board, 4, 0, 1.0)
+    assert result[4, 0] == 6
+    assert result[4, -1] == 190
+    assert 6 < result[4, 180] < 190  # the edge at 179.5 moved to 180.04

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tacshade_edge.simulator.objects import OBJECTS, PAPER_OBJECTS, ball
+from tacshade_edge.simulator.objects import OBJECTS, PAPER_OBJECTS, ball, bars, ridge
 from tacshade_edge.simulator.press import Press, distance_mm
 
 RNG = np.random.default_rng(0)
@@ -65,3 +65,13 @@ def test_a_press_that_is_not_a_number_is_refused(change: dict[str, float]) -> No
 def test_a_ball_without_radius_is_refused() -> None:
     with pytest.raises(ValueError, match="radius_mm"):
         ball(0.0)
+
+
+def test_bars_and_ridge_have_the_stated_width_and_gap() -> None:
+    x = np.linspace(-6, 6, 1201)
+    points = np.stack((x, 0 * x, 0 * x + 1.0), axis=1)
+    inside = bars(2.0, 3.0).sdf(points) < 0
+    np.testing.assert_allclose(np.abs(x[inside]).min(), 1.5, atol=0.011)
+    np.testing.assert_allclose(np.abs(x[inside]).max(), 3.5, atol=0.011)
+    inside = ridge(0.6).sdf(points) < 0
+    np.testing.assert_allclose(np.abs(x[inside]).max(), 0.3, atol=0.011)

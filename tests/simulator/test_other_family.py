@@ -59,3 +59,10 @@ def test_a_waist_shows_less_black_than_a_belly() -> None:
         np.count_nonzero(VariedRenderer(MODEL, None, PinProfile(0.5, part)).draw(skin) < 60) for part in (0.6, 1.0, 1.4)
     ]
     assert black[0] < black[1] < black[2]
+
+
+def test_a_released_skin_keeps_a_part_of_its_own_dent(sensor: OtherSensor) -> None:
+    pressed, left = sensor.frame((PRESS,), 5), sensor.released((PRESS,), 0.05, 5)
+    np.testing.assert_allclose(left.skin.height_mm, 0.05 * pressed.skin.height_mm, atol=1e-6)
+    assert left.presses == ()
+    assert not np.array_equal(left.image, sensor.frame((), 5).image)

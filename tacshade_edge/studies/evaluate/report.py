@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any
 
 from tacshade_edge.simulator.objects import PAPER_OBJECTS
+from tacshade_edge.studies import tables
 from tacshade_edge.studies.evaluate.score import Row
 from tacshade_edge.studies.evaluate.summary import (
     TABLE_I,
@@ -72,7 +71,7 @@ def _objects_table(title: str, rows: Sequence[Row], profiles: Sequence[str], nam
                 some = [r for r in rows if r.profile == p and r.object in names]
                 total = figures(some) if title_of_row == "mean" else worst(list(found.values()))
                 lines.append([title_of_row, p, *_cells(total)])
-    return f"{title}\n\n" + _markdown(["object", "method", *MEASURES], lines)
+    return f"{title}\n\n" + tables.markdown(["object", "method", *MEASURES], lines)
 
 
 def _sensors_table(rows: Sequence[Row], profiles: Sequence[str]) -> str:
@@ -81,7 +80,7 @@ def _sensors_table(rows: Sequence[Row], profiles: Sequence[str]) -> str:
         for profile in profiles:
             some = [r for r in rows if r.sensor == sensor and r.profile == profile]
             lines.append([sensor, profile, *_cells(figures(some))])
-    return "Each sensor, all objects\n\n" + _markdown(["sensor", "method", *MEASURES], lines)
+    return "Each sensor, all objects\n\n" + tables.markdown(["sensor", "method", *MEASURES], lines)
 
 
 def _profiles_table(rows: Sequence[Row], profiles: Sequence[str], timings: Mapping[str, Timing]) -> str:
@@ -104,7 +103,7 @@ def _profiles_table(rows: Sequence[Row], profiles: Sequence[str], timings: Mappi
                 f"{timings[profile].p50_ms:.1f}" if profile in timings else "",
             ]
         )
-    return "Profiles\n\n" + _markdown(header, lines)
+    return "Profiles\n\n" + tables.markdown(header, lines)
 
 
 def _cells(found: Figures) -> list[str]:
@@ -132,35 +131,9 @@ def _worst_of_paper(known: Sequence[tuple[float, float]]) -> tuple[float, float]
     return max(me for me, _ in known), min(sd for _, sd in known)
 
 
-def _markdown(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    """Pad the columns, so that a terminal shows them as a document does; numbers to the right."""
-    widths = [max(len(str(line[k])) for line in (header, *lines)) for k in range(len(header))]
-    left = sum(name in ("object", "method", "sensor") for name in header)
-
-    def row(cells: Sequence[str]) -> str:
-        padded = (c.ljust(w) if k < left else c.rjust(w) for k, (c, w) in enumerate(zip(cells, widths, strict=True)))
-        return f"| {' | '.join(padded)} |"
-
-    rule = [":" + "-" * (w - 1) if k < left else "-" * (w - 1) + ":" for k, w in enumerate(widths)]
-    return "\n".join([row(header), row(rule), *(row(line) for line in lines)])
-
-
 def csv_text(rows: Sequence[Row]) -> str:
     """One line for each frame and profile, a column for each field of `Row`; NaN is empty."""
-    names = [field.name for field in fields(Row)]
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(names)
-    writer.writerows([_plain(getattr(row, name)) for name in names] for row in rows)
-    return stream.getvalue()
-
-
-def _plain(value: object) -> object:
-    if isinstance(value, bool):
-        return int(value)
-    if isinstance(value, float):
-        return "" if math.isnan(value) else f"{value:.6g}"
-    return value
+    return tables.csv_text(Row, rows)
 
 
 def document(rows: Sequence[Row], timings: Mapping[str, Timing], settings: Mapping[str, Any]) -> dict[str, Any]:

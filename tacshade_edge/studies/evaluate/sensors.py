@@ -34,6 +34,10 @@ class PressedSensor(Protocol):
         """Take a picture."""
         ...
 
+    def released(self, presses: Sequence[Press], part: float, noise_seed: int = 0) -> SimulatedFrame:
+        """Take a picture of what the presses left in the skin."""
+        ...
+
 
 def _tacshade(seed: int | None) -> PressedSensor:
     return SimulatedSensor(SensorModel() if seed is None else random_model(seed))
@@ -85,18 +89,22 @@ def calibrated(name: SensorName, references: int, presses: int) -> Calibrated:
     ConfigError
         With the sensor's name: it cannot be calibrated so.
     """
-    sensor = name.make()
+    try:
+        return calibrated_sensor(name.make(), name.seed or 0, references, presses)
+    except ConfigError as error:
+        raise ConfigError(f"sensor {name}: {error}") from None
+
+
+def calibrated_sensor(sensor: PressedSensor, seed: int, references: int, presses: int) -> Calibrated:
+    """Calibrate a sensor that has no name; the seed draws its presses. Raises ConfigError."""
     model = sensor.model
     stated = Sensor(model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, "bright")
     unloaded = [sensor.frame((), REFERENCE_NOISE + k).image for k in range(references)]
     pressed = [
         BallPress(f"press {k}", sensor.frame((p,), PRESS_NOISE + k).image, radius, p.depth_mm, p.x_mm, p.y_mm)
-        for k, (p, radius) in enumerate(ball_presses(model, presses, name.seed or 0))
+        for k, (p, radius) in enumerate(ball_presses(model, presses, seed))
     ]
-    try:
-        return calibrate(stated, unloaded, pressed, networks=load_networks())
-    except ConfigError as error:
-        raise ConfigError(f"sensor {name}: {error}") from None
+    return calibrate(stated, unloaded, pressed, networks=load_networks())
 
 
 def reconstructor(calibration: Calibration, profile: str) -> Reconstructor:

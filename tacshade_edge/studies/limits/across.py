@@ -1,0 +1,75 @@
+"""Heights along a line across a press: what the skin truly does there, and what was found."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.render import project
+from tacshade_edge.simulator.scene import SimulatedFrame
+from tacshade_edge.simulator.truth import skin_points
+from tacshade_edge.types import F64, HeightMap
+
+REACH_MM = 12.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Across:
+    """A line in the image through a press's middle, along the press's own x.
+
+    Attributes
+    ----------
+    x_mm : float (N,)
+        Where on that axis the skin lies that each pixel of the line shows.
+    true_mm : float (N,)
+        Its h.
+    row, col : float (N,)
+        The pixels.
+    """
+
+    x_mm: F64
+    true_mm: F64
+    row: F64
+    col: F64
+
+
+def across(frame: SimulatedFrame, press: Press) -> Across:
+    """Lay the line, a pixel apart, and look up the true skin."""
+    geometry, r = frame.model.geometry, frame.model.skin_radius_mm
+    turn = math.radians(press.rotation_deg)
+    along = np.array((math.cos(turn), math.sin(turn)))
+    middle = np.array((press.x_mm, press.y_mm, press.lowest_z_mm(r)))
+    col, row = project(geometry, middle[None])[0]
+    reach = int(REACH_MM / geometry.mm_per_px)
+    t = np.arange(-reach, reach + 1)
+    col, row = col + t * along[0], row + t * along[1]
+    inside = np.hypot(row - geometry.disc.row_c, col - geometry.disc.col_c) < geometry.disc.radius_px - 1
+    row, col = row[inside], col[inside]
+    points = skin_points(frame.skin, geometry, row, col)
+    x = (points[:, :2] - middle[:2]) @ along
+    return Across(x, r - np.linalg.norm(points, axis=1), row, col)
+
+
+def found_heights(line: Across, height: HeightMap) -> F64:
+    """Sample a height map on the line's pixels; NaN where it has none."""
+    j, i = (line.col - height.col0) / height.step_px, (line.row - height.row0) / height.step_px
+    map_mm = np.ascontiguousarray(height.height_mm)
+    sampled = cv2.remap(map_mm, j.astype(np.float32)[:, None], i.astype(np.float32)[:, None], cv2.INTER_LINEAR)
+    return np.asarray(sampled[:, 0], np.float64)
+
+
+def dip_mm(x_mm: F64, h_mm: F64, width_mm: float, gap_mm: float) -> float:
+    """How much lower the lowest place in the gap is than the lower of both bars' highest."""
+    side = np.abs(x_mm) - gap_mm / 2
+    bar = (side >= 0) & (side <= width_mm)
+    left, right, middle = h_mm[bar & (x_mm < 0)], h_mm[bar & (x_mm > 0)], h_mm[side < 0]
+    return float(min(np.nanmax(left), np.nanmax(right)) - np.nanmin(middle))
+
+
+def top_mm(x_mm: F64, h_mm: F64, width_mm: float) -> float:
+    """The greatest h over a ridge, and half a millimetre beside it."""
+    return float(np.nanmax(h_mm[np.abs(x_mm) <= width_mm / 2 + 0.5]))

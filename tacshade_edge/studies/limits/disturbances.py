@@ -1,0 +1,110 @@
+"""What disturbs a sensor in use, drawn at random within stated bounds: with nothing touching, and with a contact."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from tacshade_edge.simulator import nuisance
+from tacshade_edge.simulator.model import SensorModel
+from tacshade_edge.simulator.objects import ball
+from tacshade_edge.simulator.press import Press
+from tacshade_edge.studies.evaluate.sensors import PressedSensor
+from tacshade_edge.types import U8
+
+Rng = np.random.Generator
+Change = Callable[[U8, SensorModel, Rng], U8]
+
+UNDISTURBED = "nothing"
+RELEASED = "after a release"
+"""The skin keeps 2 to 5 % of the dent of a ball pressed 2 to 4 mm deep: up to 0.2 mm, and nothing touches."""
+LEFT = (0.02, 0.05)
+
+
+def _light(image: U8, model: SensorModel, rng: Rng) -> U8:
+    return nuisance.gain(image, float(rng.uniform(0.8, 1.2)))
+
+
+def _aged(image: U8, model: SensorModel, rng: Rng) -> U8:
+    loss, angle = float(rng.uniform(0.1, 0.4)), float(rng.uniform(0, 360))
+    return nuisance.uneven(image, model.row_c, model.col_c, model.disc_radius_px, loss, angle)
+
+
+def _glare(image: U8, model: SensorModel, rng: Rng) -> U8:
+    rho, angle = 0.9 * model.disc_radius_px * math.sqrt(rng.uniform()), rng.uniform(0, 2 * math.pi)
+    sigma, level = float(rng.uniform(2, 20)), float(rng.uniform(60, 255))
+    return nuisance.glare(image, model.row_c + rho * math.sin(angle), model.col_c + rho * math.cos(angle), sigma, level)
+
+
+def _warm(image: U8, model: SensorModel, rng: Rng) -> U8:
+    return nuisance.warm(image, model.row_c, model.col_c, float(rng.uniform(0, 1)))
+
+
+def _moved(image: U8, model: SensorModel, rng: Rng) -> U8:
+    rows, cols = ((1, 0), (-1, 0), (0, 1), (0, -1))[rng.integers(4)]
+    return nuisance.shift(image, rows, cols)
+
+
+def _noisy(image: U8, model: SensorModel, rng: Rng) -> U8:
+    return nuisance.noise(image, float(rng.uniform(2, 10)), int(rng.integers(1 << 30)))
+
+
+CHANGES: dict[str, Change] = {
+    UNDISTURBED: lambda image, model, rng: image,
+    "light within 20 %": _light,
+    "one side dims by 10 to 40 %": _aged,
+    "glare spot": _glare,
+    "warm-up": _warm,
+    "moved by 1 px": _moved,
+    "noise of 2 to 10 levels": _noisy,
+}
+"""What is done to an image, by name. Bounds of glare: standard deviation 2 to 20 px, 60 to 255 levels."""
+
+
+def _far_light(image: U8, model: SensorModel, rng: Rng) -> U8:
+    return nuisance.gain(image, float(rng.choice((0.3, 0.5, 0.7, 1.3, 1.5, 2.0, 3.0))))
+
+
+def _far_moved(image: U8, model: SensorModel, rng: Rng) -> U8:
+    rows, cols = (int(rng.choice((-1, 1)) * rng.integers(2, 6)) for _ in range(2))
+    return nuisance.shift(image, rows, cols)
+
+
+def _far_noisy(image: U8, model: SensorModel, rng: Rng) -> U8:
+    return nuisance.noise(image, float(rng.uniform(15, 50)), int(rng.integers(1 << 30)))
+
+
+def _blurred(image: U8, model: SensorModel, rng: Rng) -> U8:
+    return nuisance.defocus(image, float(rng.uniform(1, 5)))
+
+
+def _torn(image: U8, model: SensorModel, rng: Rng) -> U8:
+    row = round(model.row_c + model.disc_radius_px * rng.uniform(-0.8, 0.8))
+    other = (image, image * 0, image * 0 + 128)[rng.integers(3)]
+    return nuisance.torn(image, np.asarray(other, np.uint8), row, int(rng.integers(3, 200)))
+
+
+BEYOND: dict[str, Change] = {
+    "light x0.3 to x3": _far_light,
+    "moved by 3 to 7 px": _far_moved,
+    "noise of 15 to 50 levels": _far_noisy,
+    "blur of 1 to 5 px": _blurred,
+    "torn": _torn,
+}
+"""What no user may expect to be compensated: refused or said, at best."""
+
+WITHOUT_CONTACT = (*CHANGES, RELEASED)
+
+
+def without_contact(sensor: PressedSensor, what: str, seed: int, noise_seed: int) -> U8:
+    """Take an image with nothing touching, disturbed by one of `WITHOUT_CONTACT` or `BEYOND`, as the seed draws it."""
+    rng = np.random.default_rng((seed, 31))
+    if what == RELEASED:
+        model = sensor.model
+        rho, angle = model.skin_radius_mm * rng.uniform(0, 0.4), rng.uniform(0, 2 * math.pi)
+        radius, depth, part = rng.uniform(3, 9), rng.uniform(2, 4), rng.uniform(*LEFT)
+        press = Press(ball(radius), rho * math.cos(angle), rho * math.sin(angle), depth)
+        return sensor.released((press,), part, noise_seed).image
+    return (CHANGES | BEYOND)[what](sensor.frame((), noise_seed).image, sensor.model, rng)

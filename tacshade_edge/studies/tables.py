@@ -1,0 +1,44 @@
+"""Rows for a program (CSV) and for a person (Markdown)."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Sequence
+from dataclasses import fields
+from typing import Any
+
+_WORDS = ("object", "method", "sensor", "what")
+"""Columns of this name lean to the left, as long as they come first."""
+
+
+def csv_text(kind: type[Any], rows: Sequence[Any]) -> str:
+    """One line for each row, a column for each field of the dataclass `kind`; NaN is empty."""
+    names = [field.name for field in fields(kind)]
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(names)
+    writer.writerows([_plain(getattr(row, name)) for name in names] for row in rows)
+    return stream.getvalue()
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, bool):
+        return int(value)
+    if isinstance(value, float):
+        return "" if math.isnan(value) else f"{value:.6g}"
+    return value
+
+
+def markdown(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
+    """Pad the columns, so that a terminal shows them as a document does; numbers to the right."""
+    widths = [max(len(str(line[k])) for line in (header, *lines)) for k in range(len(header))]
+    left = sum(name in _WORDS for name in header)
+
+    def row(cells: Sequence[str]) -> str:
+        padded = (c.ljust(w) if k < left else c.rjust(w) for k, (c, w) in enumerate(zip(cells, widths, strict=True)))
+        return f"| {' | '.join(padded)} |"
+
+    rule = [":" + "-" * (w - 1) if k < left else "-" * (w - 1) + ":" for k, w in enumerate(widths)]
+    return "\n".join([row(header), row(rule), *(row(line) for line in lines)])
