@@ -247,9 +247,9 @@ class Calibration:
     noise_grey : float
         RMS of g between the references (eq. 1 at the window of the profiles), grey levels.
     alpha : float
-        Depth scale used where no table is (the paper's α).
-    refits : mapping of str to float32 (K,)
-        For each profile that was refitted to presses, the weights of `core.refit.apply_refit`.
+        The paper's α: depth of a normalised height of 1, in pixels.
+    factors : mapping of str to float
+        On h, of each profile that was refitted to presses (`core.refit`).
     fit : dict of str to float
         Fitted figures to show a person (cross-validated error and so on), all in mm or px as named.
     flange_T_sensor : 7 floats
@@ -268,12 +268,10 @@ class Calibration:
     reference_grey: U8
     noise_grey: float
     alpha: float
-    refits: Mapping[str, F32] = field(default_factory=dict)
+    factors: Mapping[str, float] = field(default_factory=dict)
     fit: dict[str, float] = field(default_factory=dict)
     flange_T_sensor: tuple[float, ...] = IDENTITY_POSE
     crc32: int = 0
 
     def __post_init__(self) -> None:
         freeze(self, "reference_white", "reference_grey")
-        for weights in self.refits.values():
-            weights.setflags(write=False)

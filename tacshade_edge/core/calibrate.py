@@ -341,18 +341,18 @@ def _refit(
             )
         else:
             ball = refit.located_ball(geometry, inverse, press.depth_mm, press.radius_mm)
-        made = refit.press_rows(inverse, reconstructor.known, geometry, ball) if ball is not None else None
+        made = refit.press_rows(inverse, geometry, ball) if ball is not None else None
         if made is not None and ball is not None:
             rows.append(made)
             tops.append((inverse, ball.depth_max_mm(geometry.skin_radius_mm)))
             names.append(press.name)
-    weights = refit.fit_refit(rows)
-    if weights.size == 0:
+    factor = refit.fit_factor(rows)
+    if factor is None:
         return calibration, []
     errors = []
     for k, (inverse, top_mm) in enumerate(tops):
-        without = refit.fit_refit(rows[:k] + rows[k + 1 :])
-        height = refit.apply_refit(without, inverse.height_mm, reconstructor.known)
+        without = refit.fit_factor(rows[:k] + rows[k + 1 :]) or 1.0
+        height = inverse.height_mm * np.float32(without)
         errors.append(float(height[inverse.contact_logit > 0].max()) - top_mm)
     off = np.abs(errors)
     figures = {
@@ -360,7 +360,9 @@ def _refit(
         f"{profile.name}_depth_mae_mm": float(off.mean()),
         f"{profile.name}_depth_worst_mm": float(off.max()),
     }
-    refitted = replace(calibration, refits={**calibration.refits, profile.name: weights}, fit=calibration.fit | figures)
+    refitted = replace(
+        calibration, factors={**calibration.factors, profile.name: factor}, fit=calibration.fit | figures
+    )
     return refitted, list(zip(names, errors, strict=True))
 
 

@@ -9,11 +9,10 @@ import numpy as np
 from tacshade_edge.core import clusters, discmap, greyscale
 from tacshade_edge.core.preprocess import Preprocessor
 from tacshade_edge.core.profiles import LEARNED, Profile
-from tacshade_edge.core.refit import apply_refit
 from tacshade_edge.core.skin import cell_area_mm2, skin_points
 from tacshade_edge.core.solvers import SOLVERS, Depth
 from tacshade_edge.core.solvers.learned import DEEPEST_RADII, Inverse, LearnedInverse, Network
-from tacshade_edge.types import F32, U8, Bool, Calibration, Frame, HeightMap, ObjectCloud, Reconstruction
+from tacshade_edge.types import U8, Bool, Calibration, Frame, HeightMap, ObjectCloud, Reconstruction
 
 Mark = Callable[[str], None]
 
@@ -53,7 +52,7 @@ class Reconstructor:
         self.profile = profile
         self._front = Preprocessor(calibration, profile)
         self._learned = _learned(calibration, profile, network)
-        self._refit = calibration.refits.get(profile.name, np.zeros(0, dtype=np.float32))
+        self._factor = np.float32(calibration.factors.get(profile.name, 1.0))
         self.grid = self._front.grid
         self.rays = self._front.rays
         # α is per pixel of the image (the paper ties it to the image's resolution).
@@ -118,18 +117,11 @@ class Reconstructor:
             raise ValueError(f"profile {self.profile.name} has no network")
         return self._learned(self._front.white_ratio(greyscale.to_grey(image))[0])
 
-    @property
-    def known(self) -> F32:
-        """What the network is told of the sensor (`discmap.geometry_maps`)."""
-        if self._learned is None:
-            raise ValueError(f"profile {self.profile.name} has no network")
-        return self._learned.known
-
     def _run_learned(self, learned: LearnedInverse, white: U8) -> tuple[Depth, Bool]:
         """Refitted height and contact on the grid."""
         disc = self.calibration.geometry.disc
         inverse = learned(white)
-        refitted = apply_refit(self._refit, inverse.height_mm, learned.known)
+        refitted = inverse.height_mm * self._factor
         finite = np.isfinite(refitted)
         height = np.maximum(discmap.at_grid(np.where(finite, refitted, np.float32(0)), disc, self.grid), 0)
         height = np.where(self.rays.inside, height, np.float32(0)).astype(np.float32)

@@ -1,8 +1,8 @@
 """The closed-form refit of the learned inverse to ball presses.
 
-A network trained on every sensor is off on a given one by a nearly constant factor, which changes a little with
-depth and with the distance from the middle. That factor is fitted where the ball's surface is known and the network
-sees contact.
+A network trained on every sensor is off on a given one by a nearly constant factor. It is fitted where the ball's
+surface is known and the network sees contact. Balls tell little more: corrections that also depend on depth and place
+fit the balls better, and other shapes no better (tools/train/README.md).
 """
 
 from __future__ import annotations
@@ -19,10 +19,8 @@ from tacshade_edge.core.skin import skin_points
 from tacshade_edge.core.solvers.learned import Inverse
 from tacshade_edge.types import F32, F64, Geometry
 
-# Pull towards "as it is", and how much less the plain factor is pulled.
-RIDGE, RIDGE_FACTOR = 0.03, 0.003
-# Balls tell the factor of other shapes only to about a tenth: corrections that small are noise (log factor).
-DOUBT = 0.1
+# Pull towards "as it is": other shapes need a little less of the correction than balls.
+RIDGE = 0.1
 # A contact of fewer cells says nothing; fewer presses neither.
 LEAST_CELLS, LEAST_PRESSES = 12, 5
 # No sensor is farther from the network's idea of it.
@@ -45,9 +43,9 @@ class Ball:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PressRows:
-    """One press in the regression: `target` is to be `rows` times the weights; cells that are used."""
+    """One press in the regression, at the cells that are used: `target` is to be the factor times `found`, weighted."""
 
-    rows: F64
+    found: F64
     target: F64
 
 
@@ -92,8 +90,8 @@ def ball_height(geometry: Geometry, ball: Ball) -> F32:
     return np.where(rays.inside, height, np.nan).astype(np.float32)
 
 
-def press_rows(inverse: Inverse, known: F32, geometry: Geometry, ball: Ball) -> PressRows | None:
-    """One press for `fit_refit`; None where the network's contact and the ball hardly meet."""
+def press_rows(inverse: Inverse, geometry: Geometry, ball: Ball) -> PressRows | None:
+    """One press for `fit_factor`; None where the network's contact and the ball hardly meet."""
     height, truth = inverse.height_mm, ball_height(geometry, ball)
     use = (inverse.contact_logit > 0) & (height > 0.05) & (np.nan_to_num(truth) > 0.1)
     cells = int(np.count_nonzero(use))
@@ -101,50 +99,14 @@ def press_rows(inverse: Inverse, known: F32, geometry: Geometry, ball: Ball) -> 
         return None
     # Every press counts alike, a deep one a little less: its error in mm is larger.
     weight = 1 / math.sqrt(cells * (0.5 + ball.depth_max_mm(geometry.skin_radius_mm)))
-    found = height[use].astype(np.float64)
-    rows = _features(found, _rho2(known)[use], float(found.max())) * (found * weight)[:, None]
-    return PressRows(rows, truth[use].astype(np.float64) * weight)
+    return PressRows(height[use].astype(np.float64) * weight, truth[use].astype(np.float64) * weight)
 
 
-def fit_refit(presses: Sequence[PressRows]) -> F32:
-    """Weights of the factor by ridge regression; empty where the presses are too few.
-
-    Returns
-    -------
-    float32 (6,) or (0,)
-    """
+def fit_factor(presses: Sequence[PressRows]) -> float | None:
+    """The factor on h by ridge regression; None where the presses are too few."""
     if len(presses) < LEAST_PRESSES:
-        return np.zeros(0, dtype=np.float32)
-    rows = np.concatenate([press.rows for press in presses])
+        return None
+    found = np.concatenate([press.found for press in presses])
     target = np.concatenate([press.target for press in presses])
-    prior = np.zeros(rows.shape[1])
-    prior[0] = 1.0
-    pull = RIDGE * len(presses) * np.diag([RIDGE_FACTOR] + [1.0] * (rows.shape[1] - 1))
-    weights = np.linalg.solve(rows.T @ rows + pull, rows.T @ target + pull @ prior)
-    # The first feature is 1, so the first column is the network's own h.
-    factors = [float(p.rows[:, 0] @ p.target) / float(p.rows[:, 0] @ p.rows[:, 0]) for p in presses]
-    typical = math.log(max(float(np.median(factors)), 1e-3))
-    trust = typical**2 / (typical**2 + DOUBT**2)
-    return np.asarray(prior + trust * (weights - prior), dtype=np.float32)
-
-
-def apply_refit(weights: F32, height_mm: F32, known: F32) -> F32:
-    """The height map times the fitted factor; as it is without weights."""
-    if weights.size == 0:
-        return height_mm
-    top = max(float(height_mm.max()), 1e-3)
-    factor = np.clip(_features(height_mm.astype(np.float64), _rho2(known), top) @ weights, *FACTOR_RANGE)
-    return (height_mm * factor).astype(np.float32)
-
-
-def _rho2(known: F32) -> F64:
-    """ρ² of the cells from `discmap.geometry_maps`."""
-    rho2: F64 = (known[0].astype(np.float64)) ** 2 + known[1] ** 2
-    return np.minimum(rho2, 1.0)
-
-
-def _features(height_mm: F64, rho2: F64, top_mm: float) -> F64:
-    """What the factor may depend on: h, ρ² and the frame's greatest h; (..., 6)."""
-    h = height_mm / 3
-    t = np.full_like(h, top_mm / 3)
-    return np.stack((np.ones_like(h), h, rho2, h * rho2, t, 1 / (0.3 + t)), axis=-1)
+    excess = float(found @ (target - found)) / ((1 + RIDGE) * float(found @ found))
+    return min(max(1 + excess, FACTOR_RANGE[0]), FACTOR_RANGE[1])

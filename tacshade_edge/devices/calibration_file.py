@@ -18,7 +18,7 @@ from tacshade_edge.devices.whole_files import write_whole
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.types import Calibration, Disc, Geometry
 
-VERSION = 2
+VERSION = 3
 # What numpy and zipfile raise on damaged bytes (TypeError: a .npy; RuntimeError: a flag or method zipfile lacks).
 _DAMAGE = (
     KeyError,
@@ -32,7 +32,6 @@ _DAMAGE = (
     zlib.error,
 )
 _ARRAYS = ("reference_white", "reference_grey")
-_REFIT = "refit_"
 
 
 def _content(calibration: Calibration) -> tuple[bytes, dict[str, Any]]:
@@ -51,12 +50,11 @@ def _content(calibration: Calibration) -> tuple[bytes, dict[str, Any]]:
         "pitch_px": calibration.pitch_px,
         "noise_grey": calibration.noise_grey,
         "alpha": calibration.alpha,
+        "factors": dict(calibration.factors),
         "fit": calibration.fit,
         "flange_T_sensor": list(calibration.flange_T_sensor),
     }
-    arrays: dict[str, Any] = {name: getattr(calibration, name) for name in _ARRAYS}
-    arrays |= {_REFIT + name: calibration.refits[name] for name in sorted(calibration.refits)}
-    return json.dumps(meta, sort_keys=True).encode(), arrays
+    return json.dumps(meta, sort_keys=True).encode(), {name: getattr(calibration, name) for name in _ARRAYS}
 
 
 def _crc32(meta: bytes, arrays: dict[str, Any]) -> int:
@@ -129,8 +127,7 @@ def load(path: str | os.PathLike[str]) -> Calibration:
 def _from_content(name: str, meta: dict[str, Any], arrays: dict[str, Any], crc: int) -> Calibration:
     if meta.get("version") != VERSION:
         raise ConfigError(f"{name}: calibration version {meta.get('version')}, expected {VERSION}: calibrate again")
-    refits = {key.removeprefix(_REFIT): array for key, array in arrays.items() if key.startswith(_REFIT)}
-    if set(arrays) - {_REFIT + key for key in refits} != set(_ARRAYS):
+    if set(arrays) != set(_ARRAYS):
         raise ConfigError(f"{name}: not a calibration; expected a file written by `tacshade-edge calibrate`")
     height, width = arrays["reference_white"].shape
     return Calibration(
@@ -150,7 +147,6 @@ def _from_content(name: str, meta: dict[str, Any], arrays: dict[str, Any], crc: 
         fit=meta["fit"],
         flange_T_sensor=tuple(meta["flange_T_sensor"]),
         crc32=crc,
-        reference_white=arrays["reference_white"],
-        reference_grey=arrays["reference_grey"],
-        refits=refits,
+        factors=meta["factors"],
+        **arrays,
     )

@@ -59,7 +59,7 @@ def load(document: Document) -> tuple[Calibration | None, tuple[Finding, ...]]:
         return None, (fault("calibration", str(error), mend),)
     days = (time.time() - os.stat(path).st_mtime) / _DAY_S
     found = f"{path}: {calibration.crc32:08x}, {max(days, 0):.0f} days old"
-    if not calibration.refits:
+    if not calibration.factors:
         mend = "take ball presses and calibrate with --presses PRESSES.csv (docs/calibration.md)"
         return calibration, (warning("calibration", f"{found}; depth is not in true millimetres", mend),)
     return calibration, (

@@ -53,8 +53,8 @@ def test_the_golden_replay(tmp_path: Path, golden: list[dict[str, Any]]) -> None
 def test_two_percent_more_depth_would_be_seen(tmp_path: Path, golden: list[dict[str, Any]]) -> None:
     given = write_input(tmp_path, 20)
     right = calibrated()
-    deeper = {name: weights * np.float32(1.02) for name, weights in right.refits.items()}
-    calibration_file.save(tmp_path / "cal.npz", replace(right, refits=deeper))
+    deeper = {name: 1.02 * factor for name, factor in right.factors.items()}
+    calibration_file.save(tmp_path / "cal.npz", replace(right, factors=deeper))
     assert main([*given, "--out", str(tmp_path / "run")]) == 0
     found = differences(figures(tmp_path / "run"), golden[:20])
     assert len(found) >= 10

@@ -34,7 +34,7 @@ def test_references_alone_give_what_images_tell() -> None:
     assert result.warnings == ()
     assert (calibration.image_height_px, calibration.image_width_px) == (240, 320)
     assert calibration.geometry.disc.radius_px == pytest.approx(HALF.disc_radius_px, rel=0.005)
-    assert not calibration.refits
+    assert not calibration.factors
     assert calibration.alpha == 15.0
     assert calibration.fit == {}
     assert 0.2 < calibration.noise_grey < 3
@@ -88,15 +88,15 @@ def test_load_is_told_from_none_on_other_sensors(height: int) -> None:
 
 def test_presses_refit_every_learned_profile_and_give_a_real_error() -> None:
     made = calibrated()
-    assert sorted(made.refits) == ["accurate", "fast"]
+    assert sorted(made.factors) == ["accurate", "fast"]
     assert made.fit["presses"] == 20
-    for name in made.refits:
+    for name in made.factors:
         assert made.fit[f"{name}_presses"] >= 18
         assert 0 < made.fit[f"{name}_depth_mae_mm"] < 0.35
         assert made.fit[f"{name}_depth_worst_mm"] >= made.fit[f"{name}_depth_mae_mm"]
     assert made.fit["position_mae_mm"] < 2.5
-    assert not calibrate(SENSOR, references(), presses()).calibration.refits
-    assert not calibrated(count=0).refits
+    assert not calibrate(SENSOR, references(), presses()).calibration.factors
+    assert not calibrated(count=0).factors
 
 
 def test_cross_validation_finds_out_false_depths() -> None:
@@ -123,7 +123,7 @@ def test_presses_that_do_not_vary_still_calibrate() -> None:
     ]
     made = make_reconstructor(fitted(same).calibration, PROFILES["fast"])
     assert made.step(Frame(0, 0, 0, pressed("ball", 2.0).image)).depth_max_mm == pytest.approx(2.0, rel=0.1)
-    assert all(np.isfinite(weights).all() for weights in made.calibration.refits.values())
+    assert all(np.isfinite(factor) for factor in made.calibration.factors.values())
 
 
 def test_too_few_presses() -> None:
@@ -235,7 +235,7 @@ def test_a_new_reference_keeps_everything_else() -> None:
     assert renewed.reference_grey.mean() < 0.85 * calibrated().reference_grey.mean()
     for name in ("geometry", "polarity", "pitch_px", "alpha", "fit"):
         assert getattr(renewed, name) == getattr(calibrated(), name)
-    assert renewed.refits == calibrated().refits
+    assert renewed.factors == calibrated().factors
     image = pressed("ball", 3.0).image
     depth_mm = (
         make_reconstructor(renewed, PROFILES["fast"]).step(Frame(0, 0, 0, nuisance.gain(image, 0.8))).depth_max_mm

@@ -1,5 +1,3 @@
-from itertools import pairwise
-
 import numpy as np
 import pytest
 
@@ -7,7 +5,7 @@ from tacshade_edge.core import discmap, refit
 from tacshade_edge.core.disc import disc_rays
 from tacshade_edge.core.skin import skin_points
 from tacshade_edge.core.solvers.learned import Inverse
-from tacshade_edge.types import F32, Disc, Geometry
+from tacshade_edge.types import Disc, Geometry
 
 DISC = Disc(61.3, 83.9, 47.7)
 PLACES = ((0.0, 0.0), (5.0, -2.0), (-4.0, 6.0), (2.0, 7.0), (-6.0, -5.0), (7.0, 1.0), (0.0, -8.0), (3.0, 3.0))
@@ -26,9 +24,8 @@ def seen(ball: refit.Ball, factor: float = 1.0, where: Geometry | None = None) -
 
 
 def rows(factor: float, where: Geometry | None = None) -> list[refit.PressRows]:
-    known = discmap.geometry_maps(where or geometry(), 6.0)
     balls = [refit.stated_ball(where or geometry(), *b) for b in BALLS]
-    made = [refit.press_rows(seen(b, factor, where), known, where or geometry(), b) for b in balls]
+    made = [refit.press_rows(seen(b, factor, where), where or geometry(), b) for b in balls]
     return [m for m in made if m is not None]
 
 
@@ -65,53 +62,34 @@ def test_without_contact_there_is_nothing_to_locate_or_fit() -> None:
     nothing = Inverse(np.zeros((112, 112), dtype=np.float32), np.full((112, 112), -5, dtype=np.float32))
     ball = refit.stated_ball(geometry(), 0.0, 0.0, 2.0, 5.0)
     assert refit.located_ball(geometry(), nothing, 2.0, 5.0) is None
-    assert refit.press_rows(nothing, discmap.geometry_maps(geometry(), 6.0), geometry(), ball) is None
+    assert refit.press_rows(nothing, geometry(), ball) is None
 
 
 @pytest.mark.parametrize(("factor", "left"), [(0.6, 0.05), (0.75, 0.05), (1.0, 0.01), (1.35, 0.05)])
 def test_a_constant_factor_is_taken_away(factor: float, left: float) -> None:
-    weights = refit.fit_refit(rows(factor))
-    assert weights.dtype == np.float32
+    fitted = refit.fit_factor(rows(factor))
+    assert fitted is not None
     ball = refit.stated_ball(geometry(), -2.0, 3.0, 2.2, 5.5)  # not one of the presses
-    known = discmap.geometry_maps(geometry(), 6.0)
-    height = refit.apply_refit(weights, seen(ball, factor).height_mm, known)
-    assert height.max() == pytest.approx(ball.depth_max_mm(20.0), rel=left)
+    assert fitted * seen(ball, factor).height_mm.max() == pytest.approx(ball.depth_max_mm(20.0), rel=left)
 
 
-def test_a_small_factor_is_left_because_other_shapes_have_another() -> None:
-    weights = refit.fit_refit(rows(0.97))
-    assert weights[0] == pytest.approx(1.0, abs=0.01)
+@pytest.mark.parametrize("factor", [0.6, 0.9, 1.35])
+def test_a_little_less_than_what_the_balls_say_is_taken(factor: float) -> None:
+    fitted = refit.fit_factor(rows(factor)) or 0.0
+    assert (fitted - 1) / (1 / factor - 1) == pytest.approx(1 / (1 + refit.RIDGE), abs=0.01)
 
 
-def test_what_is_right_stays() -> None:
-    weights = refit.fit_refit(rows(1.0))
-    known = discmap.geometry_maps(geometry(), 6.0)
-    height: F32 = np.linspace(0, 5, 112 * 112, dtype=np.float32).reshape(112, 112)
-    np.testing.assert_allclose(refit.apply_refit(weights, height, known), height, rtol=0.03)
+def test_every_press_counts_whatever_its_contacts_size() -> None:
+    small, large = [refit.PressRows(np.full(n, n**-0.5), np.full(n, t * n**-0.5)) for n, t in ((20, 1.2), (2000, 1.0))]
+    fitted = refit.fit_factor([small] * 3 + [large] * 3)
+    assert fitted == pytest.approx(1 + 0.1 / (1 + refit.RIDGE))
 
 
-def test_few_presses_fit_nothing_and_no_weights_change_nothing() -> None:
-    weights = refit.fit_refit(rows(0.7)[: refit.LEAST_PRESSES - 1])
-    assert weights.size == 0
-    height = np.ones((112, 112), dtype=np.float32)
-    known = discmap.geometry_maps(geometry(), 6.0)
-    assert refit.apply_refit(weights, height, known) is height
+def test_few_presses_fit_nothing() -> None:
+    assert refit.fit_factor(rows(0.7)[: refit.LEAST_PRESSES - 1]) is None
 
 
 def test_the_factor_is_bounded() -> None:
-    known = discmap.geometry_maps(geometry(), 6.0)
-    height = np.ones((112, 112), dtype=np.float32)
     low, high = refit.FACTOR_RANGE
-    wild = np.array((1e6, 0, 0, 0, 0, 0), dtype=np.float32)
-    assert refit.apply_refit(wild, height, known).max() == pytest.approx(high)
-    assert refit.apply_refit(-wild, height, known).min() == pytest.approx(low)
-
-
-def test_more_depth_stays_more_depth() -> None:
-    weights = refit.fit_refit(rows(0.8))
-    known = discmap.geometry_maps(geometry(), 6.0)
-    tops = []
-    for depth in (1.0, 1.5, 2.0, 3.0, 4.0):
-        ball = refit.stated_ball(geometry(), 1.0, 1.0, depth, 5.0)
-        tops.append(refit.apply_refit(weights, seen(ball, 0.8).height_mm, known).max())
-    assert all(b > a for a, b in pairwise(tops))
+    assert refit.fit_factor(rows(0.1)) == pytest.approx(high)
+    assert refit.fit_factor(rows(20.0)) == pytest.approx(low)

@@ -22,8 +22,6 @@ def assert_same(one: Calibration, other: Calibration) -> None:
         if isinstance(a, np.ndarray):
             assert a.dtype == b.dtype
             np.testing.assert_array_equal(a, b)
-        elif field.name == "refits":
-            assert {k: w.tobytes() for k, w in a.items()} == {k: w.tobytes() for k, w in b.items()}
         else:
             assert a == b, field.name
 
@@ -114,10 +112,10 @@ def test_what_is_no_calibration_is_refused(tmp_path: Path) -> None:
 
 
 def test_another_version_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(calibration_file, "VERSION", 3)
+    monkeypatch.setattr(calibration_file, "VERSION", 4)
     calibration_file.save(tmp_path / "new.npz", painted_calibration())
     monkeypatch.undo()
-    with pytest.raises(ConfigError, match=r"new\.npz: calibration version 3, expected 2"):
+    with pytest.raises(ConfigError, match=r"new\.npz: calibration version 4, expected 3"):
         calibration_file.load(tmp_path / "new.npz")
 
 

@@ -44,7 +44,7 @@ def painted_calibration() -> Calibration:
             reference_grey=grey,
             noise_grey=0.5,
             alpha=15.0,
-            refits={"accurate": np.array([1, 0, 0, 0, 0, 0], dtype=np.float32)},
+            factors={"accurate": 1.0},
             fit={"accurate_depth_mae_mm": 0.2},
         )
     )

@@ -74,12 +74,12 @@ class LearnedInverse:
     def __init__(self, network: Network, geometry: Geometry, pitch_px: float, reference_white: U8) -> None:
         self._network = network
         self._disc = geometry.disc
-        self.known = discmap.geometry_maps(geometry, pitch_px)
+        known = discmap.geometry_maps(geometry, pitch_px)
         self._unit_mm = geometry.skin_radius_mm * math.sin(math.radians(geometry.visible_half_angle_deg))
         n = network.fold
         reference = fold(discmap.disc_average(reference_white, geometry.disc)[None] / np.float32(255), n)
         # The frame's channels come first; the rest stays.
-        self._still = np.concatenate((reference, self.known[:, ::n, ::n]))
+        self._still = np.concatenate((reference, known[:, ::n, ::n]))
 
     def __call__(self, white: U8) -> Inverse:
         """Run it on a binarised frame, uint8 (H, W), 0 or 1."""
