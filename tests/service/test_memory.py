@@ -11,9 +11,10 @@ import pytest
 from mqtt_rig import MOSQUITTO
 
 BENCH = Path(__file__).parents[2] / "tools/bench_memory.py"
-FRAMES = 400
-# Measured: 80 MB, 83 at the peak, the same at every count. A forgotten frame in ten would be 6 MB in the second half.
-RESIDENT_MAX_MB, GROWTH_MAX_MB = 120.0, 4.0
+FRAMES = 800
+# Measured: 84 MB, 90 at the peak, 84 to 90 where other work makes frames wait. A forgotten frame in ten would be 12 MB in
+# the second half.
+RESIDENT_MAX_MB, GROWTH_MAX_MB = 120.0, 8.0
 
 
 @pytest.mark.slow
