@@ -12,7 +12,7 @@ from mqtt_rig import MOSQUITTO
 
 BENCH = Path(__file__).parents[2] / "tools/bench_memory.py"
 FRAMES = 800
-# Measured: 84 MB, 90 at the peak, 84 to 90 where other work makes frames wait. A forgotten frame in ten would be 12 MB in
+# Measured: 84 MB, 90 at the peak, 84 to 90 where other work makes frames wait. A forgotten frame in ten: 12 MB in
 # the second half.
 RESIDENT_MAX_MB, GROWTH_MAX_MB = 120.0, 8.0
 
