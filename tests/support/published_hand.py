@@ -20,10 +20,9 @@ CRC = 0x1234ABCD
 def calibration() -> Calibration:
     """Of a 640x480 camera; only what `info` tells of it is of use."""
     image = np.zeros((ROWS, COLS), np.uint8)
-    no_table = np.zeros(0, np.float32)
     geometry = Geometry(20.0, 30.0, 55.0, DISC)
     return Calibration(
-        *(geometry, "bright", "adaptive", ROWS, COLS, 20.0, image, image, 1.0, 15.0, no_table, no_table, no_table),
+        *(geometry, "bright", "adaptive", ROWS, COLS, 20.0, image, image, 1.0, 15.0),
         crc32=CRC,
     )
 
