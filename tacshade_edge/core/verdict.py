@@ -43,7 +43,13 @@ def judge(
     worst : sequence of (name, error in mm)
         The presses, the worst first.
     """
-    if "accurate_depth_mae_mm" not in fit:
+    if fit and "accurate_depth_mae_mm" not in fit:
+        return Verdict(
+            "poor",
+            "poor: the learned profiles see a contact where the ball is in fewer presses than a fit needs",
+            ("look at the presses' images, places and depths, and at SENSOR.yaml",),
+        )
+    if not fit:
         return Verdict(
             "uncalibrated",
             "depth is what sensors of this kind give on average: no --presses to measure how good that is for this one",

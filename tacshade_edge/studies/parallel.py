@@ -18,6 +18,8 @@ from tacshade_edge.errors import DeviceError
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
+Report = Callable[[str, int, int], None]
+"""Told what is counted, how many are done, and of how many."""
 
 
 def usable_cores() -> int:
@@ -50,6 +52,16 @@ def ordered_map(function: Callable[[Task], Result], tasks: Sequence[Task], cores
         raise DeviceError("a worker process was ended from outside (not enough memory?)") from None
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
+
+
+def reported_map(
+    function: Callable[[Task], Result], tasks: Sequence[Task], cores: int, report: Report, what: str
+) -> Iterator[Result]:
+    """`ordered_map` that tells how far it is."""
+    report(what, 0, len(tasks))
+    for k, result in enumerate(ordered_map(function, tasks, cores)):
+        report(what, k + 1, len(tasks))
+        yield result
 
 
 def _start() -> None:

@@ -58,3 +58,9 @@ def test_without_presses() -> None:
     verdict = judge({}, GEOMETRY, (), ())
     assert verdict.grade == "uncalibrated"
     assert "--presses PRESSES.csv" in verdict.advice[0]
+
+
+def test_presses_in_which_the_networks_saw_nothing_are_not_called_missing() -> None:
+    verdict = judge({"presses": 9.0, "agreement_mae_mm": 0.1}, GEOMETRY, (), ())
+    assert verdict.grade == "poor"
+    assert "SENSOR.yaml" in verdict.advice[0]

@@ -19,7 +19,8 @@ from tacshade_edge.devices.images import SUFFIXES, read_image
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.studies.evaluate.score import KnownTruth, Label, Row, score
 from tacshade_edge.studies.evaluate.sensors import reconstructor
-from tacshade_edge.studies.evaluate.work import Report, Timing
+from tacshade_edge.studies.evaluate.work import Timing
+from tacshade_edge.studies.parallel import Report
 from tacshade_edge.types import Calibration, Frame, Geometry
 
 EXPECTED = "points_mm, or height_mm and contact"

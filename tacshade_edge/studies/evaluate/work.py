@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
-from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -16,17 +14,12 @@ from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.studies.evaluate.scenes import DEPTHS_MM, NULL_FRAMES, null_images, scenes
 from tacshade_edge.studies.evaluate.score import KnownTruth, Label, Row, score
 from tacshade_edge.studies.evaluate.sensors import SensorName, calibrated, reconstructor
-from tacshade_edge.studies.parallel import ordered_map
+from tacshade_edge.studies.parallel import Report, reported_map
 from tacshade_edge.types import Calibration, Frame
 
 NOTHING = np.zeros((0, 3), dtype=np.float32)
 TIMED_OBJECTS, TIMED_ROUNDS = 5, 3
 """So many frames are timed, each so often."""
-
-Task = TypeVar("Task")
-Result = TypeVar("Result")
-Report = Callable[[str, int, int], None]
-"""Told what is done, how many of it, and of how many."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,20 +73,13 @@ def evaluate(plan: Plan, cores: int, report: Report) -> Evaluation:
     DeviceError
         A worker process was killed.
     """
-    found = tuple(_each(_calibrate, [(plan, name) for name in plan.sensors], cores, report, "sensors calibrated"))
+    found = tuple(
+        reported_map(_calibrate, [(plan, name) for name in plan.sensors], cores, report, "sensors calibrated")
+    )
     known = [(plan, name, made.calibration) for name, made in zip(plan.sensors, found, strict=True)]
     tasks = [(*each, what) for each in known for what in (*plan.objects, None)]
-    rows = chain.from_iterable(_each(_rows, tasks, cores, report, "objects pressed"))
+    rows = chain.from_iterable(reported_map(_rows, tasks, cores, report, "objects pressed"))
     return Evaluation(tuple(rows), found)
-
-
-def _each(
-    function: Callable[[Task], Result], tasks: Sequence[Task], cores: int, report: Report, what: str
-) -> Iterator[Result]:
-    report(what, 0, len(tasks))
-    for k, result in enumerate(ordered_map(function, tasks, cores)):
-        report(what, k + 1, len(tasks))
-        yield result
 
 
 def _calibrate(task: tuple[Plan, SensorName]) -> Calibrated:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import chain
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -27,14 +27,11 @@ from tacshade_edge.studies.evaluate.sensors import (
 from tacshade_edge.studies.limits.across import across, dip_mm, found_heights, top_mm
 from tacshade_edge.studies.limits.disturbances import BEYOND, CHANGES, UNDISTURBED, WITHOUT_CONTACT, without_contact
 from tacshade_edge.studies.limits.rows import DepthRow, DisturbedRow, FineRow, Found, NullRow, found
-from tacshade_edge.studies.parallel import ordered_map
+from tacshade_edge.studies.parallel import Report, reported_map
 from tacshade_edge.types import U8, Calibration, Frame, Reconstruction
 
 _GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
 
-Report = Callable[[str, int, int], None]
-Task = TypeVar("Task")
-Result = TypeVar("Result")
 _Job = tuple[Callable[[Any], Sequence[Found]], Any]
 
 
@@ -102,14 +99,14 @@ class Limits:
 def limits(plan: Plan, cores: int, report: Report) -> Limits:
     """Run a plan. Raises ConfigError (a sensor cannot be calibrated) and DeviceError (a worker was killed)."""
     names = [(plan, name) for name in plan.sensors]
-    calibrations = list(_each(_calibrate, names, cores, report, "sensors calibrated"))
+    calibrations = list(reported_map(_calibrate, names, cores, report, "sensors calibrated"))
     known = [(*each, calibration) for each, calibration in zip(names, calibrations, strict=True)]
     # The longest first, so that no core waits at the end.
     jobs: list[_Job] = [
         *((_fine, (plan, pitch)) for pitch in plan.pitches_mm),
         *((job, task) for job in (_deep, _faint, _nulls, _disturbed) for task in known),
     ]
-    rows = list(chain.from_iterable(_each(_run, jobs, cores, report, "parts of the study")))
+    rows = list(chain.from_iterable(reported_map(_run, jobs, cores, report, "parts of the study")))
     return Limits(
         tuple(r for r in rows if isinstance(r, NullRow)),
         tuple(r for r in rows if isinstance(r, DepthRow) and r.faint),
@@ -122,15 +119,6 @@ def limits(plan: Plan, cores: int, report: Report) -> Limits:
 def _run(job: _Job) -> Sequence[Found]:
     function, task = job
     return function(task)
-
-
-def _each(
-    function: Callable[[Task], Result], tasks: Sequence[Task], cores: int, report: Report, what: str
-) -> Iterator[Result]:
-    report(what, 0, len(tasks))
-    for k, result in enumerate(ordered_map(function, tasks, cores)):
-        report(what, k + 1, len(tasks))
-        yield result
 
 
 def _calibrate(task: tuple[Plan, SensorName]) -> Calibration:
