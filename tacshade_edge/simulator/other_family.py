@@ -13,7 +13,8 @@ from tacshade_edge.simulator.scene import SimulatedFrame
 from tacshade_edge.simulator.skin import Skin, left_over, press_skin
 from tacshade_edge.simulator.varied_print import PinProfile, VariedRenderer, lattice_print
 
-CAPS = PinProfile(height=1.0, part=0.7, cap=True)
+CAPS = PinProfile(((1.0, 0.7, 0.0),))
+"""A stem that tapers, under a flat cap."""
 
 
 class OtherSensor:

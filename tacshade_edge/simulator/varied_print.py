@@ -1,4 +1,4 @@
-"""Pins and markers that are not the simulator's: any lattice with a marker in each cell's middle, pins with a waist."""
+"""Pins and markers that are not the simulator's: any lattice, a marker in each cell, pins of any outline."""
 
 from __future__ import annotations
 
@@ -18,11 +18,20 @@ _CORNERS = 12
 
 @dataclass(frozen=True, slots=True)
 class PinProfile:
-    """Radius at `height` (0 the base, 1 the tip) as a part of the frustum's there; `cap`: a stem under a flat cap."""
+    """The pin's outline between base and tip: cones through rings.
 
-    height: float
-    part: float
-    cap: bool = False
+    Attributes
+    ----------
+    rings : tuple of (height, of base, of tip)
+        Each ring's height (0 the base, 1 the tip) and its radius as a sum of parts of the base's and the tip's.
+    """
+
+    rings: tuple[tuple[float, float, float], ...]
+
+    @classmethod
+    def waist(cls, height: float, part: float) -> PinProfile:
+        """A frustum whose radius at a height is a part of what it would be: a waist or a belly."""
+        return cls(((height, part * (1 - height), part * height),))
 
 
 class VariedRenderer(render.Renderer):
@@ -60,13 +69,13 @@ class VariedRenderer(render.Renderer):
 
         outline = render._on_skin(skin, *render._carried(smooth, marks.marker_chart_mm, model.friction))
         fill(render._to_canvas(render.project(model.geometry, outline)), white)
-        base, tip = pins(marks)
-        at = self._profile.height
-        frustum = (1 - at) * marks.pin_base_mm + at * marks.pin_tip_mm
-        radius = self._profile.part * (marks.pin_base_mm if self._profile.cap else frustum)
-        waist = pins(replace(marks, pin_tip_mm=radius, pin_length_mm=at * marks.pin_length_mm))[1]
-        fill(np.concatenate((base, waist), axis=1), black)
-        fill(tip if self._profile.cap else np.concatenate((waist, tip), axis=1), black)
+        below, tip = pins(marks)
+        for height, of_base, of_tip in self._profile.rings:
+            radius = of_base * marks.pin_base_mm + of_tip * marks.pin_tip_mm
+            ring = pins(replace(marks, pin_tip_mm=radius, pin_length_mm=height * marks.pin_length_mm))[1]
+            fill(np.concatenate((below, ring), axis=1), black)
+            below = ring
+        fill(np.concatenate((below, tip), axis=1), black)
         if tip_level != black:
             fill(tip, tip_level)
         return np.asarray(
@@ -76,24 +85,33 @@ class VariedRenderer(render.Renderer):
 
 def lattice_print(model: SensorModel, angle_deg: float, ratio: float = 1.0) -> render.Print:
     """Lay pins on a lattice of any angle and ratio of its sides, a marker in the middle of each cell."""
-    rng = np.random.default_rng((model.print_seed, 14))
-    r, p = model.skin_radius_mm, model.pitch_mm
-    limit = 2 * r * math.sin(math.radians(model.visible_half_angle_deg + 6) / 2)
-    n = 2 * math.ceil(limit / p) + 2
+    n = 2 * math.ceil(reach_mm(model) / model.pitch_mm) + 2
     i, j = np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1))
     a, b = math.radians(model.lattice_rotation_deg), math.radians(angle_deg)
     sides = np.array(((1.0, 0.0), (ratio * math.cos(b), ratio * math.sin(b)))) / math.sqrt(ratio)
-    cell = p * sides @ np.array(((math.cos(a), math.sin(a)), (-math.sin(a), math.cos(a))))
+    cell = model.pitch_mm * sides @ np.array(((math.cos(a), math.sin(a)), (-math.sin(a), math.cos(a))))
+    corners = np.stack((i.ravel(), j.ravel()), axis=1)
+    return print_at(model, corners @ cell, (corners + 0.5) @ cell)
 
-    def lay(shift: float) -> F64:
-        points = (np.stack((i.ravel(), j.ravel()), axis=1) + shift) @ cell
+
+def reach_mm(model: SensorModel) -> float:
+    """How far from the apex the print reaches, in the equal-area chart."""
+    return 2 * model.skin_radius_mm * math.sin(math.radians(model.visible_half_angle_deg + 6) / 2)
+
+
+def print_at(model: SensorModel, pins_mm: F64, markers_mm: F64) -> render.Print:
+    """Print pins and markers at points (N, 2) of the equal-area chart, with the model's tolerances."""
+    rng = np.random.default_rng((model.print_seed, 14))
+    r, p, limit = model.skin_radius_mm, model.pitch_mm, reach_mm(model)
+
+    def lay(points: F64) -> F64:
         points = points + rng.normal(0, model.position_tolerance_mm, points.shape)
         return np.asarray(points[np.linalg.norm(points, axis=1) < limit])
 
     def sizes(pitches: float, count: int) -> F64:
         return np.asarray(pitches * p * np.clip(1 + model.size_tolerance * rng.standard_normal(count), 0.5, 1.5))
 
-    pins, markers = lay(0.0), lay(0.5)
+    pins, markers = lay(pins_mm), lay(markers_mm)
     centre = render._equal_area_to_direction(markers, r)
     east, north = render._tangents(centre)
     angles = np.arange(_CORNERS) * (2 * math.pi / _CORNERS)

@@ -56,7 +56,8 @@ def test_the_lattice_is_square_with_a_marker_in_each_cell() -> None:
 def test_a_waist_shows_less_black_than_a_belly() -> None:
     skin = press_skin(MODEL.skin_radius_mm, MODEL.skin_decay_mm, ())
     black = [
-        np.count_nonzero(VariedRenderer(MODEL, None, PinProfile(0.5, part)).draw(skin) < 60) for part in (0.6, 1.0, 1.4)
+        np.count_nonzero(VariedRenderer(MODEL, None, PinProfile.waist(0.5, part)).draw(skin) < 60)
+        for part in (0.6, 1.0, 1.4)
     ]
     assert black[0] < black[1] < black[2]
 

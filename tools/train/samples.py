@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from shapes import random_shape
+from varied import pin_outline, varied_model, varied_print, with_skirt
 
 from tacshade_edge.core import discmap, greyscale, pattern
 from tacshade_edge.core.disc import disc_mask
@@ -34,6 +35,9 @@ that evaluate.py calls "other" is none of these: square lattice, stems with caps
 
 WIDE_FROM = 300_000
 """From here on they are more uneven still, their skins stiffen (or soften) as they give, and marks are misplaced."""
+
+VARIED_FROM = 400_000
+"""From here on they are also those of `varied`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,26 +104,34 @@ def random_presses(model: SensorModel, rng: np.random.Generator) -> tuple[Press,
 class Unevenness:
     """How a sensor differs from the model.
 
-    `stiffness` multiplies the foundation's over the skin's grid, and so does 1 + `hardening` h / (0.15 r).
+    `stiffness` multiplies the foundation's over the skin's grid, and so does 1 + `hardening` h / (0.15 r); `skirt` is
+    what `with_skirt` takes.
     """
 
     stiffness: F32
     hardening: float
+    skirt: tuple[float, float]
     renderer: Renderer
 
 
-def draw_unevenness(model: SensorModel, rng: np.random.Generator, wide: bool) -> Unevenness:
+def draw_unevenness(model: SensorModel, rng: np.random.Generator, wide: bool, varied: bool) -> Unevenness:
     """Draw a skin of uneven stiffness, and another lattice or a stretched one, and pins with a waist or a belly."""
     hardening = float(rng.uniform(-0.3, 2.5)) if wide and rng.random() < 0.6 else 0.0
-    if wide:
+    if varied:
+        model = varied_model(model, rng)
+    elif wide:
         model = replace(model, position_tolerance_mm=float(rng.uniform(0, 0.1)) * model.pitch_mm)
     n = press_skin(model.skin_radius_mm, model.skin_decay_mm, ()).height_mm.shape[0]
     coarse = rng.normal(0, 0.45, (7, 7)).astype(np.float32)
     stiffness = np.exp(cv2.resize(coarse, (n, n), interpolation=cv2.INTER_CUBIC)).astype(np.float32)
+    if varied:
+        skirt = (float(rng.choice((0, 1)) * rng.uniform(0, 0.5)), float(rng.uniform(1, 6)))
+        renderer = VariedRenderer(model, varied_print(model, rng), pin_outline(rng))
+        return Unevenness(stiffness, hardening, skirt, renderer)
     if wide:
-        profile = PinProfile(float(rng.uniform(0.2, 0.85)), float(rng.uniform(0.6, 1.25)))
+        profile = PinProfile.waist(float(rng.uniform(0.2, 0.85)), float(rng.uniform(0.6, 1.25)))
     else:
-        profile = PinProfile(float(rng.uniform(0.3, 0.7)), float(rng.uniform(0.75, 1.15)))
+        profile = PinProfile.waist(float(rng.uniform(0.3, 0.7)), float(rng.uniform(0.75, 1.15)))
     if rng.random() < 0.5:
         steepest, longest = (82.0, 1.25) if wide else (78.0, 1.2)
         marks = lattice_print(model, float(rng.uniform(55, steepest)), float(rng.uniform(1.0, longest)))
@@ -131,7 +143,7 @@ def draw_unevenness(model: SensorModel, rng: np.random.Generator, wide: bool) ->
         marks = replace(
             marks, marker_chart_mm=marks.marker_chart_mm @ stretch, pin_chart_mm=marks.pin_chart_mm @ stretch
         )
-    return Unevenness(stiffness, hardening, VariedRenderer(model, marks, profile))
+    return Unevenness(stiffness, hardening, (0.0, 1.0), VariedRenderer(model, marks, profile))
 
 
 def uneven_skin(model: SensorModel, presses: Sequence[Press], unevenness: Unevenness | None) -> Skin:
@@ -151,7 +163,7 @@ def uneven_skin(model: SensorModel, presses: Sequence[Press], unevenness: Uneven
         # One step of the fixed point: any skirt between is a skin as good.
         weight[window] *= 1 + unevenness.hardening * np.minimum(height[window] / (0.15 * model.skin_radius_mm), 2)
         height[window] = skin_module._solve(obstacle[window], np.ascontiguousarray(np.maximum(weight[window], 1e-4)))
-    return Skin(model.skin_radius_mm, flat.step_mm, height, obstacle)
+    return with_skirt(Skin(model.skin_radius_mm, flat.step_mm, height, obstacle), *unevenness.skirt)
 
 
 def pressed_skin(
@@ -218,7 +230,7 @@ def sensor_samples(seed: int, frames: int) -> Samples | None:
     """Everything of one sensor; None where its reference shows no pattern to calibrate on."""
     rng = np.random.default_rng((seed, 12))
     model = training_model(seed)
-    unevenness = draw_unevenness(model, rng, seed >= WIDE_FROM) if seed >= UNEVEN_FROM else None
+    unevenness = draw_unevenness(model, rng, seed >= WIDE_FROM, seed >= VARIED_FROM) if seed >= UNEVEN_FROM else None
     renderer = Renderer(model) if unevenness is None else unevenness.renderer
     flat = press_skin(model.skin_radius_mm, model.skin_decay_mm, ())
     clean = renderer.draw(flat)
