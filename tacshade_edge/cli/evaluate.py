@@ -11,10 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from tacshade_edge.core.calibrate import MIN_PRESSES
-from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.profiles import LEARNED, PROFILES
 from tacshade_edge.devices import calibration_file
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.simulator.objects import OBJECTS, PAPER_OBJECTS
+from tacshade_edge.studies.ablation.work import AblationRow, ablate, object_rows
+from tacshade_edge.studies.ablation.work import Plan as AblationPlan
+from tacshade_edge.studies.ablation.work import text as ablation_text
 from tacshade_edge.studies.evaluate import picture, report
 from tacshade_edge.studies.evaluate.own_images import evaluate_images, images_in
 from tacshade_edge.studies.evaluate.score import Row
@@ -29,8 +32,9 @@ from tacshade_edge.studies.parallel import usable_cores
 from tacshade_edge.studies.tables import csv_text
 
 WORKING_SENSORS = "default,5,11,21"
-FINAL_SENSORS = tuple(SensorName(family, FINAL_SEED + k) for family in FAMILIES for k in (1, 2, 3))
+FINAL_SENSORS = tuple(SensorName(family, FINAL_SEED + k) for family in ("tacshade", "other") for k in (1, 2, 3))
 LIMITS_SENSORS = "default,5,11"
+ABLATION_SENSORS = "default,5,11,other:31,other:32,other:33"
 SIMULATED = ("sensors", "final", "objects", "presses", "references")
 """Options that mean nothing to a user's own images."""
 
@@ -42,12 +46,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         choices=list(PROFILES),
         metavar="NAME",
-        default=[name for name in PROFILES if name != "paper"],
         help=f"some of {', '.join(PROFILES)} (all but paper, which takes a second for each frame)",
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help="write evaluation.csv, evaluation.json, figure6.png")
     parser.add_argument("--json", action="store_true", help="print the summary as JSON")
-    parser.add_argument(
+    instead = parser.add_mutually_exclusive_group()
+    instead.add_argument(
+        "--ablation",
+        action="store_true",
+        help=f"where the error comes from instead: one profile with parts of it made perfect ({ABLATION_SENSORS})",
+    )
+    instead.add_argument(
         "--limits",
         action="store_true",
         help=f"where it ends instead: phantoms, least and greatest depth, finest shape ({LIMITS_SENSORS})",
@@ -81,6 +90,8 @@ def run(args: argparse.Namespace) -> int:
         args.usage_error("--calibration CAL.npz and --images DIR belong together")
     if args.limits:
         return _limits(args)
+    if args.ablation:
+        return _ablation(args)
     if args.images is None:
         return _simulated(args)
     given = [name for name in SIMULATED if getattr(args, name) is not None]
@@ -89,12 +100,37 @@ def run(args: argparse.Namespace) -> int:
     return _own(args)
 
 
-def _limits(args: argparse.Namespace) -> int:
+def _alone(args: argparse.Namespace, option: str) -> None:
+    """Refuse what a study of its own would not heed."""
     unfit = [name for name in ("images", "objects", "presses", "references") if getattr(args, name) is not None]
     if unfit or args.json:
-        args.usage_error(f"--{unfit[0] if unfit else 'json'} does not go with --limits")
+        args.usage_error(f"--{unfit[0] if unfit else 'json'} does not go with --{option}")
+
+
+def _profiles(args: argparse.Namespace) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(args.profile or (name for name in PROFILES if name != "paper")))
+
+
+def _ablation(args: argparse.Namespace) -> int:
+    _alone(args, "ablation")
+    profile, *more = dict.fromkeys(args.profile or ["accurate"])
+    if more or PROFILES[profile].solver != LEARNED:
+        args.usage_error(f"--profile: found {' '.join((profile, *more))}, expected one that runs a network")
+    sensors = args.sensors or tuple(SensorName.parse(word) for word in ABLATION_SENSORS.split(","))
+    _make_folder(args.out)
+    found = ablate(AblationPlan(FINAL_SENSORS if args.final else sensors, profile), usable_cores(), _progress)
+    words = ablation_text(found)
+    print(words)
+    if args.out:
+        _write(args.out / "ablation.md", words.encode() + b"\n")
+        _write(args.out / "ablation.csv", csv_text(AblationRow, object_rows(found)).encode())
+    return 0
+
+
+def _limits(args: argparse.Namespace) -> int:
+    _alone(args, "limits")
     sensors = args.sensors or tuple(SensorName.parse(word) for word in LIMITS_SENSORS.split(","))
-    plan = LimitsPlan(FINAL_SENSORS if args.final else sensors, tuple(dict.fromkeys(args.profile)))
+    plan = LimitsPlan(FINAL_SENSORS if args.final else sensors, _profiles(args))
     _make_folder(args.out)
     drawn = args.out is not None and limits_picture.can_draw()
     if args.out and not drawn:
@@ -121,7 +157,7 @@ def _simulated(args: argparse.Namespace) -> int:
     sensors = args.sensors or tuple(SensorName.parse(word) for word in WORKING_SENSORS.split(","))
     plan = Plan(
         sensors=FINAL_SENSORS if args.final else sensors,
-        profiles=tuple(dict.fromkeys(args.profile)),
+        profiles=_profiles(args),
         objects=args.objects or tuple(OBJECTS),
         references=args.references or 8,
         presses=presses,
@@ -152,7 +188,7 @@ def _own(args: argparse.Namespace) -> int:
         over = "\r\033[K" if sys.stderr.isatty() else ""  # the line of the progress
         print(f"{over}tacshade-edge: {text}", file=sys.stderr)
 
-    profiles = tuple(dict.fromkeys(args.profile))
+    profiles = _profiles(args)
     name = args.calibration.name
     rows, timings = evaluate_images(calibration, name, profiles, images, _progress, mistake)
     if not rows:

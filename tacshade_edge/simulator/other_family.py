@@ -17,24 +17,45 @@ CAPS = PinProfile(((1.0, 0.7, 0.0),))
 """A stem that tapers, under a flat cap."""
 
 
-class OtherSensor:
-    """As `SimulatedSensor`, of the other model."""
+FRUSTUM = PinProfile(())
 
-    def __init__(self, model: SensorModel) -> None:
+
+class OtherSensor:
+    """As `SimulatedSensor`, of the other model; or of the usual one with some of its differences.
+
+    Parameters
+    ----------
+    model : SensorModel
+    square, capped, two_scales : bool
+        Whether the lattice, the pins, the skin are the other model's.
+    """
+
+    def __init__(self, model: SensorModel, square: bool = True, capped: bool = True, two_scales: bool = True) -> None:
         self.model = model
-        self._renderer = VariedRenderer(model, lattice_print(model, 90.0), CAPS)
+        self._differences = (square, capped, two_scales)
+        marks = lattice_print(model, 90.0) if square else None
+        self._renderer = VariedRenderer(model, marks, CAPS if capped else FRUSTUM)
+
+    def noiseless(self) -> OtherSensor:
+        """As `SimulatedSensor.noiseless`."""
+        return OtherSensor(replace(self.model, read_noise_grey=0.0, shot_noise_grey=0.0), *self._differences)
 
     def frame(self, presses: Sequence[Press] = (), noise_seed: int = 0) -> SimulatedFrame:
         """Take a picture."""
-        skin = two_scale_skin(self.model, tuple(presses))
+        skin = self._pressed(presses)
         return SimulatedFrame(
             self._renderer.expose(self._renderer.draw(skin), noise_seed), tuple(presses), skin, self.model
         )
 
     def released(self, presses: Sequence[Press], part: float, noise_seed: int = 0) -> SimulatedFrame:
         """As `SimulatedSensor.released`."""
-        skin = left_over(two_scale_skin(self.model, tuple(presses)), part)
+        skin = left_over(self._pressed(presses), part)
         return SimulatedFrame(self._renderer.expose(self._renderer.draw(skin), noise_seed), (), skin, self.model)
+
+    def _pressed(self, presses: Sequence[Press]) -> Skin:
+        if self._differences[2]:
+            return two_scale_skin(self.model, tuple(presses))
+        return press_skin(self.model.skin_radius_mm, self.model.skin_decay_mm, tuple(presses))
 
 
 def other_model(seed: int) -> SensorModel:

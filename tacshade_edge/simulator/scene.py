@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import Press
@@ -44,6 +44,10 @@ class SimulatedSensor:
         self.model = model or SensorModel()
         self._renderer = Renderer(self.model)
         self._last: tuple[tuple[Press, ...], Skin, F32] | None = None  # a held press costs only its noise
+
+    def noiseless(self) -> SimulatedSensor:
+        """The same sensor with a camera without noise."""
+        return SimulatedSensor(replace(self.model, read_noise_grey=0.0, shot_noise_grey=0.0))
 
     def frame(self, presses: Sequence[Press] = (), noise_seed: int = 0) -> SimulatedFrame:
         """Take a picture; several presses at once are one union.

@@ -206,9 +206,34 @@ def test_limits_writes_its_tables_and_plots(
     assert {row["profile"] for row in table(tmp_path / "limits_faint.csv")} == {"accurate"}
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("half")
+def test_ablation_writes_its_table(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    small = partial(evaluate.AblationPlan, objects=("ball",), references=1, presses=8, depths_mm=(3.0,))
+    monkeypatch.setattr(evaluate, "AblationPlan", small)
+    assert main(["evaluate", "--ablation", "--sensors", "half:default", "--out", str(tmp_path)]) == 0
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    assert printed.out == (tmp_path / "ablation.md").read_text(encoding="utf-8")
+    assert {row["object"] for row in table(tmp_path / "ablation.csv")} == {"ball"}
+
+
+@pytest.mark.parametrize("study", ["limits", "ablation"])
 @pytest.mark.parametrize("words", [["--json"], ["--objects", "ball"], ["--presses", "8"]])
-def test_limits_refuses_what_it_would_not_heed(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_study_refuses_what_it_would_not_heed(
+    study: str, words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit) as left:
-        main(["evaluate", "--limits", *words])
+        main(["evaluate", f"--{study}", *words])
     assert left.value.code == 2
-    assert f"{words[0]} does not go with --limits" in capsys.readouterr().err
+    assert f"{words[0]} does not go with --{study}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("profiles", [["fast", "accurate"], ["paper"]])
+def test_an_ablation_is_of_one_network(profiles: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as left:
+        main(["evaluate", "--ablation", "--profile", *profiles])
+    assert left.value.code == 2
+    assert f"--profile: found {' '.join(profiles)}, expected one" in capsys.readouterr().err

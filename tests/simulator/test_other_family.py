@@ -7,6 +7,7 @@ from tacshade_edge.core.greyscale import to_grey
 from tacshade_edge.simulator.objects import ball
 from tacshade_edge.simulator.other_family import OtherSensor, other_model, two_scale_skin
 from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.simulator.skin import press_skin
 from tacshade_edge.simulator.varied_print import PinProfile, VariedRenderer, lattice_print
 
@@ -67,3 +68,20 @@ def test_a_released_skin_keeps_a_part_of_its_own_dent(sensor: OtherSensor) -> No
     np.testing.assert_allclose(left.skin.height_mm, 0.05 * pressed.skin.height_mm, atol=1e-6)
     assert left.presses == ()
     assert not np.array_equal(left.image, sensor.frame((), 5).image)
+
+
+def test_each_difference_can_stand_alone() -> None:
+    usual = SimulatedSensor(MODEL).frame((PRESS,), 5).image
+    none = OtherSensor(MODEL, square=False, capped=False, two_scales=False)
+    np.testing.assert_array_equal(none.frame((PRESS,), 5).image, usual)
+    alone = [
+        OtherSensor(MODEL, *(k == j for k in range(3))).frame((PRESS,), 5).image.astype(int) - usual for j in range(3)
+    ]
+    assert all(np.abs(difference).max() > 50 for difference in alone)
+
+
+def test_without_noise_two_exposures_are_one(sensor: OtherSensor) -> None:
+    quiet = sensor.noiseless()
+    np.testing.assert_array_equal(quiet.frame((PRESS,), 5).image, quiet.frame((PRESS,), 6).image)
+    off = quiet.frame((PRESS,), 5).image.astype(int) - sensor.frame((PRESS,), 5).image
+    assert 0 < np.abs(off).mean() < 5

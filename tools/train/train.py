@@ -5,8 +5,9 @@
 
     .venv-train/bin/python tools/train/train.py --data DATA --out RUN [--fold 4 --widths 16 32 48] [--steps 20000]
 
-The first two shards are never trained on; they give the figures of each report. A batch depends on the seed and its
-number alone, so an interrupted run goes on with the batches that it would have seen (while the shards are the same).
+The first two shards of each kind of sensor are never trained on; they give the figures of each report. A batch depends
+on the seed and its number alone, so an interrupted run goes on with the batches that it would have seen (while the
+shards are the same).
 """
 
 from __future__ import annotations
@@ -26,6 +27,10 @@ from torch import Tensor
 from torch.nn import functional
 
 VALIDATION_SHARDS = 2
+NEW_SHARDS = 12
+"""Shards made meanwhile are taken in when they are so many."""
+KINDS = ("plain", "uneven", "wide", "varied")
+"""Of sensors: shards from 0, 5000, 10000 and 15000 on."""
 DISC_MM = 15.0
 """A typical disc radius, to print figures in mm."""
 
@@ -41,6 +46,14 @@ class Data:
     contact: np.ndarray
     sensor: np.ndarray
     fold: int
+
+
+def shards_in(folder: Path) -> dict[str, list[Path]]:
+    """The shards of each kind that is there."""
+    shards: dict[str, list[Path]] = {}
+    for path in sorted(folder.glob("shard_*.npz")):
+        shards.setdefault(KINDS[int(path.stem[6:]) // 5000], []).append(path)
+    return shards
 
 
 def load(paths: list[Path], fold: int) -> Data:
@@ -130,6 +143,7 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=4e-3)
     parser.add_argument("--widths", type=int, nargs="+", default=(16, 32, 48, 64))
     parser.add_argument("--fold", type=int, choices=(2, 4), default=2)
+    parser.add_argument("--shares", type=float, nargs=len(KINDS), default=(3, 1, 2, 4), help=" ".join(KINDS))
     parser.add_argument("--start", type=Path, metavar="CHECKPOINT", help="weights to begin with")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=1)
@@ -153,18 +167,25 @@ def main() -> None:
         mean.load_state_dict(state["mean"])
         optimiser.load_state_dict(state["optimiser"])
         step = state["step"]
-    shards = sorted(args.data.glob("shard_*.npz"))
-    check = load(shards[:VALIDATION_SHARDS], args.fold)
-    data = load(shards[VALIDATION_SHARDS:], args.fold)
+    shards = shards_in(args.data)
+    check = {kind: load(paths[:VALIDATION_SHARDS], args.fold) for kind, paths in shards.items()}
+    data = {kind: load(paths[VALIDATION_SHARDS:], args.fold) for kind, paths in shards.items()}
     start, total = time.perf_counter(), 0.0
-    print(f"step {step}: {len(data.frame)} frames of {len(data.reference)} sensors", flush=True)
+    print(f"step {step}: frames { ({kind: len(d.frame) for kind, d in data.items()}) }", flush=True)
     while step < args.steps:
         rng = np.random.default_rng((args.seed, step))
         warm = min(1.0, (step + 1) / 500)
         rate = args.rate * warm * (0.5 + 0.5 * math.cos(math.pi * step / args.steps)) + 1e-6
         for group in optimiser.param_groups:
             group["lr"] = rate
-        x, height, contact = batch(data, rng.integers(len(data.frame), size=args.batch), int(rng.integers(8)))
+        share = np.array([args.shares[KINDS.index(kind)] for kind in data])
+        counts, turn = rng.multinomial(args.batch, share / share.sum()), int(rng.integers(8))
+        parts = [
+            batch(frames, rng.integers(len(frames.frame), size=count), turn)
+            for frames, count in zip(data.values(), counts, strict=True)
+            if count
+        ]
+        x, height, contact = (torch.cat(tensors) for tensors in zip(*parts, strict=True))
         with torch.autocast("cpu", torch.bfloat16):
             y = net(x)
         loss = loss_of(y, args.fold, height, contact)
@@ -177,8 +198,9 @@ def main() -> None:
         total += float(loss.detach())
         if step % args.report == 0 or step == args.steps:
             seconds = time.perf_counter() - start
-            row = {"step": step, "loss": round(total / args.report, 4), **figures(mean.module, check)}
-            row |= {"frames": len(data.frame), "s_per_step": round(seconds / args.report, 4)}
+            row = {"step": step, "loss": round(total / args.report, 4)}
+            row |= {kind: figures(mean.module, frames) for kind, frames in check.items()}
+            row |= {"frames": sum(len(d.frame) for d in data.values()), "s_per_step": round(seconds / args.report, 4)}
             print(json.dumps(row), flush=True)
             with (args.out / "figures.jsonl").open("a") as file:
                 file.write(json.dumps(row) + "\n")
@@ -188,13 +210,13 @@ def main() -> None:
                 "optimiser": optimiser.state_dict(),
                 "step": step,
                 "arguments": {k: str(v) for k, v in vars(args).items()},
-                "shards": len(shards),
+                "shards": sum(map(len, shards.values())),
             }
             torch.save(state, checkpoint.with_suffix(".part"))
             os.replace(checkpoint.with_suffix(".part"), checkpoint)
-            now = sorted(args.data.glob("shard_*.npz"))
-            if len(now) >= len(shards) + 4:  # data made meanwhile
-                shards, data = now, load(now[VALIDATION_SHARDS:], args.fold)
+            for kind, paths in shards_in(args.data).items():
+                if kind in data and len(paths) >= len(shards[kind]) + NEW_SHARDS:
+                    shards[kind], data[kind] = paths, load(paths[VALIDATION_SHARDS:], args.fold)
             start, total = time.perf_counter(), 0.0
 
 

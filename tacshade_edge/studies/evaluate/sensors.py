@@ -30,6 +30,10 @@ class PressedSensor(Protocol):
 
     model: SensorModel
 
+    def noiseless(self) -> PressedSensor:
+        """The same sensor with a camera without noise."""
+        ...
+
     def frame(self, presses: Sequence[Press] = (), noise_seed: int = 0) -> SimulatedFrame:
         """Take a picture."""
         ...
@@ -39,15 +43,18 @@ class PressedSensor(Protocol):
         ...
 
 
-def _tacshade(seed: int | None) -> PressedSensor:
-    return SimulatedSensor(SensorModel() if seed is None else random_model(seed))
+def _usual(seed: int | None) -> SensorModel:
+    return SensorModel() if seed is None else random_model(seed)
 
 
-def _other(seed: int | None) -> PressedSensor:
-    return OtherSensor(other_model(0 if seed is None else seed))
-
-
-FAMILIES: dict[str, Callable[[int | None], PressedSensor]] = {"tacshade": _tacshade, "other": _other}
+FAMILIES: dict[str, Callable[[int | None], PressedSensor]] = {
+    "tacshade": lambda seed: SimulatedSensor(_usual(seed)),
+    "other": lambda seed: OtherSensor(other_model(seed or 0)),
+    # One of the other family's differences each.
+    "square": lambda seed: OtherSensor(_usual(seed), capped=False, two_scales=False),
+    "capped": lambda seed: OtherSensor(other_model(seed or 0), square=False, two_scales=False),
+    "two-scales": lambda seed: OtherSensor(_usual(seed), square=False, capped=False),
+}
 """Family to the sensor of a seed (None: its default one); another family is one line here."""
 
 

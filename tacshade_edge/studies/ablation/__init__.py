@@ -1,0 +1,1 @@
+"""Where the error comes from: the learned inverse with one thing after the other made perfect."""

@@ -1,0 +1,73 @@
+"""A network some of whose answers are the truth."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tacshade_edge.core import discmap
+from tacshade_edge.core.solvers.learned import HEIGHT_SCALE, Network, fold, unfold
+from tacshade_edge.simulator.press import distance_mm
+from tacshade_edge.simulator.scene import SimulatedFrame
+from tacshade_edge.simulator.truth import CONTACT_TOLERANCE_MM, skin_points
+from tacshade_edge.types import F32, Bool, Geometry
+
+SURE = 10.0
+"""Log odds of a contact that is known."""
+
+
+class PerfectedNetwork:
+    """Runs a network, and puts the truth in the place of its heights, its contact, both, or its greatest height.
+
+    The truth is that of the last frame that `show` was given.
+    """
+
+    def __init__(self, network: Network, *, height: bool = False, contact: bool = False, top: bool = False) -> None:
+        self._network = network
+        self._perfect = (height, contact, top)
+        shape = (discmap.CELLS, discmap.CELLS)
+        self._height: F32 = np.zeros(shape, np.float32)
+        self._contact: Bool = np.zeros(shape, bool)
+
+    def show(self, height: F32, contact: Bool) -> None:
+        """Tell the truth of the next frame: what the network should say (`true_answer`)."""
+        self._height, self._contact = height, contact
+
+    def as_network(self) -> Network:
+        """What a reconstructor takes."""
+        return Network(self._network.fold, self._run)
+
+    def _run(self, maps: F32) -> F32:
+        height, contact, top = self._perfect
+        found, logit = unfold(self._network.run(maps), self._network.fold)
+        if contact:
+            logit = np.where(self._contact, np.float32(SURE), np.float32(-SURE))
+        if height:
+            found = self._height
+        elif top and (touched := logit > 0).any() and found[touched].max() > 0:
+            found = found * (self._height.max() / found[touched].max())
+        return fold(np.stack((found, logit)).astype(np.float32), self._network.fold)
+
+
+def true_answer(frame: SimulatedFrame, seen: Geometry) -> tuple[F32, Bool]:
+    """What the network should say of a frame, at the cells of the map that a calibration sees.
+
+    Returns
+    -------
+    height : float32 (CELLS, CELLS)
+        h in tenths of the disc's radius, 0 outside the disc.
+    contact : bool (CELLS, CELLS)
+    """
+    grid = discmap.map_grid(seen.disc)
+    axis = grid.step_px * np.arange(discmap.CELLS)
+    rows = np.repeat(grid.row0 + axis, discmap.CELLS)
+    cols = np.tile(grid.col0 + axis, discmap.CELLS)
+    geometry = frame.model.geometry
+    inside = np.hypot(rows - geometry.disc.row_c, cols - geometry.disc.col_c) <= geometry.disc.radius_px
+    height, contact = np.zeros(len(rows), np.float32), np.zeros(len(rows), bool)
+    points = skin_points(frame.skin, geometry, rows[inside], cols[inside])
+    h = np.maximum(frame.skin.radius_mm - np.linalg.norm(points, axis=1), 0)
+    off = np.abs(distance_mm(frame.presses, frame.skin.radius_mm, points))
+    height[inside], contact[inside] = h, (h > 0) & (off <= CONTACT_TOLERANCE_MM)
+    unit_mm = seen.skin_radius_mm * np.sin(np.radians(seen.visible_half_angle_deg))
+    shape = (discmap.CELLS, discmap.CELLS)
+    return (height * (HEIGHT_SCALE / unit_mm)).astype(np.float32).reshape(shape), contact.reshape(shape)
