@@ -2,14 +2,82 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 
-from tacshade_edge.types import F32, I32, Bool, ObjectCloud, TouchedObject
+from tacshade_edge.core.disc import DiscRays
+from tacshade_edge.core.skin import cell_area_mm2, skin_points
+from tacshade_edge.types import F32, I32, I64, Bool, Geometry, ObjectCloud, TouchedObject, freeze
 
 BINS = 256
 # Smaller patches are not an object a finger could tell.
 MIN_OBJECT_MM2 = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Objects:
+    """All that touches.
+
+    Attributes
+    ----------
+    contact : bool (rows, cols)
+        Cells of some object.
+    cloud : ObjectCloud
+        Their points, ordered by label.
+    described : tuple of TouchedObject
+        The greatest first, at least one.
+    volume_mm3 : float
+        Displaced under them.
+    """
+
+    contact: Bool
+    cloud: ObjectCloud
+    described: tuple[TouchedObject, ...]
+    volume_mm3: float
+
+    def __post_init__(self) -> None:
+        freeze(self, "contact")
+
+
+def find_objects(touched: Bool, height_mm: F32, rays: DiscRays, geometry: Geometry) -> Objects | None:
+    """Tell apart what touches, and where in space its skin lies; None where nothing does.
+
+    Parameters
+    ----------
+    touched : bool (rows, cols)
+        Only cells with a height.
+    height_mm : float32 (rows, cols)
+        h, at most r; NaN outside the disc.
+    rays : DiscRays
+        Of the same grid.
+    geometry : Geometry
+    """
+    here = bounding_box(touched)
+    if here is None:
+        return None
+    height = np.ascontiguousarray(height_mm[here])
+    points, _ = skin_points(height, rays.part(here), geometry)
+    area = cell_area_mm2(points)
+    labels = label_objects(touched[here], area)
+    contact = np.zeros(touched.shape, bool)
+    contact[here] = labels > 0
+    cells = cells_by_label(labels)
+    if cells.size == 0:
+        return None
+    cloud = ObjectCloud(points.reshape(-1, 3).take(cells, axis=0), labels.take(cells).astype(np.uint16))
+    heights, areas = height.take(cells), area.take(cells)
+    volume_mm3 = float((heights * areas).sum(dtype=np.float64))
+    return Objects(contact, cloud, describe_objects(cloud, heights, areas), volume_mm3)
+
+
+def bounding_box(touched: Bool) -> tuple[slice, slice] | None:
+    """Rows and columns of the contact, and one more to each side: a cell's area needs its neighbours."""
+    left, top, width, height = cv2.boundingRect(touched.view(np.uint8))
+    if width == 0:
+        return None
+    return slice(max(top - 1, 0), top + height + 1), slice(max(left - 1, 0), left + width + 1)
 
 
 def two_means_split(values: F32) -> float:
@@ -62,40 +130,46 @@ def label_objects(contact: Bool, cell_area: F32) -> I32:
     int32 (rows, cols)
         0 outside every object, else its number from 1.
     """
-    count, raw = cv2.connectedComponents(contact.astype(np.uint8), connectivity=8)
+    count, raw = cv2.connectedComponents(contact.view(np.uint8), connectivity=8)
     raw = np.asarray(raw, dtype=np.int32)
-    areas = np.bincount(raw.ravel(), weights=np.nan_to_num(cell_area).ravel().astype(np.float64), minlength=count)
+    areas = np.bincount(raw.ravel(), weights=cell_area.ravel(), minlength=count)
     areas[0] = 0.0
     order = [int(i) for i in np.argsort(-areas, kind="stable") if areas[i] >= MIN_OBJECT_MM2]
     new_label = np.zeros(count, dtype=np.int32)
     new_label[order] = np.arange(1, len(order) + 1)
-    labels: I32 = new_label[raw]
+    labels: I32 = new_label.take(raw)
     return labels
 
 
-def describe_objects(labels: I32, points_mm: F32, height_mm: F32, cell_area: F32) -> tuple[TouchedObject, ...]:
-    """Centroid, extent, depth and area of every labelled contact."""
-    objects = []
-    for label in range(1, int(labels.max(initial=0)) + 1):
-        cells = labels == label
-        points = points_mm[cells].astype(np.float64)
-        middle, extent = points.mean(axis=0), points.max(axis=0) - points.min(axis=0)
-        objects.append(
-            TouchedObject(
-                label=label,
-                centroid_mm=(float(middle[0]), float(middle[1]), float(middle[2])),
-                extent_mm=(float(extent[0]), float(extent[1]), float(extent[2])),
-                depth_max_mm=float(height_mm[cells].max()),
-                area_mm2=float(np.nansum(cell_area[cells])),
-            )
-        )
-    return tuple(objects)
+def cells_by_label(labels: I32) -> I64:
+    """Flat indices of the labelled cells: object by object, row by row in each."""
+    cells = np.flatnonzero(labels > 0)
+    # Of 16 bits, a stable sort is a radix sort.
+    order = np.argsort(labels.take(cells).astype(np.uint16), kind="stable")
+    return np.asarray(cells[order], np.int64)
 
 
-def object_cloud(labels: I32, points_mm: F32) -> ObjectCloud:
-    """The labelled skin points as one cloud, ordered by label."""
-    cells = np.flatnonzero(labels.ravel())
-    cells = cells[np.argsort(labels.ravel()[cells], kind="stable")]
-    return ObjectCloud(
-        points_mm=points_mm.reshape(-1, 3)[cells].astype(np.float32), labels=labels.ravel()[cells].astype(np.uint16)
+def describe_objects(cloud: ObjectCloud, height_mm: F32, cell_area: F32) -> tuple[TouchedObject, ...]:
+    """Centroid, extent, depth and area of every labelled contact.
+
+    Parameters
+    ----------
+    cloud : ObjectCloud
+        At least one point, ordered by label; no label is left out.
+    height_mm, cell_area : float32 (N,)
+        At the cloud's points.
+    """
+    numbers = np.arange(1, cloud.labels[-1] + 1, dtype=np.uint16)
+    starts = np.searchsorted(cloud.labels, numbers)
+    counts = np.searchsorted(cloud.labels, numbers, side="right") - starts
+    x_y_z = np.ascontiguousarray(cloud.points_mm.T)
+    middles = np.add.reduceat(x_y_z, starts, axis=1, dtype=np.float64) / counts
+    highest, lowest = (extreme.reduceat(x_y_z, starts, axis=1) for extreme in (np.maximum, np.minimum))
+    extents = highest.astype(np.float64) - lowest
+    depths = np.maximum.reduceat(height_mm, starts)
+    areas = np.add.reduceat(cell_area, starts, dtype=np.float64)
+    columns = (middles.T.tolist(), extents.T.tolist(), depths.tolist(), areas.tolist())
+    return tuple(
+        TouchedObject(label, (middle[0], middle[1], middle[2]), (extent[0], extent[1], extent[2]), depth, area)
+        for label, (middle, extent, depth, area) in enumerate(zip(*columns, strict=True), start=1)
     )

@@ -47,6 +47,10 @@ class DiscRays:
     def __post_init__(self) -> None:
         freeze(self, "inside", "u", "v")
 
+    def part(self, cells: tuple[slice, slice]) -> DiscRays:
+        """The rays of some rows and columns of the grid."""
+        return DiscRays(inside=self.inside[cells], u=self.u[cells], v=self.v[cells])
+
 
 def disc_mask(height_px: int, width_px: int, disc: Disc) -> Bool:
     """Pixels whose centre lies in the visible circle (the paper's circular mask).
@@ -59,6 +63,17 @@ def disc_mask(height_px: int, width_px: int, disc: Disc) -> Bool:
     cols = np.arange(width_px)[None, :] - disc.col_c
     mask: Bool = rows * rows + cols * cols <= disc.radius_px**2
     return mask
+
+
+def cells_in_image(grid: Grid, height_px: int, width_px: int) -> Bool:
+    """Cells of a grid whose middle some pixel covers: bool (rows, cols)."""
+    rows = grid.row0 + grid.step_px * np.arange(grid.rows)
+    cols = grid.col0 + grid.step_px * np.arange(grid.cols)
+    # Pixel i reaches from i - 0.5 to i + 0.5.
+    seen: Bool = (np.abs(rows - (height_px - 1) / 2) <= height_px / 2)[:, None] & (
+        np.abs(cols - (width_px - 1) / 2) <= width_px / 2
+    )[None, :]
+    return seen
 
 
 def radius_squared(grid: Grid, disc: Disc) -> F32:

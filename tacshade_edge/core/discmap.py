@@ -81,31 +81,3 @@ def geometry_maps(geometry: Geometry, pitch_px: float) -> F32:
         cosine = (along * k - d) / np.sqrt(k)
     pitch = np.full_like(x, 10 * pitch_px / disc.radius_px)
     return np.stack((x, y, gain * x, gain * y, cosine, pitch)).astype(np.float32)
-
-
-def at_grid(values: F32, disc: Disc, grid: Grid) -> F32:
-    """Bilinear samples of a map at the cells of an image grid; the border repeats.
-
-    Parameters
-    ----------
-    values : float32 (CELLS, CELLS)
-
-    Returns
-    -------
-    float32 (grid.rows, grid.cols)
-    """
-    here = map_grid(disc)
-    scale = grid.step_px / here.step_px
-    to_map = np.array(
-        ((scale, 0, (grid.col0 - here.col0) / here.step_px), (0, scale, (grid.row0 - here.row0) / here.step_px))
-    )
-    return np.asarray(
-        cv2.warpAffine(
-            values,
-            to_map,
-            (grid.cols, grid.rows),
-            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-            borderMode=cv2.BORDER_REPLICATE,
-        ),
-        np.float32,
-    )

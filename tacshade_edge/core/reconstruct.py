@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 
 from tacshade_edge.core import clusters, discmap, greyscale
+from tacshade_edge.core.disc import DiscRays, Grid, cells_in_image, disc_rays
 from tacshade_edge.core.preprocess import Preprocessor
 from tacshade_edge.core.profiles import LEARNED, Profile
-from tacshade_edge.core.skin import cell_area_mm2, skin_points
 from tacshade_edge.core.solvers import SOLVERS, Depth
 from tacshade_edge.core.solvers.learned import DEEPEST_RADII, Inverse, LearnedInverse, Network
 from tacshade_edge.types import U8, Bool, Calibration, Frame, HeightMap, ObjectCloud, Reconstruction
@@ -36,6 +36,13 @@ def _learned(calibration: Calibration, profile: Profile, network: Network | None
     return LearnedInverse(network, calibration.geometry, calibration.pitch_px, calibration.reference_white)
 
 
+def _seen_rays(calibration: Calibration, grid: Grid) -> DiscRays:
+    """Rays of a grid; what the image cuts off the disc is outside."""
+    rays = disc_rays(grid, calibration.geometry)
+    seen = cells_in_image(grid, calibration.image_height_px, calibration.image_width_px)
+    return DiscRays(inside=rays.inside & seen, u=rays.u, v=rays.v)
+
+
 class Reconstructor:
     """Turns frames of one calibrated sensor into reconstructions, deterministically.
 
@@ -53,8 +60,8 @@ class Reconstructor:
         self._front = Preprocessor(calibration, profile)
         self._learned = _learned(calibration, profile, network)
         self._factor = np.float32(calibration.factors.get(profile.name, 1.0))
-        self.grid = self._front.grid
-        self.rays = self._front.rays
+        self.grid = self._front.grid if self._learned is None else discmap.map_grid(calibration.geometry.disc)
+        self.rays = _seen_rays(calibration, self.grid)
         # α is per pixel of the image (the paper ties it to the image's resolution).
         self._alpha_mm = calibration.alpha * calibration.geometry.mm_per_px
         zero = np.where(self.rays.inside, np.float32(0), np.float32(np.nan)).astype(np.float32)
@@ -118,32 +125,29 @@ class Reconstructor:
         return self._learned(self._front.white_ratio(greyscale.to_grey(image))[0])
 
     def _run_learned(self, learned: LearnedInverse, white: U8) -> tuple[Depth, Bool]:
-        """Refitted height and contact on the grid."""
-        disc = self.calibration.geometry.disc
+        """Refitted height and contact on the network's own cells."""
         inverse = learned(white)
-        refitted = inverse.height_mm * self._factor
-        finite = np.isfinite(refitted)
-        height = np.maximum(discmap.at_grid(np.where(finite, refitted, np.float32(0)), disc, self.grid), 0)
-        height = np.where(self.rays.inside, height, np.float32(0)).astype(np.float32)
-        touched: Bool = (discmap.at_grid(inverse.contact_logit, disc, self.grid) > 0) & self.rays.inside
-        deepest = DEEPEST_RADII * self.calibration.geometry.skin_radius_mm
-        saturated = bool(height[touched].max(initial=0.0) > deepest)
-        return Depth(height, saturated, int(finite.size - np.count_nonzero(finite))), touched
+        height = inverse.height_mm * self._factor
+        finite = np.isfinite(height)
+        repaired = finite.size - int(np.count_nonzero(finite))
+        if repaired:
+            height = np.where(finite, height, np.float32(0))
+        height = np.maximum(height, np.float32(0))
+        touched: Bool = (inverse.contact_logit > 0) & self.rays.inside
+        deepest = np.float32(DEEPEST_RADII * self.calibration.geometry.skin_radius_mm)
+        saturated = bool((touched & (height > deepest)).any())
+        return Depth(height, saturated, repaired), touched
 
     def _objects(self, frame: Frame, depth: Depth, touched: Bool | None, degraded: str) -> Reconstruction:
         """Outline (the paper's split of heights where the solver gives none), metric points, clusters."""
-        inside = self.rays.inside
-        height = np.minimum(depth.height_mm, np.float32(self.calibration.geometry.skin_radius_mm))
-        height = np.where(inside, height, np.float32(np.nan)).astype(np.float32)
+        geometry, inside = self.calibration.geometry, self.rays.inside
+        # Adding the map of no contact, 0 or NaN, puts NaN outside the disc.
+        height = np.minimum(depth.height_mm, np.float32(geometry.skin_radius_mm)) + self._untouched.height_mm
         if touched is None:
-            touched = inside & (np.nan_to_num(height) > clusters.two_means_split(height[inside]))
-        points, _ = skin_points(height, self.rays, self.calibration.geometry)
-        area = cell_area_mm2(points)
-        labels = clusters.label_objects(touched, area)
-        objects = clusters.describe_objects(labels, points, height, area)
-        if not objects:
+            touched = inside & (height > clusters.two_means_split(height[inside]))
+        found = clusters.find_objects(touched, height, self.rays, geometry)
+        if found is None:
             return self._nothing(frame, degraded=degraded)
-        touched = labels > 0
         return Reconstruction(
             seq=frame.seq,
             t_ns=frame.t_ns,
@@ -156,14 +160,14 @@ class Reconstructor:
             degraded=degraded,
             height=HeightMap(
                 height_mm=height,
-                contact=touched,
+                contact=found.contact,
                 row0=self.grid.row0,
                 col0=self.grid.col0,
                 step_px=self.grid.step_px,
             ),
-            cloud=clusters.object_cloud(labels, points),
-            objects=objects,
-            volume_mm3=float(np.nansum((height * area)[touched])),
+            cloud=found.cloud,
+            objects=found.described,
+            volume_mm3=found.volume_mm3,
             repaired_px=depth.repaired_px,
         )
 

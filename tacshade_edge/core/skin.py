@@ -42,7 +42,7 @@ def skin_points(height_mm: F32, rays: DiscRays, geometry: Geometry) -> tuple[F32
         radicand = d * d - k * (d * d - rho * rho)
         s = (d + np.sqrt(np.maximum(radicand, 0))) / k
         x, y, z = s * u, s * v, s - d
-    points: F32 = np.stack([x, y, z], axis=-1).astype(np.float32)
+    points: F32 = np.stack([x, y, z], axis=-1).astype(np.float32, copy=False)
     return points, int(np.count_nonzero(radicand < 0))
 
 
@@ -56,9 +56,20 @@ def cell_area_mm2(points_mm: F32) -> F32:
     Returns
     -------
     float32 (rows, cols)
-        Central differences; NaN where a neighbour is NaN.
+        By central differences; 0 where a neighbour is NaN.
     """
-    du = np.gradient(points_mm, axis=1) if points_mm.shape[1] > 1 else np.zeros_like(points_mm)
-    dv = np.gradient(points_mm, axis=0) if points_mm.shape[0] > 1 else np.zeros_like(points_mm)
-    area: F32 = np.linalg.norm(np.cross(du, dv), axis=-1).astype(np.float32)
+    (ax, ay, az), (bx, by, bz) = (_steps(points_mm, axis) for axis in (1, 0))
+    x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    area: F32 = np.fmax(np.sqrt(x * x + y * y + z * z), np.float32(0))
     return area
+
+
+def _steps(points_mm: F32, axis: int) -> F32:
+    """Differences of neighbours as of ``np.gradient``, which takes four times as long: float32 (3, rows, cols)."""
+    lines = points_mm.swapaxes(0, axis)
+    steps = np.zeros_like(lines)
+    if len(lines) > 1:
+        np.subtract(lines[2:], lines[:-2], out=steps[1:-1])
+        steps *= np.float32(0.5)
+        steps[0], steps[-1] = lines[1] - lines[0], lines[-1] - lines[-2]
+    return steps.swapaxes(0, axis).transpose(2, 0, 1)

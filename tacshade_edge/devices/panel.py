@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from tacshade_edge.errors import DeviceError
-from tacshade_edge.types import U8, Reconstruction
+from tacshade_edge.types import U8, HeightMap, Reconstruction
 
 _LEGEND_PX = 22
 
@@ -31,13 +31,13 @@ def panel(image: U8, result: Reconstruction) -> U8:
     """The picture: uint8 (H + legend, 2 W, 3) BGR."""
     left = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image
     rows, cols = left.shape[:2]
-    height = result.height.height_mm
+    height, size = result.height.height_mm, (cols, rows)
     top = max(float(np.nanmax(height, initial=0.0)), 0.1)
     level = np.nan_to_num(np.clip(height / top, 0, 1) * 255).astype(np.uint8)
-    right = cv2.applyColorMap(cv2.resize(level, (cols, rows), interpolation=cv2.INTER_LINEAR), cv2.COLORMAP_VIRIDIS)
-    seen = cv2.resize(np.isfinite(height).astype(np.uint8), (cols, rows), interpolation=cv2.INTER_NEAREST)
+    right = cv2.applyColorMap(_over_image(level, result.height, size, cv2.INTER_LINEAR), cv2.COLORMAP_VIRIDIS)
+    seen = _over_image(np.isfinite(height).astype(np.uint8), result.height, size, cv2.INTER_NEAREST)
     right[seen == 0] = 255
-    touched = cv2.resize(result.height.contact.astype(np.uint8), (cols, rows), interpolation=cv2.INTER_NEAREST)
+    touched = _over_image(result.height.contact.astype(np.uint8), result.height, size, cv2.INTER_NEAREST)
     outlines, _ = cv2.findContours(touched, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     cv2.drawContours(right, outlines, -1, (255, 255, 255), 1)
     text = result.reason or (
@@ -50,3 +50,9 @@ def panel(image: U8, result: Reconstruction) -> U8:
     cv2.putText(legend, text[:120], (6, 15), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (0, 0, 0), 1, cv2.LINE_AA)
     picture: U8 = np.vstack([np.hstack([left, right]), legend])
     return picture
+
+
+def _over_image(values: U8, grid: HeightMap, size: tuple[int, int], interpolation: int) -> U8:
+    """Values at a map's cells, where they lie in an image of that width and height; 0 beyond the map."""
+    to_cell = np.array(((1, 0, -grid.col0), (0, 1, -grid.row0))) / grid.step_px
+    return np.asarray(cv2.warpAffine(values, to_cell, size, flags=interpolation | cv2.WARP_INVERSE_MAP), np.uint8)

@@ -77,7 +77,7 @@ def test_a_browser_sees_moving_maps_and_ctrl_c_leaves_nothing(broker: str, tmp_p
         out, errors = process.communicate(timeout=20)
         assert (process.returncode, out, errors) == (0, "", "")
     depths = [float(np.nanmax(message.height_mm)) for message in heights]
-    assert heights[0].height_mm.shape == (120, 160)
+    assert heights[0].height_mm.shape == (112, 112)
     assert 1.0 < max(depths) < 6.0  # 3 mm is pressed
     assert len(set(depths)) > 5  # it moves
     assert running(tmp_path) == []

@@ -2,12 +2,24 @@ from __future__ import annotations
 
 import math
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from tacshade_edge.core.clusters import BINS, describe_objects, label_objects, object_cloud, two_means_split
+from tacshade_edge.core.clusters import (
+    BINS,
+    MIN_OBJECT_MM2,
+    Objects,
+    cells_by_label,
+    find_objects,
+    label_objects,
+    two_means_split,
+)
+from tacshade_edge.core.disc import DiscRays, Grid, disc_rays
+from tacshade_edge.core.skin import skin_points
+from tacshade_edge.types import F32, Bool, Disc, Geometry, ObjectCloud, TouchedObject
 
 
 def squares(values: np.ndarray, threshold: float) -> float:
@@ -79,35 +91,92 @@ def test_area_counts_not_cells() -> None:
 
 
 def test_cells_without_an_area_count_nothing() -> None:
-    area = np.full(CONTACT.shape, np.nan, np.float32)
+    area = np.zeros(CONTACT.shape, np.float32)
     assert label_objects(CONTACT, area).max() == 0
     assert label_objects(np.zeros((3, 3), bool), np.ones((3, 3), np.float32)).max() == 0
 
 
-def test_descriptions_and_cloud_tell_the_same() -> None:
-    rng = np.random.default_rng(3)
-    points = rng.normal(size=(*CONTACT.shape, 3)).astype(np.float32)
-    height = rng.uniform(0, 3, CONTACT.shape).astype(np.float32)
-    area = rng.uniform(0.3, 1, CONTACT.shape).astype(np.float32)
-    labels = label_objects(CONTACT, area)
-    objects = describe_objects(labels, points, height, area)
-    cloud = object_cloud(labels, points)
-    assert [o.label for o in objects] == list(range(1, labels.max() + 1))
-    assert [o.area_mm2 for o in objects] == sorted((o.area_mm2 for o in objects), reverse=True)
-    assert (np.diff(cloud.labels.astype(int)) >= 0).all()
-    assert len(cloud.points_mm) == len(cloud.labels) == np.count_nonzero(labels)
-    for o in objects:
-        mine = cloud.points_mm[cloud.labels == o.label].astype(float)
-        np.testing.assert_allclose(o.centroid_mm, mine.mean(axis=0), atol=1e-6)
-        np.testing.assert_allclose(o.extent_mm, np.ptp(mine, axis=0), atol=1e-6)
-        assert o.depth_max_mm == height[labels == o.label].max()
-        assert o.area_mm2 == pytest.approx(area[labels == o.label].sum(), rel=1e-5)
+def over_the_whole_map(touched: Bool, height: F32, rays: DiscRays, geometry: Geometry) -> Objects | None:
+    """Plainly, every cell of the map and one object after the other."""
+    points, _ = skin_points(height, rays, geometry)
+    du, dv = np.gradient(points, axis=1), np.gradient(points, axis=0)
+    area = np.nan_to_num(np.linalg.norm(np.cross(du, dv), axis=-1)).astype(np.float64)
+    count, patches = cv2.connectedComponents(touched.astype(np.uint8), connectivity=8)
+    areas = {k: float(area[patches == k].sum()) for k in range(1, count)}
+    large = sorted((k for k in areas if areas[k] >= MIN_OBJECT_MM2), key=lambda k: -areas[k])
+    if not large:
+        return None
+    told, clouds, labels = [], [], []
+    for label, k in enumerate(large, start=1):
+        mine = points[patches == k].astype(np.float64)
+        x, y, z = (float(v) for v in mine.mean(axis=0))
+        a, b, c = (float(v) for v in np.ptp(mine, axis=0))
+        told.append(TouchedObject(label, (x, y, z), (a, b, c), float(height[patches == k].max()), areas[k]))
+        clouds.append(points[patches == k])
+        labels.append(np.full(len(mine), label, np.uint16))
+    contact = np.isin(patches, large)
+    volume = float((height[contact] * area[contact]).sum())
+    return Objects(contact, ObjectCloud(np.concatenate(clouds), np.concatenate(labels)), tuple(told), volume)
 
 
-def test_no_object_no_cloud() -> None:
-    labels = np.zeros((4, 5), np.int32)
-    flat = np.zeros((4, 5), np.float32)
-    assert describe_objects(labels, np.zeros((4, 5, 3), np.float32), flat, flat) == ()
-    cloud = object_cloud(labels, np.zeros((4, 5, 3), np.float32))
-    assert cloud.points_mm.shape == (0, 3)
-    assert (cloud.points_mm.dtype, cloud.labels.dtype) == (np.float32, np.uint16)
+@given(
+    st.integers(2, 30),
+    st.integers(2, 30),
+    st.sampled_from([None, 14.0]),
+    st.floats(3.0, 60.0),
+    st.lists(st.tuples(st.integers(0, 29), st.integers(0, 29), st.integers(1, 12), st.integers(1, 12)), max_size=5),
+    st.sampled_from([0.01, 0.3, 3.0]),
+    st.integers(0, 2**32 - 1),
+)
+@example(30, 30, 14.0, 60.0, [(0, 0, 30, 30)], 0.3, 1)  # the contact reaches the map's edges
+@example(30, 30, 14.0, 10.0, [(0, 0, 30, 30)], 0.3, 1)  # and the disc's rim
+@example(20, 25, 14.0, 12.0, [(3, 12, 2, 2), (9, 9, 5, 6), (16, 12, 1, 1)], 0.01, 2)
+@example(20, 25, None, 60.0, [(5, 5, 1, 1)], 0.01, 3)  # too small
+def test_objects_found_in_the_contacts_box_are_those_of_the_whole_map(
+    rows: int,
+    cols: int,
+    distance_mm: float | None,
+    radius_px: float,
+    patches: list[tuple[int, int, int, int]],
+    rough_mm: float,
+    seed: int,
+) -> None:
+    geometry = Geometry(20.0, distance_mm, 50.0, Disc(rows / 2.1, cols / 1.9, radius_px))
+    rays = disc_rays(Grid(rows, cols, 0.0, 0.0, 1.0), geometry)
+    rng = np.random.default_rng(seed)
+    height = np.where(rays.inside, rng.uniform(0, rough_mm, (rows, cols)), np.nan).astype(np.float32)
+    touched = np.zeros((rows, cols), bool)
+    for row, col, high, wide in patches:
+        touched[row : row + high, col : col + wide] = True
+    touched &= rays.inside
+    found = find_objects(touched, height, rays, geometry)
+    expected = over_the_whole_map(touched, height, rays, geometry)
+    if found is None or expected is None:
+        assert found is expected is None
+        return
+    np.testing.assert_array_equal(found.contact, expected.contact)
+    np.testing.assert_array_equal(found.cloud.labels, expected.cloud.labels)
+    assert found.cloud.points_mm.tobytes() == expected.cloud.points_mm.tobytes()
+    assert len(found.described) == len(expected.described)
+    for mine, other in zip(found.described, expected.described, strict=True):
+        assert (mine.label, mine.extent_mm, mine.depth_max_mm) == (other.label, other.extent_mm, other.depth_max_mm)
+        # Sums in another order.
+        assert mine.centroid_mm == pytest.approx(other.centroid_mm, rel=1e-12, abs=1e-12)
+        assert mine.area_mm2 == pytest.approx(other.area_mm2, rel=1e-12)
+    # Its products are of 32 bits.
+    assert found.volume_mm3 == pytest.approx(expected.volume_mm3, rel=1e-6)
+    assert found.cloud.points_mm.dtype == np.float32
+    assert found.cloud.labels.dtype == np.uint16
+
+
+def test_nothing_touched_is_nothing_found() -> None:
+    geometry = Geometry(20.0, 14.0, 50.0, Disc(5.0, 5.0, 5.0))
+    rays = disc_rays(Grid(11, 11, 0.0, 0.0, 1.0), geometry)
+    flat = np.where(rays.inside, np.float32(0), np.float32(np.nan))
+    assert find_objects(np.zeros((11, 11), bool), flat, rays, geometry) is None
+
+
+def test_a_cloud_is_ordered_by_label() -> None:
+    labels = np.array([[2, 0, 1], [1, 2, 0]], np.int32)
+    assert cells_by_label(labels).tolist() == [2, 3, 0, 4]
+    assert cells_by_label(0 * labels).size == 0

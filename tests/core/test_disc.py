@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tacshade_edge.core.disc import Grid, disc_mask, disc_rays, radius_squared
+from tacshade_edge.core.disc import Grid, cells_in_image, disc_mask, disc_rays, radius_squared
 from tacshade_edge.simulator.render import project
 from tacshade_edge.simulator.truth import pixel_rays
 from tacshade_edge.types import Disc, Geometry
@@ -21,6 +21,17 @@ def test_a_grid_lies_in_its_image_and_covers_it(height: int, width: int, step: i
     assert 0 <= grid.col0 <= last_col < width
     # What is left of the image at either end is less than one stride.
     assert max(grid.row0, height - 1 - last_row, grid.col0, width - 1 - last_col) < max(step, 1) * 1.5
+
+
+@given(st.integers(1, 50), st.integers(1, 50), st.integers(1, 8))
+def test_every_cell_of_an_image_grid_is_in_the_image(height: int, width: int, step: int) -> None:
+    assert cells_in_image(Grid.of_image(height, width, step), height, width).all()
+
+
+def test_cells_beyond_the_image_are_not_in_it() -> None:
+    seen = cells_in_image(Grid(4, 5, -1.6, -0.4, 1.3), 3, 5)  # rows -1.6, -0.3, 1.0, 2.3; columns -0.4 ... 4.8
+    np.testing.assert_array_equal(seen.any(axis=1), [False, True, True, True])
+    np.testing.assert_array_equal(seen.any(axis=0), [True, True, True, True, False])
 
 
 def test_the_mask_holds_the_pixels_whose_centre_is_in_the_circle() -> None:

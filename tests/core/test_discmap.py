@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from tacshade_edge.core import discmap
-from tacshade_edge.core.disc import Grid, disc_rays
+from tacshade_edge.core.disc import disc_rays
 from tacshade_edge.core.skin import skin_points
 from tacshade_edge.types import Disc, Geometry
 
@@ -47,16 +47,6 @@ def test_beyond_the_image_is_nothing() -> None:
     cells = discmap.disc_average(image, Disc(0.0, 0.0, 40.0))
     assert cells[: discmap.CELLS // 2 - 2].max() == 0
     assert cells[-30:, -30:][0, 0] == pytest.approx(255, rel=1e-4)
-
-
-def test_samples_of_a_map_lie_where_the_image_grid_looks() -> None:
-    here = discmap.map_grid(DISC)
-    plane = (here.row0 + here.step_px * np.arange(discmap.CELLS))[:, None] + 0 * np.arange(discmap.CELLS)[None, :]
-    grid = Grid.of_image(130, 160, 4)
-    found = discmap.at_grid(plane.astype(np.float32), DISC, grid)
-    rows = grid.row0 + 4 * np.arange(grid.rows)
-    inside = (rows > here.row0) & (rows < here.row0 + here.step_px * (discmap.CELLS - 1))
-    np.testing.assert_allclose(found[inside, grid.cols // 2], rows[inside], atol=here.step_px / 16)
 
 
 @pytest.mark.parametrize("distance", [None, 8.0, 14.0, 30.0])

@@ -19,6 +19,7 @@ from calibrated_sensor import (
     unloaded,
 )
 
+from tacshade_edge.core import discmap
 from tacshade_edge.core.calibrate import calibrate
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import STAGES
@@ -245,7 +246,22 @@ def test_odd_sizes_work(rows: int, cols: int) -> None:
     assert not step("fast", unloaded(model), model, 0).contact
     result = step("fast", pressed("ball", 3.0, model).image, model, 0)
     assert result.contact
-    assert result.height.height_mm.shape == (rows // 4, cols // 4)
+    grid = result.height
+    assert grid.height_mm.shape == (discmap.CELLS, discmap.CELLS)
+    reach = (discmap.CELLS - 1) / 2 * grid.step_px  # its middle is the disc's
+    assert (grid.row0 + reach, grid.col0 + reach) == pytest.approx((model.row_c, model.col_c), abs=1.0)
+    assert np.hypot(*result.objects[0].centroid_mm[:2]) < 1.5
+
+
+def test_what_the_image_cuts_off_the_disc_is_outside() -> None:
+    model = replace(HALF, row_c=80.0)  # of 102.5 px
+    result = step("fast", pressed("ball", 3.0, model).image, model, 0)
+    grid = result.height
+    assert result.contact
+    beyond = grid.row0 + grid.step_px * np.arange(discmap.CELLS) < -0.5
+    assert 8 < beyond.sum() < 20
+    assert np.isnan(grid.height_mm[beyond]).all()
+    assert np.isfinite(grid.height_mm[np.argmin(beyond)]).any()
     assert np.hypot(*result.objects[0].centroid_mm[:2]) < 1.5
 
 

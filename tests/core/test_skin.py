@@ -77,7 +77,17 @@ def test_cells_add_up_to_the_spherical_cap(d_mm: float | None) -> None:
     area = cell_area_mm2(points)
     cap = 2 * math.pi * 20.0**2 * (1 - math.cos(math.radians(50.0)))
     assert float(np.nansum(area)) == pytest.approx(cap, rel=0.04)  # the rim's cells have no area
-    assert np.isnan(area[0, 0])
+    assert area[0, 0] == 0
+    assert np.isfinite(area).all()
+
+
+def test_areas_are_those_of_plain_gradients() -> None:
+    points = np.random.default_rng(3).normal(size=(7, 9, 3)).astype(np.float32)
+    points[2, 3] = np.nan
+    du, dv = np.gradient(points, axis=1), np.gradient(points, axis=0)
+    expected = np.linalg.norm(np.cross(du, dv), axis=-1)
+    assert np.isnan(expected).sum() == 4
+    np.testing.assert_array_equal(cell_area_mm2(points), np.nan_to_num(expected))
 
 
 def test_a_line_of_points_has_no_area() -> None:

@@ -32,8 +32,12 @@ def test_a_picture_of_every_outcome(image: U8, colour: bool) -> None:
 def test_the_deepest_is_the_brightest() -> None:
     result = result_of(TOUCHED)
     right = panel(TOUCHED, result)[:HEIGHT, WIDTH:].astype(int).sum(axis=2)
-    contact = cv2.resize(result.height.contact.astype(np.uint8), (WIDTH, HEIGHT), interpolation=cv2.INTER_NEAREST)
+    height = result.height
+    rows = np.rint((np.arange(HEIGHT) - height.row0) / height.step_px).astype(int).clip(0, height.contact.shape[0] - 1)
+    cols = np.rint((np.arange(WIDTH) - height.col0) / height.step_px).astype(int).clip(0, height.contact.shape[1] - 1)
+    contact = height.contact[np.ix_(rows, cols)].astype(np.uint8)
     inside = np.hypot(np.arange(HEIGHT)[:, None] - 59.5, np.arange(WIDTH)[None, :] - 79.5) < 45
+    assert contact[:, :WIDTH].sum() > 500
     core = cv2.erode(contact, np.ones((9, 9), np.uint8)) > 0
     assert right[core].mean() > right[inside & (contact == 0)].mean() + 50
 

@@ -37,7 +37,7 @@ class Depth:
     Attributes
     ----------
     height_mm : float32 (rows, cols)
-        h, finite everywhere, 0 outside the disc.
+        h, finite everywhere; outside the disc it says nothing.
     saturated : bool
         Some cell left the range of the calibration.
     repaired_px : int
