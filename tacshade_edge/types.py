@@ -132,7 +132,7 @@ class HeightMap:
     contact : bool (rows, cols)
         Where the skin touches an object.
     row0, col0, step_px : float
-        Grid cell (i, j) is image pixel (row0 + i·step_px, col0 + j·step_px).
+        Grid cell (i, j) is image pixel (row0 + i·step_px, col0 + j·step_px); not whole pixels in general.
     """
 
     height_mm: F32

@@ -5,9 +5,10 @@
     PYTHONPATH=tests/support .venv/bin/python tools/bench_dashboard.py [--fps 30] [--step 1] [--seconds 10] [--json]
 
 Five processes: mosquitto, a publisher of synthetic maps with their clouds, the dashboard, Chromium with its driver, and
-this one. With ``--step 1`` a map is 640x480 cells (614 KB), with 4 what the daemon publishes (38 KB). Drawn are maps
-with a sequence number of their own that were put onto the canvas, counted by the page; the age is from the map's time
-stamp until it was drawn, by one clock. There is no graphics card here: Chromium draws in software, on the same cores.
+this one. With ``--step 1`` a map is 640x480 cells (614 KB), with 4 it is 160x120 (38 KB; the daemon sends 112x112).
+Drawn are maps with a sequence number of their own that were put onto the canvas, counted by the page; the age is from
+the map's time stamp until it was drawn, by one clock. There is no graphics card here: Chromium draws in software, on
+the same cores.
 """
 
 from __future__ import annotations

@@ -22,7 +22,8 @@ from calibrated_sensor import (
 from tacshade_edge.core import discmap
 from tacshade_edge.core.calibrate import calibrate
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.reconstruct import STAGES
+from tacshade_edge.core.reconstruct import STAGES, Reconstructor
+from tacshade_edge.core.solvers.learned import HEIGHT_SCALE, Network, fold
 from tacshade_edge.devices.network import make_reconstructor
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.simulator.model import SensorModel
@@ -272,6 +273,24 @@ def test_an_orthographic_sensor_works() -> None:
     assert not made.step(Frame(0, 0, 0, unloaded(model))).contact
     result = made.step(Frame(0, 0, 0, pressed("ball", 3.0, model).image))
     assert result.depth_max_mm == pytest.approx(3.0, rel=0.35)
+
+
+@pytest.mark.parametrize(
+    ("depth_mm", "told_mm", "saturated"), [(6.0, 6.0, False), (6.4, 6.4, True), (25.0, 20.0, True)]
+)
+def test_what_a_network_says_beyond_its_range_is_told(depth_mm: float, told_mm: float, saturated: bool) -> None:
+    unit_mm = HALF.skin_radius_mm * np.sin(np.radians(HALF.visible_half_angle_deg)) / HEIGHT_SCALE
+    row, col = np.mgrid[: discmap.CELLS, : discmap.CELLS] - (discmap.CELLS - 1) / 2
+    pressed_cells = np.hypot(row, col) < 20
+    height = np.where(pressed_cells, depth_mm / unit_mm, -0.01).astype(np.float32)
+    height[0, 0], height[60, 90] = np.nan, np.inf
+    said = fold(np.stack((height, np.where(pressed_cells, np.float32(3), np.float32(-3)))), 4)
+    made = Reconstructor(replace(calibrated(HALF, 0), factors={}), PROFILES["fast"], Network(4, lambda maps: said))
+    result = made.step(Frame(0, 0, 0, pressed("ball", 3.0).image))
+    assert (result.repaired_px, result.saturated) == (2, saturated)
+    assert result.depth_max_mm == pytest.approx(told_mm, rel=1e-6)
+    np.testing.assert_array_equal(result.height.contact, pressed_cells)
+    assert (result.height.height_mm[made.rays.inside & ~pressed_cells] == 0).all()
 
 
 def test_a_light_press_is_felt_and_a_touch_beside_the_disc_is_not_invented() -> None:
