@@ -8,11 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tacshade_edge.core import drift, greyscale, pattern, press_checks, refit
-from tacshade_edge.core.disc import Grid, disc_mask, radius_squared
+from tacshade_edge.core.binarise import Binariser, odd
+from tacshade_edge.core.disc import Grid, Window, disc_mask, disc_rays, radius_squared
 from tacshade_edge.core.preprocess import Preprocessor
 from tacshade_edge.core.profiles import LEARNED, PROFILES, Profile
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.core.solvers.learned import Network
+from tacshade_edge.core.sums import Sums
 from tacshade_edge.core.validity import frame_check, invalid_reason
 from tacshade_edge.core.verdict import Verdict, judge
 from tacshade_edge.errors import ConfigError
@@ -201,17 +203,20 @@ def _with_reference(calibration: Calibration, greys: Sequence[U8]) -> Calibratio
     """Binarise the references, average them, and measure how much g differs between them."""
     geometry = calibration.geometry
     height, width = calibration.image_height_px, calibration.image_width_px
-    mask = disc_mask(height, width, geometry.disc).astype(np.uint8)
-    window = greyscale.odd(PROFILE.window_pitches * calibration.pitch_px)
-    grid = Grid.of_image(height, width, PROFILE.stride_px)
-    total = greyscale.box_sums(mask, window, grid)
-    inside = greyscale.sample(mask, grid) > 0
+    window = Window.of_disc(height, width, geometry.disc)
+    mask = window.cut(disc_mask(height, width, geometry.disc).astype(np.uint8))
+    side = odd(PROFILE.window_pitches * calibration.pitch_px)
+    grid, sums = Grid.of_window(window, PROFILE.stride_px), Sums(window, side // 2 + 1)
+    sums.show(mask)
+    total, inside = sums.boxes(grid, side), disc_rays(grid, geometry).inside
+    binariser = Binariser(mask, calibration.binarisation, calibration.pitch_px)
     white_sum: F32 = np.zeros((height, width), dtype=np.float32)
     ratios = []
     for grey in greys:
-        white = greyscale.binarise(grey, mask, calibration.binarisation, calibration.pitch_px)
-        white_sum += white
-        ratios.append(greyscale.white_ratio(white, total, window, grid)[inside])
+        white = binariser(window.cut(grey))
+        window.cut(white_sum)[...] += white
+        sums.show(white)
+        ratios.append(greyscale.white_ratio(sums.boxes(grid, side), total)[inside])
     noise = calibration.noise_grey
     if len(greys) >= 3:
         noise = float(np.sqrt(np.mean(np.var(np.stack(ratios), axis=0, ddof=1))))
@@ -223,15 +228,15 @@ def loaded_reason(calibration: Calibration) -> str:
     """Why a reference seems to have been taken under load; empty when it does not."""
     disc = calibration.geometry.disc
     front = Preprocessor(calibration, PROFILE)
-    g0 = front.reference_ratio
+    g0, voting = front.reference_ratio, front.voting
     rho2 = radius_squared(front.grid, disc)
-    residual = ring_residual(g0, rho2, front.voting)
-    deviation = 1.4826 * float(np.median(np.abs(residual[front.voting]))) if front.voting.any() else 0.0
+    residual = ring_residual(g0, rho2, voting)
+    deviation = 1.4826 * float(np.median(np.abs(residual[voting]))) if voting.any() else 0.0
     threshold = max(LOADED_GREY, LOADED_DEVIATIONS * deviation)
     area = float(np.count_nonzero(np.abs(residual) > threshold)) * front.cell_mm2
     if area >= LOADED_MM2:
         return f"the reference seems taken under load: {area:.0f} mm² of it differ from the skin around the centre"
-    bend = radial_bend(g0, rho2, front.voting)
+    bend = radial_bend(g0, rho2, voting)
     if bend > LOADED_BEND_GREY:
         return f"the reference seems taken under load in the middle: its profile bends by {bend:.0f} grey levels"
     return ""

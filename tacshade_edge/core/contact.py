@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
-from tacshade_edge.core.greyscale import odd
+from tacshade_edge.core.binarise import padded
+from tacshade_edge.core.median import median
 from tacshade_edge.types import F32, U8, Bool, freeze
 
 # The change that counts as contact: this many times the references' noise, and never less than the profile's level.
@@ -24,7 +26,7 @@ GLARE_LIFT = 22
 # So are pixels brighter than GLARE_GAIN times the brightest marker around in the reference plus GLARE_OFFSET.
 GLARE_GAIN, GLARE_OFFSET = 1.3, 25
 GLARE_PX = 6
-# The halo around a glare spot that is not trusted either, in pitches.
+# The halo around a glare spot that is not trusted either, in pitches (and a block).
 GLARE_HALO_PITCHES = 1.0
 
 
@@ -37,8 +39,9 @@ class GateResult:
 
 
 def light_drift(g_d: F32, voting: Bool) -> float:
-    """Median of g_d over the disc: a change of light moves every cell, a contact only some."""
-    return float(np.median(g_d[voting])) if voting.any() else 0.0
+    """Median of g_d over the cells with a vote: a change of light moves every cell, a contact only some."""
+    values = g_d[voting]
+    return median(values) if values.size else 0.0
 
 
 def gate(g_d: F32, voting: Bool, noise_grey: float, cell_mm2: float, levels: float) -> GateResult:
@@ -59,61 +62,102 @@ def gate(g_d: F32, voting: Bool, noise_grey: float, cell_mm2: float, levels: flo
     """
     drift = light_drift(g_d, voting)
     threshold = max(levels, GATE_NOISE * noise_grey)
-    over = int(np.count_nonzero((g_d - np.float32(drift) > threshold) & voting))
+    over = np.count_nonzero((g_d > np.float32(drift + threshold)) & voting)
     return GateResult(contact=bool(over * cell_mm2 >= GATE_MM2), drift_grey=drift)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GlareCheck:
-    """What a sensor looks like without glare.
+    """What a sensor looks like without glare, inside the window of its disc.
 
     Attributes
     ----------
-    darkest : uint8 (H, W)
-        The brightest that the darkest pixel around may be.
+    mask : uint8 (H, W)
+        255 inside the disc.
+    block_px : int
+        The search is by blocks of this side: a quarter of the pitch or less, 4 at most.
+    darkest : uint8 (H / block_px, W / block_px)
+        The brightest that the darkest pixel around a block may be.
     brightest : uint8 (H, W)
         The brightest that a pixel may be.
     box, halo : uint8 (n, n)
-        Neighbourhoods as morphological kernels.
+        Neighbourhoods of blocks as morphological kernels.
     """
 
+    mask: U8
+    block_px: int
     darkest: U8
     brightest: U8
     box: U8
     halo: U8
 
     def __post_init__(self) -> None:
-        freeze(self, "darkest", "brightest", "box", "halo")
+        freeze(self, "mask", "darkest", "brightest", "box", "halo")
 
 
 def glare_check(reference_grey: U8, mask: U8, pitch_px: float) -> GlareCheck:
-    """Prepare the search for glare from the mean reference image."""
-    size = odd(GLARE_PITCHES * pitch_px)
-    halo = odd(2 * GLARE_HALO_PITCHES * pitch_px)
-    box = np.ones((size, size), dtype=np.uint8)
+    """Prepare the search for glare from the mean reference image and the disc's mask (0 or 1), both of the window."""
+    block_px = next(side for side in (4, 2, 1) if side == 1 or side <= pitch_px / 4)
+    box = _around(GLARE_PITCHES * pitch_px, block_px)
+    halo = _around(2 * (GLARE_HALO_PITCHES * pitch_px + block_px), block_px)
     inside = cv2.multiply(reference_grey, mask)
+    near = np.ones((len(box) * block_px,) * 2, np.uint8)
+    lifted = cv2.erode(_least(reference_grey, block_px), box) + np.uint16(GLARE_LIFT)
     return GlareCheck(
-        darkest=cv2.add(cv2.erode(reference_grey, box), GLARE_LIFT),
-        brightest=cv2.convertScaleAbs(cv2.dilate(inside, box), alpha=GLARE_GAIN, beta=GLARE_OFFSET),
+        mask=np.multiply(mask, 255, dtype=np.uint8),
+        block_px=block_px,
+        darkest=np.minimum(lifted, 255).astype(np.uint8),
+        brightest=cv2.convertScaleAbs(cv2.dilate(inside, near), alpha=GLARE_GAIN, beta=GLARE_OFFSET),
         box=box,
-        halo=np.ones((halo, halo), dtype=np.uint8),
+        halo=halo,
     )
 
 
-def glare_mask(grey: U8, mask: U8, check: GlareCheck) -> U8 | None:
+def glare_mask(grey: U8, check: GlareCheck) -> U8 | None:
     """Pixels in and around specular spots that the reference does not have.
+
+    Parameters
+    ----------
+    grey : uint8 (H, W)
+        Of the window.
+    check : GlareCheck
 
     Returns
     -------
     uint8 (H, W) or None
-        1 where glare and its halo are; None without glare.
+        1 where glare and its halo are, in whole blocks; None without glare.
     """
-    lifted = cv2.compare(cv2.erode(grey, check.box), check.darkest, cv2.CMP_GT)
-    found = cv2.bitwise_and(lifted, mask)
-    bright = cv2.bitwise_and(cv2.compare(grey, check.brightest, cv2.CMP_GT), mask)
-    if cv2.countNonZero(bright) >= GLARE_PX:
-        found = cv2.bitwise_or(found, bright)
+    side = check.block_px
+    found = cv2.compare(cv2.erode(_least(grey, side), check.box), check.darkest, cv2.CMP_GT)
+    bright = cv2.bitwise_and(cv2.compare(grey, check.brightest, cv2.CMP_GT), check.mask)
+    some = cv2.countNonZero(bright) >= GLARE_PX
+    if not some and cv2.countNonZero(found) == 0:
+        return None
+    if some:
+        found = cv2.bitwise_or(found, _most(bright, side))
+    # Glare outside the disc is none of ours.
+    found = cv2.bitwise_and(found, _most(check.mask, side))
     if cv2.countNonZero(found) == 0:
         return None
-    grown: U8 = cv2.dilate(found, check.halo)
-    return grown
+    grown = np.minimum(cv2.dilate(found, check.halo), 1)
+    rows, cols = grey.shape
+    return np.ascontiguousarray(grown.repeat(side, axis=0).repeat(side, axis=1)[:rows, :cols])
+
+
+def _around(size_px: float, block_px: int) -> U8:
+    """The least odd number of blocks that is as wide as so many pixels, as a kernel."""
+    blocks = math.ceil(size_px / block_px)
+    return np.ones((blocks + 1 - blocks % 2,) * 2, dtype=np.uint8)
+
+
+def _least(image: U8, block_px: int) -> U8:
+    """The darkest pixel of each block."""
+    rows = whole = padded(image, block_px, 255)
+    while len(rows) > len(whole) // block_px:
+        rows = cv2.min(rows[::2], rows[1::2])
+    return np.ascontiguousarray(cv2.erode(rows, np.ones((1, block_px), np.uint8), anchor=(0, 0))[:, ::block_px])
+
+
+def _most(image: U8, block_px: int) -> U8:
+    """The brightest pixel of each block."""
+    return np.asarray(cv2.bitwise_not(_least(cv2.bitwise_not(image), block_px)), np.uint8)

@@ -2,11 +2,43 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from tacshade_edge.types import F32, Bool, Disc, Geometry, freeze
+
+Value = TypeVar("Value", bound=np.generic)
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """The part of an image that is worked on: `rows` from `row0` on, `cols` from `col0` on."""
+
+    row0: int
+    col0: int
+    rows: int
+    cols: int
+
+    @classmethod
+    def of_disc(cls, height_px: int, width_px: int, disc: Disc) -> Window:
+        """The least window that holds the disc's part in the image; at least one pixel."""
+        row0, rows = _span(disc.row_c, disc.radius_px, height_px)
+        col0, cols = _span(disc.col_c, disc.radius_px, width_px)
+        return cls(row0, col0, rows, cols)
+
+    def cut(self, image: npt.NDArray[Value]) -> npt.NDArray[Value]:
+        """A view of the window's pixels."""
+        return image[self.row0 : self.row0 + self.rows, self.col0 : self.col0 + self.cols]
+
+
+def _span(centre: float, radius: float, size: int) -> tuple[int, int]:
+    first = min(max(math.floor(centre - radius), 0), size - 1)
+    last = min(max(math.ceil(centre + radius), first), size - 1)
+    return first, last - first + 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,12 +52,19 @@ class Grid:
     step_px: float
 
     @classmethod
-    def of_image(cls, height_px: int, width_px: int, step_px: int) -> Grid:
-        """Cover an image with cells in the middle of each stride; whole strides only, at least one cell."""
-        rows, cols = max(height_px // step_px, 1), max(width_px // step_px, 1)
-        # An image narrower than half a stride still holds its one cell.
-        row0, col0 = (float(min(step_px // 2, size - 1)) for size in (height_px, width_px))
-        return cls(rows=rows, cols=cols, row0=row0, col0=col0, step_px=float(step_px))
+    def of_window(cls, window: Window, step_px: int) -> Grid:
+        """Cells in the middle of each whole stride of the image, where that lies in the window; at least one cell."""
+        row0, rows = _cells(window.row0, window.rows, step_px)
+        col0, cols = _cells(window.col0, window.cols, step_px)
+        return cls(rows=rows, cols=cols, row0=float(row0), col0=float(col0), step_px=float(step_px))
+
+
+def _cells(first: int, size: int, step: int) -> tuple[int, int]:
+    k = -(-(first - step // 2) // step)
+    cell = k * step + step // 2
+    if cell > first + size - 1:
+        return first + (size - 1) // 2, 1
+    return cell, (first + size - 1 - cell) // step + 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
-from tacshade_edge.core.disc import Grid
-from tacshade_edge.types import F32, F64, U8, Disc, Geometry
+from tacshade_edge.core.disc import Grid, Window
+from tacshade_edge.core.sums import Sums
+from tacshade_edge.types import F32, U8, Disc, Geometry
 
 CELLS = 112
 """Cells along a side."""
@@ -34,22 +34,9 @@ def disc_average(values: U8, disc: Disc) -> F32:
     float32 (CELLS, CELLS)
         0 counts where a cell leaves the image.
     """
-    grid = map_grid(disc)
-    total = cv2.integral(values, sdepth=cv2.CV_32S)
-    rows = _between(total, grid.row0, grid.step_px)
-    both = _between(np.ascontiguousarray(rows.T), grid.col0, grid.step_px)
-    result: F32 = (both.T / grid.step_px**2).astype(np.float32)
-    return result
-
-
-def _between(total: np.typing.NDArray[np.generic], first: float, step: float) -> F64:
-    """Integral along axis 0 from each cell's lower edge to its upper one; linear between pixels."""
-    # Pixel i reaches from i - 0.5 to i + 0.5, and row i of `total` is the sum up to i - 0.5.
-    edge = np.clip(first + step * (np.arange(CELLS + 1) - 0.5) + 0.5, 0, total.shape[0] - 1)
-    low = np.minimum(edge.astype(np.intp), total.shape[0] - 2)
-    part = (edge - low)[:, None]
-    at = total[low] * (1 - part) + total[low + 1] * part
-    return np.asarray(np.diff(at, axis=0), np.float64)
+    whole = Sums(Window(0, 0, *values.shape), 0)
+    whole.show(values)
+    return whole.means(whole.cells_of(map_grid(disc)))
 
 
 def geometry_maps(geometry: Geometry, pitch_px: float) -> F32:

@@ -7,6 +7,8 @@ of its rim, which wide and narrow objects share.
 
 from __future__ import annotations
 
+import math
+
 import cv2
 import numpy as np
 
@@ -47,12 +49,17 @@ def gather(change: F32, reach_cells: float) -> F32:
     return gathered
 
 
+def _gather_within(change: F32, reach_cells: float) -> F32:
+    """`gather` of what lies in a disc: beyond its window nothing changes, and rounding leaves nothing below 0."""
+    m = 2 * math.ceil(reach_cells)
+    return np.maximum(gather(np.pad(change, m), reach_cells)[m:-m, m:-m], 0)
+
+
 def gathered_change(maps: GreyMaps, reach_cells: float) -> F32:
     """χ, in grey levels, 0 outside the disc; what is not finite counts as 0."""
     g_d = _finite_change(maps)
-    # Rounding of the transform may leave a little below zero.
-    psi = np.maximum(gather(np.abs(g_d), reach_cells), 0)
-    darkening = np.maximum(gather(np.maximum(-g_d, 0), reach_cells), 0) + np.float32(DARKENING_FLOOR)
+    psi = _gather_within(np.abs(g_d), reach_cells)
+    darkening = _gather_within(np.maximum(-g_d, 0), reach_cells) + np.float32(DARKENING_FLOOR)
     chi = psi ** np.float32(1 - DARKENING_WEIGHT) * darkening ** np.float32(DARKENING_WEIGHT)
     return np.where(maps.inside, chi, np.float32(0)).astype(np.float32)
 
@@ -61,7 +68,7 @@ def brightening(maps: GreyMaps, reach_cells: float) -> F32:
     """What brightened inside the contacts, gathered so that it makes one patch of each; grey levels."""
     g_d = _finite_change(maps)
     bright = np.maximum(g_d - np.float32(SHAPE_DEAD), 0)
-    return np.maximum(gather(bright, SHAPE_REACH * reach_cells), 0)
+    return _gather_within(bright, SHAPE_REACH * reach_cells)
 
 
 def _finite_change(maps: GreyMaps) -> F32:

@@ -2,20 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import cv2
 import numpy as np
 
-from tacshade_edge.core.disc import Grid
 from tacshade_edge.core.total_variation import chambolle
-from tacshade_edge.types import F32, U8, Binarisation, Bool
-
-# The adaptive threshold looks this many marker pitches wide: wide enough to hold black and white everywhere,
-# narrow enough to follow vignetting.
-ADAPTIVE_PITCHES = 4
-# Below this part of the disc's mean grey nothing is white, however dark its surroundings.
-ADAPTIVE_FLOOR = 0.6
+from tacshade_edge.types import F32, U8, Bool
 
 
 def to_grey(image: U8) -> U8:
@@ -26,95 +17,25 @@ def to_grey(image: U8) -> U8:
     return grey
 
 
-def odd(size: float) -> int:
-    """Nearest odd whole number, at least 1: a box with a middle."""
-    return max(2 * round((size - 1) / 2) + 1, 1)
-
-
-def binarise(grey: U8, mask: U8, method: Binarisation, pitch_px: float) -> U8:
-    """Black and white of a tactile image, Fig. 4(b); 0 outside the disc.
-
-    Parameters
-    ----------
-    grey : uint8 (H, W)
-    mask : uint8 (H, W)
-        1 inside the disc, 0 outside.
-    method : str
-        ``adaptive``: against the mean of the neighbourhood inside the disc, so that uneven light does not
-        matter; ``global``: against the mean of the disc; ``otsu``: against the disc's best split.
-    pitch_px : float
-        Marker pitch.
-
-    Returns
-    -------
-    uint8 (H, W)
-        1 where white.
-    """
-    inside = cv2.countNonZero(mask)
-    if inside == 0:
-        return np.zeros_like(grey)
-    mean = cv2.mean(grey, mask=mask)[0]
-    if method == "adaptive":
-        size = odd(ADAPTIVE_PITCHES * pitch_px)
-        # Only the disc counts in the mean: a bright surround would blacken the rim.
-        masked = cv2.multiply(grey, mask)
-        total = cv2.boxFilter(masked, cv2.CV_32F, (size, size), normalize=False, borderType=cv2.BORDER_CONSTANT)
-        count = cv2.boxFilter(mask, cv2.CV_32F, (size, size), normalize=False, borderType=cv2.BORDER_CONSTANT)
-        local = cv2.divide(total, cv2.max(count, np.ones_like(count)))
-        white = (grey > cv2.max(local, np.full_like(local, ADAPTIVE_FLOOR * mean))).astype(np.uint8)
-    elif method == "global":
-        white = cv2.threshold(grey, mean, 1, cv2.THRESH_BINARY)[1]
-    else:
-        split = cv2.threshold(grey[mask > 0].reshape(-1, 1), 0, 1, cv2.THRESH_BINARY + cv2.THRESH_OTSU)[0]
-        white = cv2.threshold(grey, split, 1, cv2.THRESH_BINARY)[1]
-    result: U8 = cv2.multiply(white, mask)
-    return result
-
-
-def box_sums(values: U8, window_px: int, grid: Grid) -> F32:
-    """Sum over a box of `window_px` around each cell of `grid`; exact integers below 2**24.
-
-    Parameters
-    ----------
-    values : uint8 (H, W)
-
-    Returns
-    -------
-    float32 (rows, cols)
-    """
-    kernel = (window_px, window_px)
-    # u16 holds a box of ones up to 255 px; wider boxes and grey values need 32 bits.
-    small = window_px <= 255 and (values.size == 0 or int(values.max()) <= 1)
-    depth = cv2.CV_16U if small else cv2.CV_32F
-    sums = cv2.boxFilter(values, depth, kernel, normalize=False, borderType=cv2.BORDER_CONSTANT)
-    return np.asarray(sample(sums, grid), dtype=np.float32)
-
-
-def sample(image: Any, grid: Grid) -> Any:
-    """Values of an image at the cells of a grid."""
-    step, row0, col0 = int(grid.step_px), int(grid.row0), int(grid.col0)
-    return image[row0 : row0 + step * grid.rows : step, col0 : col0 + step * grid.cols : step]
-
-
-def white_ratio(white: U8, total: F32, window_px: int, grid: Grid, full_scale: float = 255.0) -> F32:
-    """Eq. 1: ĝ = 255 s_w / s_t in a square window, at each cell of `grid`.
+def white_ratio(white_sum: F32, total: F32, full_scale: float = 255.0) -> F32:
+    """Eq. 1: ĝ = 255 s_w / s_t in a square window, at each cell of a grid.
 
     Only pixels inside the disc count, in s_w and in s_t, so the disc's rim is not darker than its middle.
 
     Parameters
     ----------
-    white : uint8 (H, W)
-        White pixels, 0 outside the disc: 0 or 1, or a mean of binarised images 0 to 255 (see `full_scale`).
+    white_sum : float32 (rows, cols)
+        s_w: white pixels in the window: sums of 0 and 1, or of means of binarised images 0 to 255 (see `full_scale`).
     total : float32 (rows, cols)
-        s_t: `box_sums` of the disc's mask with the same window.
+        s_t: the disc's pixels in the window.
     full_scale : float
-        255 for a `white` of 0 and 1; 1 for a `white` of 0 to 255.
+        255 for sums of 0 and 1; 1 for those of 0 to 255.
 
     Returns
     -------
     float32 (rows, cols), 0 to 255; 0 where the window holds no pixel of the disc.
     """
-    g: F32 = (full_scale * box_sums(white, window_px, grid) / np.maximum(total, 1)).astype(np.float32)
+    g: F32 = (np.float32(full_scale) * white_sum / np.maximum(total, np.float32(1))).astype(np.float32)
     return g
 
 

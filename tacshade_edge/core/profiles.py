@@ -41,7 +41,7 @@ PROFILES: dict[str, Profile] = {
     for p in (
         Profile(name="paper", solver="paper", stride_px=1, window_pitches=2, tv_weight=0.1, gate_levels=20),
         # Eq. 1 serves the gate of these only.
-        Profile(name="fast", solver=LEARNED, stride_px=4, window_pitches=2, tv_weight=0.0, gate_levels=15),
-        Profile(name="accurate", solver=LEARNED, stride_px=4, window_pitches=2, tv_weight=0.0, gate_levels=15),
+        Profile(name="fast", solver=LEARNED, stride_px=4, window_pitches=2, tv_weight=0.0, gate_levels=16),
+        Profile(name="accurate", solver=LEARNED, stride_px=4, window_pitches=2, tv_weight=0.0, gate_levels=16),
     )
 }

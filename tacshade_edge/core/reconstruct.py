@@ -27,13 +27,14 @@ def no_mark(stage: str) -> None:
     """Ignore a stage's end."""
 
 
-def _learned(calibration: Calibration, profile: Profile, network: Network | None) -> LearnedInverse | None:
+def _learned(front: Preprocessor, network: Network | None) -> LearnedInverse | None:
     """The network prepared for the sensor, where the profile wants one."""
+    calibration, profile = front.calibration, front.profile
     if profile.solver != LEARNED:
         return None
     if network is None:
         raise ValueError(f"profile {profile.name} needs a network")
-    return LearnedInverse(network, calibration.geometry, calibration.pitch_px, calibration.reference_white)
+    return LearnedInverse(network, calibration.geometry, calibration.pitch_px, front.reference_cells)
 
 
 def _seen_rays(calibration: Calibration, grid: Grid) -> DiscRays:
@@ -58,7 +59,7 @@ class Reconstructor:
         self.calibration = calibration
         self.profile = profile
         self._front = Preprocessor(calibration, profile)
-        self._learned = _learned(calibration, profile, network)
+        self._learned = _learned(self._front, network)
         self._factor = np.float32(calibration.factors.get(profile.name, 1.0))
         self.grid = self._front.grid if self._learned is None else discmap.map_grid(calibration.geometry.disc)
         self.rays = _seen_rays(calibration, self.grid)
@@ -90,7 +91,7 @@ class Reconstructor:
         if reason:
             return self._nothing(frame, reason=reason)
 
-        white, g_raw, unseen = front.white_ratio(grey)
+        g_raw, unseen = front.white_ratio(grey)
         degraded = f"glare: {100 * unseen:.0f} % of the disc unseen" if unseen > 0 else ""
         mark("grey")
         if unseen > UNSEEN_INVALID:
@@ -111,7 +112,7 @@ class Reconstructor:
             depth, touched = SOLVERS[self.profile.solver](maps, self._alpha_mm), None
         else:
             mark("denoise")
-            depth, touched = self._run_learned(self._learned, white)
+            depth, touched = self._run_learned(self._learned)
         mark("depth")
 
         result = self._objects(frame, depth, touched, degraded)
@@ -122,11 +123,12 @@ class Reconstructor:
         """What the network makes of an image, without validity check, gate and refit: for calibration."""
         if self._learned is None:
             raise ValueError(f"profile {self.profile.name} has no network")
-        return self._learned(self._front.white_ratio(greyscale.to_grey(image))[0])
+        self._front.white_ratio(greyscale.to_grey(image))
+        return self._learned(self._front.white_cells())
 
-    def _run_learned(self, learned: LearnedInverse, white: U8) -> tuple[Depth, Bool]:
+    def _run_learned(self, learned: LearnedInverse) -> tuple[Depth, Bool]:
         """Refitted height and contact on the network's own cells."""
-        inverse = learned(white)
+        inverse = learned(self._front.white_cells())
         height = inverse.height_mm * self._factor
         finite = np.isfinite(height)
         repaired = finite.size - int(np.count_nonzero(finite))

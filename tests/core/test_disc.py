@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tacshade_edge.core.disc import Grid, cells_in_image, disc_mask, disc_rays, radius_squared
+from tacshade_edge.core.disc import Grid, Window, cells_in_image, disc_mask, disc_rays, radius_squared
 from tacshade_edge.simulator.render import project
 from tacshade_edge.simulator.truth import pixel_rays
 from tacshade_edge.types import Disc, Geometry
@@ -13,19 +13,33 @@ from tacshade_edge.types import Disc, Geometry
 CAMERAS = [None, 4.0, 14.0, 60.0]
 
 
-@given(st.integers(1, 50), st.integers(1, 50), st.integers(1, 8))
-def test_a_grid_lies_in_its_image_and_covers_it(height: int, width: int, step: int) -> None:
-    grid = Grid.of_image(height, width, step)
-    last_row, last_col = grid.row0 + step * (grid.rows - 1), grid.col0 + step * (grid.cols - 1)
-    assert 0 <= grid.row0 <= last_row < height
-    assert 0 <= grid.col0 <= last_col < width
-    # What is left of the image at either end is less than one stride.
-    assert max(grid.row0, height - 1 - last_row, grid.col0, width - 1 - last_col) < max(step, 1) * 1.5
+@given(st.integers(1, 50), st.integers(1, 50), st.floats(-60, 90), st.floats(-60, 90), st.floats(0, 60))
+def test_a_window_holds_the_disc_and_lies_in_the_image(
+    height: int, width: int, row_c: float, col_c: float, radius: float
+) -> None:
+    disc = Disc(row_c, col_c, radius)
+    window, mask = Window.of_disc(height, width, disc), disc_mask(height, width, disc)
+    assert window.rows > 0
+    assert window.cols > 0
+    assert window.cut(mask).shape == (window.rows, window.cols)
+    assert window.cut(mask).sum() == mask.sum()
+    assert max(window.rows, window.cols) <= 2 * radius + 3
+
+
+@given(st.integers(0, 30), st.integers(0, 30), st.integers(1, 50), st.integers(1, 50), st.integers(1, 8))
+def test_a_grid_lies_in_its_window_and_covers_it(row0: int, col0: int, rows: int, cols: int, step: int) -> None:
+    grid = Grid.of_window(Window(row0, col0, rows, cols), step)
+    for first, count, begin, size in ((grid.row0, grid.rows, row0, rows), (grid.col0, grid.cols, col0, cols)):
+        last = first + step * (count - 1)
+        assert begin <= first <= last < begin + size
+        assert max(first - begin, begin + size - 1 - last) < step
+        if size >= step:  # whatever the window, the same pixels of the image
+            assert first % step == step // 2
 
 
 @given(st.integers(1, 50), st.integers(1, 50), st.integers(1, 8))
 def test_every_cell_of_an_image_grid_is_in_the_image(height: int, width: int, step: int) -> None:
-    assert cells_in_image(Grid.of_image(height, width, step), height, width).all()
+    assert cells_in_image(Grid.of_window(Window(0, 0, height, width), step), height, width).all()
 
 
 def test_cells_beyond_the_image_are_not_in_it() -> None:
@@ -60,7 +74,7 @@ def test_the_visible_circle_is_where_the_half_angle_is_seen(distance_mm: float |
 @pytest.mark.parametrize("distance_mm", CAMERAS)
 def test_rays_are_those_of_the_independent_camera(distance_mm: float | None) -> None:
     geometry = Geometry(20.0, distance_mm, 50.0, Disc(118.3, 163.6, 102.4))
-    grid = Grid.of_image(240, 320, 4)
+    grid = Grid.of_window(Window(0, 0, 240, 320), 4)
     rays = disc_rays(grid, geometry)
     rows, cols = (v.ravel().astype(float) for v in np.mgrid[2:240:4, 2:320:4])
     origin, along = pixel_rays(geometry, rows, cols)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from tacshade_edge.core.greyscale import binarise
+from tacshade_edge.core.binarise import binarise
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.devices.calibration_file import with_crc
 from tacshade_edge.devices.network import make_reconstructor

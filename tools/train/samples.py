@@ -12,6 +12,7 @@ from shapes import random_shape
 from varied import pin_outline, varied_model, varied_print, with_skirt
 
 from tacshade_edge.core import discmap, greyscale, pattern
+from tacshade_edge.core.binarise import binarise
 from tacshade_edge.core.disc import disc_mask
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator import nuisance
@@ -205,7 +206,7 @@ def spoil(image: U8, disc: Disc, rng: np.random.Generator) -> U8:
 
 def white_map(image: U8, mask: U8, disc: Disc, pitch_px: float) -> F32:
     """Part of white in each cell, 0 to 1."""
-    return discmap.disc_average(greyscale.binarise(greyscale.to_grey(image), mask, "adaptive", pitch_px), disc)
+    return discmap.disc_average(binarise(greyscale.to_grey(image), mask, "adaptive", pitch_px), disc)
 
 
 def true_maps(skin: Skin, presses: Sequence[Press], geometry: Geometry, seen: Disc) -> tuple[F32, Bool]:

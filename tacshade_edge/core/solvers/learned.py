@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tacshade_edge.core import discmap
-from tacshade_edge.types import F32, U8, Geometry, freeze
+from tacshade_edge.types import F32, Geometry, freeze
 
 KNOWN = 6
 """Maps of `discmap.geometry_maps`."""
@@ -67,23 +67,22 @@ class LearnedInverse:
     network : Network
     geometry : Geometry
     pitch_px : float
-    reference_white : uint8 (H, W), 0 to 255
-        `Calibration.reference_white`.
+    reference_white : float32 (CELLS, CELLS), 0 to 1
+        White of the unloaded skin, on `discmap.map_grid`.
     """
 
-    def __init__(self, network: Network, geometry: Geometry, pitch_px: float, reference_white: U8) -> None:
+    def __init__(self, network: Network, geometry: Geometry, pitch_px: float, reference_white: F32) -> None:
         self._network = network
-        self._disc = geometry.disc
         known = discmap.geometry_maps(geometry, pitch_px)
         self._unit_mm = geometry.skin_radius_mm * math.sin(math.radians(geometry.visible_half_angle_deg))
         n = network.fold
-        reference = fold(discmap.disc_average(reference_white, geometry.disc)[None] / np.float32(255), n)
+        reference = fold(reference_white[None], n)
         # The frame's channels come first; the rest stays.
         self._still = np.concatenate((reference, known[:, ::n, ::n]))
 
-    def __call__(self, white: U8) -> Inverse:
-        """Run it on a binarised frame, uint8 (H, W), 0 or 1."""
-        frame = fold(discmap.disc_average(white, self._disc)[None], self._network.fold)
+    def __call__(self, white: F32) -> Inverse:
+        """Run it on a frame's white, float32 (CELLS, CELLS), 0 to 1."""
+        frame = fold(white[None], self._network.fold)
         height, logit = unfold(self._network.run(np.concatenate((frame, self._still))), self._network.fold)
         return Inverse(height * np.float32(self._unit_mm / HEIGHT_SCALE), logit)
 
