@@ -100,6 +100,8 @@ def binarise(grey: U8, mask: U8, method: Binarisation, pitch_px: float) -> U8:
 def padded(image: U8, multiple: int, value: int) -> U8:
     """The image with rows and columns of `value` added below and on the right, to a multiple of a number of pixels."""
     rows, cols = (-size % multiple for size in image.shape)
+    if rows == cols == 0:
+        return image
     return np.asarray(cv2.copyMakeBorder(image, 0, rows, 0, cols, cv2.BORDER_CONSTANT, value=value), np.uint8)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from tacshade_edge.core import clusters, discmap, greyscale
 from tacshade_edge.core.disc import DiscRays, Grid, cells_in_image, disc_rays
+from tacshade_edge.core.moved import MovedCheck
 from tacshade_edge.core.preprocess import Preprocessor
 from tacshade_edge.core.profiles import LEARNED, Profile
 from tacshade_edge.core.solvers import SOLVERS, Depth
@@ -16,7 +17,7 @@ from tacshade_edge.types import U8, Bool, Calibration, Frame, HeightMap, ObjectC
 
 Mark = Callable[[str], None]
 
-STAGES = ("check", "grey", "gate", "denoise", "depth", "cloud")
+STAGES = ("check", "grey", "gate", "moved", "denoise", "depth", "cloud")
 # A common change of g larger than the first is said; beyond the second the frame is another picture (focus, light).
 DRIFT_LEVELS, DRIFT_INVALID_LEVELS = 12.0, 30.0
 # With more of the disc under glare than this, the rest says too little.
@@ -60,6 +61,8 @@ class Reconstructor:
         self.profile = profile
         self._front = Preprocessor(calibration, profile)
         self._learned = _learned(self._front, network)
+        cell_px = discmap.map_grid(calibration.geometry.disc).step_px
+        self._moved = MovedCheck(self._front.reference_cells, cell_px, calibration.pitch_px)
         self._factor = np.float32(calibration.factors.get(profile.name, 1.0))
         self.grid = self._front.grid if self._learned is None else discmap.map_grid(calibration.geometry.disc)
         self.rays = _seen_rays(calibration, self.grid)
@@ -105,6 +108,10 @@ class Reconstructor:
             return self._nothing(frame, reason=degraded)
         if not decision.contact:
             return self._nothing(frame, degraded=degraded)
+        cells = front.white_cells()
+        if reason := self._moved.reason(cells):
+            return self._nothing(frame, reason=reason)
+        mark("moved")
 
         if self._learned is None:
             maps = front.denoised(g_raw, decision.drift_grey)
@@ -112,7 +119,7 @@ class Reconstructor:
             depth, touched = SOLVERS[self.profile.solver](maps, self._alpha_mm), None
         else:
             mark("denoise")
-            depth, touched = self._run_learned(self._learned)
+            depth, touched = self._refitted(self._learned(cells))
         mark("depth")
 
         result = self._objects(frame, depth, touched, degraded)
@@ -126,9 +133,8 @@ class Reconstructor:
         self._front.white_ratio(greyscale.to_grey(image))
         return self._learned(self._front.white_cells())
 
-    def _run_learned(self, learned: LearnedInverse) -> tuple[Depth, Bool]:
+    def _refitted(self, inverse: Inverse) -> tuple[Depth, Bool]:
         """Refitted height and contact on the network's own cells."""
-        inverse = learned(self._front.white_cells())
         height = inverse.height_mm * self._factor
         finite = np.isfinite(height)
         repaired = finite.size - int(np.count_nonzero(finite))

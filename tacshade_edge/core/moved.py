@@ -1,0 +1,49 @@
+"""Has the camera moved since the reference? Asked of every frame in contact, because a moved pattern looks like one."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+
+from tacshade_edge.core import discmap
+from tacshade_edge.types import F32
+
+# Between these the frame is the reference elsewhere. One pixel along both axes (1.4) is let pass: it changes depths by
+# a few per cent. Further than half a pitch the pattern looks like itself again.
+LEAST_PX, MOST_PITCHES = 1.8, 0.6
+# How sharply frame and reference must agree on it: a moved camera without contact gives 0.6 and more, a contact under
+# which most of the pattern shifts 0.43 at most (800 presses of 13 objects on 8 sensors).
+LEAST_RESPONSE = 0.5
+
+
+class MovedCheck:
+    """Compares frames with the reference by phase correlation of the map's cells (Kuglin and Hines 1975).
+
+    Parameters
+    ----------
+    reference : float32 (CELLS, CELLS), 0 to 1
+        White of the unloaded skin.
+    cell_px, pitch_px : float
+    """
+
+    def __init__(self, reference: F32, cell_px: float, pitch_px: float) -> None:
+        self._reference = np.ascontiguousarray(reference, np.float32)
+        self._window = cv2.createHanningWindow((discmap.CELLS, discmap.CELLS), cv2.CV_32F)
+        self._cell_px = cell_px
+        self._most_px = MOST_PITCHES * pitch_px
+
+    def reason(self, cells: F32) -> str:
+        """Why a frame cannot be compared with the reference; empty when the camera is where it was.
+
+        Parameters
+        ----------
+        cells : float32 (CELLS, CELLS), 0 to 1
+            White of the frame.
+        """
+        (cols, rows), response = cv2.phaseCorrelate(self._reference, cells, self._window)
+        shift_px = math.hypot(rows, cols) * self._cell_px
+        if response < LEAST_RESPONSE or not LEAST_PX <= shift_px <= self._most_px:
+            return ""
+        return f"camera moved by {shift_px:.1f} px since the reference"
