@@ -18,6 +18,7 @@ from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.simulator import skin as skin_module
 from tacshade_edge.simulator.model import SensorModel, random_model, tactip
+from tacshade_edge.simulator.other_family import CAPS, other_model, two_scale_skin
 from tacshade_edge.simulator.press import Press, distance_mm
 from tacshade_edge.simulator.render import Renderer, print_features
 from tacshade_edge.simulator.skin import Skin, press_skin
@@ -39,6 +40,10 @@ WIDE_FROM = 300_000
 
 VARIED_FROM = 400_000
 """From here on they are also those of `varied`."""
+
+OTHER_FROM = 550_000
+"""From here on they are the family "other" itself: for the question how much of the error on it is not knowing it.
+Nothing that is shipped saw one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,13 +111,14 @@ class Unevenness:
     """How a sensor differs from the model.
 
     `stiffness` multiplies the foundation's over the skin's grid, and so does 1 + `hardening` h / (0.15 r); `skirt` is
-    what `with_skirt` takes.
+    what `with_skirt` takes. `two_scales`: none of these, but the skin of the other family.
     """
 
     stiffness: F32
     hardening: float
     skirt: tuple[float, float]
     renderer: Renderer
+    two_scales: bool = False
 
 
 def draw_unevenness(model: SensorModel, rng: np.random.Generator, wide: bool, varied: bool) -> Unevenness:
@@ -151,6 +157,8 @@ def uneven_skin(model: SensorModel, presses: Sequence[Press], unevenness: Uneven
     """`press_skin` on a foundation of uneven stiffness."""
     if unevenness is None:
         return press_skin(model.skin_radius_mm, model.skin_decay_mm, presses)
+    if unevenness.two_scales:
+        return two_scale_skin(model, presses)
     flat = press_skin(model.skin_radius_mm, model.skin_decay_mm, ())
     obstacle = skin_module._obstacle(model.skin_radius_mm, flat.step_mm, presses)
     if not obstacle.any():
@@ -230,8 +238,13 @@ def true_maps(skin: Skin, presses: Sequence[Press], geometry: Geometry, seen: Di
 def sensor_samples(seed: int, frames: int) -> Samples | None:
     """Everything of one sensor; None where its reference shows no pattern to calibrate on."""
     rng = np.random.default_rng((seed, 12))
-    model = training_model(seed)
-    unevenness = draw_unevenness(model, rng, seed >= WIDE_FROM, seed >= VARIED_FROM) if seed >= UNEVEN_FROM else None
+    model = other_model(seed) if seed >= OTHER_FROM else training_model(seed)
+    unevenness: Unevenness | None = None
+    if seed >= OTHER_FROM:
+        renderer = VariedRenderer(model, lattice_print(model, 90.0), CAPS)
+        unevenness = Unevenness(np.ones((1, 1), np.float32), 0.0, (0.0, 1.0), renderer, two_scales=True)
+    elif seed >= UNEVEN_FROM:
+        unevenness = draw_unevenness(model, rng, seed >= WIDE_FROM, seed >= VARIED_FROM)
     renderer = Renderer(model) if unevenness is None else unevenness.renderer
     flat = press_skin(model.skin_radius_mm, model.skin_decay_mm, ())
     clean = renderer.draw(flat)

@@ -29,8 +29,8 @@ from torch.nn import functional
 VALIDATION_SHARDS = 2
 NEW_SHARDS = 12
 """Shards made meanwhile are taken in when they are so many."""
-KINDS = ("plain", "uneven", "wide", "varied")
-"""Of sensors: shards from 0, 5000, 10000 and 15000 on."""
+KINDS = ("plain", "uneven", "wide", "varied", "other")
+"""Of sensors: shards from 0, 5000, 10000, 15000 and 20000 on."""
 DISC_MM = 15.0
 """A typical disc radius, to print figures in mm."""
 
@@ -143,7 +143,7 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=4e-3)
     parser.add_argument("--widths", type=int, nargs="+", default=(16, 32, 48, 64))
     parser.add_argument("--fold", type=int, choices=(2, 4), default=2)
-    parser.add_argument("--shares", type=float, nargs=len(KINDS), default=(3, 1, 2, 4), help=" ".join(KINDS))
+    parser.add_argument("--shares", type=float, nargs=len(KINDS), default=(3, 1, 2, 4, 0), help=" ".join(KINDS))
     parser.add_argument("--start", type=Path, metavar="CHECKPOINT", help="weights to begin with")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=1)
