@@ -55,8 +55,7 @@ def main() -> None:
         for object_name in PAPER_OBJECTS:
             for scene in scenes(sensor.model, name.seed, object_name)[: len(DEPTHS_MM)]:
                 frame = sensor.frame((scene.press,), scene.noise_seed)
-                true = frame.truth()
-                truth = KnownTruth(true.points_mm, true.depth_max_mm, true.contact)
+                truth = KnownTruth.of(frame.truth())
                 for made in methods:
                     start = time.process_time()
                     result = made.step(Frame(0, 0, 0, frame.image))

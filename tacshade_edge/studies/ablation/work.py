@@ -143,10 +143,9 @@ def _presses(plan: Plan, name: SensorName, sensor: PressedSensor, object_name: s
     made = []
     for scene in scenes(sensor.model, name.seed, object_name, plan.depths_mm):
         frame, press = sensor.frame((scene.press,), scene.noise_seed), scene.press
-        true = frame.truth()
         label = Label(str(name), object_name, "", press.depth_mm, press.x_mm, press.y_mm, press.rotation_deg)
         clean = quiet.frame((scene.press,), scene.noise_seed).image
-        truth = KnownTruth(true.points_mm, true.depth_max_mm, true.contact)
+        truth = KnownTruth.of(frame.truth())
         made.append(_Pressed(label, Frame(0, 0, 0, frame.image), Frame(0, 0, 0, clean), frame, truth))
     return made
 

@@ -20,6 +20,7 @@ from tacshade_edge.core.solvers import GreyMaps
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.truth import Truth
 from tacshade_edge.studies.evaluate.scenes import scenes
+from tacshade_edge.studies.evaluate.score import KnownTruth
 from tacshade_edge.studies.evaluate.sensors import SensorName, reconstructor
 from tacshade_edge.types import F32, F64, U8, Calibration, Disc, Frame, Reconstruction
 
@@ -65,7 +66,7 @@ def columns(name: SensorName, calibration: Calibration, profile: str, objects: S
         scene = scenes(sensor.model, name.seed, object_name, (DEPTH_MM,))[0]
         frame = sensor.frame((scene.press,), scene.noise_seed)
         result, truth = solve.step(Frame(0, 0, 0, frame.image)), frame.truth()
-        score = score_cloud(result.cloud.points_mm, truth.points_mm, truth.depth_max_mm)
+        score = score_cloud(result.cloud.points_mm, KnownTruth.of(truth).points_mm, truth.depth_max_mm)
         maps = fine.grey_maps(frame.image)
         made.append(Column(object_name.replace("_", " "), scene.press, frame.image, maps, result, truth, score))
     return made

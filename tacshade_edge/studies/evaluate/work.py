@@ -100,8 +100,7 @@ def _rows(task: tuple[Plan, SensorName, Calibration, str | None]) -> list[Row]:
         return rows
     for scene in scenes(sensor.model, name.seed, object_name, plan.depths_mm):
         frame = sensor.frame((scene.press,), scene.noise_seed)
-        true = frame.truth()
-        truth = KnownTruth(true.points_mm, true.depth_max_mm, true.contact)
+        truth = KnownTruth.of(frame.truth())
         press = scene.press
         label = Label(str(name), object_name, "", press.depth_mm, press.x_mm, press.y_mm, press.rotation_deg)
         rows += [score(label, truth, each.step(Frame(0, 0, 0, frame.image))) for each in made]

@@ -78,8 +78,8 @@ def test_own_images_score_as_the_metrics_do(tmp_path: Path) -> None:
 def test_points_come_from_a_height_map_by_eq_2(tmp_path: Path) -> None:
     np.savez(tmp_path / "t.npz", **truth())
     known, _ = read_truth(tmp_path / "t.npz", SIZE, CALIBRATION.geometry)
-    assert len(known.points_mm) == np.count_nonzero(truth()["contact"])
-    np.testing.assert_allclose(np.linalg.norm(known.points_mm, axis=1), 18, atol=1e-4)
+    assert len(known.points_mm) > 3 * np.count_nonzero(truth()["contact"])  # and between its cells
+    np.testing.assert_allclose(np.linalg.norm(known.points_mm, axis=1), 18, atol=0.02)
     assert known.depth_max_mm == 2
 
 

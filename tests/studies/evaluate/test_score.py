@@ -6,7 +6,7 @@ import pytest
 from painted_sensor import FREE, TOUCHED, painted_calibration
 
 from tacshade_edge.core.metrics import contact_iou, score_cloud
-from tacshade_edge.studies.evaluate.score import KnownTruth, Label, Row, score
+from tacshade_edge.studies.evaluate.score import KnownTruth, Label, Row, between_pixels, score
 from tacshade_edge.studies.evaluate.sensors import reconstructor
 from tacshade_edge.types import Bool, Frame, HeightMap, Reconstruction
 
@@ -75,6 +75,22 @@ def test_a_truth_of_pixels_at_the_cells_of_another_grid() -> None:
     assert (fine[10, 10], fine[10, 30], fine[30, 30], fine[59, 59], fine[15, 12]) == (True, False, True, False, True)
     assert contact_iou(fine, fine) == 1
     assert KnownTruth(NOTHING, 0.0, None).contact_on(cells) is None
+
+
+def test_the_truth_has_points_between_its_pixels_but_not_over_a_step() -> None:
+    contact = np.zeros((6, 8), bool)
+    contact[1:5, 1:7] = True
+    rows, cols = np.indices(contact.shape)
+    flat = np.stack((cols, rows, np.where(cols < 4, 20.0, 15.0)), axis=-1).astype(np.float32)
+    points = between_pixels(flat[contact], contact)
+    np.testing.assert_array_equal(points[: contact.sum()], flat[contact])
+    made = {tuple(p) for p in points[contact.sum() :]}
+    assert {(1.5, 1.0, 20.0), (1.0, 1.5, 20.0), (1.5, 1.5, 20.0), (5.5, 3.0, 15.0)} <= made
+    assert {z for _, _, z in made} == {15.0, 20.0}
+    alone = np.zeros((3, 3), bool)
+    alone[1, 1] = True
+    assert len(between_pixels(np.ones((1, 3), np.float32), alone)) == 1
+    assert between_pixels(NOTHING, 0 * alone > 0).shape == (0, 3)
 
 
 def test_every_column_is_set() -> None:

@@ -9,6 +9,7 @@ from tacshade_edge.core.metrics import contact_iou, score_cloud
 from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.studies.evaluate.report import csv_text
 from tacshade_edge.studies.evaluate.scenes import scenes
+from tacshade_edge.studies.evaluate.score import KnownTruth
 from tacshade_edge.studies.evaluate.sensors import reconstructor
 from tacshade_edge.studies.evaluate.work import Evaluation, Plan, evaluate, time_profiles
 from tacshade_edge.types import Frame
@@ -53,7 +54,8 @@ def test_a_row_is_what_the_metrics_say_of_that_press(found: Evaluation) -> None:
     frame = sensor.frame((scene.press,), scene.noise_seed)
     truth = frame.truth()
     result = reconstructor(found.calibrations[0].calibration, "fast").step(Frame(0, 0, 0, frame.image))
-    row, direct = found.rows[4], score_cloud(result.cloud.points_mm, truth.points_mm, truth.depth_max_mm)
+    known = KnownTruth.of(truth)
+    row, direct = found.rows[4], score_cloud(result.cloud.points_mm, known.points_mm, truth.depth_max_mm)
     assert (row.x_mm, row.y_mm, row.depth_mm) == (scene.press.x_mm, scene.press.y_mm, 2.0)
     assert (row.me_mm, row.sd_pct, row.backward_mm) == (direct.me_mm, 100 * direct.sd, direct.backward_mm)
     height = result.height
