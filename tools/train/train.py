@@ -144,7 +144,7 @@ def main() -> None:
     parser.add_argument("--widths", type=int, nargs="+", default=(16, 32, 48, 64))
     parser.add_argument("--fold", type=int, choices=(2, 4), default=2)
     parser.add_argument("--shares", type=float, nargs=len(KINDS), default=(3, 1, 2, 4, 0), help=" ".join(KINDS))
-    parser.add_argument("--start", type=Path, metavar="CHECKPOINT", help="weights to begin with")
+    parser.add_argument("--start", type=Path, metavar="CHECKPOINT", help="averaged weights to begin with")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--report", type=int, default=1000, metavar="STEPS")
@@ -154,7 +154,8 @@ def main() -> None:
     args.out.mkdir(parents=True, exist_ok=True)
     net = Net(args.fold, tuple(args.widths)).to(memory_format=torch.channels_last)
     if args.start is not None:
-        net.load_state_dict(torch.load(args.start, weights_only=True)["net"])
+        averaged = torch.load(args.start, weights_only=True)["mean"]
+        net.load_state_dict({k.removeprefix("module."): v for k, v in averaged.items() if k.startswith("module.")})
     mean = torch.optim.swa_utils.AveragedModel(
         net, multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(0.998), use_buffers=True
     )
