@@ -42,6 +42,7 @@ _MENDS = {
     "light": "bring the light and source.exposure back to what they were when calibrating, or calibrate again",
     "glare": "light from outside falls into the sensor or mirrors in it: shade it",
     "noise": "more light and less gain; check the camera's cable",
+    "camera moved": "fix the camera where it was, take a new reference (calibrate --rezero), or calibrate again",
     "torn or moved": "the camera or its light moved: fix it where it was, or calibrate again",
     "torn": "frames are damaged on their way: another USB port, a shorter cable, a lower rate",
 }

@@ -9,6 +9,7 @@ from calibrated_sensor import calibrated, pressed
 from tacshade_edge.core.profiles import LEARNED, PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.core.solvers.learned import KNOWN, Network
+from tacshade_edge.devices.calibration_file import VERSION
 from tacshade_edge.devices.network import load_network, load_networks, make_reconstructor
 from tacshade_edge.types import F32, Frame
 
@@ -61,3 +62,9 @@ def test_only_a_profile_that_needs_it_gets_a_network() -> None:
         Reconstructor(calibrated(), PROFILES["accurate"])
     with pytest.raises(ValueError, match="profile paper has no network"):
         make_reconstructor(calibrated(), PROFILES["paper"]).inverse(frame.image)
+
+
+def test_calibrations_are_of_the_shipped_weights() -> None:
+    """A factor that was fitted to other weights is silently wrong: new weights need a new `VERSION`, and this line."""
+    shipped = {name: json.loads((WEIGHTS / f"{name}.json").read_text())["sha256"][:8] for name in NAMES}
+    assert (VERSION, shipped) == (4, {"fast": "b212d96a", "accurate": "c2a38c45"})
