@@ -14,10 +14,10 @@ from tacshade_edge.types import F32, F64, U8, Bool, Disc, freeze
 
 # Three halvings make a block's mean; the first look at a frame lets two of them round.
 BLOCK_PX, HALVINGS, ROUNDED = 8, 3, 2
-# A block of the reference with at least this contrast has markers; it cannot lose them all.
+# A block of the reference with at least this contrast has markers; rows across the disc cannot lose them all.
 TEXTURED_STD = 8.0
 LOST_STD = 3.0
-LOST_PART = 0.8
+LOST_PART = 0.95
 LOST_ROWS = 2
 ROW_BLOCKS = 8
 # Blocks of the surround never change but with the light; half of this many levels is noise.
@@ -83,7 +83,8 @@ def block_check(reference_grey: U8, disc: Disc) -> BlockCheck | None:
     return BlockCheck(
         box=box,
         textured=textured,
-        lost_most=np.where(total >= ROW_BLOCKS, LOST_PART * total, np.inf),
+        # Where most of a row's blocks are flat already, a contact may well hide the others.
+        lost_most=np.where(total >= np.maximum(ROW_BLOCKS, inside.sum(axis=1) / 2), LOST_PART * total, np.inf),
         textured_at=np.flatnonzero(textured),
         surround_at=surround_at,
         common=max(median(level[textured]), 1.0) if textured.any() else 1.0,

@@ -12,8 +12,8 @@ from tacshade_edge.core.median import median
 from tacshade_edge.types import F32, U8, Bool, freeze
 
 # A row that differs from the next by this much more than its neighbours do, in medians of all rows, and more than the
-# reference's does, is where two frames meet (good frames reach 1.4).
-SPIKE = 1.7
+# reference's does, is where two frames meet (good frames reach 1.9).
+SPIKE = 2.1
 ROW_PX = 60
 BANDS, BAND_SPIKE = 4, 0.5
 

@@ -104,7 +104,7 @@ def draw(made: Sequence[Column], calibration: Calibration, profile: str, dpi: in
         box = cells[0].get_position(figure)
         figure.text((box.x0 + box.x1) / 2, box.y1, column.title, ha="center", va="center", fontsize=13)
         _camera(figure.add_subplot(cells[1]), column, calibration.geometry.disc)
-        bars.append(_grey_maps(figure, cells[2], column, calibration.geometry.disc))
+        bars.append(_grey_maps(figure, cells[2], column))
         bars.append(_heights(figure, cells[3], column, calibration.geometry.disc, top_mm))
         _skin(figure.add_subplot(cells[4], projection="3d"), column, calibration, top_mm)
         _clouds(figure.add_subplot(cells[5], projection="3d"), column)
@@ -181,14 +181,15 @@ def _camera(axes: Any, column: Column, disc: Disc) -> None:
     axes.set_axis_off()
 
 
-def _grey_maps(figure: Figure, cell: Any, column: Column, disc: Disc) -> Any:
+def _grey_maps(figure: Figure, cell: Any, column: Column) -> Any:
     """g0, g, g_d side by side, in grey levels; g_d about the middle grey."""
     maps, shown = column.maps, None
     pair = ((maps.g0, "$g_0$"), (maps.g, "$g$"), (maps.g_d + np.float32(127.5), "$g_d$ + 127"))
     for k, (values, name) in enumerate(pair):
         axes = figure.add_subplot(cell.subgridspec(1, 3, wspace=0.05)[k])
-        values = _crop(np.where(maps.inside, values, np.nan), disc, (0, 0, 1))
-        shown = axes.imshow(values, cmap="gray", vmin=0, vmax=255, interpolation="antialiased")
+        shown = axes.imshow(
+            np.where(maps.inside, values, np.nan), cmap="gray", vmin=0, vmax=255, interpolation="antialiased"
+        )
         axes.set_title(name, fontsize=9, pad=2)
         axes.set_axis_off()
     return shown
