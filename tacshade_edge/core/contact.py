@@ -44,7 +44,9 @@ def light_drift(g_d: F32, voting: Bool) -> float:
     return median(values) if values.size else 0.0
 
 
-def gate(g_d: F32, voting: Bool, noise_grey: float, cell_mm2: float, levels: float) -> GateResult:
+def gate(
+    g_d: F32, voting: Bool, noise_grey: float, cell_mm2: float, levels: float, dark_levels: float = math.inf
+) -> GateResult:
     """Absolute contact gate.
 
     Parameters
@@ -59,11 +61,14 @@ def gate(g_d: F32, voting: Bool, noise_grey: float, cell_mm2: float, levels: flo
         Area of skin per cell.
     levels : float
         The least change that counts (`Profile.gate_levels`).
+    dark_levels : float
+        The least change away from contact that counts (`Profile.gate_dark_levels`): the rim of a contact.
     """
     drift = light_drift(g_d, voting)
-    threshold = max(levels, GATE_NOISE * noise_grey)
-    over = np.count_nonzero((g_d > np.float32(drift + threshold)) & voting)
-    return GateResult(contact=bool(over * cell_mm2 >= GATE_MM2), drift_grey=drift)
+    noise = GATE_NOISE * noise_grey
+    over = np.count_nonzero((g_d > np.float32(drift + max(levels, noise))) & voting)
+    under = np.count_nonzero((g_d < np.float32(drift - max(dark_levels, noise))) & voting)
+    return GateResult(contact=bool(max(over, under) * cell_mm2 >= GATE_MM2), drift_grey=drift)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -64,8 +64,8 @@ class Preprocessor:
     def gate(self, g_raw: F32) -> contact.GateResult:
         """Whether anything touches, by eq. 9 of eq. 1."""
         g_d_raw = (g_raw - self.reference_ratio) * np.float32(self.sign)
-        levels = self.profile.gate_levels
-        return contact.gate(g_d_raw, self.voting, self.calibration.noise_grey, self.cell_mm2, levels)
+        levels, dark = self.profile.gate_levels, self.profile.gate_dark_levels
+        return contact.gate(g_d_raw, self.voting, self.calibration.noise_grey, self.cell_mm2, levels, dark)
 
     def touched(self, image: U8) -> bool:
         """Whether the contact gate opens for an image."""

@@ -29,6 +29,14 @@ def test_the_gate_opens_on_enough_change_over_enough_skin() -> None:
     assert not gate(patch(-100), VOTING, 0.5, 1.0, LEVELS).contact
 
 
+def test_a_rim_that_darkens_opens_it_where_that_counts() -> None:
+    assert gate(patch(-11, 3), VOTING, 0.5, 1.0, LEVELS, 10.0).contact
+    assert not gate(patch(-9, 9), VOTING, 0.5, 1.0, LEVELS, 10.0).contact
+    assert not gate(patch(-11, 2), VOTING, 0.5, 1.0, LEVELS, 10.0).contact  # 2 mm²
+    assert not gate(patch(-11, 9), VOTING, 3.0, 1.0, LEVELS, 10.0).contact  # within the noise
+    assert not gate(patch(-200, 9), VOTING, 0.5, 1.0, LEVELS).contact
+
+
 def test_a_noisy_sensor_has_a_higher_gate() -> None:
     level = GATE_NOISE * 10
     assert not gate(patch(level - 1), VOTING, 10.0, 1.0, LEVELS).contact

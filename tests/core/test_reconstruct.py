@@ -29,6 +29,9 @@ from tacshade_edge.simulator import nuisance
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.simulator.press import Press
+from tacshade_edge.studies.evaluate.scenes import scenes
+from tacshade_edge.studies.evaluate.sensors import SensorName
+from tacshade_edge.studies.evaluate.sensors import calibrated as study_calibration
 from tacshade_edge.types import U8, Binarisation, Frame, Reconstruction
 
 
@@ -312,3 +315,15 @@ def test_what_a_release_leaves_in_the_skin_is_no_contact() -> None:
         left = simulated(HALF).released((Press(OBJECTS["ball"](), x_mm, 0.0, 4.0),), 0.05, 3)
         assert left.skin.height_mm.max() >= 0.2
         assert not step("accurate", left.image).contact
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [146, 153])
+def test_a_sensor_that_hardly_brightens_feels_all_the_same(seed: int) -> None:
+    name = SensorName("tacshade", seed)
+    sensor, calibration = name.make(), study_calibration(name, 3, 0).calibration
+    made = make_reconstructor(calibration, PROFILES["accurate"])
+    for object_name in ("cube", "ball", "cylinder"):
+        for scene in scenes(sensor.model, seed, object_name, (1.5,)):
+            assert made.step(Frame(0, 0, 0, sensor.frame((scene.press,), scene.noise_seed).image)).contact
+    assert not made.step(Frame(0, 0, 0, sensor.frame((), 99).image)).contact
