@@ -21,7 +21,15 @@ from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import F32, IDENTITY_POSE, U8, Binarisation, Bool, Calibration, Geometry, Polarity
 
 # The maps that references and presses are judged by.
-PROFILE = Profile(name="calibration", solver=LEARNED, stride_px=4, window_pitches=2, tv_weight=0.05, gate_levels=20)
+PROFILE = Profile(
+    name="calibration",
+    solver=LEARNED,
+    stride_px=4,
+    window_pitches=2,
+    tv_weight=0.05,
+    gate_levels=20,
+    gate_dark_levels=12,
+)
 # The profile whose error says how good a calibration is.
 JUDGED = "accurate"
 MIN_PRESSES = 8
