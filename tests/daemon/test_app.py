@@ -167,11 +167,11 @@ def test_a_lost_camera_degrades_and_a_new_one_brings_the_stream_back(
     finally:
         took_s = app.end()
     assert took_s < STOP_S
+    wait_until(lambda: states(seen)[-1:] == ["stopped"], 5, "stopped")
     assert states(seen)[-3:-1] == ["degraded", "online"]
     cameras = [json.loads(p) for p in seen.of(f"{BASE}/status/camera")]
     assert {"state": "away", "reason": str(GONE)} in cameras
     assert {"state": "streaming", "reason": "", "script": "test"} in cameras
-    wait_until(lambda: states(seen)[-1] == "stopped", 5, "stopped")
     assert_accounted(last(seen, "health")["frames"])
 
 
