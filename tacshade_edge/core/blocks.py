@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeVar
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
+from tacshade_edge.core.binarise import halved
 from tacshade_edge.core.median import median
 from tacshade_edge.types import F32, F64, U8, Bool, Disc, freeze
 
@@ -28,7 +27,6 @@ LIGHT_LOW, LIGHT_HIGH = 0.45, 1.7
 
 Box = tuple[slice, slice]
 Places = npt.NDArray[np.intp]
-A = TypeVar("A", U8, F32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,18 +119,12 @@ def block_means(grey: U8, rounded: int) -> tuple[F32, F32]:
         Of what the rounded halvings left: its root is at most `rounded` / 2 levels over the pixels' deviation.
     """
     for _ in range(rounded):
-        grey = _halved(grey)
+        grey = halved(grey)
     mean = grey.astype(np.float32)
     square = mean * mean
     for _ in range(HALVINGS - rounded):
-        mean, square = _halved(mean), _halved(square)
+        mean, square = halved(mean), halved(square)
     return mean, square - mean * mean
-
-
-def _halved(image: A) -> A:
-    """Means of 2x2 px, which OpenCV has a fast way for."""
-    half: A = cv2.resize(image, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA)
-    return half
 
 
 def light_reason(found: float) -> str:

@@ -11,7 +11,7 @@ from tacshade_edge.core import drift, greyscale, pattern, press_checks, refit
 from tacshade_edge.core.binarise import Binariser, odd
 from tacshade_edge.core.disc import Grid, Window, disc_mask, disc_rays, radius_squared
 from tacshade_edge.core.preprocess import Preprocessor
-from tacshade_edge.core.profiles import LEARNED, PROFILES, Profile
+from tacshade_edge.core.profiles import PROFILES, Profile
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.core.solvers.learned import Network
 from tacshade_edge.core.sums import Sums
@@ -21,15 +21,7 @@ from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import F32, IDENTITY_POSE, U8, Binarisation, Bool, Calibration, Geometry, Polarity
 
 # The maps that references and presses are judged by.
-PROFILE = Profile(
-    name="calibration",
-    solver=LEARNED,
-    stride_px=4,
-    window_pitches=2,
-    tv_weight=0.05,
-    gate_levels=20,
-    gate_dark_levels=12,
-)
+PROFILE = replace(PROFILES["fast"], name="calibration", tv_weight=0.05, gate_levels=20, gate_dark_levels=12)
 # The profile whose error says how good a calibration is.
 JUDGED = "accurate"
 MIN_PRESSES = 8

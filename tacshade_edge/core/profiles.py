@@ -29,7 +29,8 @@ class Profile:
         one, so its gate only has to stay shut for the dent that a release leaves (14.7 for 99 % of those of 0.2 mm).
     gate_dark_levels : float
         Least change away from contact that opens it too, inf for none: the rim of a contact darkens also where a sensor
-        hardly brightens (10.8 at least for 885 presses of 1.5 mm that the other level missed; a release leaves 8.7).
+        hardly brightens (of 885 presses of 1.5 mm the other level missed 4; their rims were 10.8 or more below, what a
+        release of 0.2 mm leaves 8.7 at most).
     """
 
     name: str
@@ -46,23 +47,9 @@ PROFILES: dict[str, Profile] = {
     for p in (
         Profile(name="paper", solver="paper", stride_px=1, window_pitches=2, tv_weight=0.1, gate_levels=20),
         # Eq. 1 serves the gate of these only.
-        Profile(
-            name="fast",
-            solver=LEARNED,
-            stride_px=4,
-            window_pitches=2,
-            tv_weight=0.0,
-            gate_levels=16,
-            gate_dark_levels=10,
-        ),
-        Profile(
-            name="accurate",
-            solver=LEARNED,
-            stride_px=4,
-            window_pitches=2,
-            tv_weight=0.0,
-            gate_levels=16,
-            gate_dark_levels=10,
+        *(
+            Profile(name, LEARNED, stride_px=4, window_pitches=2, tv_weight=0.0, gate_levels=16, gate_dark_levels=10)
+            for name in ("fast", "accurate")
         ),
     )
 }
