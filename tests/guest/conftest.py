@@ -18,7 +18,11 @@ import pytest
 
 TREE = Path(__file__).resolve().parents[2]
 GUEST = TREE / "tools/rig/guest.py"
-LIMIT_S = 480
+LIMIT_S = 300
+HANGS_S = 120
+"""A test that takes longer tells where it is (all threads' stacks)."""
+ATTEMPTS = 2
+EXIT_CANNOT, EXIT_UNFINISHED = 77, 125  # of tools/rig/guest.py
 _INSIDE = "TACSHADE_GUEST_REPORTS"
 _stored = pytest.StashKey[dict[str, list[pytest.TestReport]]]()
 
@@ -55,31 +59,54 @@ def pytest_runtest_protocol(item: pytest.Item) -> bool | None:
 
 
 def _run(item: pytest.Item) -> dict[str, list[pytest.TestReport]]:
-    """Run all chosen tests of the item's file in one guest; a test without a report is failed or skipped."""
-    chosen = [other for other in item.session.items if other.path == item.path]
+    """Run all chosen tests of the item's file in one guest; a test without its reports is failed or skipped.
+
+    An emulated guest hangs now and then, whatever runs in it: what is left is run in another, once, and it is said.
+    """
+    left = chosen = [other for other in item.session.items if other.path == item.path]
+    results: dict[str, list[pytest.TestReport]] = {}
+    for attempt in range(ATTEMPTS):
+        done, reports = _boot(item, left)
+        results |= {name: found for name, found in reports.items() if found[-1].when == "teardown"}
+        left = [other for other in chosen if other.nodeid not in results]
+        if done.returncode != EXIT_UNFINISHED or not left:
+            break
+        terminal = item.config.pluginmanager.get_plugin("terminalreporter")
+        terminal.write_line(f"\nguest: attempt {attempt + 1} hung in {left[0].nodeid}\n{_said(done)}")
+    skipped = done.returncode == EXIT_CANNOT
+    text = done.stderr.strip() if skipped else f"the guest gave no result\n{_said(done)}"
+    for other in left:
+        path, line, _ = other.location
+        reason = (path, line or 0, f"Skipped: {text}") if skipped else text
+        outcome = "skipped" if skipped else "failed"
+        report = pytest.TestReport(other.nodeid, other.location, {}, outcome, reason, "call")  # type: ignore[arg-type]
+        results[other.nodeid] = [report]
+    return results
+
+
+def _boot(
+    item: pytest.Item, chosen: list[pytest.Item]
+) -> tuple[subprocess.CompletedProcess[str], dict[str, list[pytest.TestReport]]]:
+    """One guest: how it ended, and the reports of each test that began."""
     out = TREE / ".rig" / f"out-{item.path.stem}"
     reports = out / "reports.jsonl"
     out.mkdir(parents=True, exist_ok=True)
     reports.unlink(missing_ok=True)
     inside = ["env", f"{_INSIDE}=/out/{reports.name}", sys.executable, "-m", "pytest", "-p", "no:cacheprovider"]
+    inside += ["-o", f"faulthandler_timeout={HANGS_S}"]
     systemd = ["--systemd"] if item.get_closest_marker("systemd") else []
     command = [sys.executable, str(GUEST), *systemd, "--out", str(out), "--limit", str(LIMIT_S), *inside]
     done = subprocess.run(
         [*command, *(other.nodeid for other in chosen)], cwd=TREE, text=True, capture_output=True, check=False
     )
-    results: dict[str, list[pytest.TestReport]] = {other.nodeid: [] for other in chosen}
+    found: dict[str, list[pytest.TestReport]] = {}
     for report in _read(reports):
-        results[report.nodeid].append(report)
-    skipped = done.returncode == 77
-    text = done.stderr.strip() if skipped else f"the guest gave no result\n{done.stdout[-4000:]}{done.stderr[-4000:]}"
-    for other in chosen:
-        if not results[other.nodeid]:
-            path, line, _ = other.location
-            reason = (path, line or 0, f"Skipped: {text}") if skipped else text
-            outcome = "skipped" if skipped else "failed"
-            report = pytest.TestReport(other.nodeid, other.location, {}, outcome, reason, "call")  # type: ignore[arg-type]
-            results[other.nodeid].append(report)
-    return results
+        found.setdefault(report.nodeid, []).append(report)
+    return done, found
+
+
+def _said(done: subprocess.CompletedProcess[str]) -> str:
+    return done.stdout[-4000:] + done.stderr[-4000:]
 
 
 def _read(path: Path) -> Iterator[pytest.TestReport]:
