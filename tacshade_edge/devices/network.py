@@ -1,36 +1,38 @@
-"""The shipped networks of `core.solvers.learned`, run by OpenCV's DNN module."""
+"""The shipped networks of `core.solvers.learned`, run by ONNX Runtime on one thread (decision 5)."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
 
-import cv2
-import numpy as np
+import onnxruntime
 
 from tacshade_edge.core import solvers
 from tacshade_edge.core.profiles import LEARNED, PROFILES, Profile
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.core.solvers.learned import Network
-from tacshade_edge.types import F32, U8, Calibration
+from tacshade_edge.types import F32, Calibration
 
-_WEIGHTS = Path(solvers.__file__).parent / "weights"
+WEIGHTS = Path(solvers.__file__).parent / "weights"
 
 
 def load_network(name: str) -> Network:
     """Read the shipped weights of a profile. One network is for one thread at a time."""
-    return read_network(_WEIGHTS / f"{name}.onnx")
+    return read_network(WEIGHTS / f"{name}.onnx")
 
 
 def read_network(onnx: Path) -> Network:
     """Read an ONNX file and the JSON file beside it (tools/train/export.py)."""
     fold = int(json.loads(onnx.with_name(onnx.name.replace(".onnx", ".json")).read_text())["fold"])
-    buffer: U8 = np.frombuffer(onnx.read_bytes(), dtype=np.uint8)
-    net = cv2.dnn.readNetFromONNX(buffer)
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 3  # it warns of processors that it does not know
+    session = onnxruntime.InferenceSession(onnx.read_bytes(), options, providers=["CPUExecutionProvider"])
+    name = session.get_inputs()[0].name
 
     def run(maps: F32) -> F32:
-        net.setInput(np.ascontiguousarray(maps[None], dtype=np.float32))
-        return np.asarray(net.forward()[0], dtype=np.float32)
+        answer: F32 = session.run(None, {name: maps[None]})[0][0]
+        return answer
 
     return Network(fold, run)
 

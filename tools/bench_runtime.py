@@ -1,0 +1,57 @@
+#!/usr/bin/env python3
+"""The shipped networks run by OpenCV's DNN module and by ONNX Runtime, one thread, in turns.
+
+::
+
+    .venv/bin/python tools/bench_runtime.py [--rounds 5] [--runs 200]
+
+Each figure is the median over the rounds of a round's median (p50) or 99th percentile (p99); the ratio is of p50.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import cv2
+import numpy as np
+import onnxruntime
+from bench_stages import timed_ms
+
+from tacshade_edge.devices.network import WEIGHTS
+from tacshade_edge.studies.tables import markdown
+
+
+def main() -> None:
+    """Measure, print."""
+    parser = argparse.ArgumentParser(description="OpenCV's DNN module beside ONNX Runtime.")
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--runs", type=int, default=200, help="in each round")
+    args = parser.parse_args()
+    cv2.setNumThreads(1)
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    lines = []
+    for path in sorted(WEIGHTS.glob("*.onnx")):
+        session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
+        maps = np.random.default_rng(0).random(session.get_inputs()[0].shape, dtype=np.float32)
+        net = cv2.dnn.readNetFromONNX(str(path))
+
+        def by_opencv(net: cv2.dnn.Net = net, maps: np.ndarray = maps) -> object:
+            net.setInput(maps)
+            return net.forward()
+
+        def by_onnxruntime(session: onnxruntime.InferenceSession = session, maps: np.ndarray = maps) -> object:
+            return session.run(None, {"maps": maps})
+
+        off = float(np.abs(np.asarray(by_opencv()) - by_onnxruntime()[0]).max())  # type: ignore[index]
+        found = [[timed_ms(run, args.runs) for run in (by_opencv, by_onnxruntime)] for _ in range(args.rounds)]
+        (p50, p99), (other50, other99) = np.median(found, axis=0)
+        figures = [f"{value:.3f}" for value in (p50, p99, other50, other99)]
+        lines.append([path.stem, *figures, f"{p50 / other50:.2f}", f"{off:.1e}"])
+    heads = ["network", "OpenCV p50 ms", "p99", "ONNX Runtime p50 ms", "p99", "ratio", "greatest difference"]
+    print(f"OpenCV {cv2.__version__}, ONNX Runtime {onnxruntime.__version__}\n")
+    print(markdown(heads, lines))
+
+
+if __name__ == "__main__":
+    main()
