@@ -13,6 +13,7 @@ figure is the median over the rounds of a round's median (p50) or 99th percentil
 from __future__ import annotations
 
 import argparse
+import itertools
 import time
 from collections.abc import Callable
 
@@ -29,8 +30,14 @@ from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import U8, Frame
 
 BOX_PX = 39
+_clock_ns = itertools.count(0, 16_666_667)
 PRESS = Press(OBJECTS["cube"](), 0.0, 0.0, 3.0, 20.0, 1.45)
 """It covers a fifth of the default sensor's disc."""
+
+
+def next_frame(image: U8) -> Frame:
+    """Frames follow each other at 60 Hz."""
+    return Frame(0, next(_clock_ns), 0, image)
 
 
 def timed_ms(step: Callable[[], object], count: int) -> tuple[float, float]:
@@ -43,7 +50,7 @@ def timed_ms(step: Callable[[], object], count: int) -> tuple[float, float]:
     return float(np.median(taken)), float(np.percentile(taken, 99))
 
 
-def stages_ms(made: Reconstructor, frame: Frame, count: int) -> dict[str, float]:
+def stages_ms(made: Reconstructor, image: U8, count: int) -> dict[str, float]:
     """Median of each stage that was run."""
     taken: dict[str, list[float]] = {}
     for _ in range(count):
@@ -55,7 +62,7 @@ def stages_ms(made: Reconstructor, frame: Frame, count: int) -> dict[str, float]
             taken.setdefault(stage, []).append((now - last) / 1e6)
             last = now
 
-        made.step(frame, mark)
+        made.step(next_frame(image), mark)
     return {stage: float(np.median(values)) for stage, values in taken.items()}
 
 
@@ -80,11 +87,10 @@ def main() -> None:
         cv2.boxFilter(image, cv2.CV_16U, (BOX_PX, BOX_PX), normalize=False, borderType=cv2.BORDER_CONSTANT)
 
     made = {profile: reconstructor(calibration, profile) for profile in args.profile}
-    frames = {what: Frame(0, 0, 0, image) for what, image in images.items()}
     steps: dict[tuple[str, str], Callable[[], object]] = {("floor", ""): floor}
     for profile, each in made.items():
-        for what, frame in frames.items():
-            steps[profile, what] = lambda each=each, frame=frame: each.step(frame)  # type: ignore[misc]
+        for what, image in images.items():
+            steps[profile, what] = lambda each=each, image=image: each.step(next_frame(image))  # type: ignore[misc]
     rounds: dict[tuple[str, str], list[tuple[float, float]]] = {key: [] for key in steps}
     parts: dict[tuple[str, str], list[dict[str, float]]] = {key: [] for key in steps}
     for _ in range(args.rounds):
@@ -92,7 +98,7 @@ def main() -> None:
             count = args.frames if key[0] != "paper" else 3
             rounds[key].append(timed_ms(step, count))
             if key[0] in made:
-                parts[key].append(stages_ms(made[key[0]], frames[key[1]], count))
+                parts[key].append(stages_ms(made[key[0]], images[key[1]], count))
     least = float(np.median([p50 for p50, _ in rounds["floor", ""]]))
     lines = []
     for (profile, what), found in rounds.items():

@@ -9,17 +9,17 @@ from tacshade_edge.core.sums import Sums
 from tacshade_edge.types import F32, U8, Disc, Geometry
 
 CELLS = 112
-"""Cells along a side."""
+"""Cells along a side, where nothing else is said."""
 
 REACH = 1.02
 """Half the square's side, in radii of the disc."""
 
 
-def map_grid(disc: Disc) -> Grid:
+def map_grid(disc: Disc, cells: int = CELLS) -> Grid:
     """The cells of the map as a grid of image positions (their middles; not whole pixels)."""
-    step = 2 * REACH * disc.radius_px / CELLS
-    first = (0.5 - CELLS / 2) * step
-    return Grid(rows=CELLS, cols=CELLS, row0=disc.row_c + first, col0=disc.col_c + first, step_px=step)
+    step = 2 * REACH * disc.radius_px / cells
+    first = (0.5 - cells / 2) * step
+    return Grid(rows=cells, cols=cells, row0=disc.row_c + first, col0=disc.col_c + first, step_px=step)
 
 
 def disc_average(values: U8, disc: Disc) -> F32:
@@ -39,18 +39,18 @@ def disc_average(values: U8, disc: Disc) -> F32:
     return whole.means(whole.cells_of(map_grid(disc)))
 
 
-def geometry_maps(geometry: Geometry, pitch_px: float) -> F32:
+def geometry_maps(geometry: Geometry, pitch_px: float, cells: int = CELLS) -> F32:
     """What is known of a sensor at each cell before any frame.
 
     Returns
     -------
-    float32 (6, CELLS, CELLS)
+    float32 (6, cells, cells)
         Position x and y in disc radii; how far the image of a skin point moves in x and in y, in disc radii, when
         the point moves by one disc radius (in mm) towards the camera along its axis; cosine between the camera's ray
         and the undeformed skin's normal; marker pitch in tenths of the disc's radius.
     """
     disc = geometry.disc
-    axis = (np.arange(CELLS) + 0.5 - CELLS / 2) * (2 * REACH / CELLS)
+    axis = (np.arange(cells) + 0.5 - cells / 2) * (2 * REACH / cells)
     x, y = np.meshgrid(axis, axis)
     rho2 = np.minimum(x * x + y * y, 1.0)
     sin_half = np.sin(np.radians(geometry.visible_half_angle_deg))

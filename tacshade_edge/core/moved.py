@@ -7,7 +7,6 @@ import math
 import cv2
 import numpy as np
 
-from tacshade_edge.core import discmap
 from tacshade_edge.types import F32
 
 # Between these the frame is the reference elsewhere. One pixel along both axes (1.4) is let pass: it changes depths by
@@ -23,14 +22,14 @@ class MovedCheck:
 
     Parameters
     ----------
-    reference : float32 (CELLS, CELLS), 0 to 1
+    reference : float32 (cells, cells), 0 to 1
         White of the unloaded skin.
     cell_px, pitch_px : float
     """
 
     def __init__(self, reference: F32, cell_px: float, pitch_px: float) -> None:
         self._reference = np.ascontiguousarray(reference, np.float32)
-        self._window = cv2.createHanningWindow((discmap.CELLS, discmap.CELLS), cv2.CV_32F)
+        self._window = cv2.createHanningWindow(reference.shape, cv2.CV_32F)
         self._cell_px = cell_px
         self._most_px = MOST_PITCHES * pitch_px
 
@@ -39,7 +38,7 @@ class MovedCheck:
 
         Parameters
         ----------
-        cells : float32 (CELLS, CELLS), 0 to 1
+        cells : float32 (cells, cells), 0 to 1
             White of the frame.
         """
         (cols, rows), response = cv2.phaseCorrelate(self._reference, cells, self._window)

@@ -8,6 +8,7 @@ import numpy as np
 from tacshade_edge.core import contact, discmap, greyscale
 from tacshade_edge.core.binarise import Binariser, odd
 from tacshade_edge.core.disc import DiscRays, Grid, Window, disc_mask, disc_rays
+from tacshade_edge.core.moved import MovedCheck
 from tacshade_edge.core.profiles import Profile
 from tacshade_edge.core.solvers.base import GreyMaps
 from tacshade_edge.core.sums import Sums
@@ -41,7 +42,9 @@ class Preprocessor:
         )
         self._side_px = odd(profile.window_pitches * calibration.pitch_px)
         self._sums = Sums(self._window, self._side_px // 2 + 1)
-        self._cells = self._sums.cells_of(discmap.map_grid(geometry.disc))
+        self._cells = self._sums.cells_of(discmap.map_grid(geometry.disc, profile.cells))
+        fine = discmap.map_grid(geometry.disc)
+        self._fine_cells = self._sums.cells_of(fine)
         self.grid = Grid.of_window(self._window, profile.stride_px)
         self.rays: DiscRays = disc_rays(self.grid, geometry)
         self._total = self._box_sums(self._mask)
@@ -52,6 +55,8 @@ class Preprocessor:
         self.reference_ratio = greyscale.white_ratio(self._box_sums(reference), self._total, full_scale=1.0)
         self._per_total: F32 = np.divide(np.float32(255), np.maximum(self._total, np.float32(1)))
         self.reference_cells: F32 = self._sums.means(self._cells) / np.float32(255)
+        reference_fine: F32 = self._sums.means(self._fine_cells) / np.float32(255)
+        self._moved = MovedCheck(reference_fine, fine.step_px, calibration.pitch_px)
         # A network that sees black under glare would see pins; what stood there without contact says nothing.
         self._usual = (reference > 127).astype(np.uint8)
         self._g0 = greyscale.denoise_tv(self.reference_ratio, self.rays.inside, profile.tv_weight)
@@ -110,9 +115,13 @@ class Preprocessor:
 
         Returns
         -------
-        float32 (CELLS, CELLS), 0 to 1
+        float32 (cells, cells), 0 to 1
         """
         return self._sums.means(self._cells)
+
+    def moved_reason(self) -> str:
+        """Whether the camera has moved since the reference, by the last image that `white_ratio` saw."""
+        return self._moved.reason(self._sums.means(self._fine_cells))
 
     def _box_sums(self, values: U8) -> F32:
         self._sums.show(values)

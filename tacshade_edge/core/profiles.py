@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+from tacshade_edge.core import discmap
 
 LEARNED = "learned"
 """The solver that takes the white pixels and finds the contact too, with the network of the profile's name."""
@@ -31,6 +33,10 @@ class Profile:
         Least change away from contact that opens it too, inf for none: the rim of a contact darkens also where a sensor
         hardly brightens (of 885 presses of 1.5 mm the other level missed 4; their rims were 10.8 or more below, what a
         release of 0.2 mm leaves 8.7 at most).
+    halved : bool
+        Work on means over 2x2 px, where the pattern is coarse enough (`core.halving`).
+    cells : int
+        Along a side of the map that a network works on.
     """
 
     name: str
@@ -40,16 +46,23 @@ class Profile:
     tv_weight: float
     gate_levels: float
     gate_dark_levels: float = math.inf
+    halved: bool = False
+    cells: int = discmap.CELLS
 
 
+DEFAULT = "balanced"
+"""What a user gets who names none."""
+
+# Eq. 1 serves the gate of the learned ones only.
+_ACCURATE = Profile(
+    "accurate", LEARNED, stride_px=4, window_pitches=2, tv_weight=0.0, gate_levels=16, gate_dark_levels=10
+)
 PROFILES: dict[str, Profile] = {
     p.name: p
     for p in (
         Profile(name="paper", solver="paper", stride_px=1, window_pitches=2, tv_weight=0.1, gate_levels=20),
-        # Eq. 1 serves the gate of these only.
-        *(
-            Profile(name, LEARNED, stride_px=4, window_pitches=2, tv_weight=0.0, gate_levels=16, gate_dark_levels=10)
-            for name in ("fast", "accurate")
-        ),
+        replace(_ACCURATE, name="fast", halved=True, cells=56),
+        replace(_ACCURATE, name="balanced", halved=True),
+        _ACCURATE,
     )
 }

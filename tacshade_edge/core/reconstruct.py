@@ -8,11 +8,12 @@ import numpy as np
 
 from tacshade_edge.core import clusters, discmap, greyscale
 from tacshade_edge.core.disc import DiscRays, Grid, cells_in_image, disc_rays
-from tacshade_edge.core.moved import MovedCheck
+from tacshade_edge.core.halving import can_be_halved, halved_calibration, halved_image
 from tacshade_edge.core.preprocess import Preprocessor
 from tacshade_edge.core.profiles import LEARNED, Profile
 from tacshade_edge.core.solvers import SOLVERS, Depth
 from tacshade_edge.core.solvers.learned import DEEPEST_RADII, Inverse, LearnedInverse, Network
+from tacshade_edge.core.validity import size_reason
 from tacshade_edge.types import U8, Bool, Calibration, Frame, HeightMap, ObjectCloud, Reconstruction
 
 Mark = Callable[[str], None]
@@ -20,6 +21,8 @@ Mark = Callable[[str], None]
 STAGES = ("check", "grey", "gate", "moved", "denoise", "depth", "cloud")
 # A common change of g larger than the first is said; beyond the second the frame is another picture (focus, light).
 DRIFT_LEVELS, DRIFT_INVALID_LEVELS = 12.0, 30.0
+# In a contact that lasts, how often is asked whether the camera has moved.
+MOVED_EVERY_NS = 100_000_000
 # With more of the disc under glare than this, the rest says too little.
 UNSEEN_INVALID = 0.4
 
@@ -59,12 +62,15 @@ class Reconstructor:
     def __init__(self, calibration: Calibration, profile: Profile, network: Network | None = None) -> None:
         self.calibration = calibration
         self.profile = profile
-        self._front = Preprocessor(calibration, profile)
+        self._shape = (calibration.image_height_px, calibration.image_width_px)
+        self._halve = profile.halved and can_be_halved(calibration)
+        seen = halved_calibration(calibration) if self._halve else calibration
+        self._front = Preprocessor(seen, profile)
         self._learned = _learned(self._front, network)
-        cell_px = discmap.map_grid(calibration.geometry.disc).step_px
-        self._moved = MovedCheck(self._front.reference_cells, cell_px, calibration.pitch_px)
+        self._asked_ns = -MOVED_EVERY_NS
+        cells = discmap.map_grid(calibration.geometry.disc, profile.cells)
         self._factor = np.float32(calibration.factors.get(profile.name, 1.0))
-        self.grid = self._front.grid if self._learned is None else discmap.map_grid(calibration.geometry.disc)
+        self.grid = self._front.grid if self._learned is None else cells
         self.rays = _seen_rays(calibration, self.grid)
         # α is per pixel of the image (the paper ties it to the image's resolution).
         self._alpha_mm = calibration.alpha * calibration.geometry.mm_per_px
@@ -88,8 +94,9 @@ class Reconstructor:
             Called with a stage's name (`STAGES`) at its end; a caller with a clock times them so.
         """
         front = self._front
-        grey = greyscale.to_grey(frame.image)
-        reason = front.invalid_reason(grey)
+        reason = size_reason(frame.image, self._shape)
+        grey = self._seen(frame.image)
+        reason = reason or front.invalid_reason(grey)
         mark("check")
         if reason:
             return self._nothing(frame, reason=reason)
@@ -108,10 +115,10 @@ class Reconstructor:
             return self._nothing(frame, reason=degraded)
         if not decision.contact:
             return self._nothing(frame, degraded=degraded)
-        cells = front.white_cells()
-        if reason := self._moved.reason(cells):
-            return self._nothing(frame, reason=reason)
+        reason = self._moved_reason(frame.t_ns)
         mark("moved")
+        if reason:
+            return self._nothing(frame, reason=reason)
 
         if self._learned is None:
             maps = front.denoised(g_raw, decision.drift_grey)
@@ -119,19 +126,32 @@ class Reconstructor:
             depth, touched = SOLVERS[self.profile.solver](maps, self._alpha_mm), None
         else:
             mark("denoise")
-            depth, touched = self._refitted(self._learned(cells))
+            depth, touched = self._refitted(self._learned(front.white_cells()))
         mark("depth")
 
         result = self._objects(frame, depth, touched, degraded)
         mark("cloud")
         return result
 
+    def _moved_reason(self, t_ns: int) -> str:
+        """Whether the camera has moved. A moved one opens the gate, so it is asked then, and now and then."""
+        if 0 < t_ns - self._asked_ns < MOVED_EVERY_NS:
+            return ""
+        reason = self._front.moved_reason()
+        self._asked_ns = -MOVED_EVERY_NS if reason else t_ns
+        return reason
+
     def inverse(self, image: U8) -> Inverse:
         """What the network makes of an image, without validity check, gate and refit: for calibration."""
         if self._learned is None:
             raise ValueError(f"profile {self.profile.name} has no network")
-        self._front.white_ratio(greyscale.to_grey(image))
+        self._front.white_ratio(self._seen(image))
         return self._learned(self._front.white_cells())
+
+    def _seen(self, image: U8) -> U8:
+        """What is worked on of an image."""
+        grey = greyscale.to_grey(image)
+        return halved_image(grey) if self._halve else grey
 
     def _refitted(self, inverse: Inverse) -> tuple[Depth, Bool]:
         """Refitted height and contact on the network's own cells."""

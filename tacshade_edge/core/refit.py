@@ -57,7 +57,7 @@ def stated_ball(geometry: Geometry, x_mm: float, y_mm: float, depth_mm: float, r
 
 def located_ball(geometry: Geometry, inverse: Inverse, depth_mm: float, radius_mm: float) -> Ball | None:
     """The same where x and y were not stated: the contact's middle lies on the line from O to the ball's centre."""
-    rays = disc_rays(discmap.map_grid(geometry.disc), geometry)
+    rays = disc_rays(discmap.map_grid(geometry.disc, len(inverse.height_mm)), geometry)
     touched = (inverse.contact_logit > 0) & rays.inside
     if np.count_nonzero(touched) < LEAST_CELLS:
         return None
@@ -71,9 +71,9 @@ def located_ball(geometry: Geometry, inverse: Inverse, depth_mm: float, radius_m
     return stated_ball(geometry, float(reach * along[0]), float(reach * along[1]), depth_mm, radius_mm)
 
 
-def ball_height(geometry: Geometry, ball: Ball) -> F32:
+def ball_height(geometry: Geometry, ball: Ball, cells: int = discmap.CELLS) -> F32:
     """H of the ball's surface at the map's cells, mm; NaN where the cell's ray misses it and outside the disc."""
-    rays = disc_rays(discmap.map_grid(geometry.disc), geometry)
+    rays = disc_rays(discmap.map_grid(geometry.disc, cells), geometry)
     u, v = rays.u.astype(np.float64), rays.v.astype(np.float64)
     if geometry.camera_distance_mm is None:
         origin = np.stack((u, v, np.zeros_like(u)), axis=-1)
@@ -92,7 +92,7 @@ def ball_height(geometry: Geometry, ball: Ball) -> F32:
 
 def press_rows(inverse: Inverse, geometry: Geometry, ball: Ball) -> PressRows | None:
     """One press for `fit_factor`; None where the network's contact and the ball hardly meet."""
-    height, truth = inverse.height_mm, ball_height(geometry, ball)
+    height, truth = inverse.height_mm, ball_height(geometry, ball, len(inverse.height_mm))
     use = (inverse.contact_logit > 0) & (height > 0.05) & (np.nan_to_num(truth) > 0.1)
     cells = int(np.count_nonzero(use))
     if cells < LEAST_CELLS:

@@ -103,5 +103,9 @@ def _edges(first: float, step: float, count: int, size: int, margin: int) -> tup
 def _between(total: Total | F32, low: I32, part: F32) -> F32:
     """Integral along axis 0 from each edge to the next. Differences first: they are small, and exact in float32."""
     at, following = total.take(low, axis=0), total.take(low + 1, axis=0)
-    beyond = (following - at) * part
-    return np.asarray((at[1:] - at[:-1]) + (beyond[1:] - beyond[:-1]), np.float32)
+    # int32 times float32 would be float64.
+    beyond = (following - at).astype(np.float32) * part
+    between: F32 = (at[1:] - at[:-1]).astype(np.float32)
+    between += beyond[1:]
+    between -= beyond[:-1]
+    return between

@@ -104,15 +104,21 @@ def invalid_reason(grey: U8, check: FrameCheck) -> str:
     grey : uint8 (H, W)
     check : FrameCheck
     """
-    height, width = check.shape
-    if grey.shape != check.shape:
-        return f"size: {grey.shape[1]}x{grey.shape[0]} px, calibrated for {width}x{height}"
+    if reason := size_reason(grey, check.shape):
+        return reason
     if check.inside_px == 0:
         return "disc: no pixel of the visible circle lies in the image"
     disc = grey[check.disc]
     if reason := _camera_reason(disc, check):
         return reason
     return _compared_reason(grey, disc, check.blocks, check) if check.blocks else ""
+
+
+def size_reason(image: U8, shape: tuple[int, int]) -> str:
+    """Whether an image, (H, W) or (H, W, 3), has the calibrated rows and columns; empty when it does."""
+    if image.shape[:2] == shape:
+        return ""
+    return f"size: {image.shape[1]}x{image.shape[0]} px, calibrated for {shape[1]}x{shape[0]}"
 
 
 def _camera_reason(disc: U8, check: FrameCheck) -> str:

@@ -107,7 +107,7 @@ def test_an_image_of_another_size_is_an_invalid_frame(folder: Path, tmp_path: Pa
     assert not record["valid"]
     assert record["reason"] == "size: 320x220 px, calibrated for 320x240"
     with np.load(tmp_path / "other.npz") as npz:
-        np.testing.assert_array_equal(npz["height_mm"] == 0, reconstructor("fast").rays.inside)
+        np.testing.assert_array_equal(npz["height_mm"] == 0, reconstructor("balanced").rays.inside)
 
 
 def test_a_picture_per_image(folder: Path, tmp_path: Path) -> None:

@@ -88,7 +88,7 @@ def test_load_is_told_from_none_on_other_sensors(height: int) -> None:
 
 def test_presses_refit_every_learned_profile_and_give_a_real_error() -> None:
     made = calibrated()
-    assert sorted(made.factors) == ["accurate", "fast"]
+    assert sorted(made.factors) == ["accurate", "balanced", "fast"]
     assert made.fit["presses"] == 20
     for name in made.factors:
         assert made.fit[f"{name}_presses"] >= 18

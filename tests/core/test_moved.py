@@ -14,7 +14,7 @@ from tacshade_edge.types import F32, U8, Frame
 
 
 def cells(image: U8, model: SensorModel) -> F32:
-    front = Preprocessor(calibrated(model, 0), PROFILES["fast"])
+    front = Preprocessor(calibrated(model, 0), PROFILES["accurate"])
     front.white_ratio(to_grey(image))
     return front.white_cells()
 

@@ -247,8 +247,8 @@ def test_a_view_that_is_not_contiguous_gives_the_same() -> None:
 @pytest.mark.parametrize(("rows", "cols"), [(241, 319), (243, 330), (360, 361)])
 def test_odd_sizes_work(rows: int, cols: int) -> None:
     model = replace(HALF, image_height_px=rows, image_width_px=cols)
-    assert not step("fast", unloaded(model), model, 0).contact
-    result = step("fast", pressed("ball", 3.0, model).image, model, 0)
+    assert not step("balanced", unloaded(model), model, 0).contact
+    result = step("balanced", pressed("ball", 3.0, model).image, model, 0)
     assert result.contact
     grid = result.height
     assert grid.height_mm.shape == (discmap.CELLS, discmap.CELLS)
@@ -259,7 +259,7 @@ def test_odd_sizes_work(rows: int, cols: int) -> None:
 
 def test_what_the_image_cuts_off_the_disc_is_outside() -> None:
     model = replace(HALF, row_c=80.0)  # of 102.5 px
-    result = step("fast", pressed("ball", 3.0, model).image, model, 0)
+    result = step("balanced", pressed("ball", 3.0, model).image, model, 0)
     grid = result.height
     assert result.contact
     beyond = grid.row0 + grid.step_px * np.arange(discmap.CELLS) < -0.5
@@ -272,7 +272,7 @@ def test_what_the_image_cuts_off_the_disc_is_outside() -> None:
 def test_an_orthographic_sensor_works() -> None:
     model = replace(HALF, camera_distance_mm=None)
     seen = [press for press in presses(model) if press.depth_mm > 1.0 and np.hypot(press.x_mm, press.y_mm) < 8]
-    made = make_reconstructor(calibrate(sensor_of(model), references(model), seen).calibration, PROFILES["fast"])
+    made = make_reconstructor(calibrate(sensor_of(model), references(model), seen).calibration, PROFILES["balanced"])
     assert not made.step(Frame(0, 0, 0, unloaded(model))).contact
     result = made.step(Frame(0, 0, 0, pressed("ball", 3.0, model).image))
     assert result.depth_max_mm == pytest.approx(3.0, rel=0.35)
@@ -288,7 +288,7 @@ def test_what_a_network_says_beyond_its_range_is_told(depth_mm: float, told_mm: 
     height = np.where(pressed_cells, depth_mm / unit_mm, -0.01).astype(np.float32)
     height[0, 0], height[60, 90] = np.nan, np.inf
     said = fold(np.stack((height, np.where(pressed_cells, np.float32(3), np.float32(-3)))), 4)
-    made = Reconstructor(replace(calibrated(HALF, 0), factors={}), PROFILES["fast"], Network(4, lambda maps: said))
+    made = Reconstructor(replace(calibrated(HALF, 0), factors={}), PROFILES["balanced"], Network(4, lambda maps: said))
     result = made.step(Frame(0, 0, 0, pressed("ball", 3.0).image))
     assert (result.repaired_px, result.saturated) == (2, saturated)
     assert result.depth_max_mm == pytest.approx(told_mm, rel=1e-6)
@@ -327,3 +327,15 @@ def test_a_sensor_that_hardly_brightens_feels_all_the_same(seed: int) -> None:
         for scene in scenes(sensor.model, seed, object_name, (1.5,)):
             assert made.step(Frame(0, 0, 0, sensor.frame((scene.press,), scene.noise_seed).image)).contact
     assert not made.step(Frame(0, 0, 0, sensor.frame((), 99).image)).contact
+
+
+def test_a_contact_that_lasts_is_asked_for_a_moved_camera_ten_times_a_second() -> None:
+    made = reconstructor("accurate", FULL, 0)
+    touched, moved = pressed("ball", 2.0, FULL).image, nuisance.shift(unloaded(FULL), 4, 5)
+    second = 1_000_000_000
+    assert made.step(Frame(0, second, 0, touched)).contact
+    assert made.step(Frame(1, second + 50_000_000, 0, moved)).contact  # asked 50 ms ago
+    for t_ns in (second + 100_000_000, second + 110_000_000):  # once told, in every frame
+        assert made.step(Frame(2, t_ns, 0, moved)).reason.startswith("camera moved")
+    assert made.step(Frame(3, second + 120_000_000, 0, touched)).contact
+    assert made.step(Frame(4, 5, 0, moved)).reason.startswith("camera moved"), "a stream that began again"

@@ -259,7 +259,7 @@ def test_requests(
         assert ask(seen, "profile", profile="paper") == {"ok": True, "result": {"profile": "paper"}}
         wait_until(lambda: last(seen, "info")["profile"] == "paper", 5, "info tells the profile")
         refused = ask(seen, "profile", profile="slow")
-        assert refused == {"ok": False, "error": "profile: found slow, expected one of paper, fast, accurate"}
+        assert refused == {"ok": False, "error": "profile: found slow, expected one of paper, fast, balanced, accurate"}
         ask(seen, "profile", profile="fast")
 
         taken = ask(seen, "reference")

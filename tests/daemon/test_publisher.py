@@ -24,7 +24,7 @@ class Played:
         self.offers: list[tuple[str, bytes, int]] = []
         publisher = Publisher(lambda stream, payload, seq: self.offers.append((stream, payload, seq)))
         publisher.fps = 12.5
-        reconstructor = make_reconstructor(calibration, PROFILES["fast"])
+        reconstructor = make_reconstructor(calibration, PROFILES["balanced"])
         self.outcomes = []
         for seq, image in enumerate(images):
             frame = Frame(seq, seq * PERIOD_NS, 0, image)
@@ -72,7 +72,7 @@ def test_an_invalid_frame_ends_a_contact_with_a_flag_and_is_silent_after(
 def test_a_known_pose_goes_with_height_and_cloud(calibration: Calibration, pictures: Any) -> None:
     offers: list[tuple[str, bytes]] = []
     publisher = Publisher(lambda stream, payload, _: offers.append((stream, payload)))
-    reconstructor = make_reconstructor(calibration, PROFILES["fast"])
+    reconstructor = make_reconstructor(calibration, PROFILES["balanced"])
     frames = [Frame(0, 5, 0, pictures.touched, POSE, 70), Frame(1, 6, 0, pictures.touched)]
     for frame in frames:
         publisher.deliver(frame, reconstructor.step(frame), calibration)

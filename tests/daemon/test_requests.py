@@ -56,7 +56,11 @@ def test_status_and_profile(asked: Asked) -> None:
     assert asked.replies == [
         {"transaction": 1, "ok": True, "result": {"up": 1}},
         {"transaction": "a", "ok": True, "result": {"profile": "paper"}},
-        {"transaction": "b", "ok": False, "error": "profile: found slow, expected one of paper, fast, accurate"},
+        {
+            "transaction": "b",
+            "ok": False,
+            "error": "profile: found slow, expected one of paper, fast, balanced, accurate",
+        },
     ]
     assert asked.worker.reconstructor.profile.name == "paper"
     assert asked.changes == 1

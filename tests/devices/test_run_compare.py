@@ -28,7 +28,7 @@ def same(result: Reconstruction) -> Reconstruction:
 
 def write(folder: Path, change: Change = same, frames: int = 3) -> Path:
     """A run of three frames, the last touched and changed."""
-    reconstructor = make_reconstructor(painted_calibration(), PROFILES["fast"])
+    reconstructor = make_reconstructor(painted_calibration(), PROFILES["balanced"])
     writer = RunWriter(folder, calibration_crc32=1)
     for seq, image in enumerate([FREE, TOUCHED, TOUCHED][:frames]):
         frame = Frame(seq, 10 * seq, 0, image)

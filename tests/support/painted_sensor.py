@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from tacshade_edge.core.binarise import binarise
-from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.profiles import DEFAULT, PROFILES
 from tacshade_edge.devices.calibration_file import with_crc
 from tacshade_edge.devices.network import make_reconstructor
 from tacshade_edge.types import U8, Calibration, Disc, Frame, Geometry
@@ -54,8 +54,8 @@ FREE, TOUCHED, BLACK = painted(), painted(touched=True), np.zeros((HEIGHT, WIDTH
 
 
 def touched_depth_mm() -> float:
-    """What the core makes of `TOUCHED` with the profile `fast`: a subscriber must find the same."""
-    result = make_reconstructor(painted_calibration(), PROFILES["fast"]).step(Frame(0, 0, 0, TOUCHED))
+    """What the core makes of `TOUCHED` with the default profile: a subscriber must find the same."""
+    result = make_reconstructor(painted_calibration(), PROFILES[DEFAULT]).step(Frame(0, 0, 0, TOUCHED))
     assert result.contact
     return float(np.nanmax(result.height.height_mm))
 

@@ -21,8 +21,10 @@ import numpy as np
 import onnxruntime
 import torch
 from network import Net
+from torch.nn import functional
 
 from tacshade_edge.core import discmap
+from tacshade_edge.core.solvers.learned import inputs
 
 OPSET = 13
 TOLERANCE = 1e-4
@@ -41,8 +43,10 @@ def main() -> None:
     net = Net(fold, widths)
     net.load_state_dict(mean)
     net.eval()
-    inputs = mean["down.0.0.weight"].shape[1]
-    x = torch.rand(1, inputs, discmap.CELLS // fold, discmap.CELLS // fold, generator=torch.Generator().manual_seed(1))
+    first, cells = net.down[0][0], int(state["arguments"].get("cells", discmap.CELLS))
+    first.weight = torch.nn.Parameter(functional.pad(first.weight, (0, 0, 0, 0, 0, inputs(fold) - first.in_channels)))
+    first.in_channels = inputs(fold)
+    x = torch.rand(1, inputs(fold), cells // fold, cells // fold, generator=torch.Generator().manual_seed(1))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # the exporter that needs nothing beside torch
         torch.onnx.export(net, (x,), str(args.out), dynamo=False, opset_version=OPSET, input_names=["maps"],
@@ -57,6 +61,7 @@ def main() -> None:
     about = {
         "sha256": sha256,
         "bytes": args.out.stat().st_size,
+        "cells": cells,
         "fold": fold,
         "parameters": sum(p.numel() for p in net.parameters()),
         "commit": commit,

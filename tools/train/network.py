@@ -1,4 +1,4 @@
-"""The network: a small U; 112x112 maps go in and out folded: 4 channels of 56x56 (fold 2) or 16 of 28x28 (fold 4)."""
+"""The network: a small U; square maps go in and out folded: 112x112 as 4 channels of 56x56 (fold 2), and so on."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def block(inputs: int, outputs: int) -> nn.Sequential:
 
 
 class Net(nn.Module):
-    """Folded maps (B, 2 fold² + 6, N, N) to (B, 2 fold², N, N), N = 112 / fold.
+    """Folded maps (B, 2 fold² + 6, N, N) to (B, 2 fold², N, N), N = cells / fold.
 
     In: white of frame and reference, then what is known of the sensor. Out: 10 h / disc radius, then contact logits.
     """
@@ -51,3 +51,32 @@ class Net(nn.Module):
             x = functional.interpolate(x, scale_factor=2.0, mode="nearest")
             x = self.up[k](torch.cat((skips[k], x), 1))
         return self.head(x)
+
+
+def grow(net: Net, narrow: dict[str, Tensor]) -> None:
+    """Give a network the weights of one of lesser or equal widths; it computes the same until it is trained.
+
+    New channels have weights of their own but are not read by the old ones yet (Net2Net, Chen et al. 2016).
+    """
+    fresh = net.state_dict()
+    for name, old in narrow.items():
+        new = fresh[name]
+        part = new.clone()
+        if old.dim() == 0:
+            fresh[name] = old
+            continue
+        if old.dim() == 1:
+            part[: len(old)] = old
+            fresh[name] = part
+            continue
+        part[: len(old)] = 0
+        level = int(name.split(".")[1]) if name.startswith("up.") and name.split(".")[2] == "0" else None
+        if level is None:
+            part[: old.shape[0], : old.shape[1]] = old
+        else:  # what was skipped comes first, then what comes up
+            skip_old = narrow[f"down.{level}.0.weight"].shape[0]
+            skip_new = fresh[f"down.{level}.0.weight"].shape[0]
+            part[: old.shape[0], :skip_old] = old[:, :skip_old]
+            part[: old.shape[0], skip_new : skip_new + old.shape[1] - skip_old] = old[:, skip_old:]
+        fresh[name] = part
+    net.load_state_dict(fresh)

@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from network import HEIGHT_SCALE, Net
+from network import HEIGHT_SCALE, Net, grow
 from torch import Tensor
 from torch.nn import functional
 
@@ -56,13 +56,13 @@ def shards_in(folder: Path) -> dict[str, list[Path]]:
     return shards
 
 
-def load(paths: list[Path], fold: int) -> Data:
-    """Read shards."""
+def load(paths: list[Path], fold: int, cells: int) -> Data:
+    """Read shards, whose maps are of 112x112 cells."""
     parts: dict[str, list[np.ndarray]] = {k: [] for k in ("reference", "known", "frame", "height", "contact")}
     for path in paths:
         with np.load(path) as shard:
             for name, values in parts.items():
-                array = shard[name]
+                array = pooled(name, shard[name], 112 // cells)
                 values.append(array[..., ::fold, ::fold] if name == "known" else array)
     joined = {name: np.concatenate(values) for name, values in parts.items()}
     sensors, frames = joined["frame"].shape[:2]
@@ -71,8 +71,20 @@ def load(paths: list[Path], fold: int) -> Data:
     return Data(**joined, sensor=np.repeat(np.arange(sensors), frames), fold=fold)
 
 
+def pooled(name: str, array: np.ndarray, by: int) -> np.ndarray:
+    """Means over by x by cells; contact where half of them touch."""
+    if by == 1:
+        return array
+    values = np.unpackbits(array, axis=-1) if name == "contact" else array
+    *first, rows, cols = values.shape
+    means = values.reshape(*first, rows // by, by, cols // by, by).mean(axis=(-3, -1), dtype=np.float32)
+    if name == "contact":
+        return np.packbits(means >= 0.5, axis=-1)
+    return (np.rint(means) if array.dtype == np.uint8 else means).astype(array.dtype)
+
+
 def batch(data: Data, index: np.ndarray, turn: int = 0) -> tuple[Tensor, Tensor, Tensor]:
-    """Inputs of `Net`; 10 h and contact (B, 112, 112). `turn`: which of the square's 8 symmetries."""
+    """Inputs of `Net`; 10 h and contact (B, cells, cells). `turn`: which of the square's 8 symmetries."""
 
     def turned(array: np.ndarray) -> np.ndarray:
         array = np.rot90(array, turn % 4, axes=(1, 2))
@@ -90,7 +102,7 @@ def batch(data: Data, index: np.ndarray, turn: int = 0) -> tuple[Tensor, Tensor,
 
 
 def split_output(y: Tensor, fold: int) -> tuple[Tensor, Tensor]:
-    """Height and contact logits (B, 112, 112)."""
+    """Height and contact logits (B, cells, cells)."""
     y = functional.pixel_shuffle(y.float(), fold)
     return y[:, 0], y[:, 1]
 
@@ -143,8 +155,11 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=4e-3)
     parser.add_argument("--widths", type=int, nargs="+", default=(16, 32, 48, 64))
     parser.add_argument("--fold", type=int, choices=(2, 4), default=2)
+    parser.add_argument("--cells", type=int, choices=(56, 112), default=112, help="along a side of its maps")
     parser.add_argument("--shares", type=float, nargs=len(KINDS), default=(3, 1, 2, 4, 0), help=" ".join(KINDS))
-    parser.add_argument("--start", type=Path, metavar="CHECKPOINT", help="averaged weights to begin with")
+    parser.add_argument(
+        "--start", type=Path, metavar="CHECKPOINT", help="its averaged weights begin, of the same or lesser widths"
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--report", type=int, default=1000, metavar="STEPS")
@@ -155,7 +170,7 @@ def main() -> None:
     net = Net(args.fold, tuple(args.widths)).to(memory_format=torch.channels_last)
     if args.start is not None:
         averaged = torch.load(args.start, weights_only=True)["mean"]
-        net.load_state_dict({k.removeprefix("module."): v for k, v in averaged.items() if k.startswith("module.")})
+        grow(net, {k.removeprefix("module."): v for k, v in averaged.items() if k.startswith("module.")})
     mean = torch.optim.swa_utils.AveragedModel(
         net, multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(0.998), use_buffers=True
     )
@@ -169,8 +184,8 @@ def main() -> None:
         optimiser.load_state_dict(state["optimiser"])
         step = state["step"]
     shards = shards_in(args.data)
-    check = {kind: load(paths[:VALIDATION_SHARDS], args.fold) for kind, paths in shards.items()}
-    data = {kind: load(paths[VALIDATION_SHARDS:], args.fold) for kind, paths in shards.items()}
+    check = {kind: load(paths[:VALIDATION_SHARDS], args.fold, args.cells) for kind, paths in shards.items()}
+    data = {kind: load(paths[VALIDATION_SHARDS:], args.fold, args.cells) for kind, paths in shards.items()}
     start, total = time.perf_counter(), 0.0
     print(f"step {step}: frames { ({kind: len(d.frame) for kind, d in data.items()}) }", flush=True)
     while step < args.steps:
@@ -217,7 +232,7 @@ def main() -> None:
             os.replace(checkpoint.with_suffix(".part"), checkpoint)
             for kind, paths in shards_in(args.data).items():
                 if kind in data and len(paths) >= len(shards[kind]) + NEW_SHARDS:
-                    shards[kind], data[kind] = paths, load(paths[VALIDATION_SHARDS:], args.fold)
+                    shards[kind], data[kind] = paths, load(paths[VALIDATION_SHARDS:], args.fold, args.cells)
             start, total = time.perf_counter(), 0.0
 
 

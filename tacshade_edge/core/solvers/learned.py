@@ -19,6 +19,9 @@ from tacshade_edge.types import F32, Geometry, freeze
 KNOWN = 6
 """Maps of `discmap.geometry_maps`."""
 
+ALIGNED = 4
+"""Inputs come in groups of so many, zeros at the end: convolutions take them so without sorting them first."""
+
 HEIGHT_SCALE = 10.0
 # On a skin of 20 mm the training presses end at 6.5 mm; what is deeper reads 6.2 to 6.9.
 DEEPEST_RADII = 0.31
@@ -33,7 +36,7 @@ class Network:
     fold : int
         Each square of fold x fold cells makes as many channels (`fold`).
     run : callable
-        Maps (2 fold² + KNOWN, N, N) to (2 fold², N, N), N = CELLS / fold.
+        Maps (`inputs` of fold, N, N) to (2 fold², N, N), N = cells / fold.
     """
 
     fold: int
@@ -46,9 +49,9 @@ class Inverse:
 
     Attributes
     ----------
-    height_mm : float32 (CELLS, CELLS)
+    height_mm : float32 (cells, cells)
         h; a little below 0 at times where nothing touches.
-    contact_logit : float32 (CELLS, CELLS)
+    contact_logit : float32 (cells, cells)
         Log odds that the skin touches an object.
     """
 
@@ -67,24 +70,30 @@ class LearnedInverse:
     network : Network
     geometry : Geometry
     pitch_px : float
-    reference_white : float32 (CELLS, CELLS), 0 to 1
+    reference_white : float32 (cells, cells), 0 to 1
         White of the unloaded skin, on `discmap.map_grid`.
     """
 
     def __init__(self, network: Network, geometry: Geometry, pitch_px: float, reference_white: F32) -> None:
         self._network = network
-        known = discmap.geometry_maps(geometry, pitch_px)
+        known = discmap.geometry_maps(geometry, pitch_px, len(reference_white))
         self._unit_mm = geometry.skin_radius_mm * math.sin(math.radians(geometry.visible_half_angle_deg))
         n = network.fold
         reference = fold(reference_white[None], n)
-        # The frame's channels come first; the rest stays.
-        self._still = np.concatenate((reference, known[:, ::n, ::n]))
+        rest = np.zeros((inputs(n) - 2 * n * n - KNOWN, *reference.shape[1:]), np.float32)
+        # The frame's channels come first; the others stay.
+        self._still = np.concatenate((reference, known[:, ::n, ::n], rest))
 
     def __call__(self, white: F32) -> Inverse:
-        """Run it on a frame's white, float32 (CELLS, CELLS), 0 to 1."""
+        """Run it on a frame's white, float32 (cells, cells), 0 to 1."""
         frame = fold(white[None], self._network.fold)
         height, logit = unfold(self._network.run(np.concatenate((frame, self._still))), self._network.fold)
         return Inverse(height * np.float32(self._unit_mm / HEIGHT_SCALE), logit)
+
+
+def inputs(by: int) -> int:
+    """How many maps a network takes whose maps are folded by so much."""
+    return -(-(2 * by * by + KNOWN) // ALIGNED) * ALIGNED
 
 
 def fold(maps: F32, by: int) -> F32:

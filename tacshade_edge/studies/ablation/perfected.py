@@ -24,9 +24,8 @@ class PerfectedNetwork:
     def __init__(self, network: Network, *, height: bool = False, contact: bool = False, top: bool = False) -> None:
         self._network = network
         self._perfect = (height, contact, top)
-        shape = (discmap.CELLS, discmap.CELLS)
-        self._height: F32 = np.zeros(shape, np.float32)
-        self._contact: Bool = np.zeros(shape, bool)
+        self._height: F32 = np.zeros((0, 0), np.float32)
+        self._contact: Bool = np.zeros((0, 0), bool)
 
     def show(self, height: F32, contact: Bool) -> None:
         """Tell the truth of the next frame: what the network should say (`true_answer`)."""
@@ -48,19 +47,19 @@ class PerfectedNetwork:
         return fold(np.stack((found, logit)).astype(np.float32), self._network.fold)
 
 
-def true_answer(frame: SimulatedFrame, seen: Geometry) -> tuple[F32, Bool]:
+def true_answer(frame: SimulatedFrame, seen: Geometry, cells: int) -> tuple[F32, Bool]:
     """What the network should say of a frame, at the cells of the map that a calibration sees.
 
     Returns
     -------
-    height : float32 (CELLS, CELLS)
+    height : float32 (cells, cells)
         h in tenths of the disc's radius, 0 outside the disc.
-    contact : bool (CELLS, CELLS)
+    contact : bool (cells, cells)
     """
-    grid = discmap.map_grid(seen.disc)
-    axis = grid.step_px * np.arange(discmap.CELLS)
-    rows = np.repeat(grid.row0 + axis, discmap.CELLS)
-    cols = np.tile(grid.col0 + axis, discmap.CELLS)
+    grid = discmap.map_grid(seen.disc, cells)
+    axis = grid.step_px * np.arange(cells)
+    rows = np.repeat(grid.row0 + axis, cells)
+    cols = np.tile(grid.col0 + axis, cells)
     geometry = frame.model.geometry
     inside = np.hypot(rows - geometry.disc.row_c, cols - geometry.disc.col_c) <= geometry.disc.radius_px
     height, contact = np.zeros(len(rows), np.float32), np.zeros(len(rows), bool)
@@ -69,5 +68,5 @@ def true_answer(frame: SimulatedFrame, seen: Geometry) -> tuple[F32, Bool]:
     off = np.abs(distance_mm(frame.presses, frame.skin.radius_mm, points))
     height[inside], contact[inside] = h, (h > 0) & (off <= CONTACT_TOLERANCE_MM)
     unit_mm = seen.skin_radius_mm * np.sin(np.radians(seen.visible_half_angle_deg))
-    shape = (discmap.CELLS, discmap.CELLS)
+    shape = (cells, cells)
     return (height * (HEIGHT_SCALE / unit_mm)).astype(np.float32).reshape(shape), contact.reshape(shape)

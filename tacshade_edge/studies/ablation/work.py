@@ -127,7 +127,7 @@ def _sensor(task: tuple[Plan, SensorName]) -> list[tuple[str, Row]]:
         )
         reconstructor = Reconstructor(_unfitted(used, variant), PROFILES[plan.profile], network.as_network())
         for each in pressed:
-            network.show(*true_answer(each.simulated, used.geometry))
+            network.show(*true_answer(each.simulated, used.geometry, PROFILES[plan.profile].cells))
             result = reconstructor.step(each.clean if variant.noiseless else each.noisy)
             rows.append((what, score(each.label, each.truth, result)))
     return rows
@@ -158,7 +158,7 @@ def _perfectly_calibrated(
     rows = []
     for each in pressed:
         inverse = reconstructor.inverse(each.noisy.image)
-        height, contact = true_answer(each.simulated, geometry)
+        height, contact = true_answer(each.simulated, geometry, PROFILES[plan.profile].cells)
         if (made := _rows_of(inverse.height_mm, height, contact, geometry)) is not None:
             rows.append(made)
     factor = fit_factor(rows)

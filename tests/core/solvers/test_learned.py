@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from tacshade_edge.core import discmap
-from tacshade_edge.core.solvers.learned import LearnedInverse, Network, fold, unfold
+from tacshade_edge.core.solvers.learned import KNOWN, LearnedInverse, Network, fold, inputs, unfold
 from tacshade_edge.types import F32, Disc, Geometry
 
 GEOMETRY = Geometry(20.0, 14.0, 50.0, Disc(61.3, 83.9, 47.7))
@@ -36,11 +36,14 @@ def test_the_network_gets_frame_reference_and_what_is_known_and_its_answer_becom
 
     made = LearnedInverse(Network(by, answer), GEOMETRY, 6.0, reference)(white)
     (maps,) = seen
-    assert maps.shape == (2 * n + 6, discmap.CELLS // by, discmap.CELLS // by)
+    assert maps.shape == (inputs(by), discmap.CELLS // by, discmap.CELLS // by)
+    assert inputs(by) % 4 == 0
     assert maps.dtype == np.float32
     np.testing.assert_array_equal(unfold(maps[:n], by)[0], white)
     np.testing.assert_array_equal(unfold(maps[n : 2 * n], by)[0], reference)
-    np.testing.assert_array_equal(maps[2 * n :], discmap.geometry_maps(GEOMETRY, 6.0)[:, ::by, ::by])
+    known = maps[2 * n : 2 * n + KNOWN]
+    np.testing.assert_array_equal(known, discmap.geometry_maps(GEOMETRY, 6.0)[:, ::by, ::by])
+    assert not maps[2 * n + KNOWN :].any()
     np.testing.assert_allclose(made.height_mm, unfold(maps[:n], by)[0] * UNIT_MM / 10, rtol=1e-6)
     np.testing.assert_array_equal(made.contact_logit, unfold(maps[n : 2 * n], by)[0])
     with pytest.raises(ValueError, match="read-only"):

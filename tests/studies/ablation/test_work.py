@@ -50,7 +50,7 @@ def test_it_is_told_by_object_and_by_family(found: tuple[tuple[str, Row], ...]) 
 
 def test_the_true_answer_is_the_truth_at_the_cells() -> None:
     frame = SimulatedSensor(HALF).frame((Press(ball(6.0), 1.0, 2.0, 3.0),))
-    height, contact = true_answer(frame, HALF.geometry)
+    height, contact = true_answer(frame, HALF.geometry, discmap.CELLS)
     true = frame.truth()
     grid = discmap.map_grid(HALF.geometry.disc)
     rows, cols = (

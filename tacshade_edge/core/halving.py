@@ -1,0 +1,49 @@
+"""A sensor seen at half the resolution: a quarter of the pixels for everything up to the network."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from tacshade_edge.core.binarise import binarise, halved
+from tacshade_edge.core.disc import disc_mask
+from tacshade_edge.types import U8, Calibration, Disc
+
+LEAST_PITCH_PX = 14.0
+"""A finer pattern is left as it is: of less than 7 px a pitch the networks have seen little."""
+
+
+def can_be_halved(calibration: Calibration) -> bool:
+    """Whether enough is left of the sensor's pattern."""
+    return calibration.pitch_px >= LEAST_PITCH_PX
+
+
+def halved_image(grey: U8) -> U8:
+    """Means over 2x2 px, rounded half up; of an odd side the last row or column is left out."""
+    rows, cols = (side // 2 * 2 for side in grey.shape)
+    return halved(grey[:rows, :cols])
+
+
+def halved_calibration(calibration: Calibration) -> Calibration:
+    """What calibrating on halved images would have found: the same skin, camera and light in pixels twice as wide."""
+    geometry = calibration.geometry
+    at = geometry.disc
+    # Pixels (2i, 2i+1) have their middle at 2i + 0.5.
+    disc = Disc((at.row_c - 0.5) / 2, (at.col_c - 0.5) / 2, at.radius_px / 2)
+    grey = halved_image(calibration.reference_grey)
+    height, width = grey.shape
+    pitch_px = calibration.pitch_px / 2
+    mask = disc_mask(height, width, disc).astype(np.uint8)
+    white = binarise(grey, mask, calibration.binarisation, pitch_px)
+    return replace(
+        calibration,
+        geometry=replace(geometry, disc=disc),
+        image_height_px=height,
+        image_width_px=width,
+        pitch_px=pitch_px,
+        reference_grey=grey,
+        reference_white=np.asarray(cv2.multiply(white, 255), np.uint8),
+        alpha=calibration.alpha / 2,
+    )

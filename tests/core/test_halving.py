@@ -1,0 +1,87 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from calibrated_sensor import FULL, HALF, calibrated, pressed, unloaded
+
+from tacshade_edge.core.disc import disc_mask
+from tacshade_edge.core.greyscale import to_grey
+from tacshade_edge.core.halving import LEAST_PITCH_PX, can_be_halved, halved_calibration, halved_image
+from tacshade_edge.core.pattern import marker_pitch_px
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.devices.network import make_reconstructor
+from tacshade_edge.types import U8, Frame
+
+
+def grey_noise(rows: int, cols: int) -> U8:
+    return np.random.default_rng(rows).integers(0, 256, (rows, cols), dtype=np.uint8)
+
+
+@pytest.mark.parametrize(("rows", "cols"), [(8, 10), (9, 11), (480, 641)])
+def test_an_image_is_halved_by_means_rounded_half_up(rows: int, cols: int) -> None:
+    image = grey_noise(rows, cols)
+    whole = image[: rows // 2 * 2, : cols // 2 * 2].astype(int)
+    exact = whole.reshape(rows // 2, 2, cols // 2, 2).sum(axis=(1, 3))
+    np.testing.assert_array_equal(halved_image(image), (exact + 2) // 4)
+
+
+def test_the_halved_sensor_is_the_same_one() -> None:
+    whole = calibrated(FULL, 0)
+    half = halved_calibration(whole)
+    assert half.reference_grey.shape == half.reference_white.shape == (240, 320)
+    assert (half.image_height_px, half.image_width_px) == (240, 320)
+    geometry = half.geometry
+    assert geometry.mm_per_px == pytest.approx(2 * whole.geometry.mm_per_px)
+    assert geometry.f_px == pytest.approx(whole.geometry.f_px / 2)
+    # Its disc lies where the halved picture of the whole one lies.
+    mask = disc_mask(480, 640, whole.geometry.disc).astype(np.uint8)
+    weight = halved_image(mask * 255) / 255
+    rows, cols = np.mgrid[:240, :320]
+    middle = ((weight * rows).sum() / weight.sum(), (weight * cols).sum() / weight.sum())
+    assert middle == pytest.approx((geometry.disc.row_c, geometry.disc.col_c), abs=0.02)
+    assert np.sqrt(weight.sum() / np.pi) == pytest.approx(geometry.disc.radius_px, abs=0.05)
+    # What a look at the halved image alone would have found.
+    assert marker_pitch_px(half.reference_grey, geometry.disc) == pytest.approx(half.pitch_px, rel=0.03)
+    white = half.reference_white[disc_mask(240, 320, geometry.disc)]
+    whole_white = whole.reference_white[mask > 0]
+    assert white.mean() == pytest.approx(whole_white.mean(), abs=6)
+
+
+def test_a_fine_pattern_is_left_as_it_is() -> None:
+    assert can_be_halved(calibrated(FULL, 0))
+    fine = replace(calibrated(HALF, 0), pitch_px=LEAST_PITCH_PX - 0.1)
+    assert not can_be_halved(fine)
+    image = pressed("ball", 3.0).image
+    made = make_reconstructor(fine, PROFILES["balanced"])
+    kept = make_reconstructor(fine, replace(PROFILES["balanced"], halved=False))
+    assert made.step(Frame(0, 0, 0, image)).height.height_mm.tobytes() == (
+        kept.step(Frame(0, 0, 0, image)).height.height_mm.tobytes()
+    )
+
+
+@pytest.mark.parametrize("depth_mm", [1.0, 3.0])
+def test_half_the_resolution_finds_the_same_contact(depth_mm: float) -> None:
+    calibration = calibrated(FULL, 0)
+    frame = Frame(0, 0, 0, pressed("cube", depth_mm, FULL).image)
+    half, whole = (
+        make_reconstructor(calibration, replace(PROFILES["balanced"], halved=halved)).step(frame)
+        for halved in (True, False)
+    )
+    assert (half.height.row0, half.height.col0, half.height.step_px) == (
+        whole.height.row0,
+        whole.height.col0,
+        whole.height.step_px,
+    )
+    assert half.depth_max_mm == pytest.approx(whole.depth_max_mm, rel=0.1)
+    both, either = (half.height.contact & whole.height.contact), (half.height.contact | whole.height.contact)
+    assert both.sum() > 0.85 * either.sum()
+    off = np.nanmax(np.abs(half.height.height_mm - whole.height.height_mm))
+    assert off < 0.3 * whole.depth_max_mm
+
+
+@pytest.mark.parametrize("shape", [(481, 640), (480, 641), (240, 320)])
+def test_an_image_of_another_size_is_told_in_its_own_pixels(shape: tuple[int, int]) -> None:
+    made = make_reconstructor(calibrated(FULL, 0), PROFILES["balanced"])
+    result = made.step(Frame(0, 0, 0, np.zeros(shape, np.uint8)))
+    assert result.reason == f"size: {shape[1]}x{shape[0]} px, calibrated for 640x480"
+    assert not made.step(Frame(0, 0, 0, to_grey(unloaded(FULL)))).contact
