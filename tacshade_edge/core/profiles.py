@@ -10,6 +10,9 @@ from tacshade_edge.core import discmap
 LEARNED = "learned"
 """The solver that takes the white pixels and finds the contact too, with the network of the profile's name."""
 
+AUTO = "auto"
+"""In a profile's place: the daemon steps between those of `LADDER` by a latency budget."""
+
 
 @dataclass(frozen=True, slots=True)
 class Profile:
@@ -66,3 +69,6 @@ PROFILES: dict[str, Profile] = {
         _ACCURATE,
     )
 }
+
+LADDER: tuple[str, ...] = tuple(name for name in ("accurate", "balanced", "fast") if name in PROFILES)
+"""What `AUTO` steps between, the most accurate and dearest first."""
