@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import msgspec
 import yaml
 
+from tacshade_edge.core.profiles import AUTO
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.settings import strict_yaml
 from tacshade_edge.settings.model import Files, Settings, json_schema
@@ -53,7 +54,20 @@ def load(path: Path) -> Document:
     if settings.profile not in known["enum"]:  # msgspec cannot express names that are known only at run time
         problem = f"found {found['profile',].text}, expected {_expected(known)}"
         raise ConfigError(f"{_where(path, found, ('profile',))}: {problem}")
+    _check_budget(path, settings, found)
     return Document(path, _absolute(settings, path.absolute().parent), found)
+
+
+def _check_budget(path: Path, settings: Settings, found: dict[Key, Found]) -> None:
+    """A budget with `AUTO`, and with nothing else: it would have no effect."""
+    key, budget_ms = ("latency_budget_ms",), settings.latency_budget_ms
+    if settings.profile == AUTO and budget_ms is None:
+        expected = _expected(json_schema()["$defs"]["Settings"]["properties"]["latency_budget_ms"]["anyOf"][0])
+        text = found[key].text if key in found else "nothing"
+        raise ConfigError(f"{_where(path, found, key)}: found {text} with profile {AUTO}, expected {expected}")
+    if settings.profile != AUTO and budget_ms is not None:
+        problem = f"found {found[key].text} with profile {settings.profile}, expected it with profile {AUTO} only"
+        raise ConfigError(f"{_where(path, found, key)}: {problem}")
 
 
 def to_yaml(settings: Settings) -> str:

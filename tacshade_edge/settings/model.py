@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
-from tacshade_edge.core.profiles import DEFAULT, PROFILES
+from tacshade_edge.core.profiles import AUTO, DEFAULT, PROFILES
 
 
 class V4l2(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="kind", tag="v4l2"):
@@ -72,9 +72,12 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     calibration: Annotated[str, Meta(min_length=1, description="file that `tacshade-edge calibrate` wrote")] = (
         "/var/lib/tacshade-edge/calibration.npz"
     )
-    profile: Annotated[str, Meta(description="speed against accuracy", extra_json_schema={"enum": list(PROFILES)})] = (
-        DEFAULT
-    )
+    profile: Annotated[
+        str, Meta(description="speed against accuracy", extra_json_schema={"enum": [*PROFILES, AUTO]})
+    ] = DEFAULT
+    latency_budget_ms: (
+        Annotated[float, Meta(gt=0, le=60_000, description="from a frame's time stamp to its result, for auto")] | None
+    ) = None
     source: Annotated[V4l2 | Files | Simulated, Meta(description="where frames come from")] = V4l2()
     mqtt: Annotated[Mqtt, Meta(description="the broker")] = Mqtt()
     recorder: Annotated[Recorder, Meta(description="recordings")] = Recorder()
@@ -86,6 +89,10 @@ def json_schema() -> dict[str, Any]:
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "tacshade-edge settings",
         **msgspec.json.schema(Settings),
+        # What no type says: the budget belongs to `auto`, and `auto` to a budget.
+        "if": {"properties": {"profile": {"enum": [AUTO]}}, "required": ["profile"]},
+        "then": {"properties": {"latency_budget_ms": {"type": "number"}}, "required": ["latency_budget_ms"]},
+        "else": {"properties": {"latency_budget_ms": {"type": "null"}}},
     }
 
 

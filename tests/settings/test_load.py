@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.settings import Files, Settings, Simulated, V4l2, digest, json_schema, load
+from tacshade_edge.settings import Files, Settings, Simulated, V4l2, digest, json_schema, load, to_yaml
 
 DEFAULT = Path(__file__).parents[2] / "config" / "default.yaml"
 
@@ -46,6 +46,19 @@ def write(folder: Path, text: str | bytes) -> Path:
         ("sensor_id: 007\n", ":1: sensor_id: found 007, expected a string"),
         ("profile: slow\n", ":1: profile: found slow, expected one of paper, fast, balanced, accurate"),
         ("profile: 1\n", ":1: profile: found 1, expected one of paper, fast, balanced, accurate"),
+        (
+            "profile: auto\n",
+            ": latency_budget_ms: found nothing with profile auto, expected a number above 0 to 60000 (from a frame's",
+        ),
+        ("profile: auto\nlatency_budget_ms: null\n", ":2: latency_budget_ms: found null with profile auto, expected a"),
+        ("profile: auto\nlatency_budget_ms: 0\n", ":2: latency_budget_ms: found 0, expected a number above 0 to 60000"),
+        ("profile: auto\nlatency_budget_ms: .inf\n", ":2: latency_budget_ms: found .inf, expected a finite number"),
+        ("profile: auto\nlatency_budget_ms: 20ms\n", ":2: latency_budget_ms: found 20ms, expected a number above 0"),
+        (
+            "profile: fast\nlatency_budget_ms: 20\n",
+            ":2: latency_budget_ms: found 20 with profile fast, expected it with profile auto only",
+        ),
+        ("latency_budget_ms: 20\n", ":1: latency_budget_ms: found 20 with profile fast, expected it with profile auto"),
         ("source:\n  kind: usb\n", ":2: source.kind: found usb, expected one of"),
         ("source:\n  kind: 3\n", ":2: source.kind: found 3, expected one of"),
         ("source:\n  device: /dev/video1\n", ": source.kind: found nothing, expected one of"),
@@ -158,6 +171,7 @@ def test_the_digest_tells_settings_apart() -> None:
 def schema_errors(schema: dict[str, Any], value: Any, root: dict[str, Any]) -> list[str]:
     """Where `value` breaks `schema`; knows the keywords that our schema uses and refuses any other."""
     known = {"$schema", "$ref", "$defs", "title", "description", "default", "discriminator", "required"}
+    known |= {"if", "then", "else", "exclusiveMinimum", "maximum"}
     known |= {"type", "properties", "additionalProperties", "enum", "anyOf", "minimum", "maximum", "pattern"}
     assert set(schema) <= known | {"minLength"}, schema
     types: dict[str, tuple[type, ...]] = {"object": (dict,), "string": (str,), "integer": (int,), "null": (type(None),)}
@@ -165,6 +179,9 @@ def schema_errors(schema: dict[str, Any], value: Any, root: dict[str, Any]) -> l
     errors = []
     if "$ref" in schema:
         errors += schema_errors(root["$defs"][schema["$ref"].rpartition("/")[2]], value, root)
+    if "if" in schema:
+        branch = "else" if schema_errors(schema["if"], value, root) else "then"
+        errors += schema_errors(schema[branch], value, root)
     if "anyOf" in schema and all(schema_errors(option, value, root) for option in schema["anyOf"]):
         errors.append(f"{value!r} fits no option")
     if "type" in schema and (
@@ -175,13 +192,16 @@ def schema_errors(schema: dict[str, Any], value: Any, root: dict[str, Any]) -> l
         errors.append(f"{value!r} not in {schema['enum']}")
     if "minimum" in schema and not schema["minimum"] <= value <= schema["maximum"]:
         errors.append(f"{value!r} out of range")
+    if "exclusiveMinimum" in schema and not schema["exclusiveMinimum"] < value <= schema["maximum"]:
+        errors.append(f"{value!r} out of range")
     if "pattern" in schema and not re.search(schema["pattern"], value):
         errors.append(f"{value!r} does not match")
     if "minLength" in schema and len(value) < schema["minLength"]:
         errors.append("too short")
     if isinstance(value, dict) and "properties" in schema:
         errors += [f"no {k}" for k in schema.get("required", ()) if k not in value]
-        errors += [f"unknown {k}" for k in value if k not in schema["properties"]]
+        if schema.get("additionalProperties") is False:
+            errors += [f"unknown {k}" for k in value if k not in schema["properties"]]
         for k in value.keys() & schema["properties"].keys():
             errors += schema_errors(schema["properties"][k], value[k], root)
     return errors
@@ -192,5 +212,15 @@ def test_the_json_schema_accepts_the_default_file_and_refuses_mistakes() -> None
     good = yaml.safe_load(DEFAULT.read_text())
     assert schema_errors(schema, good, schema) == []
     assert schema_errors(schema, yaml.safe_load(uncommented("files")), schema) == []
-    for wrong in ({"x": 1}, {"mqtt": {"port": 0}}, {"profile": "slow"}, {"source": {"kind": "usb"}}, {"mqtt": None}):
+    assert schema_errors(schema, good | {"profile": "auto", "latency_budget_ms": 20.5}, schema) == []
+    for wrong in (
+        *({"x": 1}, {"mqtt": {"port": 0}}, {"profile": "slow"}, {"source": {"kind": "usb"}}, {"mqtt": None}),
+        *({"profile": "auto"}, {"latency_budget_ms": 20}, {"profile": "auto", "latency_budget_ms": 0}),
+    ):
         assert schema_errors(schema, good | wrong, schema), wrong
+
+
+def test_auto_is_loaded_with_its_budget(tmp_path: Path) -> None:
+    settings = load(write(tmp_path, "profile: auto\nlatency_budget_ms: 20\n")).settings
+    assert (settings.profile, settings.latency_budget_ms) == ("auto", 20.0)
+    assert load(write(tmp_path, to_yaml(settings))).settings == settings
