@@ -15,7 +15,8 @@ import cv2
 import numpy as np
 
 from tacshade_edge import __version__
-from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.profiles import LADDER, PROFILES
+from tacshade_edge.daemon.active_profile import ActiveProfile, Stepped
 from tacshade_edge.daemon.health import Health
 from tacshade_edge.daemon.ledger import FrameLedger, Outcome
 from tacshade_edge.daemon.pipeline import Crash, Pipeline, crashes_to
@@ -56,7 +57,7 @@ class Reload:
     """Someone wants the settings to be read again."""
 
 
-Event = Stop | Reload | Crash | SourceState | Request | RecordingEnded
+Event = Stop | Reload | Crash | SourceState | Request | RecordingEnded | Stepped
 
 
 class App:
@@ -85,10 +86,13 @@ class App:
         self._publisher = Publisher(self.link.offer)
         self._pipeline = Pipeline(
             source,
-            make_reconstructor(calibration, PROFILES[settings.profile]),
+            make_reconstructor(calibration, PROFILES.get(settings.profile, PROFILES[LADDER[-1]])),
             self._publisher,
             self.ledger,
             self._events.put,
+        )
+        self._active = ActiveProfile(
+            self._pipeline.reconstruct, settings.profile, settings.latency_budget_ms, self._events.put
         )
         self._service = Service(Progress(self._pipeline.grab, self._pipeline.reconstruct))
         self._health = Health(self.ledger, self._pipeline.timings)
@@ -97,7 +101,7 @@ class App:
             self._recorder, self.link.reply, lambda status: self.link.set_retained("status/recorder", status)
         )
         self._requests = Requests(
-            self._pipeline.reconstruct, self.link.reply, self._status, self._changed, self._on_record
+            self._pipeline.reconstruct, self._active, self.link.reply, self._status, self._changed, self._on_record
         )
         self._camera = SourceState("away", "starting")
         self._told = SourceState("ended")
@@ -158,6 +162,9 @@ class App:
                 self._requests.handle(event)
             elif isinstance(event, Reload):
                 self._reload()
+            elif isinstance(event, Stepped):
+                if self._active.step(event):
+                    self._changed()
             elif isinstance(event, SourceState):
                 self._camera = event
                 if event.state == "ended":
@@ -175,8 +182,8 @@ class App:
             _log.warning("%s", note)
         else:
             self._document = new.document
-            profile = PROFILES[new.document.settings.profile]
-            self._pipeline.reconstruct.reconstructor = make_reconstructor(new.calibration, profile)
+            settings = new.document.settings
+            self._active.reload(settings.profile, settings.latency_budget_ms, new.calibration)
             self._recorder.event("reload", waiting=list(new.waiting))
             self._changed()
             note = f"restart to use the new {' and '.join(new.waiting)}" if new.waiting else ""
@@ -215,14 +222,12 @@ class App:
 
     def _changed(self) -> None:
         """The reconstructor was replaced."""
-        reconstructor = self._pipeline.reconstruct.reconstructor
+        reconstructor = self._active.reconstructor
         self._recorder.reconstructs_with(reconstructor.profile.name, reconstructor.calibration.crc32)
         self._tell_info()
 
     def _on_record(self, request: Request) -> None:
-        self._record.handle(
-            request, self._document.settings, self._pipeline.reconstruct.reconstructor, self._camera_now()
-        )
+        self._record.handle(request, self._document.settings, self._active.reconstructor, self._camera_now())
 
     # What is told.
 
@@ -247,13 +252,14 @@ class App:
             self.link.set_retained("state", b"online" if camera.state == "streaming" else b"degraded")
 
     def _tell_info(self) -> None:
-        reconstructor = self._pipeline.reconstruct.reconstructor
+        reconstructor = self._active.reconstructor
         info = messages.encode_info(
             version=__version__,
             config_digest=digest(self._document.settings),
             profile=reconstructor.profile.name,
             calibration=reconstructor.calibration,
-            profiles=tuple(PROFILES),
+            profiles=self._active.choices,
+            choice=self._active.choice,
         )
         self.link.set_retained("info", info)
 
@@ -265,8 +271,13 @@ class App:
     def _tell_health(self) -> None:
         latest = self._publisher.latest
         self._latest_health = self._health.snapshot(
-            latest[1] if latest else None, self._source.dropped, self.link.counters(), self._recorder.counts()
+            latest[1] if latest else None,
+            self._source.dropped,
+            self.link.counters(),
+            self._recorder.counts(),
+            self._active.budget(),
         )
+        self._active.tell_late()
         self._publisher.fps = self._latest_health["delivered_fps"]
         self.link.set_retained("health", messages.encode_health(self._latest_health), qos=0)
 

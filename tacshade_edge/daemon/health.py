@@ -35,7 +35,12 @@ class Health:
         self.unusable = ""
 
     def snapshot(
-        self, latest: Reconstruction | None, source_dropped: int, mqtt: dict[str, int], recorder: dict[str, int]
+        self,
+        latest: Reconstruction | None,
+        source_dropped: int,
+        mqtt: dict[str, int],
+        recorder: dict[str, int],
+        budget: dict[str, Any] | None,
     ) -> dict[str, Any]:
         """The message as a dict.
 
@@ -61,6 +66,7 @@ class Health:
             "degraded_reason": latest.degraded if latest else "",
             "mqtt": mqtt,
             "recorder": recorder,
+            "budget": budget,
         }
 
     def _judge(self, before: Counts, counts: Counts, latest: Reconstruction | None) -> None:

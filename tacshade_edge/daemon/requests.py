@@ -8,11 +8,11 @@ from collections.abc import Callable
 from typing import Any
 
 from tacshade_edge.core.calibrate import rezero
-from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.profiles import AUTO
+from tacshade_edge.daemon.active_profile import ActiveProfile
 from tacshade_edge.daemon.reference import REFERENCE_FRAMES, ReferenceCollector
 from tacshade_edge.daemon.workers import Reconstruct
 from tacshade_edge.devices.calibration_file import with_crc
-from tacshade_edge.devices.network import make_reconstructor
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.protocol.messages import Request, encode_error, encode_result
 from tacshade_edge.types import U8
@@ -28,7 +28,9 @@ class Requests:
     Parameters
     ----------
     worker : Reconstruct
-        Its reconstructor is replaced when the profile or the reference changes.
+        Gives the frames for a new reference.
+    active : ActiveProfile
+        Changed by `profile` and `reference`.
     reply : callable
         ``reply(request, payload)``.
     status : callable
@@ -42,12 +44,14 @@ class Requests:
     def __init__(
         self,
         worker: Reconstruct,
+        active: ActiveProfile,
         reply: Callable[[Request, bytes], None],
         status: Callable[[], dict[str, Any]],
         changed: Callable[[], None],
         record: Callable[[Request], None],
     ) -> None:
         self._worker = worker
+        self._active = active
         self._reply = reply
         self._status = status
         self._changed = changed
@@ -78,14 +82,17 @@ class Requests:
         self._set_reference(request, images, reason)
 
     def _set_profile(self, request: Request) -> None:
-        profile = PROFILES.get(request.profile)
-        if profile is None:
-            self._refuse(request, f"profile: found {request.profile}, expected one of {', '.join(PROFILES)}")
+        if request.profile not in self._active.choices:
+            expected = f"one of {', '.join(self._active.choices)}"
+            if request.profile == AUTO:
+                expected += "; the settings give no latency budget"
+            self._refuse(request, f"profile: found {request.profile}, expected {expected}")
             return
-        self._worker.reconstructor = make_reconstructor(self._worker.reconstructor.calibration, profile)
+        self._active.choose(request.profile)
         self._changed()
-        _log.info("profile is now %s", profile.name)
-        self._reply(request, encode_result(request.transaction, {"profile": profile.name}))
+        _log.info("profile is now %s", request.profile)
+        profile = self._active.reconstructor.profile.name
+        self._reply(request, encode_result(request.transaction, {"profile": profile}))
 
     def _take_reference(self, request: Request) -> None:
         if self._reference is not None:
@@ -101,13 +108,12 @@ class Requests:
         if reason:
             self._refuse(request, reason)
             return
-        before = self._worker.reconstructor
         try:
-            calibration = with_crc(rezero(before.calibration, images))
+            calibration = with_crc(rezero(self._active.reconstructor.calibration, images))
         except ConfigError as error:
             self._refuse(request, str(error))
             return
-        self._worker.reconstructor = make_reconstructor(calibration, before.profile)
+        self._active.use(calibration)
         self._changed()
         _log.info("new reference from %d frames, until the next start", len(images))
         result = {"frames": len(images), "calibration_crc32": calibration.crc32, "noise_grey": calibration.noise_grey}

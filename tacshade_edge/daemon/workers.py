@@ -140,6 +140,8 @@ class Reconstruct:
     ) -> None:
         self.reconstructor = reconstructor
         self.watch: Callable[[Frame, Reconstruction], None] | None = None
+        # observe(profile, now_ns, capture_to_offer_ms, step_ms) after each frame in contact; must not wait.
+        self.observe: Callable[[str, int, float, float], None] | None = None
         self.taken = self.processed = 0  # frames; they differ while one is in work
         self._mailbox = mailbox
         self._ledger = ledger
@@ -166,11 +168,15 @@ class Reconstruct:
             last_ns = now_ns
 
         reconstructor = self.reconstructor
+        began_ns = last_ns
         result = reconstructor.step(frame, mark)
+        step_ms = (time.monotonic_ns() - began_ns) / 1e6
         outcome = self._sink.deliver(frame, result, reconstructor.calibration)
         mark("deliver")
         ms["capture_to_offer"] = (last_ns - frame.t_ns) / 1e6
         self._timings.add(ms)
         if outcome is not None:
             self._ledger.settle(frame.seq, outcome)
+        if (observe := self.observe) and result.contact:
+            observe(result.profile, last_ns, ms["capture_to_offer"], step_ms)
         return result

@@ -165,11 +165,18 @@ def encode_contact(result: Reconstruction, *, fps: float) -> bytes:
 
 
 def encode_info(
-    *, version: str, config_digest: str, profile: str, calibration: Calibration, profiles: Sequence[str] = ()
+    *,
+    version: str,
+    config_digest: str,
+    profile: str,
+    calibration: Calibration,
+    profiles: Sequence[str] = (),
+    choice: str | None = None,
 ) -> bytes:
     """The ``info`` payload: what a subscriber needs to place every pixel of ``height`` in mm.
 
-    `profiles` are the names that ``req/profile`` takes; empty where it takes none.
+    `profiles` are the names that ``req/profile`` takes; empty where it takes none. `choice` is that of them which was
+    chosen: `profile` where it is None.
     """
     geometry = calibration.geometry
     return _encode(
@@ -179,6 +186,7 @@ def encode_info(
             "config_digest": config_digest,
             "profile": profile,
             "profiles": profiles,
+            "choice": choice or profile,
             "geometry": {
                 "skin_radius_mm": geometry.skin_radius_mm,
                 "camera_distance_mm": geometry.camera_distance_mm,

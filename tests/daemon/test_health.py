@@ -21,7 +21,7 @@ def test_rates_are_between_two_snapshots() -> None:
     for seq, end in enumerate(ends):
         ledger.captured(seq)
         ledger.settle(seq, end)
-    first = health.snapshot(None, 7, {"connects": 1}, {"written": 3})
+    first = health.snapshot(None, 7, {"connects": 1}, {"written": 3}, None)
     assert first["source_dropped"] == 7
     assert first["mqtt"] == {"connects": 1}
     assert first["recorder"] == {"written": 3}
@@ -30,7 +30,7 @@ def test_rates_are_between_two_snapshots() -> None:
     # one interval, so the rates have the ratio of the counts; they are rounded
     rates = [first[name] / first["capture_fps"] for name in ("delivered_fps", "published_fps")]
     assert [round(rate, 2) for rate in rates] == [0.75, 0.5]
-    second = health.snapshot(None, 7, {}, {})
+    second = health.snapshot(None, 7, {}, {}, None)
     assert (second["capture_fps"], second["delivered_fps"], second["published_fps"]) == (0, 0, 0)
 
 
@@ -41,7 +41,7 @@ def test_every_key_is_documented() -> None:
     }
     timings = Timings()
     timings.add({"wait": 1.0, "capture_to_offer": 2.0})
-    message = json.loads(encode_health(Health(FrameLedger(), timings).snapshot(None, 0, {}, {})))
+    message = json.loads(encode_health(Health(FrameLedger(), timings).snapshot(None, 0, {}, {}, None)))
     assert set(message) == documented
     assert message["latency_ms"] == {"p50": 2.0, "p99": 2.0}
     assert message["stages_ms"] == {"wait": {"p50": 1.0, "p99": 1.0}}
@@ -61,5 +61,5 @@ def test_captured_is_the_sum_of_the_others_in_every_snapshot(steps: list[int]) -
         else:
             ledger.captured(seq)
             waiting.append(seq)
-        frames = health.snapshot(None, 0, {}, {})["frames"]
+        frames = health.snapshot(None, 0, {}, {}, None)["frames"]
         assert frames.pop("captured") == sum(frames.values())

@@ -7,6 +7,7 @@ import pytest
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.daemon import requests
+from tacshade_edge.daemon.active_profile import ActiveProfile
 from tacshade_edge.daemon.ledger import FrameLedger, Timings
 from tacshade_edge.daemon.mailbox import Mailbox
 from tacshade_edge.daemon.reference import REFERENCE_FRAMES
@@ -26,8 +27,10 @@ class Asked:
         self.replies: list[dict[str, Any]] = []
         self.changes = 0
         self.records: list[Request] = []
+        self.active = ActiveProfile(self.worker, "fast", None, lambda _: None)
         self.requests = Requests(
             self.worker,
+            self.active,
             lambda _, payload: self.replies.append(json.loads(payload)),
             lambda: {"up": 1},
             self._changed,
@@ -64,6 +67,17 @@ def test_status_and_profile(asked: Asked) -> None:
     ]
     assert asked.worker.reconstructor.profile.name == "paper"
     assert asked.changes == 1
+
+
+def test_auto_needs_a_budget(asked: Asked) -> None:
+    asked.requests.handle(Request("profile", transaction=1, profile="auto"))
+    expected = f"one of {', '.join(PROFILES)}; the settings give no latency budget"
+    assert asked.replies[0]["error"] == f"profile: found auto, expected {expected}"
+    asked.active.reload("fast", 1000.0, asked.active.reconstructor.calibration)
+    asked.requests.handle(Request("profile", transaction=2, profile="auto"))
+    assert asked.replies[1] == {"transaction": 2, "ok": True, "result": {"profile": "accurate"}}
+    asked.requests.handle(Request("profile", transaction=3, profile="slow"))
+    assert asked.replies[2]["error"] == f"profile: found slow, expected one of {', '.join(PROFILES)}, auto"
 
 
 def test_a_record_request_is_passed_on(asked: Asked) -> None:

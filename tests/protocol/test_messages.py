@@ -64,12 +64,13 @@ def test_info_places_a_pixel_in_mm() -> None:
         version="1", config_digest="ab", profile="fast", calibration=calibration, profiles=("fast", "paper")
     )
     info = json.loads(told)
-    assert {k: info[k] for k in ("version", "wire_version", "config_digest", "profile", "profiles")} == {
+    assert {k: info[k] for k in ("version", "wire_version", "config_digest", "profile", "profiles", "choice")} == {
         "version": "1",
         "wire_version": 1,
         "config_digest": "ab",
         "profile": "fast",
         "profiles": ["fast", "paper"],
+        "choice": "fast",
     }
     geometry = info["geometry"]
     assert geometry["camera_distance_mm"] is None
