@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import logging
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +18,8 @@ import pytest
 from mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port, wait_until
 from painted_sensor import touched_depth_mm
 
+from tacshade_edge.core.profiles import LADDER, PROFILES
+from tacshade_edge.daemon import profile_chooser
 from tacshade_edge.daemon.app import App
 from tacshade_edge.devices import calibration_file
 from tacshade_edge.devices.frame_table import read_table
@@ -51,11 +56,11 @@ def paced(image: U8, frames: int | None = None, period_s: float = 0.02) -> Itera
         sent += 1
 
 
-def document(folder: Path, port: int) -> Document:
+def document(folder: Path, port: int, more: str = "") -> Document:
     path = folder / "settings.yaml"
     path.write_text(
         f"sensor_id: hand-1\nsource: {{kind: simulated}}\nmqtt: {{host: 127.0.0.1, port: {port}}}\n"
-        "recorder: {folder: recs}\n",
+        f"recorder: {{folder: recs}}\n{more}",
         encoding="utf-8",
     )
     return load(path)
@@ -182,7 +187,7 @@ def test_a_stop_is_quick_while_the_camera_hangs(
     app = Running(document(tmp_path, broker.port), scripted([pictures.free, release.wait, None]), calibration)
     try:
         wait_until(
-            lambda: "online" in states(seen) and last(seen, "status/camera")["state"] == "streaming", 10, "online"
+            lambda: "online" in states(seen) and last(seen, "status/camera").get("state") == "streaming", 10, "online"
         )
         assert app.end() < STOP_S
         wait_until(lambda: states(seen)[-1] == "stopped", 5, "stopped")
@@ -275,6 +280,81 @@ def test_requests(
         assert "shows contact" in refused["error"]
     finally:
         app.end()
+
+
+class Late:
+    """A source whose frames are so many ms old when they come, as those of a machine that has other work."""
+
+    def __init__(self, source: Any) -> None:
+        self._source = source
+        self.ms = 0
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._source, name)
+
+    def read(self) -> Any:
+        frame = self._source.read()
+        return frame and replace(frame, t_ns=frame.t_ns - self.ms * 1_000_000)
+
+
+def test_auto_steps_down_under_a_load_and_up_after_it_and_says_so(
+    tmp_path: Path,
+    broker: Broker,
+    seen: Subscriber,
+    calibration: Calibration,
+    pictures: Any,
+    scripted: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    caplog.set_level(logging.INFO)
+    monkeypatch.setattr(profile_chooser, "PATIENCE_S", 0.2)
+    budget_ms = 1000  # of a test's machine, which has other work too
+    settings = document(tmp_path, broker.port, f"profile: auto\nlatency_budget_ms: {budget_ms}\n")
+    source = Late(scripted(paced(pictures.touched)))
+    app = Running(settings, source, calibration)
+    ladder = list(LADDER)
+
+    def told_profiles() -> list[str]:
+        return [json.loads(payload)["profile"] for payload in seen.of(f"{BASE}/info")]
+
+    def budget() -> Any:
+        return last(seen, "health").get("budget") or {}
+
+    try:
+        wait_until(lambda: budget().get("kept"), 20, "the budget is kept")
+        info = last(seen, "info")
+        assert (info["choice"], info["profile"], info["profiles"]) == ("auto", ladder[0], [*PROFILES, "auto"])
+        assert budget()["p90_ms"] <= budget_ms == budget()["latency_budget_ms"]
+
+        source.ms = 5 * budget_ms
+        wait_until(lambda: told_profiles()[-1] == ladder[-1], 20, "stepped down")
+        wait_until(lambda: budget().get("kept") is False, 20, "health says that it is not kept")
+        assert (budget()["profile"], budget()["steps_down"], budget()["steps_up"]) == (ladder[-1], len(ladder) - 1, 0)
+        assert budget()["p90_ms"] > budget_ms
+
+        source.ms = 0
+        wait_until(lambda: told_profiles()[-1] == ladder[0], 30, "stepped up")
+        wait_until(lambda: budget().get("kept"), 20, "kept again")
+        assert budget()["steps_up"] == len(ladder) - 1
+        told = [profile for profile, _ in groupby(told_profiles())]
+        assert told == ladder + ladder[-2::-1]
+        assert all(json.loads(payload)["choice"] == "auto" for payload in seen.of(f"{BASE}/info"))
+
+        assert ask(seen, "profile", profile="fast")["result"] == {"profile": "fast"}
+        wait_until(lambda: last(seen, "info")["choice"] == "fast", 10, "auto is over")
+        wait_until(lambda: last(seen, "health")["budget"] is None, 10, "and no budget told")
+        assert ask(seen, "profile", profile="auto")["result"] == {"profile": ladder[0]}
+        wait_until(lambda: last(seen, "info")["choice"] == "auto", 10, "auto again")
+    finally:
+        app.end()
+    wait_until(lambda: states(seen)[-1:] == ["stopped"], 5, "stopped")
+    assert_accounted(last(seen, "health")["frames"])
+    heights = [wire.decode(payload).seq for payload in seen.of(f"{BASE}/height")]
+    assert heights == sorted(set(heights))
+    steps = [record for record in caplog.records if record.getMessage().startswith("profile auto: from ")]
+    assert len(steps) == 2 * (len(ladder) - 1)
+    assert all(record.levelno == logging.INFO for record in steps)
 
 
 def test_a_source_that_can_never_work_ends_the_daemon(
