@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tacshade_edge.core.profiles import DEFAULT, PROFILES
+from tacshade_edge.cli.profile_option import add_profile
+from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.devices import calibration_file
 from tacshade_edge.devices.images import read_image
@@ -24,9 +25,7 @@ from tacshade_edge.types import Frame, Reconstruction
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--calibration", type=Path, required=True, metavar="CAL.npz", help="from `calibrate`")
-    parser.add_argument(
-        "--profile", choices=sorted(PROFILES), default=DEFAULT, help=f"speed against accuracy ({DEFAULT})"
-    )
+    add_profile(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="a .npz per image and summary.json")
     parser.add_argument("--plot", action="store_true", help="also write a picture per image")
     parser.add_argument("--json", action="store_true", help="print the summary")

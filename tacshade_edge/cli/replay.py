@@ -11,7 +11,8 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from tacshade_edge.core.profiles import DEFAULT, PROFILES
+from tacshade_edge.cli.profile_option import add_profile
+from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.daemon.replay import Deliver, Progress, replay
 from tacshade_edge.daemon.replay_link import ReplayLink
 from tacshade_edge.devices import calibration_file, registry
@@ -27,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add = parser.add_argument
     add("--calibration", type=Path, metavar="CAL.npz", help="from `calibrate`")
-    add("--profile", choices=sorted(PROFILES), default=DEFAULT, help=f"speed against accuracy ({DEFAULT})")
+    add_profile(parser)
     add("--out", type=Path, metavar="DIR", help="write heights.bin, clouds.bin and summary.json")
     add("--against", type=Path, metavar="DIR", help="compare --out with this earlier run; exit 1 when they differ")
     add("--fps", type=positive, metavar="N", help="times of a recording without a table beside it (30)")

@@ -279,6 +279,34 @@ def test_profile_and_zero_are_changed_through_requests(page: Chrome, tmp_path: P
         wait_until(lambda: page.find_element(By.ID, "rezero").is_enabled(), 15, "it may be asked again")
 
 
+def test_the_profile_that_auto_uses_now_is_shown_as_it_changes(page: Chrome, tmp_path: Path) -> None:
+    def shown() -> str:
+        return str(js(page, "document.getElementById('profile').selectedOptions[0].text"))
+
+    with (
+        Broker(tmp_path) as broker,
+        dashboard(f"127.0.0.1:{broker.port}") as address,
+        PublishedHand(broker.port) as hand,
+        Subscriber(broker.port, "tacshade/+/req/+") as seen,
+    ):
+        opened(page, address)
+        wait_until(lambda: page.find_element(By.ID, "profile").is_enabled(), 15, "the hand is online")
+        assert shown() == "fast"
+        for profile in ("accurate", "fast"):
+            hand.tell_info(profile, profiles=("fast", "accurate", "auto"), choice="auto")
+            wait_until(lambda profile=profile: shown() == f"auto (now {profile})", 15, f"auto uses {profile}")
+        Select(page.find_element(By.ID, "profile")).select_by_value("fast")
+        asked = json.loads(seen.wait_for("tacshade/drawn/req/profile")[0])
+        assert asked["profile"] == "fast"
+        hand.tell_info("fast", profiles=("fast", "accurate", "auto"), choice="fast")
+        hand.tell(
+            "res/profile",
+            json.dumps({"transaction": asked["transaction"], "ok": True, "result": {"profile": "fast"}}).encode(),
+        )
+        shows(page, "answer", "The profile is fast.")
+        wait_until(lambda: shown() == "fast", 15, "a fixed profile")
+
+
 def test_what_a_hand_refuses_or_does_not_answer_is_told(page: Chrome, tmp_path: Path) -> None:
     with (
         Broker(tmp_path) as broker,

@@ -61,10 +61,7 @@ class PublishedHand:
     def __enter__(self) -> PublishedHand:
         self.client.connect("127.0.0.1", self._port)
         self.client.loop_start()
-        info = messages.encode_info(
-            version="0", config_digest="0", profile="fast", calibration=calibration(), profiles=("fast", "paper")
-        )
-        self.tell("info", info, retain=True)
+        self.tell_info("fast", profiles=("fast", "paper"))
         self.tell("state", b"online", retain=True)
         self.tell("status/camera", messages.encode_status("streaming", "", {"device": "drawn"}), retain=True)
         return self
@@ -74,6 +71,18 @@ class PublishedHand:
     ) -> None:
         self.client.disconnect()
         self.client.loop_stop()
+
+    def tell_info(self, profile: str, *, profiles: tuple[str, ...], choice: str | None = None) -> None:
+        """The retained `info`."""
+        info = messages.encode_info(
+            version="0",
+            config_digest="0",
+            profile=profile,
+            calibration=calibration(),
+            profiles=profiles,
+            choice=choice,
+        )
+        self.tell("info", info, retain=True)
 
     def tell(self, topic: str, payload: bytes, *, retain: bool = False) -> None:
         self.client.publish(f"{self.base}/{topic}", payload, 1 if retain else 0, retain)

@@ -283,9 +283,11 @@ function tellControls() {
 }
 
 function tellProfiles() {
-  const info = hands.get(chosen)?.info, names = [...new Set([...(info?.profiles ?? []), ...(info ? [info.profile] : [])])];
-  $("profile").replaceChildren(...names.map((name) => element("option", { textContent: name, value: name })));
-  $("profile").value = info?.profile ?? "";
+  const info = hands.get(chosen)?.info, choice = info?.choice ?? info?.profile; // an older daemon tells no choice
+  const names = [...new Set([...(info?.profiles ?? []), ...(info ? [choice] : [])])];
+  const label = (name) => (name === choice && choice !== info.profile ? `${name} (now ${info.profile})` : name);
+  $("profile").replaceChildren(...names.map((name) => element("option", { textContent: label(name), value: name })));
+  $("profile").value = choice ?? "";
 }
 
 async function ask(verb, body, doing, done) {

@@ -1,0 +1,27 @@
+"""The option ``--profile`` of commands whose results must not depend on how fast the machine is."""
+
+from __future__ import annotations
+
+import argparse
+
+from tacshade_edge.core.profiles import AUTO, DEFAULT, PROFILES
+
+
+def add_profile(parser: argparse.ArgumentParser) -> None:
+    """Declare it."""
+    parser.add_argument(
+        "--profile",
+        type=_fixed,
+        choices=sorted(PROFILES),
+        default=DEFAULT,
+        help=f"speed against accuracy ({DEFAULT})",
+    )
+
+
+def _fixed(text: str) -> str:
+    if text == AUTO:
+        expected = ", ".join(sorted(PROFILES))
+        raise argparse.ArgumentTypeError(
+            f"found {AUTO}, which goes by the clock, so that no two runs were the same; expected one of {expected}"
+        )
+    return text
