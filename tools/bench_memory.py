@@ -36,7 +36,7 @@ from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 
 from tacshade_edge.cli.demo_sensor import make_calibration
-from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.profiles import AUTO, PROFILES
 from tacshade_edge.devices import calibration_file
 
 FPS, RING = 30.0, 32
@@ -135,7 +135,7 @@ def main() -> int:
     """Measure and print; exit 1 when the daemon did not end well."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--frames", type=int, default=600)
-    parser.add_argument("--profile", choices=list(PROFILES), default="fast")
+    parser.add_argument("--profile", choices=[*PROFILES, AUTO], default="fast")
     parser.add_argument("--source", choices=("files", "simulated"), default="files")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there too")
     args = parser.parse_args()
@@ -150,7 +150,7 @@ def main() -> int:
             config = folder / "config.yaml"
             config.write_text(
                 f"sensor_id: bench\nprofile: {args.profile}\ncalibration: c.npz\nsource: {source}\n"
-                f"mqtt: {{host: 127.0.0.1, port: {port}}}\n"
+                f"mqtt: {{host: 127.0.0.1, port: {port}}}\n" + "latency_budget_ms: 50\n" * (args.profile == AUTO)
             )
             result = measure(folder, config, port, args.frames)
     print(f"{'frames':>8}" + "".join(f"{name + ' MB':>13}" for name in FIELDS))

@@ -10,7 +10,7 @@ from typing import Any
 
 from tacshade_edge.core.profiles import AUTO, LADDER, PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.daemon.profile_chooser import MARGIN, ProfileChooser, Step
+from tacshade_edge.daemon.profile_chooser import ProfileChooser, Step
 from tacshade_edge.daemon.workers import Reconstruct
 from tacshade_edge.devices.network import make_reconstructor
 from tacshade_edge.types import Calibration, Frame
@@ -18,6 +18,7 @@ from tacshade_edge.types import Calibration, Frame
 _log = logging.getLogger(__name__)
 
 REHEARSALS = 10
+CALM_S = 60
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +35,7 @@ class ActiveProfile:
     Parameters
     ----------
     worker : Reconstruct
-        Its reconstructor is replaced, and it is watched by `AUTO`.
+        Not started yet. Its reconstructor is replaced, and it is watched by `AUTO`.
     choice : str
         A key of `PROFILES`, or `AUTO`.
     budget_ms : float or None
@@ -56,10 +57,11 @@ class ActiveProfile:
         self._kept: dict[str, Reconstructor] = {}
         self._chooser: ProfileChooser | None = None
         self._steps = {"steps_down": 0, "steps_up": 0}
-        self._told_late = False
+        self._told_late, self._calm_s = False, 0
         self.budget_ms = budget_ms
         self.choice = ""
-        self.choose(choice)
+        idle = worker.reconstructor  # before the start no thread uses it
+        self._install(choice, idle.calibration, {idle.profile.name: idle})
 
     @property
     def reconstructor(self) -> Reconstructor:
@@ -73,7 +75,7 @@ class ActiveProfile:
 
     def choose(self, choice: str) -> None:
         """Use a profile, or `AUTO` from its start; one of `choices`."""
-        self._install(choice, self._worker.reconstructor.calibration)
+        self._install(choice, self._worker.reconstructor.calibration, {})
 
     def use(self, calibration: Calibration) -> None:
         """Use another calibration; what `AUTO` found out stays."""
@@ -81,7 +83,7 @@ class ActiveProfile:
         if self._chooser is None:
             self._worker.reconstructor = make_reconstructor(calibration, profile)
         else:
-            self._kept = _made(calibration)
+            self._kept = {name: make_reconstructor(calibration, PROFILES[name]) for name in LADDER}
             self._worker.reconstructor = self._kept[profile.name]
 
     def reload(self, choice: str, budget_ms: float | None, calibration: Calibration) -> None:
@@ -91,7 +93,7 @@ class ActiveProfile:
         if unchanged:
             self.use(calibration)
         else:
-            self._install(choice, calibration)
+            self._install(choice, calibration, {})
 
     def step(self, stepped: Stepped) -> bool:
         """Do a step; False when its chooser is asked no more."""
@@ -120,28 +122,29 @@ class ActiveProfile:
         }
 
     def tell_late(self) -> None:
-        """Log once that not even the cheapest profile keeps the budget, until it does with room."""
-        if self._chooser is None or self.budget_ms is None or (within_ms := self._chooser.standing.within_ms) is None:
+        """To be called once a second: log that not even the fastest keeps the budget, again only after `CALM_S`."""
+        if self._chooser is None or (within_ms := self._chooser.standing.within_ms) is None:
             return
-        if self._chooser.lowest and self._chooser.standing.kept is False and not self._told_late:
+        budget_ms, late = self._chooser.budget_ms, self._chooser.standing.kept is False
+        self._calm_s = 0 if late else self._calm_s + 1
+        if self._calm_s >= CALM_S:
+            self._told_late = False
+        if late and self._chooser.lowest and not self._told_late:
             self._told_late = True
-            profile, budget_ms = self._chooser.profile, self.budget_ms
+            profile = self._chooser.profile
             _log.warning(
                 "%s, the fastest, does not keep %g ms: 90 %% took up to %.1f ms", profile, budget_ms, within_ms
             )
-        elif self._chooser.standing.kept and within_ms <= MARGIN * self.budget_ms:
-            self._told_late = False
 
-    def _install(self, choice: str, calibration: Calibration) -> None:
-        self.choice, self._told_late = choice, False
+    def _install(self, choice: str, calibration: Calibration, ready: dict[str, Reconstructor]) -> None:
+        """Use `choice`, and of the reconstructors those that are `ready`: rehearsed here, so no other thread's."""
+        self.choice, self._told_late, self._calm_s = choice, False, 0
         self._worker.observe = self._chooser = None
         if choice != AUTO or self.budget_ms is None:
             self._kept = {}
-            now = self._worker.reconstructor
-            if (now.profile.name, now.calibration.crc32) != (choice, calibration.crc32):
-                self._worker.reconstructor = make_reconstructor(calibration, PROFILES[choice])
+            self._worker.reconstructor = ready.get(choice) or make_reconstructor(calibration, PROFILES[choice])
             return
-        self._kept = _made(calibration)
+        self._kept = {name: ready.get(name) or make_reconstructor(calibration, PROFILES[name]) for name in LADDER}
         costs_ms = {name: step_cost_ms(made) for name, made in self._kept.items()}
         chooser = ProfileChooser(self.budget_ms, costs_ms)
         self._chooser = chooser
@@ -170,7 +173,3 @@ def step_cost_ms(reconstructor: Reconstructor) -> float:
         reconstructor.inverse(image)
         took_ns.append(time.monotonic_ns() - begin_ns)
     return min(took_ns) / 1e6
-
-
-def _made(calibration: Calibration) -> dict[str, Reconstructor]:
-    return {name: make_reconstructor(calibration, PROFILES[name]) for name in LADDER}
