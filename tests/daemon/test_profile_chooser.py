@@ -133,7 +133,7 @@ def most_in_a_minute(times_s: Iterable[float]) -> int:
 noise = st.lists(st.tuples(st.integers(1, 400), st.floats(0.01, 100.0)), min_size=1, max_size=40)
 
 
-@settings(max_examples=60)
+@settings(max_examples=25)
 @given(noise, st.floats(1.0, 50.0), st.sampled_from([1.0, 10.0, 60.0]))
 def test_whatever_the_load_does_there_are_few_steps_a_minute(
     loads: list[tuple[int, float]], budget_ms: float, fps: float
@@ -168,7 +168,7 @@ def test_even_an_enemy_gets_few_steps(enemy: Callable[[Machine], float]) -> None
 SLOW_FPS = 3.0  # a camera for tests of minutes
 
 
-@settings(max_examples=40)
+@settings(max_examples=15)
 @given(st.floats(1.0, 60.0), st.floats(1.0, 5.0), st.integers(0, 2**32))
 def test_a_steady_machine_comes_to_rest(budget_ms: float, load: float, seed: int) -> None:
     machine, jitter = Machine(budget_ms, SLOW_FPS), random.Random(seed)
@@ -185,7 +185,7 @@ def test_a_steady_machine_comes_to_rest(budget_ms: float, load: float, seed: int
         assert WAIT_MS + load * COSTS_MS[better] > MARGIN * 0.95 * budget_ms
 
 
-@settings(max_examples=40)
+@settings(max_examples=15)
 @given(st.floats(15.0, 60.0), st.floats(1.5, 50.0), st.integers(5, 120))
 def test_it_is_back_where_it_was_after_a_load(budget_ms: float, load: float, seconds: int) -> None:
     machine = Machine(budget_ms, SLOW_FPS)
