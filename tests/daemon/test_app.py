@@ -18,7 +18,7 @@ import pytest
 from mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port, wait_until
 from painted_sensor import touched_depth_mm
 
-from tacshade_edge.core.profiles import LADDER, PROFILES
+from tacshade_edge.core.profiles import DEFAULT, LADDER, PROFILES
 from tacshade_edge.daemon import profile_chooser
 from tacshade_edge.daemon.app import App
 from tacshade_edge.devices import calibration_file
@@ -144,7 +144,7 @@ def test_from_frames_to_a_subscriber_with_every_frame_accounted_for(
     contacts = [json.loads(p) for p in seen.of(f"{BASE}/contact")]
     assert {c["contact"] for c in contacts} == {0, 1}
     info = last(seen, "info")
-    assert (info["profile"], info["geometry"]["calibration_crc32"]) == ("fast", calibration.crc32)
+    assert (info["profile"], info["geometry"]["calibration_crc32"]) == (DEFAULT, calibration.crc32)
     health = last(seen, "health")
     assert health["latency_ms"]["p50"] > 0
     assert {"wait", "check", "grey", "gate", "deliver"} <= set(health["stages_ms"])

@@ -12,6 +12,7 @@ from painted_sensor import FREE, TOUCHED, painted_calibration
 from recordings import write_recording
 
 from tacshade_edge.cli import main
+from tacshade_edge.core.profiles import DEFAULT
 from tacshade_edge.devices import calibration_file
 from tacshade_edge.devices.run_files import CLOUDS, HEIGHTS, payloads
 from tacshade_edge.protocol import wire
@@ -37,7 +38,7 @@ def test_as_fast_as_possible_loses_nothing(
         assert main([*given, "--out", str(out), "--mqtt", f"127.0.0.1:{broker.port}"]) == 0
         seen.wait_for(f"{BASE}/state", 2)
         heights, clouds = seen.wait_for(f"{BASE}/height", 91), seen.of(f"{BASE}/cloud")
-        assert json.loads(seen.of(f"{BASE}/info")[0])["profile"] == "fast"
+        assert json.loads(seen.of(f"{BASE}/info")[0])["profile"] == DEFAULT
         assert seen.of(f"{BASE}/state") == [b"online", b"stopped"]
         cameras = [json.loads(payload)["state"] for payload in seen.of(f"{BASE}/status/camera")]
         assert cameras == ["streaming", "ended"]

@@ -30,7 +30,7 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.support.select import Select
 
 from tacshade_edge.cli.demo_sensor import make_calibration
-from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.profiles import DEFAULT, PROFILES
 from tacshade_edge.devices import calibration_file
 from tacshade_edge.protocol import wire
 from tacshade_edge.simulator.scene import SimulatedSensor
@@ -174,7 +174,7 @@ def test_the_drawn_depth_is_the_pressed_depth(page: Chrome, tmp_path: Path, cali
             wait_until(look, 90, "cube, crescent and ball were shown")
             picture(page, "dashboard", (1000, 1240))
             assert text(page, "state") == "online"
-            assert Select(page.find_element(By.ID, "profile")).first_selected_option.text == "fast"
+            assert Select(page.find_element(By.ID, "profile")).first_selected_option.text == DEFAULT
             sent = {h.seq: h for h in map(wire.decode, seen.of("tacshade/left-index/height"))}
     for name, (seq, peak, scale, _) in shots.items():
         height = sent[seq]

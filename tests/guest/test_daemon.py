@@ -20,7 +20,7 @@ from mqtt_rig import Broker, Subscriber, wait_until
 from painted_sensor import FREE, TOUCHED, enlarged, enlarged_calibration
 from vivid import NODE, WEBCAM, control, load_driver, unload_driver
 
-from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.profiles import DEFAULT, PROFILES
 from tacshade_edge.devices import calibration_file
 from tacshade_edge.devices.network import make_reconstructor
 from tacshade_edge.protocol import wire
@@ -103,7 +103,7 @@ def test_replugged_camera_streams_within_two_seconds(tmp_path: Path, calibration
 def test_sensor_images_through_the_device_to_a_subscriber(tmp_path: Path, calibration: Calibration) -> None:
     """A subscriber decodes the depth that the core finds in the very image that was played."""
     free, touched = enlarged(FREE), enlarged(TOUCHED)
-    expected = make_reconstructor(calibration, PROFILES["fast"]).step(Frame(0, 0, 0, touched))
+    expected = make_reconstructor(calibration, PROFILES[DEFAULT]).step(Frame(0, 0, 0, touched))
     assert expected.contact
     depth_mm = float(np.nanmax(expected.height.height_mm))
     np.save(tmp_path / "images.npy", np.stack([free] * 10 + [touched] * 20))
