@@ -105,7 +105,7 @@ def test_a_frame_that_began_before_the_step_does_not_count() -> None:
 
 
 def test_tries_that_fail_become_rare_and_one_that_lasts_is_forgiven() -> None:
-    machine = Machine(20.0, 10.0)
+    machine = Machine(20.0, 5.0)
     machine.run(10)
     machine.real_ms["accurate"] = 30.0  # more than was measured at the start: every try fails
     machine.run(7200)
@@ -122,7 +122,7 @@ def test_tries_that_fail_become_rare_and_one_that_lasts_is_forgiven() -> None:
     down_s = machine.now_s
     machine.run(2 * PATIENCE_S)
     assert machine.path()[-2:] == ["balanced", "accurate"]
-    assert machine.steps[-1][0] - down_s <= PATIENCE_S + 10
+    assert machine.steps[-1][0] - down_s <= PATIENCE_S + 15
 
 
 def most_in_a_minute(times_s: Iterable[float]) -> int:
