@@ -8,12 +8,16 @@ import cv2
 import numpy as np
 
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.types import F32, F64, U8, Disc
+from tacshade_edge.types import F32, F64, U8, Bool, Disc
 
 # The coarse circle is searched at this height.
 _SEARCH_ROWS = 120
 # Vignetting weakens the rim's markers, a LED ring has texture too: start from several parts of Otsu's threshold.
 _TEXTURE_PARTS = (1.0, 0.5, 0.25)
+# Of a region that the image cuts, the rim is what lies further than this from the border, in at least so many corners.
+_BORDER_PX, _RIM_CORNERS = 4, 8
+# A circle with so much of its rim in the image is not cut (a bright surround reaches the border, too).
+_RIM_WHOLE = 0.97
 _RAYS = 1440
 _RADIAL_STEP_PX = 0.5
 # Variation along the angle slower than this part of a turn is light (LED rings), not pattern.
@@ -24,6 +28,8 @@ _CENTRE_STEPS = (8.0, 4.0, 2.0, 1.0, 0.5, 0.25, 0.12)
 _LEAST_PATTERN = 3.0
 # Just outside the rim the pattern's variation must have fallen below this part of what it is just inside.
 _RIM_FALL = 0.5
+# At least this part of the rim lies in the image; less is the pattern's end at the image's own border.
+_RIM_SEEN = 0.25
 
 
 def find_disc(grey: U8) -> Disc:
@@ -41,31 +47,66 @@ def find_disc(grey: U8) -> Disc:
     ConfigError
         No circle with a marker pattern is in the image.
     """
-    starts = [_end_of_pattern(grey, _textured_disc(grey, part), 0.5, 1.4) for part in _TEXTURE_PARTS]
-    best = max(starts, key=lambda rim: rim.sharpness)
+    regions = [_textured_region(grey, part) for part in _TEXTURE_PARTS]
+    best = _sharpest(grey, [region.disc for region in regions])
+    if _refusal(grey, best) or _rim_seen(grey.shape, best.disc) < _RIM_WHOLE:
+        cut = [region.rim for region in regions if region.rim and _rim_seen(grey.shape, region.rim) > _RIM_SEEN]
+        if cut:
+            best = max(best, _sharpest(grey, cut), key=lambda rim: rim.sharpness)
+    if reason := _refusal(grey, best):
+        raise ConfigError(f"no visible circle found in the reference: {reason}")
+    return best.disc
+
+
+def _refusal(grey: U8, best: _Rim) -> str:
+    """Why a rim is none; empty when it is one."""
+    if best.strength < _LEAST_PATTERN:
+        return f"the pattern varies by {best.strength:.1f} grey levels, expected {_LEAST_PATTERN} or more"
+    seen = _rim_seen(grey.shape, best.disc)
+    if seen < _RIM_SEEN:
+        return f"{100 * seen:.0f} % of the best rim lies in the image, expected {100 * _RIM_SEEN:.0f} % or more"
+    fall = _fall(grey, best.disc)
+    if fall > _RIM_FALL:
+        return (
+            f"the pattern's variation falls only to {100 * fall:.0f} % across the best rim, "
+            f"expected below {100 * _RIM_FALL:.0f} %"
+        )
+    return ""
+
+
+def _fall(grey: U8, disc: Disc) -> float:
+    """Variation along the angle just outside a circle over that just inside, where the image holds both."""
+    n = _width(disc)
+    radii: F64 = disc.radius_px + _RADIAL_STEP_PX * np.arange(-n, n, dtype=np.float64)
+    strength, seen = _pattern_strength(grey, disc, radii)
+    both = strength[seen.all(axis=1)]
+    if not len(both):
+        return 1.0
+    return float(np.sqrt(both[:, n:].mean() / max(both[:, :n].mean(), 1e-18)))
+
+
+def _sharpest(grey: U8, starts: list[Disc]) -> _Rim:
+    """The sharpest rim that is found from the best of some circles."""
+    best = max((_end_of_pattern(grey, start, 0.5, 1.4) for start in starts), key=lambda rim: rim.sharpness)
     for step in _CENTRE_STEPS:
         best = _climb(grey, best, step * best.disc.radius_px / 200)
-    if best.strength < _LEAST_PATTERN:
-        raise ConfigError(
-            f"no visible circle found in the reference: the pattern varies by {best.strength:.1f} grey levels, "
-            f"expected {_LEAST_PATTERN} or more"
-        )
-    if best.fall > _RIM_FALL:
-        raise ConfigError(
-            "no visible circle found in the reference: the pattern's variation falls only to "
-            f"{100 * best.fall:.0f} % across the best rim, expected below {100 * _RIM_FALL:.0f} %"
-        )
-    return best.disc
+    return best
+
+
+def _rim_seen(shape: tuple[int, ...], disc: Disc) -> float:
+    """Part of a circle that lies in an image."""
+    angles = 2 * np.pi * np.arange(_RAYS) / _RAYS
+    rows, cols = disc.row_c + disc.radius_px * np.sin(angles), disc.col_c + disc.radius_px * np.cos(angles)
+    return float(np.mean((rows >= 0) & (rows <= shape[0] - 1) & (cols >= 0) & (cols <= shape[1] - 1)))
 
 
 @dataclass(frozen=True, slots=True)
 class _Rim:
-    """A circle; how sharply the pattern ends there, its variation just inside (grey levels), what is left outside."""
+    """A circle; how sharply the pattern ends there, its variation just inside (grey levels)."""
 
     disc: Disc
     sharpness: float
     strength: float
-    fall: float
 
 
 def _climb(grey: U8, best: _Rim, step_px: float) -> _Rim:
@@ -84,8 +125,16 @@ def _climb(grey: U8, best: _Rim, step_px: float) -> _Rim:
     return best
 
 
-def _textured_disc(grey: U8, part: float) -> Disc:
-    """Circle of the hull's area around the largest region with more than `part` of Otsu's texture."""
+@dataclass(frozen=True, slots=True)
+class _Region:
+    """Circle of a region's area around its middle; where the image cuts it, that through what is left of its rim."""
+
+    disc: Disc
+    rim: Disc | None
+
+
+def _textured_region(grey: U8, part: float) -> _Region:
+    """The hull of the largest region with more than `part` of Otsu's texture."""
     scale = max(min(grey.shape) / _SEARCH_ROWS, 1.0)
     small = cv2.resize(grey, None, fx=1 / scale, fy=1 / scale, interpolation=cv2.INTER_AREA).astype(np.float32)
     fine = cv2.absdiff(small, cv2.blur(small, (9, 9)))
@@ -105,20 +154,40 @@ def _textured_disc(grey: U8, part: float) -> Disc:
     if area < 0.02 * small.size or moments["m00"] == 0:
         raise ConfigError("no circle with a marker pattern found in the reference: the pattern covers too little")
     radius = float(np.sqrt(area / np.pi))
-    return Disc(
+    disc = Disc(
         row_c=float(moments["m01"] / moments["m00"]) * scale,
         col_c=float(moments["m10"] / moments["m00"]) * scale,
         radius_px=radius * scale,
     )
+    return _Region(disc, _circle_through_rim(hull[:, 0, ::-1].astype(np.float64), small.shape, scale))
 
 
-def _pattern_strength(grey: U8, disc: Disc, radii: F64) -> F64:
+def _circle_through_rim(hull: F64, shape: tuple[int, ...], scale: float) -> Disc | None:
+    """Least-squares circle (Kåsa) through the hull's corners (row, col) off the border; None where nothing is cut."""
+    from_border = np.minimum(hull, np.array(shape) - 1 - hull).min(axis=1)
+    rim = hull[from_border > _BORDER_PX]
+    if from_border.min() > 0 or len(rim) < _RIM_CORNERS:
+        return None
+    unknowns = np.column_stack((2 * rim, np.ones(len(rim))))
+    (row, col, rest), *_ = np.linalg.lstsq(unknowns, (rim * rim).sum(axis=1), rcond=None)
+    square = rest + row * row + col * col
+    return Disc(float(row) * scale, float(col) * scale, float(np.sqrt(square)) * scale) if square > 0 else None
+
+
+def _width(disc: Disc) -> int:
+    """Radial steps that are just inside or just outside a rim."""
+    return max(round(0.03 * disc.radius_px / _RADIAL_STEP_PX), 2)
+
+
+def _pattern_strength(grey: U8, disc: Disc, radii: F64) -> tuple[F64, Bool]:
     """Variation along the angle at every radius, without its slow part.
 
     Returns
     -------
-    float64 (rays, radii)
+    strength : float64 (rays, radii)
         Squared grey levels; 0 outside the image.
+    seen : bool (rays, radii)
+        Inside the image.
     """
     rays = _RAYS
     angles = 2 * np.pi * np.arange(rays) / rays
@@ -128,8 +197,9 @@ def _pattern_strength(grey: U8, disc: Disc, radii: F64) -> F64:
     n = max(int(rays * _SLOW_TURN), 1)
     slow = cv2.blur(np.vstack([polar[-n:], polar, polar[:n]]), (1, 2 * (n // 2) + 1))[n:-n]
     strength: F64 = ((polar - slow) ** 2).astype(np.float64)
-    strength[(rows < 0) | (rows > grey.shape[0] - 1) | (cols < 0) | (cols > grey.shape[1] - 1)] = 0
-    return strength
+    seen: Bool = (rows >= 0) & (rows <= grey.shape[0] - 1) & (cols >= 0) & (cols <= grey.shape[1] - 1)
+    strength[~seen] = 0
+    return strength, seen
 
 
 def _end_of_pattern(grey: U8, disc: Disc, low: float, high: float) -> _Rim:
@@ -138,9 +208,9 @@ def _end_of_pattern(grey: U8, disc: Disc, low: float, high: float) -> _Rim:
     Taken over all angles, so that a marker that ends short of the rim does not matter; a wrong centre smears the
     end, so its sharpness is largest at the right one.
     """
-    n = max(round(0.03 * disc.radius_px / _RADIAL_STEP_PX), 2)
+    n = _width(disc)
     radii = np.arange(low * disc.radius_px - n * _RADIAL_STEP_PX, high * disc.radius_px, _RADIAL_STEP_PX)
-    profile = np.sqrt(_pattern_strength(grey, disc, radii).mean(axis=0))
+    profile = np.sqrt(_pattern_strength(grey, disc, radii)[0].mean(axis=0))
     mean = np.convolve(profile, np.ones(n) / n, "valid")  # mean[i] covers i .. i+n-1
     inner, outer = mean[:-n], mean[n:]
     if inner.size == 0 or not inner.max() > 0:
@@ -159,7 +229,6 @@ def _end_of_pattern(grey: U8, disc: Disc, low: float, high: float) -> _Rim:
         Disc(disc.row_c, disc.col_c, radius),
         sharpness=float(fall[best]),
         strength=float(inner[best]),
-        fall=float(outer[best] / max(inner[best], 1e-9)),
     )
 
 

@@ -1,9 +1,11 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
-from calibrated_sensor import FULL, HALF, TACTIP, random_sensor, references
+from calibrated_sensor import FULL, HALF, TACTIP, random_sensor, references, simulated
 from scipy.spatial import cKDTree
 
 from tacshade_edge.core.greyscale import to_grey
@@ -79,14 +81,27 @@ def test_what_is_no_sensor_is_refused_in_one_line(name: str) -> None:
     assert "nan" not in str(refusal.value)
 
 
-@pytest.mark.parametrize("cell", [3, 8, 20])
-def test_a_checkerboard_is_refused_or_measured(cell: int) -> None:
-    try:
-        disc = find_disc(board(cell))
-        numbers = [disc.row_c, disc.col_c, disc.radius_px, marker_pitch_px(board(cell), disc)]
-    except ConfigError:
-        return
-    assert np.isfinite(numbers).all()
+@pytest.mark.parametrize("cell", [1, 3, 8, 20])
+def test_a_pattern_that_ends_only_with_the_image_has_no_circle(cell: int) -> None:
+    with pytest.raises(ConfigError, match=r"visible circle found|covers too little|no circle"):
+        find_disc(board(cell))
+
+
+CUT = {
+    "a tenth": {"row_c": 80.0},
+    "a third": {"row_c": 45.0},
+    "a half": {"row_c": 10.0},
+    "two sides": {"image_height_px": 160, "row_c": 80.0},
+    "a corner": {"row_c": 80.0, "col_c": 80.0},
+}
+
+
+@pytest.mark.parametrize("name", CUT)
+def test_a_circle_that_the_image_cuts_is_found(name: str) -> None:
+    model = replace(HALF, **CUT[name])  # type: ignore[arg-type]
+    disc = find_disc(to_grey(simulated(model).frame((), 0).image))
+    assert np.hypot(disc.row_c - model.row_c, disc.col_c - model.col_c) < 1.5
+    assert disc.radius_px == pytest.approx(model.disc_radius_px, rel=0.01)
 
 
 def test_the_mean_rounds_and_does_not_wrap() -> None:
