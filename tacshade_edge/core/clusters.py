@@ -14,6 +14,7 @@ from tacshade_edge.types import F32, I32, I64, Bool, Geometry, ObjectCloud, Touc
 BINS = 256
 # Smaller patches are not an object a finger could tell.
 MIN_OBJECT_MM2 = 0.5
+LABELS_MAX = np.iinfo(np.uint16).max
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,7 +118,9 @@ def two_means_split(values: F32) -> float:
 
 
 def label_objects(contact: Bool, cell_area: F32) -> I32:
-    """Number the connected contacts (8-neighbours), the greatest area first; patches under 0.5 mm² vanish.
+    """Number the connected contacts (8-neighbours), the greatest area first.
+
+    Patches under 0.5 mm² vanish, and what is beyond the 65535 objects that a cloud can number.
 
     Parameters
     ----------
@@ -135,6 +138,7 @@ def label_objects(contact: Bool, cell_area: F32) -> I32:
     areas = np.bincount(raw.ravel(), weights=cell_area.ravel(), minlength=count)
     areas[0] = 0.0
     order = [int(i) for i in np.argsort(-areas, kind="stable") if areas[i] >= MIN_OBJECT_MM2]
+    del order[LABELS_MAX:]
     new_label = np.zeros(count, dtype=np.int32)
     new_label[order] = np.arange(1, len(order) + 1)
     labels: I32 = new_label.take(raw)

@@ -37,11 +37,13 @@ def skin_points(height_mm: F32, rays: DiscRays, geometry: Geometry) -> tuple[F32
         x, y = np.where(np.isnan(z), z, u), np.where(np.isnan(z), z, v)
     else:
         d = np.float32(geometry.camera_distance_mm)
-        k = 1 + u * u + v * v
-        # |(s·u, s·v, s - d)| = rho  =>  k s² - 2 d s + d² - rho² = 0
-        radicand = d * d - k * (d * d - rho * rho)
-        s = (d + np.sqrt(np.maximum(radicand, 0))) / k
-        x, y, z = s * u, s * v, s - d
+        slope2 = u * u + v * v
+        k = 1 + slope2
+        # |(s·u, s·v, s - d)| = rho  =>  k s² - 2 d s + d² - rho² = 0; solved so that no d² is taken from another.
+        radicand = k * (rho * rho) - d * d * slope2
+        root = np.sqrt(np.maximum(radicand, 0))
+        s, z = (d + root) / k, (root - d * slope2) / k
+        x, y = s * u, s * v
     points: F32 = np.stack([x, y, z], axis=-1).astype(np.float32, copy=False)
     return points, int(np.count_nonzero(radicand < 0))
 

@@ -20,7 +20,7 @@ _UNIT_TOLERANCE = 1e-3
 class SensorFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The keys of SENSOR.yaml."""
 
-    skin_radius_mm: Annotated[float, Meta(gt=0, le=200, description="radius of the undeformed skin")]
+    skin_radius_mm: Annotated[float, Meta(ge=1, le=200, description="radius of the undeformed skin")]
     visible_half_angle_deg: Annotated[float, Meta(ge=5, le=85, description="of the visible circle, at the centre")]
     polarity: Annotated[Literal["bright", "dark"], Meta(description="bright when contact raises the white ratio")]
     camera_distance_mm: Annotated[float, Meta(gt=0, le=1000, description="lens behind the skin's centre")] | None = None

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from tacshade_edge.core.clusters import (
     BINS,
+    LABELS_MAX,
     MIN_OBJECT_MM2,
     Objects,
     cells_by_label,
@@ -82,6 +83,14 @@ def test_objects_are_numbered_by_area_and_small_ones_vanish() -> None:
     assert labels[3, 3] == 0  # 0.25 mm²
     assert labels.max() == 3
     np.testing.assert_array_equal(labels > 0, CONTACT & (np.arange(56).reshape(7, 8) != 27))
+
+
+def test_no_more_objects_than_a_cloud_can_number() -> None:
+    contact = np.zeros((2, 2 * (LABELS_MAX + 10)), bool)
+    contact[0, ::2] = True
+    labels = label_objects(contact, np.ones(contact.shape, np.float32))
+    assert labels.max() == LABELS_MAX
+    assert np.count_nonzero(labels) == LABELS_MAX
 
 
 def test_area_counts_not_cells() -> None:

@@ -37,6 +37,7 @@ def test_everything_that_can_be_said(tmp_path: Path) -> None:
         ("- 1\n", "SENSOR.yaml"),
         (LEAST + "colour: red\n", r":4: colour: "),
         (LEAST.replace("20", "-1"), r":1: skin_radius_mm: found -1"),
+        (LEAST.replace("20", "0.02"), r":1: skin_radius_mm: found 0.02, expected .*1"),  # metres
         (LEAST.replace("20", "wide"), r":1: skin_radius_mm: found wide"),
         (LEAST.replace("20", ".nan"), r":1: skin_radius_mm: found \.nan"),
         (LEAST.replace("20", "true"), r":1: skin_radius_mm: found true"),

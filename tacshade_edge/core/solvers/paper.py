@@ -98,13 +98,17 @@ def _median3(values: F64) -> F64:
 
 
 def solve(maps: GreyMaps, alpha_mm: float) -> Depth:
-    """Height by the paper: g_hn (eq. 10), eq. 11, then α."""
-    finite = np.isfinite(maps.g_d)
-    g_hn = shape_grey(np.where(finite, maps.g_d, np.float32(0)), maps.g0, maps.inside)
+    """Height by the paper: g_hn (eq. 10), eq. 11, then α. Grey levels beyond their range count as its end."""
+    finite = np.isfinite(maps.g_d) & np.isfinite(maps.g0)
+    g_d, g0 = (
+        np.where(finite, np.clip(values, low, 255), np.float32(0)) for values, low in ((maps.g_d, -255), (maps.g0, 0))
+    )
+    g_hn = shape_grey(g_d, g0, maps.inside)
     z, repaired = hybrid_sfs(g_hn.astype(np.float64))
     repaired += int(finite.size - np.count_nonzero(finite))
     # Of an image without contrast the iteration makes a constant; it is no height.
     z = np.where(maps.inside, z, 0.0) if g_hn.any() else np.zeros_like(z)
     top = float(z.max(initial=0.0))
-    height: F32 = (alpha_mm * z / top if top > 0 else z).astype(np.float32)
+    # Divided first: of a great α the product would overflow.
+    height: F32 = np.minimum(alpha_mm * (z / top) if top > 0 else z, np.finfo(np.float32).max).astype(np.float32)
     return Depth(height_mm=height, saturated=False, repaired_px=repaired)
