@@ -21,6 +21,9 @@ Bool = npt.NDArray[np.bool_]
 Polarity = Literal["bright", "dark"]
 Binarisation = Literal["adaptive", "global", "otsu"]
 
+_MOST = 1e6
+"""No length, scale or factor of a sensor comes near it, in mm or px."""
+
 IDENTITY_POSE = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
 
@@ -257,6 +260,11 @@ class Calibration:
         x, y, z in mm, quaternion w, x, y, z.
     crc32 : int
         CRC-32 of the stored content; 0 until it was stored.
+
+    Raises
+    ------
+    ValueError
+        A number that no sensor has: NaN, not above 0, or beyond all measure.
     """
 
     geometry: Geometry
@@ -276,3 +284,27 @@ class Calibration:
 
     def __post_init__(self) -> None:
         freeze(self, "reference_white", "reference_grey")
+        _check_numbers(self)
+
+
+def _check_numbers(calibration: Calibration) -> None:
+    geometry = calibration.geometry
+    disc, distance_mm = geometry.disc, geometry.camera_distance_mm
+    positive = {
+        "skin_radius_mm": geometry.skin_radius_mm,
+        "camera_distance_mm": 1.0 if distance_mm is None else distance_mm,
+        "radius_px": disc.radius_px,
+        "pitch_px": calibration.pitch_px,
+        "alpha": calibration.alpha,
+        **{f"factor of {name}": factor for name, factor in calibration.factors.items()},
+    }
+    ranges = {
+        **{name: (value, 0 < value < _MOST) for name, value in positive.items()},
+        "row_c": (disc.row_c, abs(disc.row_c) < _MOST),
+        "col_c": (disc.col_c, abs(disc.col_c) < _MOST),
+        "visible_half_angle_deg": (geometry.visible_half_angle_deg, 0 < geometry.visible_half_angle_deg <= 90),
+        "noise_grey": (calibration.noise_grey, 0 <= calibration.noise_grey <= 255),
+    }
+    for name, (value, good) in ranges.items():
+        if not good:
+            raise ValueError(f"{name} is {value}, which no sensor has")

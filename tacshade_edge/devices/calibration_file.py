@@ -102,7 +102,7 @@ def load(path: str | os.PathLike[str]) -> Calibration:
     Raises
     ------
     ConfigError
-        Absent, not a calibration, another version, or damaged.
+        Absent, not a calibration, another version, damaged, or of a sensor that cannot be.
     """
     name = os.fspath(path)
     try:
@@ -122,7 +122,10 @@ def load(path: str | os.PathLike[str]) -> Calibration:
         ) from None
     if _crc32(meta, arrays) != crc:
         raise ConfigError(f"{name}: damaged: its checksum is {_crc32(meta, arrays):08x}, {crc:08x} is stored in it")
-    return _from_content(name, json.loads(meta), arrays, crc)
+    try:
+        return _from_content(name, json.loads(meta), arrays, crc)
+    except ValueError as error:
+        raise ConfigError(f"{name}: {error}: calibrate again") from None
 
 
 def _from_content(name: str, meta: dict[str, Any], arrays: dict[str, Any], crc: int) -> Calibration:

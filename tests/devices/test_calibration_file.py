@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 import os
 from dataclasses import fields, replace
 from pathlib import Path
@@ -109,6 +110,22 @@ def test_what_is_no_calibration_is_refused(tmp_path: Path) -> None:
         with pytest.raises(ConfigError) as refusal:
             calibration_file.load(tmp_path / name)
         assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("alpha", math.nan), ("noise_grey", math.inf), ("pitch_px", 0.0), ("factors", {"fast": 1e39})]
+)
+def test_numbers_that_no_sensor_has_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, value: object
+) -> None:
+    changed = {name: value}
+    with pytest.raises(ValueError, match="which no sensor has"):
+        replace(painted_calibration(), **changed)  # type: ignore[arg-type]
+    monkeypatch.setattr("tacshade_edge.types._check_numbers", lambda calibration: None)
+    calibration_file.save(tmp_path / "odd.npz", replace(painted_calibration(), **changed))  # type: ignore[arg-type]
+    monkeypatch.undo()
+    with pytest.raises(ConfigError, match=rf"odd\.npz: {'factor of fast' if name == 'factors' else name} is "):
+        calibration_file.load(tmp_path / "odd.npz")
 
 
 def test_another_version_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
