@@ -172,7 +172,8 @@ class Reconstructor:
         # Adding the map of no contact, 0 or NaN, puts NaN outside the disc.
         height = np.minimum(depth.height_mm, np.float32(geometry.skin_radius_mm)) + self._untouched.height_mm
         if touched is None:
-            touched = inside & (height > clusters.two_means_split(height[inside]))
+            # Of the heights as found: cut off at the skin's radius, those of a great α would all be one.
+            touched = inside & (depth.height_mm > clusters.two_means_split(depth.height_mm[inside]))
         found = clusters.find_objects(touched, height, self.rays, geometry)
         if found is None:
             return self._nothing(frame, degraded=degraded)

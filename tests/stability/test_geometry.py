@@ -1,0 +1,123 @@
+"""Discs cut by the border, of a few pixels or none, and every length, angle, α and factor that may be stated."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from built_sensor import built_calibration, marked
+from extreme_images import EXTREME_IMAGES, noise
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from soundness import sound_step
+
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.devices.network import make_reconstructor
+from tacshade_edge.types import U8, Calibration, Disc, Geometry
+
+ROWS, COLS, PITCH_PX = 96, 128, 8.0
+WHOLE = Disc(48, 64, 40)
+DISCS = {
+    "cut above": Disc(20, 64, 40),
+    "cut on two sides": Disc(48, 64, 60),
+    "a corner": Disc(0, 0, 40),
+    "a sliver": Disc(-38, 64, 40.5),
+    "3 px": Disc(48, 64, 3),
+    "1 px": Disc(48, 64, 0.4),
+    "between pixels": Disc(48.5, 64.5, 0.4),
+    "outside": Disc(-100, -100, 40),
+    "all around": Disc(48, 64, 5000),
+    "a straight edge": Disc(5000, 64, 4990),
+}
+EMPTY = {"between pixels", "outside"}
+
+
+def always_asked(calibration: Calibration, profile: str) -> Reconstructor:
+    """Its gate opens at any change."""
+    return make_reconstructor(replace(calibration, noise_grey=0.0), replace(PROFILES[profile], gate_levels=0.0))
+
+
+def pressed(disc: Disc, pitch_px: float = PITCH_PX) -> U8:
+    return marked(ROWS, COLS, pitch_px, disc, pressed_px=0.5 * min(disc.radius_px, 60))
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("name", DISCS)
+def test_every_disc_is_borne(profile: str, name: str) -> None:
+    calibration = built_calibration(ROWS, COLS, disc=DISCS[name], pitch_px=PITCH_PX)
+    made = make_reconstructor(calibration, PROFILES[profile])
+    free = sound_step(made, calibration.reference_grey)
+    assert not free.contact
+    if name in EMPTY:
+        assert free.reason == "disc: no pixel of the visible circle lies in the image"
+    else:
+        assert np.isfinite(free.height.height_mm).any()
+    for image in (noise(1), EXTREME_IMAGES["spot"], EXTREME_IMAGES["step, axis 0"]):
+        sound_step(made, image(ROWS, COLS))
+    found = sound_step(always_asked(calibration, profile), pressed(DISCS[name]))
+    if name in ("cut above", "cut on two sides", "a corner"):
+        assert found.contact
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("pitch_px", [0.3, 1.0, 2.0, 3.5, 40.0, 500.0])
+def test_every_pitch_is_borne(profile: str, pitch_px: float) -> None:
+    made = always_asked(built_calibration(ROWS, COLS, disc=WHOLE, pitch_px=pitch_px), profile)
+    for image in (pressed(WHOLE, pitch_px), pressed(WHOLE), noise(1)(ROWS, COLS)):
+        sound_step(made, image)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("profile", PROFILES)
+@given(
+    skin_radius_mm=st.floats(1, 200),
+    camera_distance_mm=st.none() | st.floats(0, 1000, exclude_min=True),
+    visible_half_angle_deg=st.floats(5, 85),
+    alpha=st.floats(0, 10000, exclude_min=True),
+    place=st.tuples(st.floats(-0.3, 1.3), st.floats(-0.3, 1.3), st.floats(0.05, 1.5)),
+    pitch=st.floats(0.05, 1.0),
+    size=st.tuples(st.integers(1, 130), st.integers(1, 130)),
+)
+@settings(max_examples=150)
+def test_every_sensor_that_may_be_stated_is_borne(
+    profile: str,
+    skin_radius_mm: float,
+    camera_distance_mm: float | None,
+    visible_half_angle_deg: float,
+    alpha: float,
+    place: tuple[float, float, float],
+    pitch: float,
+    size: tuple[int, int],
+) -> None:
+    """The ranges of SENSOR.yaml, and any image and circle."""
+    rows, cols = size
+    disc = Disc(place[0] * rows, place[1] * cols, place[2] * max(rows, cols))
+    pitch_px = max(pitch * disc.radius_px, 0.3)
+    built = built_calibration(rows, cols, disc=disc, pitch_px=pitch_px, alpha=alpha)
+    geometry = Geometry(skin_radius_mm, camera_distance_mm, visible_half_angle_deg, disc)
+    made = always_asked(replace(built, geometry=geometry), profile)
+    sound_step(made, marked(rows, cols, pitch_px, disc, pressed_px=0.5 * disc.radius_px))
+
+
+@pytest.mark.parametrize("alpha", [5e-324, 1e-30, 1e-3, 15.0, 1e4, 9e5])
+def test_paper_is_as_high_as_alpha_says_and_never_deeper_than_the_skin(alpha: float) -> None:
+    calibration = built_calibration(ROWS, COLS, disc=WHOLE, pitch_px=PITCH_PX, alpha=alpha)
+    result = sound_step(make_reconstructor(calibration, PROFILES["paper"]), pressed(WHOLE))
+    stated_mm = min(alpha * calibration.geometry.mm_per_px, calibration.geometry.skin_radius_mm)
+    assert np.nanmax(result.height.height_mm) == pytest.approx(stated_mm, rel=1e-6)
+
+
+@pytest.mark.parametrize("factor", [1e-45, 1e-3, 1.0, 3.0, 1e5])
+@pytest.mark.parametrize("profile", [name for name in PROFILES if name != "paper"])
+def test_a_factor_scales_and_never_breaks(profile: str, factor: float) -> None:
+    calibration = built_calibration(ROWS, COLS, disc=WHOLE, pitch_px=PITCH_PX)
+    plain = sound_step(make_reconstructor(replace(calibration, factors={}), PROFILES[profile]), pressed(WHOLE))
+    scaled = replace(calibration, factors={profile: factor})
+    result = sound_step(make_reconstructor(scaled, PROFILES[profile]), pressed(WHOLE))
+    expected_mm = min(factor * float(np.nanmax(plain.height.height_mm)), 20.0)
+    assert np.nanmax(result.height.height_mm) == pytest.approx(expected_mm, rel=1e-5, abs=1e-30)
+    assert result.contact
+    assert result.saturated == (result.depth_max_mm > 6.2)
