@@ -56,7 +56,7 @@ def test_points_are_those_of_more_digits(distance_mm: float | None) -> None:
         assert np.isfinite(points).all()
         assert (np.linalg.norm(points.astype(np.float64), axis=-1)[inside] <= radius_mm * (1 + 1e-6)).all()
         expected, square = precise_points(height, rays, geometry)
-        # A ray that grazes the sphere of the deformed skin meets it anywhere along the root of the square's last digits.
+        # A ray that grazes the deformed skin meets it anywhere along the root of the square's last digits.
         root = np.sqrt(np.maximum(square, 0)) / radius_mm
         bound = np.minimum(SQUARE_BOUND / np.maximum(root, 1e-9) + 5e-7, np.sqrt(SQUARE_BOUND))
         error = np.linalg.norm(points - expected, axis=-1) / radius_mm
@@ -65,9 +65,7 @@ def test_points_are_those_of_more_digits(distance_mm: float | None) -> None:
         area = cell_area_mm2(np.where(inside[..., None], points, np.float32(np.nan)))
         assert np.isfinite(area).all()
         assert (area >= 0).all()
-    print(
-        f"figure: skin point, lens {distance_mm} mm away: {worst:.0e} skin radii off at worst where the ray does not graze"
-    )
+    print(f"figure: eq. 2, lens {distance_mm} mm away: a point not grazed at most {worst:.0e} skin radii off")
 
 
 @given(

@@ -1,0 +1,114 @@
+"""Every solver on grey maps that no sensor gives: finite, not below 0, the same twice; and ten thousand iterations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from extreme_maps import BEYOND, EXTREME_MAPS, any_maps, shapes
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from tacshade_edge.core.greyscale import normalise, shape_grey
+from tacshade_edge.core.solvers import SOLVERS, Depth, GreyMaps, paper
+from tacshade_edge.types import F32, F64, Bool
+
+ALPHA_MM = 3.0
+
+
+def maps_of(g_d: F32, g0: F32 | float = 120.0, inside: Bool | bool = True) -> GreyMaps:
+    g0 = np.broadcast_to(np.asarray(g0, np.float32), g_d.shape)
+    return GreyMaps(g=g0, g0=g0, g_d=g_d, inside=np.broadcast_to(np.asarray(inside), g_d.shape))
+
+
+def sound_depth(solver: str, maps: GreyMaps, alpha_mm: float) -> Depth:
+    before = tuple(m.tobytes() for m in (maps.g, maps.g0, maps.g_d, maps.inside))
+    depth = SOLVERS[solver](maps, alpha_mm)
+    assert depth.height_mm.shape == maps.g_d.shape
+    assert depth.height_mm.dtype == np.float32
+    assert np.isfinite(depth.height_mm).all()
+    assert (depth.height_mm >= 0).all()
+    assert not depth.height_mm[~maps.inside].any()
+    bad = int(np.count_nonzero(~np.isfinite(maps.g_d) | ~np.isfinite(maps.g0)))
+    assert bad <= depth.repaired_px <= bad + 2 * maps.g_d.size
+    again = SOLVERS[solver](maps, alpha_mm)
+    assert again.height_mm.tobytes() == depth.height_mm.tobytes()
+    assert again.repaired_px == depth.repaired_px
+    assert tuple(m.tobytes() for m in (maps.g, maps.g0, maps.g_d, maps.inside)) == before
+    return depth
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("shape", [(1, 1), (1, 64), (64, 1), (8, 8), (61, 64)])
+def test_every_extreme_map_is_borne(solver: str, shape: tuple[int, int]) -> None:
+    disc = np.hypot(*np.indices(shape)) < 40
+    for g_d in EXTREME_MAPS.values():
+        for inside in (True, False, disc):
+            sound_depth(solver, maps_of(g_d(*shape), inside=inside), ALPHA_MM)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("name", ["noise 0", "checkerboard 2 px", "step, axis 0", "white spike", "ramp, axis 1"])
+def test_a_whole_image_is_borne(solver: str, name: str) -> None:
+    sound_depth(solver, maps_of(EXTREME_MAPS[name](480, 640)), ALPHA_MM)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("beyond", BEYOND)
+def test_a_value_that_no_grey_has_is_borne_in_both_maps(solver: str, beyond: str) -> None:
+    g_d = EXTREME_MAPS["normal noise"](20, 21)
+    g_d[3, 4] = BEYOND[beyond]
+    sound_depth(solver, maps_of(g_d), ALPHA_MM)
+    g0 = np.full((20, 21), 120, np.float32)
+    g0[3, 4] = BEYOND[beyond]
+    sound_depth(solver, maps_of(EXTREME_MAPS["normal noise"](20, 21), g0), ALPHA_MM)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("solver", SOLVERS)
+@given(data=st.data(), shape=shapes, alpha_mm=st.floats(0, 1e300))
+@settings(max_examples=300)
+def test_any_maps_are_borne(solver: str, data: st.DataObject, shape: tuple[int, int], alpha_mm: float) -> None:
+    g_d, g0 = data.draw(any_maps(shape)), data.draw(any_maps(shape))
+    inside = data.draw(st.one_of(arrays(bool, shape), st.just(np.ones(shape, bool))))
+    depth = sound_depth(solver, maps_of(g_d, g0, inside), alpha_mm)
+    if solver == "paper":
+        assert float(depth.height_mm.max()) <= alpha_mm * (1 + 1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", ["constant 0", "white spike", "step, axis 0", "checkerboard 2 px", "noise 0", "subnormal noise"]
+)
+def test_ten_thousand_iterations_of_the_paper_stay_finite(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    grey = normalise(EXTREME_MAPS[name](64, 64), np.ones((64, 64), bool)).astype(np.float64)
+    tops = []
+    for iterations in (25, 10_000):
+        monkeypatch.setattr(paper, "ITERATIONS", iterations)
+        z, repaired = paper.hybrid_sfs(grey)
+        assert np.isfinite(z).all()
+        assert repaired == 0
+        # Where f' is 0, which is nearly everywhere, an iteration adds f / eps, and |f| is at most 1.
+        assert z.max() <= 1.01 * iterations / paper.EPS
+        tops.append(float(z.max()))
+    print(
+        f"figure: eq. 11 at 64x64, {name}: greatest |Z| {tops[0]:.1e} after 25 iterations, {tops[1]:.1e} after 10,000"
+    )
+
+
+@pytest.mark.parametrize("name", EXTREME_MAPS)
+def test_eq_10_in_float32_is_that_of_float64(name: str) -> None:
+    g_d, inside = EXTREME_MAPS[name](48, 50), np.ones((48, 50), bool)
+    g0 = EXTREME_MAPS["ramp, axis 0"](48, 50) / 2 + 128
+    found = shape_grey(g_d, g0, inside)
+    assert (found >= 0).all()
+    assert (found <= 1).all()
+
+    def plain(values: F64) -> F64:
+        span = values.max() - values.min()
+        return (values - values.min()) / span if span > 0 else np.zeros_like(values)
+
+    expected = plain(plain(g_d.astype(np.float64)) * g0.astype(np.float64))
+    np.testing.assert_allclose(found, expected, atol=5e-7)
