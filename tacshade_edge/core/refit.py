@@ -93,7 +93,7 @@ def ball_height(geometry: Geometry, ball: Ball, cells: int = discmap.CELLS) -> F
 def press_rows(inverse: Inverse, geometry: Geometry, ball: Ball) -> PressRows | None:
     """One press for `fit_factor`; None where the network's contact and the ball hardly meet."""
     height, truth = inverse.height_mm, ball_height(geometry, ball, len(inverse.height_mm))
-    use = (inverse.contact_logit > 0) & (height > 0.05) & (np.nan_to_num(truth) > 0.1)
+    use = (inverse.contact_logit > 0) & np.isfinite(height) & (height > 0.05) & (np.nan_to_num(truth) > 0.1)
     cells = int(np.count_nonzero(use))
     if cells < LEAST_CELLS:
         return None

@@ -1,0 +1,106 @@
+"""An honest gate: what is no contact gives none, on sensors that brighten and sensors that darken, in every profile."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from built_sensor import built_calibration, marked
+from calibrated_sensor import HALF, TACTIP, calibrated, pressed, simulated
+from extreme_images import constant, ramp
+from soundness import sound_step
+
+from tacshade_edge.core.greyscale import to_grey
+from tacshade_edge.core.preprocess import Preprocessor
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.devices.network import make_reconstructor
+from tacshade_edge.simulator import nuisance
+from tacshade_edge.simulator.model import SensorModel
+from tacshade_edge.types import U8
+
+MODELS = {"half": HALF, "tactip": TACTIP}
+FRAMES = 40
+
+
+@cache
+def made(profile: str, name: str) -> Reconstructor:
+    return make_reconstructor(calibrated(MODELS[name], 0), PROFILES[profile])
+
+
+@cache
+def untouched(name: str) -> tuple[U8, ...]:
+    """Frames of the simulated sensor, each with the noise of its own camera."""
+    return tuple(simulated(MODELS[name]).frame((), 1000 + k).image for k in range(FRAMES))
+
+
+def shaded(model: SensorModel, image: U8, part: float) -> U8:
+    """Light that fades towards one side."""
+    gain = 1 - part * ramp(1)(model.image_height_px, model.image_width_px) / 255
+    gain = gain if image.ndim == 2 else gain[..., None]
+    return np.rint(image * gain).astype(np.uint8)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("name", MODELS)
+def test_the_cameras_own_noise_and_other_light_are_no_contact(profile: str, name: str) -> None:
+    model, said = MODELS[name], []
+    for seed, image in enumerate(untouched(name)):
+        frames = {
+            "its own noise": image,
+            "noise of 4 levels": nuisance.noise(image, 4, seed),
+            "light": nuisance.gain(image, 0.85 + 0.3 * seed / FRAMES),
+            "fading light": shaded(model, image, 0.3),
+        }
+        for kind, frame in frames.items():
+            result = sound_step(made(profile, name), frame)
+            if result.contact or not result.valid:
+                said.append(f"{kind} {seed}: {result.reason or result.depth_max_mm}")
+    assert not said
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", MODELS)
+def test_the_noise_of_g_is_far_below_the_gate(name: str) -> None:
+    calibration = calibrated(MODELS[name], 0)
+    for profile in PROFILES.values():
+        front = Preprocessor(calibration, profile)
+        g = np.stack([front.white_ratio(to_grey(image))[0] for image in untouched(name)])
+        change = np.abs(g - front.reference_ratio)[:, front.voting]
+        assert change.max() < min(profile.gate_levels, profile.gate_dark_levels)
+        at = f"figure: g without contact, {name}, {profile.name}"
+        print(f"{at}: {change.max():.1f} levels at most, the gate at {profile.gate_levels:g}")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("profile", PROFILES)
+def test_a_press_in_the_same_noise_is_a_contact(profile: str) -> None:
+    """So that a gate that never opens is not called honest."""
+    for seed in range(5):
+        assert sound_step(made(profile, "half"), nuisance.noise(pressed("ball", 2.0).image, 4, seed)).contact
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_no_constant_is_a_contact(profile: str) -> None:
+    made = make_reconstructor(built_calibration(96, 128), PROFILES[profile])
+    for level in range(256):
+        result = sound_step(made, constant(level)(96, 128))
+        assert not result.valid
+        assert not result.contact
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("noise_grey", [0.0, 0.5, 5.0, 255.0])
+def test_a_noisier_reference_never_opens_the_gate_earlier(profile: str, noise_grey: float) -> None:
+    quiet, noisy = (
+        make_reconstructor(built_calibration(120, 160, noise_grey=level), PROFILES[profile])
+        for level in (0.0, noise_grey)
+    )
+    disc = quiet.calibration.geometry.disc
+    for pressed_px in (0.0, 4.0, 8.0, 16.0):
+        image = marked(120, 160, quiet.calibration.pitch_px, disc, pressed_px=pressed_px)
+        assert sound_step(quiet, image).contact >= sound_step(noisy, image).contact
+    assert sound_step(noisy, image).contact == (noise_grey < 50)

@@ -1,0 +1,191 @@
+"""Where the paper's method breaks, and why: the claims of docs/numerics.md, each by its own plain code and a figure."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from calibrated_sensor import HALF, calibrated, pressed, unloaded
+
+from tacshade_edge.core.greyscale import shape_grey
+from tacshade_edge.core.preprocess import Preprocessor
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.solvers import GreyMaps, paper
+from tacshade_edge.types import F64, Bool
+
+pytestmark = pytest.mark.slow
+CELLS = 64
+
+
+@cache
+def maps(touched: bool = True) -> GreyMaps:
+    image = pressed("ball", 3.0).image if touched else unloaded()
+    return Preprocessor(calibrated(HALF, 0), PROFILES["paper"]).grey_maps(image)
+
+
+@cache
+def press() -> tuple[F64, Bool]:
+    """g_hn of a ball 3 mm deep on the simulated sensor, and the disc."""
+    seen = maps()
+    return shape_grey(seen.g_d, seen.g0, seen.inside).astype(np.float64), seen.inside
+
+
+@cache
+def after(iterations: int) -> F64:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(paper, "ITERATIONS", iterations)
+        return paper.hybrid_sfs(press()[0])[0]
+
+
+def backward(z: npt.NDArray[np.inexact], axis: int) -> npt.NDArray[np.inexact]:
+    return np.diff(z, axis=axis, prepend=np.take(z, [0], axis=axis))
+
+
+def spike(cells: int) -> F64:
+    image = np.zeros((cells, cells))
+    image[cells // 2, cells // 2] = 1
+    return image
+
+
+def step() -> F64:
+    return np.where(np.arange(CELLS) < CELLS // 2, 0.0, 1.0) * np.ones((CELLS, 1))
+
+
+FLATS = {
+    "spike": spike(CELLS),
+    "step": step(),
+    "antidiagonal ramp": 0.5 + np.subtract.outer(np.arange(CELLS), np.arange(CELLS)) / (2 * CELLS),
+}
+
+
+def test_eq_4_as_printed_says_nothing() -> None:
+    """R = N·L / |N·L| is 1 or -1, whatever the slope."""
+    slopes = np.random.default_rng(1).normal(0, 3, (2, 1000))
+    n_l = 1 / np.sqrt(1 + (slopes**2).sum(axis=0))
+    assert set((n_l / np.abs(n_l)).tolist()) == {1.0}
+    assert len(np.unique(n_l)) == 1000  # as |N||L|
+
+
+@pytest.mark.parametrize("name", FLATS)
+def test_the_derivative_of_eq_12_is_zero_nearly_everywhere(name: str) -> None:
+    """F' = (p + q) / (1 + p² + q²)^1.5 of the light from the camera: 0 on flats, and wherever p = -q."""
+    image = FLATS[name]
+    part = float(np.mean(backward(image, 1) + backward(image, 0) == 0))
+    print(f"figure: f' of eq. 12 is exactly 0 in {100 * part:.0f} % of a {name}")
+    assert part > 0.95
+
+
+def test_newtons_method_itself_ends_in_nothing_finite() -> None:
+    """Eq. 11 without the epsilon that the published code adds."""
+    image, z = press()[0], np.zeros_like(press()[0])
+    with np.errstate(all="ignore"):
+        for _ in range(paper.ITERATIONS):
+            p, q = backward(z, 1), backward(z, 0)
+            norm2 = 1 + p * p + q * q
+            z = z - (image - 1 / np.sqrt(norm2)) / ((p + q) / norm2**1.5)
+    lost = float(np.mean(~np.isfinite(z)))
+    print(f"figure: eq. 11 without an epsilon, a press: {100 * lost:.0f} % of Z is not finite")
+    assert lost > 0.5
+
+
+@pytest.mark.parametrize("name", [*FLATS, "press"])
+def test_the_regularised_method_never_moves_from_a_flat_start(name: str) -> None:
+    """Tsai and Shah's gain S f' / (W + S f'²) is 0 where f' is."""
+    image = press()[0] if name == "press" else FLATS[name]
+    z, gain_state = np.zeros_like(image), np.full_like(image, 0.01)
+    for _ in range(paper.ITERATIONS):
+        p, q = backward(z, 1), backward(z, 0)
+        norm2 = 1 + p * p + q * q
+        slope = (p + q) / norm2**1.5
+        gain = gain_state * slope / (1e-8 + gain_state * slope**2)
+        z, gain_state = z - gain * (image - 1 / np.sqrt(norm2)), (1 - gain * slope) * gain_state
+    assert not z.any()
+
+
+def test_the_published_iteration_ends_as_a_scaled_copy_of_the_grey_image() -> None:
+    grey, inside = press()
+    smooth = paper._median3(grey)[inside]
+    like = {n: float(np.corrcoef(after(n)[inside], smooth)[0, 1]) for n in (0, 1, 2, 5, 25, 100)}
+    for n, r in like.items():
+        print(f"figure: eq. 11, a press, {n} iterations: r = {r:.3f} with g_hn, |Z| up to {after(n)[inside].max():.1e}")
+    assert like[25] > 0.99
+    assert like[100] > like[25]
+    assert max(abs(like[n]) for n in (1, 2, 5)) < 0.5  # before that, it is not even that
+    # It does not converge: each iteration adds g / eps.
+    assert after(100)[inside].max() > 3 * after(25)[inside].max()
+    per_grey = float(np.polyfit(smooth, after(25)[inside], 1)[0]) * paper.EPS
+    print(f"figure: eq. 11, a press, 25 iterations: |Z| is {per_grey:.1f} g / eps")
+    assert 15 < per_grey <= paper.ITERATIONS
+
+
+def test_what_float32_rounds_away_moves_the_result_visibly() -> None:
+    grey, inside = press()
+    good = after(25)[inside] / after(25)[inside].max()
+    rng = np.random.default_rng(1)
+    for size in (1e-15, 1e-9, 6e-8, 1e-6):
+        other, _ = paper.hybrid_sfs(grey + size * rng.normal(size=grey.shape))
+        moved = np.abs(other[inside] / other[inside].max() - good)
+        print(f"figure: eq. 11, a press, {size:.0e} of noise on g_hn: h moves by up to {moved.max():.1e} of α")
+        if size >= 6e-8:
+            assert moved.max() > 1e4 * size
+    assert moved.max() < 0.2
+
+
+def test_complex64_does_not_hold_it() -> None:
+    """The squares of what division by eps leaves are beyond float32: that is why `paper` is complex128."""
+    image = press()[0].astype(np.complex64)
+    p, q = (np.fft.fft2(backward(image, axis)).astype(np.complex64) for axis in (1, 0))
+    z = image
+    with np.errstate(all="ignore"):
+        for n in range(paper.ITERATIONS + 1):
+            norm2 = 1 + p * p + q * q
+            root = np.sqrt(norm2)
+            r = 1 / root
+            f = image - np.where(r.real < 0, 0, r)
+            z = f if n == 0 else z - f / ((p + q) / (norm2 * root) + np.complex64(paper.EPS))
+            p, q = backward(z, 1), backward(z, 0)
+    assert z.dtype == np.complex64
+    lost = float(np.mean(~np.isfinite(z)))
+    print(f"figure: eq. 11 in complex64, a press: {100 * lost:.0f} % of Z is not finite")
+    assert lost > 0.5
+
+
+def test_a_pixel_can_lose_most_of_an_image() -> None:
+    """Where p² + q² = -1 the complex start divides by 0, and the neighbours take it over."""
+    z, repaired = paper.hybrid_sfs(spike(5))
+    print(f"figure: eq. 11, one bright pixel in 5x5: {100 * repaired / z.size:.0f} % of Z repaired")
+    assert repaired > 0.5 * z.size
+    assert np.isfinite(z).all()
+    assert paper.hybrid_sfs(spike(CELLS))[1] == 0
+
+
+def test_one_nan_takes_the_whole_image_unless_it_is_replaced_first() -> None:
+    grey = press()[0].copy()
+    grey[100, 100] = np.nan
+    with np.errstate(all="ignore"):
+        spread = float(np.mean(~np.isfinite(paper._iterate(grey.astype(np.complex128)))))
+    print(f"figure: eq. 11, a NaN in a press that is not replaced: {100 * spread:.0f} % of Z is not finite")
+    assert spread == 1.0
+    assert paper.hybrid_sfs(grey)[1] == 1
+
+
+def test_without_a_gate_noise_becomes_a_full_height_object() -> None:
+    """Eq. 10's normalisation stretches whatever there is to 0 to 1."""
+    seen = maps(touched=False)
+    height = paper.solve(seen, 3.0).height_mm
+    change, true_change = (float(np.abs(m.g_d[m.inside]).max()) for m in (seen, maps()))
+    print(
+        f"figure: no contact, g_d within {change:.1f} levels (a press: {true_change:.0f}): {height.max():.1f} mm of 3"
+    )
+    assert change < 0.25 * true_change
+    assert height.max() == pytest.approx(3.0)
+
+
+def test_the_grey_of_the_untouched_skin_is_not_the_shading_of_a_flat() -> None:
+    """Eq. 12 wants g_hn to be R, which is 1 where the surface is flat and untouched; g_hn is low there."""
+    grey, inside = press()
+    untouched = float(np.median(grey[inside]))
+    print(f"figure: g_hn of the skin beside a press: {untouched:.2f}; the reflectance of a flat is 1")
+    assert untouched < 0.7
