@@ -12,8 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from soundness import sound_step
 
-from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.profiles import LEARNED, PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.core.solvers.learned import DEEPEST_RADII
 from tacshade_edge.devices.network import make_reconstructor
 from tacshade_edge.types import U8, Calibration, Disc, Geometry
 
@@ -111,13 +112,13 @@ def test_paper_is_as_high_as_alpha_says_and_never_deeper_than_the_skin(alpha: fl
 
 
 @pytest.mark.parametrize("factor", [1e-45, 1e-3, 1.0, 3.0, 1e5])
-@pytest.mark.parametrize("profile", [name for name in PROFILES if name != "paper"])
+@pytest.mark.parametrize("profile", [p.name for p in PROFILES.values() if p.solver == LEARNED])
 def test_a_factor_scales_and_never_breaks(profile: str, factor: float) -> None:
     calibration = built_calibration(ROWS, COLS, disc=WHOLE, pitch_px=PITCH_PX)
-    plain = sound_step(make_reconstructor(replace(calibration, factors={}), PROFILES[profile]), pressed(WHOLE))
+    plain = sound_step(make_reconstructor(calibration, PROFILES[profile]), pressed(WHOLE))
     scaled = replace(calibration, factors={profile: factor})
     result = sound_step(make_reconstructor(scaled, PROFILES[profile]), pressed(WHOLE))
     expected_mm = min(factor * float(np.nanmax(plain.height.height_mm)), 20.0)
     assert np.nanmax(result.height.height_mm) == pytest.approx(expected_mm, rel=1e-5, abs=1e-30)
     assert result.contact
-    assert result.saturated == (result.depth_max_mm > 6.2)
+    assert result.saturated == (result.depth_max_mm > DEEPEST_RADII * 20)

@@ -58,7 +58,7 @@ def test_every_extreme_map_is_split(name: str, scale: float) -> None:
     distance_mm=st.none() | st.floats(0, 1000, exclude_min=True),
     radius_px=st.floats(1, 1000),
 )
-@settings(max_examples=300)
+@settings(max_examples=150)
 def test_any_heights_are_described(
     height: F32, touched: np.ndarray, distance_mm: float | None, radius_px: float
 ) -> None:

@@ -41,6 +41,7 @@ def precise_points(height: F32, rays: DiscRays, geometry: Geometry) -> tuple[Pre
     return np.stack((s * u, s * v, s - d), axis=-1), square
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("distance_mm", DISTANCES_MM)
 def test_points_are_those_of_more_digits(distance_mm: float | None) -> None:
     noise = np.random.default_rng(1).random((discmap.CELLS, discmap.CELLS))
@@ -68,6 +69,7 @@ def test_points_are_those_of_more_digits(distance_mm: float | None) -> None:
     print(f"figure: eq. 2, lens {distance_mm} mm away: a point not grazed at most {worst:.0e} skin radii off")
 
 
+@pytest.mark.slow
 @given(
     radius_mm=st.floats(1, 200),
     distance_mm=st.none() | st.floats(0, 1000, exclude_min=True),

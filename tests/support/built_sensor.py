@@ -32,7 +32,6 @@ def built_calibration(
     polarity: Polarity = "bright",
     binarisation: Binarisation = "adaptive",
     alpha: float = 15.0,
-    factor: float = 1.0,
     noise_grey: float = 0.5,
 ) -> Calibration:
     """As `calibrate` would make it of `reference` (`marked` where not given); the disc fills the image's short side."""
@@ -54,5 +53,4 @@ def built_calibration(
         reference_grey=grey,
         noise_grey=noise_grey,
         alpha=alpha,
-        factors={"fast": factor, "accurate": factor},
     )
