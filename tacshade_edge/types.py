@@ -295,7 +295,6 @@ def _check_numbers(calibration: Calibration) -> None:
         "camera_distance_mm": 1.0 if distance_mm is None else distance_mm,
         "radius_px": disc.radius_px,
         "pitch_px": calibration.pitch_px,
-        "alpha": calibration.alpha,
         **{f"factor of {name}": factor for name, factor in calibration.factors.items()},
     }
     ranges = {
@@ -303,6 +302,7 @@ def _check_numbers(calibration: Calibration) -> None:
         "row_c": (disc.row_c, abs(disc.row_c) < _MOST),
         "col_c": (disc.col_c, abs(disc.col_c) < _MOST),
         "visible_half_angle_deg": (geometry.visible_half_angle_deg, 0 < geometry.visible_half_angle_deg <= 90),
+        "alpha": (calibration.alpha, 0 <= calibration.alpha < _MOST),  # the least one halved is 0
         "noise_grey": (calibration.noise_grey, 0 <= calibration.noise_grey <= 255),
     }
     for name, (value, good) in ranges.items():

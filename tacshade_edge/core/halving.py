@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 
 from tacshade_edge.core.binarise import binarise, halved
-from tacshade_edge.core.disc import disc_mask
+from tacshade_edge.core.disc import Window, disc_mask
 from tacshade_edge.types import U8, Calibration, Disc
 
 LEAST_PITCH_PX = 14.0
@@ -17,7 +16,8 @@ LEAST_PITCH_PX = 14.0
 
 def can_be_halved(calibration: Calibration) -> bool:
     """Whether enough is left of the sensor's pattern."""
-    return calibration.pitch_px >= LEAST_PITCH_PX
+    side_px = min(calibration.image_height_px, calibration.image_width_px)
+    return calibration.pitch_px >= LEAST_PITCH_PX and side_px > 1
 
 
 def halved_image(grey: U8) -> U8:
@@ -35,8 +35,11 @@ def halved_calibration(calibration: Calibration) -> Calibration:
     grey = halved_image(calibration.reference_grey)
     height, width = grey.shape
     pitch_px = calibration.pitch_px / 2
-    mask = disc_mask(height, width, disc).astype(np.uint8)
-    white = binarise(grey, mask, calibration.binarisation, pitch_px)
+    # As frames are binarised: inside the disc's window, whose first pixel the blocks of the threshold start from.
+    window = Window.of_disc(height, width, disc)
+    mask = window.cut(disc_mask(height, width, disc).astype(np.uint8))
+    white = np.zeros_like(grey)
+    window.cut(white)[...] = 255 * binarise(window.cut(grey), mask, calibration.binarisation, pitch_px)
     return replace(
         calibration,
         geometry=replace(geometry, disc=disc),
@@ -44,6 +47,6 @@ def halved_calibration(calibration: Calibration) -> Calibration:
         image_width_px=width,
         pitch_px=pitch_px,
         reference_grey=grey,
-        reference_white=np.asarray(cv2.multiply(white, 255), np.uint8),
+        reference_white=white,
         alpha=calibration.alpha / 2,
     )

@@ -2,15 +2,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from built_sensor import built_calibration
 from calibrated_sensor import FULL, HALF, calibrated, pressed, unloaded
 
 from tacshade_edge.core.disc import disc_mask
 from tacshade_edge.core.greyscale import to_grey
 from tacshade_edge.core.halving import LEAST_PITCH_PX, can_be_halved, halved_calibration, halved_image
 from tacshade_edge.core.pattern import marker_pitch_px
+from tacshade_edge.core.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.devices.network import make_reconstructor
-from tacshade_edge.types import U8, Frame
+from tacshade_edge.types import U8, Disc, Frame
 
 
 def grey_noise(rows: int, cols: int) -> U8:
@@ -45,6 +47,15 @@ def test_the_halved_sensor_is_the_same_one() -> None:
     white = half.reference_white[disc_mask(240, 320, geometry.disc)]
     whole_white = whole.reference_white[mask > 0]
     assert white.mean() == pytest.approx(whole_white.mean(), abs=6)
+
+
+@pytest.mark.parametrize(("rows", "cols"), [(97, 129), (192, 256), (240, 320)])
+def test_nothing_has_changed_in_a_reference_that_is_halved(rows: int, cols: int) -> None:
+    whole = built_calibration(rows, cols, disc=Disc(rows / 2 - 1.3, cols / 2 + 3.8, 0.43 * rows), pitch_px=15.0)
+    front = Preprocessor(halved_calibration(whole), PROFILES["balanced"])
+    g, _ = front.white_ratio(halved_image(whole.reference_grey))
+    np.testing.assert_allclose(g[front.voting], front.reference_ratio[front.voting], atol=1e-4)
+    np.testing.assert_allclose(front.white_cells(), front.reference_cells, atol=1e-4)
 
 
 def test_a_fine_pattern_is_left_as_it_is() -> None:

@@ -7,11 +7,12 @@ from functools import cache
 import numpy as np
 import pytest
 from built_sensor import built_calibration, marked
-from calibrated_sensor import HALF, TACTIP, calibrated, pressed, simulated
+from calibrated_sensor import FULL, HALF, TACTIP, calibrated, pressed, simulated
 from extreme_images import constant, ramp
 from soundness import sound_step
 
 from tacshade_edge.core.greyscale import to_grey
+from tacshade_edge.core.halving import can_be_halved, halved_calibration, halved_image
 from tacshade_edge.core.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
@@ -20,8 +21,8 @@ from tacshade_edge.simulator import nuisance
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.types import U8
 
-MODELS = {"half": HALF, "tactip": TACTIP}
-FRAMES = 40
+MODELS = {"full": FULL, "half": HALF, "tactip": TACTIP}
+FRAMES = {"full": 10, "half": 40, "tactip": 40}
 
 
 @cache
@@ -32,7 +33,7 @@ def made(profile: str, name: str) -> Reconstructor:
 @cache
 def untouched(name: str) -> tuple[U8, ...]:
     """Frames of the simulated sensor, each with the noise of its own camera."""
-    return tuple(simulated(MODELS[name]).frame((), 1000 + k).image for k in range(FRAMES))
+    return tuple(simulated(MODELS[name]).frame((), 1000 + k).image for k in range(FRAMES[name]))
 
 
 def shaded(model: SensorModel, image: U8, part: float) -> U8:
@@ -51,7 +52,7 @@ def test_the_cameras_own_noise_and_other_light_are_no_contact(profile: str, name
         frames = {
             "its own noise": image,
             "noise of 4 levels": nuisance.noise(image, 4, seed),
-            "light": nuisance.gain(image, 0.85 + 0.3 * seed / FRAMES),
+            "light": nuisance.gain(image, 0.85 + 0.3 * seed / FRAMES[name]),
             "fading light": shaded(model, image, 0.3),
         }
         for kind, frame in frames.items():
@@ -66,8 +67,10 @@ def test_the_cameras_own_noise_and_other_light_are_no_contact(profile: str, name
 def test_the_noise_of_g_is_far_below_the_gate(name: str) -> None:
     calibration = calibrated(MODELS[name], 0)
     for profile in PROFILES.values():
-        front = Preprocessor(calibration, profile)
-        g = np.stack([front.white_ratio(to_grey(image))[0] for image in untouched(name)])
+        halve = profile.halved and can_be_halved(calibration)
+        front = Preprocessor(halved_calibration(calibration) if halve else calibration, profile)
+        greys = (to_grey(image) for image in untouched(name))
+        g = np.stack([front.white_ratio(halved_image(grey) if halve else grey)[0] for grey in greys])
         change = np.abs(g - front.reference_ratio)[:, front.voting]
         assert change.max() < min(profile.gate_levels, profile.gate_dark_levels)
         at = f"figure: g without contact, {name}, {profile.name}"

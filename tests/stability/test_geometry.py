@@ -32,6 +32,8 @@ DISCS = {
     "all around": Disc(48, 64, 5000),
     "a straight edge": Disc(5000, 64, 4990),
 }
+# An image may lie between the middles of cells as wide as it.
+FAR = {"all around", "a straight edge"}
 EMPTY = {"between pixels", "outside"}
 
 
@@ -53,7 +55,7 @@ def test_every_disc_is_borne(profile: str, name: str) -> None:
     assert not free.contact
     if name in EMPTY:
         assert free.reason == "disc: no pixel of the visible circle lies in the image"
-    else:
+    elif name not in FAR:
         assert np.isfinite(free.height.height_mm).any()
     for image in (noise(1), EXTREME_IMAGES["spot"], EXTREME_IMAGES["step, axis 0"]):
         sound_step(made, image(ROWS, COLS))

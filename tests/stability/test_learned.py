@@ -12,14 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from tacshade_edge.core import discmap
 from tacshade_edge.core.profiles import LEARNED, PROFILES
 from tacshade_edge.core.solvers.learned import Inverse, LearnedInverse, Network
 from tacshade_edge.devices.network import WEIGHTS, load_network
 from tacshade_edge.types import F32, Disc, Geometry
 
 NAMES = [name for name, profile in PROFILES.items() if profile.solver == LEARNED]
-CELLS = discmap.CELLS
 # Heights in skin radii and log odds, on anything; the gate and the limit at r come after.
 MOST_RADII, MOST_LOGIT = 2.0, 300.0
 
@@ -29,14 +27,15 @@ def network(name: str) -> Network:
     return load_network(name)
 
 
-def white(name: str) -> F32:
-    return EXTREME_IMAGES[name](CELLS, CELLS).astype(np.float32) / np.float32(255)
+def white(profile: str, image: str) -> F32:
+    cells = PROFILES[profile].cells
+    return EXTREME_IMAGES[image](cells, cells).astype(np.float32) / np.float32(255)
 
 
 def sound_answer(inverse: LearnedInverse, cells: F32, radius_mm: float) -> Inverse:
     answer = inverse(cells)
     for values in (answer.height_mm, answer.contact_logit):
-        assert values.shape == (CELLS, CELLS)
+        assert values.shape == cells.shape
         assert values.dtype == np.float32
         assert np.isfinite(values).all()
     assert float(np.abs(answer.height_mm).max()) <= MOST_RADII * radius_mm
@@ -53,9 +52,9 @@ def test_every_extreme_white_gives_an_answer(name: str) -> None:
     geometry = Geometry(20.0, 14.0, 50.0, Disc(239.5, 319.5, 200.0))
     tops, logits = [], []
     for reference in ("constant 0", "constant 255", "checkerboard 8 px"):
-        inverse = LearnedInverse(network(name), geometry, 20.0, white(reference))
+        inverse = LearnedInverse(network(name), geometry, 20.0, white(name, reference))
         for image in EXTREME_IMAGES:
-            answer = sound_answer(inverse, white(image), 20.0)
+            answer = sound_answer(inverse, white(name, image), 20.0)
             tops.append(float(answer.height_mm.max()))
             logits.append(float(np.abs(answer.contact_logit).max()))
     print(f"figure: {name} on whites that no frame has: heights up to {max(tops):.1f} mm on a skin of 20 mm")
@@ -70,7 +69,7 @@ def test_every_extreme_white_gives_an_answer(name: str) -> None:
     pitch=st.floats(0.01, 2),
     base=st.sampled_from(sorted(EXTREME_IMAGES)),
     patch=arrays(np.float32, (8, 8), elements=st.floats(0, 1, width=32)),
-    where=st.tuples(st.integers(0, CELLS - 8), st.integers(0, CELLS - 8)),
+    where=st.tuples(st.floats(0, 1), st.floats(0, 1)),
 )
 @settings(max_examples=100)
 def test_any_sensor_and_white_gives_an_answer(
@@ -81,13 +80,14 @@ def test_any_sensor_and_white_gives_an_answer(
     pitch: float,
     base: str,
     patch: F32,
-    where: tuple[int, int],
+    where: tuple[float, float],
 ) -> None:
     disc = Disc(47.0, 64.0, 40.0)
     geometry = Geometry(radius_mm, distance_mm, half_angle_deg, disc)
-    cells = white(base)
-    cells[where[0] : where[0] + 8, where[1] : where[1] + 8] = patch
-    inverse = LearnedInverse(network(name), geometry, pitch * disc.radius_px, white("checkerboard 8 px"))
+    cells = white(name, base)
+    row, col = (int(part * (len(cells) - 8)) for part in where)
+    cells[row : row + 8, col : col + 8] = patch
+    inverse = LearnedInverse(network(name), geometry, pitch * disc.radius_px, white(name, "checkerboard 8 px"))
     sound_answer(inverse, cells, radius_mm)
 
 
@@ -102,13 +102,13 @@ def test_another_engine_gives_the_same(name: str) -> None:
         return np.array(other.forward()[0], np.float32)
 
     geometry = Geometry(20.0, 14.0, 50.0, Disc(239.5, 319.5, 200.0))
-    reference = white("checkerboard 8 px")
+    reference = white(name, "checkerboard 8 px")
     ours, theirs = (
         LearnedInverse(net, geometry, 20.0, reference) for net in (network(name), Network(network(name).fold, run))
     )
     worst = 0.0
     for image in EXTREME_IMAGES:
-        one, two = ours(white(image)), theirs(white(image))
+        one, two = ours(white(name, image)), theirs(white(name, image))
         scale = max(float(np.abs(one.height_mm).max()), 1.0)
         worst = max(worst, float(np.abs(one.height_mm - two.height_mm).max()) / scale)
         np.testing.assert_allclose(one.contact_logit, two.contact_logit, atol=1e-2)
