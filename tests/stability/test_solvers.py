@@ -59,7 +59,7 @@ def test_a_whole_image_is_borne(solver: str, name: str) -> None:
 @pytest.mark.parametrize("beyond", BEYOND)
 def test_a_value_that_no_grey_has_is_borne_in_both_maps(solver: str, beyond: str) -> None:
     g_d = EXTREME_MAPS["normal noise"](20, 21)
-    g_d[3, 4] = BEYOND[beyond]
+    g_d[3, 4], g_d[5, 6] = BEYOND[beyond], -BEYOND[beyond]
     sound_depth(solver, maps_of(g_d), ALPHA_MM)
     g0 = np.full((20, 21), 120, np.float32)
     g0[3, 4] = BEYOND[beyond]
