@@ -2,140 +2,71 @@
 
 ::
 
-    .venv/bin/python tools/bench_daemon.py [--fps 60] [--seconds 20] [--profile fast] [--record] [--json FILE]
+    .venv/bin/python tools/bench_daemon.py [--fps 60] [--seconds 20] [--runs 1] [--profile fast] [--record] [--json F]
 
-Four processes: mosquitto on a loopback port, the daemon (or the null daemon), a subscriber that decodes, and this
-one. The frames are a ring of pre-rendered 640x480 images of a ball that goes in and out, so that drawing costs
-nothing. The null daemon reads the same ring and offers the same ``height``, ``cloud`` and ``contact`` bytes under
-each frame's time stamp, without reconstructing: what it takes is transport. Latency is from the frame's time stamp to
-the end of the subscriber's decode; both read the same CLOCK_MONOTONIC. The ring (29 MB) is in the peak memory of both.
+Four processes: mosquitto on a loopback port, the daemon (`ring_daemon.py`) or the null daemon (`null_daemon.py`), a
+subscriber that decodes, and this one, which reads the daemon's figures from /proc. The frames are a ring of 640x480
+grey images in memory (10 MB, in the daemon's figures) that were drawn before; the null daemon publishes what was made
+of the same images. In the rows
 
-With ``--record`` it is the daemon alone and the daemon asked to record, to the folder for temporary files. The ring is
-then grey, as a camera's frames are (10 MB), and what encoding a frame costs is told for both kinds.
+- ``contact`` a ball goes in and out, pressed from the first frame on, and everything is subscribed to;
+- ``free`` nothing touches;
+- ``unasked`` the ball goes in and out and nobody subscribes to anything but ``state`` and ``health``.
+
+Latency is from the frame's time stamp to the end of the subscriber's decode; both read the same CLOCK_MONOTONIC.
+First map: from the start of the process to the end of the first decode. CPU: of one core, all threads, without the
+first seconds. With several runs the rows take turns, and each figure is the best of its runs.
+
+With ``--record`` it is the daemon without and with a recording, to the folder for temporary files, and what encoding
+a frame costs is told for grey and for colour.
 """
 
 from __future__ import annotations
 
 import argparse
-import contextlib
-import dataclasses
 import json
-import os
-import resource
-import shutil
+import pickle
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+from bench_rig import BASE, broker, cpu_s, draw_rings, memory_mb
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 
 from tacshade_edge.cli.demo_sensor import make_calibration
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.daemon.app import App
-from tacshade_edge.daemon.ledger import FrameLedger
 from tacshade_edge.devices import calibration_file, registry
 from tacshade_edge.devices.mqtt_caller import MqttCaller
 from tacshade_edge.devices.network import make_reconstructor
 from tacshade_edge.devices.recorder import PNG_OPTIONS
-from tacshade_edge.devices.simulated import SimulatedSource
-from tacshade_edge.protocol import messages, wire
-from tacshade_edge.settings import Document, load
-from tacshade_edge.simulator.objects import ball
-from tacshade_edge.simulator.press import Press
-from tacshade_edge.simulator.script import Script
-from tacshade_edge.types import Frame, Reconstruction
+from tacshade_edge.protocol import wire
+from tacshade_edge.settings import load
+from tacshade_edge.types import Frame
 
-RING = 32
-BASE = "tacshade/bench"
+TOOLS = Path(__file__).parent
 OUTCOMES = ("published", "superseded", "without_contact", "invalid", "failed")
+SETTLE_S = 4.0  # start, first frames
+ROWS = {  # name: program, ring, what the subscriber asks for
+    "contact": ("ring_daemon", "contact", "#"),
+    "contact, null": ("null_daemon", "contact", "#"),
+    "free": ("ring_daemon", "free", "#"),
+    "free, null": ("null_daemon", "free", "#"),
+    "unasked": ("ring_daemon", "contact", ""),
+}
+RECORD_ROWS = {"contact": ROWS["contact"], "recording": ROWS["contact"]}
 
 
-class GreyRing(SimulatedSource):
-    """The ring as a camera would give it."""
-
-    def read(self) -> Frame:
-        """The next frame, of one channel."""
-        frame = super().read()
-        return dataclasses.replace(frame, image=np.ascontiguousarray(frame.image[:, :, 1]))
-
-
-def ring_source(fps: float, kind: type[SimulatedSource] = SimulatedSource) -> SimulatedSource:
-    """The ring, rendered already; a few of its frames are without contact."""
-    script = Script((Press(ball(6.0), 1.0, -2.0, 3.5),), approach=RING // 2 - 1, hold=8, release=8, pause=1)
-    source = kind(fps=fps, script=script, ring=RING)
-    source.open()
-    source.close()
-    return source
-
-
-def cost(began: resource.struct_rusage, began_s: float) -> dict[str, float]:
-    """CPU since `began` as a ratio of one core, and this process's peak memory."""
-    now = resource.getrusage(resource.RUSAGE_SELF)
-    cpu_s = now.ru_utime + now.ru_stime - began.ru_utime - began.ru_stime
-    return {"cpu_ratio": round(cpu_s / (time.monotonic() - began_s), 3), "peak_mb": round(now.ru_maxrss / 1024, 1)}
-
-
-def daemon(document: Document, fps: float, kind: type[SimulatedSource] = SimulatedSource) -> None:
-    """The real one, on the ring."""
-    source = ring_source(fps, kind)
-    app = App(document, source, registry.load_calibration(document))
-    signal.signal(signal.SIGTERM, lambda *_: app.stop())
-    began, began_s = resource.getrusage(resource.RUSAGE_SELF), time.monotonic()
-    app.run()
-    print(json.dumps(cost(began, began_s)))
-
-
-def null_daemon(document: Document, fps: float) -> None:
-    """The same bytes at the same rate."""
-    source = ring_source(fps)
-    calibration = registry.load_calibration(document)
-    reconstructor = make_reconstructor(calibration, PROFILES[document.settings.profile])
-    source.open()
-    ready: dict[int, Reconstruction] = {}
-    while len(ready) < RING:
-        frame = source.read()
-        ready[frame.seq % RING] = reconstructor.step(frame)
-    source.close()
-
-    ledger = FrameLedger()
-    link = registry.make_link(
-        document,
-        on_request=lambda request: None,
-        on_outcome=lambda stream, seq, outcome: ledger.settle(seq, outcome) if stream == "height" else None,
-    )
-    stop = threading.Event()
-    signal.signal(signal.SIGTERM, lambda *_: stop.set())
-    link.start()
-    source.open()
-    began, began_s = resource.getrusage(resource.RUSAGE_SELF), time.monotonic()
-    while not stop.is_set():
-        frame = source.read()
-        ledger.captured(frame.seq)
-        result = dataclasses.replace(ready[frame.seq % RING], seq=frame.seq, t_ns=frame.t_ns, wall_ns=frame.wall_ns)
-        if not result.contact:
-            ledger.settle(frame.seq, "without_contact")
-            continue
-        link.offer("height", wire.encode_height(result, calibration_crc32=calibration.crc32), frame.seq)
-        link.offer("cloud", wire.encode_cloud(result, calibration_crc32=calibration.crc32), frame.seq)
-        link.offer("contact", messages.encode_contact(result, fps=fps), frame.seq)
-    ledger.close(1.0)
-    link.set_retained("health", messages.encode_health({"frames": ledger.counts().as_dict()}), qos=0)
-    link.stop(1.0)
-    print(json.dumps(cost(began, began_s)))
-
-
-def subscriber(port: int, warm_up: int) -> None:
+def subscriber(port: int, warm_up: int, topics: str) -> None:
     """Decode every height map; print latencies in ms and the last ``health`` once the daemon has stopped."""
+    arrived_ns: list[int] = []
     latencies: list[float] = []
     seqs: set[int] = set()
     health: dict[str, Any] = {}
@@ -146,7 +77,8 @@ def subscriber(port: int, warm_up: int) -> None:
             return
         if message.topic == f"{BASE}/height":
             decoded = wire.decode(message.payload)
-            latencies.append((time.monotonic_ns() - decoded.t_ns) / 1e6)
+            arrived_ns.append(time.monotonic_ns())
+            latencies.append((arrived_ns[-1] - decoded.t_ns) / 1e6)
             seqs.add(decoded.seq)
         elif message.topic == f"{BASE}/health":
             health.update(json.loads(message.payload))
@@ -157,77 +89,61 @@ def subscriber(port: int, warm_up: int) -> None:
     client.on_message = on_message
     client.on_subscribe = lambda *_: print("ready", flush=True)
     client.connect("127.0.0.1", port)
-    client.subscribe(f"{BASE}/#", qos=1)
+    client.subscribe([(f"{BASE}/{topic}", 1) for topic in ("state", "health", *[topics] * bool(topics))])
     client.loop_start()
     done.wait()
     client.disconnect()
     client.loop_stop()
+    told: dict[str, Any] = {"received": len(latencies), "distinct": len(seqs), "health": health}
     steady = sorted(latencies[warm_up:])
-    figures = {name: round(steady[int(len(steady) * part)], 2) for name, part in (("p50", 0.5), ("p99", 0.99))}
-    figures["max"] = round(steady[-1], 2)
-    print(json.dumps({"received": len(latencies), "distinct": len(seqs), "latency_ms": figures, "health": health}))
+    if steady:
+        told["first_ns"] = arrived_ns[0]
+        told |= {name: steady[int(len(steady) * part)] for name, part in (("p50_ms", 0.5), ("p99_ms", 0.99))}
+        told["max_ms"] = steady[-1]
+    print(json.dumps(told))
 
 
-@contextlib.contextmanager
-def broker(folder: Path) -> Iterator[int]:
-    """A mosquitto on a free loopback port."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = int(probe.getsockname()[1])
-    config = folder / "mosquitto.conf"
-    user = "user root\n" if os.getuid() == 0 else ""
-    config.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\npersistence false\n{user}")
-    command = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
-    if command is None:
-        raise SystemExit("bench_daemon: found no mosquitto, expected Debian's package mosquitto")
-    process = subprocess.Popen([command, "-c", config], stderr=subprocess.DEVNULL)
-    try:
-        while True:
-            with socket.socket() as probe:
-                if probe.connect_ex(("127.0.0.1", port)) == 0:
-                    break
-            if process.poll() is not None:
-                raise SystemExit("bench_daemon: mosquitto ended at once")
-            threading.Event().wait(0.02)
-        yield port
-    finally:
-        process.terminate()
-        process.wait()
-
-
-def measure(role: str, config: Path, port: int, args: argparse.Namespace) -> dict[str, Any]:
-    """One run of one kind of daemon."""
-    me = [sys.executable, __file__]
+def measure(name: str, row: tuple[str, str, str], folder: Path, port: int, args: argparse.Namespace) -> dict[str, Any]:
+    """One run of one daemon."""
+    program, ring, topics = row
     listen = subprocess.Popen(
-        [*me, "--role", "subscriber", "--port", str(port), "--fps", str(args.fps)], stdout=subprocess.PIPE, text=True
-    )
-    assert listen.stdout is not None
-    assert listen.stdout.readline() == "ready\n"
-    worker = subprocess.Popen(
-        [*me, "--role", role, "--config", str(config), "--fps", str(args.fps), *["--record"] * args.record],
+        [sys.executable, __file__, "--role", topics, "--port", str(port), "--fps", str(args.fps)],
         stdout=subprocess.PIPE,
         text=True,
     )
+    assert listen.stdout is not None
+    assert listen.stdout.readline() == "ready\n"
+    config, shown = folder / "config.yaml", folder / (f"{ring}.npy" if program == "ring_daemon" else f"{ring}.pickle")
+    pause = threading.Event()
+    began_s = time.monotonic()
+    worker = subprocess.Popen([sys.executable, str(TOOLS / f"{program}.py"), config, shown, str(args.fps)])
     try:
-        if role == "recording":
-            record(load(config), args.seconds)
-        else:
-            threading.Event().wait(args.seconds)
+        if name == "recording":
+            record(config, args.seconds)
+        pause.wait(began_s + SETTLE_S - time.monotonic())
+        used_s, since_s = cpu_s(worker.pid), time.monotonic()
+        pause.wait(began_s + args.seconds - since_s)
+        cpu = (cpu_s(worker.pid) - used_s) / (time.monotonic() - since_s)
+        memory = memory_mb(worker.pid)
         worker.send_signal(signal.SIGTERM)
-        costs = json.loads(worker.communicate(timeout=20)[0])
-        figures: dict[str, Any] = json.loads(listen.communicate(timeout=20)[0])
+        code = worker.wait(20)
+        told: dict[str, Any] = json.loads(listen.communicate(timeout=20)[0])
     finally:
         worker.kill()
         listen.kill()
-    frames = figures["health"]["frames"]
-    accounted = frames["pending"] == 0 and frames["captured"] == sum(frames[name] for name in OUTCOMES)
-    accounted = accounted and figures["received"] == figures["distinct"] == frames["published"]
-    return {"role": role, **costs, **figures, "accounted": accounted}
+    frames = told["health"]["frames"]
+    accounted = code == 0 and frames["pending"] == 0
+    accounted = accounted and frames["captured"] == sum(n for outcome, n in frames.items() if outcome != "captured")
+    if topics:
+        accounted = accounted and told["received"] == told["distinct"] == frames["published"]
+    if "first_ns" in told:
+        told["first_map_s"] = told["first_ns"] / 1e9 - began_s
+    return {"cpu": cpu, "resident_mb": memory["resident"], "peak_mb": memory["peak"], **told, "accounted": accounted}
 
 
-def record(document: Document, seconds: float) -> None:
-    """Ask the daemon for a recording as soon as it runs, and wait until it should be over."""
-    began_s, pause = time.monotonic(), threading.Event()
+def record(config: Path, seconds: float) -> None:
+    """Ask the daemon for a recording as soon as it runs; it ends a second before the run."""
+    document, began_s = load(config), time.monotonic()
     caller = MqttCaller(
         registry.broker_address(document), sensor_id=document.settings.sensor_id, verb="record", watched=("state",)
     )
@@ -236,19 +152,15 @@ def record(document: Document, seconds: float) -> None:
         raise SystemExit("bench_daemon: the daemon does not come online")
     caller.ask({"action": "start", "seconds": seconds - (time.monotonic() - began_s) - 1.0}, 5)
     caller.stop()
-    pause.wait(began_s + seconds - time.monotonic())
 
 
-def encoding() -> str:
+def encoding(folder: Path) -> str:
     """What the recorder's encoding of a frame costs, beside OpenCV's with zlib's level 1 alone."""
-    source = ring_source(60)
-    source.open()
-    colour = [source.read().image for _ in range(RING)]
     lines = []
-    for what, images in (("grey", [np.ascontiguousarray(image[:, :, 1]) for image in colour]), ("colour", colour)):
+    for what, ring in (("grey", "contact"), ("colour", "colour")):
         for name, options in (("recorder", PNG_OPTIONS), ("zlib level 1", (cv2.IMWRITE_PNG_COMPRESSION, 1))):
             ms, sizes = [], []
-            for image in images:
+            for image in np.load(folder / f"{ring}.npy"):
                 began_s = time.thread_time()
                 _, png = cv2.imencode(".png", image, options)
                 ms.append(1e3 * (time.thread_time() - began_s))
@@ -257,58 +169,100 @@ def encoding() -> str:
     return "\n".join(lines)
 
 
-def table(results: list[dict[str, Any]]) -> str:
-    """For a person."""
-    head = ["", "p50 ms", "p99 ms", "max ms", "CPU core", "peak MB", "captured", *OUTCOMES, "received", "accounted"]
-    rows = [head]
-    for r in results:
-        ms, frames = r["latency_ms"], r["health"]["frames"]
-        row = [r["role"], ms["p50"], ms["p99"], ms["max"], r["cpu_ratio"], r["peak_mb"], frames["captured"]]
-        rows.append([str(v) for v in [*row, *(frames[o] for o in OUTCOMES), r["received"], r["accounted"]]])
-    widths = [max(len(row[i]) for row in rows) for i in range(len(head))]
-    return "\n".join("  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows)
+def prepare(folder: Path, port: int, profile: str) -> None:
+    """Images, calibration, settings, and for the null daemon what the real one makes of the images."""
+    draw_rings(folder)
+    calibration_file.save(folder / "c.npz", make_calibration())
+    (folder / "config.yaml").write_text(
+        f"sensor_id: bench\nprofile: {profile}\ncalibration: c.npz\nsource: {{kind: simulated}}\n"
+        f"mqtt: {{host: 127.0.0.1, port: {port}}}\nrecorder: {{folder: recs}}\n"
+    )
+    calibration = calibration_file.load(folder / "c.npz")
+    reconstructor, crc32 = make_reconstructor(calibration, PROFILES[profile]), calibration.crc32
+    for ring in ("contact", "free"):
+        made = [reconstructor.step(Frame(i, 0, 0, image)) for i, image in enumerate(np.load(folder / f"{ring}.npy"))]
+        ready = [
+            (wire.encode_height(r, calibration_crc32=crc32), wire.encode_cloud(r, calibration_crc32=crc32))
+            if r.contact
+            else None
+            for r in made
+        ]
+        (folder / f"{ring}.pickle").write_bytes(pickle.dumps(ready))
+
+
+def best(runs: list[dict[str, Any]]) -> dict[str, Any]:
+    """The last run's counts with the least of every other figure."""
+    figures = [name for name in runs[0] if name.endswith(("_ms", "_s", "_mb")) or name == "cpu"]
+    least = {name: min(run[name] for run in runs) for name in figures}
+    return {**runs[-1], **least, "accounted": all(run["accounted"] for run in runs)}
+
+
+def table(results: dict[str, dict[str, Any]]) -> str:
+    """For a person: Markdown."""
+    head = [
+        "",
+        "p50 ms",
+        "p99 ms",
+        "max ms",
+        "first map s",
+        "CPU core",
+        "resident MB",
+        "peak MB",
+        "captured",
+        *OUTCOMES,
+    ]
+    rows = [[*head, "received", "accounted"]]
+    for name, r in results.items():
+        timed = (("p50_ms", 1), ("p99_ms", 1), ("max_ms", 1), ("first_map_s", 2), ("cpu", 3))
+        cells = [f"{r[key]:.{digits}f}" if key in r else "" for key, digits in timed]
+        cells += [f"{r[key]:.0f}" for key in ("resident_mb", "peak_mb")]
+        frames = r["health"]["frames"]
+        counts = [frames["captured"], *(frames.get(o, 0) for o in OUTCOMES), r["received"]]
+        rows.append([name, *cells, *map(str, counts), "yes" if r["accounted"] else "NO"])
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    rows.insert(1, ["-" * width for width in widths])
+    return "\n".join(
+        "| " + " | ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) + " |" for row in rows
+    )
 
 
 def main() -> int:
-    """Run both daemons one after the other; exit 1 when a frame is not accounted for."""
+    """Run the daemons one after the other; exit 1 when a frame is not accounted for."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--fps", type=float, default=60.0)
     parser.add_argument("--seconds", type=float, default=20.0, help="of each run, start included")
+    parser.add_argument("--runs", type=int, default=1, help="of each row; its best figures are told")
     parser.add_argument("--profile", choices=list(PROFILES), default="fast")
     parser.add_argument("--record", action="store_true", help="the daemon without and with a recording")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there too")
-    for hidden, kind in (("--role", str), ("--config", Path), ("--port", int)):  # of the child processes
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures of every run there")
+    for hidden, kind in (("--role", str), ("--port", int)):  # of the subscriber
         parser.add_argument(hidden, type=kind, help=argparse.SUPPRESS)
     args = parser.parse_args()
-    if args.role == "subscriber":
-        subscriber(args.port, warm_up=round(2 * args.fps))
+    if args.role is not None:
+        subscriber(args.port, warm_up=round(2 * args.fps), topics=args.role)
         return 0
-    if args.role:
-        document = load(args.config)
-        if args.role == "null":
-            null_daemon(document, args.fps)
-        else:
-            daemon(document, args.fps, GreyRing if args.record else SimulatedSource)
-        return 0
+    if args.seconds < SETTLE_S + 1:
+        parser.error(f"--seconds: expected {SETTLE_S + 1:.0f} or more")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        calibration_file.save(folder / "c.npz", make_calibration())
+        rows = RECORD_ROWS if args.record else ROWS
+        runs: dict[str, list[dict[str, Any]]] = {row: [] for row in rows}
         with broker(folder) as port:
-            config = folder / "config.yaml"
-            config.write_text(
-                f"sensor_id: bench\nprofile: {args.profile}\ncalibration: c.npz\n"
-                f"source: {{kind: simulated}}\nmqtt: {{host: 127.0.0.1, port: {port}}}\nrecorder: {{folder: recs}}\n"
-            )
-            roles = ("daemon", "recording") if args.record else ("daemon", "null")
-            results = [measure(role, config, port, args) for role in roles]
+            prepare(folder, port, args.profile)
+            for _ in range(args.runs):
+                for row, what in rows.items():
+                    runs[row].append(measure(row, what, folder, port, args))
+        told = encoding(folder) if args.record else ""
+    results = {row: best(made) for row, made in runs.items()}
     print(table(results))
-    stages = results[0]["health"]["stages_ms"]
-    print("stages, p50 / p99 ms: " + ", ".join(f"{name} {s['p50']} / {s['p99']}" for name, s in stages.items()))
+    for row in [row for row in results if row == "free" or row == "contact"]:
+        stages = results[row]["health"]["stages_ms"]
+        print(f"{row}, p50 / p99 ms: " + ", ".join(f"{stage} {s['p50']} / {s['p99']}" for stage, s in stages.items()))
     if args.record:
-        print(f"recorder: {results[1]['health']['recorder']}\n{encoding()}")
+        print(f"recorder: {results['recording']['health']['recorder']}\n{told}")
     if args.json:
-        args.json.write_text(json.dumps(results, indent=1) + "\n")
-    return 0 if all(r["accounted"] for r in results) else 1
+        args.json.write_text(json.dumps(runs, indent=1) + "\n")
+    return 0 if all(r["accounted"] for r in results.values()) else 1
 
 
 if __name__ == "__main__":

@@ -2,9 +2,9 @@
 
 ::
 
-    .venv/bin/python tools/bench_memory.py [--frames 600] [--profile fast] [--source files] [--json FILE]
+    .venv/bin/python tools/bench_memory.py [--frames 600] [--fps 30] [--profile fast] [--source files] [--json FILE]
 
-The daemon reads 640x480 images of a ball that goes in and out (drawn before, by this process) at 30 frames/s, or draws
+The daemon reads 640x480 images of a ball that goes in and out (drawn before, by this process), or draws
 them itself (``--source simulated``). Its memory is read from /proc after a tenth of the frames, a half, and all:
 
 - resident: all its pages in memory (VmRSS); peak: the most it ever was (VmHWM);
@@ -31,7 +31,8 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-from bench_daemon import BASE, broker, ring_source
+import numpy as np
+from bench_rig import BASE, FIELDS, broker, draw_rings, memory_mb
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 
@@ -39,17 +40,8 @@ from tacshade_edge.cli.demo_sensor import make_calibration
 from tacshade_edge.core.profiles import AUTO, PROFILES
 from tacshade_edge.devices import calibration_file
 
-FPS, RING = 30.0, 32
-FIELDS = {"resident": "VmRSS", "own": "RssAnon", "files": "RssFile", "peak": "VmHWM"}
 TOP = 8
 SLOWEST_FPS = 1.0  # a daemon that captures fewer is given up
-
-
-def memory_mb(pid: int) -> dict[str, float]:
-    """`FIELDS` of a process, in MiB."""
-    status = Path(f"/proc/{pid}/status").read_text()
-    found = {name: re.search(rf"^{key}:\s+(\d+) kB$", status, re.MULTILINE) for name, key in FIELDS.items()}
-    return {name: round(int(match[1]) / 1024, 1) for name, match in found.items() if match}
 
 
 def owners_mb(pid: int) -> dict[str, float]:
@@ -67,12 +59,10 @@ def owners_mb(pid: int) -> dict[str, float]:
 
 def write_images(folder: Path) -> None:
     """Grey PNGs of the ring."""
-    folder.mkdir()
-    source = ring_source(1e6)  # as fast as it is read
-    source.open()
-    for number in range(RING):
-        cv2.imwrite(str(folder / f"{number:03}.png"), cv2.cvtColor(source.read().image, cv2.COLOR_BGR2GRAY))
-    source.close()
+    (folder / "images").mkdir()
+    draw_rings(folder)
+    for number, image in enumerate(np.load(folder / "contact.npy")):
+        cv2.imwrite(str(folder / f"images/{number:03}.png"), image)
 
 
 class Captured:
@@ -135,6 +125,7 @@ def main() -> int:
     """Measure and print; exit 1 when the daemon did not end well."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--frames", type=int, default=600)
+    parser.add_argument("--fps", type=float, default=30.0)
     parser.add_argument("--profile", choices=[*PROFILES, AUTO], default="fast")
     parser.add_argument("--source", choices=("files", "simulated"), default="files")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there too")
@@ -142,10 +133,10 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         calibration_file.save(folder / "c.npz", make_calibration())
-        write_images(folder / "images")
-        source = f"{{kind: {args.source}, fps: {FPS}}}"
+        write_images(folder)
+        source = f"{{kind: {args.source}, fps: {args.fps}}}"
         if args.source == "files":
-            source = f"{{kind: files, path: images, fps: {FPS}, loop: true}}"
+            source = f"{{kind: files, path: images, fps: {args.fps}, loop: true}}"
         with broker(folder) as port:
             config = folder / "config.yaml"
             config.write_text(

@@ -1,0 +1,121 @@
+"""What the benches of the daemon share: a broker, a camera that costs nothing, the images that it shows."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import shutil
+import socket
+import subprocess
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from tacshade_edge.types import U8, Frame
+
+RING = 32
+BASE = "tacshade/bench"
+FIELDS = {"resident": "VmRSS", "own": "RssAnon", "files": "RssFile", "peak": "VmHWM"}
+
+
+@contextlib.contextmanager
+def broker(folder: Path) -> Iterator[int]:
+    """A mosquitto on a free loopback port."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = int(probe.getsockname()[1])
+    config = folder / "mosquitto.conf"
+    user = "user root\n" if os.getuid() == 0 else ""
+    config.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\npersistence false\n{user}")
+    command = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
+    if command is None:
+        raise SystemExit("found no mosquitto, expected Debian's package mosquitto")
+    process = subprocess.Popen([command, "-c", config], stderr=subprocess.DEVNULL)
+    try:
+        while True:
+            with socket.socket() as probe:
+                if probe.connect_ex(("127.0.0.1", port)) == 0:
+                    break
+            if process.poll() is not None:
+                raise SystemExit("mosquitto ended at once")
+            threading.Event().wait(0.02)
+        yield port
+    finally:
+        process.terminate()
+        process.wait()
+
+
+class RingSource:
+    """A `FrameSource` of images in memory, one after the other for ever; late ones are dropped, as a camera's are.
+
+    Parameters
+    ----------
+    path : Path
+        uint8 (N, H, W), as ``np.save`` writes it.
+    fps : float
+    """
+
+    def __init__(self, path: Path, fps: float) -> None:
+        self._images: U8 = np.load(path)
+        self._period_ns = round(1e9 / fps)
+        self._zero_ns = self._next_seq = 0
+        self.dropped = 0
+
+    def open(self) -> None:
+        """Start the clock."""
+        self._zero_ns = time.monotonic_ns() - self._next_seq * self._period_ns
+
+    def read(self) -> Frame:
+        """Wait until the next frame is due; that time is its time stamp."""
+        missed = max((time.monotonic_ns() - self._zero_ns) // self._period_ns - self._next_seq, 0)
+        self.dropped += missed
+        seq = self._next_seq + missed
+        self._next_seq = seq + 1
+        t_ns = self._zero_ns + seq * self._period_ns
+        time.sleep(max(t_ns - time.monotonic_ns(), 0) / 1e9)
+        wall_ns = time.time_ns() - (time.monotonic_ns() - t_ns)
+        return Frame(seq=seq, t_ns=t_ns, wall_ns=wall_ns, image=self._images[seq % len(self._images)])
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def describe(self) -> dict[str, str | int | float]:
+        """What it shows."""
+        return {"device": "ring", "images": len(self._images)}
+
+
+def draw_rings(folder: Path) -> None:
+    """Write the images of a ball that goes in and out, half way in at first, and of nothing.
+
+    ``contact.npy`` and ``free.npy`` have one channel, as a camera's frames have; ``colour.npy`` is the first as drawn.
+    """
+    # Here, since a daemon that imports this module draws nothing.
+    from tacshade_edge.simulator.objects import ball
+    from tacshade_edge.simulator.press import Press
+    from tacshade_edge.simulator.scene import SimulatedSensor
+    from tacshade_edge.simulator.script import Script
+
+    script = Script((Press(ball(6.0), 1.0, -2.0, 3.5),), approach=RING // 2 - 1, hold=8, release=8, pause=1)
+    sensor = SimulatedSensor(None)
+    shown = [sensor.frame(script.at((RING // 4 + i) % RING), noise_seed=i).image for i in range(RING)]
+    free = [sensor.frame(noise_seed=RING + i).image for i in range(RING)]
+    for name, images in (("contact", shown), ("free", free)):
+        np.save(folder / f"{name}.npy", np.stack(images)[..., 1])
+    np.save(folder / "colour.npy", np.stack(shown))
+
+
+def memory_mb(pid: int) -> dict[str, float]:
+    """`FIELDS` of a process, in MiB."""
+    status = Path(f"/proc/{pid}/status").read_text()
+    found = {name: re.search(rf"^{key}:\s+(\d+) kB$", status, re.MULTILINE) for name, key in FIELDS.items()}
+    return {name: round(int(match[1]) / 1024, 1) for name, match in found.items() if match}
+
+
+def cpu_s(pid: int) -> float:
+    """Processor time that a process has used in all its threads."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

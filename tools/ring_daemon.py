@@ -1,0 +1,17 @@
+"""The command `run` on a ring of images in memory; a process of ``tools/bench_daemon.py``."""
+
+import signal
+import sys
+from pathlib import Path
+
+from bench_rig import RingSource
+
+from tacshade_edge.daemon.app import App
+from tacshade_edge.devices import registry
+from tacshade_edge.settings import load
+
+config, ring, fps = Path(sys.argv[1]), Path(sys.argv[2]), float(sys.argv[3])
+document = load(config)
+app = App(document, RingSource(ring, fps), registry.load_calibration(document))
+signal.signal(signal.SIGTERM, lambda *_: app.stop())
+app.run()
