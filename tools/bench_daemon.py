@@ -52,7 +52,7 @@ from tacshade_edge.settings import load
 from tacshade_edge.types import Frame
 
 TOOLS = Path(__file__).parent
-OUTCOMES = ("published", "superseded", "without_contact", "invalid", "failed")
+OUTCOMES = ("published", "superseded", "without_contact", "unasked", "invalid", "failed")
 SETTLE_S = 4.0  # start, first frames
 ROWS = {  # name: program, ring, what the subscriber asks for
     "contact": ("ring_daemon", "contact", "#"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from tacshade_edge.core.profiles import LEARNED, Profile
 from tacshade_edge.core.solvers import SOLVERS, Depth
 from tacshade_edge.core.solvers.learned import DEEPEST_RADII, Inverse, LearnedInverse, Network
 from tacshade_edge.core.validity import size_reason
-from tacshade_edge.types import U8, Bool, Calibration, Frame, HeightMap, ObjectCloud, Reconstruction
+from tacshade_edge.types import F32, U8, Bool, Calibration, Frame, HeightMap, ObjectCloud, Reconstruction
 
 Mark = Callable[[str], None]
 
@@ -46,6 +47,15 @@ def _seen_rays(calibration: Calibration, grid: Grid) -> DiscRays:
     rays = disc_rays(grid, calibration.geometry)
     seen = cells_in_image(grid, calibration.image_height_px, calibration.image_width_px)
     return DiscRays(inside=rays.inside & seen, u=rays.u, v=rays.v)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Touched:
+    """What is known of a frame in contact before its depth: eq. 1, the common change of light, why to trust it less."""
+
+    g_raw: F32
+    drift_grey: float
+    degraded: str
 
 
 class Reconstructor:
@@ -93,6 +103,16 @@ class Reconstructor:
         mark : callable
             Called with a stage's name (`STAGES`) at its end; a caller with a clock times them so.
         """
+        seen = self._look(frame, mark)
+        return seen if isinstance(seen, Reconstruction) else self._solved(frame, seen, mark)
+
+    def glance(self, frame: Frame, mark: Mark = no_mark) -> Reconstruction | None:
+        """`step` as far as the contact's depth: its result for a frame that ends before, None for a contact's."""
+        seen = self._look(frame, mark)
+        return seen if isinstance(seen, Reconstruction) else None
+
+    def _look(self, frame: Frame, mark: Mark) -> Reconstruction | Touched:
+        """Is the frame valid, does anything touch, is the camera where it was?"""
         front = self._front
         reason = size_reason(frame.image, self._shape)
         grey = self._seen(frame.image)
@@ -119,9 +139,13 @@ class Reconstructor:
         mark("moved")
         if reason:
             return self._nothing(frame, reason=reason)
+        return Touched(g_raw, decision.drift_grey, degraded)
 
+    def _solved(self, frame: Frame, seen: Touched, mark: Mark) -> Reconstruction:
+        """Depth and objects of the frame that `_look` saw last."""
+        front = self._front
         if self._learned is None:
-            maps = front.denoised(g_raw, decision.drift_grey)
+            maps = front.denoised(seen.g_raw, seen.drift_grey)
             mark("denoise")
             depth, touched = SOLVERS[self.profile.solver](maps, self._alpha_mm), None
         else:
@@ -129,7 +153,7 @@ class Reconstructor:
             depth, touched = self._refitted(self._learned(front.white_cells()))
         mark("depth")
 
-        result = self._objects(frame, depth, touched, degraded)
+        result = self._objects(frame, depth, touched, seen.degraded)
         mark("cloud")
         return result
 

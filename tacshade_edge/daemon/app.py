@@ -83,7 +83,7 @@ class App:
         self._source = source
         self.ledger = FrameLedger()
         self.link = registry.make_link(document, on_request=self._on_request, on_outcome=self._on_outcome)
-        self._publisher = Publisher(self.link.offer)
+        self._publisher = Publisher(self.link.offer, self.link.wanted)
         self._pipeline = Pipeline(
             source,
             make_reconstructor(calibration, PROFILES.get(settings.profile, PROFILES[LADDER[-1]])),
@@ -284,6 +284,8 @@ class App:
     def _tell_preview(self) -> None:
         latest = self._publisher.latest
         if latest is None or not self.link.connected or latest[0].seq == self._previewed:
+            return
+        if not self.link.wanted("preview"):
             return
         image = latest[0].image
         self._previewed = latest[0].seq

@@ -12,9 +12,14 @@ from tacshade_edge.types import Reconstruction
 UNUSABLE_PERIODS = 3
 
 
-def delivered(counts: Counts) -> int:
-    """Frames that ended as they should: sent, or with nothing to send."""
+def usable(counts: Counts) -> int:
+    """Frames that were found good: sent, or with nothing to send."""
     return counts.published + counts.without_contact
+
+
+def delivered(counts: Counts) -> int:
+    """Frames that ended as they should. Of one that nobody asked for not all was looked at that may make it invalid."""
+    return usable(counts) + counts.unasked
 
 
 class Health:
@@ -44,8 +49,8 @@ class Health:
     ) -> dict[str, Any]:
         """The message as a dict.
 
-        ``frames`` holds captured = published + superseded + without_contact + invalid + failed + pending, all of
-        one instant. ``source_dropped`` frames never reached this process and are not in it.
+        ``frames`` holds captured = published + superseded + without_contact + unasked + invalid + failed + pending,
+        all of one instant. ``source_dropped`` frames never reached this process and are not in it.
         """
         now_ns = time.monotonic_ns()
         counts, before = self._ledger.counts(), self._last
@@ -71,7 +76,7 @@ class Health:
 
     def _judge(self, before: Counts, counts: Counts, latest: Reconstruction | None) -> None:
         """Whether frames come but none can be used; the first reason stays, so that it is told once."""
-        if delivered(counts) > delivered(before):
+        if usable(counts) > usable(before):
             self._unusable_periods, self.unusable = 0, ""
         elif counts.invalid > before.invalid:
             self._unusable_periods += 1

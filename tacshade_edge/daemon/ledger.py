@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Literal
 
-Outcome = Literal["published", "superseded", "without_contact", "invalid", "failed"]
+Outcome = Literal["published", "superseded", "without_contact", "unasked", "invalid", "failed"]
 
 # Figures are over the latest this many frames: some seconds at camera rates.
 WINDOW_FRAMES = 512
@@ -28,6 +28,8 @@ class Counts:
         A newer frame took their place before they were reconstructed or sent.
     without_contact : int
         Reconstructed, nothing touched, nothing to send.
+    unasked : int
+        In contact, but nobody subscribes to the height map: not sent, and no further reconstructed than is asked for.
     invalid : int
         Could not be used (black, torn, wrong size...).
     failed : int
@@ -40,6 +42,7 @@ class Counts:
     published: int = 0
     superseded: int = 0
     without_contact: int = 0
+    unasked: int = 0
     invalid: int = 0
     failed: int = 0
     pending: int = 0

@@ -115,8 +115,12 @@ class Grab:
 class Sink(Protocol):
     """Where reconstructions go."""
 
-    def deliver(self, frame: Frame, result: Reconstruction, calibration: Calibration) -> Outcome | None:
-        """Pass a result on without waiting; None when its outcome will be settled later."""
+    def asked(self) -> bool:
+        """Whether anyone wants to know more of a contact than that it is there."""
+        ...
+
+    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> Outcome | None:
+        """Pass a result on without waiting (None: a contact that was not asked for); None: it will be settled later."""
         ...
 
 
@@ -140,7 +144,7 @@ class Reconstruct:
     ) -> None:
         self.reconstructor = reconstructor
         self.watch: Callable[[Frame, Reconstruction], None] | None = None
-        # observe(profile, now_ns, capture_to_offer_ms, step_ms) after each frame in contact; must not wait.
+        # observe(profile, now_ns, capture_to_offer_ms, step_ms) after each contact that was reconstructed; must not wait.
         self.observe: Callable[[str, int, float, float], None] | None = None
         self.taken = self.processed = 0  # frames; they differ while one is in work
         self._mailbox = mailbox
@@ -154,10 +158,10 @@ class Reconstruct:
             self.taken += 1
             result = self._timed(frame)
             self.processed += 1
-            if watch := self.watch:
+            if (watch := self.watch) and result:
                 watch(frame, result)
 
-    def _timed(self, frame: Frame) -> Reconstruction:
+    def _timed(self, frame: Frame) -> Reconstruction | None:
         last_ns = time.monotonic_ns()
         ms = {"wait": (last_ns - frame.t_ns) / 1e6}
 
@@ -169,7 +173,8 @@ class Reconstruct:
 
         reconstructor = self.reconstructor
         began_ns = last_ns
-        result = reconstructor.step(frame, mark)
+        whole = self.watch is not None or self._sink.asked()
+        result = (reconstructor.step if whole else reconstructor.glance)(frame, mark)
         step_ms = (time.monotonic_ns() - began_ns) / 1e6
         outcome = self._sink.deliver(frame, result, reconstructor.calibration)
         mark("deliver")
@@ -177,6 +182,6 @@ class Reconstruct:
         self._timings.add(ms)
         if outcome is not None:
             self._ledger.settle(frame.seq, outcome)
-        if (observe := self.observe) and result.contact:
+        if (observe := self.observe) and result and result.contact:
             observe(result.profile, last_ns, ms["capture_to_offer"], step_ms)
         return result

@@ -33,6 +33,7 @@ _log = logging.getLogger(__name__)
 _UNSENT_PER_STREAM: Final = 2
 _REPLIES_OPEN_MAX: Final = 16
 _STREAM_EXPIRY_S: Final = 5  # a broker drops what a stalled subscriber did not take by then
+_NO_LISTENER: Final = 0x10  # "no matching subscribers", MQTT 5
 _JSON: Final = "application/json"
 _CONTENT_TYPES: Final = {
     "height": "application/vnd.tacshade.height",
@@ -91,8 +92,8 @@ class MqttLink:
         self._reason = f"{self._where}: not started"
         self._epoch = 0  # counts lost connections: what was handed over in an older one is settled already
         self._outlets: dict[str, Outlet] = {}
-        self._by_mid: dict[int, tuple[Outlet, Item] | None] = {}  # None: a reply
-        self._early: set[int] = set()  # reported by paho's thread before publish() had returned the number
+        self._by_mid: dict[int, tuple[Outlet, Item, int] | None] = {}  # with its QoS; None: a reply
+        self._early: dict[int, int] = {}  # what paho's thread reported before publish() had returned the number
         self._replies_open = 0
         self._counters: Counter[str] = Counter()
         self._thread: threading.Thread | None = None
@@ -166,8 +167,20 @@ class MqttLink:
             outlet.put(Item(payload, 0))
         self._pump(outlet)
 
+    def wanted(self, stream: str) -> bool:
+        """Whether a payload of a stream may have a listener: False while the broker's latest answer was that none has.
+
+        True once a second all the same, so that the next payload asks again; and with a broker that is away, or that
+        never says so (MQTT 5 leaves it to the broker).
+        """
+        with self._lock:
+            outlet = self._outlets.get(stream)
+            return outlet is None or not outlet.unheard or outlet.probe_due(time.monotonic_ns())
+
     def offer(self, stream: str, payload: bytes, seq: int) -> None:
-        """Send a payload of a stream (QoS 0, not retained) once the peer takes it, unless a newer one comes first.
+        """Send a payload of a stream (not retained) once the peer takes it, unless a newer one comes first.
+
+        With QoS 0, but one payload a second with QoS 1: its answer tells whether anyone listens (`wanted`).
 
         Its one outcome: ``published`` (handed to the operating system), ``superseded`` (a newer one displaced it),
         or ``failed`` (displaced or lost while the broker was away). While the broker is away the newest is kept,
@@ -203,10 +216,11 @@ class MqttLink:
             with self._lock:
                 item = outlet.take() if self._connected and not self._stopping else None
                 epoch = self._epoch
-            if item is None:
-                return
+                if item is None:
+                    return
+                qos = outlet.next_qos(time.monotonic_ns())
             info = self._client.publish(
-                f"{self._base}/{outlet.topic}", item.payload, outlet.qos, outlet.retain, outlet.properties
+                f"{self._base}/{outlet.topic}", item.payload, qos, outlet.retain, outlet.properties
             )
             settled: tuple[Outcome, Item] | None = None
             with self._lock:
@@ -217,12 +231,11 @@ class MqttLink:
                 if not taken:  # the connection is going; the next one pumps
                     failed = outlet.refuse(item)
                     settled = None if failed is None else ("failed", failed)
-                elif self._was_early(info.mid):
-                    outlet.done(item)
-                    self._changed.notify_all()
+                elif (code := self._early.pop(info.mid, None)) is not None:
+                    self._done(outlet, item, qos, code)
                     settled = ("published", item)
                 else:
-                    self._by_mid[info.mid] = (outlet, item)
+                    self._by_mid[info.mid] = (outlet, item, qos)
             if settled is not None and not outlet.retain:
                 self._settle(settled[0], [(outlet.topic, settled[1])])
             if not taken:
@@ -241,16 +254,17 @@ class MqttLink:
         with self._lock:
             if epoch != self._epoch:
                 return
-            if info.rc != MQTTErrorCode.MQTT_ERR_SUCCESS or self._was_early(info.mid):
+            if info.rc != MQTTErrorCode.MQTT_ERR_SUCCESS or self._early.pop(info.mid, None) is not None:
                 self._replies_open -= 1
             else:
                 self._by_mid[info.mid] = None
 
-    def _was_early(self, mid: int) -> bool:
-        """Whether paho's thread reported this message before publish() returned its number. Lock held."""
-        early = mid in self._early
-        self._early.discard(mid)
-        return early
+    def _done(self, outlet: Outlet, item: Item, qos: int, code: int) -> None:
+        """Paho has sent an item (QoS 0), or the broker has answered it with a reason code. Lock held."""
+        outlet.done(item)
+        if qos == 1:
+            outlet.unheard = code == _NO_LISTENER
+        self._changed.notify_all()
 
     def _settle(self, outcome: Outcome, items: list[tuple[str, Item]]) -> None:
         """Tell the outcome of stream items. Lock not held."""
@@ -335,15 +349,14 @@ class MqttLink:
             if code.is_failure:
                 self._counters["refused"] += 1
             if mid not in self._by_mid:
-                self._early.add(mid)
+                self._early[mid] = code.value
                 return
             entry = self._by_mid.pop(mid)
             if entry is None:
                 self._replies_open -= 1
                 return
-            outlet, item = entry
-            outlet.done(item)
-            self._changed.notify_all()
+            outlet, item, qos = entry
+            self._done(outlet, item, qos, code.value)
         if not outlet.retain:
             self._settle("published", [(outlet.topic, item)])
         self._pump(outlet)

@@ -1,4 +1,7 @@
-"""What of one topic may wait, and what paho may hold of it: the latest wins, so memory is bounded."""
+"""What of one topic may wait, and what paho may hold of it: the latest wins, so memory is bounded.
+
+A stream also knows whether anyone listens: of a QoS 1 message an MQTT 5 broker tells when no subscription matched it.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,9 @@ from typing import Literal
 from paho.mqtt.properties import Properties
 
 Outcome = Literal["published", "superseded", "failed"]
+
+PROBE_PERIOD_NS = 1_000_000_000
+"""So often a message of a stream asks whether anyone listens; a new subscriber is noticed as soon."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,6 +43,10 @@ class Outlet:
         What paho holds, oldest first.
     busy : bool
         A thread is between `take` and the end of its publish; only it may take next, which keeps the order.
+    probed_ns : int or None
+        When the latest message that asks for its listeners was sent, CLOCK_MONOTONIC; None for none.
+    unheard : bool
+        The broker's answer to it was that there are none.
     """
 
     topic: str
@@ -47,12 +57,25 @@ class Outlet:
     waiting: Item | None = None
     handed: list[Item] = field(default_factory=list)
     busy: bool = False
+    probed_ns: int | None = None
+    unheard: bool = False
     _newest: Item | None = None
 
     @property
     def idle(self) -> bool:
         """Nothing waits and nothing is under way."""
         return self.waiting is None and not self.handed
+
+    def probe_due(self, now_ns: int) -> bool:
+        """Whether the next message is to ask for listeners."""
+        return self.probed_ns is None or now_ns - self.probed_ns >= PROBE_PERIOD_NS
+
+    def next_qos(self, now_ns: int) -> int:
+        """QoS of the message that is sent now: 1 where it asks. Until the answer comes there may be listeners."""
+        if self.retain or not self.probe_due(now_ns):
+            return self.qos
+        self.probed_ns, self.unheard = now_ns, False
+        return 1
 
     def put(self, item: Item) -> Item | None:
         """Fill the slot; the item that it displaced, or None."""
@@ -82,6 +105,7 @@ class Outlet:
     def give_back(self) -> list[Item]:
         """Paho holds nothing any more. The newest item waits again unless a newer one does; the others have failed."""
         lost, self.handed = self.handed, []
+        self.probed_ns, self.unheard = None, False
         if self.retain:
             self.waiting = self._newest
             return []

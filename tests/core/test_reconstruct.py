@@ -98,6 +98,17 @@ def test_without_contact_the_height_is_exactly_zero(profile: str, model: SensorM
         assert_nothing(result, inside)
 
 
+def test_a_glance_is_a_step_that_ends_at_a_contact() -> None:
+    without = {"no contact": unloaded(HALF), **unusable(HALF)}
+    for name, image in without.items():
+        glanced = reconstructor("fast", HALF, 0).glance(Frame(0, 0, 0, image))
+        assert glanced is not None, name
+        assert everything(glanced) == everything(step("fast", image, HALF, 0)), name
+    stages: list[str] = []
+    assert reconstructor("fast", HALF, 0).glance(Frame(0, 0, 0, pressed("ball", 2.0).image), stages.append) is None
+    assert stages == ["check", "grey", "gate", "moved"]
+
+
 @pytest.mark.xfail(strict=True, reason="a wide glare spot blackens pins around it, which is contact on a TacTip")
 def test_glare_is_no_contact_for_paper_on_a_sensor_that_darkens() -> None:
     found = [n for n, image in harmless(TACTIP).items() if "glare" in n and step("paper", image, TACTIP, 0).contact]

@@ -103,7 +103,7 @@ def last(seen: Subscriber, topic: str) -> Any:
 
 def assert_accounted(frames: dict[str, int]) -> None:
     assert frames["pending"] == 0
-    parts = ("published", "superseded", "without_contact", "invalid", "failed")
+    parts = ("published", "superseded", "without_contact", "unasked", "invalid", "failed")
     assert frames["captured"] == sum(frames[name] for name in parts)
 
 
@@ -159,6 +159,29 @@ def paced_start(seen: Subscriber) -> list[Any]:
         wait_until(lambda: seen.of(f"{BASE}/info"), 10, "info")
 
     return [connected, GONE]
+
+
+def test_what_nobody_subscribes_to_is_not_computed_until_someone_does(
+    tmp_path: Path, broker: Broker, calibration: Calibration, pictures: Any, scripted: Any
+) -> None:
+    app = Running(document(tmp_path, broker.port), scripted(paced(pictures.touched)), calibration)
+    counts = app.app.ledger.counts
+    try:
+        wait_until(lambda: counts().unasked > 50, 20, "frames that nobody asks for")
+        alone = counts()
+        assert alone.published < alone.unasked / 3
+        with Subscriber(broker.port, f"{BASE}/#") as seen:
+            seqs = [wire.decode(p).seq for p in seen.wait_for(f"{BASE}/height", 20, 10)]
+            assert seqs == sorted(set(seqs))
+            seen.wait_for(f"{BASE}/cloud", 20)
+            seen.wait_for(f"{BASE}/contact", 20)
+            seen.wait_for(f"{BASE}/preview", 3)
+            assert last(seen, "health")["frames"]["unasked"] >= alone.unasked
+        before = counts().unasked
+        wait_until(lambda: counts().unasked > before + 50, 20, "unasked again")
+    finally:
+        app.end()
+    assert_accounted(counts().as_dict())
 
 
 def test_a_lost_camera_degrades_and_a_new_one_brings_the_stream_back(
@@ -223,7 +246,7 @@ def test_a_stop_is_quick_without_a_broker_and_while_it_hangs(
 
     stalled = Running(document(tmp_path, broker.port), scripted(paced(pictures.touched)), calibration)
     ledger = stalled.app.ledger
-    wait_until(lambda: ledger.counts().published > 5, 10, "frames at the broker")
+    wait_until(lambda: ledger.counts().unasked > 5, 10, "frames that nobody at the broker asks for")
     broker.stall()
     try:
         assert stalled.end() < STOP_S

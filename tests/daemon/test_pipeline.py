@@ -16,7 +16,10 @@ from tacshade_edge.types import Calibration, Frame, Reconstruction
 
 
 class Published:
-    def deliver(self, frame: Frame, result: Reconstruction, calibration: Calibration) -> Outcome | None:
+    def asked(self) -> bool:
+        return True
+
+    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> Outcome | None:
         return "published"
 
 
@@ -70,7 +73,7 @@ def test_a_defect_in_a_step_is_reported(calibration: Calibration, scripted: Any,
     crashes: list[Crash] = []
 
     class Broken(Published):
-        def deliver(self, frame: Frame, result: Reconstruction, calibration: Calibration) -> Outcome | None:
+        def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> Outcome | None:
             raise ZeroDivisionError("a defect")
 
     with crashes_to(crashes.append):

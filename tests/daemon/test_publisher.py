@@ -20,15 +20,21 @@ PERIOD_NS = 20_000_000  # 50 frames per second
 class Played:
     """What the publisher offered for a run of pictures."""
 
-    def __init__(self, calibration: Calibration, images: list[Any]) -> None:
+    def __init__(
+        self, calibration: Calibration, images: list[Any], wanted: tuple[str, ...] = ("height", "cloud", "contact")
+    ) -> None:
         self.offers: list[tuple[str, bytes, int]] = []
-        publisher = Publisher(lambda stream, payload, seq: self.offers.append((stream, payload, seq)))
+        publisher = Publisher(
+            lambda stream, payload, seq: self.offers.append((stream, payload, seq)), lambda stream: stream in wanted
+        )
         publisher.fps = 12.5
         reconstructor = make_reconstructor(calibration, PROFILES["balanced"])
         self.outcomes = []
         for seq, image in enumerate(images):
             frame = Frame(seq, seq * PERIOD_NS, 0, image)
-            self.outcomes.append(publisher.deliver(frame, reconstructor.step(frame), calibration))
+            result = reconstructor.step(frame) if publisher.asked() else reconstructor.glance(frame)
+            self.outcomes.append(publisher.deliver(frame, result, calibration))
+        self.latest = publisher.latest
 
     def seqs(self, stream: str) -> list[int]:
         return [seq for s, _, seq in self.offers if s == stream]
@@ -78,3 +84,36 @@ def test_a_known_pose_goes_with_height_and_cloud(calibration: Calibration, pictu
         publisher.deliver(frame, reconstructor.step(frame), calibration)
     decoded = [wire.decode(payload) for stream, payload in offers if stream != "contact"]
     assert [(m.pose, m.pose_error_us) for m in decoded] == [(POSE, 70)] * 2 + [(None, 0)] * 2
+
+
+def test_what_nobody_wants_is_left_out_but_for_begin_and_end_of_a_contact(
+    calibration: Calibration, pictures: Any
+) -> None:
+    images = [pictures.free] * 2 + [pictures.touched] * 3 + [pictures.free] * 7
+    only_contact = Played(calibration, images, ("contact",))
+    assert only_contact.seqs("height") == [2, 5]
+    assert only_contact.seqs("cloud") == [2]
+    assert only_contact.seqs("contact") == [0, 2, 3, 4, 5, 10]
+    assert only_contact.outcomes == ["without_contact"] * 2 + [
+        None,
+        "unasked",
+        "unasked",
+        None,
+        *["without_contact"] * 6,
+    ]
+    only_height = Played(calibration, images, ("height",))
+    assert only_height.seqs("height") == [2, 3, 4, 5]
+    assert only_height.seqs("cloud") == [2]
+    assert only_height.seqs("contact") == [2, 5]
+
+
+def test_a_contact_of_which_nobody_wants_anything_is_counted_and_its_picture_kept(
+    calibration: Calibration, pictures: Any
+) -> None:
+    played = Played(calibration, [pictures.free, pictures.touched, pictures.touched], ())
+    assert played.offers == []
+    assert played.outcomes == ["without_contact", "unasked", "unasked"]
+    assert played.latest is not None
+    frame, result = played.latest
+    assert (frame.seq, result.seq) == (2, 0)
+    assert Played(calibration, [pictures.touched], ()).latest is None

@@ -117,10 +117,16 @@ def test_what_can_never_work_leaves_the_thread(scripted: Any) -> None:
 class Collected:
     """A sink that keeps everything and settles by kind."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, asks: bool = True) -> None:
+        self.asks = asks
         self.results: list[Reconstruction] = []
 
-    def deliver(self, frame: Frame, result: Reconstruction, calibration: Calibration) -> Outcome | None:
+    def asked(self) -> bool:
+        return self.asks
+
+    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> Outcome | None:
+        if result is None:
+            return "unasked"
         assert frame.seq == result.seq
         assert calibration.crc32
         self.results.append(result)
@@ -172,3 +178,29 @@ def test_reconstruct_delivers_times_and_settles_every_frame(
         "capture_to_offer",
     }
     assert all(0 < p["p50"] <= p["p99"] for p in stages.values())
+
+
+def test_a_contact_that_nobody_asks_for_ends_at_the_gate_unless_it_is_watched(
+    calibration: Calibration, pictures: Any, wait_until: Any
+) -> None:
+    mailbox: Mailbox[Frame] = Mailbox()
+    ledger, timings, sink = FrameLedger(), Timings(), Collected(asks=False)
+    worker = Reconstruct(make_reconstructor(calibration, PROFILES["fast"]), mailbox, ledger, timings, sink)
+    watched: list[int] = []
+    thread = threading.Thread(target=worker.run)
+    thread.start()
+    for seq, image in enumerate([pictures.free, pictures.touched, pictures.black, pictures.touched]):
+        if seq == 3:
+            worker.watch = lambda frame, result: watched.append(result.seq)
+        ledger.captured(seq)
+        mailbox.put(Frame(seq, 0, 0, image))
+        wait_until(lambda seq=seq: worker.processed == seq + 1)
+    mailbox.close()
+    thread.join(10)
+    assert [(r.seq, r.valid, r.contact) for r in sink.results] == [(0, True, False), (2, False, False), (3, True, True)]
+    assert ledger.counts().as_dict() == {
+        **dict.fromkeys(("superseded", "failed", "pending"), 0),
+        **dict.fromkeys(("without_contact", "unasked", "invalid", "published"), 1),
+        "captured": 4,
+    }
+    wait_until(lambda: watched == [3])

@@ -10,6 +10,7 @@ import ssl
 import subprocess
 import sys
 import threading
+import time
 import tracemalloc
 from collections import Counter, defaultdict
 from collections.abc import Iterator
@@ -141,6 +142,33 @@ class TestUp:
                 wait_until(lambda t=topic, n=newest: late.of(f"{BASE}/{t}")[-1:] == [n], 3, topic)
             status = late.wait_for(f"{BASE}/status/camera")
             assert json.loads(status[-1]) == {"state": "online", "reason": "capturing"}
+
+    def test_a_stream_is_wanted_while_someone_listens_and_once_a_second_else(self, rig: Rig, broker: Broker) -> None:
+        assert rig.link.wanted("height")  # nothing is known yet
+        rig.link.offer("height", b"0", 0)
+        wait_until(lambda: not rig.link.wanted("height"), 3, "the broker told that nobody listens")
+        assert rig.link.wanted("cloud")
+        wait_until(lambda: rig.link.wanted("height"), 3, "time to ask again")
+        with Subscriber(broker.port, f"{BASE}/height", v5=True) as subscriber:
+            began, answers = time.monotonic(), 0
+            for seq in range(1, 150):
+                rig.link.offer("height", bytes([seq]), seq)
+                wait_until(lambda seq=seq: len(rig.outcomes["height"]) == seq + 1, 3, "sent")
+                answers += rig.link.wanted("height")
+            subscriber.wait_for(f"{BASE}/height", 149)
+            assert answers == 149
+            qos1 = sum(m.qos == 1 for m in subscriber.messages)
+            assert 1 <= qos1 <= time.monotonic() - began + 1
+        assert [m.payload[0] for m in subscriber.messages] == list(range(1, 150))
+        rig.link.offer("cloud", b"", 0)
+        wait_until(lambda: not rig.link.wanted("cloud"), 3, "each stream has its own listeners")
+
+    def test_a_broker_that_comes_back_may_have_listeners(self, rig: Rig, broker: Broker) -> None:
+        rig.link.offer("height", b"0", 0)
+        wait_until(lambda: not rig.link.wanted("height"), 3, "the broker told that nobody listens")
+        broker.kill()
+        wait_until(lambda: rig.link.wanted("height"), 3, "wanted")
+        broker.start()
 
     def test_stop_says_stopped_after_the_last_frame(self, broker: Broker, subscriber: Subscriber) -> None:
         rig = Rig(broker.port).connect()

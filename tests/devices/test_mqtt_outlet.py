@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
-from tacshade_edge.devices.mqtt_outlet import Item, Outlet
+from tacshade_edge.devices.mqtt_outlet import PROBE_PERIOD_NS, Item, Outlet
 
 EVENTS = st.lists(st.sampled_from(["put", "take", "sent", "refuse", "lost"]), max_size=60)
 
@@ -73,3 +73,22 @@ def test_retained_value_waits_again_after_every_loss() -> None:
         outlet.done(item)
         assert outlet.idle
         assert outlet.give_back() == []
+
+
+def test_a_stream_asks_for_listeners_once_a_period_and_after_every_loss() -> None:
+    outlet = make_outlet()
+    asked = [outlet.next_qos(t_ns) for t_ns in (5, 6, PROBE_PERIOD_NS, PROBE_PERIOD_NS + 5, PROBE_PERIOD_NS + 6)]
+    assert asked == [1, 0, 0, 1, 0]
+    outlet.unheard = True
+    assert outlet.next_qos(PROBE_PERIOD_NS + 7) == 0
+    assert outlet.unheard
+    assert outlet.next_qos(2 * PROBE_PERIOD_NS + 5) == 1
+    assert not outlet.unheard  # until the answer comes there may be listeners
+    outlet.unheard = True
+    outlet.give_back()
+    assert (outlet.unheard, outlet.next_qos(2 * PROBE_PERIOD_NS + 6)) == (False, 1)
+
+
+def test_a_retained_value_keeps_its_qos() -> None:
+    outlet = make_outlet(retain=True)
+    assert [outlet.next_qos(t_ns) for t_ns in (5, 2 * PROBE_PERIOD_NS)] == [0, 0]

@@ -2,8 +2,8 @@
 
 const LEVELS = { online: "good", streaming: "good", degraded: "warn", away: "warn", unusable: "warn", stopped: "off", ended: "off", offline: "bad" };
 const FRAMES = {
-  published: "with contact, sent", without_contact: "without contact", superseded: "replaced by a newer one",
-  invalid: "not usable", failed: "failed or lost", pending: "on their way",
+  published: "with contact, sent", without_contact: "without contact", unasked: "with contact, nobody listened",
+  superseded: "replaced by a newer one",  invalid: "not usable", failed: "failed or lost", pending: "on their way",
 };
 
 export const levelOf = (state) => LEVELS[state] ?? "warn";
