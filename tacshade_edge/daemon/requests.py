@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from tacshade_edge.core.calibrate import rezero
 from tacshade_edge.core.profiles import AUTO
 from tacshade_edge.daemon.active_profile import ActiveProfile
 from tacshade_edge.daemon.reference import REFERENCE_FRAMES, ReferenceCollector
@@ -108,6 +107,8 @@ class Requests:
         if reason:
             self._refuse(request, reason)
             return
+        from tacshade_edge.core.calibrate import rezero  # on demand: few daemons ever calibrate
+
         try:
             calibration = with_crc(rezero(self._active.reconstructor.calibration, images))
         except ConfigError as error:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import onnxruntime
-
 from tacshade_edge.core import solvers
 from tacshade_edge.core.profiles import LEARNED, PROFILES, Profile
 from tacshade_edge.core.reconstruct import Reconstructor
@@ -23,6 +21,8 @@ def load_network(name: str) -> Network:
 
 def read_network(onnx: Path) -> Network:
     """Read an ONNX file and the JSON file beside it (tools/train/export.py)."""
+    import onnxruntime  # on demand: 20 MB that `paper` does without
+
     fold = int(json.loads(onnx.with_name(onnx.name.replace(".onnx", ".json")).read_text())["fold"])
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1

@@ -1,0 +1,53 @@
+"""What a daemon imports follows its settings: memory and a quick start are for what it does."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+from mqtt_rig import free_port
+from painted_sensor import FREE, TOUCHED, painted_calibration
+
+from tacshade_edge.devices import calibration_file
+
+# Runs the command to the end of its recording, then tells what was imported.
+RUN = """
+import json, sys
+from tacshade_edge import cli
+print(json.dumps([cli.main(sys.argv[1:]), *sys.modules]))
+"""
+OTHERS = {"scipy", "matplotlib", "skimage", "PIL", "serial", "websockets", "iotcore", "sklearn", "torch"}
+# Other commands, and what waits for a reference to be taken, for a camera, for a simulated source.
+COMMANDS, ON_DEMAND = (
+    "simulator studies dashboard doctor daemon.replay",
+    "core.calibrate devices.v4l2 devices.simulated",
+)
+OWN = {f"tacshade_edge.{part}" for part in [*COMMANDS.split(), *ON_DEMAND.split()]}
+
+
+def imported(folder: Path, profile: str) -> set[str]:
+    settings = folder / f"{profile}.yaml"
+    settings.write_text(
+        f"profile: {profile}\ncalibration: c.npz\nsource: {{kind: files, path: images, fps: 100}}\n"
+        f"mqtt: {{host: 127.0.0.1, port: {free_port()}}}\n"
+    )
+    command = [sys.executable, "-c", RUN, "run", "--config", str(settings)]
+    code, *modules = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+    assert code == 0
+    return set(modules)
+
+
+def test_imports_follow_the_settings(tmp_path: Path) -> None:
+    calibration_file.save(tmp_path / "c.npz", painted_calibration())
+    (tmp_path / "images").mkdir()
+    for i, image in enumerate([FREE, TOUCHED]):
+        cv2.imwrite(str(tmp_path / "images" / f"{i}.png"), image)
+    network, paper = imported(tmp_path, "fast"), imported(tmp_path, "paper")
+    assert "onnxruntime" in network
+    assert "onnxruntime" not in paper
+    for modules in (network, paper):
+        assert "tacshade_edge.devices.files" in modules
+        assert not modules & (OTHERS | OWN)
