@@ -87,6 +87,8 @@ class GlareCheck:
         The brightest that a pixel may be.
     box, halo : uint8 (n, n)
         Neighbourhoods of blocks as morphological kernels.
+    whole, bright : uint8
+        Space to work in: of whole blocks, white beyond the window; as large as the window.
     """
 
     mask: U8
@@ -95,6 +97,8 @@ class GlareCheck:
     brightest: U8
     box: U8
     halo: U8
+    whole: U8
+    bright: U8
 
     def __post_init__(self) -> None:
         freeze(self, "mask", "darkest", "brightest", "box", "halo")
@@ -115,6 +119,8 @@ def glare_check(reference_grey: U8, mask: U8, pitch_px: float) -> GlareCheck:
         brightest=cv2.convertScaleAbs(cv2.dilate(inside, near), alpha=GLARE_GAIN, beta=GLARE_OFFSET),
         box=box,
         halo=halo,
+        whole=padded(np.full_like(mask, 255), block_px, 255),
+        bright=np.empty_like(mask),
     )
 
 
@@ -132,9 +138,11 @@ def glare_mask(grey: U8, check: GlareCheck) -> U8 | None:
     uint8 (H, W) or None
         1 where glare and its halo are, in whole blocks; None without glare.
     """
-    side = check.block_px
-    found = cv2.compare(cv2.erode(_least(grey, side), check.box), check.darkest, cv2.CMP_GT)
-    bright = cv2.bitwise_and(cv2.compare(grey, check.brightest, cv2.CMP_GT), check.mask)
+    side, (rows, cols) = check.block_px, grey.shape
+    check.whole[:rows, :cols] = grey
+    found = cv2.compare(cv2.erode(_least(check.whole, side), check.box), check.darkest, cv2.CMP_GT)
+    bright = cv2.compare(grey, check.brightest, cv2.CMP_GT, dst=check.bright)
+    cv2.bitwise_and(bright, check.mask, dst=bright)
     some = cv2.countNonZero(bright) >= GLARE_PX
     if not some and cv2.countNonZero(found) == 0:
         return None
@@ -145,7 +153,6 @@ def glare_mask(grey: U8, check: GlareCheck) -> U8 | None:
     if cv2.countNonZero(found) == 0:
         return None
     grown = np.minimum(cv2.dilate(found, check.halo), 1)
-    rows, cols = grey.shape
     return np.ascontiguousarray(grown.repeat(side, axis=0).repeat(side, axis=1)[:rows, :cols])
 
 

@@ -9,11 +9,11 @@ from tacshade_edge.core.total_variation import chambolle
 from tacshade_edge.types import F32, U8, Bool
 
 
-def to_grey(image: U8) -> U8:
-    """Grey image of a grey (H, W) or BGR (H, W, 3) one; uint8, 0 to 255."""
+def to_grey(image: U8, space: U8 | None = None) -> U8:
+    """Grey image of a grey (H, W) or BGR (H, W, 3) one; uint8, 0 to 255. It may be put into `space`, (H, W)."""
     if image.ndim == 2:
         return image
-    grey: U8 = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    grey: U8 = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY, dst=space)
     return grey
 
 

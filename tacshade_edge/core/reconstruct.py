@@ -92,6 +92,7 @@ class Reconstructor:
             col0=self.grid.col0,
             step_px=self.grid.step_px,
         )
+        self._grey: U8 = np.empty((calibration.image_height_px, calibration.image_width_px), np.uint8)
         self._no_cloud = ObjectCloud(np.zeros((0, 3), dtype=np.float32), np.zeros(0, dtype=np.uint16))
 
     def step(self, frame: Frame, mark: Mark = no_mark) -> Reconstruction:
@@ -174,7 +175,7 @@ class Reconstructor:
 
     def _seen(self, image: U8) -> U8:
         """What is worked on of an image."""
-        grey = greyscale.to_grey(image)
+        grey = greyscale.to_grey(image, self._grey)
         return halved_image(grey) if self._halve else grey
 
     def _refitted(self, inverse: Inverse) -> tuple[Depth, Bool]:
@@ -184,7 +185,7 @@ class Reconstructor:
         repaired = finite.size - int(np.count_nonzero(finite))
         if repaired:
             height = np.where(finite, height, np.float32(0))
-        height = np.maximum(height, np.float32(0))
+        np.maximum(height, np.float32(0), out=height)
         touched: Bool = (inverse.contact_logit > 0) & self.rays.inside
         deepest = np.float32(DEEPEST_RADII * self.calibration.geometry.skin_radius_mm)
         saturated = bool((touched & (height > deepest)).any())

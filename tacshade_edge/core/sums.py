@@ -35,6 +35,7 @@ class Sums:
         shape = (window.rows + 2 * margin_px, window.cols + 2 * margin_px)
         self._values = np.zeros(shape, np.uint8)
         self._total: Total = np.zeros((shape[0] + 1, shape[1] + 1), np.int32)
+        self._bands: Total = self._total[:0]  # space to work in
 
     def show(self, values: U8) -> None:
         """Take an image of the window, uint8 (rows, cols); what follows is of this one."""
@@ -58,7 +59,10 @@ class Sums:
         half, step = side_px // 2, int(grid.step_px)
         row = int(grid.row0) - self.window.row0 + self._margin
         col = int(grid.col0) - self.window.col0 + self._margin
-        bands = self._total[row + half + 1 :: step][: grid.rows] - self._total[row - half :: step][: grid.rows]
+        if len(self._bands) != grid.rows or self._bands.dtype != self._total.dtype:
+            self._bands = np.empty((grid.rows, self._total.shape[1]), self._total.dtype)
+        below, above = self._total[row + half + 1 :: step], self._total[row - half :: step]
+        bands = np.subtract(below[: grid.rows], above[: grid.rows], out=self._bands)
         sums = bands[:, col + half + 1 :: step][:, : grid.cols] - bands[:, col - half :: step][:, : grid.cols]
         return sums.astype(np.float32)
 
@@ -70,42 +74,68 @@ class Sums:
         float32 (cells.rows, cells.cols)
             Exact to 1e-4 of the greatest value. What lies beyond the window is 0.
         """
-        bands = _between(self._total, cells.row_low, cells.row_part[:, None])
-        both = _between(np.ascontiguousarray(bands.T), cells.col_low, cells.col_part[:, None])
-        return np.ascontiguousarray(both.T) * np.float32(1 / cells.area_px2)
+        both = cells.cols.across(cells.rows.between(self._total))
+        return np.multiply(both.T, np.float32(1 / cells.area_px2), order="C")
 
     def cells_of(self, grid: Grid) -> Cells:
         """Prepare `means` over the cells of a grid."""
         rows, cols, m = self.window.rows, self.window.cols, self._margin
-        row_low, row_part = _edges(grid.row0 - self.window.row0, grid.step_px, grid.rows, rows, m)
-        col_low, col_part = _edges(grid.col0 - self.window.col0, grid.step_px, grid.cols, cols, m)
-        return Cells(row_low, row_part, col_low, col_part, grid.step_px**2)
+        row_edges = _edges(grid.row0 - self.window.row0, grid.step_px, grid.rows, rows, m)
+        return Cells(row_edges, _edges(grid.col0 - self.window.col0, grid.step_px, grid.cols, cols, m), grid.step_px**2)
+
+
+class Edges:
+    """Where the edges of cells in a row lie in an integral image: between line `low` and the next, at `part` of it.
+
+    Parameters
+    ----------
+    low : int32 (n + 1,)
+    part : float32 (n + 1,)
+    """
+
+    def __init__(self, low: I32, part: F32) -> None:
+        self._low, self._next, self._part = low, low + 1, part[:, None]
+        self._at: Total | F32 = np.empty((0, 0), np.float32)
+        self._turned: F32 = np.empty((0, 0), np.float32)
+
+    def between(self, lines: Total | F32) -> F32:
+        """Integral along axis 0 from each edge to the next; the next call overwrites it.
+
+        Differences first: they are small, and exact in float32.
+        """
+        shape = (self._low.size, lines.shape[1])
+        if self._at.shape != shape or self._at.dtype != lines.dtype:
+            self._at, self._following = np.empty(shape, lines.dtype), np.empty(shape, lines.dtype)
+            self._beyond = np.empty(shape, np.float32)
+            self._between = np.empty((shape[0] - 1, shape[1]), np.float32)
+        # "clip" writes into `out` directly; no edge lies beyond. OpenCV converts without buffers.
+        at, following = lines.take(self._low, 0, self._at, "clip"), lines.take(self._next, 0, self._following, "clip")
+        cv2.subtract(following, at, dst=self._beyond, dtype=cv2.CV_32F)
+        self._beyond *= self._part
+        cv2.subtract(at[1:], at[:-1], dst=self._between, dtype=cv2.CV_32F)
+        self._between += self._beyond[1:]
+        self._between -= self._beyond[:-1]
+        return self._between
+
+    def across(self, lines: F32) -> F32:
+        """The same along axis 1; axis 0 of the answer."""
+        if self._turned.shape != lines.shape[::-1]:
+            self._turned = np.empty(lines.shape[::-1], np.float32)
+        cv2.transpose(lines, dst=self._turned)
+        return self.between(self._turned)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cells:
-    """Where the edges of a grid's cells lie in an integral image: between row `low` and the next, at `part` of it."""
+    """Cells of a grid in an integral image."""
 
-    row_low: I32
-    row_part: F32
-    col_low: I32
-    col_part: F32
+    rows: Edges
+    cols: Edges
     area_px2: float
 
 
-def _edges(first: float, step: float, count: int, size: int, margin: int) -> tuple[I32, F32]:
+def _edges(first: float, step: float, count: int, size: int, margin: int) -> Edges:
     # Pixel i reaches from i - 0.5 to i + 0.5, and row i of an integral image is the sum up to i - 0.5.
     edge = np.clip(first + step * (np.arange(count + 1) - 0.5) + 0.5, 0, size) + margin
     low = np.minimum(edge.astype(np.int32), size + 2 * margin - 1).astype(np.int32)
-    return low, (edge - low).astype(np.float32)
-
-
-def _between(total: Total | F32, low: I32, part: F32) -> F32:
-    """Integral along axis 0 from each edge to the next. Differences first: they are small, and exact in float32."""
-    at, following = total.take(low, axis=0), total.take(low + 1, axis=0)
-    # int32 times float32 would be float64.
-    beyond = (following - at).astype(np.float32) * part
-    between: F32 = (at[1:] - at[:-1]).astype(np.float32)
-    between += beyond[1:]
-    between -= beyond[:-1]
-    return between
+    return Edges(low, (edge - low).astype(np.float32))

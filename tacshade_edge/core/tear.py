@@ -32,6 +32,8 @@ class _Rows:
         255 in the disc, from the first edge to the last.
     width_px : float32 (BANDS + 1, n)
         Pixels of each row in each band and in all, at least 1.
+    step : uint8 (n, w)
+        Space for `_spikes` to work in.
     """
 
     first: int
@@ -39,6 +41,7 @@ class _Rows:
     edges: tuple[int, ...]
     mask: U8
     width_px: F32
+    step: U8
 
     def __post_init__(self) -> None:
         freeze(self, "mask", "width_px")
@@ -64,13 +67,9 @@ def tear_check(reference_grey: U8, mask: Bool) -> TearCheck | None:
     columns = np.flatnonzero(mask.any(axis=0))
     edges = tuple(np.linspace(columns[0], columns[-1] + 1, BANDS + 1).astype(int).tolist())
     widths = [mask[first:last, left:right].sum(axis=1) for left, right in pairwise(edges)]
-    rows = _Rows(
-        first,
-        last,
-        edges,
-        np.where(mask[first:last, edges[0] : edges[-1]], np.uint8(255), np.uint8(0)),
-        np.maximum(np.stack([*widths, sum(widths)]), 1).astype(np.float32),
-    )
+    opaque = np.where(mask[first:last, edges[0] : edges[-1]], np.uint8(255), np.uint8(0))
+    width_px = np.maximum(np.stack([*widths, sum(widths)]), 1).astype(np.float32)
+    rows = _Rows(first, last, edges, opaque, width_px, np.empty_like(opaque))
     return TearCheck(rows, _spikes(reference_grey, rows, 0.0))
 
 
@@ -92,7 +91,8 @@ def _spikes(grey: U8, rows: _Rows, least: float) -> F32:
     """
     first, last, left = rows.first, rows.last, rows.edges[0]
     disc = grey[first : last + 1, left : rows.edges[-1]]
-    step = cv2.bitwise_and(cv2.absdiff(disc[:-1], disc[1:]), rows.mask)
+    step = cv2.absdiff(disc[:-1], disc[1:], dst=rows.step)
+    cv2.bitwise_and(step, rows.mask, dst=step)
     spikes = _over_neighbours(step, rows.width_px[-1])
     if spikes.max() <= least:
         return np.zeros_like(spikes)

@@ -81,13 +81,14 @@ class LearnedInverse:
         n = network.fold
         reference = fold(reference_white[None], n)
         rest = np.zeros((inputs(n) - 2 * n * n - KNOWN, *reference.shape[1:]), np.float32)
-        # The frame's channels come first; the others stay.
-        self._still = np.concatenate((reference, known[:, ::n, ::n], rest))
+        # The frame's channels come first, here the reference's; the others stay.
+        self._maps: F32 = np.concatenate((reference, reference, known[:, ::n, ::n], rest))
 
     def __call__(self, white: F32) -> Inverse:
         """Run it on a frame's white, float32 (cells, cells), 0 to 1."""
-        frame = fold(white[None], self._network.fold)
-        height, logit = unfold(self._network.run(np.concatenate((frame, self._still))), self._network.fold)
+        n = self._network.fold
+        self._maps[: n * n] = fold(white[None], n)
+        height, logit = unfold(self._network.run(self._maps), n)
         return Inverse(height * np.float32(self._unit_mm / HEIGHT_SCALE), logit)
 
 
