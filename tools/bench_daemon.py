@@ -226,6 +226,18 @@ def table(results: dict[str, dict[str, Any]]) -> str:
     )
 
 
+def beside_null(results: dict[str, dict[str, Any]]) -> str:
+    """What the daemon takes beyond the null daemon of the same rows."""
+    contact, null, free = results["contact"], results["contact, null"], results["free"]
+    p50, p99 = (contact[key] - null[key] for key in ("p50_ms", "p99_ms"))
+    later_s = contact["first_map_s"] - null["first_map_s"]
+    times, free_times = contact["cpu"] / null["cpu"], free["cpu"] / results["free, null"]["cpu"]
+    return (
+        f"beside the null daemon: p50 {p50:+.1f} ms, p99 {p99:+.1f} ms, first map {later_s:+.2f} s, "
+        f"CPU {times:.1f} times, without contact {free_times:.1f} times"
+    )
+
+
 def main() -> int:
     """Run the daemons one after the other; exit 1 when a frame is not accounted for."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -255,6 +267,8 @@ def main() -> int:
         told = encoding(folder) if args.record else ""
     results = {row: best(made) for row, made in runs.items()}
     print(table(results))
+    if not args.record:
+        print(beside_null(results))
     for row in [row for row in results if row == "free" or row == "contact"]:
         stages = results[row]["health"]["stages_ms"]
         print(f"{row}, p50 / p99 ms: " + ", ".join(f"{stage} {s['p50']} / {s['p99']}" for stage, s in stages.items()))
