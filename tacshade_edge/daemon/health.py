@@ -12,14 +12,9 @@ from tacshade_edge.types import Reconstruction
 UNUSABLE_PERIODS = 3
 
 
-def usable(counts: Counts) -> int:
-    """Frames that were found good: sent, or with nothing to send."""
-    return counts.published + counts.without_contact
-
-
 def delivered(counts: Counts) -> int:
-    """Frames that ended as they should. Of one that nobody asked for not all was looked at that may make it invalid."""
-    return usable(counts) + counts.unasked
+    """Frames that ended as they should: sent, with nothing to send, or not asked for."""
+    return counts.published + counts.without_contact + counts.unasked
 
 
 class Health:
@@ -76,7 +71,7 @@ class Health:
 
     def _judge(self, before: Counts, counts: Counts, latest: Reconstruction | None) -> None:
         """Whether frames come but none can be used; the first reason stays, so that it is told once."""
-        if usable(counts) > usable(before):
+        if delivered(counts) > delivered(before):
             self._unusable_periods, self.unusable = 0, ""
         elif counts.invalid > before.invalid:
             self._unusable_periods += 1

@@ -17,7 +17,7 @@ class Publisher:
     With contact: ``height``, ``cloud`` and ``contact`` of every frame. Without: one zero ``height`` when the
     contact ends (flagged when an invalid frame ended it), then only ``contact`` at 10 Hz. A frame whose
     height is offered is settled by what becomes of that offer. What nobody wants is left out, but never the
-    begin and the end of a contact: nobody is left with an older truth.
+    begin or end of a contact that is or was told: nobody is left with an older truth.
 
     Parameters
     ----------

@@ -17,7 +17,7 @@ DOCUMENT = Path(__file__).parents[2] / "docs" / "mqtt.md"
 def test_rates_are_between_two_snapshots() -> None:
     ledger = FrameLedger()
     health = Health(ledger, Timings())
-    ends: list[Outcome] = ["published", "published", "without_contact", "invalid"]
+    ends: list[Outcome] = ["published", "published", "without_contact", "unasked", "invalid"]
     for seq, end in enumerate(ends):
         ledger.captured(seq)
         ledger.settle(seq, end)
@@ -25,11 +25,11 @@ def test_rates_are_between_two_snapshots() -> None:
     assert first["source_dropped"] == 7
     assert first["mqtt"] == {"connects": 1}
     assert first["recorder"] == {"written": 3}
-    assert first["frames"]["captured"] == 4
+    assert first["frames"]["captured"] == 5
     assert first["latency_ms"] is None
     # one interval, so the rates have the ratio of the counts; they are rounded
     rates = [first[name] / first["capture_fps"] for name in ("delivered_fps", "published_fps")]
-    assert [round(rate, 2) for rate in rates] == [0.75, 0.5]
+    assert [round(rate, 2) for rate in rates] == [0.8, 0.4]
     second = health.snapshot(None, 7, {}, {}, None)
     assert (second["capture_fps"], second["delivered_fps"], second["published_fps"]) == (0, 0, 0)
 

@@ -86,7 +86,7 @@ def test_a_known_pose_goes_with_height_and_cloud(calibration: Calibration, pictu
     assert [(m.pose, m.pose_error_us) for m in decoded] == [(POSE, 70)] * 2 + [(None, 0)] * 2
 
 
-def test_what_nobody_wants_is_left_out_but_for_begin_and_end_of_a_contact(
+def test_an_output_that_nobody_wants_is_left_out_but_for_begin_and_end_of_a_contact(
     calibration: Calibration, pictures: Any
 ) -> None:
     images = [pictures.free] * 2 + [pictures.touched] * 3 + [pictures.free] * 7
