@@ -44,7 +44,7 @@ class Preprocessor:
         self._sums = Sums(self._window, self._side_px // 2 + 1)
         self._cells = self._sums.cells_of(discmap.map_grid(geometry.disc, profile.cells))
         fine = discmap.map_grid(geometry.disc)
-        self._fine_cells = self._sums.cells_of(fine)
+        self._fine_cells = self._cells if profile.cells == discmap.CELLS else self._sums.cells_of(fine)
         self.grid = Grid.of_window(self._window, profile.stride_px)
         self.rays: DiscRays = disc_rays(self.grid, geometry)
         self._total = self._box_sums(self._mask)
