@@ -2,7 +2,7 @@
 
 ::
 
-    .venv/bin/python tools/bench_daemon.py [--fps 60] [--seconds 20] [--runs 1] [--profile fast] [--record] [--json F]
+    .venv/bin/python tools/bench_daemon.py [--fps 60] [--seconds 20] [--runs 1] [--profile NAME] [--record] [--json FILE]
 
 Four processes: mosquitto on a loopback port, the daemon (`ring_daemon.py`) or the null daemon (`null_daemon.py`), a
 subscriber that decodes, and this one, which reads the daemon's figures from /proc. The frames are a ring of 640x480
@@ -244,7 +244,7 @@ def main() -> int:
     parser.add_argument("--fps", type=float, default=60.0)
     parser.add_argument("--seconds", type=float, default=20.0, help="of each run, start included")
     parser.add_argument("--runs", type=int, default=1, help="of each row; its best figures are told")
-    parser.add_argument("--profile", choices=list(PROFILES), default="fast")
+    parser.add_argument("--profile", choices=list(PROFILES), default="balanced")
     parser.add_argument("--record", action="store_true", help="the daemon without and with a recording")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures of every run there")
     for hidden, kind in (("--role", str), ("--port", int)):  # of the subscriber

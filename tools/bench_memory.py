@@ -2,7 +2,7 @@
 
 ::
 
-    .venv/bin/python tools/bench_memory.py [--frames 600] [--fps 30] [--profile fast] [--source files] [--json FILE]
+    .venv/bin/python tools/bench_memory.py [--frames 600] [--fps 30] [--profile balanced] [--source files] [--json FILE]
 
 The daemon reads 640x480 images of a ball that goes in and out (drawn before, by this process), or draws
 them itself (``--source simulated``). Its memory is read from /proc after a tenth of the frames, a half, and all:
@@ -126,7 +126,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--frames", type=int, default=600)
     parser.add_argument("--fps", type=float, default=30.0)
-    parser.add_argument("--profile", choices=[*PROFILES, AUTO], default="fast")
+    parser.add_argument("--profile", choices=[*PROFILES, AUTO], default="balanced")
     parser.add_argument("--source", choices=("files", "simulated"), default="files")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there too")
     args = parser.parse_args()
