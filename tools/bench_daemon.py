@@ -2,7 +2,7 @@
 
 ::
 
-    .venv/bin/python tools/bench_daemon.py [--fps 60] [--seconds 20] [--runs 1] [--profile NAME] [--record] [--json FILE]
+    .venv/bin/python tools/bench_daemon.py [--fps 60] [--seconds 20] [--runs 1] [--profile NAME] [--record] [--json F]
 
 Four processes: mosquitto on a loopback port, the daemon (`ring_daemon.py`) or the null daemon (`null_daemon.py`), a
 subscriber that decodes, and this one, which reads the daemon's figures from /proc. The frames are a ring of 640x480
