@@ -42,7 +42,7 @@ from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 
 from tacshade_edge.cli.demo_sensor import make_calibration
-from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.profiles import DEFAULT, PROFILES
 from tacshade_edge.devices import calibration_file, registry
 from tacshade_edge.devices.mqtt_caller import MqttCaller
 from tacshade_edge.devices.network import make_reconstructor
@@ -244,7 +244,7 @@ def main() -> int:
     parser.add_argument("--fps", type=float, default=60.0)
     parser.add_argument("--seconds", type=float, default=20.0, help="of each run, start included")
     parser.add_argument("--runs", type=int, default=1, help="of each row; its best figures are told")
-    parser.add_argument("--profile", choices=list(PROFILES), default="balanced")
+    parser.add_argument("--profile", choices=list(PROFILES), default=DEFAULT)
     parser.add_argument("--record", action="store_true", help="the daemon without and with a recording")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures of every run there")
     for hidden, kind in (("--role", str), ("--port", int)):  # of the subscriber

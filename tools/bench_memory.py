@@ -37,7 +37,7 @@ from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 
 from tacshade_edge.cli.demo_sensor import make_calibration
-from tacshade_edge.core.profiles import AUTO, PROFILES
+from tacshade_edge.core.profiles import AUTO, DEFAULT, PROFILES
 from tacshade_edge.devices import calibration_file
 
 TOP = 8
@@ -126,7 +126,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--frames", type=int, default=600)
     parser.add_argument("--fps", type=float, default=30.0)
-    parser.add_argument("--profile", choices=[*PROFILES, AUTO], default="balanced")
+    parser.add_argument("--profile", choices=[*PROFILES, AUTO], default=DEFAULT)
     parser.add_argument("--source", choices=("files", "simulated"), default="files")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there too")
     args = parser.parse_args()

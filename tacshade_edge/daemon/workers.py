@@ -144,7 +144,7 @@ class Reconstruct:
     ) -> None:
         self.reconstructor = reconstructor
         self.watch: Callable[[Frame, Reconstruction], None] | None = None
-        # observe(profile, now_ns, capture_to_offer_ms, step_ms) after each contact that was reconstructed; must not wait.
+        # observe(profile, now_ns, capture_to_offer_ms, step_ms) after each reconstructed contact; must not wait.
         self.observe: Callable[[str, int, float, float], None] | None = None
         self.taken = self.processed = 0  # frames; they differ while one is in work
         self._mailbox = mailbox
