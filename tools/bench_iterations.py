@@ -20,7 +20,6 @@ from tacshade_edge.core.greyscale import shape_grey
 from tacshade_edge.core.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.core.solvers import SOLVERS, Depth, GreyMaps
 from tacshade_edge.simulator.objects import PAPER_OBJECTS
 from tacshade_edge.studies.evaluate.scenes import DEPTHS_MM, scenes
 from tacshade_edge.studies.evaluate.score import KnownTruth, Label, Row, score
@@ -31,16 +30,9 @@ from tacshade_edge.types import Calibration, Frame
 SENSORS = ("default", "5", "11")
 
 
-def scaled_grey(maps: GreyMaps, alpha_mm: float) -> Depth:
-    """`paper` without its iterations: α g_hn."""
-    height = np.float32(alpha_mm) * shape_grey(maps.g_d, maps.g0, maps.inside)
-    return Depth(height, saturated=False, repaired_px=0)
-
-
 def without_iterations(calibration: Calibration) -> Reconstructor:
-    """The profile `paper` with that solver."""
-    SOLVERS["paper_0"] = scaled_grey
-    return Reconstructor(calibration, replace(PROFILES["paper"], name="paper_0", solver="paper_0"))
+    """`paper` without its iterations: α g_hn."""
+    return Reconstructor(calibration, replace(PROFILES["paper"], name="paper_0", solver="grey"))
 
 
 def main() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -15,6 +16,10 @@ BINS = 256
 # Smaller patches are not an object a finger could tell.
 MIN_OBJECT_MM2 = 0.5
 LABELS_MAX = np.iinfo(np.uint16).max
+
+
+Region = Callable[[Bool], tuple[slice, slice] | None]
+"""Of the contact: the rows and columns to look at, None where nothing touches."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,7 +47,9 @@ class Objects:
         freeze(self, "contact")
 
 
-def find_objects(touched: Bool, height_mm: F32, rays: DiscRays, geometry: Geometry) -> Objects | None:
+def find_objects(
+    touched: Bool, height_mm: F32, rays: DiscRays, geometry: Geometry, region: Region | None = None
+) -> Objects | None:
     """Tell apart what touches, and where in space its skin lies; None where nothing does.
 
     Parameters
@@ -54,8 +61,10 @@ def find_objects(touched: Bool, height_mm: F32, rays: DiscRays, geometry: Geomet
     rays : DiscRays
         Of the same grid.
     geometry : Geometry
+    region : callable, optional
+        Where to look, else `bounding_box`; whatever holds all of the contact gives the same answer.
     """
-    here = bounding_box(touched)
+    here = (region or bounding_box)(touched)
     if here is None:
         return None
     height = np.ascontiguousarray(height_mm[here])

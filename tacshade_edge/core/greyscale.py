@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from tacshade_edge.core.total_variation import chambolle
+from tacshade_edge.core.total_variation import ITERATIONS_MAX, chambolle
 from tacshade_edge.types import F32, U8, Bool
 
 
@@ -39,7 +39,7 @@ def white_ratio(white_sum: F32, total: F32, full_scale: float = 255.0) -> F32:
     return g
 
 
-def denoise_tv(g: F32, inside: Bool, weight: float) -> F32:
+def denoise_tv(g: F32, inside: Bool, weight: float, iterations: int = ITERATIONS_MAX) -> F32:
     """Total-variation denoising of the white ratio, Fig. 4(d).
 
     Outside the disc the mean of the inside stands, so that its edge is not an edge of the image.
@@ -49,7 +49,9 @@ def denoise_tv(g: F32, inside: Bool, weight: float) -> F32:
     g : float32 (rows, cols), 0 to 255
     inside : bool (rows, cols)
     weight : float
-        In units of g/255.
+        In units of g/255; 0 leaves the map as it is.
+    iterations : int
+        At most.
 
     Returns
     -------
@@ -58,7 +60,7 @@ def denoise_tv(g: F32, inside: Bool, weight: float) -> F32:
     if weight == 0 or not inside.any():
         return g
     filled: F32 = np.divide(np.where(inside, g, g[inside].mean()), np.float32(255))
-    smooth: F32 = (255 * chambolle(filled, weight)).astype(np.float32)
+    smooth: F32 = (255 * chambolle(filled, weight, iterations)).astype(np.float32)
     return smooth
 
 

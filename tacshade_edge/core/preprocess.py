@@ -59,7 +59,7 @@ class Preprocessor:
         self._moved = MovedCheck(reference_fine, fine.step_px, calibration.pitch_px)
         # A network that sees black under glare would see pins; what stood there without contact says nothing.
         self._usual = (reference > 127).astype(np.uint8)
-        self._g0 = greyscale.denoise_tv(self.reference_ratio, self.rays.inside, profile.tv_weight)
+        self._g0 = self._smooth(self.reference_ratio)
         self.cell_mm2 = (profile.stride_px * geometry.mm_per_px) ** 2
 
     def invalid_reason(self, image: U8) -> str:
@@ -85,7 +85,7 @@ class Preprocessor:
     def denoised(self, g_raw: F32, drift_grey: float) -> GreyMaps:
         """TV denoising, then eq. 9 without the common change of light."""
         inside = self.rays.inside
-        g = greyscale.denoise_tv(g_raw - np.float32(self.sign * drift_grey), inside, self.profile.tv_weight)
+        g = self._smooth(g_raw - np.float32(self.sign * drift_grey))
         g_d = greyscale.grey_difference(g, self._g0, inside, self.sign)
         return GreyMaps(g=g, g0=self._g0, g_d=g_d, inside=inside)
 
@@ -122,6 +122,9 @@ class Preprocessor:
     def moved_reason(self) -> str:
         """Whether the camera has moved since the reference, by the last image that `white_ratio` saw."""
         return self._moved.reason(self._sums.means(self._fine_cells))
+
+    def _smooth(self, g: F32) -> F32:
+        return greyscale.denoise_tv(g, self.rays.inside, self.profile.tv_weight, self.profile.tv_iterations)
 
     def _box_sums(self, values: U8) -> F32:
         self._sums.show(values)

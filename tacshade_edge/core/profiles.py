@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 from tacshade_edge.core import discmap
+from tacshade_edge.core.total_variation import ITERATIONS_MAX
 
 LEARNED = "learned"
 """The solver that takes the white pixels and finds the contact too, with the network of the profile's name."""
@@ -40,6 +41,8 @@ class Profile:
         Work on means over 2x2 px, where the pattern is coarse enough (`core.halving`).
     cells : int
         Along a side of the map that a network works on.
+    tv_iterations : int
+        The denoising's, at most.
     """
 
     name: str
@@ -51,6 +54,7 @@ class Profile:
     gate_dark_levels: float = math.inf
     halved: bool = False
     cells: int = discmap.CELLS
+    tv_iterations: int = ITERATIONS_MAX
 
 
 DEFAULT = "balanced"

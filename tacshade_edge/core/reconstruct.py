@@ -67,10 +67,19 @@ class Reconstructor:
     profile : Profile
     network : Network, optional
         What a profile with the learned solver runs; ValueError where it is missing.
+    region : callable
+        Where objects are looked for (`clusters.find_objects`).
     """
 
-    def __init__(self, calibration: Calibration, profile: Profile, network: Network | None = None) -> None:
+    def __init__(
+        self,
+        calibration: Calibration,
+        profile: Profile,
+        network: Network | None = None,
+        region: clusters.Region = clusters.bounding_box,
+    ) -> None:
         self.calibration = calibration
+        self._region = region
         self.profile = profile
         self._shape = (calibration.image_height_px, calibration.image_width_px)
         self._halve = profile.halved and can_be_halved(calibration)
@@ -199,7 +208,7 @@ class Reconstructor:
         if touched is None:
             # Of the heights as found: cut off at the skin's radius, those of a great α would all be one.
             touched = inside & (depth.height_mm > clusters.two_means_split(depth.height_mm[inside]))
-        found = clusters.find_objects(touched, height, self.rays, geometry)
+        found = clusters.find_objects(touched, height, self.rays, geometry, self._region)
         if found is None:
             return self._nothing(frame, degraded=degraded)
         return Reconstruction(

@@ -16,7 +16,7 @@ ENOUGH = 2.0e-4
 _TAU = 0.25  # the step, 1 / (2 dimensions)
 
 
-def chambolle(image: F32, weight: float) -> F32:
+def chambolle(image: F32, weight: float, iterations: int = ITERATIONS_MAX) -> F32:
     """The image u that minimises the sum of ‖∇u‖ + (u - image)² / (2 weight).
 
     Parameters
@@ -24,6 +24,8 @@ def chambolle(image: F32, weight: float) -> F32:
     image : float32 (rows, cols)
     weight : float
         Over 0, in units of the image's values; the greater, the smoother.
+    iterations : int
+        At most so many; fewer where one changes next to nothing (`ENOUGH`).
 
     Returns
     -------
@@ -38,7 +40,7 @@ def chambolle(image: F32, weight: float) -> F32:
     divergence = np.zeros_like(image)
     out = image
     first = previous = np.float32(0)
-    for i in range(ITERATIONS_MAX):
+    for i in range(iterations):
         if i > 0:
             np.negative(np.add(p[0], p[1], out=divergence), out=divergence)
             divergence[1:] += p[0, :-1]

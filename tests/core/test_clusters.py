@@ -159,13 +159,15 @@ def test_objects_found_in_the_contacts_box_are_those_of_the_whole_map(
         touched[row : row + high, col : col + wide] = True
     touched &= rays.inside
     found = find_objects(touched, height, rays, geometry)
+    everywhere = find_objects(touched, height, rays, geometry, lambda _: (slice(0, rows), slice(0, cols)))
     expected = over_the_whole_map(touched, height, rays, geometry)
-    if found is None or expected is None:
-        assert found is expected is None
+    if found is None or expected is None or everywhere is None:
+        assert found is expected is everywhere is None
         return
     np.testing.assert_array_equal(found.contact, expected.contact)
     np.testing.assert_array_equal(found.cloud.labels, expected.cloud.labels)
     assert found.cloud.points_mm.tobytes() == expected.cloud.points_mm.tobytes()
+    assert everywhere.cloud.points_mm.tobytes() == found.cloud.points_mm.tobytes()
     assert len(found.described) == len(expected.described)
     for mine, other in zip(found.described, expected.described, strict=True):
         assert (mine.label, mine.extent_mm, mine.depth_max_mm) == (other.label, other.extent_mm, other.depth_max_mm)

@@ -50,6 +50,13 @@ def test_noise_goes_and_a_step_stays() -> None:
     assert smooth[35:55, 50:150].mean() - smooth[70:, :].mean() > 0.4
 
 
+@pytest.mark.parametrize("iterations", [1, 3, 200])
+def test_it_stops_after_the_iterations_that_it_is_given(iterations: int) -> None:
+    image = noisy_step(40, 50)
+    ours = chambolle(image, 0.1, iterations)
+    assert np.array_equal(ours, denoise_tv_chambolle(image, weight=0.1, max_num_iter=iterations))
+
+
 def test_the_input_stays_as_it_is() -> None:
     image = noisy_step()
     before = image.copy()

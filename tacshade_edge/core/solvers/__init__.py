@@ -3,6 +3,6 @@
 from tacshade_edge.core.solvers import paper
 from tacshade_edge.core.solvers.base import Depth, GreyMaps, Solver
 
-SOLVERS: dict[str, Solver] = {"paper": paper.solve}
+SOLVERS: dict[str, Solver] = {"paper": paper.solve, "grey": paper.scaled_grey}
 
 __all__ = ["SOLVERS", "Depth", "GreyMaps", "Solver"]

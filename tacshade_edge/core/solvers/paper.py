@@ -99,16 +99,30 @@ def _median3(values: F64) -> F64:
 
 def solve(maps: GreyMaps, alpha_mm: float) -> Depth:
     """Height by the paper: g_hn (eq. 10), eq. 11, then α. Grey levels beyond their range count as its end."""
+    g_hn, bad = _finite_shape_grey(maps)
+    z, repaired = hybrid_sfs(g_hn.astype(np.float64))
+    # Of an image without contrast the iteration makes a constant; it is no height.
+    z = np.where(maps.inside, z, 0.0) if g_hn.any() else np.zeros_like(z)
+    top = float(z.max(initial=0.0))
+    return _of_unit(z / top if top > 0 else z, alpha_mm, repaired + bad)
+
+
+def scaled_grey(maps: GreyMaps, alpha_mm: float) -> Depth:
+    """α g_hn, without eq. 11: what its iterations start from, to tell what they buy."""
+    g_hn, bad = _finite_shape_grey(maps)
+    return _of_unit(g_hn.astype(np.float64), alpha_mm, bad)
+
+
+def _of_unit(unit: F64, alpha_mm: float, repaired: int) -> Depth:
+    """α times heights of 0 to 1, at most what float32 holds."""
+    height: F32 = np.minimum(alpha_mm * unit, np.finfo(np.float32).max).astype(np.float32)
+    return Depth(height_mm=height, saturated=False, repaired_px=repaired)
+
+
+def _finite_shape_grey(maps: GreyMaps) -> tuple[F32, int]:
+    """Eq. 10 with 0 where g_d or g0 is not finite, and at how many cells that is."""
     finite = np.isfinite(maps.g_d) & np.isfinite(maps.g0)
     g_d, g0 = (
         np.where(finite, np.clip(values, low, 255), np.float32(0)) for values, low in ((maps.g_d, -255), (maps.g0, 0))
     )
-    g_hn = shape_grey(g_d, g0, maps.inside)
-    z, repaired = hybrid_sfs(g_hn.astype(np.float64))
-    repaired += int(finite.size - np.count_nonzero(finite))
-    # Of an image without contrast the iteration makes a constant; it is no height.
-    z = np.where(maps.inside, z, 0.0) if g_hn.any() else np.zeros_like(z)
-    top = float(z.max(initial=0.0))
-    # Divided first: of a great α the product would overflow.
-    height: F32 = np.minimum(alpha_mm * (z / top) if top > 0 else z, np.finfo(np.float32).max).astype(np.float32)
-    return Depth(height_mm=height, saturated=False, repaired_px=repaired)
+    return shape_grey(g_d, g0, maps.inside), int(finite.size - np.count_nonzero(finite))
