@@ -26,6 +26,7 @@ from tacshade_edge.core.reconstruct import STAGES, Reconstructor
 from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.studies.evaluate.sensors import SensorName, calibrated, reconstructor
+from tacshade_edge.studies.stage_times import stages_ms
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import U8, Frame
 
@@ -50,20 +51,10 @@ def timed_ms(step: Callable[[], object], count: int) -> tuple[float, float]:
     return float(np.median(taken)), float(np.percentile(taken, 99))
 
 
-def stages_ms(made: Reconstructor, image: U8, count: int) -> dict[str, float]:
-    """Median of each stage that was run."""
-    taken: dict[str, list[float]] = {}
-    for _ in range(count):
-        last = time.perf_counter_ns()
-
-        def mark(stage: str) -> None:
-            nonlocal last
-            now = time.perf_counter_ns()
-            taken.setdefault(stage, []).append((now - last) / 1e6)
-            last = now
-
-        made.step(next_frame(image), mark)
-    return {stage: float(np.median(values)) for stage, values in taken.items()}
+def median_stages_ms(made: Reconstructor, image: U8, count: int) -> dict[str, float]:
+    """Median of each stage over so many steps."""
+    taken = [stages_ms(made, next_frame(image)) for _ in range(count)]
+    return {stage: float(np.median([each[stage] for each in taken])) for stage in taken[0]}
 
 
 def main() -> None:
@@ -98,7 +89,7 @@ def main() -> None:
             count = args.frames if key[0] != "paper" else 3
             rounds[key].append(timed_ms(step, count))
             if key[0] in made:
-                parts[key].append(stages_ms(made[key[0]], images[key[1]], count))
+                parts[key].append(median_stages_ms(made[key[0]], images[key[1]], count))
     least = float(np.median([p50 for p50, _ in rounds["floor", ""]]))
     lines = []
     for (profile, what), found in rounds.items():

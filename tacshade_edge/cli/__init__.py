@@ -24,6 +24,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "replay": ("replay", "a recording through the reconstructor, to files or a broker; compare two runs"),
     "dashboard": ("dashboard", "a live page for the browser: height maps, 3-D view, health; works offline"),
     "evaluate": ("evaluate", "score profiles against ground truth: the paper's Experiment 1, or your own images"),
+    "tradeoff": ("tradeoff", "speed against accuracy on this machine: which profile for a budget of milliseconds"),
     "simulate": ("simulate", "write simulated images with ground truth, or a calibration set"),
 }
 

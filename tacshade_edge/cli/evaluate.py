@@ -10,10 +10,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from tacshade_edge.cli import study
 from tacshade_edge.core.calibrate import MIN_PRESSES
 from tacshade_edge.core.profiles import LEARNED, PROFILES
 from tacshade_edge.devices import calibration_file
-from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator.objects import OBJECTS, PAPER_OBJECTS
 from tacshade_edge.studies.ablation.work import AblationRow, ablate, object_rows
 from tacshade_edge.studies.ablation.work import Plan as AblationPlan
@@ -65,7 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     which = simulated.add_mutually_exclusive_group()
     which.add_argument(
         "--sensors",
-        type=_sensors,
+        type=study.sensors,
         metavar="SEED,...",
         help=f"[FAMILY:]SEED below {FINAL_SEED} or default ({WORKING_SENSORS}); families: {', '.join(FAMILIES)}",
     )
@@ -75,7 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=None,
         help=f"sensors from seed {FINAL_SEED} on, for the figures of a release: not to be looked at while working",
     )
-    simulated.add_argument("--objects", type=_objects, metavar="NAME,...", help=f"of {', '.join(OBJECTS)} (all)")
+    simulated.add_argument("--objects", type=study.objects, metavar="NAME,...", help=f"of {', '.join(OBJECTS)} (all)")
     simulated.add_argument("--presses", type=_count, metavar="N", help="ball presses in each calibration; 0: none (40)")
     simulated.add_argument("--references", type=_count, metavar="N", help="reference images in each calibration (8)")
     own = parser.add_argument_group("your own images")
@@ -117,13 +118,13 @@ def _ablation(args: argparse.Namespace) -> int:
     if more or PROFILES[profile].solver != LEARNED:
         args.usage_error(f"--profile: found {' '.join((profile, *more))}, expected one that runs a network")
     sensors = args.sensors or tuple(SensorName.parse(word) for word in ABLATION_SENSORS.split(","))
-    _make_folder(args.out)
-    found = ablate(AblationPlan(FINAL_SENSORS if args.final else sensors, profile), usable_cores(), _progress)
+    study.make_folder(args.out)
+    found = ablate(AblationPlan(FINAL_SENSORS if args.final else sensors, profile), usable_cores(), study.progress)
     words = ablation_text(found)
     print(words)
     if args.out:
-        _write(args.out / "ablation.md", words.encode() + b"\n")
-        _write(args.out / "ablation.csv", csv_text(AblationRow, object_rows(found)).encode())
+        study.write(args.out / "ablation.md", words.encode() + b"\n")
+        study.write(args.out / "ablation.csv", csv_text(AblationRow, object_rows(found)).encode())
     return 0
 
 
@@ -131,20 +132,20 @@ def _limits(args: argparse.Namespace) -> int:
     _alone(args, "limits")
     sensors = args.sensors or tuple(SensorName.parse(word) for word in LIMITS_SENSORS.split(","))
     plan = LimitsPlan(FINAL_SENSORS if args.final else sensors, _profiles(args))
-    _make_folder(args.out)
+    study.make_folder(args.out)
     drawn = args.out is not None and limits_picture.can_draw()
     if args.out and not drawn:
         print(f"tacshade-edge: the plots will be missing: {limits_picture.INSTALL}", file=sys.stderr)
-    found = limits(plan, usable_cores(), _progress)
+    found = limits(plan, usable_cores(), study.progress)
     text = limits_text(found, plan)
     print(text)
     if args.out:
-        _write(args.out / "limits.md", text.encode() + b"\n")
+        study.write(args.out / "limits.md", text.encode() + b"\n")
         for kind, rows in found.tables():
-            _write(args.out / f"limits_{kind}.csv", csv_text(type(rows[0]), rows).encode())
+            study.write(args.out / f"limits_{kind}.csv", csv_text(type(rows[0]), rows).encode())
     if drawn:
         for name, content in limits_picture.draw(found).items():
-            _write(args.out / name, content)
+            study.write(args.out / name, content)
     return 0
 
 
@@ -162,35 +163,34 @@ def _simulated(args: argparse.Namespace) -> int:
         references=args.references or 8,
         presses=presses,
     )
-    _make_folder(args.out)
+    study.make_folder(args.out)
     if args.out and not picture.can_draw():
         print(f"tacshade-edge: figure6.png will be missing: {picture.INSTALL}", file=sys.stderr)
-    found = evaluate(plan, usable_cores(), _progress)
-    timings = time_profiles(plan, found.calibrations[0].calibration, _progress)
+    found = evaluate(plan, usable_cores(), study.progress)
+    timings = time_profiles(plan, found.calibrations[0].calibration, study.progress)
     _publish(args, found.rows, timings, _settings(plan, found))
     if args.out and picture.can_draw():
         profile = _best(found.rows)
         names = [name for name in plan.objects if name in PAPER_OBJECTS] or plan.objects
         calibration = found.calibrations[0].calibration
         shown = picture.columns(plan.sensors[0], calibration, profile, names)
-        _write(args.out / "figure6.png", picture.draw(shown, calibration, profile))
+        study.write(args.out / "figure6.png", picture.draw(shown, calibration, profile))
     return 0
 
 
 def _own(args: argparse.Namespace) -> int:
     calibration = calibration_file.load(args.calibration)
     images = images_in(args.images)
-    _make_folder(args.out)
+    study.make_folder(args.out)
     mistakes: list[str] = []
 
     def mistake(text: str) -> None:
         mistakes.append(text)
-        over = "\r\033[K" if sys.stderr.isatty() else ""  # the line of the progress
-        print(f"{over}tacshade-edge: {text}", file=sys.stderr)
+        study.mistake(text)
 
     profiles = _profiles(args)
     name = args.calibration.name
-    rows, timings = evaluate_images(calibration, name, profiles, images, _progress, mistake)
+    rows, timings = evaluate_images(calibration, name, profiles, images, study.progress, mistake)
     if not rows:
         raise ConfigError(f"{args.images}: found no image that can be scored, expected one with its truth")
     settings = {"calibration": str(args.calibration), "crc32": f"{calibration.crc32:08x}", "images": str(args.images)}
@@ -224,49 +224,8 @@ def _publish(
     summary = json.dumps(report.document(rows, timings, settings), indent=1)
     print(summary if args.json else report.table(rows, timings))
     if args.out:
-        _write(args.out / "evaluation.csv", report.csv_text(rows).encode())
-        _write(args.out / "evaluation.json", summary.encode() + b"\n")
-
-
-def _make_folder(folder: Path | None) -> None:
-    """Before minutes of work, not after."""
-    if folder is None:
-        return
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DeviceError(f"{folder}: cannot be written: {error.strerror or error}") from None
-
-
-def _write(path: Path, content: bytes) -> None:
-    try:
-        path.write_bytes(content)
-    except OSError as error:
-        raise DeviceError(f"{path}: cannot be written: {error.strerror or error}") from None
-
-
-def _progress(what: str, done: int, total: int) -> None:
-    if sys.stderr.isatty():
-        print(f"\r{what}: {done}/{total} ", end="\n" if done == total else "", file=sys.stderr, flush=True)
-
-
-def _sensors(text: str) -> tuple[SensorName, ...]:
-    try:
-        names = tuple(SensorName.parse(word) for word in text.split(","))
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
-    kept = [name for name in names if name.seed is not None and name.seed >= FINAL_SEED]
-    if kept:
-        raise argparse.ArgumentTypeError(f"{kept[0]}: seeds from {FINAL_SEED} on are kept for --final")
-    return tuple(dict.fromkeys(names))
-
-
-def _objects(text: str) -> tuple[str, ...]:
-    names = tuple(dict.fromkeys(word.strip() for word in text.split(",")))
-    unknown = [name for name in names if name not in OBJECTS]
-    if unknown:
-        raise argparse.ArgumentTypeError(f"{unknown[0]!r} is not known, expected some of {', '.join(OBJECTS)}")
-    return names
+        study.write(args.out / "evaluation.csv", report.csv_text(rows).encode())
+        study.write(args.out / "evaluation.json", summary.encode() + b"\n")
 
 
 def _count(text: str) -> int:

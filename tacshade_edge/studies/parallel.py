@@ -27,13 +27,17 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
-def ordered_map(function: Callable[[Task], Result], tasks: Sequence[Task], cores: int) -> Iterator[Result]:
+def ordered_map(
+    function: Callable[[Task], Result], tasks: Sequence[Task], cores: int, *, fresh: bool = False
+) -> Iterator[Result]:
     """Yield ``function(task)`` for every task, in order, from up to `cores` processes; with one, in this one.
 
     Parameters
     ----------
     function : callable
         Of a module, so that another process finds it.
+    fresh : bool
+        Each task in a new process, also with one core.
 
     Raises
     ------
@@ -41,11 +45,11 @@ def ordered_map(function: Callable[[Task], Result], tasks: Sequence[Task], cores
         A process was killed.
     """
     cores = min(cores, len(tasks))
-    if cores < 2:
+    if cores < 2 and not fresh:
         yield from map(function, tasks)
         return
     context = multiprocessing.get_context("spawn")  # fork would copy OpenCV's threads' locks
-    pool = ProcessPoolExecutor(cores, mp_context=context, initializer=_start)
+    pool = ProcessPoolExecutor(cores, mp_context=context, initializer=_start, max_tasks_per_child=1 if fresh else None)
     try:
         yield from pool.map(function, tasks)
     except BrokenProcessPool:
@@ -55,11 +59,17 @@ def ordered_map(function: Callable[[Task], Result], tasks: Sequence[Task], cores
 
 
 def reported_map(
-    function: Callable[[Task], Result], tasks: Sequence[Task], cores: int, report: Report, what: str
+    function: Callable[[Task], Result],
+    tasks: Sequence[Task],
+    cores: int,
+    report: Report,
+    what: str,
+    *,
+    fresh: bool = False,
 ) -> Iterator[Result]:
     """`ordered_map` that tells how far it is."""
     report(what, 0, len(tasks))
-    for k, result in enumerate(ordered_map(function, tasks, cores)):
+    for k, result in enumerate(ordered_map(function, tasks, cores, fresh=fresh)):
         report(what, k + 1, len(tasks))
         yield result
 

@@ -16,10 +16,15 @@ _WORDS = ("object", "method", "sensor", "what")
 def csv_text(kind: type[Any], rows: Sequence[Any]) -> str:
     """One line for each row, a column for each field of the dataclass `kind`; NaN is empty."""
     names = [field.name for field in fields(kind)]
+    return csv_lines(names, [[getattr(row, name) for name in names] for row in rows])
+
+
+def csv_lines(header: Sequence[str], lines: Sequence[Sequence[object]]) -> str:
+    """The header and the lines; NaN is empty."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(names)
-    writer.writerows([_plain(getattr(row, name)) for name in names] for row in rows)
+    writer.writerow(header)
+    writer.writerows([_plain(value) for value in line] for line in lines)
     return stream.getvalue()
 
 

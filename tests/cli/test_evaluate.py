@@ -14,7 +14,7 @@ import pytest
 from half_family import half_family
 from painted_sensor import HEIGHT, TOUCHED, WIDTH, painted_calibration
 
-from tacshade_edge.cli import evaluate, main
+from tacshade_edge.cli import evaluate, main, study
 from tacshade_edge.devices import calibration_file
 from tacshade_edge.studies.evaluate.score import Row
 
@@ -169,7 +169,7 @@ def test_final_sensors_are_those_that_nobody_may_name() -> None:
     assert all(name.seed is not None and name.seed >= 9000 for name in evaluate.FINAL_SENSORS)
     for name in evaluate.FINAL_SENSORS:
         with pytest.raises(Exception, match="kept for --final"):
-            evaluate._sensors(str(name))
+            study.sensors(str(name))
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ import time
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from tacshade_edge.studies.evaluate.score import KnownTruth, Label, Row, between
 from tacshade_edge.studies.evaluate.sensors import reconstructor
 from tacshade_edge.studies.evaluate.work import Timing
 from tacshade_edge.studies.parallel import Report
-from tacshade_edge.types import Calibration, Frame, Geometry
+from tacshade_edge.types import U8, Calibration, Frame, Geometry
 
 EXPECTED = "points_mm, or height_mm and contact"
 # What numpy and zipfile raise on damaged bytes.
@@ -143,6 +143,26 @@ def _check_covers(
             )
 
 
+def read_images(
+    calibration: Calibration, sensor: str, images: Sequence[Path], report: Report, mistake: Callable[[str], None]
+) -> Iterator[tuple[Label, KnownTruth, U8]]:
+    """Read images and what is known of them; one that cannot be used is told to `mistake` in a line."""
+    size = (calibration.image_height_px, calibration.image_width_px)
+    for k, path in enumerate(images):
+        report("images", k, len(images))
+        try:
+            image = read_image(path)
+            if image.shape[:2] != size:
+                found, expected = (f"{width}x{height} px" for height, width in (image.shape[:2], size))
+                raise DecodeError(f"{path}: found {found}, expected {expected}, the size of the calibration's images")
+            truth, name = read_truth(path.with_suffix(".npz"), size, calibration.geometry)
+        except DecodeError as error:
+            mistake(str(error))
+            continue
+        yield Label(sensor, name if len(truth.points_mm) else "none", path.name), truth, image
+    report("images", len(images), len(images))
+
+
 def evaluate_images(
     calibration: Calibration,
     sensor: str,
@@ -155,21 +175,10 @@ def evaluate_images(
 
     Every step is timed, one after the other in this process.
     """
-    size = (calibration.image_height_px, calibration.image_width_px)
     made = {profile: reconstructor(calibration, profile) for profile in profiles}
     taken: dict[str, list[float]] = {profile: [] for profile in profiles}
     rows = []
-    for k, path in enumerate(images):
-        report("images scored", k, len(images))
-        try:
-            image = read_image(path)
-            if image.shape[:2] != size:
-                found, expected = (f"{width}x{height} px" for height, width in (image.shape[:2], size))
-                raise DecodeError(f"{path}: found {found}, expected {expected}, the size of the calibration's images")
-            truth, name = read_truth(path.with_suffix(".npz"), size, calibration.geometry)
-        except DecodeError as error:
-            mistake(str(error))
-            continue
+    for label, truth, image in read_images(calibration, sensor, images, report, mistake):
         frame = Frame(0, 0, 0, image)
         for profile, each in made.items():
             if not taken[profile]:
@@ -177,8 +186,6 @@ def evaluate_images(
             start = time.perf_counter_ns()
             result = each.step(frame)
             taken[profile].append((time.perf_counter_ns() - start) / 1e6)
-            label = Label(sensor, name if len(truth.points_mm) else "none", path.name)
             rows.append(score(label, truth, result))
-    report("images scored", len(images), len(images))
     timings = {p: Timing(float(np.median(ms)), len(ms)) for p, ms in taken.items() if ms}
     return rows, timings

@@ -23,7 +23,7 @@ from tacshade_edge.studies.evaluate.summary import (
 )
 from tacshade_edge.studies.evaluate.work import Timing
 
-PACKAGES = ("tacshade-edge", "numpy", "opencv-contrib-python-headless", "scipy")
+PACKAGES = ("tacshade-edge", "numpy", "opencv-contrib-python-headless", "onnxruntime", "scipy")
 MEASURES = ("ME mm", "back mm", "SD %", "SD sum %", "IoU", "depth off %", "worst %", "missed")
 PAPER_ROW = "Table I (real sensor)"
 
@@ -153,15 +153,20 @@ def document(rows: Sequence[Row], timings: Mapping[str, Timing], settings: Mappi
             "beats_table_i": {"objects": better, "of": known},
             **({"timing": asdict(timings[profile])} if profile in timings else {}),
         }
-    made: dict[str, Any] = _without_nan(
+    made: dict[str, Any] = without_nan(
         {
             "settings": dict(settings),
-            "versions": {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
+            "versions": versions(),
             "table_i": {name: {"me_mm": me, "sd_pct": sd} for name, (me, sd) in TABLE_I.items()},
             "profiles": summaries,
         }
     )
     return made
+
+
+def versions() -> dict[str, str]:
+    """Python and the packages that figures depend on."""
+    return {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
 
 
 def _pair(rows: Sequence[Row], objects: Mapping[str, Figures]) -> dict[str, Any] | None:
@@ -171,10 +176,10 @@ def _pair(rows: Sequence[Row], objects: Mapping[str, Figures]) -> dict[str, Any]
     return {"mean": asdict(mean), "worst": asdict(worst(list(objects.values())))}
 
 
-def _without_nan(value: Any) -> Any:
+def without_nan(value: Any) -> Any:
     """Replace NaN by None: JSON has none."""
     if isinstance(value, dict):
-        return {key: _without_nan(v) for key, v in value.items()}
+        return {key: without_nan(v) for key, v in value.items()}
     if isinstance(value, list | tuple):
-        return [_without_nan(v) for v in value]
+        return [without_nan(v) for v in value]
     return None if isinstance(value, float) and math.isnan(value) else value

@@ -11,6 +11,9 @@ from tacshade_edge.core.metrics import contact_iou, score_cloud
 from tacshade_edge.simulator.truth import Truth
 from tacshade_edge.types import F32, Bool, HeightMap, Reconstruction, freeze
 
+NOTHING = np.zeros((0, 3), dtype=np.float32)
+"""The points of an untouched skin."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownTruth:

@@ -6,18 +6,17 @@ import time
 from dataclasses import dataclass
 from itertools import chain
 
-import cv2
 import numpy as np
 
 from tacshade_edge.core.calibrate import Calibrated
 from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.studies.evaluate.scenes import DEPTHS_MM, NULL_FRAMES, null_images, scenes
-from tacshade_edge.studies.evaluate.score import KnownTruth, Label, Row, score
+from tacshade_edge.studies.evaluate.score import NOTHING, KnownTruth, Label, Row, score
 from tacshade_edge.studies.evaluate.sensors import SensorName, calibrated, reconstructor
 from tacshade_edge.studies.parallel import Report, reported_map
+from tacshade_edge.studies.stage_times import one_thread
 from tacshade_edge.types import Calibration, Frame
 
-NOTHING = np.zeros((0, 3), dtype=np.float32)
 TIMED_OBJECTS, TIMED_ROUNDS = 5, 3
 """So many frames are timed, each so often."""
 
@@ -120,9 +119,7 @@ def time_profiles(plan: Plan, calibration: Calibration, report: Report) -> dict[
         scene = scenes(sensor.model, name.seed, object_name, (depth_mm,))[0]
         frames.append(Frame(0, 0, 0, sensor.frame((scene.press,), scene.noise_seed).image))
     timings = {}
-    threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
+    with one_thread():
         for k, profile in enumerate(plan.profiles):
             report("profiles timed", k, len(plan.profiles))
             made = reconstructor(calibration, profile)
@@ -134,6 +131,4 @@ def time_profiles(plan: Plan, calibration: Calibration, report: Report) -> dict[
                 taken.append((time.perf_counter_ns() - start) / 1e6)
             timings[profile] = Timing(float(np.median(taken)), len(taken))
         report("profiles timed", len(plan.profiles), len(plan.profiles))
-    finally:
-        cv2.setNumThreads(threads)
     return timings

@@ -1,0 +1,38 @@
+"""What the stages of a step take, on one thread."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import cv2
+
+from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.types import Frame
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Keep OpenCV to one thread."""
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(threads)
+
+
+def stages_ms(made: Reconstructor, frame: Frame) -> dict[str, float]:
+    """Run one step; milliseconds of each stage that was run, in their order. Their sum is the step's."""
+    taken: dict[str, float] = {}
+    last = time.perf_counter_ns()
+
+    def mark(stage: str) -> None:
+        nonlocal last
+        now = time.perf_counter_ns()
+        taken[stage] = (now - last) / 1e6
+        last = now
+
+    made.step(frame, mark)
+    return taken

@@ -1,0 +1,39 @@
+"""The study: score all settings in parallel, weigh them, then time them one at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from tacshade_edge.studies.parallel import Report
+from tacshade_edge.studies.tradeoff.accuracy import score_settings
+from tacshade_edge.studies.tradeoff.cases import SensorCases
+from tacshade_edge.studies.tradeoff.grid import Setting
+from tacshade_edge.studies.tradeoff.memory import peak_memory
+from tacshade_edge.studies.tradeoff.summary import Point, points
+from tacshade_edge.studies.tradeoff.timing import time_settings
+from tacshade_edge.types import Frame
+
+WEIGHED_IMAGES = 3
+
+
+def tradeoff(
+    settings: Sequence[Setting], sensors: Sequence[SensorCases], cores: int, report: Report
+) -> tuple[Point, ...]:
+    """Measure every setting on every image; memory and time on the first sensor's.
+
+    Raises
+    ------
+    DeviceError
+        A worker process was killed.
+    """
+    rows = score_settings(settings, sensors, cores, report)
+    first = sensors[0]
+    images = [case.image for case in first.cases if case.touched][:WEIGHED_IMAGES]
+    peaks = peak_memory(settings, first.calibration, images, cores, report)
+    contact = [
+        [Frame(0, 0, 0, case.image) for case, row in zip(first.cases, some[0], strict=True) if row.contact]
+        for some in rows
+    ]
+    idle = [Frame(0, 0, 0, case.image) for case in first.cases if not case.touched]
+    times = time_settings(settings, first.calibration, contact, idle, report)
+    return points(settings, [[row for of_sensor in some for row in of_sensor] for some in rows], times, peaks)
