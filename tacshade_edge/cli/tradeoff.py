@@ -25,6 +25,8 @@ from tacshade_edge.studies.tradeoff.summary import Point
 from tacshade_edge.studies.tradeoff.work import tradeoff
 
 SENSORS = "default,5"
+BUSY = 1.1
+"""From so many times the processor time on, the machine was not this command's alone."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -85,8 +87,11 @@ def run(args: argparse.Namespace) -> int:
     if args.out and not drawn:
         print(f"tacshade-edge: tradeoff.png will be missing: {picture.INSTALL}", file=sys.stderr)
     names = tuple(dict.fromkeys(args.profile or PROFILES))
-    found = tradeoff(grid(names), images, usable_cores(), study.progress)
-    summary = json.dumps(report.document(found, data), indent=1)
+    found, busy = tradeoff(grid(names), images, usable_cores(), study.progress)
+    if busy > BUSY:
+        words = f"the machine was busy: frames took {busy:.1f} times as long as the processor time that is told"
+        print(f"tacshade-edge: {words}", file=sys.stderr)
+    summary = json.dumps(report.document(found, data, busy), indent=1)
     print(summary if args.json else report.table(found))
     if args.out:
         study.write(args.out / "tradeoff.md", report.table(found).encode() + b"\n")

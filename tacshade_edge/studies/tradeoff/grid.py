@@ -15,7 +15,7 @@ from tacshade_edge.types import Bool, Calibration
 WORDS = {
     "solver": "solver {}",
     "stride_px": "stride {} px",
-    "window_pitches": "window {} pitches",
+    "window_pitches": "window {} pitch",
     "tv_weight": "TV {:g}",
     "tv_iterations": "TV {} times",
 }
@@ -29,8 +29,6 @@ _AROUND_LEARNED: tuple[dict[str, Any], ...] = (
 )
 # At stride 1 a frame takes half a second; around it only what decides.
 _AROUND_PAPER: tuple[dict[str, Any], ...] = (
-    {"tv_weight": 0.0},
-    {"tv_iterations": 10},
     {"solver": "grey"},
     {"stride_px": 2},
     {"stride_px": 4},

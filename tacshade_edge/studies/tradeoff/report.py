@@ -105,9 +105,9 @@ def csv_text(points: Sequence[Point]) -> str:
     return tables.csv_lines(list(records[0]), [list(r.values()) for r in records])
 
 
-def document(points: Sequence[Point], data: Mapping[str, Any]) -> dict[str, Any]:
-    """All points, what they were measured on and with; for JSON."""
-    machine = {"machine": platform.machine(), "system": platform.platform(), "cores": usable_cores()}
+def document(points: Sequence[Point], data: Mapping[str, Any], busy: float) -> dict[str, Any]:
+    """All points, what they were measured on and with, how busy the machine was; for JSON."""
+    machine = {"machine": platform.machine(), "system": platform.platform(), "cores": usable_cores(), "busy": busy}
     found: dict[str, Any] = without_nan(
         {"data": dict(data), "board": machine, "versions": versions(), "points": [record(p) for p in points]}
     )

@@ -43,8 +43,8 @@ class Point:
     me_mm, sd_pct, iou, depth_off_pct : Estimate
         Means over presses; the interval by drawing presses.
     p50_ms, p99_ms : Estimate
-        Of frames in contact: the median over rounds of a round's median, the percentile over all; the interval by
-        drawing rounds.
+        Processor time of frames in contact: the median over rounds of a round's median, the percentile over all; the
+        interval by drawing rounds.
     fps : float
         Frames in contact that one thread does in a second.
     timed : int
@@ -173,14 +173,20 @@ def _by_round(times: Sequence[Times]) -> _Drawn:
 
 
 def _p99(times: Times) -> Estimate:
+    """Of all frames; a drawn round counts as often as it was drawn."""
     rounds = [some[:, 0] for some in times.contact]
-    if not sum(map(len, rounds)):
+    pooled = np.concatenate(rounds)
+    if not len(pooled):
         return Estimate(math.nan, math.nan, math.nan)
-    value = float(np.percentile(np.concatenate(rounds), 99))
+    value = float(np.percentile(pooled, 99, method="inverted_cdf"))
     if len(rounds) < LEAST:
         return Estimate(value, math.nan, math.nan)
+    order = np.argsort(pooled)
+    of_round = np.repeat(np.arange(len(rounds)), [len(some) for some in rounds])[order]
     drawn = np.random.default_rng(0).integers(len(rounds), size=(DRAWS, len(rounds)))
-    draws = [np.percentile(np.concatenate([rounds[k] for k in some]), 99) for some in drawn]
+    counts = (drawn[:, :, None] == np.arange(len(rounds))).sum(axis=1)
+    up_to = np.cumsum(counts[:, of_round], axis=1)
+    draws = pooled[order][(up_to >= 0.99 * up_to[:, -1:]).argmax(axis=1)]
     low, high = np.percentile(draws, (_LOW, _HIGH))
     return Estimate(value, float(low), float(high))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from tacshade_edge.core.reconstruct import STAGES, Reconstructor
 from tacshade_edge.studies.parallel import Report
-from tacshade_edge.studies.stage_times import one_thread, stages_ms
+from tacshade_edge.studies.stage_times import one_thread, stages_ms, work_ns
 from tacshade_edge.studies.tradeoff.grid import Setting, make
 from tacshade_edge.types import F64, Calibration, Frame
 
@@ -22,7 +23,7 @@ IDLE_FRAMES = 5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Times:
-    """Milliseconds of frames.
+    """Milliseconds of processor time that frames took.
 
     Attributes
     ----------
@@ -44,7 +45,7 @@ def time_settings(
     idle: Sequence[Frame],
     report: Report,
     rounds: int = ROUNDS,
-) -> list[Times]:
+) -> tuple[list[Times], float]:
     """Time them all, on one thread of this process.
 
     Parameters
@@ -53,18 +54,25 @@ def time_settings(
         For each setting the frames in which it finds a contact.
     idle : sequence of Frame
         Frames without contact.
+
+    Returns
+    -------
+    (list of Times, float)
+        Of each setting; and how many times longer all of it took than this thread worked: 1 where nothing else ran.
     """
     timed = [_Timed(make(setting, calibration), some, idle) for setting, some in zip(settings, contact, strict=True)]
     rng = np.random.default_rng(0)
     with one_thread():
         for each in timed:
             each.begin()
+        start, worked = time.perf_counter(), time.thread_time()
         for done in range(rounds):
             report("rounds of timing", done, rounds)
             for k in rng.permutation(len(timed)):
                 timed[k].round()
+        busy = (time.perf_counter() - start) / (time.thread_time() - worked)
         report("rounds of timing", rounds, rounds)
-    return [Times(tuple(each.taken), tuple(each.waiting)) for each in timed]
+    return [Times(tuple(each.taken), tuple(each.waiting)) for each in timed], busy
 
 
 class _Timed:
@@ -98,5 +106,5 @@ class _Timed:
         self.waiting.append(quiet)
 
     def _step(self, frame: Frame) -> F64:
-        stages = stages_ms(self.made, frame)
+        stages = stages_ms(self.made, frame, work_ns)
         return np.array([sum(stages.values()), *(stages.get(name, np.nan) for name in STAGES)])

@@ -18,8 +18,13 @@ WEIGHED_IMAGES = 3
 
 def tradeoff(
     settings: Sequence[Setting], sensors: Sequence[SensorCases], cores: int, report: Report
-) -> tuple[Point, ...]:
+) -> tuple[tuple[Point, ...], float]:
     """Measure every setting on every image; memory and time on the first sensor's.
+
+    Returns
+    -------
+    (tuple of Point, float)
+        And how busy the machine was (`time_settings`).
 
     Raises
     ------
@@ -35,5 +40,6 @@ def tradeoff(
         for some in rows
     ]
     idle = [Frame(0, 0, 0, case.image) for case in first.cases if not case.touched]
-    times = time_settings(settings, first.calibration, contact, idle, report)
-    return points(settings, [[row for of_sensor in some for row in of_sensor] for some in rows], times, peaks)
+    times, busy = time_settings(settings, first.calibration, contact, idle, report)
+    found = points(settings, [[row for of_sensor in some for row in of_sensor] for some in rows], times, peaks)
+    return found, busy

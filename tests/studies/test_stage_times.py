@@ -1,0 +1,34 @@
+import cv2
+import pytest
+from painted_sensor import FREE, TOUCHED, painted_calibration
+
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.reconstruct import STAGES
+from tacshade_edge.devices.network import make_reconstructor
+from tacshade_edge.studies.stage_times import one_thread, stages_ms, work_ns
+from tacshade_edge.types import Frame
+
+
+def test_the_stages_that_are_run_in_their_order() -> None:
+    made = make_reconstructor(painted_calibration(), PROFILES["fast"])
+    touched, free = (stages_ms(made, Frame(0, 0, 0, image)) for image in (TOUCHED, FREE))
+    assert tuple(touched) == STAGES
+    assert tuple(free) == ("check", "grey", "gate")
+    assert min(*touched.values(), *free.values()) >= 0
+    assert sum(touched.values()) > 0
+    assert sum(stages_ms(made, Frame(0, 0, 0, TOUCHED), work_ns).values()) > 0
+
+
+def test_the_threads_are_as_before_also_after_a_failure() -> None:
+    before = cv2.getNumThreads()
+    during = []
+
+    def fail() -> None:
+        with one_thread():
+            during.append(cv2.getNumThreads())
+            raise ValueError("x")
+
+    with pytest.raises(ValueError, match="x"):
+        fail()
+    assert during == [1]
+    assert cv2.getNumThreads() == before
