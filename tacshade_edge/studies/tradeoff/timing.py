@@ -12,13 +12,15 @@ from tacshade_edge.core.reconstruct import STAGES, Reconstructor
 from tacshade_edge.studies.parallel import Report
 from tacshade_edge.studies.stage_times import one_thread, stages_ms, work_ns
 from tacshade_edge.studies.tradeoff.grid import Setting, make
-from tacshade_edge.types import F64, Calibration, Frame
+from tacshade_edge.types import F64, U8, Calibration, Frame
 
 ROUNDS = 15
 SLICE_MS = 100.0
 """Of a round, for each setting; at least one frame, at most all of them."""
 IDLE_FRAMES = 5
 """Frames without contact in each setting's part of a round."""
+FRAME_NS = 1_000_000_000 // 60
+"""From frame to frame by their time stamps: what is not asked at every frame costs as in a stream."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,8 +43,8 @@ class Times:
 def time_settings(
     settings: Sequence[Setting],
     calibration: Calibration,
-    contact: Sequence[Sequence[Frame]],
-    idle: Sequence[Frame],
+    contact: Sequence[Sequence[U8]],
+    idle: Sequence[U8],
     report: Report,
     rounds: int = ROUNDS,
 ) -> tuple[list[Times], float]:
@@ -50,10 +52,10 @@ def time_settings(
 
     Parameters
     ----------
-    contact : sequence of sequences of Frame
-        For each setting the frames in which it finds a contact.
-    idle : sequence of Frame
-        Frames without contact.
+    contact : sequence of sequences of uint8 (H, W) or (H, W, 3)
+        For each setting the images in which it finds a contact.
+    idle : sequence of the same
+        Images without contact.
 
     Returns
     -------
@@ -78,11 +80,11 @@ def time_settings(
 class _Timed:
     """A setting's reconstructor, where it is in its frames, and what they took."""
 
-    def __init__(self, made: Reconstructor, contact: Sequence[Frame], idle: Sequence[Frame]) -> None:
+    def __init__(self, made: Reconstructor, contact: Sequence[U8], idle: Sequence[U8]) -> None:
         self.made, self.contact, self.idle = made, contact, idle
         self.taken: list[F64] = []
         self.waiting: list[F64] = []
-        self._count = self._next = self._next_idle = 0
+        self._count = self._next = self._next_idle = self._t_ns = 0
 
     def begin(self) -> None:
         """Find how many frames fit into a slice; the first step imports and allocates, the second tells."""
@@ -93,7 +95,7 @@ class _Timed:
     def round(self) -> None:
         """Time the next frames."""
         if self._count > 1:
-            self.made.step(self.contact[self._next])  # what ran before has left nothing of ours in the caches
+            self._step(self.contact[self._next])  # what ran before has left nothing of ours in the caches
         found = np.empty((self._count, 1 + len(STAGES)))
         for k in range(self._count):
             found[k] = self._step(self.contact[self._next])
@@ -105,6 +107,7 @@ class _Timed:
         self.taken.append(found)
         self.waiting.append(quiet)
 
-    def _step(self, frame: Frame) -> F64:
-        stages = stages_ms(self.made, frame, work_ns)
+    def _step(self, image: U8) -> F64:
+        self._t_ns += FRAME_NS
+        stages = stages_ms(self.made, Frame(0, self._t_ns, 0, image), work_ns)
         return np.array([sum(stages.values()), *(stages.get(name, np.nan) for name in STAGES)])

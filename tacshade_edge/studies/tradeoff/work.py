@@ -11,7 +11,6 @@ from tacshade_edge.studies.tradeoff.grid import Setting
 from tacshade_edge.studies.tradeoff.memory import peak_memory
 from tacshade_edge.studies.tradeoff.summary import Point, points
 from tacshade_edge.studies.tradeoff.timing import time_settings
-from tacshade_edge.types import Frame
 
 WEIGHED_IMAGES = 3
 
@@ -36,10 +35,10 @@ def tradeoff(
     images = [case.image for case in first.cases if case.touched][:WEIGHED_IMAGES]
     peaks = peak_memory(settings, first.calibration, images, cores, report)
     contact = [
-        [Frame(0, 0, 0, case.image) for case, row in zip(first.cases, some[0], strict=True) if row.contact]
+        [case.image for case, row in zip(first.cases, some[0], strict=True) if row.contact and case.touched]
         for some in rows
     ]
-    idle = [Frame(0, 0, 0, case.image) for case in first.cases if not case.touched]
+    idle = [case.image for case in first.cases if not case.touched]
     times, busy = time_settings(settings, first.calibration, contact, idle, report)
     found = points(settings, [[row for of_sensor in some for row in of_sensor] for some in rows], times, peaks)
     return found, busy

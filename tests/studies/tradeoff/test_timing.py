@@ -8,9 +8,6 @@ from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import STAGES
 from tacshade_edge.studies.tradeoff.grid import Setting
 from tacshade_edge.studies.tradeoff.timing import IDLE_FRAMES, time_settings
-from tacshade_edge.types import Frame
-
-TOUCH, QUIET = Frame(0, 0, 0, TOUCHED), Frame(0, 0, 0, FREE)
 
 
 def quiet(what: str, done: int, total: int) -> None:
@@ -20,7 +17,9 @@ def quiet(what: str, done: int, total: int) -> None:
 def test_every_setting_is_timed_in_every_round() -> None:
     settings = [Setting(PROFILES["fast"]), Setting(replace(PROFILES["fast"], stride_px=8))]
     threads = cv2.getNumThreads()
-    times, busy = time_settings(settings, painted_calibration(), [[TOUCH, TOUCH], [TOUCH]], [QUIET], quiet, rounds=3)
+    times, busy = time_settings(
+        settings, painted_calibration(), [[TOUCHED, TOUCHED], [TOUCHED]], [FREE], quiet, rounds=3
+    )
     assert busy > 0.9
     assert cv2.getNumThreads() == threads
     for each, most in zip(times, (2, 1), strict=True):
@@ -40,7 +39,7 @@ def test_a_setting_that_finds_no_contact_and_no_frames_without_are_nothing() -> 
 
 
 def test_a_stage_that_is_not_run_is_nan() -> None:
-    (times,), _ = time_settings([Setting(PROFILES["fast"])], painted_calibration(), [[QUIET]], [], quiet, rounds=1)
+    (times,), _ = time_settings([Setting(PROFILES["fast"])], painted_calibration(), [[FREE]], [], quiet, rounds=1)
     ran = np.isfinite(times.contact[0][0])
     assert dict(zip(STAGES, ran[1:], strict=True))["gate"]
     assert not dict(zip(STAGES, ran[1:], strict=True))["depth"]
