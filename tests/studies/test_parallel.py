@@ -41,6 +41,14 @@ def test_results_keep_the_order_of_their_tasks_over_processes() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("cores", [1, 2])
+def test_fresh_is_a_process_for_each_task(cores: int) -> None:
+    found = list(ordered_map(slow_first, [1, 2, 3], cores, fresh=True))
+    assert [task for task, _ in found] == [1, 2, 3]
+    assert len({os.getpid(), *(pid for _, pid in found)}) == 4
+
+
+@pytest.mark.slow
 def test_a_mistake_in_a_process_is_the_callers() -> None:
     with pytest.raises(ConfigError, match="sensor 1: no"):
         list(ordered_map(refuse, [0, 1, 2], 2))

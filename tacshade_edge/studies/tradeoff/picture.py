@@ -5,12 +5,16 @@ from __future__ import annotations
 import importlib.util
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import cycle
 from typing import Any
 
 from tacshade_edge.studies.tradeoff.summary import Estimate, Point
 
 INSTALL = "matplotlib draws it: pip install 'tacshade-edge[studies]'"
+NEAR = 1.5
+"""The second panel ends at so many times the slowest and the least accurate setting on the front."""
+
 _COLOURS = ("#8a5fb0", "#e4572e", "#4a9c5d", "#3d6fb4")
 
 
@@ -20,39 +24,57 @@ def can_draw() -> bool:
 
 
 def draw(points: Sequence[Point], budget_ms: float | None) -> bytes:
-    """PNG: ME against p50, both logarithmic, with their intervals; the front, the shipped profiles, the budget."""
+    """PNG: ME against p50 with their intervals, the front, the shipped, the budget; all, and around the front."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-    figure = Figure(figsize=(8.4, 5.2), dpi=100, facecolor="white", layout="constrained")
+    figure = Figure(figsize=(13, 5.6), dpi=100, facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots()
+    known = [p for p in points if math.isfinite(p.me_mm.value) and math.isfinite(p.p50_ms.value)]
+    slowest_ms = max((p.p50_ms.value for p in known if p.front), default=math.inf)
+    worst_mm = max((p.me_mm.value for p in known if p.front), default=math.inf)
+    near = [p for p in known if p.p50_ms.value < NEAR * slowest_ms and p.me_mm.value < NEAR * worst_mm]
+    colours = dict(zip(dict.fromkeys(p.setting.profile.name for p in points), cycle(_COLOURS), strict=False))
+    everything, around = figure.subplots(1, 2)
+    for axes, some in ((everything, known), (around, near)):
+        _scatter(axes, some, colours, budget_ms, detailed=axes is around)
+    everything.set(xscale="log", yscale="log", title="all settings")
+    around.set(title="around the front")
+    around.set_xlim(left=0)
+    around.set_ylim(bottom=0)
+    for axis in (everything.xaxis, everything.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_formatter(NullFormatter())
+    figure.legend(*everything.get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png")
+    return stream.getvalue()
+
+
+def _scatter(
+    axes: Any, points: Sequence[Point], colours: Mapping[str, str], budget_ms: float | None, *, detailed: bool
+) -> None:
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(color="#e6e6e6", linewidth=0.8)
     axes.set_axisbelow(True)
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    known = [p for p in points if math.isfinite(p.me_mm.value) and math.isfinite(p.p50_ms.value)]
-    for k, name in enumerate(dict.fromkeys(p.setting.profile.name for p in points)):
-        for point in (p for p in known if p.setting.profile.name == name):
-            _mark(axes, point, _COLOURS[k % len(_COLOURS)])
-        axes.plot([], [], "o", color=_COLOURS[k % len(_COLOURS)], label=f"{name} and what differs from it")
-    front = sorted((p.p50_ms.value, p.me_mm.value) for p in known if p.front)
+    for name, colour in colours.items():
+        mine = sorted((p for p in points if p.setting.profile.name == name), key=lambda p: p.p50_ms.value)
+        for point in mine:
+            _mark(axes, point, colour)
+        if detailed:
+            # Many lie side by side: the names go one below the other.
+            for rank, point in enumerate(p for p in mine if p.front and p.setting.varied):
+                _name(axes, point, point.setting.varied, colour, (6, -20 - 10 * rank))
+        axes.plot([], [], "o", color=colour, label=f"{name} and what differs from it")
+    front = sorted((p.p50_ms.value, p.me_mm.value) for p in points if p.front)
     if front:
         axes.plot(*zip(*front, strict=True), color="#888888", linewidth=1.2, zorder=1, label="Pareto front")
     axes.plot([], [], "D", color="#444444", markersize=9, label="shipped")
     if budget_ms is not None:
         axes.axvline(budget_ms, color="#888888", linewidth=1, linestyle=":", label=f"budget of {budget_ms:g} ms")
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axis.set_minor_formatter(NullFormatter())
     axes.set(xlabel="ms for a frame in contact, p50, one thread", ylabel="ME in mm, mean over presses")
-    figure.legend(loc="outside lower center", ncols=3, frameon=False)
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png")
-    return stream.getvalue()
 
 
 def _mark(axes: Any, point: Point, colour: str) -> None:
@@ -70,16 +92,21 @@ def _mark(axes: Any, point: Point, colour: str) -> None:
         linewidth=0.8,
         zorder=3 if shipped else 2,
     )
-    if shipped or (point.front and point.setting.varied):
-        axes.annotate(
-            point.setting.profile.name if shipped else point.setting.varied,
-            (point.p50_ms.value, point.me_mm.value),
-            xytext=(8, 6) if shipped else (5, -11),
-            textcoords="offset points",
-            fontsize=10 if shipped else 7.5,
-            fontweight="bold" if shipped else "normal",
-            color=colour,
-        )
+    if shipped:
+        _name(axes, point, point.setting.profile.name, colour, (8, 6))
+
+
+def _name(axes: Any, point: Point, text: str, colour: str, offset: tuple[int, int]) -> None:
+    large = point.setting.shipped
+    axes.annotate(
+        text,
+        (point.p50_ms.value, point.me_mm.value),
+        xytext=offset,
+        textcoords="offset points",
+        fontsize=10 if large else 7.5,
+        fontweight="bold" if large else "normal",
+        color=colour,
+    )
 
 
 def _ends(estimate: Estimate) -> list[list[float]] | None:
