@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,12 +12,13 @@ from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.devices.network import load_network
 from tacshade_edge.types import Bool, Calibration
 
-WORDS = {
-    "solver": "solver {}",
-    "stride_px": "stride {} px",
-    "window_pitches": "window {} pitch",
-    "tv_weight": "TV {:g}",
-    "tv_iterations": "TV {} times",
+WORDS: dict[str, Callable[[Any], str]] = {
+    "solver": "solver {}".format,
+    "halved": lambda halved: "halved" if halved else "not halved",
+    "stride_px": "stride {} px".format,
+    "window_pitches": "window {} pitch".format,
+    "tv_weight": "TV {:g}".format,
+    "tv_iterations": "TV {} times".format,
 }
 """Fields of a profile that are varied, and how that is said."""
 
@@ -30,6 +31,7 @@ _AROUND_LEARNED: tuple[dict[str, Any], ...] = (
 # At stride 1 a frame takes half a second; around it only what decides.
 _AROUND_PAPER: tuple[dict[str, Any], ...] = (
     {"solver": "grey"},
+    {"halved": True},
     {"stride_px": 2},
     {"stride_px": 4},
     {"stride_px": 8},
@@ -69,7 +71,7 @@ class Setting:
         """What differs from the shipped profile; empty for that one."""
         base = PROFILES[self.profile.name]
         mine = {field: getattr(self.profile, field) for field in WORDS}
-        said = [WORDS[field].format(value) for field, value in mine.items() if value != getattr(base, field)]
+        said = [WORDS[field](value) for field, value in mine.items() if value != getattr(base, field)]
         return ", ".join((*said, *(("whole disc",) if self.whole_disc else ())))
 
     def __str__(self) -> str:
@@ -81,7 +83,9 @@ def grid(names: Sequence[str]) -> tuple[Setting, ...]:
     """The shipped profiles of these names, each followed by what differs from it."""
     settings = []
     for profile in (PROFILES[name] for name in names):
-        around: Sequence[Mapping[str, Any]] = _AROUND_LEARNED if profile.solver == LEARNED else _AROUND_PAPER
+        around = _AROUND_PAPER
+        if profile.solver == LEARNED:
+            around = ({"halved": not profile.halved}, *_AROUND_LEARNED)
         settings.append(Setting(profile))
         settings += [Setting(replace(profile, **changes)) for changes in around]
         settings.append(Setting(profile, whole_disc=True))

@@ -11,6 +11,7 @@ from tacshade_edge.core.reconstruct import STAGES
 from tacshade_edge.studies import tables
 from tacshade_edge.studies.evaluate.report import versions, without_nan
 from tacshade_edge.studies.parallel import usable_cores
+from tacshade_edge.studies.tradeoff.grid import WORDS
 from tacshade_edge.studies.tradeoff.summary import Estimate, Point
 
 _HEADER = (
@@ -76,11 +77,7 @@ def record(point: Point) -> dict[str, Any]:
         "setting": str(point.setting),
         "profile": profile.name,
         "shipped": point.setting.shipped,
-        "solver": profile.solver,
-        "stride_px": profile.stride_px,
-        "window_pitches": profile.window_pitches,
-        "tv_weight": profile.tv_weight,
-        "tv_iterations": profile.tv_iterations,
+        **{field: getattr(profile, field) for field in WORDS},
         "whole_disc": point.setting.whole_disc,
         "front": point.front,
         "presses": point.presses,

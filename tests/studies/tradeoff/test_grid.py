@@ -6,16 +6,17 @@ from painted_sensor import TOUCHED, painted_calibration
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.solvers import SOLVERS
-from tacshade_edge.studies.tradeoff.grid import Setting, grid, make
+from tacshade_edge.studies.tradeoff.grid import WORDS, Setting, grid, make
 from tacshade_edge.types import Frame
 
 
 def test_the_whole_grid_has_every_profile_and_no_setting_twice() -> None:
     settings = grid(list(PROFILES))
-    assert len(settings) == len(set(settings)) == len({str(setting) for setting in settings}) <= 48
+    assert len(settings) <= 40
+    assert len(settings) == len(set(settings)) == len({str(setting) for setting in settings})
     assert [setting.profile.name for setting in settings if setting.shipped] == list(PROFILES)
     assert all(bool(setting.varied) != setting.shipped for setting in settings)
-    for dimension in ("stride_px", "window_pitches", "tv_weight", "tv_iterations", "solver"):
+    for dimension in WORDS:
         assert len({getattr(setting.profile, dimension) for setting in settings}) > 1
 
 
@@ -25,6 +26,7 @@ def test_a_setting_says_what_differs() -> None:
     assert str(setting) == "paper, solver grey, stride 4 px, TV 0, TV 7 times, whole disc"
     assert str(Setting(paper)) == "paper"
     assert not Setting(paper, whole_disc=True).shipped
+    assert {setting.varied for setting in grid(["fast", "accurate"])} >= {"halved", "not halved"}
 
 
 def test_what_differs_is_what_runs() -> None:
