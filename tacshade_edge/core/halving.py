@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from tacshade_edge.core.binarise import binarise, halved
-from tacshade_edge.core.disc import Window, disc_mask
+from tacshade_edge.core.disc import Grid, Window, disc_mask
 from tacshade_edge.types import U8, Calibration, Disc
 
 LEAST_PITCH_PX = 14.0
@@ -24,6 +24,11 @@ def halved_image(grey: U8) -> U8:
     """Means over 2x2 px, rounded half up; of an odd side the last row or column is left out."""
     rows, cols = (side // 2 * 2 for side in grey.shape)
     return halved(grey[:rows, :cols])
+
+
+def grid_of_whole(grid: Grid) -> Grid:
+    """Where the cells of a grid on the halved image lie in the whole one."""
+    return Grid(grid.rows, grid.cols, 2 * grid.row0 + 0.5, 2 * grid.col0 + 0.5, 2 * grid.step_px)
 
 
 def halved_calibration(calibration: Calibration) -> Calibration:

@@ -9,7 +9,7 @@ import numpy as np
 
 from tacshade_edge.core import clusters, discmap, greyscale
 from tacshade_edge.core.disc import DiscRays, Grid, cells_in_image, disc_rays
-from tacshade_edge.core.halving import can_be_halved, halved_calibration, halved_image
+from tacshade_edge.core.halving import can_be_halved, grid_of_whole, halved_calibration, halved_image
 from tacshade_edge.core.preprocess import Preprocessor
 from tacshade_edge.core.profiles import LEARNED, Profile
 from tacshade_edge.core.solvers import SOLVERS, Depth
@@ -87,9 +87,10 @@ class Reconstructor:
         self._front = Preprocessor(seen, profile)
         self._learned = _learned(self._front, network)
         self._asked_ns = -MOVED_EVERY_NS
+        maps = grid_of_whole(self._front.grid) if self._halve else self._front.grid
         cells = discmap.map_grid(calibration.geometry.disc, profile.cells)
         self._factor = np.float32(calibration.factors.get(profile.name, 1.0))
-        self.grid = self._front.grid if self._learned is None else cells
+        self.grid = maps if self._learned is None else cells
         self.rays = _seen_rays(calibration, self.grid)
         # α is per pixel of the image (the paper ties it to the image's resolution).
         self._alpha_mm = calibration.alpha * calibration.geometry.mm_per_px

@@ -96,3 +96,14 @@ def test_an_image_of_another_size_is_told_in_its_own_pixels(shape: tuple[int, in
     result = made.step(Frame(0, 0, 0, np.zeros(shape, np.uint8)))
     assert result.reason == f"size: {shape[1]}x{shape[0]} px, calibrated for 640x480"
     assert not made.step(Frame(0, 0, 0, to_grey(unloaded(FULL)))).contact
+
+
+@pytest.mark.parametrize("name", ["paper", "balanced"])
+def test_the_contact_lies_where_it_lies_in_the_whole_image(name: str) -> None:
+    frame, middles = Frame(0, 0, 0, pressed("ball", 3.0, FULL).image), []
+    for halved in (False, True):
+        profile = replace(PROFILES[name], halved=halved, stride_px=4)
+        height = make_reconstructor(calibrated(FULL, 0), profile).step(frame).height
+        rows, cols = np.nonzero(height.contact)
+        middles.append((height.row0 + height.step_px * rows.mean(), height.col0 + height.step_px * cols.mean()))
+    assert middles[1] == pytest.approx(middles[0], abs=3)
