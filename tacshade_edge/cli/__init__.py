@@ -25,7 +25,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "dashboard": ("dashboard", "a live page for the browser: height maps, 3-D view, health; works offline"),
     "evaluate": ("evaluate", "score profiles against ground truth: the paper's Experiment 1, or your own images"),
     "tradeoff": ("tradeoff", "speed against accuracy on this machine: which profile for a budget of milliseconds"),
-    "simulate": ("simulate", "write simulated images with ground truth, or a calibration set"),
+    "stitch": ("stitch", "images and the robot's poses to one large map; score it against a known surface"),
+    "simulate": ("simulate", "write simulated images with ground truth, a calibration set, or a scanned touchpad"),
 }
 
 

@@ -1,4 +1,4 @@
-"""``tacshade-edge simulate``: simulated images with ground truth, or a calibration set."""
+"""``tacshade-edge simulate``: simulated images with ground truth, a calibration set, or a scanned touchpad."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 import yaml
 
+from tacshade_edge.cli.simulate_pad import write_pad
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.simulator.model import SensorModel, random_model
@@ -28,6 +29,7 @@ REFERENCES = 8
 """Reference images in a calibration set."""
 
 _SEED_STRIDE = 1000  # every image of a set has a noise seed of its own
+_PAD_SEED = 500_000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -46,6 +48,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rotation", type=_number, nargs="+", default=[0.0], metavar="DEG", help="about z (0)")
     parser.add_argument("--calibration-set", type=Path, metavar="DIR", help="write references and ball presses here")
     parser.add_argument("--presses", type=_count, default=40, metavar="N", help="ball presses in the set (40)")
+    parser.add_argument(
+        "--pad", type=Path, metavar="DIR", help="write presses all over a touchpad, poses and truth here"
+    )
+    parser.add_argument("--pad-step", type=_number, default=4.0, metavar="MM", help="between presses on the pad (4)")
+    parser.add_argument("--pad-depth", type=_number, default=2.7, metavar="MM", help="below the bulges' tops (2.7)")
+    parser.add_argument("--pad-varied", action="store_true", help="each press of another depth and tilt")
     parser.add_argument("--seed", type=_count, default=0, metavar="N", help="of the noise and the presses (0)")
     parser.add_argument("--sensor-seed", type=_count, metavar="N", help="another sensor of the family, drawn at random")
     parser.set_defaults(usage_error=parser.error)
@@ -53,8 +61,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write what was asked for; one summary line for each."""
-    if args.out is None and args.calibration_set is None:
-        args.usage_error("one of --out DIR and --calibration-set DIR is required")
+    if args.out is None and args.calibration_set is None and args.pad is None:
+        args.usage_error("one of --out DIR, --calibration-set DIR and --pad DIR is required")
     model = SensorModel() if args.sensor_seed is None else random_model(args.sensor_seed)
     sensor = SimulatedSensor(model)
     try:
@@ -62,6 +70,17 @@ def run(args: argparse.Namespace) -> int:
             _write_calibration_set(sensor, args.calibration_set, args.presses, args.seed)
         if args.out is not None:
             _write_scenes(sensor, args)
+        if args.pad is not None:
+            write_pad(
+                model,
+                args.pad,
+                step_mm=args.pad_step,
+                depth_mm=args.pad_depth,
+                varied=args.pad_varied,
+                seed=args.seed,
+                noise_seed=args.seed * _SEED_STRIDE + _PAD_SEED,
+                report=_progress,
+            )
     except OSError as error:
         raise DeviceError(f"{error.filename}: cannot be written: {error.strerror}") from error
     return 0

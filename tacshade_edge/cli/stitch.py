@@ -1,0 +1,118 @@
+"""``tacshade-edge stitch``: images and the robot's poses to one large map."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.stitch import Stitched
+from tacshade_edge.core.touch_map import STEP_MM, Raster
+from tacshade_edge.devices import calibration_file
+from tacshade_edge.devices.map_files import write_map
+from tacshade_edge.devices.poses_table import read_poses
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.studies.stitch.average import radius_average
+from tacshade_edge.studies.stitch.score import KnownSurface, read_known, score
+from tacshade_edge.studies.stitch.work import Press, all_points, read_presses, stitcher_of
+
+EXIT_FAILED = 1
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--calibration", type=Path, required=True, metavar="CAL.npz", help="from `calibrate`")
+    parser.add_argument("--poses", type=Path, required=True, metavar="POSES.csv", help="images and base_T_flange")
+    parser.add_argument("--profile", choices=sorted(PROFILES), default="accurate", help="(accurate)")
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="map.npz, .ply, .png, .json, preview.png"
+    )
+    parser.add_argument("--truth", type=Path, metavar="PAD.npz", help="score the map against this known surface")
+    parser.add_argument("--json", action="store_true", help="print map.json")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Stitch; a press that cannot be used is told in map.json, an image that cannot be read here too."""
+    calibration = calibration_file.load(args.calibration)
+    posed = read_poses(args.poses)
+    known = None if args.truth is None else read_known(args.truth)
+    presses = read_presses(calibration, PROFILES[args.profile], posed, _progress)
+    failed = [p for p in presses if p.failed]
+    for press in failed:
+        print(f"tacshade-edge: {press.posed.where}: {press.skipped}", file=sys.stderr)
+    stitcher = stitcher_of(presses, calibration.geometry.skin_radius_mm)
+    if stitcher.presses == 0:
+        raise ConfigError(f"{args.poses}: none of {len(presses)} images shows a contact: {presses[0].skipped}")
+    finished = stitcher.finish()
+    about = {"profile": args.profile, **_described(presses, finished)}
+    if known is not None:
+        about["score"] = score(finished.raster, known).as_json()
+        about["paper"] = _paper(presses, known)
+        if finished.refined:
+            about["unrefined"] = _scored(stitcher.finish(None).raster, known)
+    write_map(args.out, finished.raster, about)
+    if args.json:
+        print((args.out / "map.json").read_text(encoding="utf-8"), end="")
+    else:
+        _print(args.out, about)
+    return EXIT_FAILED if failed else 0
+
+
+def _described(presses: list[Press], finished: Stitched) -> dict[str, Any]:
+    placed = iter(finished.presses)
+    records = []
+    for press in presses:
+        record: dict[str, Any] = {"image": press.posed.path.name, "used": False, "reason": press.skipped}
+        if not press.skipped:
+            one = next(placed)
+            record |= {
+                "used": not one.rejected,
+                "reason": one.rejected,
+                "points": len(press.touch.points_mm),
+                "moved_mm": round(one.moved_mm, 4),
+                "turned_deg": round(one.turned_deg, 4),
+            }
+        records.append(record)
+    return {
+        "refined": finished.refined,
+        "disagreement_mm": round(finished.disagreement_mm, 4),
+        "used": sum(r["used"] for r in records),
+        "presses": records,
+    }
+
+
+def _paper(presses: list[Press], known: KnownSurface) -> dict[str, Any]:
+    return _scored(radius_average(all_points(presses), STEP_MM), known)
+
+
+def _scored(raster: Raster, known: KnownSurface) -> dict[str, Any]:
+    return score(raster, known).as_json()
+
+
+def _print(out: Path, about: dict[str, Any]) -> None:
+    poses = (
+        f"poses refined (they disagreed by {about['disagreement_mm']:.2f} mm)" if about["refined"] else "poses exact"
+    )
+    print(f"{out}: {about['used']} of {len(about['presses'])} presses, {poses}")
+    for name, key in (("map", "score"), ("not refined", "unrefined"), ("paper's average", "paper")):
+        if key in about:
+            print(f"  {name}: {_line(about[key])}")
+
+
+def _line(s: dict[str, Any]) -> str:
+    def worst(records: list[dict[str, Any]], key: str) -> str:
+        values = [abs(r[key]) for r in records if r[key] is not None]
+        return f"{max(values):.2f}" if values else "-"
+
+    return (
+        f"RMS {s['rms_mm']:.3f} mm over {s['covered_mm2']:.0f} mm², raised {100 * s['raised_coverage']:.1f} % covered, "
+        f"bars within {worst(s['bars'], 'angle_deg')}° and {worst(s['bars'], 'bent_mm')} mm, "
+        f"circle within {worst(s['circles'], 'radius_percent')} %"
+    )
+
+
+def _progress(done: int, total: int) -> None:
+    if sys.stderr.isatty():
+        print(f"\r{done}/{total}", end="\n" if done == total else "", file=sys.stderr, flush=True)

@@ -1,0 +1,161 @@
+"""Many presses, one map: what was touched, brought to the base frame by the robot's poses.
+
+Poses are as good as the robot. How good is seen from the map itself: where the presses would have to move by no more
+than the reconstruction's own error to agree, they are taken as exact, else as found by `stitch_refine`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tacshade_edge.core.stitch_refine import PoseError, correction, refined, thinned
+from tacshade_edge.core.touch import Touch
+from tacshade_edge.core.touch_map import LEAST_WEIGHT, STEP_MM, Raster, TouchMap
+from tacshade_edge.rigid import Rigid
+
+MAX_PRESSES = 5000
+EXACT_MM = 0.12
+"""RMS by which presses with exact poses are moved in height at most (0.07 on the simulated pad)."""
+# Where poses are not exact, an outline is where some press is off: there it takes more of a touch.
+_LEAST_UNSURE = 0.25
+_FUSE_PASSES = 2
+_FUSE_ROBUST_MM = 0.2  # a point that far from its cell's mean counts half
+# A press that is off its neighbours by so much after refinement, or was moved by so many standard deviations, is none.
+REJECT_MM = 0.6
+REJECT_SIGMAS = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """One press in a finished map.
+
+    Attributes
+    ----------
+    base_T_sensor : Rigid
+        As found, or as reported where poses are exact.
+    moved_mm, turned_deg : float
+        How far from the reported pose, at the apex.
+    rejected : str
+        Empty, or why its points are not in the map.
+    """
+
+    base_T_sensor: Rigid
+    moved_mm: float
+    turned_deg: float
+    rejected: str
+
+
+@dataclass(frozen=True, slots=True)
+class Stitched:
+    """A finished map.
+
+    Attributes
+    ----------
+    raster : Raster
+    presses : tuple of Placed
+    disagreement_mm : float
+        RMS of how far presses would have to move in height to agree; 0 where it was not asked for.
+    refined : bool
+        The poses were not taken as exact.
+    """
+
+    raster: Raster
+    presses: tuple[Placed, ...]
+    disagreement_mm: float
+    refined: bool
+
+
+class Stitcher:
+    """Collects presses; the map of those so far is there at any time, the refined one at the end.
+
+    Parameters
+    ----------
+    apex_mm : float
+        The skin's radius: z of the undeformed apex in the sensor frame.
+    step_mm : float
+        Of the map.
+    """
+
+    def __init__(self, apex_mm: float, step_mm: float = STEP_MM) -> None:
+        self._apex = np.array((0.0, 0.0, apex_mm))
+        self._step_mm = step_mm
+        self._touches: list[Touch] = []
+        self._poses: list[Rigid] = []
+        self.map = TouchMap(step_mm)
+
+    @property
+    def presses(self) -> int:
+        """How many there are."""
+        return len(self._touches)
+
+    def add(self, touch: Touch, base_T_sensor: Rigid) -> None:
+        """Add a press as reported; its cost does not grow with the map.
+
+        Raises
+        ------
+        ValueError
+            Nothing was touched, or the map is full (`MAX_PRESSES`, `touch_map.MAX_TILES`); nothing was added.
+        """
+        if len(touch.points_mm) == 0:
+            raise ValueError("nothing was touched")
+        if self.presses >= MAX_PRESSES:
+            raise ValueError(f"there are {MAX_PRESSES} presses in the map")
+        self.map.add(base_T_sensor.apply(touch.points_mm), touch.trust)
+        self._touches.append(touch)
+        self._poses.append(base_T_sensor)
+
+    def finish(self, error: PoseError | None = PoseError()) -> Stitched:  # noqa: B008 (frozen)
+        """Find the poses, leave out presses that fit nowhere, fuse again without outlying points.
+
+        Parameters
+        ----------
+        error : PoseError or None
+            What the robot's poses are off by if they are not exact; None takes them as exact.
+        """
+        poses, disagreement_mm = self._poses, 0.0
+        found = list(poses)
+        if error is not None and self.presses > 1:
+            found = refined([thinned(t) for t in self._touches], poses, self._apex, error)
+            up = [(f.apply(self._apex) - p.apply(self._apex))[2] for f, p in zip(found, poses, strict=True)]
+            disagreement_mm = float(np.sqrt(np.mean(np.square(up))))
+        exact = disagreement_mm <= EXACT_MM
+        placed = self._placed(poses if exact else found, None if exact else error)
+        fused = self._fused([p.base_T_sensor for p in placed], [not p.rejected for p in placed], _FUSE_PASSES)
+        raster = fused.raster(LEAST_WEIGHT if exact else _LEAST_UNSURE)
+        return Stitched(raster, tuple(placed), disagreement_mm, not exact)
+
+    def _placed(self, poses: Sequence[Rigid], error: PoseError | None) -> list[Placed]:
+        fused = self._fused(poses, [True] * len(poses), passes=1)
+        placed = []
+        for touch, reported, pose in zip(self._touches, self._poses, poses, strict=True):
+            at = pose.apply(touch.points_mm)
+            off_mm = float(np.median(np.abs(at[:, 2] - fused.z_at(at))))
+            moved_mm, turned_deg = correction(reported, pose, self._apex)
+            rejected = ""
+            if off_mm > REJECT_MM:
+                rejected = f"{off_mm:.2f} mm off the other presses"
+            elif error is not None and moved_mm > REJECT_SIGMAS * error.position_mm:
+                rejected = f"would have to move by {moved_mm:.2f} mm"
+            elif error is not None and turned_deg > REJECT_SIGMAS * error.rotation_deg:
+                rejected = f"would have to turn by {turned_deg:.1f} degrees"
+            placed.append(Placed(pose, moved_mm, turned_deg, rejected))
+        return placed
+
+    def _fused(self, poses: Sequence[Rigid], kept: Sequence[bool], passes: int) -> TouchMap:
+        """The kept presses in a new map; after the first pass a point counts less, the farther it is from the rest."""
+        fused: TouchMap | None = None
+        for _ in range(passes):
+            better = TouchMap(self._step_mm)
+            for pose, touch, keep in zip(poses, self._touches, kept, strict=True):
+                if not keep:
+                    continue
+                at, weight = pose.apply(touch.points_mm), touch.trust.astype(np.float64)
+                if fused is not None:
+                    weight = weight / (1 + ((at[:, 2] - fused.z_at(at)) / _FUSE_ROBUST_MM) ** 2)
+                better.add(at, weight)
+            fused = better
+        assert fused is not None
+        return fused

@@ -1,0 +1,107 @@
+"""Rigid transforms in mm: what takes points of one frame to another. Names say ``a_T_b``: from b's points to a's."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from tacshade_edge.types import F64, freeze
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rigid:
+    """A rotation, then a translation.
+
+    Attributes
+    ----------
+    rotation : float64 (3, 3)
+    translation_mm : float64 (3,)
+    """
+
+    rotation: F64
+    translation_mm: F64
+
+    def __post_init__(self) -> None:
+        freeze(self, "rotation", "translation_mm")
+
+    def __matmul__(self, inner: Rigid) -> Rigid:
+        """``a_T_b @ b_T_c`` is ``a_T_c``."""
+        return Rigid(self.rotation @ inner.rotation, self.rotation @ inner.translation_mm + self.translation_mm)
+
+    def apply(self, points_mm: npt.NDArray[np.floating]) -> F64:
+        """Take points (..., 3)."""
+        return np.asarray(points_mm @ self.rotation.T + self.translation_mm)
+
+    def inverse(self) -> Rigid:
+        """The way back."""
+        return Rigid(self.rotation.T, -(self.rotation.T @ self.translation_mm))
+
+    def seven(self) -> tuple[float, ...]:
+        """x, y, z in mm and the unit quaternion w, x, y, z with w >= 0: what files and messages hold."""
+        return (*self.translation_mm.tolist(), *_quaternion(self.rotation))
+
+
+def from_seven(values: Sequence[float]) -> Rigid:
+    """From x, y, z in mm and a quaternion w, x, y, z, brought to length 1.
+
+    Raises
+    ------
+    ValueError
+        The quaternion is of length 0.
+    """
+    x_mm, y_mm, z_mm, *q = values
+    norm = math.sqrt(math.fsum(v * v for v in q))
+    if not norm > 0:
+        raise ValueError("a quaternion of length 0 is no rotation")
+    w, x, y, z = (v / norm for v in q)
+    rotation = np.array(
+        (
+            (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+            (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+            (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+        )
+    )
+    return Rigid(rotation, np.array((x_mm, y_mm, z_mm)))
+
+
+def shift(x_mm: float, y_mm: float, z_mm: float) -> Rigid:
+    """A translation alone."""
+    return Rigid(np.eye(3), np.array((x_mm, y_mm, z_mm)))
+
+
+def turn(vector_rad: Sequence[float] | F64) -> Rigid:
+    """A rotation about an axis through the origin, by the vector's length (Rodrigues)."""
+    x, y, z = (float(v) for v in vector_rad)
+    angle = math.sqrt(x * x + y * y + z * z)
+    k = np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
+    # sin(a)/a and (1 - cos(a))/a², whose limits at 0 are 1 and 1/2.
+    first = float(np.sinc(angle / math.pi))
+    second = 0.5 * float(np.sinc(angle / (2 * math.pi))) ** 2
+    return Rigid(np.eye(3) + first * k + second * (k @ k), np.zeros(3))
+
+
+def _quaternion(m: F64) -> tuple[float, float, float, float]:
+    """Unit quaternion w, x, y, z of a rotation, from the largest of its components: no root of almost nothing."""
+    squares = np.array(
+        (
+            1 + m[0, 0] + m[1, 1] + m[2, 2],
+            1 + m[0, 0] - m[1, 1] - m[2, 2],
+            1 - m[0, 0] + m[1, 1] - m[2, 2],
+            1 - m[0, 0] - m[1, 1] + m[2, 2],
+        )
+    )
+    products = np.array(
+        (
+            (squares[0], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]),
+            (m[2, 1] - m[1, 2], squares[1], m[1, 0] + m[0, 1], m[0, 2] + m[2, 0]),
+            (m[0, 2] - m[2, 0], m[1, 0] + m[0, 1], squares[2], m[2, 1] + m[1, 2]),
+            (m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[2, 1] + m[1, 2], squares[3]),
+        )
+    )
+    row = products[int(np.argmax(squares))]
+    q = row / np.linalg.norm(row) * (-1 if row[0] < 0 else 1)
+    return float(q[0]), float(q[1]), float(q[2]), float(q[3])

@@ -1,0 +1,229 @@
+"""A map against a known surface."""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tacshade_edge.core.touch_map import Raster
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.types import F32, F64, freeze
+
+_STATION_MM = 1.0  # along a bar; degrees of a circle are chosen alike
+_BESIDE_MM = 1.5  # beside a bulge's edge, what still belongs to it
+_END_MM = 2.0  # of a bar that is left out: its ends are round to the touch
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KnownSurface:
+    """PAD.npz.
+
+    Attributes
+    ----------
+    raster : Raster
+    bars_mm : float64 (N, 5)
+        Straight bulges: the middle line's ends x0, y0, x1, y1 and the width; may be none.
+    circles_mm : float64 (M, 4)
+        Ring bulges: x, y, radius of the middle line, width; may be none.
+    """
+
+    raster: Raster
+    bars_mm: F64
+    circles_mm: F64
+
+    def __post_init__(self) -> None:
+        freeze(self, "bars_mm", "circles_mm")
+
+
+@dataclass(frozen=True, slots=True)
+class BarScore:
+    """A straight bulge: how its middle line, found in the map, differs from the true one."""
+
+    x_mm: float
+    y_mm: float
+    width_mm: float
+    angle_deg: float
+    off_mm: float
+    bent_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class CircleScore:
+    """A ring: the radius of its middle line, found in the map, and by how much it is not round."""
+
+    radius_mm: float
+    found_mm: float
+    radius_percent: float
+    round_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """What a map is worth.
+
+    Attributes
+    ----------
+    rms_mm, mean_mm, p95_mm : float
+        Height errors in the touched cells over the known surface; `p95_mm` of their sizes.
+    outside_cells : int
+        Touched cells beyond the known surface.
+    covered_mm2 : float
+    raised_coverage : float
+        The part of the surface over half its height that was touched.
+    raised_rms_mm : float
+        RMS of the height errors there.
+    bars : tuple of BarScore
+    circles : tuple of CircleScore
+    """
+
+    rms_mm: float
+    mean_mm: float
+    p95_mm: float
+    outside_cells: int
+    covered_mm2: float
+    raised_coverage: float
+    raised_rms_mm: float
+    bars: tuple[BarScore, ...]
+    circles: tuple[CircleScore, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """Rounded to 0.1 µm."""
+        return _rounded(asdict(self))
+
+
+def read_known(path: Path) -> KnownSurface:
+    """Read PAD.npz.
+
+    Raises
+    ------
+    ConfigError
+        Not readable, or not a map.
+    """
+    try:
+        with np.load(path) as npz:
+            z, x0, y0, step = (npz[key] for key in ("z_mm", "x0_mm", "y0_mm", "step_mm"))
+            bars = npz["bars_mm"] if "bars_mm" in npz.files else np.zeros((0, 5))
+            circles = npz["circles_mm"] if "circles_mm" in npz.files else np.zeros((0, 4))
+        raster = Raster(z.astype(np.float32), float(x0), float(y0), float(step))
+        known = KnownSurface(raster, bars.reshape(-1, 5).astype(float), circles.reshape(-1, 4).astype(float))
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror or error}, expected a known surface (.npz)") from None
+    except (KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        raise ConfigError(f"{path}: not a known surface: {error}; expected z_mm, x0_mm, y0_mm, step_mm") from None
+    if raster.z_mm.ndim != 2 or not raster.step_mm > 0 or not np.isfinite(raster.z_mm).any():
+        raise ConfigError(f"{path}: found z_mm {raster.z_mm.shape} at steps of {raster.step_mm:g} mm, expected a map")
+    return known
+
+
+def score(found: Raster, known: KnownSurface) -> Score:
+    """Compare cell by cell with the nearest known height.
+
+    Raises
+    ------
+    ConfigError
+        They share no cell.
+    """
+    true = _at(known.raster, found)
+    touched = np.isfinite(found.z_mm)
+    both = touched & np.isfinite(true)
+    if not both.any():
+        raise ConfigError("the known surface and the map share no cell: are the poses in its frame?")
+    error = found.z_mm[both].astype(np.float64) - true[both]
+    low, high = float(np.nanmin(known.raster.z_mm)), float(np.nanmax(known.raster.z_mm))
+    half = (low + high) / 2
+    with np.errstate(invalid="ignore"):
+        raised = known.raster.z_mm > half
+        over = true[both] > half
+    there = np.isfinite(_at(found, known.raster))
+    return Score(
+        rms_mm=_rms(error),
+        mean_mm=float(error.mean()),
+        p95_mm=float(np.percentile(np.abs(error), 95)),
+        outside_cells=int(np.count_nonzero(touched & ~both)),
+        covered_mm2=float(np.count_nonzero(both)) * found.step_mm**2,
+        raised_coverage=float(there[raised].mean()) if raised.any() else float("nan"),
+        raised_rms_mm=_rms(error[over]) if over.any() else float("nan"),
+        bars=tuple(_bar(found, bar, half) for bar in known.bars_mm),
+        circles=tuple(_circle(found, circle, half) for circle in known.circles_mm),
+    )
+
+
+def _at(values: Raster, places: Raster) -> F32:
+    """Heights of the nearest cells of one raster at the cells of another; NaN beyond it."""
+    rows, cols = places.z_mm.shape
+    indices = []
+    for first, own, count, size in (
+        (places.y0_mm, values.y0_mm, rows, values.z_mm.shape[0]),
+        (places.x0_mm, values.x0_mm, cols, values.z_mm.shape[1]),
+    ):
+        index = np.rint((first + np.arange(count) * places.step_mm - own) / values.step_mm).astype(np.int64)
+        indices.append(np.where((index < 0) | (index >= size), size, index))
+    padded = np.pad(values.z_mm, ((0, 1), (0, 1)), constant_values=np.nan)
+    return np.asarray(padded[np.ix_(*indices)])
+
+
+def _bar(found: Raster, bar: F64, half: float) -> BarScore:
+    """Fit a line through the middles of the raised cells, station by station along the bar."""
+    x0, y0, x1, y1, width = bar.tolist()
+    length = float(np.hypot(x1 - x0, y1 - y0))
+    c, s = (x1 - x0) / length, (y1 - y0) / length
+    u, v = found.points()[:, 0] - x0, found.points()[:, 1] - y0
+    along, across = c * u + s * v, c * v - s * u
+    near = (np.abs(across) < width / 2 + _BESIDE_MM) & (along > _END_MM) & (along < length - _END_MM)
+    near &= found.points()[:, 2] > half
+    stations, middles = _means(along[near], across[near], _STATION_MM)
+    where = {"x_mm": (x0 + x1) / 2, "y_mm": (y0 + y1) / 2, "width_mm": width}
+    if len(stations) < 3:
+        return BarScore(**where, angle_deg=float("nan"), off_mm=float("nan"), bent_mm=float("nan"))
+    slope, offset = np.polyfit(stations - length / 2, middles, 1)
+    bent = middles - (slope * (stations - length / 2) + offset)
+    return BarScore(
+        **where,
+        angle_deg=float(np.degrees(np.arctan(slope))),
+        off_mm=float(offset),
+        bent_mm=float(np.abs(bent).max()),
+    )
+
+
+def _circle(found: Raster, circle: F64, half: float) -> CircleScore:
+    """Fit a circle through the middles of the raised cells, station by station around the ring."""
+    x, y, radius, width = circle.tolist()
+    points = found.points()
+    rho, angle = np.hypot(points[:, 0] - x, points[:, 1] - y), np.arctan2(points[:, 1] - y, points[:, 0] - x)
+    near = (np.abs(rho - radius) < width / 2 + _BESIDE_MM) & (points[:, 2] > half)
+    angles, radii = _means(angle[near], rho[near], _STATION_MM / radius)
+    if len(angles) < 3:
+        return CircleScore(radius, float("nan"), float("nan"), float("nan"))
+    at = np.stack((radii * np.cos(angles), radii * np.sin(angles)), axis=1)
+    # |p|² = 2 c·p + (R² - |c|²), linear in c and the bracket.
+    solution = np.linalg.lstsq(np.column_stack((2 * at, np.ones(len(at)))), np.sum(at * at, axis=1), rcond=None)[0]
+    found_mm = float(np.sqrt(solution[2] + solution[:2] @ solution[:2]))
+    off = np.hypot(*(at - solution[:2]).T) - found_mm
+    return CircleScore(radius, found_mm, 100 * (found_mm / radius - 1), float(np.abs(off).max()))
+
+
+def _means(position: F64, values: F64, step: float) -> tuple[F64, F64]:
+    """Mean position and value of each station that has any."""
+    if not position.size:
+        return np.zeros(0), np.zeros(0)
+    _, index = np.unique(np.floor(position / step), return_inverse=True)
+    count = np.bincount(index)
+    return np.bincount(index, position) / count, np.bincount(index, values) / count
+
+
+def _rms(values: F64) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _rounded(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_rounded(v) for v in value]
+    if isinstance(value, float):
+        return round(value, 4) if np.isfinite(value) else None
+    return value

@@ -1,0 +1,80 @@
+"""Posed images to presses to a map."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tacshade_edge.core.profiles import Profile
+from tacshade_edge.core.stitch import Stitcher
+from tacshade_edge.core.touch import Touch, touch_points
+from tacshade_edge.devices.images import read_image
+from tacshade_edge.devices.network import make_reconstructor
+from tacshade_edge.devices.poses_table import PosedImage
+from tacshade_edge.errors import DecodeError
+from tacshade_edge.rigid import Rigid, from_seven
+from tacshade_edge.types import F64, Calibration, Frame
+
+
+@dataclass(frozen=True, slots=True)
+class Press:
+    """One image's contact.
+
+    Attributes
+    ----------
+    posed : PosedImage
+    base_T_sensor : Rigid
+        As the robot reported.
+    touch : Touch
+        Nothing where `skipped` says why.
+    skipped : str
+        Empty, or why the image adds nothing: invalid, no contact, unreadable.
+    failed : bool
+        It is a mistake, not a press into the air.
+    """
+
+    posed: PosedImage
+    base_T_sensor: Rigid
+    touch: Touch
+    skipped: str
+    failed: bool = False
+
+
+def read_presses(
+    calibration: Calibration, profile: Profile, posed: Sequence[PosedImage], report: Callable[[int, int], None]
+) -> list[Press]:
+    """Reconstruct every image."""
+    reconstructor = make_reconstructor(calibration, profile)
+    flange_T_sensor = from_seven(calibration.flange_T_sensor)
+    size = (calibration.image_height_px, calibration.image_width_px)
+    nothing = Touch(np.zeros((0, 3), np.float32), np.zeros(0, np.float32))
+    presses = []
+    for k, one in enumerate(posed):
+        base_T_sensor = one.base_T_flange @ flange_T_sensor
+        try:
+            image = read_image(one.path)
+        except DecodeError as error:
+            presses.append(Press(one, base_T_sensor, nothing, str(error), failed=True))
+            continue
+        result = reconstructor.step(Frame(seq=k, t_ns=0, wall_ns=0, image=image))
+        touch = touch_points(result.height, calibration.geometry) if result.contact else nothing
+        skipped = result.reason or ("" if len(touch.points_mm) else "no contact")
+        presses.append(Press(one, base_T_sensor, touch, skipped, failed=image.shape[:2] != size))
+        report(k + 1, len(posed))
+    return presses
+
+
+def stitcher_of(presses: Sequence[Press], skin_radius_mm: float) -> Stitcher:
+    """All presses that touched, in order."""
+    stitcher = Stitcher(skin_radius_mm)
+    for press in presses:
+        if not press.skipped:
+            stitcher.add(press.touch, press.base_T_sensor)
+    return stitcher
+
+
+def all_points(presses: Sequence[Press]) -> F64:
+    """Every point of every press where the robot reported it, (N, 3) mm."""
+    return np.concatenate([p.base_T_sensor.apply(p.touch.points_mm) for p in presses if not p.skipped])
