@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tacshade_edge.core.stitch_refine import PoseError, correction, refined, thinned
-from tacshade_edge.core.touch import Touch
+from tacshade_edge.core.touch import Touch, height_weight
 from tacshade_edge.core.touch_map import LEAST_WEIGHT, STEP_MM, Raster, TouchMap
 from tacshade_edge.rigid import Rigid
 
@@ -103,7 +103,7 @@ class Stitcher:
             raise ValueError("nothing was touched")
         if self.presses >= MAX_PRESSES:
             raise ValueError(f"there are {MAX_PRESSES} presses in the map")
-        self.map.add(base_T_sensor.apply(touch.points_mm), touch.trust)
+        self.map.add(base_T_sensor.apply(touch.points_mm), height_weight(touch, base_T_sensor))
         self._touches.append(touch)
         self._poses.append(base_T_sensor)
 
@@ -152,7 +152,7 @@ class Stitcher:
             for pose, touch, keep in zip(poses, self._touches, kept, strict=True):
                 if not keep:
                     continue
-                at, weight = pose.apply(touch.points_mm), touch.trust.astype(np.float64)
+                at, weight = pose.apply(touch.points_mm), height_weight(touch, pose)
                 if fused is not None:
                     weight = weight / (1 + ((at[:, 2] - fused.z_at(at)) / _FUSE_ROBUST_MM) ** 2)
                 better.add(at, weight)

@@ -69,7 +69,7 @@ def refined(presses: Sequence[F64], reported: Sequence[Rigid], centre_mm: F64, e
         return list(reported)
     owner = np.repeat(np.arange(len(presses)), [len(p) for p in presses])
     points = np.concatenate(presses)
-    prior = 1 / np.repeat((error.position_mm, np.radians(error.rotation_deg)), 3) ** 2
+    prior: F64 = np.repeat((error.position_mm, np.radians(error.rotation_deg)), 3) ** -2.0
     moved = np.zeros((len(presses), 6))  # translation in mm, rotation vector in rad, of each from its reported pose
     poses = list(reported)
     for _ in range(ROUNDS):

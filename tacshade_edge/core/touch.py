@@ -10,38 +10,45 @@ import numpy as np
 from tacshade_edge.core.clusters import bounding_box
 from tacshade_edge.core.disc import Grid, disc_rays, radius_squared
 from tacshade_edge.core.skin import skin_points
-from tacshade_edge.types import F32, Geometry, HeightMap, freeze
+from tacshade_edge.rigid import Rigid
+from tacshade_edge.types import F32, F64, Geometry, HeightMap, freeze
 
-# The outline is found within a cell or two, and skin beyond it is skirt, which lies off the object: the outermost cells
-# are left out, and trust grows to 1 over this way into the contact (measured: docs/stitching.md).
+# The outline is found within a cell or two, and skin beyond it is skirt, which lies off the object: trust grows to 1
+# over this way into the contact.
 TRUSTED_INSIDE_MM = 0.8
-_OUTERMOST_CELLS = 1.1  # the distance transform's 1 is a cell at the outline
 # Over this outer part of the disc's radius the camera looks along the skin, and trust falls to `LEAST_TRUST`.
 EDGE_PART = 0.2
 LEAST_TRUST = 0.05
+# A place that is found so far beside its own is off in height by that times the slope: which of the two errors counts.
+_BESIDE_PER_HEIGHT = 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Touch:
-    """What one press touched.
+    """What one press touched, in the sensor frame.
 
     Attributes
     ----------
     points_mm : float32 (N, 3)
-        Sensor frame.
+    normals : float32 (N, 3)
+        Of the skin there, unit length, outwards.
     trust : float32 (N,)
         Over 0, up to 1.
     """
 
     points_mm: F32
+    normals: F32
     trust: F32
 
     def __post_init__(self) -> None:
-        freeze(self, "points_mm", "trust")
+        freeze(self, "points_mm", "normals", "trust")
+
+
+NOTHING = Touch(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32), np.zeros(0, np.float32))
 
 
 def touch_points(height: HeightMap, geometry: Geometry) -> Touch:
-    """The contact's skin points within its outline, row by row.
+    """The contact's skin points, row by row.
 
     Parameters
     ----------
@@ -51,15 +58,29 @@ def touch_points(height: HeightMap, geometry: Geometry) -> Touch:
     """
     here = bounding_box(height.contact)
     if here is None:
-        return Touch(np.zeros((0, 3), np.float32), np.zeros(0, np.float32))
+        return NOTHING
     rows, cols = here
     h, touched = np.ascontiguousarray(height.height_mm[here]), np.ascontiguousarray(height.contact[here])
     row0, col0 = height.row0 + rows.start * height.step_px, height.col0 + cols.start * height.step_px
-    grid = Grid(*h.shape, row0, col0, height.step_px)
+    grid = Grid(h.shape[0], h.shape[1], row0, col0, height.step_px)
     points, _ = skin_points(h, disc_rays(grid, geometry), geometry)
-    inside = cv2.distanceTransform(touched.view(np.uint8), cv2.DIST_L2, 5)
-    inside_mm = inside * (height.step_px * geometry.mm_per_px)
+    normals = _normals(points)
+    inside_mm = cv2.distanceTransform(touched.view(np.uint8), cv2.DIST_L2, 5) * (height.step_px * geometry.mm_per_px)
     to_edge = (1 - np.sqrt(radius_squared(grid, geometry.disc))) / EDGE_PART
     trust = np.clip(np.minimum(inside_mm / TRUSTED_INSIDE_MM, to_edge), LEAST_TRUST, 1)
-    touched = (inside > _OUTERMOST_CELLS) & np.isfinite(h)
-    return Touch(points[touched], trust[touched].astype(np.float32))
+    touched = touched & np.isfinite(normals).all(axis=2)  # not where a neighbour is outside the disc
+    return Touch(points[touched], normals[touched], trust[touched].astype(np.float32))
+
+
+def height_weight(touch: Touch, base_T_sensor: Rigid) -> F64:
+    """How far each point's z in the base frame is to be trusted: its trust, and less, the steeper the place, (N,)."""
+    upright = np.abs(touch.normals @ base_T_sensor.rotation[2])
+    slope2 = (1 - upright**2) / np.maximum(upright, 1e-3) ** 2
+    return np.asarray(touch.trust / (1 + _BESIDE_PER_HEIGHT**2 * np.maximum(slope2, 0)), np.float64)
+
+
+def _normals(points: F32) -> F32:
+    """Of a grid of points (rows, cols, 3), by central differences; NaN beside a NaN."""
+    along, across = np.gradient(points, axis=1), np.gradient(points, axis=0)
+    normal = np.cross(along, across)
+    return np.asarray(normal / np.linalg.norm(normal, axis=2, keepdims=True), np.float32)

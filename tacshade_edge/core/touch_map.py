@@ -14,7 +14,7 @@ STEP_MM = 0.25
 TILE = 64
 MAX_TILES = 1024
 """Of 64 KiB, 16 mm wide: half a metre square, 64 MiB."""
-LEAST_WEIGHT = 0.05
+LEAST_WEIGHT = 0.07
 """A cell of less was not touched, only neared."""
 
 

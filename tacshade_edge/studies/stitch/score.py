@@ -92,7 +92,7 @@ class Score:
 
     def as_json(self) -> dict[str, Any]:
         """Rounded to 0.1 µm."""
-        return _rounded(asdict(self))
+        return {key: _rounded(value) for key, value in asdict(self).items()}
 
 
 def read_known(path: Path) -> KnownSurface:

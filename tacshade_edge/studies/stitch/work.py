@@ -9,7 +9,7 @@ import numpy as np
 
 from tacshade_edge.core.profiles import Profile
 from tacshade_edge.core.stitch import Stitcher
-from tacshade_edge.core.touch import Touch, touch_points
+from tacshade_edge.core.touch import NOTHING, Touch, touch_points
 from tacshade_edge.devices.images import read_image
 from tacshade_edge.devices.network import make_reconstructor
 from tacshade_edge.devices.poses_table import PosedImage
@@ -49,17 +49,16 @@ def read_presses(
     reconstructor = make_reconstructor(calibration, profile)
     flange_T_sensor = from_seven(calibration.flange_T_sensor)
     size = (calibration.image_height_px, calibration.image_width_px)
-    nothing = Touch(np.zeros((0, 3), np.float32), np.zeros(0, np.float32))
     presses = []
     for k, one in enumerate(posed):
         base_T_sensor = one.base_T_flange @ flange_T_sensor
         try:
             image = read_image(one.path)
         except DecodeError as error:
-            presses.append(Press(one, base_T_sensor, nothing, str(error), failed=True))
+            presses.append(Press(one, base_T_sensor, NOTHING, str(error), failed=True))
             continue
         result = reconstructor.step(Frame(seq=k, t_ns=0, wall_ns=0, image=image))
-        touch = touch_points(result.height, calibration.geometry) if result.contact else nothing
+        touch = touch_points(result.height, calibration.geometry) if result.contact else NOTHING
         skipped = result.reason or ("" if len(touch.points_mm) else "no contact")
         presses.append(Press(one, base_T_sensor, touch, skipped, failed=image.shape[:2] != size))
         report(k + 1, len(posed))

@@ -1,0 +1,48 @@
+import numpy as np
+import pytest
+from calibrated_sensor import HALF, calibrated, pressed, step
+
+from tacshade_edge.core.touch import LEAST_TRUST, NOTHING, height_weight, touch_points
+from tacshade_edge.rigid import shift, turn
+from tacshade_edge.types import HeightMap
+
+
+def test_the_points_are_the_contacts() -> None:
+    result = step("fast", pressed("ball", 3.0).image)
+    touch = touch_points(result.height, calibrated().geometry)
+    # The cloud is ordered by object; of one object both go row by row.
+    np.testing.assert_allclose(touch.points_mm, result.cloud.points_mm, atol=1e-5)
+    assert touch.trust.min() == pytest.approx(LEAST_TRUST, abs=0.4)
+    assert touch.trust.max() == 1
+    # The middle of the contact is trusted more than its outline.
+    rho = np.hypot(*touch.points_mm[:, :2].T)
+    assert touch.trust[rho < 1].min() > touch.trust[rho > np.percentile(rho, 95)].max()
+
+
+def test_normals_are_the_skins() -> None:
+    geometry = calibrated().geometry
+    flat = np.zeros((60, 60), np.float32)
+    contact = np.zeros((60, 60), bool)
+    contact[20:40, 20:40] = True
+    step_px = geometry.disc.radius_px / 40
+    height = HeightMap(flat, contact, geometry.disc.row_c - 30 * step_px, geometry.disc.col_c - 30 * step_px, step_px)
+    touch = touch_points(height, geometry)
+    # Undeformed skin is the sphere.
+    np.testing.assert_allclose(touch.normals, touch.points_mm / HALF.skin_radius_mm, atol=0.01)
+
+
+def test_steep_places_say_little_of_height() -> None:
+    touch = touch_points(step("fast", pressed("ball", 3.0).image).height, calibrated().geometry)
+    upright = height_weight(touch, shift(1, 2, 3))
+    assert (upright <= touch.trust + 1e-6).all()
+    middle = int(np.argmin(np.hypot(*touch.points_mm[:, :2].T)))
+    assert upright[middle] > 0.9
+    tilted = height_weight(touch, turn((0.7, 0, 0)))  # 40 degrees
+    assert tilted[middle] < 0.1 * upright[middle]
+    over = height_weight(touch, turn((np.pi, 0, 0)))  # looking down
+    np.testing.assert_allclose(over, upright, atol=1e-6)
+
+
+def test_without_contact_there_is_nothing() -> None:
+    height = HeightMap(np.zeros((9, 9), np.float32), np.zeros((9, 9), bool), 100.0, 100.0, 4.0)
+    assert touch_points(height, calibrated().geometry) is NOTHING
