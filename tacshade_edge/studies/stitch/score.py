@@ -104,7 +104,7 @@ def read_known(path: Path) -> KnownSurface:
         Not readable, or not a map.
     """
     try:
-        with np.load(path) as npz:
+        with path.open("rb") as stream, np.load(stream) as npz:
             z, x0, y0, step = (npz[key] for key in ("z_mm", "x0_mm", "y0_mm", "step_mm"))
             bars = npz["bars_mm"] if "bars_mm" in npz.files else np.zeros((0, 5))
             circles = npz["circles_mm"] if "circles_mm" in npz.files else np.zeros((0, 4))
@@ -175,7 +175,7 @@ def _bar(found: Raster, bar: F64, half: float) -> BarScore:
     along, across = c * u + s * v, c * v - s * u
     near = (np.abs(across) < width / 2 + _BESIDE_MM) & (along > _END_MM) & (along < length - _END_MM)
     near &= found.points()[:, 2] > half
-    stations, middles = _means(along[near], across[near], _STATION_MM)
+    stations, middles = _means(along[near], across[near], np.ones(np.count_nonzero(near)), _STATION_MM)
     where = {"x_mm": (x0 + x1) / 2, "y_mm": (y0 + y1) / 2, "width_mm": width}
     if len(stations) < 3:
         return BarScore(**where, angle_deg=float("nan"), off_mm=float("nan"), bent_mm=float("nan"))
@@ -195,7 +195,8 @@ def _circle(found: Raster, circle: F64, half: float) -> CircleScore:
     points = found.points()
     rho, angle = np.hypot(points[:, 0] - x, points[:, 1] - y), np.arctan2(points[:, 1] - y, points[:, 0] - x)
     near = (np.abs(rho - radius) < width / 2 + _BESIDE_MM) & (points[:, 2] > half)
-    angles, radii = _means(angle[near], rho[near], _STATION_MM / radius)
+    # A ring has more cells outside its middle line than inside.
+    angles, radii = _means(angle[near], rho[near], 1 / rho[near], _STATION_MM / radius)
     if len(angles) < 3:
         return CircleScore(radius, float("nan"), float("nan"), float("nan"))
     at = np.stack((radii * np.cos(angles), radii * np.sin(angles)), axis=1)
@@ -206,13 +207,13 @@ def _circle(found: Raster, circle: F64, half: float) -> CircleScore:
     return CircleScore(radius, found_mm, 100 * (found_mm / radius - 1), float(np.abs(off).max()))
 
 
-def _means(position: F64, values: F64, step: float) -> tuple[F64, F64]:
-    """Mean position and value of each station that has any."""
+def _means(position: F64, values: F64, weight: F64, step: float) -> tuple[F64, F64]:
+    """Weighted mean position and value of each station that has any."""
     if not position.size:
         return np.zeros(0), np.zeros(0)
     _, index = np.unique(np.floor(position / step), return_inverse=True)
-    count = np.bincount(index)
-    return np.bincount(index, position) / count, np.bincount(index, values) / count
+    total = np.bincount(index, weight)
+    return np.bincount(index, weight * position) / total, np.bincount(index, weight * values) / total
 
 
 def _rms(values: F64) -> float:
