@@ -16,14 +16,15 @@ from tacshade_edge.core.touch import Touch
 from tacshade_edge.rigid import Rigid, turn
 from tacshade_edge.types import F64, I64
 
-CELL_MM = 1.0
+CELL_MM = 0.7
+MOST_POINTS = 150  # of a press: it has six numbers to find
 ROUNDS = 8
-SURFACE_SIGMA_MM = 0.15
+SURFACE_SIGMA_MM = 0.1
 """How far the heights of one place, as two presses see them, differ with exact poses."""
-_ROBUST_MM = 0.3  # a difference that size counts half
+_ROBUST_MM = 0.15  # a difference that size counts half
 _SAME_MM = 0.005  # the rounds end when no press moves farther
 _CG_STEPS = 60
-_CG_TOLERANCE = 1e-4
+_CG_TOLERANCE = 0.01  # of one round; the next one goes on
 _STEEP = 2.0  # mm per mm; beyond, a slope between two cells is a step
 
 
@@ -36,7 +37,13 @@ class PoseError:
 
 
 def thinned(touch: Touch) -> F64:
-    """One point for each square millimetre that a press touched: (N, 4), x, y, z of the mean in mm and its weight."""
+    """One point for each small square (`CELL_MM`) that a press touched, `MOST_POINTS` at most.
+
+    Returns
+    -------
+    float64 (N, 4)
+        x, y, z of the means in mm, and their weights up to 1.
+    """
     points = touch.points_mm.astype(np.float64)
     cell = np.floor(points[:, :2] / CELL_MM).astype(np.int64)
     _, index = np.unique(cell[:, 0] * 100_003 + cell[:, 1], return_inverse=True)
@@ -44,7 +51,8 @@ def thinned(touch: Touch) -> F64:
     means = [np.bincount(index, touch.trust * points[:, k]) / weight for k in range(3)]
     # Errors of neighbouring points go together: more of them do not say more.
     full = (CELL_MM / 0.3) ** 2
-    return np.stack((*means, np.minimum(weight / full, 1.0)), axis=1)
+    thin = np.stack((*means, np.minimum(weight / full, 1.0)), axis=1)
+    return thin[:: -(-len(thin) // MOST_POINTS) or 1]
 
 
 def refined(presses: Sequence[F64], reported: Sequence[Rigid], centre_mm: F64, error: PoseError) -> list[Rigid]:
@@ -69,7 +77,7 @@ def refined(presses: Sequence[F64], reported: Sequence[Rigid], centre_mm: F64, e
         return list(reported)
     owner = np.repeat(np.arange(len(presses)), [len(p) for p in presses])
     points = np.concatenate(presses)
-    prior: F64 = np.repeat((error.position_mm, np.radians(error.rotation_deg)), 3) ** -2.0
+    prior: F64 = np.asarray(np.repeat((error.position_mm, np.radians(error.rotation_deg)), 3) ** -2.0, np.float64)
     moved = np.zeros((len(presses), 6))  # translation in mm, rotation vector in rad, of each from its reported pose
     poses = list(reported)
     for _ in range(ROUNDS):
@@ -113,9 +121,10 @@ def _step(points: F64, owner: I64, poses: Sequence[Rigid], centre_mm: F64, moved
         """Take each cell's mean away."""
         return np.asarray(values - (np.bincount(cell, weight * values, cells) / total)[cell])
 
+    starts = np.searchsorted(owner, np.arange(len(poses)))
+
     def gathered(values: F64) -> F64:
-        weighted = weight * values
-        return np.stack([np.bincount(owner, jacobian[:, k] * weighted, len(poses)) for k in range(6)], axis=1)
+        return np.asarray(np.add.reduceat(jacobian * (weight * values)[:, None], starts, axis=0))
 
     def times(step: F64) -> F64:
         return gathered(reduced(np.einsum("nk,nk->n", jacobian, step[owner]))) + prior * step
@@ -124,7 +133,8 @@ def _step(points: F64, owner: I64, poses: Sequence[Rigid], centre_mm: F64, moved
     for k in range(6):
         blocks[:, :, k] = gathered(jacobian[:, k])
     blocks += np.diag(prior)
-    return _conjugate_gradients(times, -gathered(reduced(height)) - prior * moved, np.linalg.inv(blocks))
+    right = -gathered(reduced(height)) - prior * moved
+    return _conjugate_gradients(times, right, np.asarray(np.linalg.inv(blocks), np.float64))
 
 
 def _surface(at: F64, weight: F64) -> tuple[I64, int, F64, F64]:

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tacshade_edge.types import F32, F64, I64, Bool, freeze
+from tacshade_edge.types import F32, F64, I64, freeze
 
 STEP_MM = 0.25
 """About the sensor's own cells on the skin (0.28 mm at a radius of 20 mm): what is coarser smears walls."""
 TILE = 64
+WIDEST_MM = 200.0
+"""No sensor touches more at once."""
 MAX_TILES = 1024
 """Of 64 KiB, 16 mm wide: half a metre square, 64 MiB."""
 LEAST_WEIGHT = 0.07
@@ -44,51 +46,98 @@ class Raster:
         return np.stack((self.x0_mm + j * self.step_mm, self.y0_mm + i * self.step_mm, self.z_mm[i, j]), axis=1)
 
 
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """Where a window and a tile are the same nodes: rows and columns inside the tile, and there in the window."""
+
+    tile: tuple[int, int]
+    inside: tuple[slice, slice]
+    there: tuple[slice, slice]
+
+
+@dataclass(frozen=True, slots=True)
+class _Window:
+    """`rows` x `cols` nodes from (`row`, `col`) on."""
+
+    row: int
+    col: int
+    rows: int
+    cols: int
+
+    def parts(self) -> Iterator[_Part]:
+        """The tiles that it lies in."""
+        for tile_row, in_row, of_rows in _spans(self.row, self.rows):
+            for tile_col, in_col, of_cols in _spans(self.col, self.cols):
+                yield _Part((tile_row, tile_col), (in_row, in_col), (of_rows, of_cols))
+
+
+def _spans(first: int, count: int) -> Iterator[tuple[int, slice, slice]]:
+    """Tile number, indices in the tile and indices from `first` on, along one axis."""
+    for tile in range(first // TILE, (first + count - 1) // TILE + 1):
+        start, end = max(first, tile * TILE), min(first + count, (tile + 1) * TILE)
+        yield tile, slice(start - tile * TILE, end - tile * TILE), slice(start - first, end - first)
+
+
 class TouchMap:
     """Weighted means of z at the nodes of a grid, each point shared by the four around it; holes stay holes.
 
     Raises
     ------
     ValueError
-        From `add`: a point is not finite, or the map would get more than `MAX_TILES` tiles; nothing was added then.
+        From `add`: a point is not finite, points lie more than `WIDEST_MM` apart, or the map would get more than
+        `MAX_TILES` tiles; nothing was added then.
     """
 
     def __init__(self, step_mm: float = STEP_MM) -> None:
         self.step_mm = step_mm
-        self._tiles: dict[tuple[int, int], F64] = {}  # (weight, weight · z) of TILE² cells
+        self._tiles: dict[tuple[int, int], F64] = {}  # (weight, weight · z) of TILE x TILE nodes
 
     def add(self, points_mm: F64, weight: F32 | F64) -> None:
         """Fuse points (N, 3) in the base frame with their weights (N,)."""
         if not np.isfinite(points_mm).all():
             raise ValueError("a point is not finite")
+        if len(points_mm) == 0:
+            return
         corner = np.floor(points_mm[:, :2] / self.step_mm)
-        part = points_mm[:, :2] / self.step_mm - corner
-        corner = corner.astype(np.int64)
-        node = np.concatenate([corner + np.array(by) for by in ((0, 0), (1, 0), (0, 1), (1, 1))])
-        along, across = part.T
-        shares = ((1 - along) * (1 - across), along * (1 - across), (1 - along) * across, along * across)
-        w = np.concatenate([weight * share for share in shares])
-        wz = w * np.tile(points_mm[:, 2], 4)
-        parts = list(_parts(node))
-        missing = [tile for tile, _, _ in parts if tile not in self._tiles]
+        along, across = (points_mm[:, :2] / self.step_mm - corner).T
+        j, i = corner.T.astype(np.int64)
+        window = self._window(i, j)
+        rows, cols = window.rows, window.cols
+        cell = (i - window.row) * cols + (j - window.col)
+        here = np.zeros((2, rows * cols))
+        shares = ((0, (1 - along) * (1 - across)), (1, along * (1 - across)))
+        for by, share in (*shares, (cols, (1 - along) * across), (cols + 1, along * across)):
+            w = weight * share
+            here[0] += np.bincount(cell + by, w, rows * cols)
+            here[1] += np.bincount(cell + by, w * points_mm[:, 2], rows * cols)
+        parts = [part for part in window.parts() if here[0].reshape(rows, cols)[part.there].any()]
+        missing = [part.tile for part in parts if part.tile not in self._tiles]
         if len(self._tiles) + len(missing) > MAX_TILES:
             raise ValueError(f"the map would get larger than {MAX_TILES} tiles of {TILE * self.step_mm:g} mm")
         for tile in missing:
-            self._tiles[tile] = np.zeros((2, TILE * TILE))
-        for tile, which, cell in parts:
-            sums = self._tiles[tile]
-            sums[0] += np.bincount(cell, w[which], TILE * TILE)
-            sums[1] += np.bincount(cell, wz[which], TILE * TILE)
+            self._tiles[tile] = np.zeros((2, TILE, TILE))
+        for part in parts:
+            self._tiles[part.tile][:, *part.inside] += here.reshape(2, rows, cols)[:, *part.there]
 
     def z_at(self, points_mm: F64) -> F64:
         """The map's z at the nodes nearest to points (N, 3), mm; NaN where it has none."""
-        z = np.full(len(points_mm), np.nan)
-        for tile, which, cell in _parts(np.rint(points_mm[:, :2] / self.step_mm).astype(np.int64)):
-            sums = self._tiles.get(tile)
-            if sums is not None:
-                with np.errstate(invalid="ignore", divide="ignore"):
-                    z[which] = (sums[1] / sums[0])[cell]
-        return z
+        if len(points_mm) == 0:
+            return np.zeros(0)
+        j, i = np.rint(points_mm[:, :2].T / self.step_mm).astype(np.int64)
+        window = self._window(i, j)
+        here = np.zeros((2, window.rows, window.cols))
+        for part in window.parts():
+            if part.tile in self._tiles:
+                here[:, *part.there] = self._tiles[part.tile][:, *part.inside]
+        weight, total = here[:, i - window.row, j - window.col]
+        return np.divide(total, weight, out=np.full(len(points_mm), np.nan), where=weight > 0)
+
+    def _window(self, i: I64, j: I64) -> _Window:
+        """The nodes from the least to one after the greatest row and column."""
+        top, left, bottom, right = int(i.min()), int(j.min()), int(i.max()), int(j.max())
+        if max(bottom - top, right - left) * self.step_mm > WIDEST_MM:
+            raise ValueError(f"the points of one press are more than {WIDEST_MM:g} mm apart")
+        return _Window(top, left, bottom - top + 2, right - left + 2)
 
     @property
     def tiles(self) -> int:
@@ -109,9 +158,7 @@ class TouchMap:
         top, left = min(tops), min(lefts)
         whole = np.zeros((2, (max(tops) - top + 1) * TILE, (max(lefts) - left + 1) * TILE))
         for (i, j), sums in self._tiles.items():
-            whole[:, (i - top) * TILE : (i - top + 1) * TILE, (j - left) * TILE : (j - left + 1) * TILE] = sums.reshape(
-                2, TILE, TILE
-            )
+            whole[:, (i - top) * TILE : (i - top + 1) * TILE, (j - left) * TILE : (j - left + 1) * TILE] = sums
         touched = whole[0] >= least_weight
         rows, cols = (np.flatnonzero(touched.any(axis=axis)) for axis in (1, 0))
         if not rows.size:
@@ -122,15 +169,3 @@ class TouchMap:
         return Raster(
             z, (left * TILE + int(cols[0])) * self.step_mm, (top * TILE + int(rows[0])) * self.step_mm, self.step_mm
         )
-
-
-def _parts(node: I64) -> Iterator[tuple[tuple[int, int], Bool, I64]]:
-    """For each tile that nodes (column, row) lie in: which they are, and the cell of each in it."""
-    col, row = node.T // TILE
-    j, i = node.T % TILE
-    cell = i * TILE + j
-    for one_row in np.unique(row):
-        in_row = row == one_row
-        for one_col in np.unique(col[in_row]):
-            which = in_row & (col == one_col)
-            yield (int(one_row), int(one_col)), which, cell[which]

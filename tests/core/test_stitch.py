@@ -80,9 +80,9 @@ def test_what_cannot_be_added(monkeypatch: pytest.MonkeyPatch) -> None:
     stitcher = Stitcher(APEX_MM)
     with pytest.raises(ValueError, match="nothing was touched"):
         stitcher.add(NOTHING, TRUE[0])
-    monkeypatch.setattr(stitch, "MAX_PRESSES", 1)
+    monkeypatch.setattr(stitch, "MAX_POINTS", 1000)
     stitcher.add(TOUCHES[0], TRUE[0])
-    with pytest.raises(ValueError, match="1 presses"):
+    with pytest.raises(ValueError, match="more than 1000 points"):
         stitcher.add(TOUCHES[1], TRUE[1])
     assert stitcher.presses == 1
     assert not np.isfinite(Stitcher(APEX_MM).finish().raster.z_mm).any()
