@@ -22,7 +22,7 @@ MAX_POINTS = 4_000_000
 EXACT_MM = 0.12
 """RMS by which presses with exact poses are moved in height at most (0.07 on the simulated pad)."""
 # Where poses are not exact, an outline is where some press is off: there it takes more of a touch.
-_LEAST_UNSURE = 0.25
+_LEAST_UNSURE = 0.15
 _FUSE_ROBUST_MM = 0.2  # a point that far from its cell's mean counts half
 # A press that is off its neighbours by so much after refinement, or was moved by so many standard deviations, is none.
 REJECT_MM = 0.6

@@ -160,7 +160,7 @@ def _slope(used: I64, z: F64, step: int) -> F64:
     sides = np.stack((neighbour(step) - z, z - neighbour(-step))) / CELL_MM
     known = np.isfinite(sides)
     mean = np.where(known, sides, 0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-    return np.clip(mean, -_STEEP, _STEEP)
+    return np.asarray(np.clip(mean, -_STEEP, _STEEP))
 
 
 def _cell_means(values: F64, weight: F64, cell: I64, cells: int) -> F64:

@@ -130,7 +130,8 @@ class TouchMap:
             if part.tile in self._tiles:
                 here[:, *part.there] = self._tiles[part.tile][:, *part.inside]
         weight, total = here[:, i - window.row, j - window.col]
-        return np.divide(total, weight, out=np.full(len(points_mm), np.nan), where=weight > 0)
+        z: F64 = np.divide(total, weight, out=np.full(len(points_mm), np.nan), where=weight > 0)
+        return z
 
     def _window(self, i: I64, j: I64) -> _Window:
         """The nodes from the least to one after the greatest row and column."""
