@@ -1,0 +1,328 @@
+"""Stitching sessions: BEGIN, ADD, END, ABORT and STATUS, from the serial line, MQTT or a replay.
+
+Everything that touches a session runs in one thread, `stitch`: the map, the disk, the end that takes seconds. The
+reconstruct thread only looks whether a frame is wanted, and hands its points over.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Any, Literal
+
+import numpy as np
+
+from tacshade_edge.core.settled import Settled
+from tacshade_edge.core.stitch import Stitcher
+from tacshade_edge.core.touch import Touch, touch_points
+from tacshade_edge.core.touch_map import Raster
+from tacshade_edge.devices.map_files import write_map
+from tacshade_edge.devices.stitch_file import About, StitchFile, open_session
+from tacshade_edge.errors import TacshadeError
+from tacshade_edge.rigid import Rigid, from_seven
+from tacshade_edge.types import Calibration, Frame, Pose, Reconstruction
+
+_log = logging.getLogger(__name__)
+
+ADD_TIMEOUT_NS = 5_000_000_000
+WAITING_MAX = 16
+_NAME_MAX = 64
+
+Answer = Callable[[str, str], None]
+"""``answer(code, text)``, once; `code` is empty when it was done."""
+
+
+@dataclass(frozen=True, slots=True)
+class MapRevision:
+    """What is told of a map.
+
+    Attributes
+    ----------
+    name : str
+        The session's.
+    revision : int
+        Counts the presses and the end.
+    presses, used : int
+    folder : str
+        Where the final map's files are; empty before the end.
+    raster : callable
+        Makes the map; its cost grows with the map, so call it no more often than needed, before `told` returns.
+    """
+
+    name: str
+    revision: int
+    presses: int
+    used: int
+    folder: str
+    raster: Callable[[], Raster]
+
+
+@dataclass(frozen=True, slots=True)
+class _Command:
+    action: str
+    name: str
+    answer: Answer
+
+
+@dataclass(frozen=True, slots=True)
+class _Add:
+    touch: Touch
+    base_T_sensor: Rigid
+    seq: int
+    answer: Answer
+
+
+@dataclass(frozen=True, slots=True)
+class _WaitingAdd:
+    since_ns: int
+    answer: Answer
+
+
+def no_answer(code: str, text: str) -> None:
+    """For a press that no one asked for."""
+    if code:
+        _log.warning("a settled contact was not added: %s", text)
+
+
+class Stitching:
+    """One sensor's sessions.
+
+    Parameters
+    ----------
+    folder : Path
+        Sessions lie below it, each in its own folder. One that was open when the daemon died goes on.
+    told : callable
+        ``told(revision)`` after each press and at the end, in this object's thread.
+    automatic : bool
+        Every contact that settles while a session is open is added.
+    """
+
+    def __init__(self, folder: Path, told: Callable[[MapRevision], None], *, automatic: bool = True) -> None:
+        self._folder = folder
+        self._told = told
+        self._automatic = automatic
+        self._jobs: SimpleQueue[_Command | _Add | Literal["stop"]] = SimpleQueue()
+        self._waiting: deque[_WaitingAdd] = deque()
+        self._lock = threading.Lock()
+        self._settled = Settled()
+        self._calibration: Calibration | None = None
+        self._file: StitchFile | None = None
+        self._stitcher: Stitcher | None = None
+        self._revision = 0
+        self.open = False
+        """Whether a session is open, as other threads see it."""
+
+    # What other threads call: nothing here waits.
+
+    def stitch(self, action: str, name: str, answer: Answer) -> None:
+        """Do ``BEGIN``, ``ADD``, ``END``, ``ABORT`` or ``STATUS``; the answer comes later, from any thread."""
+        if action == "ADD" and self.open:
+            with self._lock:
+                busy = len(self._waiting) >= WAITING_MAX
+                if not busy:
+                    self._waiting.append(_WaitingAdd(time.monotonic_ns(), answer))
+            if busy:
+                answer("BUSY", f"{WAITING_MAX} presses are waiting for a frame")
+        elif self._jobs.qsize() >= WAITING_MAX:
+            answer("BUSY", f"{WAITING_MAX} commands are waiting")
+        else:
+            self._jobs.put(_Command(action, name, answer))
+
+    def reconstructed(self, frame: Frame, result: Reconstruction, calibration: Calibration) -> None:
+        """A frame was: adds it where it was asked for, or where its contact has settled."""
+        self._calibration = calibration
+        if not self.open:
+            return
+        settled = self._settled.of(result.t_ns, result.valid and result.contact, result.depth_max_mm)
+        with self._lock:
+            ready = [w for w in self._waiting if w.since_ns <= frame.t_ns]
+            for waiting in ready:
+                self._waiting.remove(waiting)
+        answers = [w.answer for w in ready] or ([no_answer] if settled and self._automatic else [])
+        if not answers:
+            return
+        refusal = _refusal(frame, result)
+        if refusal is None and self._jobs.qsize() >= WAITING_MAX:
+            refusal = "BUSY", f"{WAITING_MAX} presses are being added"
+        if refusal is not None:
+            for answer in answers:
+                answer(*refusal)
+            return
+        assert frame.pose is not None
+        base_T_sensor = rigid(frame.pose) @ from_seven(calibration.flange_T_sensor)
+        # The same frame twice would be the same press twice.
+        self._jobs.put(_Add(touch_points(result.height, calibration.geometry), base_T_sensor, result.seq, answers[0]))
+        for answer in answers[1:]:
+            answer("BUSY", f"frame {result.seq} is being added already")
+
+    def poll(self) -> None:
+        """Refuse what waits for a frame in vain; called now and then."""
+        now_ns = time.monotonic_ns()
+        with self._lock:
+            late = [w for w in self._waiting if now_ns - w.since_ns > ADD_TIMEOUT_NS]
+            for waiting in late:
+                self._waiting.remove(waiting)
+        for waiting in late:
+            waiting.answer("TIMEOUT", f"no frame within {ADD_TIMEOUT_NS / 1e9:.0f} s")
+
+    def stop(self) -> None:
+        """Make `run` return after the jobs that wait; an open session stays open on the disk."""
+        self._jobs.put("stop")
+
+    # The thread.
+
+    def run(self) -> None:
+        """Go on with an open session, then do one job after another until `stop`."""
+        self._resume()
+        while (job := self._jobs.get()) != "stop":
+            try:
+                code, text = "", self._add(job) if isinstance(job, _Add) else self._do(job)
+            except _RefusedError as refused:
+                code, text = refused.code, str(refused)
+            except TacshadeError as error:
+                code, text = "FAILED", str(error)
+            job.answer(code, text)
+        if self._file is not None:
+            self._file.close()
+
+    def _resume(self) -> None:
+        path = open_session(self._folder)
+        if path is None:
+            return
+        try:
+            self._file, presses = StitchFile.resume(path)
+        except TacshadeError as error:
+            _log.warning("session not resumed: %s", error)
+            return
+        self._stitcher = Stitcher(self._file.about.skin_radius_mm)
+        for touch, pose in presses:
+            with contextlib.suppress(ValueError):  # refused when it came, too
+                self._stitcher.add(touch, pose)
+        self._revision = self._stitcher.presses
+        self.open = True
+        _log.info("session %s goes on with %d presses", self._file.about.name, self._stitcher.presses)
+
+    def _do(self, command: _Command) -> str:
+        if command.action == "BEGIN":
+            return self._begin(command.name)
+        if command.action == "STATUS":
+            return self._status()
+        if self._file is None or self._stitcher is None:
+            raise _RefusedError("NOSESSION", "no session is open, begin one first")
+        if command.action == "END":
+            return self._end(self._file, self._stitcher)
+        if command.action == "ABORT":
+            return self._abort(self._file, self._stitcher)
+        raise _RefusedError("NOSESSION", "the session has just begun, add again")
+
+    def _begin(self, name: str) -> str:
+        if self._file is not None:
+            raise _RefusedError("BUSY", f"session {self._file.about.name} is open, end or abort it first")
+        if self._calibration is None:
+            raise _RefusedError("NOFRAME", "no frame was reconstructed yet")
+        name = name or time.strftime("%Y%m%d-%H%M%S", time.gmtime())
+        if len(name) > _NAME_MAX or name.startswith(".") or not all(c.isalnum() or c in "._-" for c in name):
+            raise _RefusedError("NAME", f"found {name[:80]!r}, expected letters, digits, . _ -, at most {_NAME_MAX}")
+        if (self._folder / name).exists():
+            raise _RefusedError("EXISTS", f"{self._folder / name} is there already")
+        about = About(name, time.time_ns(), self._calibration.crc32, self._calibration.geometry.skin_radius_mm)
+        self._file = StitchFile.create(self._folder / name, about)
+        self._stitcher, self._revision, self.open = Stitcher(about.skin_radius_mm), 0, True
+        _log.info("stitching session %s begins", name)
+        return f"name={name}"
+
+    def _add(self, add: _Add) -> str:
+        if self._file is None or self._stitcher is None:
+            raise _RefusedError("NOSESSION", "the session has ended")
+        # On the disk first: what is acknowledged is there. A press that the map refuses is refused again on resuming.
+        self._file.append(add.touch, add.base_T_sensor)
+        try:
+            self._stitcher.add(add.touch, add.base_T_sensor)
+        except ValueError as error:
+            raise _RefusedError("FULL", str(error)) from None
+        self._revision += 1
+        name, presses = self._file.about.name, self._stitcher.presses
+        self._told(MapRevision(name, self._revision, presses, presses, "", self._stitcher.map.raster))
+        return f"press={self._stitcher.presses} frame={add.seq} points={len(add.touch.points_mm)}"
+
+    def _end(self, file: StitchFile, stitcher: Stitcher) -> str:
+        if stitcher.presses == 0:
+            raise _RefusedError("EMPTY", "no press was added; ABORT ends the session")
+        finished = stitcher.finish()
+        rejected = [k + 1 for k, press in enumerate(finished.presses) if press.rejected]
+        used = stitcher.presses - len(rejected)
+        self._revision += 1
+        final = MapRevision(
+            file.about.name, self._revision, stitcher.presses, used, str(file.folder), lambda: finished.raster
+        )
+        area_mm2 = float(np.count_nonzero(np.isfinite(finished.raster.z_mm))) * finished.raster.step_mm**2
+        described: dict[str, Any] = {
+            "name": file.about.name,
+            "revision": self._revision,
+            "presses": stitcher.presses,
+            "used": used,
+            "rejected": rejected,
+            "refined": finished.refined,
+            "disagreement_mm": round(finished.disagreement_mm, 4),
+            "calibration_crc32": file.about.calibration_crc32,
+        }
+        write_map(file.folder, finished.raster, described)
+        file.end()
+        self._closed()
+        self._told(final)
+        return (
+            f"name={file.about.name} presses={final.presses} used={used} refined={int(finished.refined)} "
+            f"disagreement_mm={finished.disagreement_mm:.3f} area_mm2={area_mm2:.0f}"
+        )
+
+    def _abort(self, file: StitchFile, stitcher: Stitcher) -> str:
+        file.remove()
+        self._closed()
+        return f"name={file.about.name} presses={stitcher.presses}"
+
+    def _closed(self) -> None:
+        self._file = self._stitcher = None
+        self.open = False
+        with self._lock:
+            waiting, self._waiting = list(self._waiting), deque()
+        for one in waiting:
+            one.answer("NOSESSION", "the session has ended")
+
+    def _status(self) -> str:
+        if self._file is None or self._stitcher is None:
+            return "open=0"
+        stitcher = self._stitcher
+        return (
+            f"open=1 name={self._file.about.name} presses={stitcher.presses} points={stitcher.points} "
+            f"tiles={stitcher.map.tiles} revision={self._revision}"
+        )
+
+
+class _RefusedError(Exception):
+    """A command that cannot be done now."""
+
+    def __init__(self, code: str, text: str) -> None:
+        super().__init__(text)
+        self.code = code
+
+
+def rigid(pose: Pose) -> Rigid:
+    """``base_T_flange`` without its time."""
+    return from_seven((pose.x_mm, pose.y_mm, pose.z_mm, pose.qw, pose.qx, pose.qy, pose.qz))
+
+
+def _refusal(frame: Frame, result: Reconstruction) -> tuple[str, str] | None:
+    if not result.valid:
+        return "INVALID", f"frame {result.seq}: {result.reason}"
+    if not result.contact:
+        return "NOCONTACT", f"frame {result.seq}: nothing touches"
+    if frame.pose is None:
+        return "NOPOSE", f"frame {result.seq}: the robot's pose is not known at its time"
+    return None
