@@ -15,6 +15,7 @@ from tacshade_edge.devices.map_files import write_map
 from tacshade_edge.devices.poses_table import read_poses
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.studies.stitch.average import radius_average
+from tacshade_edge.studies.stitch.picture import write_comparison
 from tacshade_edge.studies.stitch.score import KnownSurface, read_known, score
 from tacshade_edge.studies.stitch.work import Press, all_points, read_presses, stitcher_of
 
@@ -29,7 +30,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", type=Path, required=True, metavar="DIR", help="map.npz, .ply, .png, .json, preview.png"
     )
-    parser.add_argument("--truth", type=Path, metavar="PAD.npz", help="score the map against this known surface")
+    parser.add_argument(
+        "--truth", type=Path, metavar="PAD.npz", help="score the map against this known surface, and picture both"
+    )
     parser.add_argument("--json", action="store_true", help="print map.json")
 
 
@@ -49,10 +52,13 @@ def run(args: argparse.Namespace) -> int:
     about = {"profile": args.profile, **_described(presses, finished)}
     if known is not None:
         about["score"] = score(finished.raster, known).as_json()
-        about["paper"] = _paper(presses, known)
+        average = radius_average(all_points(presses), STEP_MM)
+        about["paper"] = _scored(average, known)
         if finished.refined:
             about["unrefined"] = _scored(stitcher.finish(None).raster, known)
     write_map(args.out, finished.raster, about)
+    if known is not None:
+        write_comparison(args.out / "comparison.png", known.raster, finished.raster, average)
     if args.json:
         print((args.out / "map.json").read_text(encoding="utf-8"), end="")
     else:
@@ -81,10 +87,6 @@ def _described(presses: list[Press], finished: Stitched) -> dict[str, Any]:
         "used": sum(r["used"] for r in records),
         "presses": records,
     }
-
-
-def _paper(presses: list[Press], known: KnownSurface) -> dict[str, Any]:
-    return _scored(radius_average(all_points(presses), STEP_MM), known)
 
 
 def _scored(raster: Raster, known: KnownSurface) -> dict[str, Any]:

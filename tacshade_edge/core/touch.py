@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -19,6 +20,8 @@ TRUSTED_INSIDE_MM = 0.8
 # Over this outer part of the disc's radius the camera looks along the skin, and trust falls to `LEAST_TRUST`.
 EDGE_PART = 0.2
 LEAST_TRUST = 0.05
+# Cells farther apart on the skin are divided, so that a map of 0.25 mm has no holes between them.
+SPACING_MM = 0.3
 # A place that is found so far beside its own is off in height by that times the slope: which of the two errors counts.
 _BESIDE_PER_HEIGHT = 5.0
 
@@ -59,13 +62,18 @@ def touch_points(height: HeightMap, geometry: Geometry) -> Touch:
     here = bounding_box(height.contact)
     if here is None:
         return NOTHING
-    rows, cols = here
-    h, touched = np.ascontiguousarray(height.height_mm[here]), np.ascontiguousarray(height.contact[here])
-    row0, col0 = height.row0 + rows.start * height.step_px, height.col0 + cols.start * height.step_px
-    grid = Grid(h.shape[0], h.shape[1], row0, col0, height.step_px)
+    by = math.ceil(height.step_px * geometry.mm_per_px / SPACING_MM)
+    step_px = height.step_px / by
+    h, touched = _divided(height.height_mm[here], by), height.contact[here].repeat(by, axis=0).repeat(by, axis=1)
+    # The first of the parts of a cell lies before its middle.
+    row0, col0 = (
+        first + span.start * height.step_px - step_px * (by - 1) / 2
+        for first, span in zip((height.row0, height.col0), here, strict=True)
+    )
+    grid = Grid(h.shape[0], h.shape[1], row0, col0, step_px)
     points, _ = skin_points(h, disc_rays(grid, geometry), geometry)
     normals = _normals(points)
-    inside_mm = cv2.distanceTransform(touched.view(np.uint8), cv2.DIST_L2, 5) * (height.step_px * geometry.mm_per_px)
+    inside_mm = cv2.distanceTransform(touched.view(np.uint8), cv2.DIST_L2, 5) * (step_px * geometry.mm_per_px)
     to_edge = (1 - np.sqrt(radius_squared(grid, geometry.disc))) / EDGE_PART
     trust = np.clip(np.minimum(inside_mm / TRUSTED_INSIDE_MM, to_edge), LEAST_TRUST, 1)
     touched = touched & np.isfinite(normals).all(axis=2)  # not where a neighbour is outside the disc
@@ -77,6 +85,17 @@ def height_weight(touch: Touch, base_T_sensor: Rigid) -> F64:
     upright = np.abs(touch.normals @ base_T_sensor.rotation[2])
     slope2 = (1 - upright**2) / np.maximum(upright, 1e-3) ** 2
     return np.asarray(touch.trust / (1 + _BESIDE_PER_HEIGHT**2 * np.maximum(slope2, 0)), np.float64)
+
+
+def _divided(values: F32, by: int) -> F32:
+    """Each cell as `by` x `by`, in straight lines between the cells' middles; as at the border beyond them."""
+    for axis in (0, 1):
+        at = np.clip((np.arange(values.shape[axis] * by) + 0.5) / by - 0.5, 0, values.shape[axis] - 1)
+        low = np.minimum(at.astype(np.int64), max(values.shape[axis] - 2, 0))
+        part = (at - low).astype(np.float32).reshape((-1, 1) if axis == 0 else (1, -1))
+        high = np.minimum(low + 1, values.shape[axis] - 1)
+        values = values.take(low, axis=axis) * (1 - part) + values.take(high, axis=axis) * part
+    return np.ascontiguousarray(values, np.float32)
 
 
 def _normals(points: F32) -> F32:

@@ -8,7 +8,7 @@ from tacshade_edge.types import HeightMap
 
 
 def test_the_points_are_the_contacts() -> None:
-    result = step("fast", pressed("ball", 3.0).image)
+    result = step("accurate", pressed("ball", 3.0).image)
     touch = touch_points(result.height, calibrated().geometry)
     # The cloud is ordered by object; of one object both go row by row.
     np.testing.assert_allclose(touch.points_mm, result.cloud.points_mm, atol=1e-5)
@@ -17,6 +17,26 @@ def test_the_points_are_the_contacts() -> None:
     # The middle of the contact is trusted more than its outline.
     rho = np.hypot(*touch.points_mm[:, :2].T)
     assert touch.trust[rho < 1].min() > touch.trust[rho > np.percentile(rho, 95)].max()
+
+
+def test_wide_cells_are_divided() -> None:
+    # The same skin on cells of 0.2 and of 0.8 mm, four of them as one.
+    geometry = calibrated().geometry
+    fine_px = 0.2 / geometry.mm_per_px
+    rows, cols = np.mgrid[:64, :64]
+    inside = np.hypot(rows - 31.5, cols - 31.5) < 24
+    dent = np.maximum(0, 2 - 0.003 * ((rows - 31.5) ** 2 + (cols - 31.5) ** 2)).astype(np.float32)
+    first = (geometry.disc.row_c - 31.5 * fine_px, geometry.disc.col_c - 31.5 * fine_px)
+    fine = touch_points(HeightMap(dent, inside, *first, fine_px), geometry)
+    blocks = dent.reshape(16, 4, 16, 4).mean(axis=(1, 3)), inside[1::4, 1::4].copy()
+    wide = touch_points(HeightMap(*blocks, first[0] + 1.5 * fine_px, first[1] + 1.5 * fine_px, 4 * fine_px), geometry)
+    assert len(wide.points_mm) == pytest.approx(9 * np.count_nonzero(blocks[1]))  # 0.8 mm into three
+    assert len(fine.points_mm) == np.count_nonzero(inside)
+    middle = np.hypot(*wide.points_mm[:, :2].T) < 3
+    for point in wide.points_mm[middle][::17]:
+        nearest = fine.points_mm[np.argmin(np.linalg.norm(fine.points_mm - point, axis=1))]
+        assert abs(nearest[2] - point[2]) < 0.1
+        assert np.hypot(*(nearest - point)[:2]) < 0.15
 
 
 def test_normals_are_the_skins() -> None:
@@ -32,7 +52,7 @@ def test_normals_are_the_skins() -> None:
 
 
 def test_steep_places_say_little_of_height() -> None:
-    touch = touch_points(step("fast", pressed("ball", 3.0).image).height, calibrated().geometry)
+    touch = touch_points(step("accurate", pressed("ball", 3.0).image).height, calibrated().geometry)
     upright = height_weight(touch, shift(1, 2, 3))
     assert (upright <= touch.trust + 1e-6).all()
     middle = int(np.argmin(np.hypot(*touch.points_mm[:, :2].T)))

@@ -127,7 +127,7 @@ def score(found: Raster, known: KnownSurface) -> Score:
     ConfigError
         They share no cell.
     """
-    true = _at(known.raster, found)
+    true = at_cells_of(known.raster, found)
     touched = np.isfinite(found.z_mm)
     both = touched & np.isfinite(true)
     if not both.any():
@@ -138,7 +138,7 @@ def score(found: Raster, known: KnownSurface) -> Score:
     with np.errstate(invalid="ignore"):
         raised = known.raster.z_mm > half
         over = true[both] > half
-    there = np.isfinite(_at(found, known.raster))
+    there = np.isfinite(at_cells_of(found, known.raster))
     return Score(
         rms_mm=_rms(error),
         mean_mm=float(error.mean()),
@@ -152,7 +152,7 @@ def score(found: Raster, known: KnownSurface) -> Score:
     )
 
 
-def _at(values: Raster, places: Raster) -> F32:
+def at_cells_of(values: Raster, places: Raster) -> F32:
     """Heights of the nearest cells of one raster at the cells of another; NaN beyond it."""
     rows, cols = places.z_mm.shape
     indices = []
