@@ -1,7 +1,11 @@
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+import stitch_until_killed
 from bumpy_surface import grid_poses, touched
 
 from tacshade_edge.core.touch import Touch
@@ -60,6 +64,27 @@ def test_a_damaged_press_ends_what_is_trusted(tmp_path: Path) -> None:
     data[len(data) // 2] ^= 1
     path.write_bytes(data)
     same(StitchFile.resume(tmp_path / "one")[1], 1)
+
+
+def test_what_was_acknowledged_survives_kill_9(tmp_path: Path) -> None:
+    with subprocess.Popen(
+        [sys.executable, stitch_until_killed.__file__, str(tmp_path / "one")],
+        stdout=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
+    ) as process:
+        assert process.stdout is not None
+        told = [process.stdout.readline() for _ in range(60)]
+        process.kill()
+        told += process.stdout.readlines()
+    acknowledged = told.count(b"added\n")
+    file, found = StitchFile.resume(tmp_path / "one")
+    assert acknowledged <= len(found) <= acknowledged + 1
+    poses = grid_poses()
+    for k, (touch, pose) in enumerate(found):
+        np.testing.assert_array_equal(pose.translation_mm, poses[k % len(poses)].translation_mm)
+        np.testing.assert_array_equal(touch.points_mm, touched(poses[k % len(poses)], k % len(poses)).points_mm)
+    file.append(TOUCHES[0], POSES[0])
+    file.close()
 
 
 def test_only_an_open_session_is_found(tmp_path: Path) -> None:
