@@ -62,8 +62,9 @@ def test_the_files_keep_their_contract(folder: Path, tmp_path: Path, capsys: pyt
     assert about["score"]["rms_mm"] < 0.5
     assert about["score"]["raised_coverage"] > 0.9
     assert {"rms_mm", "bars", "circles"} <= set(about["paper"])
-    # Two by two panels of the known surface at 2 px a cell.
-    assert cv2.imread(str(tmp_path / "comparison.png")).shape == (2 * (41 * 2 + 32), 2 * (57 * 2 + 10), 3)
+    # Two by two panels of the known surface, each with a title and a gap.
+    zoom = 600 // 57
+    assert cv2.imread(str(tmp_path / "comparison.png")).shape == (2 * (41 * zoom + 32), 2 * (57 * zoom + 10), 3)
 
 
 def test_the_same_again_is_the_same(folder: Path, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from tacshade_edge.devices.whole_files import told, write_whole
 from tacshade_edge.studies.stitch.score import at_cells_of
 from tacshade_edge.types import F32, U8
 
-_PX_PER_CELL = 2
+_PANEL_PX = 600  # wide at most, where the surface has fewer cells
 _ERROR_MM = 0.5
 _BEYOND_MM = 0.3  # of the known heights, that the colours still tell apart
 _GAP_PX, _TITLE_PX = 10, 22
@@ -60,7 +60,8 @@ def _panel(title: str, part: F32, colours: U8) -> U8:
     level = np.nan_to_num(np.clip(part, 0, 1) * 255).astype(np.uint8)
     picture = colours[:, 0][level]
     picture[~np.isfinite(part)] = _UNTOUCHED_GREY
-    picture = np.flipud(picture).repeat(_PX_PER_CELL, axis=0).repeat(_PX_PER_CELL, axis=1)
+    zoom = max(1, _PANEL_PX // picture.shape[1])
+    picture = np.flipud(picture).repeat(zoom, axis=0).repeat(zoom, axis=1)
     head = np.full((_TITLE_PX, picture.shape[1], 3), 255, np.uint8)
     cv2.putText(head, title, (4, 15), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (0, 0, 0), 1, cv2.LINE_AA)
     return np.vstack((head, picture))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import zipfile
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import maximum_filter, minimum_filter
 
 from tacshade_edge.core.touch_map import Raster
 from tacshade_edge.errors import ConfigError
@@ -15,6 +17,7 @@ from tacshade_edge.types import F32, F64, freeze
 
 _STATION_MM = 1.0  # along a bar; degrees of a circle are chosen alike
 _BESIDE_MM = 1.5  # beside a bulge's edge, what still belongs to it
+_FLAT_MM, _FLAT_WITHIN_MM = 0.1, 0.75
 _END_MM = 2.0  # of a bar that is left out: its ends are round to the touch
 
 
@@ -74,8 +77,12 @@ class Score:
     covered_mm2 : float
     raised_coverage : float
         The part of the surface over half its height that was touched.
-    raised_rms_mm : float
-        RMS of the height errors there.
+    raised_rms_mm, raised_mean_mm : float
+        Of the height errors there.
+    flat_rms_mm : float
+        RMS of those where the known surface varies by no more than 0.1 mm within 0.75 mm: away from walls and edges.
+    wall_part : float
+        The part of the squared error that is elsewhere.
     bars : tuple of BarScore
     circles : tuple of CircleScore
     """
@@ -87,6 +94,9 @@ class Score:
     covered_mm2: float
     raised_coverage: float
     raised_rms_mm: float
+    raised_mean_mm: float
+    flat_rms_mm: float
+    wall_part: float
     bars: tuple[BarScore, ...]
     circles: tuple[CircleScore, ...]
 
@@ -139,6 +149,7 @@ def score(found: Raster, known: KnownSurface) -> Score:
         raised = known.raster.z_mm > half
         over = true[both] > half
     there = np.isfinite(at_cells_of(found, known.raster))
+    flat = at_cells_of(replace(known.raster, z_mm=_variation(known.raster)), found)[both] <= _FLAT_MM
     return Score(
         rms_mm=_rms(error),
         mean_mm=float(error.mean()),
@@ -147,9 +158,20 @@ def score(found: Raster, known: KnownSurface) -> Score:
         covered_mm2=float(np.count_nonzero(both)) * found.step_mm**2,
         raised_coverage=float(there[raised].mean()) if raised.any() else float("nan"),
         raised_rms_mm=_rms(error[over]) if over.any() else float("nan"),
+        raised_mean_mm=float(error[over].mean()) if over.any() else float("nan"),
+        flat_rms_mm=_rms(error[flat]) if flat.any() else float("nan"),
+        wall_part=float(np.sum(error[~flat] ** 2) / max(np.sum(error**2), 1e-12)),
         bars=tuple(_bar(found, bar, half) for bar in known.bars_mm),
         circles=tuple(_circle(found, circle, half) for circle in known.circles_mm),
     )
+
+
+def _variation(raster: Raster) -> F32:
+    """Greatest less least height around each cell, mm; NaN where the surface is not known."""
+    side = 2 * math.ceil(_FLAT_WITHIN_MM / raster.step_mm) + 1
+    z = np.nan_to_num(raster.z_mm, nan=float(np.nanmin(raster.z_mm)))
+    varies = maximum_filter(z, side) - minimum_filter(z, side)
+    return np.where(np.isfinite(raster.z_mm), varies, np.float32(np.nan)).astype(np.float32)
 
 
 def at_cells_of(values: Raster, places: Raster) -> F32:

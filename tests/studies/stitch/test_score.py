@@ -37,6 +37,14 @@ def test_errors_are_measured_where_something_was_touched() -> None:
     assert (s.rms_mm, s.mean_mm) == (pytest.approx(0.1, abs=1e-5), pytest.approx(0.1, abs=1e-5))
     assert s.covered_mm2 == pytest.approx(np.count_nonzero(np.isfinite(z)) / 16)
     assert 0.5 < s.raised_coverage < 0.9
+    assert (s.raised_mean_mm, s.flat_rms_mm) == (pytest.approx(0.1, abs=1e-5), pytest.approx(0.1, abs=1e-5))
+
+
+def test_errors_at_walls_are_told_apart() -> None:
+    s = score(raster(Bar(5.6, 3.1, 5.6, 23.1, 3.0), RING), KNOWN)
+    assert s.flat_rms_mm == 0
+    assert s.wall_part == 1
+    assert s.rms_mm > 0.1
 
 
 def test_a_tilted_bar_and_a_wider_ring_are_told() -> None:
