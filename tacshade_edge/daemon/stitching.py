@@ -50,6 +50,8 @@ class MapRevision:
     revision : int
         Counts the presses and the end.
     presses, used : int
+    calibration_crc32 : int
+        That the session began with.
     folder : str
         Where the final map's files are; empty before the end.
     raster : callable
@@ -60,6 +62,7 @@ class MapRevision:
     revision: int
     presses: int
     used: int
+    calibration_crc32: int
     folder: str
     raster: Callable[[], Raster]
 
@@ -248,8 +251,11 @@ class Stitching:
         except ValueError as error:
             raise _RefusedError("FULL", str(error)) from None
         self._revision += 1
-        name, presses = self._file.about.name, self._stitcher.presses
-        self._told(MapRevision(name, self._revision, presses, presses, "", self._stitcher.map.raster))
+        about, presses = self._file.about, self._stitcher.presses
+        revision = MapRevision(
+            about.name, self._revision, presses, presses, about.calibration_crc32, "", self._stitcher.map.raster
+        )
+        self._told(revision)
         return f"press={self._stitcher.presses} frame={add.seq} points={len(add.touch.points_mm)}"
 
     def _end(self, file: StitchFile, stitcher: Stitcher) -> str:
@@ -260,7 +266,13 @@ class Stitching:
         used = stitcher.presses - len(rejected)
         self._revision += 1
         final = MapRevision(
-            file.about.name, self._revision, stitcher.presses, used, str(file.folder), lambda: finished.raster
+            file.about.name,
+            self._revision,
+            stitcher.presses,
+            used,
+            file.about.calibration_crc32,
+            str(file.folder),
+            lambda: finished.raster,
         )
         area_mm2 = float(np.count_nonzero(np.isfinite(finished.raster.z_mm))) * finished.raster.step_mm**2
         described: dict[str, Any] = {

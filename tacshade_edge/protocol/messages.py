@@ -210,6 +210,11 @@ def encode_status(state: str, reason: str = "", details: Mapping[str, str | int 
     return _encode({**(details or {}), "state": state, "reason": reason})
 
 
+def encode_map(about: Mapping[str, str | int | float | None]) -> bytes:
+    """The ``map/revision`` and ``map/final`` payloads: flat."""
+    return _encode(about)
+
+
 def encode_health(health: Mapping[str, Any]) -> bytes:
     """The ``health`` payload: the daemon's counters and rates as they are."""
     return _encode(health)

@@ -120,7 +120,7 @@ def encode_height(
     steps[np.isnan(steps)] = OUTSIDE
     payload = steps.astype("<i2").tobytes()
     grid = (height.row0, height.col0, height.step_px)
-    return _pack(result, _HEIGHT, (rows, cols), grid, calibration_crc32, pose, pose_error_us, payload)
+    return _pack(_whose(result, calibration_crc32), _HEIGHT, (rows, cols), grid, pose, pose_error_us, payload)
 
 
 def encode_cloud(
@@ -130,7 +130,16 @@ def encode_cloud(
     points, labels = result.cloud.points_mm, result.cloud.labels
     payload = points.astype("<f4", copy=False).tobytes() + labels.astype("<u2", copy=False).tobytes()
     halves = struct.unpack("<2H", _N.pack(len(labels)))
-    return _pack(result, _CLOUD, halves, (0.0, 0.0, 0.0), calibration_crc32, pose, pose_error_us, payload)
+    whose = _whose(result, calibration_crc32)
+    return _pack(whose, _CLOUD, halves, (0.0, 0.0, 0.0), pose, pose_error_us, payload)
+
+
+def encode_map_cloud(points_mm: F32, *, revision: int, calibration_crc32: int, t_ns: int, wall_ns: int) -> bytes:
+    """The ``map/cloud`` payload: a ``cloud`` with points (N, 3) in the base frame; its sequence is the revision."""
+    payload = points_mm.astype("<f4", copy=False).tobytes() + np.ones(len(points_mm), "<u2").tobytes()
+    halves = struct.unpack("<2H", _N.pack(len(points_mm)))
+    whose = (_CONTACT, revision, calibration_crc32, t_ns, wall_ns)
+    return _pack(whose, _CLOUD, halves, (0.0, 0.0, 0.0), None, 0, payload)
 
 
 def decode(data: bytes | bytearray | memoryview) -> HeightMessage | CloudMessage:
@@ -196,26 +205,30 @@ def _check(data: bytes) -> tuple[int, int, int]:
     return kind, rows, cols
 
 
-def _pack(
-    result: Reconstruction,
-    kind: int,
-    size: tuple[int, ...],
-    grid: tuple[float, float, float],
-    calibration_crc32: int,
-    pose: Pose | None,
-    pose_error_us: int,
-    payload: bytes,
-) -> bytes:
+def _whose(result: Reconstruction, calibration_crc32: int) -> tuple[int, int, int, int, int]:
+    """Flags, sequence, calibration and times of a reconstruction."""
     flags = (
         _CONTACT * result.contact
         | _INVALID * (not result.valid)
         | _SATURATED * result.saturated
         | _DEGRADED * bool(result.degraded)
-        | _POSE * (pose is not None)
     )
+    return flags, result.seq, calibration_crc32, result.t_ns, result.wall_ns
+
+
+def _pack(
+    whose: tuple[int, int, int, int, int],
+    kind: int,
+    size: tuple[int, ...],
+    grid: tuple[float, float, float],
+    pose: Pose | None,
+    pose_error_us: int,
+    payload: bytes,
+) -> bytes:
+    flags, seq, calibration_crc32, t_ns, wall_ns = whose
     head = _HEAD.pack(
-        *(_MAGIC, WIRE_VERSION, kind, _RAW, flags),
-        *(result.seq & _U32, calibration_crc32 & _U32, result.t_ns, result.wall_ns),
+        *(_MAGIC, WIRE_VERSION, kind, _RAW, flags | _POSE * (pose is not None)),
+        *(seq & _U32, calibration_crc32 & _U32, t_ns, wall_ns),
         *size,
         *grid,
         SCALE_MM,

@@ -42,8 +42,8 @@ def test_errors_are_measured_where_something_was_touched() -> None:
 
 def test_errors_at_walls_are_told_apart() -> None:
     s = score(raster(Bar(5.6, 3.1, 5.6, 23.1, 3.0), RING), KNOWN)
-    assert s.flat_rms_mm == 0
-    assert s.wall_part == 1
+    assert s.flat_rms_mm < 0.01
+    assert s.wall_part > 0.99
     assert s.rms_mm > 0.1
 
 
