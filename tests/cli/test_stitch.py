@@ -150,6 +150,17 @@ def test_a_bad_table_is_told(
     assert not (tmp_path / "out").exists()
 
 
+def test_presses_too_far_apart_are_told(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tacshade_edge.core.touch_map.MAX_TILES", 2)
+    assert main(words(folder, tmp_path / "out")) == 78
+    error = capsys.readouterr().err
+    assert "POSES.csv:" in error
+    assert "the map would get larger than 2 tiles of 16 mm" in error
+    assert len(error.splitlines()) == 1
+
+
 def test_a_folder_that_cannot_be_written(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").write_text("")
     assert main(words(folder, tmp_path / "file" / "out")) == 1

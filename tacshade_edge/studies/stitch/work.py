@@ -13,7 +13,7 @@ from tacshade_edge.core.touch import NOTHING, Touch, touch_points
 from tacshade_edge.devices.images import read_image
 from tacshade_edge.devices.network import make_reconstructor
 from tacshade_edge.devices.poses_table import PosedImage
-from tacshade_edge.errors import DecodeError
+from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.rigid import Rigid, from_seven
 from tacshade_edge.types import F64, Calibration, Frame
 
@@ -51,6 +51,7 @@ def read_presses(
     size = (calibration.image_height_px, calibration.image_width_px)
     presses = []
     for k, one in enumerate(posed):
+        report(k, len(posed))
         base_T_sensor = one.base_T_flange @ flange_T_sensor
         try:
             image = read_image(one.path)
@@ -61,16 +62,20 @@ def read_presses(
         touch = touch_points(result.height, calibration.geometry) if result.contact else NOTHING
         skipped = result.reason or ("" if len(touch.points_mm) else "no contact")
         presses.append(Press(one, base_T_sensor, touch, skipped, failed=image.shape[:2] != size))
-        report(k + 1, len(posed))
+    report(len(posed), len(posed))
     return presses
 
 
 def stitcher_of(presses: Sequence[Press], skin_radius_mm: float) -> Stitcher:
-    """All presses that touched, in order."""
+    """All presses that touched, in order. Raises ConfigError where they make too large a map."""
     stitcher = Stitcher(skin_radius_mm)
     for press in presses:
-        if not press.skipped:
+        if press.skipped:
+            continue
+        try:
             stitcher.add(press.touch, press.base_T_sensor)
+        except ValueError as error:
+            raise ConfigError(f"{press.posed.where}: {error}") from None
     return stitcher
 
 
