@@ -171,7 +171,7 @@ class Stitcher:
 
     def _fused(self, poses: Sequence[Rigid], rejected: Sequence[str], before: TouchMap | None) -> TouchMap:
         """The presses in a new map; a point counts less, the farther it is from a map that was fused before."""
-        fused = TouchMap(self._step_mm)
+        fused = TouchMap(self._step_mm, bounded=False)  # refined, presses lie a little elsewhere
         for press, pose, out in zip(self._presses, poses, rejected, strict=True):
             if out:
                 continue

@@ -16,6 +16,9 @@ WIDEST_MM = 200.0
 """No sensor touches more at once."""
 MAX_TILES = 1024
 """Of 64 KiB, 16 mm wide: half a metre square, 64 MiB."""
+_FARTHEST_MM = 1e6
+MOST_SPREAD = 4096
+"""Tiles in the map's bounding box, a square metre: its raster has 64 MiB."""
 LEAST_WEIGHT = 0.07
 """A cell of less was not touched, only neared."""
 
@@ -81,21 +84,29 @@ def _spans(first: int, count: int) -> Iterator[tuple[int, slice, slice]]:
 class TouchMap:
     """Weighted means of z at the nodes of a grid, each point shared by the four around it; holes stay holes.
 
+    Parameters
+    ----------
+    step_mm : float
+    bounded : bool
+        False for what was in a bounded map already.
+
     Raises
     ------
     ValueError
         From `add`: a point is not finite, points lie more than `WIDEST_MM` apart, or the map would get more than
-        `MAX_TILES` tiles; nothing was added then.
+        `MAX_TILES` tiles or spread over more than `MOST_SPREAD`; nothing was added then.
     """
 
-    def __init__(self, step_mm: float = STEP_MM) -> None:
+    def __init__(self, step_mm: float = STEP_MM, *, bounded: bool = True) -> None:
+        self._bounded = bounded
         self.step_mm = step_mm
+        self._spread: tuple[int, int, int, int] | None = None  # first and last row and column of tiles
         self._tiles: dict[tuple[int, int], F64] = {}  # (weight, weight · z) of TILE x TILE nodes
 
     def add(self, points_mm: F64, weight: F32 | F64) -> None:
         """Fuse points (N, 3) in the base frame with their weights (N,)."""
-        if not np.isfinite(points_mm).all():
-            raise ValueError("a point is not finite")
+        if not (np.abs(points_mm) < _FARTHEST_MM).all():
+            raise ValueError(f"a point is not finite, or over {_FARTHEST_MM / 1000:g} m from the base")
         if len(points_mm) == 0:
             return
         corner = np.floor(points_mm[:, :2] / self.step_mm)
@@ -111,9 +122,18 @@ class TouchMap:
             here[0] += np.bincount(cell + by, w, rows * cols)
             here[1] += np.bincount(cell + by, w * points_mm[:, 2], rows * cols)
         parts = [part for part in window.parts() if here[0].reshape(rows, cols)[part.there].any()]
+        if not parts:
+            return
         missing = [part.tile for part in parts if part.tile not in self._tiles]
-        if len(self._tiles) + len(missing) > MAX_TILES:
+        if self._bounded and len(self._tiles) + len(missing) > MAX_TILES:
             raise ValueError(f"the map would get larger than {MAX_TILES} tiles of {TILE * self.step_mm:g} mm")
+        spread = _box([part.tile for part in parts], self._spread)
+        if self._bounded and (spread[2] - spread[0] + 1) * (spread[3] - spread[1] + 1) > MOST_SPREAD:
+            raise ValueError(
+                f"the map would spread over more than {MOST_SPREAD} tiles of {TILE * self.step_mm:g} mm: "
+                "a pose is far from the others"
+            )
+        self._spread = spread
         for tile in missing:
             self._tiles[tile] = np.zeros((2, TILE, TILE))
         for part in parts:
@@ -153,20 +173,29 @@ class TouchMap:
         least_weight : float
             Cells of less weight are left out.
         """
-        if not self._tiles:
-            return Raster(np.full((1, 1), np.nan, np.float32), 0.0, 0.0, self.step_mm)
-        tops, lefts = zip(*self._tiles, strict=True)
-        top, left = min(tops), min(lefts)
-        whole = np.zeros((2, (max(tops) - top + 1) * TILE, (max(lefts) - left + 1) * TILE))
-        for (i, j), sums in self._tiles.items():
-            whole[:, (i - top) * TILE : (i - top + 1) * TILE, (j - left) * TILE : (j - left + 1) * TILE] = sums
-        touched = whole[0] >= least_weight
+        whole = np.zeros((0, 0), np.float32)
+        top, left, bottom, right = self._spread or (0, 0, -1, -1)
+        if self._tiles:
+            whole = np.full(((bottom - top + 1) * TILE, (right - left + 1) * TILE), np.nan, np.float32)
+        for (i, j), (weight, total) in self._tiles.items():
+            here = whole[(i - top) * TILE : (i - top + 1) * TILE, (j - left) * TILE : (j - left + 1) * TILE]
+            np.divide(total, weight, out=here, where=weight >= least_weight, casting="unsafe")
+        touched = np.isfinite(whole)
         rows, cols = (np.flatnonzero(touched.any(axis=axis)) for axis in (1, 0))
         if not rows.size:
             return Raster(np.full((1, 1), np.nan, np.float32), 0.0, 0.0, self.step_mm)
-        here = (slice(rows[0], rows[-1] + 1), slice(cols[0], cols[-1] + 1))
-        z = np.full(touched[here].shape, np.nan, np.float32)
-        np.divide(whole[1][here], whole[0][here], out=z, where=touched[here], casting="unsafe")
         return Raster(
-            z, (left * TILE + int(cols[0])) * self.step_mm, (top * TILE + int(rows[0])) * self.step_mm, self.step_mm
+            whole[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1].copy(),
+            (left * TILE + int(cols[0])) * self.step_mm,
+            (top * TILE + int(rows[0])) * self.step_mm,
+            self.step_mm,
         )
+
+
+def _box(tiles: list[tuple[int, int]], before: tuple[int, int, int, int] | None) -> tuple[int, int, int, int]:
+    """First and last row and column of tiles, and of those before."""
+    rows, cols = [row for row, _ in tiles], [col for _, col in tiles]
+    if before is not None:
+        rows += before[::2]
+        cols += before[1::2]
+    return min(rows), min(cols), max(rows), max(cols)

@@ -86,7 +86,17 @@ def test_its_size_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     assert fused.tiles == 4
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_press_far_from_the_others_is_refused() -> None:
+    fused = TouchMap()
+    fused.add(np.array(((0.0, 0.0, 1.0),)), np.ones(1))
+    with pytest.raises(ValueError, match="a pose is far from the others"):
+        fused.add(np.array(((2000.0, 2000.0, 1.0),)), np.ones(1))
+    fused.add(np.array(((2000.0, 3.0, 1.0),)), np.ones(1))  # a long strip is no large raster
+    assert fused.raster().z_mm.shape == (13, 8001)
+    assert fused.tiles == 2
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e12])
 def test_a_point_that_is_none_is_refused(bad: float) -> None:
     fused = TouchMap()
     with pytest.raises(ValueError, match="not finite"):
