@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from tacshade_edge.types import F64, freeze
+from tacshade_edge.types import F64, Pose, freeze
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,6 +66,11 @@ def from_seven(values: Sequence[float]) -> Rigid:
         )
     )
     return Rigid(rotation, np.array((x_mm, y_mm, z_mm)))
+
+
+def of_pose(pose: Pose) -> Rigid:
+    """``base_T_flange`` without its time."""
+    return from_seven((pose.x_mm, pose.y_mm, pose.z_mm, pose.qw, pose.qx, pose.qy, pose.qz))
 
 
 def shift(x_mm: float, y_mm: float, z_mm: float) -> Rigid:

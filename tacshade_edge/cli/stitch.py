@@ -1,4 +1,4 @@
-"""``tacshade-edge stitch``: images and the robot's poses to one large map."""
+"""``tacshade-edge stitch``: images and the robot's poses, or a recording of both, to one large map."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from tacshade_edge.core.touch_map import STEP_MM, Raster
 from tacshade_edge.devices import calibration_file
 from tacshade_edge.devices.map_files import write_map
 from tacshade_edge.devices.poses_table import read_poses
+from tacshade_edge.devices.recording import Recording
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.studies.stitch.average import radius_average
 from tacshade_edge.studies.stitch.picture import write_comparison
 from tacshade_edge.studies.stitch.score import KnownSurface, read_known, score
-from tacshade_edge.studies.stitch.work import Press, all_points, read_presses, stitcher_of
+from tacshade_edge.studies.stitch.work import Press, all_points, read_presses, read_recording, stitcher_of
 
 EXIT_FAILED = 1
 
@@ -25,7 +26,11 @@ EXIT_FAILED = 1
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--calibration", type=Path, required=True, metavar="CAL.npz", help="from `calibrate`")
-    parser.add_argument("--poses", type=Path, required=True, metavar="POSES.csv", help="images and base_T_flange")
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("--poses", type=Path, metavar="POSES.csv", help="images and base_T_flange")
+    source.add_argument(
+        "--recording", type=Path, metavar="INPUT", help="as `replay` reads; each settled contact counts"
+    )
     parser.add_argument("--profile", choices=sorted(PROFILES), default="accurate", help="(accurate)")
     parser.add_argument(
         "--out", type=Path, required=True, metavar="DIR", help="map.npz, .ply, .png, .json, preview.png"
@@ -39,15 +44,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Stitch; a press that cannot be used is told in map.json, an image that cannot be read here too."""
     calibration = calibration_file.load(args.calibration)
-    posed = read_poses(args.poses)
-    known = None if args.truth is None else read_known(args.truth)
-    presses = read_presses(calibration, PROFILES[args.profile], posed, _progress)
+    profile, known = PROFILES[args.profile], None if args.truth is None else read_known(args.truth)
+    if args.recording is None:
+        presses = read_presses(calibration, profile, read_poses(args.poses), _progress)
+    else:
+        presses = read_recording(calibration, profile, Recording(args.recording), str(args.recording))
     failed = [p for p in presses if p.failed]
     for press in failed:
-        print(f"tacshade-edge: {press.posed.where}: {press.skipped}", file=sys.stderr)
+        print(f"tacshade-edge: {press.where}: {press.skipped}", file=sys.stderr)
     stitcher = stitcher_of(presses, calibration.geometry.skin_radius_mm)
     if stitcher.presses == 0:
-        raise ConfigError(f"{args.poses}: none of {len(presses)} images shows a contact: {presses[0].skipped}")
+        why = presses[0].skipped if presses else "no contact settled"
+        raise ConfigError(f"{args.poses or args.recording}: found no press that can be used: {why}")
     finished = stitcher.finish()
     about = {"profile": args.profile, **_described(presses, finished)}
     if known is not None:
@@ -70,7 +78,7 @@ def _described(presses: list[Press], finished: Stitched) -> dict[str, Any]:
     placed = iter(finished.presses)
     records = []
     for press in presses:
-        record: dict[str, Any] = {"image": press.posed.path.name, "used": False, "reason": press.skipped}
+        record: dict[str, Any] = {"image": press.name, "used": False, "reason": press.skipped}
         if not press.skipped:
             one = next(placed)
             record |= {

@@ -20,7 +20,7 @@ TRUSTED_INSIDE_MM = 0.8
 # Over this outer part of the disc's radius the camera looks along the skin, and trust falls to `LEAST_TRUST`.
 EDGE_PART = 0.2
 LEAST_TRUST = 0.05
-# Cells farther apart on the skin are divided, so that a map of 0.25 mm has no holes between them.
+# Cells farther apart on the skin are divided, so that a map of 0.25 mm has no holes between them; of nearer ones some do.
 SPACING_MM = 0.3
 # A place that is found so far beside its own is off in height by that times the slope: which of the two errors counts.
 _BESIDE_PER_HEIGHT = 5.0
@@ -62,12 +62,16 @@ def touch_points(height: HeightMap, geometry: Geometry) -> Touch:
     here = bounding_box(height.contact)
     if here is None:
         return NOTHING
-    by = math.ceil(height.step_px * geometry.mm_per_px / SPACING_MM)
-    step_px = height.step_px / by
-    h, touched = _divided(height.height_mm[here], by), height.contact[here].repeat(by, axis=0).repeat(by, axis=1)
+    cell_mm = height.step_px * geometry.mm_per_px
+    by, every = math.ceil(cell_mm / SPACING_MM), max(1, int(SPACING_MM / cell_mm))
+    step_px = height.step_px * every / by
+    h, touched = (values[here][::every, ::every] for values in (height.height_mm, height.contact))
+    h, touched = _divided(h, by), np.ascontiguousarray(touched.repeat(by, axis=0).repeat(by, axis=1))
+    if min(h.shape) < 2:
+        return NOTHING
     # The first of the parts of a cell lies before its middle.
     row0, col0 = (
-        first + span.start * height.step_px - step_px * (by - 1) / 2
+        first + span.start * height.step_px - height.step_px * (by - 1) / (2 * by)
         for first, span in zip((height.row0, height.col0), here, strict=True)
     )
     grid = Grid(h.shape[0], h.shape[1], row0, col0, step_px)

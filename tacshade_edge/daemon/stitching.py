@@ -26,8 +26,8 @@ from tacshade_edge.core.touch_map import Raster
 from tacshade_edge.devices.map_files import write_map
 from tacshade_edge.devices.stitch_file import About, StitchFile, open_session
 from tacshade_edge.errors import TacshadeError
-from tacshade_edge.rigid import Rigid, from_seven
-from tacshade_edge.types import Calibration, Frame, Pose, Reconstruction
+from tacshade_edge.rigid import Rigid, from_seven, of_pose
+from tacshade_edge.types import Calibration, Frame, Reconstruction
 
 _log = logging.getLogger(__name__)
 
@@ -159,7 +159,7 @@ class Stitching:
                 answer(*refusal)
             return
         assert frame.pose is not None
-        base_T_sensor = rigid(frame.pose) @ from_seven(calibration.flange_T_sensor)
+        base_T_sensor = of_pose(frame.pose) @ from_seven(calibration.flange_T_sensor)
         # The same frame twice would be the same press twice.
         self._jobs.put(_Add(touch_points(result.height, calibration.geometry), base_T_sensor, result.seq, answers[0]))
         for answer in answers[1:]:
@@ -323,11 +323,6 @@ class _RefusedError(Exception):
     def __init__(self, code: str, text: str) -> None:
         super().__init__(text)
         self.code = code
-
-
-def rigid(pose: Pose) -> Rigid:
-    """``base_T_flange`` without its time."""
-    return from_seven((pose.x_mm, pose.y_mm, pose.z_mm, pose.qw, pose.qx, pose.qy, pose.qz))
 
 
 def _refusal(frame: Frame, result: Reconstruction) -> tuple[str, str] | None:

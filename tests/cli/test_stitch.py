@@ -105,6 +105,39 @@ def test_the_calibrations_flange_is_used(folder: Path, tmp_path: Path) -> None:
     assert np.nanmax(np.abs(a - b)) < 1e-3
 
 
+def recorded(folder: Path, path: Path, *, poses: bool = True) -> Path:
+    """A robot that presses three times and holds still for half a second, at 30 frames a second."""
+    path.mkdir()
+    rows, t_ns = ["image,t_ns,x_mm,y_mm,z_mm,qw,qx,qy,qz"], 0
+    cv2.imwrite(str(path / "free.png"), unloaded())
+    for line in (folder / "POSES.csv").read_text().splitlines()[1:4]:
+        name, numbers = line.split(",", 1)
+        shutil.copy(folder / name, path / name)
+        for image in ("free.png",) * 3 + (name,) * 15:
+            t_ns += 33_333_333
+            rows.append(f"{image},{t_ns},{numbers if poses else ',,,,,,'}")
+    (path / "frames.csv").write_text("\n".join(rows) + "\n")
+    return path
+
+
+def test_a_recording_is_the_presses_in_it(folder: Path, tmp_path: Path) -> None:
+    recording = recorded(folder, tmp_path / "recording")
+    lines = (folder / "POSES.csv").read_text().splitlines()[:4]
+    (recording / "POSES.csv").write_text("\n".join(lines) + "\n")
+    given = ["stitch", "--calibration", str(folder / "cal.npz"), "--profile", "fast"]
+    assert main([*given, "--recording", str(recording), "--out", str(tmp_path / "a")]) == 0
+    assert main([*given, "--poses", str(recording / "POSES.csv"), "--out", str(tmp_path / "b")]) == 0
+    assert (tmp_path / "a" / "map.ply").read_bytes() == (tmp_path / "b" / "map.ply").read_bytes()
+    assert json.loads((tmp_path / "a" / "map.json").read_text())["used"] == 3
+
+
+def test_a_recording_without_poses(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recording = recorded(folder, tmp_path / "recording", poses=False)
+    given = ["stitch", "--calibration", str(folder / "cal.npz"), "--profile", "fast", "--recording", str(recording)]
+    assert main([*given, "--out", str(tmp_path / "a")]) == 78
+    assert "found no press that can be used: the table has no pose for it" in capsys.readouterr().err
+
+
 def test_images_that_cannot_be_used(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shutil.copytree(folder, tmp_path / "pad")
     cv2.imwrite(str(tmp_path / "pad" / "press_0000.png"), unloaded())
@@ -126,7 +159,7 @@ def test_nothing_touched(folder: Path, tmp_path: Path, capsys: pytest.CaptureFix
     for path in (tmp_path / "pad").glob("press_*.png"):
         cv2.imwrite(str(path), unloaded())
     assert main(words(tmp_path / "pad", tmp_path / "out")) == 78
-    assert "none of 12 images shows a contact: no contact" in capsys.readouterr().err
+    assert "found no press that can be used: no contact" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -39,6 +39,23 @@ def test_wide_cells_are_divided() -> None:
         assert np.hypot(*(nearest - point)[:2]) < 0.15
 
 
+def test_of_narrow_cells_some_do() -> None:
+    geometry = calibrated().geometry
+    step_px = 0.09 / geometry.mm_per_px  # three of them are 0.27 mm
+    rows, cols = np.mgrid[:150, :150]
+    inside = np.hypot(rows - 75, cols - 75) < 60
+    first = (geometry.disc.row_c - 75 * step_px, geometry.disc.col_c - 75 * step_px)
+    height = HeightMap(np.zeros((150, 150), np.float32), inside, *first, step_px)
+    touch = touch_points(height, geometry)
+    assert len(touch.points_mm) == pytest.approx(np.count_nonzero(inside) / 9, rel=0.05)
+    np.testing.assert_allclose(np.linalg.norm(touch.points_mm, axis=1), geometry.skin_radius_mm, atol=1e-3)
+    np.testing.assert_allclose(touch.points_mm[:, :2].mean(axis=0), 0, atol=0.3)
+    # A contact of a cell or two may fall between them: that is nothing to trust.
+    small = np.zeros((150, 150), bool)
+    small[70, 70] = True
+    assert len(touch_points(HeightMap(height.height_mm, small, *first, step_px), geometry).points_mm) <= 1
+
+
 def test_normals_are_the_skins() -> None:
     geometry = calibrated().geometry
     flat = np.zeros((60, 60), np.float32)

@@ -13,8 +13,9 @@ from calibrated_sensor import calibrated, pressed, step, unloaded
 
 from tacshade_edge.core.stitch import Stitcher
 from tacshade_edge.core.touch import touch_points
-from tacshade_edge.daemon.stitching import MapRevision, Stitching, rigid
+from tacshade_edge.daemon.stitching import MapRevision, Stitching
 from tacshade_edge.devices.stitch_file import open_session
+from tacshade_edge.rigid import of_pose
 from tacshade_edge.types import Frame, Pose, Reconstruction
 
 DEADLINE_S = 20.0
@@ -115,7 +116,7 @@ def test_the_map_is_the_offline_one(robot: Robot, ball: Reconstruction) -> None:
     offline = Stitcher(calibrated().geometry.skin_radius_mm)
     for x_mm in (0.0, 2.0, 4.0):
         robot.add(ball, x_mm)
-        pose = rigid(Pose(0, x_mm, 0.0, 20.0, 0.0, 1.0, 0.0, 0.0))
+        pose = of_pose(Pose(0, x_mm, 0.0, 20.0, 0.0, 1.0, 0.0, 0.0))
         offline.add(touch_points(ball.height, calibrated().geometry), pose)
     robot.ask("END")
     np.testing.assert_array_equal(robot.told[-1].raster().z_mm, offline.finish().raster.z_mm)

@@ -1,4 +1,4 @@
-"""Posed images to presses to a map."""
+"""Posed images, or a recording, to presses to a map."""
 
 from __future__ import annotations
 
@@ -8,14 +8,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from tacshade_edge.core.profiles import Profile
+from tacshade_edge.core.settled import Settled
 from tacshade_edge.core.stitch import Stitcher
 from tacshade_edge.core.touch import NOTHING, Touch, touch_points
 from tacshade_edge.devices.images import read_image
 from tacshade_edge.devices.network import make_reconstructor
 from tacshade_edge.devices.poses_table import PosedImage
+from tacshade_edge.devices.recording import Recording
 from tacshade_edge.errors import ConfigError, DecodeError
-from tacshade_edge.rigid import Rigid, from_seven
+from tacshade_edge.rigid import Rigid, from_seven, of_pose
 from tacshade_edge.types import F64, Calibration, Frame
+
+AVERAGED_POINTS = 500
+"""The paper's average looks at every pair in its radius: ten times the points take a hundred times the memory."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +29,10 @@ class Press:
 
     Attributes
     ----------
-    posed : PosedImage
+    name : str
+        Of the image.
+    where : str
+        Which line or file says so, for a message.
     base_T_sensor : Rigid
         As the robot reported.
     touch : Touch
@@ -35,7 +43,8 @@ class Press:
         It is a mistake, not a press into the air.
     """
 
-    posed: PosedImage
+    name: str
+    where: str
     base_T_sensor: Rigid
     touch: Touch
     skipped: str
@@ -56,14 +65,41 @@ def read_presses(
         try:
             image = read_image(one.path)
         except DecodeError as error:
-            presses.append(Press(one, base_T_sensor, NOTHING, str(error), failed=True))
+            presses.append(Press(one.path.name, one.where, base_T_sensor, NOTHING, str(error), failed=True))
             continue
         result = reconstructor.step(Frame(seq=k, t_ns=0, wall_ns=0, image=image))
         touch = touch_points(result.height, calibration.geometry) if result.contact else NOTHING
         skipped = result.reason or ("" if len(touch.points_mm) else "no contact")
-        presses.append(Press(one, base_T_sensor, touch, skipped, failed=image.shape[:2] != size))
+        presses.append(Press(one.path.name, one.where, base_T_sensor, touch, skipped, failed=image.shape[:2] != size))
     report(len(posed), len(posed))
     return presses
+
+
+def read_recording(calibration: Calibration, profile: Profile, recording: Recording, where: str) -> list[Press]:
+    """Reconstruct every frame; each contact that settles is a press, as in the daemon.
+
+    A frame that cannot be used is passed over; where a contact settles without a pose, it says so.
+    """
+    reconstructor, settled = make_reconstructor(calibration, profile), Settled()
+    flange_T_sensor = from_seven(calibration.flange_T_sensor)
+    presses = []
+    while True:
+        try:
+            recorded = recording.read()
+        except DecodeError as error:
+            presses.append(Press("", where, flange_T_sensor, NOTHING, str(error), failed=True))
+            continue
+        if recorded is None:
+            return presses
+        frame = recorded.frame
+        result = reconstructor.step(frame)
+        if not settled.of(result.t_ns, result.valid and result.contact, result.depth_max_mm):
+            continue
+        if frame.pose is None:
+            presses.append(Press(recorded.name, where, flange_T_sensor, NOTHING, "the table has no pose for it"))
+        else:
+            touch = touch_points(result.height, calibration.geometry)
+            presses.append(Press(recorded.name, where, of_pose(frame.pose) @ flange_T_sensor, touch, ""))
 
 
 def stitcher_of(presses: Sequence[Press], skin_radius_mm: float) -> Stitcher:
@@ -75,10 +111,15 @@ def stitcher_of(presses: Sequence[Press], skin_radius_mm: float) -> Stitcher:
         try:
             stitcher.add(press.touch, press.base_T_sensor)
         except ValueError as error:
-            raise ConfigError(f"{press.posed.where}: {error}") from None
+            raise ConfigError(f"{press.where}: {error}") from None
     return stitcher
 
 
 def all_points(presses: Sequence[Press]) -> F64:
-    """Every point of every press where the robot reported it, (N, 3) mm."""
-    return np.concatenate([p.base_T_sensor.apply(p.touch.points_mm) for p in presses if not p.skipped])
+    """Points of all presses where the robot reported them, (N, 3) mm; evenly `AVERAGED_POINTS` of each at most."""
+    parts = []
+    for press in presses:
+        if not press.skipped:
+            every = -(-len(press.touch.points_mm) // AVERAGED_POINTS)
+            parts.append(press.base_T_sensor.apply(press.touch.points_mm[::every]))
+    return np.concatenate(parts)
