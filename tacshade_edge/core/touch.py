@@ -20,7 +20,8 @@ TRUSTED_INSIDE_MM = 0.8
 # Over this outer part of the disc's radius the camera looks along the skin, and trust falls to `LEAST_TRUST`.
 EDGE_PART = 0.2
 LEAST_TRUST = 0.05
-# Cells farther apart on the skin are divided, so that a map of 0.25 mm has no holes between them; of nearer ones some do.
+# Cells farther apart on the skin are divided, so that a map of 0.25 mm has no holes between them; of nearer ones some
+# are taken.
 SPACING_MM = 0.3
 # A place that is found so far beside its own is off in height by that times the slope: which of the two errors counts.
 _BESIDE_PER_HEIGHT = 5.0
@@ -65,8 +66,9 @@ def touch_points(height: HeightMap, geometry: Geometry) -> Touch:
     cell_mm = height.step_px * geometry.mm_per_px
     by, every = math.ceil(cell_mm / SPACING_MM), max(1, int(SPACING_MM / cell_mm))
     step_px = height.step_px * every / by
-    h, touched = (values[here][::every, ::every] for values in (height.height_mm, height.contact))
-    h, touched = _divided(h, by), np.ascontiguousarray(touched.repeat(by, axis=0).repeat(by, axis=1))
+    h = _divided(height.height_mm[here][::every, ::every], by)
+    cells = height.contact[here][::every, ::every]
+    touched = np.ascontiguousarray(cells.repeat(by, axis=0).repeat(by, axis=1))
     if min(h.shape) < 2:
         return NOTHING
     # The first of the parts of a cell lies before its middle.
