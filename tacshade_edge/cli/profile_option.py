@@ -7,14 +7,14 @@ import argparse
 from tacshade_edge.core.profiles import AUTO, DEFAULT, PROFILES
 
 
-def add_profile(parser: argparse.ArgumentParser) -> None:
+def add_profile(parser: argparse.ArgumentParser, default: str = DEFAULT) -> None:
     """Declare it."""
     parser.add_argument(
         "--profile",
         type=_fixed,
         choices=sorted(PROFILES),
-        default=DEFAULT,
-        help=f"speed against accuracy ({DEFAULT})",
+        default=default,
+        help=f"speed against accuracy ({default})",
     )
 
 

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from tacshade_edge.cli.profile_option import add_profile
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.stitch import Stitched
 from tacshade_edge.core.touch_map import STEP_MM, Raster
@@ -31,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     source.add_argument(
         "--recording", type=Path, metavar="INPUT", help="as `replay` reads; each settled contact counts"
     )
-    parser.add_argument("--profile", choices=sorted(PROFILES), default="accurate", help="(accurate)")
+    add_profile(parser, default="accurate")  # no one waits for a map
     parser.add_argument(
         "--out", type=Path, required=True, metavar="DIR", help="map.npz, .ply, .png, .json, preview.png"
     )
