@@ -6,7 +6,10 @@ from tacshade_edge.cli import main
 from tacshade_edge.core.profiles import PROFILES
 
 
-@pytest.mark.parametrize("command", [["replay", "x", "--out", "y"], ["reconstruct", "x", "--out", "y"]])
+@pytest.mark.parametrize(
+    "command",
+    [["replay", "x", "--out", "y"], ["reconstruct", "x", "--out", "y"], ["stitch", "--poses", "x", "--out", "y"]],
+)
 def test_auto_is_refused_with_the_reason(command: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         main([*command, "--calibration", "c.npz", "--profile", "auto"])
