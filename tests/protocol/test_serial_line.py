@@ -1,0 +1,126 @@
+"""Lines and binary poses against the literal vectors, which docs/serial.md quotes."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tacshade_edge.errors import DecodeError
+from tacshade_edge.protocol import cobs
+from tacshade_edge.protocol.serial_line import (
+    LINE_BYTES_MAX,
+    BadLine,
+    Line,
+    PoseSample,
+    crc16,
+    decode_pose,
+    encode_pose,
+    parse_line,
+    parse_pose,
+    seal,
+)
+
+VECTORS = json.loads((Path(__file__).parent / "vectors" / "serial.json").read_text())
+QUATERNIONS = st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: math.hypot(*q) > 1e-3)
+
+
+@pytest.mark.parametrize("vector", VECTORS["crc"], ids=lambda v: v["text"] or "empty")
+def test_checksum(vector: dict[str, str]) -> None:
+    assert f"{crc16(vector['text'].encode()):04X}" == vector["crc"]
+    assert seal(vector["text"]).decode() == f"{vector['text']}*{vector['crc']}\n"
+
+
+@pytest.mark.parametrize("vector", VECTORS["lines"], ids=lambda v: v["raw"])
+def test_line(vector: dict[str, Any]) -> None:
+    line = parse_line(vector["raw"].encode())
+    assert isinstance(line, Line)
+    found = {"seq": line.seq, "verb": line.verb, "args": [*line.args], "checked": line.checked}
+    assert found == {key: vector[key] for key in found}
+
+
+@pytest.mark.parametrize("vector", VECTORS["bad_lines"], ids=lambda v: v["raw"])
+def test_bad_line(vector: dict[str, str]) -> None:
+    line = parse_line(vector["raw"].encode())
+    assert isinstance(line, BadLine)
+    assert line.code == vector["code"]
+
+
+def test_a_line_has_at_most_256_bytes_with_its_end() -> None:
+    longest = "HELP " + "x" * (LINE_BYTES_MAX - 1 - 5 - 5)
+    assert len(seal(longest)) == LINE_BYTES_MAX
+    assert isinstance(parse_line(seal(longest)[:-1]), Line)
+    assert parse_line(seal(longest + "x")[:-1]) == BadLine("GARBAGE", "expected at most 255 printable ASCII characters")
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 63))
+def test_two_wrong_bits_of_a_line_are_noticed(first: int, distance: int) -> None:
+    raw = bytearray(seal("#17 STITCH BEGIN pad-1 of the long name that makes the line longer")[:-1])
+    for bit in (first, first + distance):
+        place = bit % (8 * (len(raw) - 5))
+        raw[place // 8] ^= 1 << place % 8
+    assert isinstance(parse_line(bytes(raw)), BadLine)
+
+
+@pytest.mark.parametrize("vector", VECTORS["poses"], ids=lambda v: str(v["seq"]))
+def test_binary_pose(vector: dict[str, Any]) -> None:
+    sample = PoseSample(vector["seq"], vector["t_ns"], tuple(vector["values"]))  # type: ignore[arg-type]
+    assert encode_pose(sample).hex() == vector["hex"]
+    assert (cobs.encode(encode_pose(sample)) + b"\0").hex() == vector["frame"]
+    assert decode_pose(bytes.fromhex(vector["hex"])) == sample
+
+
+@given(st.integers(0, 65535), st.integers(0, 2**63 - 1), st.tuples(*[st.floats(-1e5, 1e5, width=32)] * 3), QUATERNIONS)
+def test_poses_come_back(seq: int, t_ns: int, xyz: tuple[float, ...], q: tuple[float, ...]) -> None:
+    unit = tuple(v / math.hypot(*q) for v in q)
+    sample = PoseSample(seq, t_ns, (*xyz, *unit))  # type: ignore[arg-type]
+    binary = decode_pose(encode_pose(sample))
+    line = parse_line(seal(f"#{seq} POSE {t_ns} " + " ".join(map(repr, sample.values)))[:-1])
+    assert isinstance(line, Line)
+    for back in (binary, parse_pose(line)):
+        assert (back.seq, back.t_ns, back.values[:3]) == (seq, t_ns, pytest.approx(xyz, rel=1e-6))
+        assert back.values[3:] == pytest.approx(unit, abs=1e-6)
+        assert math.hypot(*back.values[3:]) == pytest.approx(1, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("args", "why"),
+    [
+        ("1 2 3 4 1 0 0", "found 7 values"),
+        ("1.5 0 0 0 1 0 0 0", "'1.5', expected whole nanoseconds"),
+        ("-1 0 0 0 1 0 0 0", "'-1', expected whole nanoseconds"),
+        ("9223372036854775808 0 0 0 1 0 0 0", "expected whole nanoseconds"),
+        ("1 nan 0 0 1 0 0 0", "'nan', expected a number"),
+        ("1 0 1_0 0 1 0 0 0", "'1_0', expected a number"),
+        ("1 0 1e9 0 1 0 0 0", "expected a position within"),
+        ("1 0 1e999 0 1 0 0 0", "expected a position within"),
+        ("1 0 0 0 1 1 0 0", "the norm 1.414, expected a unit quaternion"),
+        ("1 0 0 0 0 0 0 0", "the norm 0, expected a unit quaternion"),
+    ],
+)
+def test_a_pose_that_is_none(args: str, why: str) -> None:
+    line = parse_line(f"POSE {args}".encode())
+    assert isinstance(line, Line)
+    with pytest.raises(DecodeError, match=why):
+        parse_pose(line)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, 2e6])
+def test_a_binary_pose_that_is_none(value: float) -> None:
+    raw = encode_pose(PoseSample(1, 2, (value, 0, 0, 1, 0, 0, 0)))
+    with pytest.raises(DecodeError, match="expected a position within"):
+        decode_pose(raw)
+
+
+def test_a_damaged_binary_pose() -> None:
+    raw = encode_pose(PoseSample(1, 2, (0, 0, 0, 1, 0, 0, 0)))
+    for at in range(1, len(raw)):
+        with pytest.raises(DecodeError, match="checksum"):
+            decode_pose(raw[:at] + bytes([raw[at] ^ 4]) + raw[at + 1 :])
+    with pytest.raises(DecodeError, match="found 40 bytes"):
+        decode_pose(raw[:-1])
