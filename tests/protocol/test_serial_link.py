@@ -337,7 +337,7 @@ def test_a_session_cut_repeated_reordered_and_damaged_is_done_once(binary: bool,
     while len(acknowledged) < len(asked):
         open_ones = [line for seq, line in asked.items() if seq not in acknowledged][:8]
         batch = [rng.choice([line, mangled(line, rng)]) for line in open_ones + late]
-        batch += rng.sample(wanted, 3) + [seal("#1 HELLO 1 crc=req boot=a")]
+        batch += [*rng.sample(wanted, 3), seal("#1 HELLO 1 crc=req boot=a")]
         late = rng.sample(open_ones, min(3, len(open_ones)))
         rng.shuffle(batch)
         packed = b"".join(frame(b"L" + raw.rstrip(b"\n")) if binary else raw for raw in batch)

@@ -1,0 +1,315 @@
+"""The robot's clock against the daemon's: daemon = robot + offset, the offset a line over time.
+
+With ``SYNC`` (two-way) every exchange has four times, t1 and t4 of the robot and t2 and t3 of the daemon. Its offset
+((t2 - t1) + (t3 - t4)) / 2 is wrong by at most half its round trip, whatever the line does. So the line is fitted
+to the quarter of the latest exchanges with the shortest round trips, and what breaks that bound is a clock that jumped.
+
+Without (one-way) only arrivals are known, and the least delay of them: a line under all of them. What the
+least delay itself is cannot be seen from one side, and is stated as `ONE_WAY_LATENCY_NS`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
+
+SyncMode = Literal["none", "oneway", "two-way"]
+
+EXCHANGES_KEPT: Final = 60
+EXCHANGE_AGE_MAX_NS: Final = 300_000_000_000
+BEST_PART, BEST_LEAST = 4, 4  # the best quarter, and never under four
+TWO_WAY_ERROR_MAX_NS: Final = 20_000_000  # of a line that no exchange has renewed: then arrivals know better
+DRIFT_EXPECTED: Final = 1e-3  # of a resonator; a crystal has a tenth of it
+TOLERANCE_NS: Final = 20_000  # reading a clock
+DRIFT_TOLD_PPM: Final = 500.0
+ONE_WAY_LATENCY_NS: Final = 2_000_000
+BUCKET_NS: Final = 1_000_000_000
+BUCKETS_KEPT: Final = 60
+LATE_NS: Final = 50_000_000  # so much later than the envelope for so many buckets: the clock was set back
+LATE_BUCKETS: Final = 3
+BACKWARDS_NS: Final = 1_000_000_000  # a robot's time that goes back by more began anew
+
+
+@dataclass(frozen=True, slots=True)
+class TimeWithin:
+    """A time of one clock that was told in the other, and how far it may be off."""
+
+    t_ns: int
+    error_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class SyncState:
+    """How well the robot's clock is known.
+
+    Attributes
+    ----------
+    mode : str
+    reason : str
+        Why it is not known, or what is odd with it; empty when all is well.
+    offset_ns : int
+        Daemon minus robot, now; 0 with ``none``.
+    drift_ppm : float
+        By how much the robot's clock is slow.
+    error_us : int
+        The stated error, now; 0 with ``none``.
+    """
+
+    mode: SyncMode
+    reason: str
+    offset_ns: int
+    drift_ppm: float
+    error_us: int
+
+
+@dataclass(slots=True)
+class SyncCounts:
+    """Since the start."""
+
+    exchanges: int = 0
+    exchanges_refused: int = 0  # their times contradict themselves
+    outliers: int = 0  # one exchange against those before and after
+    restarts: int = 0  # the clock jumped, went back, or the robot began anew
+
+
+@dataclass(frozen=True, slots=True)
+class _Exchange:
+    robot_ns: int  # its middle
+    offset_ns: int
+    round_trip_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Line:
+    """Offset of the daemon's clock at a robot's time; base and rest apart, since a float has 53 bits."""
+
+    at_ns: int
+    base_ns: int
+    rest_ns: float
+    slope: float
+    slope_sigma: float
+    sigma_ns: float
+    bound_ns: float
+
+    def local(self, robot_ns: int) -> TimeWithin:
+        after_ns = robot_ns - self.at_ns
+        return TimeWithin(
+            robot_ns + self.base_ns + round(self.rest_ns + self.slope * after_ns), self.error_ns(after_ns)
+        )
+
+    def robot(self, local_ns: int) -> TimeWithin:
+        after_ns = round(((local_ns - self.at_ns - self.base_ns) - self.rest_ns) / (1 + self.slope))
+        return TimeWithin(self.at_ns + after_ns, self.error_ns(after_ns))
+
+    def error_ns(self, after_ns: int) -> int:
+        return round(self.bound_ns + 2 * math.hypot(self.sigma_ns, self.slope_sigma * after_ns))
+
+
+class ClockSync:
+    """One robot's clock.
+
+    Attributes
+    ----------
+    counts : SyncCounts
+    """
+
+    def __init__(self) -> None:
+        self.counts = SyncCounts()
+        self._why_none = "nothing has come from the robot"
+        self._asked: tuple[int, int, int] | None = None  # t1, t2, t3 of the latest SYNC
+        self._exchanges: deque[_Exchange] = deque(maxlen=EXCHANGES_KEPT)
+        self._suspect: _Exchange | None = None
+        self._two_way: _Line | None = None
+        self._buckets: deque[tuple[int, int]] = deque(maxlen=BUCKETS_KEPT)  # of arrivals: time, least delay
+        self._bucket: tuple[int, int] | None = None
+        self._one_way: _Line | None = None
+        self._newest_ns: int | None = None
+
+    def restart(self, reason: str) -> None:
+        """Forget what was known of the clock."""
+        self._forget()
+        self._why_none = reason
+        self.counts.restarts += 1
+
+    def asked(self, t1_ns: int, t2_ns: int, t4_ns: int | None) -> None:
+        """A ``SYNC t1 [t4]`` arrived at `t2_ns`; t4 completes the exchange before. `replied` must follow."""
+        before, self._asked = self._asked, (t1_ns, t2_ns, t2_ns)
+        if t4_ns is not None and before is not None:
+            first_ns, received_ns, sent_ns = before
+            round_trip_ns = (t4_ns - first_ns) - (sent_ns - received_ns)
+            if first_ns <= t4_ns <= t1_ns and round_trip_ns >= 0:
+                offset_ns = ((received_ns - first_ns) + (sent_ns - t4_ns)) // 2
+                self._add(_Exchange((first_ns + t4_ns) // 2, offset_ns, round_trip_ns))
+            else:
+                self.counts.exchanges_refused += 1
+        self._went_back(t1_ns)
+
+    def replied(self, t3_ns: int) -> None:
+        """The reply to the latest `asked` was given to the port at `t3_ns`."""
+        if self._asked is not None:
+            self._asked = (*self._asked[:2], t3_ns)
+
+    def arrived(self, robot_ns: int, arrived_ns: int) -> None:
+        """Something that the robot stamped with `robot_ns` arrived: the envelope, and a clock that jumped forward."""
+        if (line := self._two_way) is not None:
+            local = line.local(robot_ns)
+            if local.t_ns - local.error_ns - TOLERANCE_NS > arrived_ns:
+                self.restart("the robot's clock jumped forward")
+        self._went_back(robot_ns)
+        delay_ns = arrived_ns - robot_ns
+        bucket = self._bucket
+        if bucket is None or robot_ns - bucket[0] >= BUCKET_NS:
+            if bucket is not None:
+                self._close_bucket(bucket)
+            self._bucket = robot_ns, delay_ns
+        elif delay_ns < bucket[1]:
+            self._bucket = bucket[0], delay_ns
+        if (line := self._one_way) is None:
+            self._one_way = _under([(robot_ns, delay_ns)])
+        else:
+            below_ns = line.local(robot_ns).t_ns - arrived_ns
+            if below_ns > LATE_NS:
+                self.restart("the robot's clock jumped forward")
+                self._newest_ns, self._one_way = robot_ns, _under([(robot_ns, delay_ns)])
+            elif below_ns > 0:
+                self._one_way = _under([*self._buckets, (robot_ns, delay_ns)])
+
+    def to_robot(self, local_ns: int) -> TimeWithin | None:
+        """What the robot's clock shows at a time of the daemon's; None while it is not known."""
+        line = self._line()
+        return line.robot(local_ns) if line else None
+
+    def state(self) -> SyncState:
+        """How it is at the newest time that the robot told."""
+        line, newest_ns = self._line(), self._newest_ns
+        if line is None or newest_ns is None:
+            return SyncState("none", self._why_none, 0, 0.0, 0)
+        local = line.local(newest_ns)
+        drift_ppm = 1e6 * line.slope
+        odd = abs(drift_ppm) - 2e6 * line.slope_sigma > DRIFT_TOLD_PPM
+        reason = f"the robot's clock is {abs(drift_ppm):.0f} ppm {'slow' if drift_ppm > 0 else 'fast'}" if odd else ""
+        mode: SyncMode = "two-way" if line is self._two_way else "oneway"
+        return SyncState(mode, reason, local.t_ns - newest_ns, round(drift_ppm, 2), round(local.error_ns / 1000))
+
+    def _line(self) -> _Line | None:
+        newest_ns, two_way = self._newest_ns, self._two_way
+        if self._suspect is not None or newest_ns is None:
+            return None
+        if two_way is not None and two_way.local(newest_ns).error_ns <= TWO_WAY_ERROR_MAX_NS:
+            return two_way
+        return self._one_way or two_way
+
+    def _forget(self) -> None:
+        self._asked = self._suspect = self._two_way = self._bucket = self._one_way = self._newest_ns = None
+        self._exchanges.clear()
+        self._buckets.clear()
+
+    def _went_back(self, robot_ns: int) -> None:
+        newest_ns = self._newest_ns
+        if newest_ns is not None and newest_ns - robot_ns > BACKWARDS_NS:
+            asked = self._asked
+            self.restart("the robot's clock went back")
+            self._asked = asked if asked and asked[0] == robot_ns else None
+            newest_ns = None
+        self._newest_ns = robot_ns if newest_ns is None else max(robot_ns, newest_ns)
+
+    def _add(self, exchange: _Exchange) -> None:
+        self.counts.exchanges += 1
+        suspect, self._suspect = self._suspect, None
+        if not self._possible(exchange):
+            if suspect is None:
+                self._suspect = exchange
+                return
+            # The second in a row: it is the clock, not the exchange.
+            asked = self._asked
+            self.restart("the robot's clock jumped")
+            self._asked, self._newest_ns = asked, exchange.robot_ns
+            if abs(exchange.offset_ns - suspect.offset_ns) <= (exchange.round_trip_ns + suspect.round_trip_ns) / 2 + (
+                DRIFT_EXPECTED * (exchange.robot_ns - suspect.robot_ns)
+            ):
+                self._exchanges.append(suspect)
+        elif suspect is not None:
+            self.counts.outliers += 1
+        self._exchanges.append(exchange)
+        while exchange.robot_ns - self._exchanges[0].robot_ns > EXCHANGE_AGE_MAX_NS:
+            self._exchanges.popleft()
+        self._two_way = _through(self._exchanges)
+
+    def _possible(self, exchange: _Exchange) -> bool:
+        """Whether the line so far and half a round trip can explain it."""
+        if self._two_way is None:
+            return True
+        local = self._two_way.local(exchange.robot_ns)
+        off_ns = abs(local.t_ns - exchange.robot_ns - exchange.offset_ns)
+        return off_ns <= exchange.round_trip_ns / 2 + local.error_ns + TOLERANCE_NS
+
+    def _close_bucket(self, bucket: tuple[int, int]) -> None:
+        self._buckets.append(bucket)
+        latest = [*self._buckets][-LATE_BUCKETS:]
+        line = self._one_way
+        if len(latest) == LATE_BUCKETS and line is not None:
+            late_ns = min(robot_ns + delay_ns - line.local(robot_ns).t_ns for robot_ns, delay_ns in latest)
+            if late_ns > LATE_NS and self._two_way is None:
+                newest_ns = self._newest_ns
+                self.restart("the robot's clock was set back, or its line became slow")
+                self._buckets.extend(latest)
+                self._newest_ns = newest_ns
+        self._one_way = _under(self._buckets)
+
+
+def _through(exchanges: Sequence[_Exchange]) -> _Line:
+    """The line of the best exchanges, weighted by how far their round trips are from the shortest."""
+    count = max(math.ceil(len(exchanges) / BEST_PART), min(len(exchanges), BEST_LEAST))
+    best = sorted(exchanges, key=lambda e: e.round_trip_ns)[:count]
+    least_ns = best[0].round_trip_ns
+    at_ns, base_ns = best[0].robot_ns, best[0].offset_ns
+    sigmas = [(e.round_trip_ns - least_ns) / 2 + least_ns / 8 + TOLERANCE_NS for e in best]
+    weights = [1 / sigma**2 for sigma in sigmas]
+    total = sum(weights)
+    x = [float(e.robot_ns - at_ns) for e in best]
+    y = [float(e.offset_ns - base_ns) for e in best]
+    mean_x = sum(w * v for w, v in zip(weights, x, strict=True)) / total
+    mean_y = sum(w * v for w, v in zip(weights, y, strict=True)) / total
+    # The drift that clocks have keeps two exchanges a moment apart from making a line of their noise.
+    information = sum(w * (v - mean_x) ** 2 for w, v in zip(weights, x, strict=True)) + DRIFT_EXPECTED**-2
+    slope = sum(w * (v - mean_x) * (u - mean_y) for w, v, u in zip(weights, x, y, strict=True)) / information
+    bound_ns = sum(w * e.round_trip_ns for w, e in zip(weights, best, strict=True)) / total / 2
+    middle = round(mean_x)
+    return _Line(
+        at_ns + middle,
+        base_ns,
+        mean_y + slope * (middle - mean_x),
+        slope,
+        information**-0.5,
+        total**-0.5,
+        bound_ns + TOLERANCE_NS,
+    )
+
+
+def _under(points: Sequence[tuple[int, int]]) -> _Line:
+    """The line under all delays that is nearest to them: the edge of their lower hull below their middle."""
+    first_ns, base_ns = points[0]
+    placed = [(float(t_ns - first_ns), float(delay_ns - base_ns)) for t_ns, delay_ns in points]
+    hull: list[tuple[float, float]] = []
+    for x, y in placed:
+        while len(hull) > 1 and _turns_right(hull[-2], hull[-1], (x, y)):
+            hull.pop()
+        hull.append((x, y))
+    middle = sum(x for x, _ in placed) / len(placed)
+    at = next((i for i in range(1, len(hull)) if hull[i][0] >= middle), 0)
+    (x0, y0), (x1, y1) = hull[max(at - 1, 0)], hull[at]
+    span = x1 - x0
+    # Under ten seconds the slope of an envelope is the noise of two arrivals.
+    slope = max(-DRIFT_EXPECTED, min(DRIFT_EXPECTED, (y1 - y0) / span)) if span >= 10 * BUCKET_NS else 0.0
+    rest = min(y - slope * x for x, y in placed)
+    above = sorted(y - slope * x - rest for x, y in placed)
+    spread = above[len(above) // 2]
+    slope_sigma = max(spread, TOLERANCE_NS) / max(placed[-1][0], BUCKET_NS)
+    return _Line(first_ns, base_ns, rest, slope, min(slope_sigma, DRIFT_EXPECTED), 0.0, spread + ONE_WAY_LATENCY_NS)
+
+
+def _turns_right(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> bool:
+    return (b[0] - a[0]) * (c[1] - a[1]) <= (b[1] - a[1]) * (c[0] - a[0])

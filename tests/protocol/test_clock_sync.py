@@ -1,0 +1,228 @@
+"""Clocks that drift, jump, go back and begin anew, on lines whose delays are simulated."""
+
+from __future__ import annotations
+
+import random
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tacshade_edge.protocol.clock_sync import ONE_WAY_LATENCY_NS, ClockSync
+
+S = 10**9
+MS = 10**6
+
+
+@pytest.fixture
+def bench(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """tools/bench_sync.py."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "tools"))
+    import bench_sync
+
+    yield bench_sync
+    for name in ("bench_sync", "robot_links"):
+        sys.modules.pop(name, None)
+
+
+@pytest.mark.parametrize(("line", "rms_ms"), [("usb", 0.15), ("loaded", 0.3), ("ftdi", 2.0)])
+def test_error_on_each_kind_of_line(bench: Any, line: str, rms_ms: float) -> None:
+    errors = bench.run(line, 7, 240.0, 1.0, 40.0, False)
+    assert errors.rms_ms(True) <= rms_ms
+    assert errors.covered() >= 0.95
+    assert errors.stated_ms() < 10 * rms_ms  # a bound that says something
+
+
+@pytest.mark.parametrize("line", ["usb", "ftdi"])
+def test_error_of_a_robot_that_only_sends(bench: Any, line: str) -> None:
+    errors = bench.run(line, 7, 60.0, 1.0, 40.0, True)
+    assert errors.rms_ms(True) <= 1.0
+    assert errors.covered() >= 0.95
+
+
+class Rig:
+    """A robot's clock that a test sets, and a line of 1 ms each way with jitter on the way to the daemon."""
+
+    def __init__(self, slow_ppm: float = 0.0) -> None:
+        self.sync = ClockSync()
+        self.rng = random.Random(3)
+        self.true_ns = 5000 * S
+        self.ahead_ns = 70 * S
+        self.rate = 1 - slow_ppm * 1e-6
+        self._t4: int | None = None
+
+    def robot_ns(self) -> int:
+        return round((self.true_ns - 5000 * S) * self.rate) + self.ahead_ns
+
+    def exchange(self, after_ns: int = S, *, t4: Callable[[int], int | None] = lambda t4: t4) -> None:
+        self.true_ns += after_ns
+        t1 = self.robot_ns()
+        jitter = self.rng.randrange(300_000)
+        self.sync.asked(t1, self.true_ns + MS + jitter, self._t4)
+        self.true_ns += MS + jitter
+        self.sync.replied(self.true_ns + 50_000)
+        self.true_ns += 50_000 + MS
+        self._t4 = t4(self.robot_ns())
+
+    def pose(self, after_ns: int = 10 * MS, late_ns: int = MS) -> None:
+        self.true_ns += after_ns
+        self.sync.arrived(self.robot_ns(), self.true_ns + late_ns)
+
+    def error_ns(self) -> int:
+        found = self.sync.to_robot(self.true_ns)
+        assert found is not None
+        assert abs(found.t_ns - self.robot_ns()) <= found.error_ns
+        return found.t_ns - self.robot_ns()
+
+
+def test_nothing_is_known_at_first_and_two_exchanges_make_a_time() -> None:
+    rig = Rig()
+    assert rig.sync.to_robot(rig.true_ns) is None
+    assert (rig.sync.state().mode, rig.sync.state().reason) == ("none", "nothing has come from the robot")
+    rig.exchange()
+    assert rig.sync.to_robot(rig.true_ns) is None  # its t4 comes with the next
+    rig.exchange()
+    assert abs(rig.error_ns()) < MS
+    state = rig.sync.state()
+    assert (state.mode, state.reason) == ("two-way", "")
+    assert state.offset_ns == pytest.approx(5000 * S - 70 * S, abs=MS)
+    assert 0 < state.error_us < 4000
+
+
+def test_drift_is_found_and_a_poor_clock_is_told() -> None:
+    rig = Rig(slow_ppm=800)
+    for _ in range(60):
+        rig.exchange()
+    state = rig.sync.state()
+    assert state.drift_ppm == pytest.approx(800, abs=10)
+    assert state.reason == f"the robot's clock is {state.drift_ppm:.0f} ppm slow"
+    assert abs(rig.error_ns()) < 300_000
+
+
+def test_a_reply_that_did_not_arrive_costs_one_exchange() -> None:
+    rig = Rig()
+    rig.exchange()
+    rig.exchange(t4=lambda _: None)
+    rig.exchange()
+    rig.exchange()
+    assert (rig.sync.counts.exchanges, rig.sync.counts.exchanges_refused) == (2, 0)
+
+
+@pytest.mark.parametrize("wrong", [lambda t4: t4 - 5 * S, lambda t4: t4 + 5 * S, lambda t4: t4 - 3 * MS])
+def test_times_that_contradict_themselves_are_refused(wrong: Callable[[int], int]) -> None:
+    rig = Rig()
+    rig.exchange(t4=wrong)
+    rig.exchange()
+    assert (rig.sync.counts.exchanges, rig.sync.counts.exchanges_refused) == (0, 1)
+    assert rig.sync.to_robot(rig.true_ns) is None
+
+
+def test_one_impossible_exchange_is_an_outlier_and_nothing_is_told_until_that_is_clear() -> None:
+    rig = Rig()
+    for _ in range(10):
+        rig.exchange()
+    before_ns = rig.error_ns()
+    rig.ahead_ns += 10 * MS
+    rig.exchange()
+    rig.ahead_ns -= 10 * MS
+    rig.exchange()
+    assert rig.sync.to_robot(rig.true_ns) is None
+    rig.exchange()
+    rig.exchange()
+    assert abs(rig.error_ns() - before_ns) < 200_000
+    assert rig.sync.counts.restarts == 0
+    assert rig.sync.counts.outliers == 1
+
+
+@pytest.mark.parametrize("jump_ns", [20 * MS, -20 * MS, 3 * S])
+def test_a_clock_that_jumped_is_told_by_the_second_exchange(jump_ns: int) -> None:
+    rig = Rig()
+    for _ in range(10):
+        rig.exchange()
+    rig.ahead_ns += jump_ns
+    for _ in range(4):
+        rig.exchange()
+    assert rig.sync.counts.restarts == 1
+    assert abs(rig.error_ns()) < MS
+
+
+def test_a_clock_that_went_back_began_anew() -> None:
+    rig = Rig()
+    for _ in range(10):
+        rig.exchange()
+    rig.ahead_ns -= 60 * S
+    rig.pose()
+    assert rig.sync.counts.restarts == 1
+    rig.exchange()
+    rig.exchange()
+    rig.exchange()
+    assert rig.sync.state().mode == "two-way"
+    assert abs(rig.error_ns()) < MS
+
+
+def test_a_pose_from_the_future_is_a_clock_that_jumped() -> None:
+    rig = Rig()
+    for _ in range(10):
+        rig.exchange()
+    rig.ahead_ns += 300 * MS
+    rig.pose()
+    assert rig.sync.counts.restarts == 1
+    assert rig.sync.state().mode == "oneway"
+    assert abs(rig.error_ns()) <= ONE_WAY_LATENCY_NS
+
+
+def test_poses_alone_make_an_envelope_of_the_least_delay() -> None:
+    rig = Rig(slow_ppm=60)
+    for i in range(4000):
+        rig.pose(late_ns=MS if i % 50 == 7 else rig.rng.randrange(MS, 20 * MS))
+    assert rig.sync.state().mode == "oneway"
+    assert rig.error_ns() == pytest.approx(-MS, abs=200_000)
+    assert rig.sync.state().drift_ppm == pytest.approx(60, abs=20)
+
+
+@pytest.mark.parametrize(("jump_ns", "reason"), [(2 * S, "jumped forward"), (-500 * MS, "set back"), (-60 * S, "back")])
+def test_a_jump_is_seen_in_poses_alone(jump_ns: int, reason: str) -> None:
+    rig = Rig()
+    for _ in range(600):
+        rig.pose()
+    rig.ahead_ns += jump_ns
+    for _ in range(600):
+        rig.pose()
+    assert rig.sync.counts.restarts == 1
+    assert reason in rig.sync._why_none
+    assert abs(rig.error_ns()) <= ONE_WAY_LATENCY_NS
+
+
+def test_a_stall_of_the_line_is_no_jump() -> None:
+    rig = Rig()
+    for _ in range(600):
+        rig.pose()
+    for i in range(300):
+        rig.pose(late_ns=(3000 - 10 * i) * MS)
+    for _ in range(300):
+        rig.pose()
+    assert rig.sync.counts.restarts == 0
+    assert abs(rig.error_ns()) <= ONE_WAY_LATENCY_NS
+
+
+def test_a_robot_that_stopped_to_ask_is_known_by_its_poses() -> None:
+    rig = Rig()
+    for _ in range(3):
+        rig.exchange()
+    for _ in range(4000):
+        rig.pose()
+    assert rig.sync.state().mode == "oneway"
+    rig.exchange()
+    rig.exchange()
+    assert rig.sync.state().mode == "two-way"
+
+
+def test_a_greeting_forgets_the_clock() -> None:
+    rig = Rig()
+    for _ in range(3):
+        rig.exchange()
+    rig.sync.restart("the robot began anew")
+    assert rig.sync.state().reason == "the robot began anew"
+    assert rig.sync.to_robot(rig.true_ns) is None
