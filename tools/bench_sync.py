@@ -16,7 +16,7 @@ import math
 import random
 from dataclasses import dataclass
 
-from robot_links import LINES, LineModel
+from robot_links import LINES, Clock, LineModel
 
 from tacshade_edge.protocol.clock_sync import ClockSync
 
@@ -41,18 +41,6 @@ class Errors:
     def stated_ms(self) -> float:
         """Mean of the stated errors."""
         return sum(stated for _, stated, _ in self.rows) / len(self.rows)
-
-
-class Clock:
-    """The robot's: an offset, a drift, and a wander of it by a ppm over ten minutes."""
-
-    def __init__(self, offset_s: float, drift_ppm: float) -> None:
-        self._offset_s, self._drift = offset_s, drift_ppm * 1e-6
-
-    def read_ns(self, true_s: float) -> int:
-        """Its time at a true one."""
-        wander_s = 1e-6 * 600 / math.tau * (1 - math.cos(true_s * math.tau / 600))
-        return round(1e9 * (self._offset_s + true_s * (1 + self._drift) + wander_s))
 
 
 def two_way(line: LineModel, clock: Clock, seconds: float, period_s: float, rng: random.Random) -> Errors:

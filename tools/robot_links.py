@@ -1,10 +1,11 @@
-"""How long bytes take between a robot and the daemon: the lines that the clock's synchronisation is measured on.
+"""A robot's clock, and how long its bytes take to the daemon and back: what synchronisation is measured on.
 
 Delays in seconds, each way. The shapes are what the hardware does; the sizes are the field's.
 """
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -40,3 +41,15 @@ LINES = {
     "loaded": LineModel(_loaded, _loaded),
     "ftdi": LineModel(_ftdi, _usb),
 }
+
+
+class Clock:
+    """The robot's: an offset, a drift, and a wander of it by a ppm over ten minutes."""
+
+    def __init__(self, offset_s: float, drift_ppm: float) -> None:
+        self._offset_s, self._drift = offset_s, drift_ppm * 1e-6
+
+    def read_ns(self, true_s: float) -> int:
+        """Its time at a true one."""
+        wander_s = 1e-6 * 600 / math.tau * (1 - math.cos(true_s * math.tau / 600))
+        return round(1e9 * (self._offset_s + true_s * (1 + self._drift) + wander_s))

@@ -9,7 +9,7 @@ import logging
 import time
 from dataclasses import dataclass, replace
 from queue import Empty, SimpleQueue
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -36,6 +36,9 @@ from tacshade_edge.protocol.messages import Request
 from tacshade_edge.settings import Document, digest
 from tacshade_edge.types import Calibration
 
+if TYPE_CHECKING:
+    from tacshade_edge.daemon.robot import Robot
+
 _log = logging.getLogger(__name__)
 
 HEALTH_PERIOD_S = 1.0
@@ -44,7 +47,7 @@ PREVIEW_WIDTH_PX = 320
 STALL_S = 3.0
 EVENTS_MAX = 16
 # Together under 2 s, whatever hangs.
-STOP_THREADS_S, STOP_FRAMES_S, STOP_RECORD_S, STOP_LINK_S = 0.8, 0.2, 0.2, 0.6
+STOP_SERIAL_S, STOP_THREADS_S, STOP_FRAMES_S, STOP_RECORD_S, STOP_LINK_S = 0.1, 0.8, 0.2, 0.2, 0.6
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,10 +87,11 @@ class App:
         self.ledger = FrameLedger()
         self.link = registry.make_link(document, on_request=self._on_request, on_outcome=self._on_outcome)
         self._publisher = Publisher(self.link.offer, self.link.wanted)
+        self._robot = self._make_robot()
         self._pipeline = Pipeline(
             source,
             make_reconstructor(calibration, PROFILES.get(settings.profile, PROFILES[LADDER[-1]])),
-            self._publisher,
+            self._robot.posed(self._publisher) if self._robot else self._publisher,
             self.ledger,
             self._events.put,
         )
@@ -101,7 +105,7 @@ class App:
             self._recorder, self.link.reply, lambda status: self.link.set_retained("status/recorder", status)
         )
         self._requests = Requests(
-            self._pipeline.reconstruct, self._active, self.link.reply, self._status, self._changed, self._on_record
+            self._pipeline.reconstruct, self._active, self._reply, self._status, self._changed, self._on_record
         )
         self._camera = SourceState("away", "starting")
         self._told = SourceState("ended")
@@ -133,6 +137,8 @@ class App:
             self._tell_camera()
             self.link.start()
             self._pipeline.start()
+            if self._robot:
+                self._robot.start()
             self._service.ready()
             self._loop()
             self._shut_down()
@@ -151,6 +157,8 @@ class App:
             self._tell_camera()
             self._requests.poll()
             self._record.poll()
+            if self._robot:
+                self._robot.poll()
             try:
                 event = self._events.get(timeout=max(0.0, min(next_health_s, next_preview_s) - time.monotonic()))
             except Empty:
@@ -196,6 +204,8 @@ class App:
         """Finish what is on its way, account for the rest, say goodbye."""
         self._service.stopping()
         self._recorder.end(DAEMON_STOPPED)
+        if self._robot:
+            self._robot.stop(STOP_SERIAL_S)
         self._pipeline.stop(STOP_THREADS_S)
         given_up = self.ledger.close(STOP_FRAMES_S)
         if given_up:
@@ -212,15 +222,27 @@ class App:
     def _on_request(self, request: Request) -> None:
         if self._events.qsize() >= EVENTS_MAX:
             error = messages.encode_error(request.transaction, f"busy: {EVENTS_MAX} requests are waiting, try again")
-            self.link.reply(request, error)
+            self._reply(request, error)
         else:
             self._events.put(request)
+
+    def _reply(self, request: Request, payload: bytes) -> None:
+        if self._robot is None or not self._robot.commands.answered(request, payload):
+            self.link.reply(request, payload)
 
     def _on_outcome(self, stream: str, seq: int, outcome: Outcome) -> None:
         if stream == "height":
             self.ledger.settle(seq, outcome)
 
     # What changes.
+
+    def _make_robot(self) -> Robot | None:
+        """Imported only where a robot is: without one, no pyserial and no poses."""
+        if (port := registry.make_serial_port(self._document.settings.serial)) is None:
+            return None
+        from tacshade_edge.daemon.robot import Robot
+
+        return Robot(port, self._on_request, self._status, lambda s: self.link.set_retained("status/serial", s))
 
     def _changed(self) -> None:
         """The reconstructor was replaced."""
@@ -280,6 +302,8 @@ class App:
             self._active.budget(),
         )
         self._active.tell_late()
+        if self._robot:
+            self._latest_health["serial"] = self._robot.as_dict()
         self._publisher.fps = self._latest_health["delivered_fps"]
         self.link.set_retained("health", messages.encode_health(self._latest_health), qos=0)
 

@@ -10,8 +10,8 @@ from tacshade_edge.devices import registry
 from tacshade_edge.settings import Document, load
 from tacshade_edge.types import Calibration
 
-# The source, the link and its topics are made once.
-RESTART_KEYS = ("sensor_id", "source", "mqtt")
+# The source, the link and its topics, and the robot's line are made once.
+RESTART_KEYS = ("sensor_id", "source", "mqtt", "serial")
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tacshade_edge.devices import calibration_file, v4l2_node
 from tacshade_edge.devices.base import FrameSource
@@ -13,8 +13,11 @@ from tacshade_edge.devices.mqtt_client import BrokerAddress
 from tacshade_edge.devices.mqtt_outlet import Outcome
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.protocol.messages import Request
-from tacshade_edge.settings import Document, Files, Simulated, Source, V4l2
+from tacshade_edge.settings import Document, Files, Serial, Simulated, Source, V4l2
 from tacshade_edge.types import Calibration
+
+if TYPE_CHECKING:
+    from tacshade_edge.devices.serial_port import SerialPort
 
 
 def _v4l2(source: V4l2) -> FrameSource:
@@ -49,6 +52,15 @@ SOURCES: dict[type, Callable[[Any], FrameSource]] = {V4l2: _v4l2, Files: _files,
 def make_source(source: Source) -> FrameSource:
     """The frame source that the settings name, not opened."""
     return SOURCES[type(source)](source)
+
+
+def make_serial_port(settings: Serial | None) -> SerialPort | None:
+    """The robot's port that the settings name, not opened; None where there is no robot, and pyserial is not needed."""
+    if settings is None:
+        return None
+    from tacshade_edge.devices.serial_port import SerialPort
+
+    return SerialPort(settings.device, settings.baud)
 
 
 def load_calibration(document: Document) -> Calibration:
@@ -105,9 +117,22 @@ def read_password(document: Document) -> str | None:
 
 
 def check_files(document: Document) -> None:
-    """Check the paths of the source and the files of the broker's settings. Raises ConfigError."""
+    """Check the paths of the source and the serial port, the files of the broker's settings. Raises ConfigError."""
     check_source(document)
     check_broker_files(document)
+    check_serial(document)
+
+
+def check_serial(document: Document) -> None:
+    """Check that the robot's port, if it is there, can be one. Raises ConfigError."""
+    if (settings := document.settings.serial) is None:
+        return
+    from tacshade_edge.devices.serial_port import check_kind
+
+    try:
+        check_kind(settings.device)
+    except ConfigError as error:
+        raise ConfigError(f"{document.where('serial', 'device')}: {error}") from None
 
 
 def check_source(document: Document) -> None:

@@ -190,7 +190,11 @@ class ClockSync:
         local = line.local(newest_ns)
         drift_ppm = 1e6 * line.slope
         odd = abs(drift_ppm) - 2e6 * line.slope_sigma > DRIFT_TOLD_PPM
-        reason = f"the robot's clock is {abs(drift_ppm):.0f} ppm {'slow' if drift_ppm > 0 else 'fast'}" if odd else ""
+        reason = (
+            f"the robot's clock is about {round(abs(drift_ppm), -2):.0f} ppm {'slow' if drift_ppm > 0 else 'fast'}"
+            if odd
+            else ""
+        )
         mode: SyncMode = "two-way" if line is self._two_way else "oneway"
         return SyncState(mode, reason, local.t_ns - newest_ns, round(drift_ppm, 2), round(local.error_ns / 1000))
 

@@ -142,6 +142,8 @@ def _schema_at(key: Key, value: Any, root: dict[str, Any]) -> dict[str, Any]:
 
 def _resolved(schema: dict[str, Any], value: Any, root: dict[str, Any]) -> dict[str, Any]:
     """`schema` with its reference followed, and the struct that the tag in `value` chooses."""
+    if "anyOf" in schema and "discriminator" not in schema and isinstance(value, dict):  # a struct, or null
+        schema = next((option for option in schema["anyOf"] if "$ref" in option), schema)
     reference = schema.get("$ref")
     if "discriminator" in schema and isinstance(value, dict):
         tag = value.get(schema["discriminator"]["propertyName"])

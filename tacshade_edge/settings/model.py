@@ -63,6 +63,13 @@ class Recorder(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     )
 
 
+class Serial(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The robot's serial line."""
+
+    device: Annotated[str, Meta(pattern="^(/dev/|[a-z0-9]+://)", description="a path under /dev, or a pyserial URL")]
+    baud: Annotated[int, Meta(ge=1200, le=4_000_000, description="bits per second; USB devices ignore it")] = 115200
+
+
 class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Everything that a user can set."""
 
@@ -81,6 +88,7 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     source: Annotated[V4l2 | Files | Simulated, Meta(description="where frames come from")] = V4l2()
     mqtt: Annotated[Mqtt, Meta(description="the broker")] = Mqtt()
     recorder: Annotated[Recorder, Meta(description="recordings")] = Recorder()
+    serial: Annotated[Serial, Meta(description="the robot's serial line")] | None = None
 
 
 def json_schema() -> dict[str, Any]:

@@ -1,0 +1,138 @@
+"""A serial port through pyserial: bytes and nothing else. Policy (when to try again, what to say) is the daemon's."""
+
+from __future__ import annotations
+
+import contextlib
+import stat
+import termios
+import threading
+from pathlib import Path
+
+import serial
+
+from tacshade_edge.errors import ConfigError, DeviceError
+
+READ_S = 0.05
+WRITE_S = 0.1
+_CHUNK = 4096
+
+
+class SerialPort:
+    """One port, opened and closed as often as needed. All methods belong to one thread, except `wake`.
+
+    Parameters
+    ----------
+    device : str
+        A path under /dev, best one under /dev/serial/by-id; or a pyserial URL (``socket://HOST:PORT``).
+    baud : int
+        Bits per second; USB devices without a UART ignore it.
+    """
+
+    def __init__(self, device: str, baud: int) -> None:
+        self.device = device
+        self._baud = baud
+        self._low_latency = ""
+        self._port: serial.Serial | None = None
+        self._closing = threading.Lock()  # a descriptor that was closed may be another's already
+
+    def open(self) -> None:
+        """Open for this process alone.
+
+        Raises
+        ------
+        DeviceError
+            Absent, in use, no permission.
+        ConfigError
+            It can never work: no terminal, an unknown kind of URL.
+        """
+        self.close()
+        check_kind(self.device)
+        try:
+            port = serial.serial_for_url(self.device, do_not_open=True)
+            port.baudrate = self._baud
+            port.timeout, port.write_timeout = READ_S, WRITE_S
+            port.exclusive = True
+            port.open()
+        except ValueError as error:  # of pyserial: an URL or a rate that it does not know
+            raise ConfigError(
+                f"serial {self.device}: {error}, expected a device or a pyserial URL, and a rate"
+            ) from None
+        except (OSError, termios.error) as error:
+            raise DeviceError(f"serial {self.device}: {_why(error)}") from error
+        self._port = port
+        self._low_latency = _set_low_latency(port)
+
+    def read(self) -> bytes:
+        """What has come; waits at most `READ_S` for the first byte. Raises DeviceError when the port is lost."""
+        port = self._opened()
+        try:
+            return bytes(port.read(min(port.in_waiting, _CHUNK) or 1))
+        except (OSError, termios.error) as error:
+            raise DeviceError(f"serial {self.device}: {_why(error)}") from error
+
+    def write(self, data: bytes) -> bool:
+        """Give bytes to the port; False when it took not all within `WRITE_S`: nobody reads at the other end."""
+        port = self._opened()
+        try:
+            port.write(data)
+        except serial.SerialTimeoutException:
+            return False
+        except (OSError, termios.error) as error:
+            raise DeviceError(f"serial {self.device}: {_why(error)}") from error
+        return True
+
+    def wake(self) -> None:
+        """Make a `read` that waits return; from any thread."""
+        with self._closing:
+            cancel = getattr(self._port, "cancel_read", None)
+            if cancel is not None:
+                cancel()
+
+    def close(self) -> None:
+        """Let go of the port; safe to call twice."""
+        with self._closing:
+            port, self._port = self._port, None
+            if port is not None:
+                port.close()
+
+    def describe(self) -> dict[str, str | int | float]:
+        """For ``status/serial``; `latency_ms` is how long an FTDI chip may hold bytes back."""
+        details: dict[str, str | int | float] = {"device": self.device, "baud": self._baud}
+        if self._port is not None and self._low_latency:
+            details["low_latency"] = self._low_latency
+        timer = Path("/sys/class/tty") / Path(self.device).resolve().name / "device" / "latency_timer"
+        with contextlib.suppress(OSError, ValueError):  # no FTDI chip
+            details["latency_ms"] = int(timer.read_text())
+        return details
+
+    def _opened(self) -> serial.Serial:
+        if self._port is None:
+            raise DeviceError(f"serial {self.device}: is not open")
+        return self._port
+
+
+def check_kind(device: str) -> None:
+    """Raises ConfigError where a path is there and is no device: waiting for it cannot help."""
+    if "://" not in device and (path := Path(device)).exists() and not stat.S_ISCHR(path.stat().st_mode):
+        raise ConfigError(f"serial {device}: found no character device, expected a serial port")
+
+
+def _set_low_latency(port: serial.Serial) -> str:
+    try:
+        port.set_low_latency_mode(True)
+    except (AttributeError, NotImplementedError, ValueError):
+        return ""  # a port without the setting: USB CDC, a pty, a URL
+    return "yes"
+
+
+def _why(error: BaseException) -> str:
+    """The words of pyserial on one line, without what is said already."""
+    if isinstance(error, OSError) and error.errno is not None and error.errno in _WHY:
+        return _WHY[error.errno]
+    text = " ".join(str(error).split())
+    if "readiness to read but returned no data" in text:
+        return "unplugged, or a second program reads from it"
+    return text
+
+
+_WHY = {2: "no such device", 11: "in use by another program", 13: "no permission", 5: "unplugged", 6: "unplugged"}

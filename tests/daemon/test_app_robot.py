@@ -1,0 +1,97 @@
+"""The daemon with a robot: poses in height maps, commands, what is published of the line."""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mqtt_rig import MOSQUITTO, Broker, Subscriber, wait_until
+from robot import PtyRobot, motion
+
+from tacshade_edge.daemon.app import App
+from tacshade_edge.protocol import wire
+from tacshade_edge.settings import load
+from tacshade_edge.types import Calibration
+
+pytestmark = [pytest.mark.broker, pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")]
+BASE = "tacshade/hand-1"
+
+
+def stream(pictures: Any, touched: threading.Event) -> Iterator[Any]:
+    pause = threading.Event()
+    while True:
+        yield pictures.touched if touched.is_set() else pictures.free
+        yield lambda: pause.wait(0.02)
+
+
+def test_poses_and_commands_from_the_line_to_a_subscriber(
+    tmp_path: Path, calibration: Calibration, pictures: Any, scripted: Any
+) -> None:
+    link = Path(f"/dev/shm/tacshade-app-{os.getpid()}")
+    path = tmp_path / "settings.yaml"
+    touched = threading.Event()
+    with (
+        Broker(tmp_path) as broker,
+        Subscriber(broker.port) as seen,
+        PtyRobot(link, rate_hz=200, binary=True) as robot,
+    ):
+        path.write_text(
+            f"sensor_id: hand-1\nsource: {{kind: simulated}}\nmqtt: {{host: 127.0.0.1, port: {broker.port}}}\n"
+            f"serial: {{device: {link}}}\n"
+        )
+        app = App(load(path), scripted(stream(pictures, touched)), calibration)
+        thread = threading.Thread(target=app.run)
+        thread.start()
+        try:
+
+            def last(topic: str) -> Any:
+                payloads = seen.of(f"{BASE}/{topic}")
+                return json.loads(payloads[-1]) if payloads else {}
+
+            wait_until(lambda: last("status/serial").get("sync") == "two-way", 15, "synchronised")
+            status = last("status/serial")
+            assert (status["state"], status["reason"], status["mode"]) == ("connected", "", "BIN")
+            assert status["device"] == str(link)
+
+            def answer(text: str) -> str:
+                before = set(robot.replies)
+                robot.ask(text)
+                wanted = text.split()[0]
+
+                def fresh() -> list[str]:
+                    new = [r for n, r in sorted(robot.replies.items()) if n not in before]
+                    return [r for r in new if len(r.split()) != 4 or not r.split()[-1].isdigit()]  # a SYNC's
+
+                wait_until(fresh, 15, f"an answer to {wanted}")
+                return fresh()[0]
+
+            assert "frames=10 calibration_crc32=" in answer("REFERENCE")
+            assert "camera=streaming fps=" in answer("STATUS")
+            touched.set()
+            wait_until(lambda: any(wire.decode(p).pose for p in seen.of(f"{BASE}/height")), 10, "a pose")
+            assert " contact=1 depth_mm=" in answer("CAPTURE")
+            refused = answer("REFERENCE")
+            assert refused.startswith("ERR")
+            assert "shows contact" in refused
+            heights = [message for p in seen.of(f"{BASE}/height") if (message := wire.decode(p)).pose]
+            for message in heights:
+                assert message.pose is not None
+                truth = motion(message.t_ns / 1e9 - robot.began_s)
+                slack_mm = 63 * (message.pose_error_us / 1e6 + 1e-4) + 0.02
+                assert (message.pose.x_mm, message.pose.y_mm) == pytest.approx(truth[:2], abs=slack_mm)
+                assert 0 < message.pose_error_us < 100_000
+            wait_until(lambda: last("health").get("serial", {}).get("frames_with_pose", 0) > 0, 10, "health")
+            robot.unplug()
+            wait_until(lambda: last("status/serial")["state"] == "away", 10, "away")
+            robot.plug()
+            wait_until(lambda: last("status/serial")["state"] == "connected", 10, "connected")
+        finally:
+            app.stop()
+            thread.join(10)
+        assert not thread.is_alive()
+    link.unlink(missing_ok=True)
