@@ -114,7 +114,6 @@ class PtyRobot:
         self._typed: list[str] = []
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="robot", daemon=True)
-        self._pose_at_s = 0.0
         self._boot()
 
     def __enter__(self) -> PtyRobot:
@@ -168,6 +167,7 @@ class PtyRobot:
         self._t4: int | None = None
         self._next_sync_s, self._syncs = 0.0, 0
         self._unanswered = 0
+        self._pose_at_s = self.true_s()
 
     def _run(self) -> None:
         boot_s, stall_s = 0.0, self.faults.stall_s
@@ -175,7 +175,7 @@ class PtyRobot:
             now_s = self.true_s()
             if self.faults.reboot_s and now_s - boot_s > self.faults.reboot_s:
                 boot_s = now_s
-                self.clock = Clock(-now_s, 40.0)  # begins at 0
+                self.clock = Clock(1.0 - now_s, 40.0)  # begins a second after 0
                 self._boot()
             stalled = bool(stall_s[0]) and now_s % stall_s[0] > stall_s[0] - stall_s[1]
             if not stalled:
@@ -191,6 +191,8 @@ class PtyRobot:
     def _talk(self, now_s: float) -> None:
         if self._state in ("hello", "mode"):
             if now_s - self._asked_s > REPLY_S:
+                if self._state == "mode" and self._asked_s > 0:  # did it change its mode? HELLO is heard in both
+                    self._state = "hello"
                 self._asked_s = now_s
                 text = f"HELLO 1 crc=req boot=b{self.told.boots}" if self._state == "hello" else "MODE BIN"
                 if self._state == "hello":

@@ -13,16 +13,16 @@ _BLOCK = 254  # bytes after a code of 255, which stands for no zero
 def encode(data: bytes) -> bytes:
     """`data` without a zero: one byte longer, and one more for every 254 bytes without a zero."""
     out = bytearray()
-    for run in data.split(b"\0"):
+    runs = data.split(b"\0")
+    for number, run in enumerate(runs, 1):
         at = 0
         while len(run) - at >= _BLOCK:
             out.append(255)
             out += run[at : at + _BLOCK]
             at += _BLOCK
-        out.append(len(run) - at + 1)
-        out += run[at:]
-    if len(out) > 1 and out[-1] == 1 and data[-1] != 0:  # the data ended with a full block, which says it all
-        del out[-1]
+        if at == 0 or at < len(run) or number < len(runs):  # a full block at the very end says it all
+            out.append(len(run) - at + 1)
+            out += run[at:]
     return bytes(out)
 
 

@@ -58,7 +58,7 @@ class Side:
             self.robot.poll()
             return bool(self.told) and all(self.told[-1].get(key) == value for key, value in wanted.items())
 
-        wait_until(there, 15, f"{what}: {wanted}, got {self.told[-1:]}")
+        wait_until(there, 30, f"{what}: {wanted}")
         return self.told[-1]
 
 

@@ -24,6 +24,8 @@ FULL = bytes(range(1, 255))
         (FULL + b"\xff", "ff" + FULL.hex() + "02ff"),
         (FULL + b"\0", "ff" + FULL.hex() + "0101"),
         (b"", "01"),
+        (b"\x01", "0201"),
+        (b"\x22\x01", "032201"),
     ],
 )
 def test_known_frames(data: bytes, encoded: str) -> None:
@@ -37,6 +39,12 @@ def test_every_frame_comes_back_and_has_no_zero(data: bytes) -> None:
     assert b"\0" not in encoded
     assert len(encoded) <= len(data) + 1 + len(data) // 254
     assert cobs.decode(encoded) == data
+
+
+def test_all_frames_of_two_bytes() -> None:
+    for number in range(65536):
+        data = number.to_bytes(2, "big")
+        assert cobs.decode(cobs.encode(data)) == data
 
 
 @pytest.mark.parametrize("wrong", ["05112233", "0311002202", "ff01"])
