@@ -46,8 +46,9 @@ def diagnose(config: Path, machine: Machine) -> Iterator[Finding]:
     settings = document.settings if document else None
     deadline_s = time.monotonic() + MACHINE_S
     folder = Path(settings.calibration).parent if settings else _STATE_FOLDER
+    robot = settings.serial.device if settings and settings.serial else ""
     parts: dict[str, Callable[[], Findings]] = {
-        "serial": lambda: check_serial(machine),
+        "serial": lambda: check_serial(machine, robot),
         "disk": lambda: check_disk(folder, machine),
         "clock": check_clock,
         "board": lambda: check_board(machine),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 
-from tacshade_edge.doctor.finding import Finding, ok, warning
+from tacshade_edge.doctor.finding import Finding, fault, ok, warning
 from tacshade_edge.doctor.machine import Machine, may_use, permission_mend
 
 _PORT = re.compile(r"tty(USB|ACM|AMA|S|THS)\d+")
@@ -14,8 +14,16 @@ _LATENCY_MS = 1
 _FTDI_RULE = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'
 
 
-def check_serial(machine: Machine) -> tuple[Finding, ...]:
-    """One line for each port that is well, one for each thing that is not."""
+def check_serial(machine: Machine, wanted: str = "") -> tuple[Finding, ...]:
+    """One line for each port that is well, one for each thing that is not; `wanted` is the robot's in the settings."""
+    found = _check_ports(machine)
+    if not wanted.startswith("/dev/") or machine.at(wanted).exists():
+        return found
+    mend = "plug the robot in; the names that there are: ls /dev/serial/by-id /dev/tty[AU]*"
+    return (fault("serial", f"{wanted}: no such device, and serial.device names it", mend), *found)
+
+
+def _check_ports(machine: Machine) -> tuple[Finding, ...]:
     ports = [path.name for path in machine.names("/sys/class/tty", "tty*") if _PORT.fullmatch(path.name)]
     ports = [port for port in ports if machine.read(f"/sys/class/tty/{port}/type") != _NO_UART]
     if not ports:
@@ -42,7 +50,7 @@ def _check_port(port: str, machine: Machine) -> tuple[Finding, ...]:
     wrong += [
         warning("serial", f"{label}: in use by {process}", f"end it, if a robot is on this port: kill {process.pid}")
         for process in machine.holders(device)
-        if not any(word.endswith("getty") for word in process.words[:1])
+        if process != machine.daemon() and not any(word.endswith("getty") for word in process.words[:1])
     ]
     timer = machine.read(f"/sys/class/tty/{port}/device/latency_timer")
     if timer.isdecimal() and int(timer) > _LATENCY_MS:

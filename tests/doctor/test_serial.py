@@ -92,3 +92,18 @@ def test_a_port_without_its_node(machine: Any) -> None:
     (finding,) = check_serial(machine)
     assert finding.state == "warning"
     assert finding.mend == "sudo udevadm trigger"
+
+
+def test_the_robots_port_must_be_there(machine: Any) -> None:
+    plug(machine, "ttyUSB0")
+    missing, other = check_serial(machine, "/dev/ttyACM0")
+    assert (missing.state, other.state) == ("fault", "ok")
+    assert missing.found == "/dev/ttyACM0: no such device, and serial.device names it"
+    for there in ("/dev/ttyUSB0", "socket://robot:7000"):
+        assert [f.state for f in check_serial(machine, there)] == ["ok"]
+
+
+def test_the_daemon_may_have_its_port(machine: Any) -> None:
+    plug(machine, "ttyUSB0")
+    machine.process(40, "/usr/bin/python3", "/opt/tacshade-edge/bin/tacshade-edge", "run", holds="/dev/ttyUSB0")
+    assert [f.state for f in check_serial(machine, "/dev/ttyUSB0")] == ["ok"]
