@@ -100,7 +100,9 @@ class App:
         )
         self._service = Service(Progress(self._pipeline.grab, self._pipeline.reconstruct))
         self._health = Health(self.ledger, self._pipeline.timings)
-        self._recorder = LiveRecorder(self._pipeline.grab, self._events.put)
+        self._recorder = LiveRecorder(
+            self._pipeline.grab, self._events.put, self._robot.with_settled_pose if self._robot else None
+        )
         self._record = RecordRequests(
             self._recorder, self.link.reply, lambda status: self.link.set_retained("status/recorder", status)
         )

@@ -21,6 +21,7 @@ from tacshade_edge.types import Calibration, Frame
 QUEUE_BYTES = 16 * 2**20
 EVENT_BYTES, EVENTS_RESERVE_BYTES = 1024, 256 * 1024  # an event counts for a KiB, and fits where no frame does
 SYNC_S = 1.0
+Posed = Callable[[Frame], Frame]
 # As they should: these leave the recorder idle, anything else is a reason that it stopped.
 TIME, STOPPED, SOURCE_ENDED, DAEMON_STOPPED = "time", "stopped", "source ended", "daemon stopped"
 GOOD_ENDINGS = (TIME, STOPPED, SOURCE_ENDED, DAEMON_STOPPED)
@@ -76,7 +77,10 @@ class Recorded:
 class _Job:
     """One recording. The first ending that is told counts."""
 
-    def __init__(self, recorder: Recorder, seconds: float, settings_yaml: str, calibration: Calibration) -> None:
+    def __init__(
+        self, recorder: Recorder, seconds: float, settings_yaml: str, calibration: Calibration, posed: Posed | None
+    ) -> None:
+        self._posed = posed
         self.calibration_crc32 = calibration.crc32
         self.end_ns = time.monotonic_ns() + round(seconds * 1e9)
         self.waiting: ByteQueue[Frame | _Event] = ByteQueue(QUEUE_BYTES)
@@ -133,6 +137,8 @@ class _Job:
                 synced_s = time.monotonic()
 
     def _add(self, frame: Frame) -> None:
+        if self._posed is not None:
+            frame = self._posed(frame)
         try:
             if not self._recorder.add(frame):
                 raise DeviceError(f"less than {FREE_FLOOR_BYTES // 2**20} MiB free on the disk")
@@ -151,9 +157,12 @@ class LiveRecorder:
         Its `tap` is set while a recording goes on.
     report : callable
         Gets a `RecordingEnded` in the recording's thread.
+    posed : callable or None
+        Gives a frame its pose; called in the recording's thread, which it may keep waiting for a moment.
     """
 
-    def __init__(self, grab: Grab, report: Callable[[RecordingEnded], None]) -> None:
+    def __init__(self, grab: Grab, report: Callable[[RecordingEnded], None], posed: Posed | None = None) -> None:
+        self._posed = posed
         self._grab = grab
         self._report = report
         self._job: _Job | None = None
@@ -186,7 +195,8 @@ class LiveRecorder:
         if (now := self.now()) is not None:
             doing = "the latest is still being written to" if now.ending else "recording to"
             raise DeviceError(f"busy: {doing} {now.folder}")
-        job = _Job(Recorder(folder, free_floor_bytes=FREE_FLOOR_BYTES), seconds, settings_yaml, calibration)
+        recorder = Recorder(folder, free_floor_bytes=FREE_FLOOR_BYTES)
+        job = _Job(recorder, seconds, settings_yaml, calibration, self._posed)
 
         def run() -> None:
             job.write(about)

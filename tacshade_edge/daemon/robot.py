@@ -17,6 +17,9 @@ from tacshade_edge.devices.serial_port import SerialPort
 from tacshade_edge.protocol.messages import Request, encode_status
 from tacshade_edge.types import Calibration, Frame, Reconstruction
 
+# A recorded frame waits so long for the pose after it: that of a robot that tells ten a second is there then.
+SETTLED_NS = 120_000_000
+
 
 class Robot:
     """Its line, its clock and its poses.
@@ -49,6 +52,7 @@ class Robot:
         self._channel = SerialChannel(port, self.motion, self.commands)
         self._tell = tell
         self._told = b""
+        self._stopped = threading.Event()
         self._posed = self._unposed = 0
         # A daemon thread: a port that hangs must not keep the process.
         self._thread = threading.Thread(target=self._channel.run, name="serial", daemon=True)
@@ -59,6 +63,7 @@ class Robot:
 
     def stop(self, timeout_s: float) -> None:
         """Let go of the line."""
+        self._stopped.set()
         self._channel.stop()
         self._thread.join(timeout_s)
 
@@ -84,6 +89,12 @@ class Robot:
     def posed(self, sink: Sink) -> Sink:
         """`sink`, whose frames get their poses, and whose results answer the robot's captures."""
         return _PosedSink(sink, self)
+
+    def with_settled_pose(self, frame: Frame) -> Frame:
+        """The frame with the pose between the two about it, for which it waits; for a recording."""
+        self._stopped.wait(max(0, frame.t_ns + SETTLED_NS - time.monotonic_ns()) / 1e9)
+        found = self.motion.at(frame.t_ns)
+        return frame if found is None else replace(frame, pose=found[0], pose_error_us=found[1])
 
     def with_pose(self, frame: Frame) -> Frame:
         """The frame with the pose that the sensor had."""

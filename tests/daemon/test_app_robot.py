@@ -14,6 +14,7 @@ from mqtt_rig import MOSQUITTO, Broker, Subscriber, wait_until
 from robot import PtyRobot, motion
 
 from tacshade_edge.daemon.app import App
+from tacshade_edge.devices.frame_table import read_table
 from tacshade_edge.protocol import wire
 from tacshade_edge.settings import load
 from tacshade_edge.types import Calibration
@@ -42,7 +43,7 @@ def test_poses_and_commands_from_the_line_to_a_subscriber(
     ):
         path.write_text(
             f"sensor_id: hand-1\nsource: {{kind: simulated}}\nmqtt: {{host: 127.0.0.1, port: {broker.port}}}\n"
-            f"serial: {{device: {link}}}\n"
+            f"serial: {{device: {link}}}\nrecorder: {{folder: recs}}\n"
         )
         app = App(load(path), scripted(stream(pictures, touched)), calibration)
         thread = threading.Thread(target=app.run)
@@ -85,6 +86,17 @@ def test_poses_and_commands_from_the_line_to_a_subscriber(
                 slack_mm = 63 * (message.pose_error_us / 1e6 + 1e-4) + 0.02
                 assert (message.pose.x_mm, message.pose.y_mm) == pytest.approx(truth[:2], abs=slack_mm)
                 assert 0 < message.pose_error_us < 100_000
+            request = {"action": "start", "seconds": 60, "name": "r"}
+            seen.publish(f"{BASE}/req/record", json.dumps(request).encode())
+            wait_until(lambda: last("status/recorder").get("frames", 0) > 10, 15, "a recording")
+            seen.publish(f"{BASE}/req/record", b'{"action": "stop"}')
+            wait_until(lambda: last("status/recorder").get("state") == "idle", 10, "its end")
+            rows = [row for row in read_table(tmp_path / "recs" / "r" / "frames.csv") if row.pose]
+            assert rows
+            for row in rows:
+                assert row.pose is not None
+                truth = motion(row.t_ns / 1e9 - robot.began_s)
+                assert (row.pose.x_mm, row.pose.y_mm) == pytest.approx(truth[:2], abs=0.3)
             wait_until(lambda: last("health").get("serial", {}).get("frames_with_pose", 0) > 0, 10, "health")
             robot.unplug()
             wait_until(lambda: last("status/serial")["state"] == "away", 10, "away")

@@ -41,6 +41,17 @@ def test_systemd_finds_nothing_to_say_of_the_unit(tmp_path: Path) -> None:
 
 
 @needs_analyze
+def test_nor_of_what_lets_it_use_serial_ports(tmp_path: Path) -> None:
+    folder = tmp_path / "tacshade-edge.service.d"
+    folder.mkdir()
+    text = (FILES / "serial.conf").read_text()
+    (folder / "serial.conf").write_text(text)
+    assert analyze("verify", unit(tmp_path)) == ""
+    (folder / "serial.conf").write_text(text.replace("DeviceAllow", "DevicesAllow"))
+    assert "Unknown key" in analyze("verify", unit(tmp_path))
+
+
+@needs_analyze
 def test_its_exposure_is_at_most_the_promised(tmp_path: Path) -> None:
     told = analyze("security", "--offline=true", "--no-pager", unit(tmp_path))
     assert 0.1 < float(re.search(r"exposure level for \S+: ([\d.]+)", told)[1]) <= EXPOSURE_MAX  # type: ignore[index]

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.settings import Files, Settings, Simulated, V4l2, digest, json_schema, load, to_yaml
+from tacshade_edge.settings import Files, Serial, Settings, Simulated, V4l2, digest, json_schema, load, to_yaml
 
 DEFAULT = Path(__file__).parents[2] / "config" / "default.yaml"
 
@@ -154,6 +154,14 @@ def test_the_commented_sources_of_the_default_file_are_their_defaults(
     path = write(tmp_path, uncommented(kind))
     assert yaml.safe_load(path.read_text())["source"] == msgspec.to_builtins(defaults)
     assert load(path).settings.source.__class__ is defaults.__class__
+
+
+def test_the_commented_robot_of_the_default_file_is_its_defaults(tmp_path: Path) -> None:
+    block = re.search(r"(?m)^# serial:\n(?:#   .*\n)+", DEFAULT.read_text())
+    assert block
+    path = write(tmp_path, re.sub(r"(?m)^# ", "", block[0]))
+    assert load(path).settings.serial == Serial(device="/dev/ttyACM0")
+    assert set(yaml.safe_load(path.read_text())["serial"]) == set(Serial.__struct_fields__)
 
 
 def test_a_relative_path_counts_from_the_files_folder(tmp_path: Path) -> None:
