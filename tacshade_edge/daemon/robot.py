@@ -19,6 +19,7 @@ from tacshade_edge.types import Calibration, Frame, Reconstruction
 
 # A recorded frame waits so long for the pose after it: that of a robot that tells ten a second is there then.
 SETTLED_NS = 120_000_000
+LATENCY_MAX_MS = 1
 
 
 class Robot:
@@ -75,6 +76,8 @@ class Robot:
         else:
             silent = time.monotonic_ns() - self._channel.quiet_since_ns > SILENT_NS
             reason = f"nothing for more than {SILENT_NS / 1e9:.0f} s" if silent else sync.reason
+            if not reason and int(port.details.get("latency_ms", 0)) > LATENCY_MAX_MS:
+                reason = f"the port's chip holds bytes back for {port.details['latency_ms']} ms; doctor tells the mend"
             details = {**port.details, "mode": self._channel.mode, "sync": sync.mode}
             status = encode_status("silent" if silent else "connected", reason, details)
         if status != self._told:

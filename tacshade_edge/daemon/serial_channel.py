@@ -18,7 +18,7 @@ _log = logging.getLogger(__name__)
 
 FIRST_RETRY_S, LONGEST_RETRY_S = 0.1, 1.0
 SILENT_NS = 3_000_000_000
-GAP_PERIOD_NS = 1_000_000_000
+GAP_PERIOD_NS, GAP_LOG_PERIOD_NS = 1_000_000_000, 60_000_000_000
 NOT_READING_PAUSE_S = 1.0  # a robot that takes nothing is not waited for again and again
 
 
@@ -61,8 +61,8 @@ class SerialChannel:
         self._away_ms = 0
         self._unsent_bytes = 0
         self._deaf_until_s = 0.0
-        self._gap, self._gap_told_ns = 0, 0
-        self._told_sync = ""
+        self._gap, self._gap_told_ns, self._gap_logged_ns = 0, 0, 0
+        self._told_sync = "none"
 
     @property
     def mode(self) -> str:
@@ -139,7 +139,9 @@ class SerialChannel:
     def _say_news(self, now_ns: int) -> None:
         if self._gap and now_ns - self._gap_told_ns >= GAP_PERIOD_NS:
             self._link.event(f"GAP poses={self._gap}")
-            _log.info("%d poses are missing by their numbers", self._gap)
+            if now_ns - self._gap_logged_ns >= GAP_LOG_PERIOD_NS:
+                self._gap_logged_ns = now_ns
+                _log.info("%d poses are missing by their numbers so far", self._link.counts.poses_lost)
             self._gap, self._gap_told_ns = 0, now_ns
         sync = self._motion.state()
         if sync.mode != self._told_sync:

@@ -32,6 +32,7 @@ class SerialPort:
         self.device = device
         self._baud = baud
         self._low_latency = ""
+        self._proven = False
         self._port: serial.Serial | None = None
         self._closing = threading.Lock()  # a descriptor that was closed may be another's already
 
@@ -43,30 +44,34 @@ class SerialPort:
         DeviceError
             Absent, in use, no permission.
         ConfigError
-            It can never work: no terminal, an unknown kind of URL.
+            It can never work: no device, an unknown kind of URL. Once it has worked it is a DeviceError.
         """
         self.close()
-        check_kind(self.device)
+        try:
+            check_kind(self.device)
+        except ConfigError as error:
+            if self._proven:  # it worked before: it is the place under /dev that changed, and may change back
+                raise DeviceError(str(error)) from None
+            raise
         try:
             port = serial.serial_for_url(self.device, do_not_open=True)
             port.baudrate = self._baud
             port.timeout, port.write_timeout = READ_S, WRITE_S
             port.exclusive = True
             port.open()
-        except ValueError as error:  # of pyserial: an URL or a rate that it does not know
-            raise ConfigError(
-                f"serial {self.device}: {error}, expected a device or a pyserial URL, and a rate"
-            ) from None
+        except ValueError as error:  # of pyserial: a rate that this port does not know
+            raise ConfigError(f"serial {self.device}: {error}, expected a rate that the port can have") from None
         except (OSError, termios.error) as error:
             raise DeviceError(f"serial {self.device}: {_why(error)}") from error
-        self._port = port
+        self._port, self._proven = port, True
         self._low_latency = _set_low_latency(port)
 
     def read(self) -> bytes:
         """What has come; waits at most `READ_S` for the first byte. Raises DeviceError when the port is lost."""
         port = self._opened()
         try:
-            return bytes(port.read(min(port.in_waiting, _CHUNK) or 1))
+            first = bytes(port.read(1))
+            return first + bytes(port.read(min(port.in_waiting, _CHUNK))) if first else first
         except (OSError, termios.error) as error:
             raise DeviceError(f"serial {self.device}: {_why(error)}") from error
 
@@ -112,8 +117,13 @@ class SerialPort:
 
 
 def check_kind(device: str) -> None:
-    """Raises ConfigError where a path is there and is no device: waiting for it cannot help."""
-    if "://" not in device and (path := Path(device)).exists() and not stat.S_ISCHR(path.stat().st_mode):
+    """Raises ConfigError where waiting cannot help: a path that is there and is no device, a URL of no known kind."""
+    if "://" in device:
+        try:
+            serial.serial_for_url(device, do_not_open=True)
+        except ValueError as error:
+            raise ConfigError(f"serial {device}: {error}, expected a device or a pyserial URL") from None
+    elif (path := Path(device)).exists() and not stat.S_ISCHR(path.stat().st_mode):
         raise ConfigError(f"serial {device}: found no character device, expected a serial port")
 
 

@@ -16,6 +16,7 @@ from mqtt_rig import wait_until
 from robot import Clock, Faults, PtyRobot, motion
 
 from tacshade_edge.daemon.robot import Robot
+from tacshade_edge.daemon.serial_commands import WAITING_MAX
 from tacshade_edge.devices.serial_port import SerialPort
 from tacshade_edge.protocol.messages import Request, encode_error, encode_result
 from tacshade_edge.types import Calibration, Frame, HeightMap, ObjectCloud, Reconstruction
@@ -227,6 +228,25 @@ def test_a_port_that_is_away_and_one_that_is_taken(link: Path, monkeypatch: pyte
             other.until("taken", reason=f"serial {link}: in use by another program")
         robot.unplug()
         side.until("away again", state="away")
+
+
+def test_a_capture_without_a_frame_ends_and_too_many_are_refused(link: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with PtyRobot(link, rate_hz=0) as robot, Side(link) as side:
+        side.until("connected", state="connected")
+        for _ in range(WAITING_MAX + 1):
+            robot.ask("CAPTURE")
+        wait_until(lambda: any("BUSY 16 captures are waiting" in r for r in robot.replies.values()), 10, "BUSY")
+        monkeypatch.setattr("tacshade_edge.daemon.serial_commands.CAPTURE_TIMEOUT_NS", 0)
+        wait_until(lambda: sum("TIMEOUT no frame" in r for r in robot.replies.values()) == 16, 10, "TIMEOUT")
+        assert not side.robot.commands.waits_for_a_frame
+
+
+def test_a_chip_that_holds_bytes_back_is_told(link: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told = SerialPort.describe
+    monkeypatch.setattr(SerialPort, "describe", lambda port: {**told(port), "latency_ms": 16})
+    with PtyRobot(link), Side(link) as side:
+        status = side.until("two-way", state="connected", sync="two-way")
+    assert status["reason"] == "the port's chip holds bytes back for 16 ms; doctor tells the mend"
 
 
 def test_a_robot_that_reads_nothing_costs_no_poses(link: Path) -> None:

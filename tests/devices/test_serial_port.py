@@ -79,7 +79,7 @@ def test_a_pulled_cable(line: tuple[int, str]) -> None:
     [
         ("/dev/no-such-port", DeviceError, "no such device"),
         ("/etc/hostname", ConfigError, "found no character device, expected a serial port"),
-        ("foo://x", ConfigError, "protocol 'foo' not known, expected a device or a pyserial URL"),
+        ("foo://x", ConfigError, "invalid URL, protocol 'foo' not known, expected a device or a pyserial URL"),
         (f"socket://127.0.0.1:{free_port()}", DeviceError, "refused"),
     ],
 )
@@ -89,11 +89,25 @@ def test_what_cannot_be_opened(device: str, error: type[Exception], why: str) ->
     assert "\n" not in str(caught.value)
 
 
+def test_a_file_that_someone_wrote_while_the_port_was_away_is_waited_for(line: tuple[int, str], tmp_path: Path) -> None:
+    place = tmp_path / "robot"
+    place.symlink_to(line[1])
+    port = SerialPort(str(place), 115200)
+    port.open()
+    port.close()
+    place.unlink()
+    place.write_text("echo hello > /dev/ttyACM0")
+    with pytest.raises(DeviceError, match="found no character device"):
+        port.open()
+
+
 def test_only_what_is_there_and_is_no_device_is_hopeless() -> None:
     check_kind("/dev/no-such-port")
     check_kind("/dev/null")
-    with pytest.raises(ConfigError, match="found no character device"):
-        check_kind("/dev")
+    check_kind("socket://robot:7000")
+    for device, why in (("/dev", "found no character device"), ("foo://x", "protocol 'foo' not known")):
+        with pytest.raises(ConfigError, match=why):
+            check_kind(device)
 
 
 def test_without_a_robot_there_is_no_pyserial(tmp_path: Path) -> None:

@@ -323,7 +323,7 @@ def mangled(line: bytes, rng: random.Random) -> bytes:
 
 
 @pytest.mark.parametrize("binary", [False, True], ids=["ASCII", "BIN"])
-@settings(max_examples=30)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 2**32))
 def test_a_session_cut_repeated_reordered_and_damaged_is_done_once(binary: bool, seed: int) -> None:
     """A robot that repeats each line until its reply has arrived, over a line that loses half of both."""
