@@ -114,8 +114,12 @@ class _PosedSink:
         self._sink = sink
         self._robot = robot
 
-    def deliver(self, frame: Frame, result: Reconstruction, calibration: Calibration) -> Outcome | None:
+    def asked(self) -> bool:
+        return self._robot.commands.waits_for_a_frame or self._sink.asked()
+
+    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> Outcome | None:
         posed = self._robot.with_pose(frame)
         outcome = self._sink.deliver(posed, result, calibration)
-        self._robot.commands.reconstructed(posed, result)
+        if result is not None:
+            self._robot.commands.reconstructed(posed, result)
         return outcome

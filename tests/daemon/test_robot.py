@@ -78,7 +78,10 @@ class Sink:
     def __init__(self) -> None:
         self.frames: list[Frame] = []
 
-    def deliver(self, frame: Frame, result: Reconstruction, calibration: Calibration) -> Any:
+    def asked(self) -> bool:
+        return False
+
+    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> Any:
         self.frames.append(frame)
         return "published"
 
@@ -127,6 +130,17 @@ def test_every_pose_is_accounted_for_on_a_bad_line(link: Path) -> None:
     assert 0 < counts["poses_lost"] <= robot.told.lost + robot.told.damaged
     assert counts["poses_repeated"] == 0
     assert counts["damaged"] + counts["garbage"] > 0
+
+
+@pytest.mark.slow
+def test_a_thousand_poses_a_second_for_a_minute(link: Path) -> None:
+    with PtyRobot(link, rate_hz=1000, binary=True, poses=60_000) as robot, Side(link) as side:
+        wait_until(lambda: robot.told.poses == 60_000, 240, "60,000 poses")
+        wait_until(lambda: side.robot.as_dict()["poses"] == 60_000, 10, "all arrived")
+        counts = side.robot.as_dict()
+    names = ("poses_lost", "poses_repeated", "poses_bad", "poses_late", "damaged", "garbage", "unsent_bytes")
+    assert {name: counts[name] for name in names} == dict.fromkeys(names, 0)
+    assert counts["clock_restarts"] == 1  # its greeting
 
 
 def test_unplugged_and_plugged_in_again_the_session_goes_on_and_the_gap_is_told(link: Path) -> None:
@@ -181,6 +195,7 @@ def test_captures_and_references(link: Path, calibration: Calibration) -> None:
         old = frame(time.monotonic_ns(), calibration)
         robot.ask("CAPTURE")
         wait_until(lambda: side.robot.commands.waits_for_a_frame, 10, "CAPTURE")
+        assert posed.asked()
         posed.deliver(*old, calibration)
         assert side.robot.commands.waits_for_a_frame  # that one was from before
         posed.deliver(*frame(time.monotonic_ns(), calibration), calibration)
@@ -200,15 +215,20 @@ def test_captures_and_references(link: Path, calibration: Calibration) -> None:
         wait_until(lambda: any(r.endswith("frames=10") for r in robot.replies.values()), 10, "OK")
         wait_until(lambda: any(r.endswith("REFUSED shows contact") for r in robot.replies.values()), 10, "ERR")
 
+        assert not posed.asked()
         robot.ask("STITCH BEGIN pad")
         wait_until(lambda: any("UNAVAILABLE" in r for r in robot.replies.values()), 10, "no stitching")
 
         class Session:
+            open = False
+
             def stitch(self, action: str, name: str, answer: Any) -> None:
+                self.open = action == "BEGIN"
                 answer("" if action == "BEGIN" else "IDLE", f"{action} {name}")
 
         side.robot.commands.stitching = Session()
         robot.ask("STITCH BEGIN pad")
+        wait_until(posed.asked, 10, "an open session wants every frame")
         robot.ask("stitch end")
         wait_until(lambda: any(r.endswith("BEGIN pad") and "OK" in r for r in robot.replies.values()), 10, "BEGIN")
         wait_until(lambda: any(r.endswith("IDLE END") and "ERR" in r for r in robot.replies.values()), 10, "END")
