@@ -78,7 +78,7 @@ def refused(folder: Path, words: list[str], code: int) -> str:
 
 VIDEO_DEVICE = "expected a video device such as /dev/video0 or one under /dev/v4l/by-id"
 WRITTEN_BY = "expected a file written by `tacshade-edge calibrate`"
-KEYS = "expected one of sensor_id, calibration, profile, source, mqtt"
+KEYS = "expected one of sensor_id, calibration, profile"
 
 
 # Where `run` refuses, `check-config` says the same line.
