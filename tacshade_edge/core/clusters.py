@@ -123,7 +123,10 @@ def two_means_split(values: F32) -> float:
         between = np.nan_to_num(n0 * n1 * (sum0 / n0 - sum1 / n1) ** 2, nan=-1.0)
     # Every threshold over the empty bins between two clusters is the same split: their middle is k-means' boundary.
     best = np.flatnonzero(n0 == n0[np.argmax(between)])
-    return float((edges[best[0] + 1] + edges[best[-1] + 1]) / 2)
+    middle = float((edges[best[0] + 1] + edges[best[-1] + 1]) / 2)
+    # As a float32 that is not over it: values between which there is no other are told apart, too.
+    split = np.float32(middle)
+    return float(split if float(split) <= middle else np.nextafter(split, np.float32(-np.inf)))
 
 
 def label_objects(contact: Bool, cell_area: F32) -> I32:

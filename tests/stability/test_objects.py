@@ -39,6 +39,12 @@ def test_any_finite_values_are_split_as_well_as_bins_allow(values: F32) -> None:
     assert within(values, threshold) <= best + 2 * values.size / BINS
 
 
+@pytest.mark.parametrize("values", [(0.0, -1e-45), (1.0, 1.0000001), (-1e-45, 0.0, 1e-45)])
+def test_values_with_none_between_are_split(values: tuple[float, ...]) -> None:
+    given = np.array(values, np.float32)
+    assert 0 < np.count_nonzero(given > two_means_split(given)) < given.size
+
+
 @pytest.mark.parametrize("name", EXTREME_MAPS)
 @pytest.mark.parametrize("scale", [1e-30, 1.0, 1e30])
 def test_every_extreme_map_is_split(name: str, scale: float) -> None:
