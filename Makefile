@@ -32,7 +32,8 @@ test: .venv/dev.stamp
 	$(PY) -m pip install --quiet --disable-pip-version-check -e '.[dev,systemd]' || \
 	  echo "tests: systemd-python could not be built: the service's tests will be skipped"
 	$(MAKE) --no-print-directory check
-	$(PY) -m pytest -m 'guest or broker or slow or browser' -rs
+	$(PY) -m pytest -n auto --dist loadfile -m 'slow and not guest and not broker and not browser' -rs
+	$(PY) -m pytest -m 'guest or broker or browser' -rs
 
 format: .venv/dev.stamp
 	.venv/bin/ruff format .
