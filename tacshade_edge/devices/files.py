@@ -13,7 +13,7 @@ import numpy as np
 from tacshade_edge.devices.frame_table import Row, read_table, table_in
 from tacshade_edge.devices.images import SUFFIXES, read_image
 from tacshade_edge.errors import ConfigError, DecodeError
-from tacshade_edge.types import U8, Frame, Pose
+from tacshade_edge.types import U8, Frame
 
 
 class FilesSource:
@@ -38,7 +38,7 @@ class FilesSource:
         self._due_ns = 0
         self._size: tuple[int, int] | None = None
         self._images: list[Path] = []
-        self._poses: dict[Path, Pose | None] = {}
+        self._rows: dict[Path, Row] = {}
         self._video: cv2.VideoCapture | None = None
         self._items: Iterator[Path | U8] = iter(())
 
@@ -52,7 +52,7 @@ class FilesSource:
         self.close()
         self._images, self._video = look_at(self._path)
         if (rows := _rows(self._path)) is not None:
-            self._poses = {self._path / row.image: row.pose for row in rows}
+            self._rows = {self._path / row.image: row for row in rows}
             self._images = [self._path / row.image for row in rows]
         self._items = self._next_items()
         self._due_ns = time.monotonic_ns()
@@ -76,9 +76,11 @@ class FilesSource:
         self._due_ns += self._period_ns
         t_ns, wall_ns, seq = time.monotonic_ns(), time.time_ns(), self._seq
         self._seq += 1
-        pose = self._poses.get(item) if isinstance(item, Path) else None
-        at = None if pose is None else replace(pose, t_ns=t_ns)
-        return Frame(seq=seq, t_ns=t_ns, wall_ns=wall_ns, image=self._checked(item), pose=at)
+        row = self._rows.get(item) if isinstance(item, Path) else None
+        frame = Frame(seq=seq, t_ns=t_ns, wall_ns=wall_ns, image=self._checked(item))
+        if row is None or row.pose is None:
+            return frame
+        return replace(frame, pose=replace(row.pose, t_ns=t_ns), pose_error_us=row.pose_error_us)
 
     def close(self) -> None:
         """Release the video file."""

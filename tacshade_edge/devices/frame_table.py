@@ -12,18 +12,21 @@ from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import Pose
 
 HEADER = ("image", "t_ns", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
+ERROR_COLUMN = "pose_error_us"  # may be missing: older tables have none
 TABLE_NAME = "frames.csv"
 T_NS_MAX = 2**62  # a looped recording goes on from here, and the wire holds 64 bits
 UNIT_TOLERANCE = 1e-3
+ERROR_US_MAX = 2**32 - 1  # as on the wire
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One line of the table."""
+    """One line of the table; `pose_error_us` is how far from `t_ns` the pose is known."""
 
     image: str
     t_ns: int
     pose: Pose | None
+    pose_error_us: int = 0
 
 
 def table_in(folder: Path) -> Path | None:
@@ -35,6 +38,8 @@ def table_in(folder: Path) -> Path | None:
 def read_table(path: Path, *, cut_off: bool = False) -> list[Row]:
     """Read ``image,t_ns,x_mm,y_mm,z_mm,qw,qx,qy,qz``; the seven columns of the pose may be empty, all or none.
 
+    ``pose_error_us`` may be the last column: empty is 0.
+
     `cut_off` leaves out a last line without an end: of a recording whose writer died.
 
     Raises
@@ -43,7 +48,7 @@ def read_table(path: Path, *, cut_off: bool = False) -> list[Row]:
         ``FILE:LINE: column: found …, expected …``; time stamps that do not increase; no row.
     """
     rows: list[Row] = []
-    for where, columns in read_rows(path, HEADER, "frames", cut_off=cut_off):
+    for where, columns in read_rows(path, HEADER, "frames", more=(ERROR_COLUMN,), cut_off=cut_off):
         row = _row(where, columns)
         if rows and row.t_ns <= rows[-1].t_ns:
             raise ConfigError(f"{where}: t_ns: found {row.t_ns}, expected more than {rows[-1].t_ns} of the row before")
@@ -54,12 +59,16 @@ def read_table(path: Path, *, cut_off: bool = False) -> list[Row]:
 
 
 def _row(where: str, columns: list[str]) -> Row:
-    name, time, *pose = columns
+    name, time, *pose = columns[: len(HEADER)]
+    error = "".join(columns[len(HEADER) :])
     if not name:
         raise ConfigError(f"{where}: image: found nothing, expected a file's name, or a frame's number in a video")
-    if not (time.isascii() and time.isdecimal() and len(time) < 20 and int(time) <= T_NS_MAX):
+    if not _whole(time, T_NS_MAX):
         raise ConfigError(f"{where}: t_ns: found {time!r}, expected a whole number from 0 to 2^62")
     empty = [text == "" for text in pose]
+    if error and not (_whole(error, ERROR_US_MAX) and not all(empty)):
+        expected = "nothing, as there is no pose" if all(empty) else "a whole number from 0 to 2^32 - 1, or nothing"
+        raise ConfigError(f"{where}: {ERROR_COLUMN}: found {error!r}, expected {expected}")
     if all(empty):
         return Row(name, int(time), None)
     if any(empty):
@@ -67,4 +76,8 @@ def _row(where: str, columns: list[str]) -> Row:
     values = [number(where, column, text) for column, text in zip(HEADER[2:], pose, strict=True)]
     if abs((norm := math.hypot(*values[3:])) - 1) > UNIT_TOLERANCE:
         raise ConfigError(f"{where}: qw, qx, qy, qz: found the norm {norm:.4g}, expected a unit quaternion")
-    return Row(name, int(time), Pose(int(time), *values))
+    return Row(name, int(time), Pose(int(time), *values), int(error or "0"))
+
+
+def _whole(text: str, most: int) -> bool:
+    return text.isascii() and text.isdecimal() and len(text) < 20 and int(text) <= most

@@ -12,10 +12,10 @@ from typing import BinaryIO
 import cv2
 
 from tacshade_edge.devices import calibration_file
-from tacshade_edge.devices.frame_table import HEADER, TABLE_NAME
+from tacshade_edge.devices.frame_table import ERROR_COLUMN, HEADER, TABLE_NAME
 from tacshade_edge.devices.whole_files import part, sync, told, write_whole
 from tacshade_edge.errors import ConfigError, DeviceError
-from tacshade_edge.types import Calibration, Frame, Pose
+from tacshade_edge.types import Calibration, Frame
 
 CALIBRATION_NAME, SETTINGS_NAME, EVENTS_NAME = "calibration.npz", "settings.yaml", "events.jsonl"
 # A full disk harms more than this recording.
@@ -74,7 +74,7 @@ class Recorder:
             write_whole(self.folder / SETTINGS_NAME, settings_yaml.encode())
             for name in (TABLE_NAME, EVENTS_NAME):
                 self._lines[name] = part(self.folder / name).open("wb", buffering=0)
-            self._lines[TABLE_NAME].write((",".join(HEADER) + "\n").encode())
+            self._lines[TABLE_NAME].write((",".join((*HEADER, ERROR_COLUMN)) + "\n").encode())
             sync(self.folder)
 
     def add(self, frame: Frame) -> bool:
@@ -86,7 +86,7 @@ class Recorder:
             _, png = cv2.imencode(".png", frame.image, PNG_OPTIONS)
             write_whole(self.folder / name, png.tobytes(), sync=False)
             self._unsynced.append(self.folder / name)
-            self._lines[TABLE_NAME].write(f"{name},{frame.t_ns},{_columns(frame.pose)}\n".encode())
+            self._lines[TABLE_NAME].write(f"{name},{frame.t_ns},{_columns(frame)}\n".encode())
             self.frames += 1
             self.bytes += png.size
         return True
@@ -123,7 +123,8 @@ class Recorder:
             stream.close()
 
 
-def _columns(pose: Pose | None) -> str:
-    if pose is None:
-        return ",,,,,,"
-    return ",".join(repr(float(v)) for v in (pose.x_mm, pose.y_mm, pose.z_mm, pose.qw, pose.qx, pose.qy, pose.qz))
+def _columns(frame: Frame) -> str:
+    if (pose := frame.pose) is None:
+        return ",,,,,,,"
+    values = (pose.x_mm, pose.y_mm, pose.z_mm, pose.qw, pose.qx, pose.qy, pose.qz)
+    return ",".join((*(repr(float(v)) for v in values), str(frame.pose_error_us)))

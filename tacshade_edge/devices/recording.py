@@ -80,7 +80,8 @@ class Recording:
         seq, (row, picture) = entry
         image = read_image(picture) if isinstance(picture, Path) else picture
         # No wall clock was there: 0, so that equal recordings give equal bytes.
-        return RecordedFrame(row.image, Frame(seq=seq, t_ns=row.t_ns, wall_ns=0, image=image, pose=row.pose))
+        frame = Frame(seq, row.t_ns, 0, image, row.pose, row.pose_error_us)
+        return RecordedFrame(row.image, frame)
 
     def _one_pass(self) -> Iterator[tuple[Row, Path | U8]]:
         first_ns = last_ns = count = 0
@@ -89,7 +90,8 @@ class Recording:
             last_ns = row.t_ns
             count += 1
             t_ns = row.t_ns + self._shift_ns
-            yield Row(row.image, t_ns, None if row.pose is None else replace(row.pose, t_ns=t_ns)), picture
+            pose = None if row.pose is None else replace(row.pose, t_ns=t_ns)
+            yield replace(row, t_ns=t_ns, pose=pose), picture
         self._shift_ns += (
             last_ns - first_ns + round((last_ns - first_ns) / (count - 1) if count > 1 else self._period_ns)
         )

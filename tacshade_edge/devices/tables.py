@@ -10,7 +10,9 @@ from pathlib import Path
 from tacshade_edge.errors import ConfigError
 
 
-def read_rows(path: Path, header: tuple[str, ...], what: str, *, cut_off: bool = False) -> list[tuple[str, list[str]]]:
+def read_rows(
+    path: Path, header: tuple[str, ...], what: str, *, more: tuple[str, ...] = (), cut_off: bool = False
+) -> list[tuple[str, list[str]]]:
     """Read a table with exactly this header; empty lines are passed over.
 
     Parameters
@@ -19,6 +21,8 @@ def read_rows(path: Path, header: tuple[str, ...], what: str, *, cut_off: bool =
     header : tuple of str
     what : str
         What the rows are, for a person.
+    more : tuple of str
+        Columns after those of `header`, all of which a table has or none.
     cut_off : bool
         Its writer died: a last line without an end is left out.
 
@@ -39,12 +43,13 @@ def read_rows(path: Path, header: tuple[str, ...], what: str, *, cut_off: bool =
         raise ConfigError(f"{path}: {error.strerror or error}, expected a CSV file of {what}") from None
     except (UnicodeDecodeError, csv.Error) as error:
         raise ConfigError(f"{path}: not a CSV file: {error}") from None
-    if not lines or tuple(lines[0][1]) != header:
+    if not lines or tuple(lines[0][1]) not in (header, header + more):
         found = ",".join(lines[0][1]) if lines else "nothing"
-        raise ConfigError(f"{path}:1: found the header {found[:80]}, expected {','.join(header)}")
+        raise ConfigError(f"{path}:1: found the header {found[:80]}, expected {','.join(header + more)}")
+    columns = len(lines[0][1])
     for line, row in lines[1:]:
-        if len(row) != len(header):
-            raise ConfigError(f"{path}:{line}: found {len(row)} columns, expected {len(header)}")
+        if len(row) != columns:
+            raise ConfigError(f"{path}:{line}: found {len(row)} columns, expected {columns}")
     return [(f"{path}:{line}", row) for line, row in lines[1:]]
 
 

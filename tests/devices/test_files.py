@@ -36,7 +36,7 @@ def test_a_folder_gives_its_images_in_the_order_of_their_names_then_ends(folder:
 
 def test_a_table_gives_the_order_and_the_poses(folder: Path) -> None:
     table = folder / "frames.csv"
-    table.write_text("image,t_ns,x_mm,y_mm,z_mm,qw,qx,qy,qz\n2.png,5,1,2,3,1,0,0,0\n0.png,6,,,,,,,\n")
+    table.write_text("image,t_ns,x_mm,y_mm,z_mm,qw,qx,qy,qz,pose_error_us\n2.png,5,1,2,3,1,0,0,0,7\n0.png,6,,,,,,,,\n")
     source = FilesSource(path=folder, fps=240, loop=False)
     source.open()
     first, second, end = (source.read() for _ in range(3))
@@ -44,7 +44,7 @@ def test_a_table_gives_the_order_and_the_poses(folder: Path) -> None:
     assert second is not None
     assert (int(first.image[0, 0, 0]), int(second.image[0, 0, 0]), end) == (80, 0, None)
     assert first.pose == Pose(first.t_ns, 1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0)
-    assert second.pose is None
+    assert (first.pose_error_us, second.pose, second.pose_error_us) == (7, None, 0)
     cv2.imwrite(str(folder / "2.png"), picture(0, height=24))
     assert first_size_px(folder) == (64, 24)
     table.write_text("image\n")

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tacshade_edge.devices.frame_table import HEADER, read_table, table_in
+from tacshade_edge.devices.frame_table import ERROR_COLUMN, HEADER, read_table, table_in
 from tacshade_edge.errors import ConfigError
 
 
@@ -29,6 +29,34 @@ def test_a_wrong_table_is_told_by_line_and_column(tmp_path: Path, row: str, said
     with pytest.raises(ConfigError, match=said) as refusal:
         read_table(tmp_path / "frames.csv")
     assert "\n" not in str(refusal.value)
+
+
+ERRORS = ",".join((*HEADER, ERROR_COLUMN)) + "\n"
+
+
+def test_the_time_error_of_a_pose_is_a_column_that_older_tables_lack(tmp_path: Path) -> None:
+    table = tmp_path / "frames.csv"
+    table.write_text(ERRORS + f"a.png,5,1,2,3,1,0,0,0,{2**32 - 1}\nb.png,6,1,2,3,1,0,0,0,\nc.png,7,,,,,,,,\n")
+    assert [(row.pose is None, row.pose_error_us) for row in read_table(table)] == [
+        (False, 2**32 - 1),
+        (False, 0),
+        (True, 0),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("row", "said"),
+    [
+        ("a.png,5,1,2,3,1,0,0,0", "found 9 columns, expected 10"),
+        ("a.png,5,1,2,3,1,0,0,0,-1", "pose_error_us: found '-1', expected a whole number from 0 to"),
+        (f"a.png,5,1,2,3,1,0,0,0,{2**32}", "pose_error_us: found '4294967296', expected a whole number"),
+        ("a.png,5,,,,,,,,3", "pose_error_us: found '3', expected nothing, as there is no pose"),
+    ],
+)
+def test_a_wrong_time_error_is_told(tmp_path: Path, row: str, said: str) -> None:
+    (tmp_path / "frames.csv").write_text(f"{ERRORS}{row}\n")
+    with pytest.raises(ConfigError, match=rf"frames\.csv:2: {said}"):
+        read_table(tmp_path / "frames.csv")
 
 
 def test_the_table_of_a_writer_that_died_is_read_to_its_last_whole_line(tmp_path: Path) -> None:

@@ -35,7 +35,7 @@ def test_what_is_recorded_is_replayed_bit_by_bit(tmp_path: Path, shape: tuple[in
     folder = tmp_path / "new" / "rec"
     recorder = begun(folder)
     for k, image in enumerate(images):
-        assert recorder.add(Frame(10 + k, 1000 + 7 * k, 5, image, POSE if k == 1 else None))
+        assert recorder.add(Frame(10 + k, 1000 + 7 * k, 5, image, *((POSE, 431) if k == 1 else ())))
     recorder.event(1001, "source", {"state": "away"})
     recorder.finish({"frames": recorder.frames})
     recording = Recording(folder)
@@ -44,7 +44,8 @@ def test_what_is_recorded_is_replayed_bit_by_bit(tmp_path: Path, shape: tuple[in
         recorded = recording.read()
         assert recorded is not None
         frame = recorded.frame
-        assert (frame.seq, frame.t_ns, frame.pose) == (k, 1000 + 7 * k, POSE if k == 1 else None)
+        assert (frame.seq, frame.t_ns) == (k, 1000 + 7 * k)
+        assert (frame.pose, frame.pose_error_us) == ((POSE, 431) if k == 1 else (None, 0))
         np.testing.assert_array_equal(frame.image, image)
     assert recording.read() is None
     names = {path.name for path in folder.iterdir()}
