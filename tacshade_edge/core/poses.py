@@ -26,7 +26,8 @@ class PoseAt:
 def interpolate(a: Pose, b: Pose, t_ns: int) -> Pose:
     """The pose at `t_ns` of one that moves and turns evenly from `a` to `b`; beyond them it goes on so.
 
-    The rotation takes the shorter way (q and -q are the same); `a` and `b` must not be of the same time.
+    The rotation takes the shorter way (q and -q are the same); `a` and `b` must not be of the same time. Of two equal
+    poses it is that pose to the last bit: a robot at rest is at one place, whichever two of its poses are asked.
     """
     part = (t_ns - a.t_ns) / (b.t_ns - a.t_ns)
     q, r = (a.qw, a.qx, a.qy, a.qz), (b.qw, b.qx, b.qy, b.qz)
@@ -34,7 +35,9 @@ def interpolate(a: Pose, b: Pose, t_ns: int) -> Pose:
     if dot < 0:
         dot, r = -dot, (-r[0], -r[1], -r[2], -r[3])
     angle = math.acos(min(dot, 1.0))
-    if angle < 1e-4:  # the sines are equal to their angles within 1e-9
+    if q == r:
+        weights = 1.0, 0.0
+    elif angle < 1e-4:  # the sines are equal to their angles within 1e-9
         weights = 1 - part, part
     else:
         weights = math.sin((1 - part) * angle) / math.sin(angle), math.sin(part * angle) / math.sin(angle)

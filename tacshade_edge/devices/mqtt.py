@@ -38,6 +38,7 @@ _JSON: Final = "application/json"
 _CONTENT_TYPES: Final = {
     "height": "application/vnd.tacshade.height",
     "cloud": "application/vnd.tacshade.cloud",
+    "map/cloud": "application/vnd.tacshade.cloud",
     "preview": "image/jpeg",
     "state": "text/plain",
 }

@@ -16,7 +16,8 @@ from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol.wire import WIRE_VERSION
 from tacshade_edge.types import Calibration, Reconstruction
 
-Verb = Literal["reference", "profile", "status", "record"]
+Verb = Literal["reference", "profile", "status", "record", "stitch"]
+StitchAction = Literal["begin", "add", "end", "abort", "status"]
 Transaction = Annotated[str, msgspec.Meta(max_length=128)] | Annotated[int, msgspec.Meta(ge=-(2**53), le=2**53)] | None
 REQUEST_BYTES_MAX: Final = 4096
 RECORD_S_MAX: Final = 86400
@@ -45,6 +46,16 @@ class _RecordStop(msgspec.Struct, forbid_unknown_fields=True, tag_field="action"
     transaction: Transaction = None
 
 
+class _Stitch(msgspec.Struct, forbid_unknown_fields=True):
+    action: StitchAction
+    name: Annotated[str, msgspec.Meta(min_length=1, max_length=128)] | None = None
+    transaction: Transaction = None
+
+    def __post_init__(self) -> None:
+        if self.name is not None and self.action != "begin":
+            raise ValueError(f"found a name with the action {self.action}")
+
+
 class _Echo(msgspec.Struct):
     transaction: Transaction = None
 
@@ -54,10 +65,12 @@ _BODIES: Final[dict[Verb, Any]] = {
     "profile": _Profile,
     "status": _Status,
     "record": _RecordStart | _RecordStop,
+    "stitch": _Stitch,
 }
 _KEYS: Final[dict[Verb, str]] = {
     "profile": '"profile": NAME, ',
     "record": '"action": "start", "seconds": NUMBER, "name": letters, digits, . _ - (optional), or "action": "stop", ',
+    "stitch": '"action": "begin", "name": TEXT (optional), or "action": "add", "end", "abort" or "status", ',
 }
 
 
@@ -69,15 +82,15 @@ class Request:
     ----------
     verb : str
         ``reference`` (take a new reference now), ``profile`` (change to `profile`), ``status`` (report),
-        ``record`` (start or stop a recording).
+        ``record`` (start or stop a recording), ``stitch`` (a stitching session).
     transaction : str, int or None
         The caller's own mark, given back in the reply.
     profile : str
         Empty unless the verb is ``profile``.
     action : str
-        ``start`` or ``stop`` of the verb ``record``, else empty.
+        ``start`` or ``stop`` of the verb ``record``, a `StitchAction` of ``stitch``, else empty.
     name : str
-        Of the recording to start; empty is for the daemon to choose.
+        Of the recording to start or the session to begin; empty is for the daemon to choose.
     seconds : float
         How long it shall be.
     response_topic : str or None
@@ -91,7 +104,7 @@ class Request:
     profile: str = ""
     response_topic: str | None = None
     correlation: bytes | None = None
-    action: Literal["", "start", "stop"] = ""
+    action: Literal["", "start", "stop"] | StitchAction = ""
     name: str = ""
     seconds: float = 0.0
 
@@ -120,6 +133,8 @@ def parse_request(
         return replace(request, profile=body.profile)
     if isinstance(body, _RecordStart):
         return replace(request, action="start", name=body.name or "", seconds=body.seconds)
+    if isinstance(body, _Stitch):
+        return replace(request, action=body.action, name=body.name or "")
     return replace(request, action="stop") if isinstance(body, _RecordStop) else request
 
 

@@ -113,6 +113,7 @@ def _absolute(settings: Settings, folder: Path) -> Settings:
         source=replace(source, path=at(source.path)) if isinstance(source, Files) else source,
         mqtt=replace(mqtt, password_file=at(mqtt.password_file), ca_file=at(mqtt.ca_file)),
         recorder=replace(settings.recorder, folder=at(settings.recorder.folder)),
+        stitching=replace(settings.stitching, folder=at(settings.stitching.folder)),
     )
 
 

@@ -63,6 +63,14 @@ class Recorder(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     )
 
 
+class Stitching(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Stitching sessions, where frames have poses."""
+
+    folder: Annotated[str, Meta(min_length=1, description="a folder for sessions, each in its own below")] = (
+        "/var/lib/tacshade-edge/sessions"
+    )
+
+
 class Serial(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The robot's serial line."""
 
@@ -89,6 +97,7 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     mqtt: Annotated[Mqtt, Meta(description="the broker")] = Mqtt()
     recorder: Annotated[Recorder, Meta(description="recordings")] = Recorder()
     serial: Annotated[Serial, Meta(description="the robot's serial line")] | None = None
+    stitching: Annotated[Stitching, Meta(description="stitching sessions")] = Stitching()
 
 
 def json_schema() -> dict[str, Any]:

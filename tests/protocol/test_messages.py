@@ -105,6 +105,8 @@ def test_status_and_health() -> None:
             Request("record", 1, action="start", name="a.b-1", seconds=0.5),
         ),
         ("record", b'{"action": "stop"}', Request("record", action="stop")),
+        ("stitch", b'{"action": "begin", "name": "pad-1"}', Request("stitch", action="begin", name="pad-1")),
+        ("stitch", b'{"action": "add", "transaction": 2}', Request("stitch", 2, action="add")),
         ("status", b" {} ", Request("status")),
         ("status", b'{"transaction": null}', Request("status")),
     ],
@@ -121,7 +123,7 @@ def test_request_keeps_where_an_mqtt5_reply_goes() -> None:
 @pytest.mark.parametrize(
     ("verb", "payload", "told"),
     [
-        ("reboot", b"{}", "expected one of reference, profile, status, record"),
+        ("reboot", b"{}", "expected one of reference, profile, status, record, stitch"),
         ("profile", b"{}", "missing required field `profile`"),
         ("profile", b'{"profile": ""}', "length >= 1"),
         ("profile", b'{"profile": 3}', "got `int`"),
@@ -135,6 +137,10 @@ def test_request_keeps_where_an_mqtt5_reply_goes() -> None:
         ("record", b'{"action": "start", "seconds": 1, "name": "a/b"}', "matching regex"),
         ("record", b'{"action": "start", "seconds": 1, "name": "a\\n"}', "matching regex"),
         ("record", b'{"action": "stop", "seconds": 1}', "unknown field `seconds`"),
+        ("stitch", b"{}", "missing required field `action`"),
+        ("stitch", b'{"action": "start"}', "expected a JSON object"),
+        ("stitch", b'{"action": "end", "name": "a"}', "found a name with the action end"),
+        ("stitch", b'{"action": "begin", "name": ""}', "length >= 1"),
         ("status", b'{"transactoin": 1}', "unknown field `transactoin`"),
         ("status", b'{"transaction": 1.5}', "got `float`"),
         ("status", b'{"transaction": true}', "got `bool`"),
