@@ -15,6 +15,10 @@ class Settled:
         self._since_ns = 0
         self._low = self._high = 0.0
 
+    def taken(self) -> None:
+        """The present contact counts already: something else has said so."""
+        self._told = True
+
     def of(self, t_ns: int, contact: bool, depth_mm: float) -> bool:
         """Whether the contact has just settled.
 

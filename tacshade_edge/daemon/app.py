@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 import time
 from dataclasses import dataclass, replace
+from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any
 
@@ -26,7 +27,7 @@ from tacshade_edge.daemon.record_requests import RecordRequests
 from tacshade_edge.daemon.reload import reload
 from tacshade_edge.daemon.requests import Requests
 from tacshade_edge.daemon.systemd import Progress, Service
-from tacshade_edge.daemon.workers import SourceState
+from tacshade_edge.daemon.workers import Sink, SourceState
 from tacshade_edge.devices import registry
 from tacshade_edge.devices.base import FrameSource
 from tacshade_edge.devices.network import make_reconstructor
@@ -38,6 +39,7 @@ from tacshade_edge.types import Calibration
 
 if TYPE_CHECKING:
     from tacshade_edge.daemon.robot import Robot
+    from tacshade_edge.daemon.stitch_sessions import StitchSessions
 
 _log = logging.getLogger(__name__)
 
@@ -47,7 +49,8 @@ PREVIEW_WIDTH_PX = 320
 STALL_S = 3.0
 EVENTS_MAX = 16
 # Together under 2 s, whatever hangs.
-STOP_SERIAL_S, STOP_THREADS_S, STOP_FRAMES_S, STOP_RECORD_S, STOP_LINK_S = 0.1, 0.8, 0.2, 0.2, 0.6
+STOP_SERIAL_S, STOP_THREADS_S, STOP_FRAMES_S, STOP_RECORD_S, STOP_LINK_S = 0.1, 0.8, 0.2, 0.2, 0.5
+STOP_STITCH_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,10 +91,12 @@ class App:
         self.link = registry.make_link(document, on_request=self._on_request, on_outcome=self._on_outcome)
         self._publisher = Publisher(self.link.offer, self.link.wanted)
         self._robot = self._make_robot()
+        self._sessions = self._make_sessions()
+        sink: Sink = self._sessions.watched(self._publisher) if self._sessions else self._publisher
         self._pipeline = Pipeline(
             source,
             make_reconstructor(calibration, PROFILES.get(settings.profile, PROFILES[LADDER[-1]])),
-            self._robot.posed(self._publisher) if self._robot else self._publisher,
+            self._robot.posed(sink) if self._robot else sink,
             self.ledger,
             self._events.put,
         )
@@ -107,7 +112,9 @@ class App:
             self._recorder, self.link.reply, lambda status: self.link.set_retained("status/recorder", status)
         )
         self._requests = Requests(
-            self._pipeline.reconstruct, self._active, self._reply, self._status, self._changed, self._on_record
+            *(self._pipeline.reconstruct, self._active, self._reply, self._status, self._changed),
+            self._on_record,
+            self._on_stitch,
         )
         self._camera = SourceState("away", "starting")
         self._told = SourceState("ended")
@@ -141,6 +148,8 @@ class App:
             self._pipeline.start()
             if self._robot:
                 self._robot.start()
+            if self._sessions:
+                self._sessions.start()
             self._service.ready()
             self._loop()
             self._shut_down()
@@ -161,6 +170,8 @@ class App:
             self._record.poll()
             if self._robot:
                 self._robot.poll()
+            if self._sessions:
+                self._sessions.poll()
             try:
                 event = self._events.get(timeout=max(0.0, min(next_health_s, next_preview_s) - time.monotonic()))
             except Empty:
@@ -213,6 +224,9 @@ class App:
         if given_up:
             _log.warning("%d frames could not be sent before the stop", given_up)
         self._recorder.join(STOP_RECORD_S)
+        if self._sessions:
+            self._sessions.stop(STOP_STITCH_S)
+            self._sessions.poll()
         self._record.poll()
         self._tell_health()
         self._tell_camera(replace(self._camera, state="ended", reason="stopped"))
@@ -246,6 +260,15 @@ class App:
 
         return Robot(port, self._on_request, self._status, lambda s: self.link.set_retained("status/serial", s))
 
+    def _make_sessions(self) -> StitchSessions | None:
+        """Imported only where frames have poses."""
+        settings = self._document.settings
+        if not registry.frames_have_poses(settings):
+            return None
+        from tacshade_edge.daemon.stitch_sessions import StitchSessions
+
+        return StitchSessions(Path(settings.stitching.folder), self.link.set_retained, self.link.reply, self._robot)
+
     def _changed(self) -> None:
         """The reconstructor was replaced."""
         reconstructor = self._active.reconstructor
@@ -254,6 +277,13 @@ class App:
 
     def _on_record(self, request: Request) -> None:
         self._record.handle(request, self._document.settings, self._active.reconstructor, self._camera_now())
+
+    def _on_stitch(self, request: Request) -> None:
+        if self._sessions:
+            self._sessions.handle(request)
+        else:
+            error = "UNAVAILABLE: found no poses, expected `serial` in the settings, or a folder with poses as source"
+            self._reply(request, messages.encode_error(request.transaction, error))
 
     # What is told.
 
@@ -306,6 +336,8 @@ class App:
         self._active.tell_late()
         if self._robot:
             self._latest_health["serial"] = self._robot.as_dict()
+        if self._sessions:
+            self._latest_health["stitching"] = self._sessions.as_dict()
         self._publisher.fps = self._latest_health["delivered_fps"]
         self.link.set_retained("health", messages.encode_health(self._latest_health), qos=0)
 

@@ -36,8 +36,8 @@ class Requests:
         The answer to ``status``.
     changed : callable
         Called after the reconstructor was replaced.
-    record : callable
-        Does and answers the verb ``record``.
+    record, stitch : callable
+        Do and answer the verbs of their names.
     """
 
     def __init__(
@@ -48,6 +48,7 @@ class Requests:
         status: Callable[[], dict[str, Any]],
         changed: Callable[[], None],
         record: Callable[[Request], None],
+        stitch: Callable[[Request], None],
     ) -> None:
         self._worker = worker
         self._active = active
@@ -55,6 +56,7 @@ class Requests:
         self._status = status
         self._changed = changed
         self._record = record
+        self._stitch = stitch
         self._reference: tuple[Request, float] | None = None  # and its deadline
         self._taken: tuple[list[U8], str] | None = None  # set by the reconstruct thread, once
 
@@ -64,6 +66,8 @@ class Requests:
             self._reply(request, encode_result(request.transaction, self._status()))
         elif request.verb == "record":
             self._record(request)
+        elif request.verb == "stitch":
+            self._stitch(request)
         elif request.verb == "profile":
             self._set_profile(request)
         else:

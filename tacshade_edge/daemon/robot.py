@@ -99,6 +99,10 @@ class Robot:
         found = self.motion.at(frame.t_ns)
         return frame if found is None else replace(frame, pose=found[0], pose_error_us=found[1])
 
+    def knows_pose(self) -> bool:
+        """Whether a frame of now would get one, once the pose after it is there."""
+        return self.motion.at(time.monotonic_ns() - SETTLED_NS) is not None
+
     def with_pose(self, frame: Frame) -> Frame:
         """The frame with the pose that the sensor had."""
         found = self.motion.at(frame.t_ns)

@@ -21,15 +21,7 @@ WAITING_MAX = 16
 
 
 class Stitching(Protocol):
-    """A stitching session, for the verbs STITCH BEGIN, ADD, END, ABORT and STATUS.
-
-    Attributes
-    ----------
-    open : bool
-        One is open: every frame is then reconstructed.
-    """
-
-    open: bool
+    """A stitching session, for the verbs STITCH BEGIN, ADD, END, ABORT and STATUS."""
 
     def stitch(self, action: str, name: str, answer: Callable[[str, str], None]) -> None:
         """Do `action` (``BEGIN`` ...; `name` is empty where none was given) without waiting.
@@ -131,8 +123,8 @@ class SerialCommands:
 
     @property
     def waits_for_a_frame(self) -> bool:
-        """Whether a CAPTURE or an open session wants the next reconstruction."""
-        return bool(self._captures) or (self.stitching is not None and self.stitching.open)
+        """Whether a CAPTURE wants the next reconstruction."""
+        return bool(self._captures)
 
     def reconstructed(self, frame: Frame, result: Reconstruction) -> None:
         """A frame was: answers the captures that were asked for before it was taken."""

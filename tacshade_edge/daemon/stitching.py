@@ -12,7 +12,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, Literal
@@ -34,6 +34,7 @@ _log = logging.getLogger(__name__)
 ADD_TIMEOUT_NS = 5_000_000_000
 WAITING_MAX = 16
 _NAME_MAX = 64
+_NO_IMAGE = np.zeros((0, 0), np.uint8)
 
 Answer = Callable[[str, str], None]
 """``answer(code, text)``, once; `code` is empty when it was done."""
@@ -68,6 +69,35 @@ class MapRevision:
 
 
 @dataclass(frozen=True, slots=True)
+class Session:
+    """How the stitching is, at one instant.
+
+    Attributes
+    ----------
+    name : str
+        Of the open session; empty: none is.
+    ending : bool
+        Its map is being made, which takes seconds.
+    presses, points, revision : int
+    missed : int
+        Settled contacts that could not be added to the latest session, since the daemon started.
+    reason : str
+        Why the latest one could not; empty once another could.
+    folder : str
+        Files of the latest map that ended; empty before.
+    """
+
+    name: str = ""
+    ending: bool = False
+    presses: int = 0
+    points: int = 0
+    revision: int = 0
+    missed: int = 0
+    reason: str = ""
+    folder: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class _Command:
     action: str
     name: str
@@ -77,8 +107,8 @@ class _Command:
 @dataclass(frozen=True, slots=True)
 class _Add:
     touch: Touch
-    base_T_sensor: Rigid
-    seq: int
+    frame: Frame  # without its image
+    flange_T_sensor: Rigid
     answer: Answer
 
 
@@ -86,12 +116,6 @@ class _Add:
 class _WaitingAdd:
     since_ns: int
     answer: Answer
-
-
-def no_answer(code: str, text: str) -> None:
-    """For a press that no one asked for."""
-    if code:
-        _log.warning("a settled contact was not added: %s", text)
 
 
 class Stitching:
@@ -103,13 +127,24 @@ class Stitching:
         Sessions lie below it, each in its own folder. One that was open when the daemon died goes on.
     told : callable
         ``told(revision)`` after each press and at the end, in this object's thread.
+    posed : callable
+        Gives a frame its pose; called in this object's thread, which it may keep waiting for a moment.
     automatic : bool
         Every contact that settles while a session is open is added.
+
     """
 
-    def __init__(self, folder: Path, told: Callable[[MapRevision], None], *, automatic: bool = True) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        told: Callable[[MapRevision], None],
+        posed: Callable[[Frame], Frame] = lambda frame: frame,
+        *,
+        automatic: bool = True,
+    ) -> None:
         self._folder = folder
         self._told = told
+        self._posed = posed
         self._automatic = automatic
         self._jobs: SimpleQueue[_Command | _Add | Literal["stop"]] = SimpleQueue()
         self._waiting: deque[_WaitingAdd] = deque()
@@ -119,13 +154,33 @@ class Stitching:
         self._file: StitchFile | None = None
         self._stitcher: Stitcher | None = None
         self._revision = 0
-        self.open = False
-        """Whether a session is open, as other threads see it."""
+        self._counts = {"presses": 0, "refused": 0, "missed": 0}
+        self._missed, self._missed_reason = 0, ""
+        self._ended = ""
+        self._now = Session()  # of the thread; the others read it
+
+    @property
+    def now(self) -> Session:
+        """As any thread may see it."""
+        with self._lock:
+            return replace(self._now, missed=self._missed, reason=self._missed_reason)
+
+    @property
+    def open(self) -> bool:
+        """Whether a session is open: every frame is then reconstructed in whole."""
+        return bool(self._now.name)
+
+    def as_dict(self) -> dict[str, int]:
+        """For ``health``: presses that were added, refused commands to add one, settled contacts that were missed."""
+        with self._lock:
+            return {**self._counts, "waiting": len(self._waiting) + self._jobs.qsize()}
 
     # What other threads call: nothing here waits.
 
     def stitch(self, action: str, name: str, answer: Answer) -> None:
         """Do ``BEGIN``, ``ADD``, ``END``, ``ABORT`` or ``STATUS``; the answer comes later, from any thread."""
+        if action == "ADD":
+            answer = self._counted(answer)
         if action == "ADD" and self.open:
             with self._lock:
                 busy = len(self._waiting) >= WAITING_MAX
@@ -148,20 +203,21 @@ class Stitching:
             ready = [w for w in self._waiting if w.since_ns <= frame.t_ns]
             for waiting in ready:
                 self._waiting.remove(waiting)
-        answers = [w.answer for w in ready] or ([no_answer] if settled and self._automatic else [])
+        answers = [w.answer for w in ready] or ([self._settled_answer] if settled and self._automatic else [])
         if not answers:
             return
-        refusal = _refusal(frame, result)
+        refusal = _refusal(result)
         if refusal is None and self._jobs.qsize() >= WAITING_MAX:
             refusal = "BUSY", f"{WAITING_MAX} presses are being added"
         if refusal is not None:
             for answer in answers:
                 answer(*refusal)
             return
-        assert frame.pose is not None
-        base_T_sensor = of_pose(frame.pose) @ from_seven(calibration.flange_T_sensor)
+        self._settled.taken()
+        touch = touch_points(result.height, calibration.geometry)
+        flange_T_sensor = from_seven(calibration.flange_T_sensor)
         # The same frame twice would be the same press twice.
-        self._jobs.put(_Add(touch_points(result.height, calibration.geometry), base_T_sensor, result.seq, answers[0]))
+        self._jobs.put(_Add(touch, replace(frame, image=_NO_IMAGE), flange_T_sensor, answers[0]))
         for answer in answers[1:]:
             answer("BUSY", f"frame {result.seq} is being added already")
 
@@ -179,6 +235,27 @@ class Stitching:
         """Make `run` return after the jobs that wait; an open session stays open on the disk."""
         self._jobs.put("stop")
 
+    def _counted(self, answer: Answer) -> Answer:
+        """Of a command to add a press."""
+
+        def counted(code: str, text: str) -> None:
+            if code:
+                with self._lock:
+                    self._counts["refused"] += 1
+            answer(code, text)
+
+        return counted
+
+    def _settled_answer(self, code: str, text: str) -> None:
+        """For a press that no one asked for."""
+        if code:
+            _log.warning("a settled contact was not added: %s", text)
+        with self._lock:
+            self._missed_reason = f"the latest contact was not added: {text}" if code else ""
+            if code:
+                self._missed += 1
+                self._counts["missed"] += 1
+
     # The thread.
 
     def run(self) -> None:
@@ -191,6 +268,7 @@ class Stitching:
                 code, text = refused.code, str(refused)
             except TacshadeError as error:
                 code, text = "FAILED", str(error)
+            self._now = self._session()
             job.answer(code, text)
         if self._file is not None:
             self._file.close()
@@ -209,7 +287,9 @@ class Stitching:
             with contextlib.suppress(ValueError):  # refused when it came, too
                 self._stitcher.add(touch, pose)
         self._revision = self._stitcher.presses
-        self.open = True
+        self._now = self._session()
+        if self._stitcher.presses:
+            self._told(self._growing(self._file, self._stitcher))
         _log.info("session %s goes on with %d presses", self._file.about.name, self._stitcher.presses)
 
     def _do(self, command: _Command) -> str:
@@ -237,30 +317,44 @@ class Stitching:
             raise _RefusedError("EXISTS", f"{self._folder / name} is there already")
         about = About(name, time.time_ns(), self._calibration.crc32, self._calibration.geometry.skin_radius_mm)
         self._file = StitchFile.create(self._folder / name, about)
-        self._stitcher, self._revision, self.open = Stitcher(about.skin_radius_mm), 0, True
+        self._stitcher, self._revision, self._settled = Stitcher(about.skin_radius_mm), 0, Settled()
+        with self._lock:
+            self._missed, self._missed_reason = 0, ""
+        self._now = self._session()
         _log.info("stitching session %s begins", name)
         return f"name={name}"
 
     def _add(self, add: _Add) -> str:
         if self._file is None or self._stitcher is None:
             raise _RefusedError("NOSESSION", "the session has ended")
+        seq, count = add.frame.seq, len(add.touch.points_mm)
+        if count == 0:
+            raise _RefusedError("NOCONTACT", f"frame {seq}: nothing touches")
+        if (pose := self._posed(add.frame).pose) is None:
+            raise _RefusedError("NOPOSE", f"frame {seq}: the robot's pose is not known at its time")
+        base_T_sensor = of_pose(pose) @ add.flange_T_sensor
         # On the disk first: what is acknowledged is there. A press that the map refuses is refused again on resuming.
-        self._file.append(add.touch, add.base_T_sensor)
+        self._file.append(add.touch, base_T_sensor)
         try:
-            self._stitcher.add(add.touch, add.base_T_sensor)
+            self._stitcher.add(add.touch, base_T_sensor)
         except ValueError as error:
             raise _RefusedError("FULL", str(error)) from None
         self._revision += 1
-        about, presses = self._file.about, self._stitcher.presses
-        revision = MapRevision(
-            about.name, self._revision, presses, presses, about.calibration_crc32, "", self._stitcher.map.raster
+        with self._lock:
+            self._counts["presses"] += 1
+        self._told(self._growing(self._file, self._stitcher))
+        return f"press={self._stitcher.presses} frame={seq} points={count}"
+
+    def _growing(self, file: StitchFile, stitcher: Stitcher) -> MapRevision:
+        about, presses = file.about, stitcher.presses
+        return MapRevision(
+            about.name, self._revision, presses, presses, about.calibration_crc32, "", stitcher.map.raster
         )
-        self._told(revision)
-        return f"press={self._stitcher.presses} frame={add.seq} points={len(add.touch.points_mm)}"
 
     def _end(self, file: StitchFile, stitcher: Stitcher) -> str:
         if stitcher.presses == 0:
             raise _RefusedError("EMPTY", "no press was added; ABORT ends the session")
+        self._now = replace(self._session(), ending=True)
         finished = stitcher.finish()
         rejected = [k + 1 for k, press in enumerate(finished.presses) if press.rejected]
         used = stitcher.presses - len(rejected)
@@ -281,12 +375,14 @@ class Stitching:
             "presses": stitcher.presses,
             "used": used,
             "rejected": rejected,
+            "missed": self._missed,
             "refined": finished.refined,
             "disagreement_mm": round(finished.disagreement_mm, 4),
             "calibration_crc32": file.about.calibration_crc32,
         }
         write_map(file.folder, finished.raster, described)
         file.end()
+        self._ended = str(file.folder)
         self._closed()
         self._told(final)
         return (
@@ -301,11 +397,18 @@ class Stitching:
 
     def _closed(self) -> None:
         self._file = self._stitcher = None
-        self.open = False
+        self._now = self._session()
         with self._lock:
             waiting, self._waiting = list(self._waiting), deque()
         for one in waiting:
             one.answer("NOSESSION", "the session has ended")
+
+    def _session(self) -> Session:
+        if self._file is None or self._stitcher is None:
+            return Session(folder=self._ended)
+        stitcher = self._stitcher
+        name, presses, points = self._file.about.name, stitcher.presses, stitcher.points
+        return Session(name, presses=presses, points=points, revision=self._revision, folder=self._ended)
 
     def _status(self) -> str:
         if self._file is None or self._stitcher is None:
@@ -325,11 +428,9 @@ class _RefusedError(Exception):
         self.code = code
 
 
-def _refusal(frame: Frame, result: Reconstruction) -> tuple[str, str] | None:
+def _refusal(result: Reconstruction) -> tuple[str, str] | None:
     if not result.valid:
         return "INVALID", f"frame {result.seq}: {result.reason}"
     if not result.contact:
         return "NOCONTACT", f"frame {result.seq}: nothing touches"
-    if frame.pose is None:
-        return "NOPOSE", f"frame {result.seq}: the robot's pose is not known at its time"
     return None

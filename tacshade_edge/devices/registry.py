@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 from tacshade_edge.devices import calibration_file, v4l2_node
 from tacshade_edge.devices.base import FrameSource
+from tacshade_edge.devices.frame_table import table_in
 from tacshade_edge.devices.mqtt import MqttLink
 from tacshade_edge.devices.mqtt_client import BrokerAddress
 from tacshade_edge.devices.mqtt_outlet import Outcome
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.protocol.messages import Request
-from tacshade_edge.settings import Document, Files, Serial, Simulated, Source, V4l2
+from tacshade_edge.settings import Document, Files, Serial, Settings, Simulated, Source, V4l2
 from tacshade_edge.types import Calibration
 
 if TYPE_CHECKING:
@@ -61,6 +62,12 @@ def make_serial_port(settings: Serial | None) -> SerialPort | None:
     from tacshade_edge.devices.serial_port import SerialPort
 
     return SerialPort(settings.device, settings.baud)
+
+
+def frames_have_poses(settings: Settings) -> bool:
+    """Whether a robot tells them, or the source's folder has a table that may."""
+    source = settings.source
+    return settings.serial is not None or (isinstance(source, Files) and table_in(Path(source.path)) is not None)
 
 
 def load_calibration(document: Document) -> Calibration:

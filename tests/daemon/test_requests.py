@@ -35,6 +35,7 @@ class Asked:
             lambda: {"up": 1},
             self._changed,
             self.records.append,
+            self.records.append,
         )
 
     def _changed(self) -> None:

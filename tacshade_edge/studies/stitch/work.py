@@ -99,7 +99,8 @@ def read_recording(calibration: Calibration, profile: Profile, recording: Record
             presses.append(Press(recorded.name, where, flange_T_sensor, NOTHING, "the table has no pose for it"))
         else:
             touch = touch_points(result.height, calibration.geometry)
-            presses.append(Press(recorded.name, where, of_pose(frame.pose) @ flange_T_sensor, touch, ""))
+            skipped = "" if len(touch.points_mm) else "no contact"
+            presses.append(Press(recorded.name, where, of_pose(frame.pose) @ flange_T_sensor, touch, skipped))
 
 
 def stitcher_of(presses: Sequence[Press], skin_radius_mm: float) -> Stitcher:
