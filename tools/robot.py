@@ -24,6 +24,7 @@ import select
 import threading
 import time
 import tty
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -80,6 +81,8 @@ class PtyRobot:
         Poses per second; 0 sends none.
     poses : int or None
         Sends so many and then goes on without.
+    where : callable
+        As `motion`: where the flange is, at a time of `true_s`.
     """
 
     def __init__(
@@ -94,8 +97,10 @@ class PtyRobot:
         clock: Clock | None = None,
         faults: Faults | None = None,
         seed: int = 1,
+        where: Callable[[float], PoseValues] = motion,
     ) -> None:
         self.told = Told()
+        self._where = where
         self.events: list[str] = []  # EVT lines
         self.replies: dict[int, str] = {}
         self._link = link
@@ -228,7 +233,7 @@ class PtyRobot:
     def _send_pose(self, at_s: float, now_s: float) -> None:
         self.told.poses += 1
         self.told.last_pose_seq = self._pose_seq
-        sample = PoseSample(self._pose_seq, self.clock.read_ns(at_s), motion(at_s))
+        sample = PoseSample(self._pose_seq, self.clock.read_ns(at_s), self._where(at_s))
         self._pose_seq = (self._pose_seq + 1) % 65536
         if self._mode_binary:
             self._send(cobs.encode(encode_pose(sample)) + b"\0", now_s)

@@ -1,0 +1,227 @@
+"""A robot that presses a pad: serial line and frames in, a map at a subscriber; and the same map from the recording."""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from calibrated_sensor import HALF, calibrated, simulated, unloaded
+from mqtt_rig import MOSQUITTO, Broker, Subscriber, wait_until
+from robot import PtyRobot
+
+from tacshade_edge.cli import main
+from tacshade_edge.daemon.app import App
+from tacshade_edge.protocol import wire
+from tacshade_edge.protocol.serial_line import PoseValues
+from tacshade_edge.settings import load
+from tacshade_edge.simulator.pad import Bar, Pad, scan
+from tacshade_edge.simulator.press import Press
+from tacshade_edge.types import U8
+
+pytestmark = [
+    pytest.mark.broker,
+    pytest.mark.slow,
+    pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed"),
+]
+BASE = "tacshade/hand-1"
+PAD = Pad(12.0, 4.0, (Bar(2.0, 2.0, 10.0, 2.0, 3.0),))
+HOME: PoseValues = (0.0, 0.0, 60.0, 0.0, 1.0, 0.0, 0.0)
+DEADLINE_S = 60.0
+
+
+@cache
+def presses() -> list[tuple[PoseValues, U8]]:
+    """Where the robot goes down, and what the sensor sees there."""
+    found = []
+    for k, pose in enumerate(scan(PAD, 4.0, 2.5, HALF.skin_radius_mm)[:4]):
+        shape = PAD.under(pose, HALF.skin_radius_mm)
+        found.append((pose.seven(), simulated().frame((Press(shape, 0.0, 0.0, 0.0),), 70 + k).image))
+    return found
+
+
+class Cell:
+    """Robot, sensor, daemon, broker and subscriber; the test says where the robot is and what the sensor sees."""
+
+    def __init__(self, folder: Path, scripted: Any) -> None:
+        self.folder = folder
+        self._scripted = scripted
+        self._closing = ExitStack()
+        self.place, self.shown, self.frames = HOME, unloaded(), threading.Event()
+
+    def __enter__(self) -> Cell:
+        enter = self._closing.enter_context
+        link = Path(f"/dev/shm/tacshade-stitch-{os.getpid()}")
+        broker = enter(Broker(self.folder))
+        self.seen = enter(Subscriber(broker.port))
+        self.robot = enter(PtyRobot(link, rate_hz=100, binary=True, where=lambda _: self.place))
+        path = self.folder / "settings.yaml"
+        path.write_text(
+            f"sensor_id: hand-1\nprofile: fast\nsource: {{kind: simulated}}\nserial: {{device: {link}}}\n"
+            f"mqtt: {{host: 127.0.0.1, port: {broker.port}}}\nrecorder: {{folder: recs}}\nstitching: {{folder: maps}}\n"
+        )
+        self._start(path)
+        self._closing.callback(self._stop)
+        return self
+
+    def _start(self, path: Path) -> None:
+        self._settings = path
+        app = App(load(path), self._scripted(self._stream()), calibrated())
+        self._app, self._thread = app, threading.Thread(target=app.run)
+        self._thread.start()
+        self.until(lambda: self.last("status/serial").get("sync") == "two-way", "synchronised")
+
+    def _stop(self) -> None:
+        self.frames.set()
+        self._app.stop()
+        self._thread.join(10)
+        assert not self._thread.is_alive()
+
+    def restart(self) -> None:
+        """Another daemon of the same settings."""
+        self._stop()
+        self.seen.messages.clear()
+        self._start(self._settings)
+
+    def __exit__(self, *error: Any) -> None:
+        self._closing.__exit__(*error)
+
+    def _stream(self) -> Iterator[Any]:
+        pause = threading.Event()
+        yield self.frames.wait
+        while True:
+            yield self.shown
+            yield lambda: pause.wait(0.02)
+
+    def last(self, topic: str) -> Any:
+        payloads = self.seen.of(f"{BASE}/{topic}")
+        return json.loads(payloads[-1]) if payloads else {}
+
+    def until(self, condition: Callable[[], object], what: str) -> None:
+        wait_until(condition, DEADLINE_S, what)
+
+    def ask(self, verb: str, **request: Any) -> Any:
+        """The result of a request, or its error."""
+        before = len(self.seen.of(f"{BASE}/res/{verb}"))
+        self.seen.publish(f"{BASE}/req/{verb}", json.dumps(request).encode())
+        answer = json.loads(self.seen.wait_for(f"{BASE}/res/{verb}", before + 1, DEADLINE_S)[-1])
+        return answer["result"] if answer["ok"] else answer["error"]
+
+    def command(self, text: str) -> str:
+        """The answer on the serial line."""
+
+        def answer() -> str:
+            new = (r for n, r in sorted(self.robot.replies.items()) if n not in before)
+            return next((r for r in new if not r.split()[-1].isdigit()), "")  # not a SYNC's
+
+        before = set(self.robot.replies)
+        self.robot.ask(text)
+        self.until(answer, text)
+        return answer()
+
+    def go(self, pose: PoseValues) -> None:
+        """Lift, and move; the robot has told of it for a while when this returns."""
+        self.shown = unloaded()
+        self.until(lambda: self.last("contact").get("contact") == 0, "lifted")
+        self.place = pose
+        told = self.robot.told.poses
+        self.until(lambda: self.robot.told.poses > told + 30, "told")
+
+    def status(self) -> Any:
+        return self.last("status/stitching")
+
+    def press(self, pose: PoseValues, image: U8, count: int) -> None:
+        """Press and hold until that is added."""
+        self.go(pose)
+        self.shown = image
+        self.until(lambda: self.status()["presses"] == count, f"press {count}, {self.status()}")
+
+
+@pytest.fixture
+def cell(tmp_path: Path, scripted: Any) -> Iterator[Cell]:
+    presses()  # drawn before the robot's clock runs
+    calibrated()
+    with Cell(tmp_path, scripted) as one:
+        yield one
+
+
+def test_the_live_map_is_that_of_the_recording(cell: Cell, tmp_path: Path) -> None:
+    assert cell.status() == {
+        **{"state": "idle", "reason": "", "name": "", "presses": 0},
+        **{"points": 0, "revision": 0, "missed": 0, "folder": ""},
+    }
+    assert cell.ask("stitch", action="add") == "NOSESSION: no session is open, begin one first"
+    folder = Path(cell.ask("record", action="start", seconds=600, name="r")["folder"])
+    cell.frames.set()
+    cell.until(lambda: cell.last("contact"), "a frame")
+    assert cell.ask("stitch", action="begin", name="1") == {"name": "1"}
+    cell.until(lambda: cell.status()["state"] == "open", "open")
+    for k, (pose, image) in enumerate(presses()):
+        cell.press(pose, image, k + 1)
+    cell.go(HOME)
+    status = cell.ask("stitch", action="status")
+    assert (status["open"], status["name"], status["presses"], status["revision"]) == (1, "1", 4, 4)
+    assert " BUSY session 1 is open" in cell.command("STITCH BEGIN other")
+    ended = cell.ask("stitch", action="end")
+    assert (ended["name"], ended["presses"], ended["used"], ended["refined"]) == ("1", 4, 4, 0)
+    cell.until(lambda: cell.status()["state"] == "idle", "idle")
+    final = cell.last("map/final")
+    cell.until(lambda: cell.last("health")["stitching"]["presses"] == 4, "health")
+    assert cell.last("health")["stitching"] == {"presses": 4, "refused": 1, "missed": 0, "waiting": 0}
+    cell.ask("record", action="stop")
+
+    words = ["stitch", "--calibration", str(folder / "calibration.npz"), "--profile", "fast"]
+    assert main([*words, "--recording", str(folder), "--out", str(tmp_path / "offline")]) == 0
+    live, offline = Path(final["folder"]), tmp_path / "offline"
+    assert live == tmp_path / "maps" / "1"
+    for name in ("map.ply", "map.png", "map.npz", "preview.png"):
+        assert (live / name).read_bytes() == (offline / name).read_bytes(), name
+    with np.load(offline / "map.npz") as npz:
+        known = np.isfinite(npz["z_mm"])
+        assert (final["presses"], final["used"], final["revision"], final["name"]) == (4, 4, 5, "1")
+        assert final["area_mm2"] == np.count_nonzero(known) * npz["step_mm"] ** 2 > 50
+        rows, cols = np.nonzero(known)
+        x_mm, y_mm = npz["x0_mm"] + cols * npz["step_mm"], npz["y0_mm"] + rows * npz["step_mm"]
+        expected = np.column_stack((x_mm, y_mm, npz["z_mm"][known])).astype(np.float32)
+    cloud = wire.decode(cell.seen.of(f"{BASE}/map/cloud")[-1])
+    assert isinstance(cloud, wire.CloudMessage)
+    assert cloud.seq == 5
+    np.testing.assert_array_equal(cloud.points_mm, expected)
+
+
+def test_a_session_outlives_the_cable_and_the_daemon(cell: Cell, tmp_path: Path) -> None:
+    (first, image), (second, _), (third, _), _ = presses()
+    cell.frames.set()
+    cell.until(lambda: cell.last("contact"), "a frame")
+    assert "OK" in cell.command("STITCH BEGIN pad")
+    cell.until(lambda: cell.status()["state"] == "open", "open")
+    cell.press(first, image, 1)
+
+    cell.go(second)
+    cell.robot.unplug()
+    cell.until(lambda: cell.status()["reason"] == "the robot's pose is not known: nothing can be added", "the gap")
+    cell.shown = image
+    cell.until(lambda: cell.status()["missed"] == 1, "a press without a pose")
+    cell.shown = unloaded()
+    cell.robot.plug()
+    cell.until(lambda: cell.status()["reason"].endswith("the robot's pose is not known at its time"), "the pose")
+    cell.until(lambda: any(e.startswith("GAP poses=") for e in cell.robot.events), "EVT GAP")
+    cell.press(second, image, 2)
+    cell.until(lambda: cell.status()["reason"] == "", "well again")
+
+    cell.go(HOME)
+    cell.restart()
+    assert (cell.status()["state"], cell.status()["name"], cell.status()["presses"]) == ("open", "pad", 2)
+    cell.press(third, image, 3)
+    answer = cell.command("STITCH END")
+    assert "name=pad presses=3 used=3 refined=0" in answer
+    about = json.loads((tmp_path / "maps" / "pad" / "map.json").read_text())
+    assert (about["presses"], about["used"]) == (3, 3)
+    cell.until(lambda: cell.last("map/final").get("presses") == 3, "told")
