@@ -20,12 +20,14 @@ from tacshade_edge import cli
 print(json.dumps([cli.main(sys.argv[1:]), *sys.modules]))
 """
 OTHERS = {"scipy", "matplotlib", "skimage", "PIL", "serial", "websockets", "iotcore", "sklearn", "torch"}
-# Other commands, and what waits for a reference to be taken, for a camera, for a simulated source.
-COMMANDS, ON_DEMAND = (
+# Other commands; what waits for a reference to be taken, for a camera, for a simulated source; what needs poses.
+COMMANDS, ON_DEMAND, POSES = (
     "simulator studies dashboard doctor daemon.replay",
     "core.calibrate devices.v4l2 devices.simulated",
+    "core.stitch core.touch daemon.stitching daemon.stitch_sessions daemon.map_publisher devices.stitch_file",
 )
 OWN = {f"tacshade_edge.{part}" for part in [*COMMANDS.split(), *ON_DEMAND.split()]}
+STITCHING = {f"tacshade_edge.{part}" for part in POSES.split()}
 
 
 def imported(folder: Path, profile: str) -> set[str]:
@@ -50,4 +52,8 @@ def test_imports_follow_the_settings(tmp_path: Path) -> None:
     assert "onnxruntime" not in paper
     for modules in (network, paper):
         assert "tacshade_edge.devices.files" in modules
-        assert not modules & (OTHERS | OWN)
+        assert not modules & (OTHERS | OWN | STITCHING)
+    (tmp_path / "images" / "frames.csv").write_text("image,t_ns,x_mm,y_mm,z_mm,qw,qx,qy,qz\n0.png,0,0,0,0,1,0,0,0\n")
+    posed = imported(tmp_path, "fast")
+    assert posed >= STITCHING
+    assert not posed & (OTHERS | OWN)

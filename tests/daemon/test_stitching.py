@@ -4,6 +4,7 @@ import json
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from queue import Empty, SimpleQueue
 
@@ -212,3 +213,72 @@ def test_a_disk_that_fails_adds_nothing(robot: Robot, ball: Reconstruction, tmp_
     assert code == "FAILED"
     assert "cannot be written" in text
     assert "presses=0" in robot.ask("STATUS")[1]
+
+
+def test_a_press_that_was_commanded_is_not_added_again_when_it_settles(
+    tmp_path: Path, ball: Reconstruction, nothing: Reconstruction
+) -> None:
+    robot = Robot(tmp_path, automatic=True)
+    robot.show(nothing)
+    robot.ask("BEGIN")
+    begun_ns = time.monotonic_ns()
+    robot.show(ball, t_ns=begun_ns)
+    assert robot.add(ball)[0] == ""
+    for k in range(30):
+        robot.show(ball, t_ns=time.monotonic_ns() + k * 33_000_000)
+    assert "presses=1" in robot.ask("STATUS")[1]
+    robot.end()
+
+
+def test_a_contact_that_is_there_when_a_session_begins_is_its_own(tmp_path: Path, ball: Reconstruction) -> None:
+    robot = Robot(tmp_path, automatic=True)
+    robot.show(ball)
+    begun_ns = time.monotonic_ns()
+    for name in ("a", "b"):  # without lifting
+        robot.ask("BEGIN", name)
+        for k in range(12):
+            robot.show(ball, t_ns=begun_ns + k * 33_000_000)
+        assert "presses=1" in robot.ask("STATUS")[1]
+        robot.ask("END")
+        begun_ns += 12 * 33_000_000
+    robot.end()
+
+
+def test_a_touch_of_nothing_is_no_press(robot: Robot, ball: Reconstruction) -> None:
+    robot.show(ball)
+    robot.ask("BEGIN")
+    height = replace(ball.height, contact=np.zeros_like(ball.height.contact))
+    assert robot.add(replace(ball, height=height))[0] == "NOCONTACT"
+    assert "presses=0" in robot.ask("STATUS")[1]
+
+
+def test_the_pose_is_asked_for_when_the_press_is_added(tmp_path: Path, ball: Reconstruction) -> None:
+    told: list[MapRevision] = []
+
+    def posed(frame: Frame) -> Frame:
+        assert frame.image.size == 0  # what waits here must not keep images
+        return replace(frame, pose=Pose(frame.t_ns, 50.0, 0.0, 20.0, 0.0, 1.0, 0.0, 0.0))
+
+    robot = Robot(tmp_path)
+    robot.end()
+    robot.stitching = Stitching(tmp_path, told.append, posed)
+    robot.thread = threading.Thread(target=robot.stitching.run)
+    robot.thread.start()
+    robot.show(ball)
+    robot.ask("BEGIN")
+    assert robot.add(ball, pose=False)[0] == ""
+    robot.end()
+    assert told[-1].raster().x0_mm > 30
+
+
+def test_a_resumed_map_is_told_at_once(tmp_path: Path, ball: Reconstruction) -> None:
+    first = Robot(tmp_path)
+    first.show(ball)
+    first.ask("BEGIN", "pad")
+    first.add(ball)
+    first.end()
+    second = Robot(tmp_path)
+    second.ask("STATUS")
+    assert [(r.name, r.revision, r.presses, r.folder) for r in second.told] == [("pad", 1, 1, "")]
+    assert second.stitching.now.presses == 1
+    second.end()
