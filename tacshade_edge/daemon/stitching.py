@@ -311,7 +311,11 @@ class Stitching:
         if self._calibration is None:
             raise _RefusedError("NOFRAME", "no frame was reconstructed yet")
         name = name or time.strftime("%Y%m%d-%H%M%S", time.gmtime())
-        if len(name) > _NAME_MAX or name.startswith(".") or not all(c.isalnum() or c in "._-" for c in name):
+        if (
+            len(name) > _NAME_MAX
+            or name.startswith(".")
+            or not all((c.isascii() and c.isalnum()) or c in "._-" for c in name)
+        ):
             raise _RefusedError("NAME", f"found {name[:80]!r}, expected letters, digits, . _ -, at most {_NAME_MAX}")
         if (self._folder / name).exists():
             raise _RefusedError("EXISTS", f"{self._folder / name} is there already")

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -27,6 +28,14 @@ def test_half_way_is_half_the_way_and_half_the_turn(degrees: float, sign: float)
         expected = turned(t_ns, part * degrees, 10 + 10 * part)
         assert (found.t_ns, found.x_mm) == (t_ns, pytest.approx(expected.x_mm))
         assert [found.qw, found.qz] == pytest.approx([expected.qw, expected.qz], abs=1e-9)
+
+
+@given(UNITS, st.floats(-500, 500), st.lists(st.integers(-50, 150), min_size=2, max_size=5))
+def test_a_robot_at_rest_is_at_one_place_to_the_last_bit(
+    q: tuple[float, ...], x_mm: float, times_ns: list[int]
+) -> None:
+    a, b = (Pose(t_ns, x_mm, -x_mm / 3, 0.1, *q) for t_ns in (0, 100))
+    assert len({replace(interpolate(a, b, t_ns), t_ns=0) for t_ns in times_ns}) == 1
 
 
 @given(UNITS, UNITS, st.integers(-50, 150))

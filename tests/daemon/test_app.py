@@ -289,6 +289,8 @@ def test_requests(
         refused = ask(seen, "profile", profile="slow")
         assert refused == {"ok": False, "error": "profile: found slow, expected one of paper, fast, balanced, accurate"}
         ask(seen, "profile", profile="fast")
+        refused = ask(seen, "stitch", action="begin")
+        assert refused["error"].startswith("UNAVAILABLE: found no poses, expected `serial` in the settings")
 
         taken = ask(seen, "reference")
         assert taken["ok"] is True, taken

@@ -199,7 +199,7 @@ def test_an_aborted_session_leaves_nothing(robot: Robot, ball: Reconstruction, t
     assert robot.ask("BEGIN", "x")[0] == ""
 
 
-@pytest.mark.parametrize("name", ["../x", "a/b", ".x", "a b", "x" * 65])
+@pytest.mark.parametrize("name", ["../x", "a/b", ".x", "a b", "é", "x" * 65])
 def test_names_stay_in_the_folder(robot: Robot, ball: Reconstruction, name: str) -> None:
     robot.show(ball)
     assert robot.ask("BEGIN", name)[0] == "NAME"

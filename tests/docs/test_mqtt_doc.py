@@ -13,6 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tacshade_edge.core.touch_map import Raster
+from tacshade_edge.daemon.map_publisher import MapPublisher
+from tacshade_edge.daemon.stitching import MapRevision
 from tacshade_edge.protocol import wire
 from tacshade_edge.types import HeightMap, ObjectCloud, Pose, Reconstruction
 
@@ -142,6 +145,19 @@ def test_decoder_understands_what_the_encoder_writes_now(decode: Decoder) -> Non
 def test_the_dashboard_decodes_with_the_same_lines() -> None:
     page = (ROOT / "tacshade_edge" / "dashboard" / "static" / "wire.js").read_text()
     assert page == code("javascript") + "\nexport { decode };\n"
+
+
+def test_what_is_told_of_a_map_is_what_the_text_shows() -> None:
+    z = np.array([[np.nan, 1.25, 1.5], [-0.5, np.nan, 0.75]], np.float32)
+    revision = MapRevision("pad-1", 5, 4, 4, 1, "/s/pad-1", lambda: Raster(z, 120.0, -3.5, 0.25))
+    told: dict[str, bytes] = {}
+    MapPublisher(told.__setitem__).tell(revision)
+    assert json.loads(told["map/final"]) == json.loads(code("json"))
+    vector = next(v["expect"] for v in VECTORS if v["name"] == "map cloud")
+    cloud = wire.decode(told["map/cloud"])
+    assert isinstance(cloud, wire.CloudMessage)
+    assert (cloud.points_mm.ravel().tolist(), cloud.labels.tolist()) == (vector["points_mm"], vector["labels"])
+    assert (cloud.seq, cloud.contact) == (vector["seq"], vector["contact"])
 
 
 def test_vector_in_the_text_is_one_of_the_file() -> None:

@@ -166,10 +166,12 @@ def test_the_commented_robot_of_the_default_file_is_its_defaults(tmp_path: Path)
 
 def test_a_relative_path_counts_from_the_files_folder(tmp_path: Path) -> None:
     text = "calibration: c.npz\nsource: {kind: files, path: x}\nmqtt: {password_file: p, ca_file: /abs/ca}\n"
+    text += "recorder: {folder: r}\nstitching: {folder: s}\n"
     settings = load(write(tmp_path, text)).settings
     assert settings.calibration == str(tmp_path / "c.npz")
     assert settings.source == Files(path=str(tmp_path / "x"))
     assert (settings.mqtt.password_file, settings.mqtt.ca_file) == (str(tmp_path / "p"), "/abs/ca")
+    assert (settings.recorder.folder, settings.stitching.folder) == (str(tmp_path / "r"), str(tmp_path / "s"))
 
 
 def test_where_names_the_line_of_a_key_or_only_the_file(tmp_path: Path) -> None:
