@@ -25,6 +25,7 @@ from tacshade_edge.core.touch import Touch, touch_points
 from tacshade_edge.core.touch_map import Raster
 from tacshade_edge.devices.map_files import write_map
 from tacshade_edge.devices.stitch_file import About, StitchFile, open_session
+from tacshade_edge.devices.whole_files import told
 from tacshade_edge.errors import TacshadeError
 from tacshade_edge.rigid import Rigid, from_seven, of_pose
 from tacshade_edge.types import Calibration, Frame, Reconstruction
@@ -274,10 +275,11 @@ class Stitching:
             self._file.close()
 
     def _resume(self) -> None:
-        path = open_session(self._folder)
-        if path is None:
-            return
         try:
+            with told(self._folder):
+                path = open_session(self._folder)
+            if path is None:
+                return
             self._file, presses = StitchFile.resume(path)
         except TacshadeError as error:
             _log.warning("session not resumed: %s", error)
@@ -317,7 +319,9 @@ class Stitching:
             or not all((c.isascii() and c.isalnum()) or c in "._-" for c in name)
         ):
             raise _RefusedError("NAME", f"found {name[:80]!r}, expected letters, digits, . _ -, at most {_NAME_MAX}")
-        if (self._folder / name).exists():
+        with told(self._folder):
+            there = (self._folder / name).exists()
+        if there:
             raise _RefusedError("EXISTS", f"{self._folder / name} is there already")
         about = About(name, time.time_ns(), self._calibration.crc32, self._calibration.geometry.skin_radius_mm)
         self._file = StitchFile.create(self._folder / name, about)
@@ -420,7 +424,7 @@ class Stitching:
         stitcher = self._stitcher
         return (
             f"open=1 name={self._file.about.name} presses={stitcher.presses} points={stitcher.points} "
-            f"tiles={stitcher.map.tiles} revision={self._revision}"
+            f"tiles={stitcher.map.tiles} revision={self._revision} missed={self._missed}"
         )
 
 

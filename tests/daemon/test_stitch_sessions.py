@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -12,8 +13,10 @@ import pytest
 from calibrated_sensor import calibrated, pressed, step, unloaded
 from mqtt_rig import wait_until
 
+from tacshade_edge.core.stitch import Stitched, Stitcher
 from tacshade_edge.daemon.stitch_sessions import StitchSessions, values
 from tacshade_edge.daemon.workers import Sink
+from tacshade_edge.devices.stitch_file import open_session
 from tacshade_edge.protocol.messages import Request
 from tacshade_edge.types import Calibration, Frame, Pose, Reconstruction
 
@@ -118,6 +121,26 @@ def test_what_was_not_added_is_counted_and_told(daemon: Daemon, monkeypatch: pyt
     wait_until(lambda: daemon.status()["presses"] == 1, 20, "the next one")
     assert (daemon.status()["reason"], daemon.status()["missed"]) == ("", 1)
     assert daemon.sessions.as_dict() == {"presses": 1, "refused": 1, "missed": 1, "waiting": 0}
+
+
+def test_a_stop_does_not_wait_for_a_map(daemon: Daemon, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    daemon.show(step("fast", unloaded()))
+    daemon.ask(replace(BEGIN, name="pad"))
+    daemon.ask(ADD, step("fast", pressed("ball", 3.0).image))
+    finish, go_on = Stitcher.finish, threading.Event()
+
+    def slow(stitcher: Stitcher) -> Stitched:
+        assert go_on.wait(20)
+        return finish(stitcher)
+
+    monkeypatch.setattr(Stitcher, "finish", slow)
+    daemon.sessions.handle(END)
+    wait_until(lambda: daemon.status()["state"] == "ending", 20, "ending")
+    daemon.sessions.stop(0.01)
+    assert daemon.status()["state"] == "ending"
+    assert open_session(tmp_path) == tmp_path / "pad"  # for the next daemon
+    go_on.set()
+    wait_until(lambda: daemon.status()["state"] == "idle", 20, "idle")
 
 
 def test_answers_are_values() -> None:

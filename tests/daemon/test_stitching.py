@@ -282,3 +282,12 @@ def test_a_resumed_map_is_told_at_once(tmp_path: Path, ball: Reconstruction) -> 
     assert [(r.name, r.revision, r.presses, r.folder) for r in second.told] == [("pad", 1, 1, "")]
     assert second.stitching.now.presses == 1
     second.end()
+
+
+def test_a_folder_that_cannot_be_is_told(tmp_path: Path, ball: Reconstruction) -> None:
+    robot = Robot(tmp_path / ("x" * 300))
+    robot.show(ball)
+    code, text = robot.ask("BEGIN", "pad")
+    assert (code, "File name too long" in text) == ("FAILED", True)
+    assert robot.ask("STATUS") == ("", "open=0")
+    robot.end()
