@@ -42,7 +42,7 @@ def test_every_key_is_documented() -> None:
     timings = Timings()
     timings.add({"wait": 1.0, "capture_to_offer": 2.0})
     message = json.loads(encode_health(Health(FrameLedger(), timings).snapshot(None, 0, {}, {}, None)))
-    assert set(message) | {"serial"} == documented  # serial: with a robot, from daemon.robot
+    assert set(message) | {"serial", "stitching"} == documented  # with a robot, where frames have poses
     assert message["latency_ms"] == {"p50": 2.0, "p99": 2.0}
     assert message["stages_ms"] == {"wait": {"p50": 1.0, "p99": 1.0}}
     for name in message["frames"]:
