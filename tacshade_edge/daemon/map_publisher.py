@@ -31,11 +31,11 @@ class MapPublisher:
         self._publish = publish
         self._next_s = 0.0
 
-    def tell(self, revision: MapRevision) -> None:
-        """Publish a revision, unless one was published just before; the final one always."""
+    def tell(self, revision: MapRevision) -> bool:
+        """Publish a revision, unless one was published just before: True then; the final one always."""
         now_s = time.monotonic()
         if not revision.folder and now_s < self._next_s:
-            return
+            return True
         self._next_s = now_s + PERIOD_S
         raster = revision.raster()
         points, spacing_mm = thinned_points(raster)
@@ -65,6 +65,7 @@ class MapPublisher:
         )
         self._publish("map/cloud", cloud)
         self._publish("map/final" if revision.folder else "map/revision", encode_map(about))
+        return False
 
 
 def thinned_points(raster: Raster) -> tuple[F32, float]:

@@ -14,7 +14,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 from typing import Any, Literal
 
 import numpy as np
@@ -34,6 +34,7 @@ _log = logging.getLogger(__name__)
 
 ADD_TIMEOUT_NS = 5_000_000_000
 WAITING_MAX = 16
+RETELL_S = 0.25
 _NAME_MAX = 64
 _NO_IMAGE = np.zeros((0, 0), np.uint8)
 
@@ -127,7 +128,8 @@ class Stitching:
     folder : Path
         Sessions lie below it, each in its own folder. One that was open when the daemon died goes on.
     told : callable
-        ``told(revision)`` after each press and at the end, in this object's thread.
+        ``told(revision)`` after each press and at the end, in this object's thread; True: it was held back, and is to
+        be told again in a moment, as it is then.
     posed : callable
         Gives a frame its pose; called in this object's thread, which it may keep waiting for a moment.
     automatic : bool
@@ -138,7 +140,7 @@ class Stitching:
     def __init__(
         self,
         folder: Path,
-        told: Callable[[MapRevision], None],
+        told: Callable[[MapRevision], bool | None],
         posed: Callable[[Frame], Frame] = lambda frame: frame,
         *,
         automatic: bool = True,
@@ -158,6 +160,7 @@ class Stitching:
         self._counts = {"presses": 0, "refused": 0, "missed": 0}
         self._missed, self._missed_reason = 0, ""
         self._ended = ""
+        self._held = False
         self._now = Session()  # of the thread; the others read it
 
     @property
@@ -262,7 +265,11 @@ class Stitching:
     def run(self) -> None:
         """Go on with an open session, then do one job after another until `stop`."""
         self._resume()
-        while (job := self._jobs.get()) != "stop":
+        while (job := self._next()) != "stop":
+            if job is None:
+                if self._file is not None and self._stitcher is not None:
+                    self._tell(self._growing(self._file, self._stitcher))
+                continue
             try:
                 code, text = "", self._add(job) if isinstance(job, _Add) else self._do(job)
             except _RefusedError as refused:
@@ -273,6 +280,16 @@ class Stitching:
             job.answer(code, text)
         if self._file is not None:
             self._file.close()
+
+    def _next(self) -> _Command | _Add | Literal["stop"] | None:
+        """The next job; None when it is time to tell again of the map."""
+        try:
+            return self._jobs.get(timeout=RETELL_S if self._held else None)
+        except Empty:
+            return None
+
+    def _tell(self, revision: MapRevision) -> None:
+        self._held = bool(self._told(revision))
 
     def _resume(self) -> None:
         try:
@@ -291,7 +308,7 @@ class Stitching:
         self._revision = self._stitcher.presses
         self._now = self._session()
         if self._stitcher.presses:
-            self._told(self._growing(self._file, self._stitcher))
+            self._tell(self._growing(self._file, self._stitcher))
         _log.info("session %s goes on with %d presses", self._file.about.name, self._stitcher.presses)
 
     def _do(self, command: _Command) -> str:
@@ -350,7 +367,7 @@ class Stitching:
         self._revision += 1
         with self._lock:
             self._counts["presses"] += 1
-        self._told(self._growing(self._file, self._stitcher))
+        self._tell(self._growing(self._file, self._stitcher))
         return f"press={self._stitcher.presses} frame={seq} points={count}"
 
     def _growing(self, file: StitchFile, stitcher: Stitcher) -> MapRevision:
@@ -392,7 +409,7 @@ class Stitching:
         file.end()
         self._ended = str(file.folder)
         self._closed()
-        self._told(final)
+        self._tell(final)
         return (
             f"name={file.about.name} presses={final.presses} used={used} refined={int(finished.refined)} "
             f"disagreement_mm={finished.disagreement_mm:.3f} area_mm2={area_mm2:.0f}"
@@ -405,6 +422,7 @@ class Stitching:
 
     def _closed(self) -> None:
         self._file = self._stitcher = None
+        self._held = False
         self._now = self._session()
         with self._lock:
             waiting, self._waiting = list(self._waiting), deque()

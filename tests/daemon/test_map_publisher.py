@@ -23,9 +23,8 @@ def revision(number: int, folder: str = "", of: Raster | None = None) -> MapRevi
 def test_a_growing_map_is_told_once_a_second_and_the_last_one_always(monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[tuple[str, bytes]] = []
     publisher = MapPublisher(lambda topic, payload: told.append((topic, payload)))
-    for k in range(5):
-        publisher.tell(revision(k + 1))
-    publisher.tell(revision(6, "/sessions/pad"))
+    assert [publisher.tell(revision(k + 1)) for k in range(5)] == [False, True, True, True, True]
+    assert not publisher.tell(revision(6, "/sessions/pad"))
     assert [topic for topic, _ in told] == ["map/cloud", "map/revision", "map/cloud", "map/final"]
     monkeypatch.setattr(map_publisher, "PERIOD_S", -1.0)
     publisher.tell(revision(7, "/sessions/pad"))

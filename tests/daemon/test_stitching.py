@@ -11,6 +11,7 @@ from queue import Empty, SimpleQueue
 import numpy as np
 import pytest
 from calibrated_sensor import calibrated, pressed, step, unloaded
+from mqtt_rig import wait_until
 
 from tacshade_edge.core.stitch import Stitcher
 from tacshade_edge.core.touch import touch_points
@@ -291,3 +292,27 @@ def test_a_folder_that_cannot_be_is_told(tmp_path: Path, ball: Reconstruction) -
     assert (code, "File name too long" in text) == ("FAILED", True)
     assert robot.ask("STATUS") == ("", "open=0")
     robot.end()
+
+
+def test_what_was_held_back_is_told_though_nothing_more_comes(
+    tmp_path: Path, ball: Reconstruction, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tacshade_edge.daemon.stitching.RETELL_S", 0.01)
+    told: list[int] = []
+
+    def tell(revision: MapRevision) -> bool:
+        told.append(revision.revision)
+        return len(told) < 3
+
+    robot = Robot(tmp_path)
+    robot.end()
+    robot.stitching = Stitching(tmp_path, tell)
+    robot.thread = threading.Thread(target=robot.stitching.run)
+    robot.thread.start()
+    robot.show(ball)
+    robot.ask("BEGIN")
+    robot.add(ball)
+    wait_until(lambda: len(told) == 3, DEADLINE_S, "told again")
+    robot.ask("STATUS")
+    robot.end()
+    assert told == [1, 1, 1]
