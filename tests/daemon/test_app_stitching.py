@@ -19,6 +19,7 @@ from robot import PtyRobot
 
 from tacshade_edge.cli import main
 from tacshade_edge.daemon.app import App
+from tacshade_edge.devices.stitch_file import StitchFile
 from tacshade_edge.protocol import wire
 from tacshade_edge.protocol.serial_line import PoseValues
 from tacshade_edge.settings import load
@@ -183,6 +184,10 @@ def test_the_live_map_is_that_of_the_recording(cell: Cell, tmp_path: Path) -> No
     assert live == tmp_path / "maps" / "1"
     for name in ("map.ply", "map.png", "map.npz", "preview.png"):
         assert (live / name).read_bytes() == (offline / name).read_bytes(), name
+    _, added = StitchFile.resume(live)
+    for (_, base_T_sensor), (pose, _) in zip(added, presses(), strict=True):  # the sensor is the flange
+        np.testing.assert_allclose(base_T_sensor.seven()[:3], pose[:3], atol=1e-5)  # binary poses are float32
+        assert abs(np.dot(base_T_sensor.seven()[3:], pose[3:])) == pytest.approx(1, abs=1e-6)
     with np.load(offline / "map.npz") as npz:
         known = np.isfinite(npz["z_mm"])
         assert (final["presses"], final["used"], final["revision"], final["name"]) == (4, 4, 5, "1")
