@@ -23,6 +23,7 @@ import numpy as np
 import pytest
 from browser import CHROMIUM, DRIVER, browser, errors
 from dashboard_process import dashboard
+from growing_map import PAD, GrowingMap, scan
 from mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port, wait_until
 from published_hand import COLS, DISC, PublishedHand, bump
 from selenium.webdriver import ActionChains, Chrome
@@ -383,6 +384,138 @@ def test_strange_messages_are_counted_and_shown_as_text(page: Chrome, tmp_path: 
         assert page.title == "drawn – TacShade"
 
 
+def mapping(hand: PublishedHand, name: str, **corner_mm: float) -> GrowingMap:
+    return GrowingMap(lambda topic, payload: hand.tell(topic, payload, retain=True), name, **corner_mm)
+
+
+def until_mapped(page: Chrome, name: str, revision: int) -> None:
+    told = "tacshade.stitched && [tacshade.stitched.name, tacshade.stitched.revision]"
+    wait_until(lambda: js(page, told) == [name, revision], 15, f"revision {revision} of {name} on the screen")
+
+
+def frame_of(page: Chrome) -> Any:
+    """Where the map's frame and what is below it are."""
+    return js(page, "['stitched-map', 'health'].map(id => document.getElementById(id).getBoundingClientRect().top)")
+
+
+def test_the_map_grows_with_its_revisions(page: Chrome, tmp_path: Path) -> None:
+    """From the first press to the final map: every place has the colour of its z, elsewhere there is nothing."""
+    x, y = 400.0, -250.0  # of the pad's corner in the base frame
+    with (
+        Broker(tmp_path) as broker,
+        dashboard(f"127.0.0.1:{broker.port}") as address,
+        PublishedHand(broker.port) as hand,
+    ):
+        opened(page, address)
+        wait_until(lambda: js(page, "tacshade.sensor"), 10, "the hand")
+        assert not page.find_element(By.ID, "stitched").is_displayed()
+        growing = mapping(hand, "pad-1", x_mm=x, y_mm=y)
+        growing.press((14.0, 14.0))
+        until_mapped(page, "pad-1", 1)
+        assert page.find_element(By.ID, "stitched").is_displayed()
+        assert text(page, "stitched-name") == "pad-1, growing"
+        for words in ("presses\n1", "revision\n1", "0.25 mm apart", "size\n12."):
+            shows(page, "stitched-facts", words)
+        assert js(page, f"tacshade.zAt({x + 40}, {y + 14})") is None  # NaN: not yet
+        before = frame_of(page)
+        places = scan()
+        growing.press(*places[:30])
+        until_mapped(page, "pad-1", 2)
+        growing.press(*places[30:])
+        until_mapped(page, "pad-1", 3)
+        assert frame_of(page) == before  # nothing moves while it grows
+        low, high = 0.0, 1.5
+        assert text(page, "stitched-ticks").split() == ["0", "0.375", "0.75", "1.125", "1.5", "mm"]
+        for at in [(20.1, 32.1), (20.1, 21.1), (61.6, 20.0), (53.6, 14.0), (60.0, 54.1), (80.1, 28.1)]:
+            # Flat around each: points are thinned and cells lie beside them by up to half a spacing.
+            truth = float(PAD.height_mm(*(np.array([v]) for v in at))[0])
+            shown = js(page, f"tacshade.zAt({x + at[0]}, {y + at[1]})")
+            assert shown == pytest.approx(truth, abs=(high - low) / 255 + 0.01), at
+
+        spacing_mm = js(page, "tacshade.stitched.spacing_mm")
+        assert spacing_mm > 0.25  # more than 20000 points were touched
+        corner = js(page, "[tacshade.stitched.x0_mm, tacshade.stitched.y0_mm]")
+        assert js(page, f"tacshade.zAt({corner[0]}, {corner[1]})") is None
+
+        growing.end("/var/lib/tacshade-edge/maps/pad-1", rejected=3)
+        until_mapped(page, "pad-1", 4)
+        assert text(page, "stitched-name") == "pad-1, final"
+        shows(page, "stitched-facts", f"{growing.presses}, 3 left out")
+        shows(page, "stitched-facts", "/var/lib/tacshade-edge/maps/pad-1")
+
+        # The pointer, on the bar that stands alone: mm from the canvas's frame and what is drawn in it.
+        canvas = page.find_element(By.ID, "stitched-cells")
+        width_mm, length_mm = js(page, "[tacshade.stitched.width_mm, tacshade.stitched.length_mm]")
+        px_per_mm = min(canvas.rect["width"] / width_mm, canvas.rect["height"] / length_mm)
+        right = (x + 60.0 - corner[0] - width_mm / 2) * px_per_mm
+        down = -(y + 54.1 - corner[1] - length_mm / 2) * px_per_mm
+        ActionChains(page).move_to_element_with_offset(canvas, round(right), round(down)).perform()
+        shows(page, "stitched-cursor", "z 1.50 mm")
+        place = text(page, "stitched-cursor").split("x ")[1].split(" mm")[0]
+        assert [float(v) for v in place.split(", y ")] == pytest.approx([x + 60.0, y + 54.1], abs=0.6)
+        if PICTURES is not None:
+            page.find_element(By.ID, "stitched").screenshot(str(Path(PICTURES) / "dashboard-map.png"))
+
+
+def test_a_map_that_was_told_before_is_there_at_once(page: Chrome, tmp_path: Path) -> None:
+    """Retained: the final map of one session, then beside it the first press of the next, and of another hand."""
+    with (
+        Broker(tmp_path) as broker,
+        dashboard(f"127.0.0.1:{broker.port}") as address,
+        PublishedHand(broker.port) as hand,
+        PublishedHand(broker.port, "other") as other,
+    ):
+        first = mapping(hand, "first")
+        first.press((20.0, 20.0), (30.0, 20.0))
+        first.end("/maps/first")
+        opened(page, address, "drawn")
+        until_mapped(page, "first", 2)
+        assert text(page, "stitched-name") == "first, final"
+        mapping(hand, "second").press((60.0, 40.0))
+        until_mapped(page, "second", 1)
+        assert js(page, "tacshade.zAt(20, 20)") is None
+        page.refresh()
+        until_mapped(page, "second", 1)
+        assert text(page, "stitched-name") == "second, growing"
+
+        wait_until(lambda: len(page.find_elements(By.CSS_SELECTOR, "#hands button")) == 2, 10, "both hands")
+        page.find_elements(By.CSS_SELECTOR, "#hands button")[1].click()
+        assert js(page, "[tacshade.sensor, tacshade.stitched]") == ["other", None]
+        assert not page.find_element(By.ID, "stitched").is_displayed()
+        mapping(other, "third").press((60.0, 40.0))
+        until_mapped(page, "third", 1)
+
+
+def test_a_map_that_makes_no_sense_is_counted_and_not_drawn(page: Chrome, tmp_path: Path) -> None:
+    with (
+        Broker(tmp_path) as broker,
+        dashboard(f"127.0.0.1:{broker.port}") as address,
+        PublishedHand(broker.port) as hand,
+    ):
+        opened(page, address)
+        wait_until(lambda: js(page, "tacshade.sensor"), 10, "the hand")
+        growing = mapping(hand, "<b>good</b>")
+        growing.press((20.0, 20.0))
+        until_mapped(page, "<b>good</b>", 1)
+        assert text(page, "stitched-name") == "<b>good</b>, growing"
+        fine = {"points": 5, "x0_mm": 0, "y0_mm": 0, "width_mm": 9, "length_mm": 9, "spacing_mm": 0.25}
+        for count, wrong in enumerate(({"width_mm": None}, {"spacing_mm": 0}, {"x0_mm": "here"}, {"length_mm": -1}), 1):
+            told = json.dumps(fine | wrong | {"revision": 10 + count})
+            points = np.zeros((5, 3), np.float32)
+            cloud = wire.encode_map_cloud(points, revision=10 + count, calibration_crc32=1, t_ns=1, wall_ns=2)
+            hand.tell("map/cloud", cloud)
+            hand.tell("map/revision", told.encode())
+            wait_until(lambda count=count: js(page, "tacshade.undecodable") == count, 10, f"{count}, {told}")  # type: ignore[misc]
+        hand.tell("map/final", b"[]")
+        for topic, payload in (("map/revision", b"{"), ("map/final", b"null"), ("map/cloud", cloud[:-1])):
+            count += 1
+            hand.tell(topic, payload)
+            wait_until(lambda count=count: js(page, "tacshade.undecodable") == count, 10, f"{count}, {topic}")  # type: ignore[misc]
+        assert js(page, "tacshade.stitched.name") == "<b>good</b>"
+        growing.press((30.0, 20.0))
+        until_mapped(page, "<b>good</b>", 2)
+
+
 def test_a_broker_with_users_asks_for_one(page: Chrome, tmp_path: Path) -> None:
     users = {"eve": "right"}
     with (
@@ -458,6 +591,10 @@ def test_it_fits_the_screen(tmp_path: Path, name: str, size_px: tuple[int, int],
         page.set_window_size(*size_px)
         opened(page, address)
         until_shown(page, hand, lambda: bump(1, 2.4, 200, 360, step_px=4), 1)
+        growing = mapping(hand, "a" * 60)
+        growing.press(*scan())
+        growing.end("/var/lib/tacshade-edge/maps/" + "a" * 60)
+        until_mapped(page, "a" * 60, 2)
         width, scrolled = js(page, "[document.documentElement.clientWidth, document.documentElement.scrollWidth]")
         assert scrolled <= width
         map_width = page.find_element(By.ID, "cells").rect["width"]

@@ -76,6 +76,13 @@ def test_encoder_writes_the_vector_byte_for_byte(own: dict[str, Any]) -> None:
     assert data.hex() == own["hex"]
 
 
+def test_a_map_cloud_is_the_vector_byte_for_byte(mapped: dict[str, Any]) -> None:
+    expect = mapped["expect"]
+    points = np.array(expect["points_mm"], np.float32).reshape(-1, 3)
+    fields = {k: expect[k] for k in ("calibration_crc32", "t_ns", "wall_ns")}
+    assert wire.encode_map_cloud(points, revision=expect["seq"], **fields).hex() == mapped["hex"]
+
+
 def test_damaged_vector_is_refused_with_what_and_where(damaged: dict[str, Any]) -> None:
     with pytest.raises(DecodeError, match=damaged["error"]):
         wire.decode(bytes.fromhex(damaged["hex"]))

@@ -2,6 +2,7 @@
 
 import { PIXELS, STEPS, depthOf } from "./colours.js";
 import { skinPoint } from "./geometry.js";
+import { drawBar, drawTicks } from "./scale.js";
 
 const AUTO_LEAST_MM = 0.5;
 const NICE_MM = [0.5, 1, 1.5, 2, 3, 4, 5, 6, 8, 10, 15, 20, 40];
@@ -21,8 +22,8 @@ export class HeightView {
     this.geometry = null;
     this.cell = null; // of the pointer: [i, j] in the map
     this.peaks = []; // [time, mm], for the automatic scale
-    this.drawBar();
-    this.label();
+    drawBar(document.getElementById("bar"));
+    drawTicks(this.ticks, 0, this.scale_mm);
     this.canvas.addEventListener("pointermove", (event) => this.point(event));
     this.canvas.addEventListener("pointerdown", (event) => this.point(event));
     this.canvas.addEventListener("pointerleave", (event) => {
@@ -105,22 +106,7 @@ export class HeightView {
     }
     if (scale_mm === this.scale_mm) return;
     this.scale_mm = scale_mm;
-    this.label();
-  }
-
-  drawBar() {
-    const context = document.getElementById("bar").getContext("2d"), image = context.createImageData(STEPS, 1);
-    new Uint32Array(image.data.buffer).set(PIXELS);
-    context.putImageData(image, 0, 0);
-  }
-
-  label() {
-    const parts = [0, 1, 2, 3, 4].map((k) => {
-      const tick = document.createElement("li");
-      tick.textContent = `${+((this.scale_mm * k) / 4).toFixed(3)}${k === 4 ? " mm" : ""}`;
-      return tick;
-    });
-    this.ticks.replaceChildren(...parts);
+    drawTicks(this.ticks, 0, this.scale_mm);
   }
 
   point(event) {

@@ -5,13 +5,14 @@ import { objectColour } from "./colours.js";
 import { zeroMap } from "./geometry.js";
 import { HeightView } from "./heightmap.js";
 import { Link } from "./link.js";
+import { MapView } from "./mapview.js";
 import { element, levelOf, number, showContact, showHealth, showParts, showRates, showState } from "./panels.js";
 import { SkinView } from "./skin3d.js";
 import { decode } from "./wire.js";
 
 const CONTACT = 1, INVALID = 2, SATURATED = 4, DEGRADED = 8;
 const STALE_MS = 3000, RELEASE_LOST_MS = 500;
-const STREAMS = ["height", "cloud", "contact", "health", "preview", "status/+", "res/+"];
+const STREAMS = ["height", "cloud", "contact", "health", "preview", "status/+", "res/+", "map/+"];
 const $ = (id) => document.getElementById(id);
 const text = new TextDecoder();
 
@@ -19,13 +20,15 @@ const hands = new Map(); // sensor id -> { state, info }
 let chosen = null, view = emptyView(), undecodable = 0, drawn = 0, drawTimes = [], scheduled = false, picture = "";
 let link = null, asking = false;
 
-const heights = new HeightView(), skin = new SkinView(), chart = new DepthChart();
+const heights = new HeightView(), stitched = new MapView(), skin = new SkinView(), chart = new DepthChart();
 link = new Link({ told: tellLink, refused: askLogin, message: take });
 link.subscribe("tacshade/+/state", "tacshade/+/info");
 
 /** All that is known of the chosen hand. */
 function emptyView() {
-  return { height: null, cloud: null, map: null, contact: null, health: null, parts: new Map(), heard_ms: null, height_ms: 0, age_ms: null };
+  return {
+    height: null, cloud: null, map: null, mapPayload: null, mapCloud: null, told: {}, contact: null, health: null, parts: new Map(), heard_ms: null, height_ms: 0, age_ms: null,
+  };
 }
 
 // What arrives. Binary payloads are kept, newest only, and decoded when they are drawn.
@@ -59,6 +62,14 @@ function takeChosen(what, payload) {
       view.parts.set(what.slice(7), part);
       showParts(view.parts);
       tellState();
+    });
+  } else if (what === "map/cloud") {
+    view.mapPayload = payload;
+    schedule();
+  } else if (what === "map/revision" || what === "map/final") {
+    json(payload, (about) => {
+      view.told[what] = about;
+      schedule();
     });
   } else if (what === "preview") {
     URL.revokeObjectURL(picture);
@@ -115,6 +126,7 @@ function choose(sensor) {
   view = emptyView();
   drawTimes = [];
   heights.clear();
+  stitched.clear();
   skin.clear();
   chart.clear();
   $("preview").hidden = true;
@@ -178,8 +190,26 @@ function draw() {
     view.cloud = null;
     if (cloud && view.map && view.map.flags & CONTACT) tellObjects(cloud);
   }
+  drawStitched();
   showContact(view.contact);
   tellStale();
+}
+
+/** Points and what is told of them come as two messages, and the `final` of an earlier session stays beside a new one. */
+function drawStitched() {
+  if (view.mapPayload) {
+    view.mapCloud = decoded(view.mapPayload) ?? view.mapCloud;
+    view.mapPayload = null;
+  }
+  const cloud = view.mapCloud;
+  const about = cloud && Object.values(view.told).find(({ revision, points }) => revision === cloud.seq && points === cloud.labels.length);
+  if (!about || (about === stitched.about && cloud === stitched.cloud)) return;
+  try {
+    stitched.draw(about, cloud);
+  } catch {
+    undecodable++;
+    view.mapCloud = null;
+  }
 }
 
 /** The map to draw now, or null when the one that is shown is right. */
@@ -334,7 +364,9 @@ window.tacshade = Object.freeze({
   get seq() { return view.map?.seq ?? null; },
   get scale_mm() { return heights.scale_mm; },
   get age_ms() { return view.age_ms; },
+  get stitched() { return stitched.about; },
   get webgl() { return skin.available; },
   depthAt: (row, col) => heights.depthAt(row, col),
   drawnPeak: () => heights.drawnPeak(),
+  zAt: (x_mm, y_mm) => stitched.zAt(x_mm, y_mm),
 });
