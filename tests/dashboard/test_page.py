@@ -33,7 +33,7 @@ from selenium.webdriver.support.select import Select
 from tacshade_edge.cli.demo_sensor import make_calibration
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
 from tacshade_edge.devices import calibration_file
-from tacshade_edge.protocol import wire
+from tacshade_edge.protocol import messages, wire
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.simulator.script import demonstration
 
@@ -125,7 +125,7 @@ def until_shown(page: Chrome, hand: PublishedHand, result: Callable[[], Any], se
     wait_until(again, 15, f"map {seq} on the screen")
 
 
-def picture(page: Chrome, name: str, size_px: tuple[int, int] | None = None) -> None:
+def picture(page: Chrome, name: str, size_px: tuple[int, int] | None = None, top: str = "") -> None:
     if PICTURES is None:
         return
     before = page.get_window_size()
@@ -133,6 +133,8 @@ def picture(page: Chrome, name: str, size_px: tuple[int, int] | None = None) -> 
         page.set_window_size(*size_px)
         drawn_at = js(page, "performance.now()")
         wait_until(lambda: js(page, "performance.now()") > drawn_at + 1000, 10, "the new size is drawn")
+    if top:
+        page.execute_script("document.getElementById(arguments[0]).scrollIntoView()", top)
     Path(PICTURES).mkdir(parents=True, exist_ok=True)
     page.save_screenshot(str(Path(PICTURES) / f"{name}.png"))
     page.set_window_size(before["width"], before["height"])
@@ -453,8 +455,7 @@ def test_the_map_grows_with_its_revisions(page: Chrome, tmp_path: Path) -> None:
         shows(page, "stitched-cursor", "z 1.50 mm")
         place = text(page, "stitched-cursor").split("x ")[1].split(" mm")[0]
         assert [float(v) for v in place.split(", y ")] == pytest.approx([x + 60.0, y + 54.1], abs=0.6)
-        if PICTURES is not None:
-            page.find_element(By.ID, "stitched").screenshot(str(Path(PICTURES) / "dashboard-map.png"))
+        picture(page, "dashboard-map", (760, 740), "stitched")
 
 
 def test_a_map_that_was_told_before_is_there_at_once(page: Chrome, tmp_path: Path) -> None:
@@ -484,6 +485,62 @@ def test_a_map_that_was_told_before_is_there_at_once(page: Chrome, tmp_path: Pat
         assert not page.find_element(By.ID, "stitched").is_displayed()
         mapping(other, "third").press((60.0, 40.0))
         until_mapped(page, "third", 1)
+
+
+def test_a_stitching_session_is_commanded_through_requests(page: Chrome, tmp_path: Path) -> None:
+    def status(state: str, name: str, presses: int) -> None:
+        hand.tell(
+            "status/stitching", messages.encode_status(state, "", {"name": name, "presses": presses}), retain=True
+        )
+
+    def asked(count: int, result: dict[str, object], error: str = "") -> dict[str, object]:
+        body = json.loads(seen.wait_for("tacshade/drawn/req/stitch", count, 15)[-1])
+        answer = {"ok": False, "error": error} if error else {"ok": True, "result": result}
+        hand.tell("res/stitch", json.dumps({"transaction": body.pop("transaction"), **answer}).encode())
+        return dict(body)
+
+    def press(name: str) -> None:
+        button = page.find_element(By.NAME, name)
+        wait_until(lambda: button.is_displayed() and button.is_enabled(), 15, f"{name} can be pressed")
+        button.click()
+
+    with (
+        Broker(tmp_path) as broker,
+        dashboard(f"127.0.0.1:{broker.port}") as address,
+        PublishedHand(broker.port) as hand,
+        Subscriber(broker.port, "tacshade/+/req/+") as seen,
+    ):
+        opened(page, address)
+        wait_until(lambda: page.find_element(By.ID, "rezero").is_enabled(), 15, "the hand is online")
+        assert not page.find_element(By.ID, "session").is_displayed()  # one without poses has no sessions
+        status("idle", "", 0)
+        press("begin")
+        assert asked(1, {"name": "20261121-120000"}) == {"action": "begin"}
+        shows(page, "answer", "Session 20261121-120000 is open")
+        page.find_element(By.NAME, "session").send_keys("pad 1\n")
+        assert asked(2, {}, "NAME: found 'pad 1'") == {"action": "begin", "name": "pad 1"}
+        shows(page, "answer", "NAME: found 'pad 1'")
+        status("open", "pad-1", 3)
+        shows(page, "session", "Stitching pad-1: 3 presses")
+        assert not page.find_element(By.NAME, "begin").is_displayed()
+        press("add")
+        assert asked(3, {"press": 4, "frame": 77, "points": 900}) == {"action": "add"}
+        shows(page, "answer", "Press 4 is added.")
+        press("abort")
+        page.switch_to.alert.dismiss()
+        status("ending", "pad-1", 4)
+        wait_until(lambda: not page.find_element(By.NAME, "end").is_enabled(), 15, "nothing more while it ends")
+        status("open", "pad-1", 4)
+        press("end")
+        assert asked(4, {"name": "pad-1", "presses": 4, "used": 3}) == {"action": "end"}
+        shows(page, "answer", "The map of pad-1 is made: 3 of 4 presses used.")
+        press("abort")
+        assert "4 presses are deleted" in page.switch_to.alert.text
+        page.switch_to.alert.accept()
+        assert asked(5, {"name": "pad-1", "presses": 4}) == {"action": "abort"}
+        shows(page, "answer", "Session pad-1 is gone.")
+        status("idle", "", 0)
+        wait_until(lambda: page.find_element(By.NAME, "begin").is_displayed(), 15, "another can begin")
 
 
 def test_a_map_that_makes_no_sense_is_counted_and_not_drawn(page: Chrome, tmp_path: Path) -> None:

@@ -91,14 +91,14 @@ export class Link {
   }
 
   /** Ask a hand; resolves to its result, rejects with an Error whose message is for a person. */
-  request(sensor, verb, body) {
+  request(sensor, verb, body, answer_ms = ANSWER_MS) {
     if (!this.connected) return Promise.reject(new Error("not connected"));
     const transaction = `page-${crypto.getRandomValues(new Uint32Array(2)).join("-")}`;
     return new Promise((resolve, reject) => {
       const timer = setTimeout(() => {
         this.waiting.delete(transaction);
-        reject(new Error(`no answer within ${ANSWER_MS / 1000} s`));
-      }, ANSWER_MS);
+        reject(new Error(`no answer within ${answer_ms / 1000} s`));
+      }, answer_ms);
       this.waiting.set(transaction, { resolve, reject, timer });
       // QoS 0: what cannot be sent now is dropped, and told. QoS 1 would move the hand's zero some time later.
       this.client.publish(`tacshade/${sensor}/req/${verb}`, JSON.stringify({ ...body, transaction }), { qos: 0 });

@@ -12,6 +12,7 @@ import { decode } from "./wire.js";
 
 const CONTACT = 1, INVALID = 2, SATURATED = 4, DEGRADED = 8;
 const STALE_MS = 3000, RELEASE_LOST_MS = 500;
+const MAP_MS = 60000; // a board takes seconds for the final map of a thousand presses
 const STREAMS = ["height", "cloud", "contact", "health", "preview", "status/+", "res/+", "map/+"];
 const $ = (id) => document.getElementById(id);
 const text = new TextDecoder();
@@ -310,6 +311,20 @@ function tellControls() {
   const able = link?.connected && works(chosen) && !asking;
   $("rezero").disabled = !able;
   $("profile").disabled = !able || !hands.get(chosen).info;
+  tellSession(able);
+}
+
+/** A stitching session's buttons, for a hand that can have one: it tells `status/stitching`. */
+function tellSession(able) {
+  const status = view.parts.get("stitching"), open = status?.state !== "idle", form = $("session");
+  form.hidden = !status;
+  if (!status) return;
+  const { session, begin, add, end, abort } = form.elements;
+  session.parentElement.hidden = begin.hidden = open;
+  add.hidden = end.hidden = abort.hidden = !open;
+  session.disabled = begin.disabled = !able;
+  add.disabled = end.disabled = abort.disabled = !able || status.state !== "open";
+  form.querySelector("output").textContent = open ? `Stitching ${status.name}: ${status.presses} presses` : "";
 }
 
 function tellProfiles() {
@@ -320,7 +335,7 @@ function tellProfiles() {
   $("profile").value = choice ?? "";
 }
 
-async function ask(verb, body, doing, done) {
+async function ask(verb, body, doing, done, answer_ms) {
   const sensor = chosen, say = (level, words) => {
     if (sensor !== chosen) return;
     $("answer").dataset.level = level;
@@ -330,7 +345,7 @@ async function ask(verb, body, doing, done) {
   tellControls();
   say("wait", doing);
   try {
-    say("good", done(await link.request(sensor, verb, body)));
+    say("good", done(await link.request(sensor, verb, body, answer_ms)));
   } catch (error) {
     say("bad", error.message);
   }
@@ -345,6 +360,22 @@ $("profile").addEventListener("change", (event) => {
 });
 $("rezero").addEventListener("click", () => {
   ask("reference", {}, "Taking a new reference; do not touch the skin …", (result) => `Zero is new, from ${result.frames} frames.`);
+});
+$("session").addEventListener("submit", (event) => {
+  event.preventDefault();
+  const name = event.target.elements.session.value.trim();
+  ask("stitch", name ? { action: "begin", name } : { action: "begin" }, "Beginning …", (result) => `Session ${result.name} is open: every contact that settles is added.`);
+});
+$("session").elements.add.addEventListener("click", () => {
+  ask("stitch", { action: "add" }, "Adding …", (result) => `Press ${result.press} is added.`);
+});
+$("session").elements.end.addEventListener("click", () => {
+  ask("stitch", { action: "end" }, "Making the map …", (result) => `The map of ${result.name} is made: ${result.used} of ${result.presses} presses used.`, MAP_MS);
+});
+$("session").elements.abort.addEventListener("click", () => {
+  const { name, presses } = view.parts.get("stitching");
+  if (!confirm(`End ${name} without a map? Its ${presses} presses are deleted.`)) return;
+  ask("stitch", { action: "abort" }, "Ending …", (result) => `Session ${result.name} is gone.`);
 });
 
 $("range").value = localStorage.getItem("tacshade-range") ?? "auto";

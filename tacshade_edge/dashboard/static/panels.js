@@ -1,6 +1,6 @@
 // What is told in words and numbers. Text from the broker goes into the page as text, never as HTML.
 
-const LEVELS = { online: "good", streaming: "good", degraded: "warn", away: "warn", unusable: "warn", stopped: "off", ended: "off", offline: "bad" };
+const LEVELS = { online: "good", streaming: "good", open: "good", degraded: "warn", away: "warn", unusable: "warn", stopped: "off", ended: "off", idle: "off", offline: "bad" };
 const FRAMES = {
   published: "with contact, sent", without_contact: "without contact", unasked: "with contact, nobody listened",
   superseded: "replaced by a newer one",  invalid: "not usable", failed: "failed or lost", pending: "on their way",
