@@ -51,9 +51,9 @@ export class MapView {
       if (z > high) high = z;
     }
     Object.assign(this, { about, cloud, cell_mm, rows, cols, z_mm });
-    // Whole half millimetres, so that not every press moves the colours.
-    this.low_mm = low <= high ? Math.floor(2 * low) / 2 : 0;
-    this.high_mm = Math.max(this.low_mm + 0.5, Math.ceil(2 * high) / 2);
+    // Whole quarters of a millimetre, so that not every press moves the colours.
+    this.low_mm = low <= high ? Math.floor(4 * low) / 4 : 0;
+    this.high_mm = Math.max(this.low_mm + 0.5, Math.ceil(4 * high) / 4);
     this.paint();
     this.drawLines();
     this.tell();
