@@ -60,18 +60,19 @@ def cell_area_mm2(points_mm: F32) -> F32:
     float32 (rows, cols)
         By central differences; 0 where a neighbour is NaN.
     """
-    (ax, ay, az), (bx, by, bz) = (_steps(points_mm, axis) for axis in (1, 0))
+    x_y_z = np.ascontiguousarray(points_mm.transpose(2, 0, 1))
+    (ax, ay, az), (bx, by, bz) = (_steps(x_y_z, axis) for axis in (2, 1))
     x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
     area: F32 = np.fmax(np.sqrt(x * x + y * y + z * z), np.float32(0))
     return area
 
 
-def _steps(points_mm: F32, axis: int) -> F32:
-    """Differences of neighbours as of ``np.gradient``, which takes four times as long: float32 (3, rows, cols)."""
-    lines = points_mm.swapaxes(0, axis)
+def _steps(values: F32, axis: int) -> F32:
+    """Differences of neighbours along an axis as of ``np.gradient``, which takes four times as long."""
+    lines = values.swapaxes(0, axis)
     steps = np.zeros_like(lines)
     if len(lines) > 1:
         np.subtract(lines[2:], lines[:-2], out=steps[1:-1])
         steps *= np.float32(0.5)
         steps[0], steps[-1] = lines[1] - lines[0], lines[-1] - lines[-2]
-    return steps.swapaxes(0, axis).transpose(2, 0, 1)
+    return steps.swapaxes(0, axis)
