@@ -33,7 +33,8 @@ test: .venv/dev.stamp
 	  echo "tests: systemd-python could not be built: the service's tests will be skipped"
 	$(MAKE) --no-print-directory check
 	$(PY) -m pytest -n auto --dist loadfile -m 'slow and not guest and not broker and not browser' -rs
-	$(PY) -m pytest -m 'guest or broker or browser' -rs
+	$(PY) -m pytest -n 2 --dist loadfile -m '(broker or browser) and not guest' -rs
+	$(PY) -m pytest -m guest -rs
 
 format: .venv/dev.stamp
 	.venv/bin/ruff format .
