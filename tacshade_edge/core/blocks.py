@@ -45,6 +45,8 @@ class BlockCheck:
         Median of the means of the textured blocks, at least 1.
     surround : float32 (n,)
         Means of the blocks of the surround.
+    camera_px : int
+        A pixel here is so many of the camera's, in which a person is told.
     """
 
     box: Box
@@ -54,12 +56,13 @@ class BlockCheck:
     surround_at: Places
     common: float
     surround: F32
+    camera_px: int
 
     def __post_init__(self) -> None:
         freeze(self, "textured", "lost_most", "textured_at", "surround_at", "surround")
 
 
-def block_check(reference_grey: U8, disc: Disc) -> BlockCheck | None:
+def block_check(reference_grey: U8, disc: Disc, camera_px: int = 1) -> BlockCheck | None:
     """Prepare the check from the mean reference image; None when no block lies inside the disc."""
     middle = (BLOCK_PX - 1) / 2
     r = np.hypot(
@@ -87,6 +90,7 @@ def block_check(reference_grey: U8, disc: Disc) -> BlockCheck | None:
         surround_at=surround_at,
         common=max(median(level[textured]), 1.0) if textured.any() else 1.0,
         surround=level.take(surround_at),
+        camera_px=camera_px,
     )
 
 
@@ -135,7 +139,8 @@ def _lost_reason(variance: F32, check: BlockCheck, slack: float) -> str:
     # A contact can hide the markers of a patch, never those of whole rows across the disc.
     lost = np.count_nonzero(check.textured & (variance < (LOST_STD + slack) ** 2), axis=1)
     empty = np.count_nonzero(lost > check.lost_most)
-    return f"torn: {empty * BLOCK_PX} rows across the disc show no marker" if empty >= LOST_ROWS else ""
+    rows = empty * BLOCK_PX * check.camera_px
+    return f"torn: {rows} rows across the disc show no marker" if empty >= LOST_ROWS else ""
 
 
 def _bright_reason(level: F32, check: BlockCheck, slack: float) -> str:

@@ -21,7 +21,7 @@ from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import F32, IDENTITY_POSE, U8, Binarisation, Bool, Calibration, Geometry, Polarity
 
 # The maps that references and presses are judged by.
-PROFILE = replace(PROFILES["fast"], name="calibration", tv_weight=0.05, gate_levels=20, gate_dark_levels=12)
+PROFILE = replace(PROFILES["accurate"], name="calibration", tv_weight=0.05, gate_levels=20, gate_dark_levels=12)
 # The profile whose error says how good a calibration is.
 JUDGED = "accurate"
 MIN_PRESSES = 8

@@ -25,6 +25,7 @@ class MovedCheck:
     reference : float32 (cells, cells), 0 to 1
         White of the unloaded skin.
     cell_px, pitch_px : float
+        In the camera's pixels.
     """
 
     def __init__(self, reference: F32, cell_px: float, pitch_px: float) -> None:

@@ -24,16 +24,18 @@ class Preprocessor:
     calibration : Calibration
     profile : Profile
         Its stride, window and weight of the denoising; not its solver.
+    camera_px : int
+        A pixel of the calibration is so many of the camera's.
     """
 
-    def __init__(self, calibration: Calibration, profile: Profile) -> None:
+    def __init__(self, calibration: Calibration, profile: Profile, camera_px: int = 1) -> None:
         geometry = calibration.geometry
         height, width = calibration.image_height_px, calibration.image_width_px
         self.calibration = calibration
         self.profile = profile
         self.sign = 1.0 if calibration.polarity == "bright" else -1.0
         mask = disc_mask(height, width, geometry.disc)
-        self._check = frame_check(calibration.reference_grey, mask, geometry.disc)
+        self._check = frame_check(calibration.reference_grey, mask, geometry.disc, camera_px)
         self._window = Window.of_disc(height, width, geometry.disc)
         self._mask: U8 = self._window.cut(mask.astype(np.uint8))
         self._binarise = Binariser(self._mask, calibration.binarisation, calibration.pitch_px)
@@ -56,7 +58,7 @@ class Preprocessor:
         self._per_total: F32 = np.divide(np.float32(255), np.maximum(self._total, np.float32(1)))
         self.reference_cells: F32 = self._sums.means(self._cells) / np.float32(255)
         reference_fine: F32 = self._sums.means(self._fine_cells) / np.float32(255)
-        self._moved = MovedCheck(reference_fine, fine.step_px, calibration.pitch_px)
+        self._moved = MovedCheck(reference_fine, camera_px * fine.step_px, camera_px * calibration.pitch_px)
         # A network that sees black under glare would see pins; what stood there without contact says nothing.
         self._usual = (reference > 127).astype(np.uint8)
         self._g0 = self._smooth(self.reference_ratio)

@@ -84,7 +84,7 @@ class Reconstructor:
         self._shape = (calibration.image_height_px, calibration.image_width_px)
         self._halve = profile.halved and can_be_halved(calibration)
         seen = halved_calibration(calibration) if self._halve else calibration
-        self._front = Preprocessor(seen, profile)
+        self._front = Preprocessor(seen, profile, 2 if self._halve else 1)
         self._learned = _learned(self._front, network)
         self._asked_ns = -MOVED_EVERY_NS
         maps = grid_of_whole(self._front.grid) if self._halve else self._front.grid

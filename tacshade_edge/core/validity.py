@@ -52,6 +52,8 @@ class FrameCheck:
     tear : TearCheck or None
     blocks : BlockCheck or None
         None when no block lies inside the disc.
+    camera_px : int
+        A pixel here is so many of the camera's, in which a person is told.
     """
 
     shape: tuple[int, int]
@@ -65,12 +67,13 @@ class FrameCheck:
     bright: float
     tear: TearCheck | None
     blocks: BlockCheck | None
+    camera_px: int
 
     def __post_init__(self) -> None:
         freeze(self, "mask", "pairs", "sampled")
 
 
-def frame_check(reference_grey: U8, mask: Bool, disc: Disc) -> FrameCheck:
+def frame_check(reference_grey: U8, mask: Bool, disc: Disc, camera_px: int = 1) -> FrameCheck:
     """Prepare the check from the mean reference image."""
     box = _around(mask)
     reference, inside = reference_grey[box], np.where(mask[box], np.uint8(255), np.uint8(0))
@@ -86,7 +89,8 @@ def frame_check(reference_grey: U8, mask: Bool, disc: Disc) -> FrameCheck:
         step=_noise_step(reference, pairs),
         bright=max(_bright(_sample(reference), sampled), 1.0),
         tear=tear_check(reference_grey, mask),
-        blocks=block_check(reference_grey, disc),
+        blocks=block_check(reference_grey, disc, camera_px),
+        camera_px=camera_px,
     )
 
 
@@ -170,7 +174,7 @@ def _bright(sample: U8, sampled: U8) -> float:
 def _compared_reason(grey: U8, disc: U8, blocks: BlockCheck, check: FrameCheck) -> str:
     """What the reference tells: torn, moved, other light."""
     row = torn_row(grey, check.tear) if check.tear else None
-    torn = "" if row is None else f"torn: row {row} does not continue the rows above"
+    torn = "" if row is None else f"torn: row {row * check.camera_px} does not continue the rows above"
     if not blocks.textured_at.size:
         return torn
     dark, lost, changed = _dark_reason(disc, check), "", ""

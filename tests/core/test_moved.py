@@ -35,12 +35,15 @@ def test_a_camera_that_moved_is_told_with_how_far(model: SensorModel, shift: tup
     assert not result.contact  # what the gate lets pass is refused
 
 
-def test_what_it_refuses_says_why() -> None:
-    result = make_reconstructor(calibrated(FULL, 0), PROFILES["accurate"]).step(
-        Frame(0, 0, 0, nuisance.shift(unloaded(FULL), 4, 5))
-    )
+@pytest.mark.parametrize("profile", PROFILES)
+def test_what_it_refuses_says_why_in_the_cameras_pixels(profile: str) -> None:
+    made = make_reconstructor(calibrated(FULL, 0), PROFILES[profile])
+    result = made.step(Frame(0, 0, 0, nuisance.shift(unloaded(FULL), 4, 5)))
     assert not result.valid
     assert result.reason.startswith("camera moved by ")
+    assert float(result.reason.split()[3]) == pytest.approx(
+        np.hypot(4, 5), abs=1.0 if PROFILES[profile].halved else 0.7
+    )
     assert not result.contact
 
 
