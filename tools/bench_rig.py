@@ -23,14 +23,14 @@ FIELDS = {"resident": "VmRSS", "own": "RssAnon", "files": "RssFile", "peak": "Vm
 
 
 @contextlib.contextmanager
-def broker(folder: Path) -> Iterator[int]:
-    """A mosquitto on a free loopback port."""
+def broker(folder: Path, general: str = "persistence false\n", listener: str = "") -> Iterator[int]:
+    """A mosquitto on a free loopback port, with settings of its own and of its listener."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = int(probe.getsockname()[1])
     config = folder / "mosquitto.conf"
     user = "user root\n" if os.getuid() == 0 else ""
-    config.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\npersistence false\n{user}")
+    config.write_text(f"{general}{user}allow_anonymous true\nlistener {port} 127.0.0.1\n{listener}")
     command = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
     if command is None:
         raise SystemExit("found no mosquitto, expected Debian's package mosquitto")

@@ -11,10 +11,7 @@ away what makes it fast: ``set_tcp_nodelay`` of the drop-in, TCP_NODELAY on the 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
-import shutil
-import socket
 import ssl
 import struct
 import subprocess
@@ -22,9 +19,9 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
+from bench_rig import broker
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 
@@ -42,37 +39,13 @@ CASES = (
 )
 
 
-@contextlib.contextmanager
-def broker(folder: Path, tls: bool, nodelay: bool) -> Iterator[int]:
-    """Mosquitto with the drop-in on a free loopback port."""
-    with socket.socket() as probe:
-        probe.bind((HOST, 0))
-        port = int(probe.getsockname()[1])
+def settings(folder: Path, tls: bool, nodelay: bool) -> tuple[str, str]:
+    """The drop-in, and what the listener gets."""
     drop_in = DROP_IN.read_text()
     assert "\nset_tcp_nodelay true\n" in drop_in
     if not nodelay:
         drop_in = drop_in.replace("\nset_tcp_nodelay true\n", "\n")
-    text = f"user root\nallow_anonymous true\nlistener {port} {HOST}\n"
-    if tls:
-        text += f"certfile {folder / 'cert.pem'}\nkeyfile {folder / 'key.pem'}\n"
-    config = folder / "mosquitto.conf"
-    config.write_text(drop_in + text)
-    command = shutil.which("mosquitto", path="/usr/sbin:/usr/bin:/usr/local/sbin")
-    if command is None:
-        raise SystemExit("bench_tls: found no mosquitto, expected Debian's package mosquitto")
-    process = subprocess.Popen([command, "-c", config], stderr=subprocess.DEVNULL)
-    try:
-        while True:
-            with socket.socket() as probe:
-                if probe.connect_ex((HOST, port)) == 0:
-                    break
-            if process.poll() is not None:
-                raise SystemExit("bench_tls: mosquitto ended at once")
-            threading.Event().wait(0.02)
-        yield port
-    finally:
-        process.terminate()
-        process.wait()
+    return drop_in, f"certfile {folder / 'cert.pem'}\nkeyfile {folder / 'key.pem'}\n" if tls else ""
 
 
 def make_certificate(folder: Path) -> None:
@@ -145,7 +118,7 @@ def main() -> int:
         with tempfile.TemporaryDirectory() as temporary:
             folder = Path(temporary)
             make_certificate(folder)
-            with broker(folder, tls, broker_nodelay) as port:
+            with broker(folder, *settings(folder, tls, broker_nodelay)) as port:
                 ms = latencies_ms(port, folder / "cert.pem" if tls else None, client_nodelay, args)
         figures[name] = {"p50": round(ms[len(ms) // 2], 2), "p99": round(ms[int(len(ms) * 0.99)], 2)}
         print(f"{name:30}{figures[name]['p50']:>9}{figures[name]['p99']:>9}", flush=True)

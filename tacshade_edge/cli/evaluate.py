@@ -79,16 +79,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     simulated.add_argument("--objects", type=study.objects, metavar="NAME,...", help=f"of {', '.join(OBJECTS)} (all)")
     simulated.add_argument("--presses", type=_count, metavar="N", help="ball presses in each calibration; 0: none (40)")
     simulated.add_argument("--references", type=_count, metavar="N", help="reference images in each calibration (8)")
-    own = parser.add_argument_group("your own images")
-    own.add_argument("--calibration", type=Path, metavar="CAL.npz", help="from `calibrate`")
-    own.add_argument("--images", type=Path, metavar="DIR", help="images, each with its truth as STEM.npz beside it")
+    study.add_own_images(parser)
     parser.set_defaults(usage_error=parser.error)
 
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate; print the tables, write the files."""
-    if (args.calibration is None) != (args.images is None):
-        args.usage_error("--calibration CAL.npz and --images DIR belong together")
+    study.check_own_images(args)
     if args.limits:
         return _limits(args)
     if args.ablation:

@@ -32,6 +32,19 @@ def objects(text: str) -> tuple[str, ...]:
     return names
 
 
+def add_own_images(parser: argparse.ArgumentParser) -> None:
+    """Take images with their truth in place of simulated sensors."""
+    own = parser.add_argument_group("your own images")
+    own.add_argument("--calibration", type=Path, metavar="CAL.npz", help="from `calibrate`")
+    own.add_argument("--images", type=Path, metavar="DIR", help="images, each with its truth as STEM.npz beside it")
+
+
+def check_own_images(args: argparse.Namespace) -> None:
+    """Both options or none."""
+    if (args.calibration is None) != (args.images is None):
+        args.usage_error("--calibration CAL.npz and --images DIR belong together")
+
+
 def make_folder(folder: Path | None) -> None:
     """Before minutes of work, not after. Raises DeviceError."""
     if folder is None:

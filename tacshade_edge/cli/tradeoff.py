@@ -61,16 +61,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME,...",
         help=f"of {', '.join(OBJECTS)} (the paper's five)",
     )
-    own = parser.add_argument_group("your own images")
-    own.add_argument("--calibration", type=Path, metavar="CAL.npz", help="from `calibrate`")
-    own.add_argument("--images", type=Path, metavar="DIR", help="images, each with its truth as STEM.npz beside it")
+    study.add_own_images(parser)
     parser.set_defaults(usage_error=parser.error)
 
 
 def run(args: argparse.Namespace) -> int:
     """Measure; print the tables and the settings, write the files."""
-    if (args.calibration is None) != (args.images is None):
-        args.usage_error("--calibration CAL.npz and --images DIR belong together")
+    study.check_own_images(args)
     mistakes: list[str] = []
     if args.images is None:
         study.make_folder(args.out)
