@@ -18,6 +18,9 @@ enough to follow vignetting."""
 ADAPTIVE_FLOOR = 0.6
 """Below this part of the disc's mean grey nothing is white, however dark its surroundings."""
 
+# The threshold is a little more than the mean: a plain surface is black, however the products round.
+_MORE = np.float32(1 / 64)
+
 BLOCK_PX = 4
 """The local mean is taken of means over blocks of this side."""
 
@@ -70,11 +73,12 @@ class Binariser:
         cv2.bitwise_and(grey, self._opaque[:rows, :cols], dst=self._masked[:rows, :cols])
         if self._method == "adaptive":
             parts = cv2.bitwise_and(_quarter(self._masked), self._whole)
-            # A little more than the mean: a plain surface is black, however the products round.
-            local = self._sums(parts) * self._per_box + np.float32(1 / 64)
+            local = self._sums(parts)
+            local *= self._per_box
+            local += _MORE
             least = ADAPTIVE_FLOOR * cv2.sumElems(parts)[0] / max(self._blocks, 1)
-            # grey > t where grey is whole is grey > floor(t).
-            whole = np.clip(local, np.float32(least), np.float32(255)).astype(np.uint8)
+            # grey > t where grey is whole is grey > floor(t), and no t comes near 256.
+            whole = np.maximum(local, np.float32(least)).astype(np.uint8)
             cv2.resize(whole, self._masked.shape[::-1], dst=self._threshold, interpolation=cv2.INTER_LINEAR)
             cv2.compare(self._masked, self._threshold, cv2.CMP_GT, dst=self._white)
         else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,12 +40,16 @@ class BlockCheck:
         Wholly inside the disc, with markers.
     lost_most : float64 (rows,)
         How many textured blocks of a row may lose their markers; infinite for rows with few.
+    lost_fewest : float
+        With no more lost blocks in all, there are not `LOST_ROWS` such rows.
     textured_at, surround_at : intp (n,)
         Flat places of the textured blocks, and of those wholly outside near the disc.
     common : float
         Median of the means of the textured blocks, at least 1.
     surround : float32 (n,)
         Means of the blocks of the surround.
+    per_surround : float32 (n,)
+        1 over them, at most 1.
     camera_px : int
         A pixel here is so many of the camera's, in which a person is told.
     """
@@ -52,14 +57,16 @@ class BlockCheck:
     box: Box
     textured: Bool
     lost_most: F64
+    lost_fewest: float
     textured_at: Places
     surround_at: Places
     common: float
     surround: F32
+    per_surround: F32
     camera_px: int
 
     def __post_init__(self) -> None:
-        freeze(self, "textured", "lost_most", "textured_at", "surround_at", "surround")
+        freeze(self, "textured", "lost_most", "textured_at", "surround_at", "surround", "per_surround")
 
 
 def block_check(reference_grey: U8, disc: Disc, camera_px: int = 1) -> BlockCheck | None:
@@ -81,15 +88,19 @@ def block_check(reference_grey: U8, disc: Disc, camera_px: int = 1) -> BlockChec
     textured = inside & (variance >= TEXTURED_STD**2)
     total = textured.sum(axis=1)
     surround_at = np.flatnonzero(surround)
+    usual: F32 = level.take(surround_at)
+    # Where most of a row's blocks are flat already, a contact may well hide the others.
+    lost_most = np.where(total >= np.maximum(ROW_BLOCKS, inside.sum(axis=1) / 2), LOST_PART * total, np.inf)
     return BlockCheck(
         box=box,
         textured=textured,
-        # Where most of a row's blocks are flat already, a contact may well hide the others.
-        lost_most=np.where(total >= np.maximum(ROW_BLOCKS, inside.sum(axis=1) / 2), LOST_PART * total, np.inf),
+        lost_most=lost_most,
+        lost_fewest=float(np.sort(lost_most)[:LOST_ROWS].sum()) if len(lost_most) >= LOST_ROWS else math.inf,
         textured_at=np.flatnonzero(textured),
         surround_at=surround_at,
         common=max(median(level[textured]), 1.0) if textured.any() else 1.0,
-        surround=level.take(surround_at),
+        surround=usual,
+        per_surround=np.reciprocal(np.maximum(usual, np.float32(1))),
         camera_px=camera_px,
     )
 
@@ -137,14 +148,20 @@ def light_reason(found: float) -> str:
 
 def _lost_reason(variance: F32, check: BlockCheck, slack: float) -> str:
     # A contact can hide the markers of a patch, never those of whole rows across the disc.
-    lost = np.count_nonzero(check.textured & (variance < (LOST_STD + slack) ** 2), axis=1)
-    empty = np.count_nonzero(lost > check.lost_most)
+    flat = (variance < (LOST_STD + slack) ** 2) & check.textured
+    if np.count_nonzero(flat) <= check.lost_fewest:
+        return ""
+    empty = np.count_nonzero(np.count_nonzero(flat, axis=1) > check.lost_most)
     rows = empty * BLOCK_PX * check.camera_px
     return f"torn: {rows} rows across the disc show no marker" if empty >= LOST_ROWS else ""
 
 
 def _bright_reason(level: F32, check: BlockCheck, slack: float) -> str:
-    common = (median(level.take(check.textured_at)) + slack) / check.common
+    levels = level.take(check.textured_at)
+    # Half of them are over a limit if their median is.
+    if 2 * np.count_nonzero(levels > np.float32(0.999 * (LIGHT_HIGH * check.common - slack))) < levels.size:
+        return ""
+    common = (median(levels) + slack) / check.common
     return light_reason(common) if common > LIGHT_HIGH else ""
 
 
@@ -156,11 +173,10 @@ def _moved_reason(level: F32, check: BlockCheck, slack: float) -> str:
     found = level.take(check.surround_at)
     low, high = found - slack, found + slack
     # The surround's own light: a contact changes the brightness of the whole disc.
-    over = np.maximum(usual, 1)
-    least, most = (min(max(median(end / over), LIGHT_LOW), LIGHT_HIGH) for end in (low, high))
-    brighter = high > 1.25 * least * usual + SURROUND_LEVELS
-    darker = low < 0.75 * np.minimum(most * usual, 255) - SURROUND_LEVELS
-    part = np.count_nonzero(brighter | darker) / usual.size
+    least, most = (min(max(median(end * check.per_surround), LIGHT_LOW), LIGHT_HIGH) for end in (low, high))
+    brighter = np.count_nonzero(high - (1.25 * least) * usual > SURROUND_LEVELS)
+    darker = np.count_nonzero(np.minimum((0.75 * most) * usual, 0.75 * 255) - low > SURROUND_LEVELS)
+    part = (brighter + darker) / usual.size  # with no slack none is both
     if part > SURROUND_PART:
         return f"torn or moved: {100 * part:.0f} % of the surround differs from the reference"
     return ""

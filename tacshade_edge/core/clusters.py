@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 
 from tacshade_edge.core.disc import DiscRays
-from tacshade_edge.core.skin import cell_area_mm2, skin_points
-from tacshade_edge.types import F32, I32, I64, Bool, Geometry, ObjectCloud, TouchedObject, freeze
+from tacshade_edge.core.skin import cell_area_mm2, skin_planes
+from tacshade_edge.types import F32, I32, I64, U16, Bool, Geometry, ObjectCloud, TouchedObject, freeze
 
 BINS = 256
 # Smaller patches are not an object a finger could tell.
@@ -68,18 +68,19 @@ def find_objects(
     if here is None:
         return None
     height = np.ascontiguousarray(height_mm[here])
-    points, _ = skin_points(height, rays.part(here), geometry)
-    area = cell_area_mm2(points)
+    planes = skin_planes(height, rays.part(here), geometry)
+    area = cell_area_mm2(planes)
     labels = label_objects(touched[here], area)
     contact = np.zeros(touched.shape, bool)
     contact[here] = labels > 0
     cells = cells_by_label(labels)
     if cells.size == 0:
         return None
-    cloud = ObjectCloud(points.reshape(-1, 3).take(cells, axis=0), labels.take(cells).astype(np.uint16))
+    x_y_z = planes.reshape(3, -1).take(cells, axis=1)
+    cloud = ObjectCloud(np.ascontiguousarray(x_y_z.T), labels.take(cells).astype(np.uint16))
     heights, areas = height.take(cells), area.take(cells)
     volume_mm3 = float((heights * areas).sum(dtype=np.float64))
-    return Objects(contact, cloud, describe_objects(cloud, heights, areas), volume_mm3)
+    return Objects(contact, cloud, _described(x_y_z, cloud.labels, heights, areas), volume_mm3)
 
 
 def bounding_box(touched: Bool) -> tuple[slice, slice] | None:
@@ -165,20 +166,21 @@ def cells_by_label(labels: I32) -> I64:
     return np.asarray(cells[order], np.int64)
 
 
-def describe_objects(cloud: ObjectCloud, height_mm: F32, cell_area: F32) -> tuple[TouchedObject, ...]:
+def _described(x_y_z: F32, labels: U16, height_mm: F32, cell_area: F32) -> tuple[TouchedObject, ...]:
     """Centroid, extent, depth and area of every labelled contact.
 
     Parameters
     ----------
-    cloud : ObjectCloud
-        At least one point, ordered by label; no label is left out.
+    x_y_z : float32 (3, N)
+        Points, at least one.
+    labels : uint16 (N,)
+        Theirs, in order; no label is left out.
     height_mm, cell_area : float32 (N,)
-        At the cloud's points.
+        At the points.
     """
-    numbers = np.arange(1, cloud.labels[-1] + 1, dtype=np.uint16)
-    starts = np.searchsorted(cloud.labels, numbers)
-    counts = np.searchsorted(cloud.labels, numbers, side="right") - starts
-    x_y_z = np.ascontiguousarray(cloud.points_mm.T)
+    numbers = np.arange(1, labels[-1] + 1, dtype=np.uint16)
+    starts = labels.searchsorted(numbers)
+    counts = labels.searchsorted(numbers, side="right") - starts
     middles = np.add.reduceat(x_y_z, starts, axis=1, dtype=np.float64) / counts
     highest, lowest = (extreme.reduceat(x_y_z, starts, axis=1) for extreme in (np.maximum, np.minimum))
     extents = highest.astype(np.float64) - lowest

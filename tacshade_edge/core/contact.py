@@ -10,7 +10,7 @@ import numpy as np
 
 from tacshade_edge.core.binarise import padded
 from tacshade_edge.core.median import median
-from tacshade_edge.types import F32, U8, Bool, freeze
+from tacshade_edge.types import F32, U8, freeze
 
 # The change that counts as contact: this many times the references' noise, and never less than the profile's level.
 GATE_NOISE = 6.0
@@ -38,23 +38,18 @@ class GateResult:
     drift_grey: float
 
 
-def light_drift(g_d: F32, voting: Bool) -> float:
+def light_drift(g_d: F32) -> float:
     """Median of g_d over the cells with a vote: a change of light moves every cell, a contact only some."""
-    values = g_d[voting]
-    return median(values) if values.size else 0.0
+    return median(g_d) if g_d.size else 0.0
 
 
-def gate(
-    g_d: F32, voting: Bool, noise_grey: float, cell_mm2: float, levels: float, dark_levels: float = math.inf
-) -> GateResult:
+def gate(g_d: F32, noise_grey: float, cell_mm2: float, levels: float, dark_levels: float = math.inf) -> GateResult:
     """Absolute contact gate.
 
     Parameters
     ----------
-    g_d : float32 (rows, cols)
-        Eq. 9, positive in contact, not denoised.
-    voting : bool (rows, cols)
-        Cells that may raise contact.
+    g_d : float32 (N,)
+        Eq. 9 at the cells that have a vote, positive in contact, not denoised.
     noise_grey : float
         RMS of g without contact.
     cell_mm2 : float
@@ -64,10 +59,10 @@ def gate(
     dark_levels : float
         The least change away from contact that counts (`Profile.gate_dark_levels`): the rim of a contact.
     """
-    drift = light_drift(g_d, voting)
+    drift = light_drift(g_d)
     noise = GATE_NOISE * noise_grey
-    over = np.count_nonzero((g_d > np.float32(drift + max(levels, noise))) & voting)
-    under = np.count_nonzero((g_d < np.float32(drift - max(dark_levels, noise))) & voting)
+    over = np.count_nonzero(g_d > np.float32(drift + max(levels, noise)))
+    under = np.count_nonzero(g_d < np.float32(drift - max(dark_levels, noise)))
     return GateResult(contact=bool(max(over, under) * cell_mm2 >= GATE_MM2), drift_grey=drift)
 
 
@@ -77,21 +72,21 @@ class GlareCheck:
 
     Attributes
     ----------
-    mask : uint8 (H, W)
-        255 inside the disc.
+    inside : uint8 (H / block_px, W / block_px)
+        255 where a block has pixels of the disc.
     block_px : int
         The search is by blocks of this side: a quarter of the pitch or less, 4 at most.
     darkest : uint8 (H / block_px, W / block_px)
         The brightest that the darkest pixel around a block may be.
     brightest : uint8 (H, W)
-        The brightest that a pixel may be.
+        The brightest that a pixel may be: 255 outside the disc, where glare is none of ours.
     box, halo : uint8 (n, n)
         Neighbourhoods of blocks as morphological kernels.
     whole, bright : uint8
         Space to work in: of whole blocks, white beyond the window; as large as the window.
     """
 
-    mask: U8
+    inside: U8
     block_px: int
     darkest: U8
     brightest: U8
@@ -101,7 +96,7 @@ class GlareCheck:
     bright: U8
 
     def __post_init__(self) -> None:
-        freeze(self, "mask", "darkest", "brightest", "box", "halo")
+        freeze(self, "inside", "darkest", "brightest", "box", "halo")
 
 
 def glare_check(reference_grey: U8, mask: U8, pitch_px: float) -> GlareCheck:
@@ -109,14 +104,15 @@ def glare_check(reference_grey: U8, mask: U8, pitch_px: float) -> GlareCheck:
     block_px = next(side for side in (4, 2, 1) if side == 1 or side <= pitch_px / 4)
     box = _around(GLARE_PITCHES * pitch_px, block_px)
     halo = _around(2 * (GLARE_HALO_PITCHES * pitch_px + block_px), block_px)
-    inside = cv2.multiply(reference_grey, mask)
+    marked = cv2.multiply(reference_grey, mask)
     near = np.ones((len(box) * block_px,) * 2, np.uint8)
     lifted = cv2.erode(_least(reference_grey, block_px), box) + np.uint16(GLARE_LIFT)
+    brightest = cv2.convertScaleAbs(cv2.dilate(marked, near), alpha=GLARE_GAIN, beta=GLARE_OFFSET)
     return GlareCheck(
-        mask=np.multiply(mask, 255, dtype=np.uint8),
+        inside=_most(np.multiply(mask, 255, dtype=np.uint8), block_px),
         block_px=block_px,
         darkest=np.minimum(lifted, 255).astype(np.uint8),
-        brightest=cv2.convertScaleAbs(cv2.dilate(inside, near), alpha=GLARE_GAIN, beta=GLARE_OFFSET),
+        brightest=np.where(mask > 0, brightest, np.uint8(255)),
         box=box,
         halo=halo,
         whole=padded(np.full_like(mask, 255), block_px, 255),
@@ -142,14 +138,12 @@ def glare_mask(grey: U8, check: GlareCheck) -> U8 | None:
     check.whole[:rows, :cols] = grey
     found = cv2.compare(cv2.erode(_least(check.whole, side), check.box), check.darkest, cv2.CMP_GT)
     bright = cv2.compare(grey, check.brightest, cv2.CMP_GT, dst=check.bright)
-    cv2.bitwise_and(bright, check.mask, dst=bright)
     some = cv2.countNonZero(bright) >= GLARE_PX
     if not some and cv2.countNonZero(found) == 0:
         return None
     if some:
         found = cv2.bitwise_or(found, _most(bright, side))
-    # Glare outside the disc is none of ours.
-    found = cv2.bitwise_and(found, _most(check.mask, side))
+    found = cv2.bitwise_and(found, check.inside)
     if cv2.countNonZero(found) == 0:
         return None
     grown = np.minimum(cv2.dilate(found, check.halo), 1)
@@ -164,10 +158,13 @@ def _around(size_px: float, block_px: int) -> U8:
 
 def _least(image: U8, block_px: int) -> U8:
     """The darkest pixel of each block."""
-    rows = whole = padded(image, block_px, 255)
-    while len(rows) > len(whole) // block_px:
-        rows = cv2.min(rows[::2], rows[1::2])
-    return np.ascontiguousarray(cv2.erode(rows, np.ones((1, block_px), np.uint8), anchor=(0, 0))[:, ::block_px])
+    least = padded(image, block_px, 255)
+    step = 1
+    while step < block_px:
+        least = np.asarray(cv2.min(least[::2], least[1::2]), np.uint8)
+        least = np.asarray(cv2.min(least[:, :-step], least[:, step:]), np.uint8)  # of 2 step columns from each on
+        step *= 2
+    return np.ascontiguousarray(least[:, ::block_px])
 
 
 def _most(image: U8, block_px: int) -> U8:

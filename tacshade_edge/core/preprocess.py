@@ -53,8 +53,10 @@ class Preprocessor:
         self.voting: Bool = self.rays.inside & (
             self._total >= contact.GATE_WINDOW_PART * min(self._side_px**2, int(self._mask.sum()))
         )
+        self._voters = np.flatnonzero(self.voting)
         reference = self._window.cut(calibration.reference_white)
         self.reference_ratio = greyscale.white_ratio(self._box_sums(reference), self._total, full_scale=1.0)
+        self._reference_voted: F32 = self.reference_ratio.take(self._voters)
         self._per_total: F32 = np.divide(np.float32(255), np.maximum(self._total, np.float32(1)))
         self.reference_cells: F32 = self._sums.means(self._cells) / np.float32(255)
         reference_fine: F32 = self._sums.means(self._fine_cells) / np.float32(255)
@@ -70,9 +72,8 @@ class Preprocessor:
 
     def gate(self, g_raw: F32) -> contact.GateResult:
         """Whether anything touches, by eq. 9 of eq. 1."""
-        g_d_raw = (g_raw - self.reference_ratio) * np.float32(self.sign)
         levels, dark = self.profile.gate_levels, self.profile.gate_dark_levels
-        return contact.gate(g_d_raw, self.voting, self.calibration.noise_grey, self.cell_mm2, levels, dark)
+        return contact.gate(self._voted(g_raw), self.calibration.noise_grey, self.cell_mm2, levels, dark)
 
     def touched(self, image: U8) -> bool:
         """Whether the contact gate opens for an image."""
@@ -81,8 +82,7 @@ class Preprocessor:
     def grey_maps(self, image: U8) -> GreyMaps:
         """The maps that a solver would get from an image, without validity check and gate: for calibration."""
         g_raw, _ = self.white_ratio(greyscale.to_grey(image))
-        g_d_raw = greyscale.grey_difference(g_raw, self.reference_ratio, self.rays.inside, self.sign)
-        return self.denoised(g_raw, contact.light_drift(g_d_raw, self.voting))
+        return self.denoised(g_raw, contact.light_drift(self._voted(g_raw)))
 
     def denoised(self, g_raw: F32, drift_grey: float) -> GreyMaps:
         """TV denoising, then eq. 9 without the common change of light."""
@@ -124,6 +124,11 @@ class Preprocessor:
     def moved_reason(self) -> str:
         """Whether the camera has moved since the reference, by the last image that `white_ratio` saw."""
         return self._moved.reason(self._sums.means(self._fine_cells))
+
+    def _voted(self, g_raw: F32) -> F32:
+        """Eq. 9 at the cells that have a vote, positive in contact: float32 (N,)."""
+        change: F32 = g_raw.take(self._voters) - self._reference_voted
+        return change if self.sign > 0 else -change
 
     def _smooth(self, g: F32) -> F32:
         return greyscale.denoise_tv(g, self.rays.inside, self.profile.tv_weight, self.profile.tv_iterations)

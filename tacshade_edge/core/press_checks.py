@@ -106,7 +106,7 @@ def gather_evidence(
     bright = brightening(maps, reach)
     peak = np.unravel_index(int(np.argmax(bright)), bright.shape)
     height = np.full(chi.shape, stated[1], dtype=np.float32)
-    place = skin_points(height, front.rays, geometry)[0][peak]
+    place = skin_points(height, front.rays, geometry)[peak]
     return Evidence(
         name,
         max(float(chi.max()), 1e-3),

@@ -61,7 +61,7 @@ def located_ball(geometry: Geometry, inverse: Inverse, depth_mm: float, radius_m
     touched = (inverse.contact_logit > 0) & rays.inside
     if np.count_nonzero(touched) < LEAST_CELLS:
         return None
-    points, _ = skin_points(np.maximum(inverse.height_mm, 0), rays, geometry)
+    points = skin_points(np.maximum(inverse.height_mm, 0), rays, geometry)
     middle = points[touched].astype(np.float64).mean(axis=0)
     along = middle / np.linalg.norm(middle)
     reach = geometry.skin_radius_mm - depth_mm + radius_mm

@@ -77,7 +77,7 @@ def touch_points(height: HeightMap, geometry: Geometry) -> Touch:
         for first, span in zip((height.row0, height.col0), here, strict=True)
     )
     grid = Grid(h.shape[0], h.shape[1], row0, col0, step_px)
-    points, _ = skin_points(h, disc_rays(grid, geometry), geometry)
+    points = skin_points(h, disc_rays(grid, geometry), geometry)
     normals = _normals(points)
     inside_mm = cv2.distanceTransform(touched.view(np.uint8), cv2.DIST_L2, 5) * (step_px * geometry.mm_per_px)
     to_edge = (1 - np.sqrt(radius_squared(grid, geometry.disc))) / EDGE_PART

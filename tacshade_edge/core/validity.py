@@ -44,7 +44,7 @@ class FrameCheck:
     inside_px : int
         How many those are.
     pairs, sampled : uint8
-        Of the mask, what `_steps` and `_sample` take of a frame; `pairs_px` is how many pixels the first has.
+        Of the mask, what `_steps` and `_sample` take of a frame; `pairs_px` and `sampled_px` is how many pixels.
     step : float
         Median difference of the reference's neighbouring pixels.
     bright : float
@@ -63,6 +63,7 @@ class FrameCheck:
     pairs: U8
     pairs_px: int
     sampled: U8
+    sampled_px: int
     step: float
     bright: float
     tear: TearCheck | None
@@ -85,6 +86,7 @@ def frame_check(reference_grey: U8, mask: Bool, disc: Disc, camera_px: int = 1) 
         inside_px=int(np.count_nonzero(inside)),
         pairs=pairs,
         sampled=sampled,
+        sampled_px=int(np.count_nonzero(sampled)),
         pairs_px=int(np.count_nonzero(pairs)),
         step=_noise_step(reference, pairs),
         bright=max(_bright(_sample(reference), sampled), 1.0),
@@ -189,7 +191,7 @@ def _dark_reason(disc: U8, check: FrameCheck) -> str:
     # A deep contact darkens or brightens most of the disc, but some markers stay as bright as the light: those tell
     # less light. More light saturates them; there the common level tells.
     sample, sampled = _sample(disc), check.sampled
-    if _count_from(sample, sampled, LIGHT_LOW * check.bright) >= 0.1 * cv2.countNonZero(sampled) + 2:
+    if _count_from(sample, sampled, LIGHT_LOW * check.bright) >= 0.1 * check.sampled_px + 2:
         return ""
     gain = _bright(sample, sampled) / check.bright
     return light_reason(gain) if gain < LIGHT_LOW else ""

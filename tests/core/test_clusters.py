@@ -107,7 +107,7 @@ def test_cells_without_an_area_count_nothing() -> None:
 
 def over_the_whole_map(touched: Bool, height: F32, rays: DiscRays, geometry: Geometry) -> Objects | None:
     """Plainly, every cell of the map and one object after the other."""
-    points, _ = skin_points(height, rays, geometry)
+    points = skin_points(height, rays, geometry)
     du, dv = np.gradient(points, axis=1), np.gradient(points, axis=0)
     area = np.nan_to_num(np.linalg.norm(np.cross(du, dv), axis=-1)).astype(np.float64)
     count, patches = cv2.connectedComponents(touched.astype(np.uint8), connectivity=8)

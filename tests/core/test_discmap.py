@@ -58,7 +58,7 @@ def test_what_is_known_agrees_with_the_camera(distance: float | None) -> None:
     rays = disc_rays(grid, geometry)
     row, col = 40, 75
     assert rays.inside[row, col]
-    points, _ = skin_points(np.zeros(rays.inside.shape, dtype=np.float32), rays, geometry)
+    points = skin_points(np.zeros(rays.inside.shape, dtype=np.float32), rays, geometry)
     point = points[row, col].astype(float)
     camera = np.array((0.0, 0.0, -(distance or 1e9)))
     ray = (point - camera) / np.linalg.norm(point - camera)

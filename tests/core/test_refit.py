@@ -35,7 +35,7 @@ def test_a_balls_surface_is_where_its_rays_end(distance: float | None) -> None:
     ball = refit.stated_ball(where, 4.0, -3.0, 2.0, 5.0)
     height = refit.ball_height(where, ball)
     rays = disc_rays(discmap.map_grid(DISC), where)
-    points, _ = skin_points(height, rays, where)
+    points = skin_points(height, rays, where)
     hit = np.isfinite(height)
     assert 500 < np.count_nonzero(hit) < hit.size / 2
     off = np.linalg.norm(points[hit] - (ball.x_mm, ball.y_mm, ball.z_mm), axis=1) - 5.0

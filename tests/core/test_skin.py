@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tacshade_edge.core.disc import DiscRays, Grid, disc_rays
-from tacshade_edge.core.skin import cell_area_mm2, skin_points
+from tacshade_edge.core.skin import cell_area_mm2, skin_planes, skin_points
 from tacshade_edge.simulator.render import project
 from tacshade_edge.types import Disc, Geometry
 
@@ -34,24 +34,22 @@ def test_a_seen_skin_point_comes_back(d_mm: float | None, r_mm: float, part: flo
     geometry = Geometry(r_mm, d_mm, 50.0, DISC)
     col, row = project(geometry, point)
     rays = disc_rays(Grid(1, 1, float(row), float(col), 1.0), geometry)
-    found, guarded = skin_points(np.full((1, 1), h_mm, np.float32), rays, geometry)
-    assert guarded == 0 or polar < 1e-3
+    found = skin_points(np.full((1, 1), h_mm, np.float32), rays, geometry)
     np.testing.assert_allclose(found[0, 0], point, atol=1e-3)
 
 
 @pytest.mark.parametrize("d_mm", [None, 14.0])
 def test_the_apex_is_at_the_radius_less_the_height(d_mm: float | None) -> None:
-    found, _ = skin_points(np.array([0, 3], np.float32), rays_of([0, 0], [0, 0]), Geometry(20.0, d_mm, 50.0, DISC))
+    found = skin_points(np.array([0, 3], np.float32), rays_of([0, 0], [0, 0]), Geometry(20.0, d_mm, 50.0, DISC))
     np.testing.assert_allclose(found, [[0, 0, 20], [0, 0, 17]], atol=1e-5)
 
 
 @pytest.mark.parametrize("d_mm", [None, 14.0])
-def test_a_height_out_of_the_rays_reach_is_guarded_and_counted(d_mm: float | None) -> None:
+def test_a_height_out_of_the_rays_reach_is_guarded(d_mm: float | None) -> None:
     geometry = Geometry(20.0, d_mm, 50.0, DISC)
     slope = 15.0 if d_mm is None else 0.5
     heights = np.array([0, 18, 20], np.float32)
-    found, guarded = skin_points(heights, rays_of([slope] * 3, [0] * 3), geometry)
-    assert guarded == 2
+    found = skin_points(heights, rays_of([slope] * 3, [0] * 3), geometry)
     assert np.isfinite(found).all()
     if d_mm is not None:  # the foot of the perpendicular from O on the ray
         foot = d_mm * 0.5 / 1.25
@@ -60,10 +58,9 @@ def test_a_height_out_of_the_rays_reach_is_guarded_and_counted(d_mm: float | Non
 
 
 @pytest.mark.parametrize("d_mm", [None, 14.0])
-def test_nan_stays_nan_and_is_not_counted(d_mm: float | None) -> None:
+def test_nan_stays_nan(d_mm: float | None) -> None:
     heights = np.array([np.nan, 1], np.float32)
-    found, guarded = skin_points(heights, rays_of([0.1, 0.1], [0, 0]), Geometry(20.0, d_mm, 50.0, DISC))
-    assert guarded == 0
+    found = skin_points(heights, rays_of([0.1, 0.1], [0, 0]), Geometry(20.0, d_mm, 50.0, DISC))
     assert np.isnan(found[0]).all()
     assert np.isfinite(found[1]).all()
 
@@ -73,8 +70,7 @@ def test_cells_add_up_to_the_spherical_cap(d_mm: float | None) -> None:
     geometry = Geometry(20.0, d_mm, 50.0, DISC)
     rays = disc_rays(Grid(240, 320, 0.0, 0.0, 1.0), geometry)
     height = np.where(rays.inside, np.float32(0), np.float32(np.nan))
-    points, _ = skin_points(height, rays, geometry)
-    area = cell_area_mm2(points)
+    area = cell_area_mm2(skin_planes(height, rays, geometry))
     cap = 2 * math.pi * 20.0**2 * (1 - math.cos(math.radians(50.0)))
     assert float(np.nansum(area)) == pytest.approx(cap, rel=0.04)  # the rim's cells have no area
     assert area[0, 0] == 0
@@ -87,9 +83,9 @@ def test_areas_are_those_of_plain_gradients() -> None:
     du, dv = np.gradient(points, axis=1), np.gradient(points, axis=0)
     expected = np.linalg.norm(np.cross(du, dv), axis=-1)
     assert np.isnan(expected).sum() == 4
-    np.testing.assert_array_equal(cell_area_mm2(points), np.nan_to_num(expected))
+    np.testing.assert_array_equal(cell_area_mm2(np.moveaxis(points, -1, 0)), np.nan_to_num(expected))
 
 
 def test_a_line_of_points_has_no_area() -> None:
-    assert cell_area_mm2(np.zeros((1, 5, 3), np.float32)).tolist() == [[0.0] * 5]
-    assert cell_area_mm2(np.zeros((1, 1, 3), np.float32)).tolist() == [[0.0]]
+    assert cell_area_mm2(np.zeros((3, 1, 5), np.float32)).tolist() == [[0.0] * 5]
+    assert cell_area_mm2(np.zeros((3, 1, 1), np.float32)).tolist() == [[0.0]]

@@ -220,7 +220,7 @@ def _skin(axes: Any, column: Column, calibration: Calibration, top_mm: float) ->
     solve = reconstructor(calibration, column.result.profile)
     rays = disc_rays(solve.grid, calibration.geometry)
     height = column.result.height.height_mm
-    points, _ = skin_points(height, rays, calibration.geometry)
+    points = skin_points(height, rays, calibration.geometry)
     every = max(1, round(min(height.shape) / _SKIN_CELLS))
     points, height = points[::every, ::every], height[::every, ::every]
     colours = colormaps[HEIGHT_COLOURS](np.nan_to_num(height) / top_mm)
