@@ -17,8 +17,10 @@ import numpy as np
 import onnxruntime
 from bench_stages import timed_ms
 
+from tacshade_edge.core.profiles import LEARNED, PROFILES
 from tacshade_edge.devices.network import WEIGHTS
 from tacshade_edge.studies.tables import markdown
+from tacshade_edge.types import F32
 
 
 def main() -> None:
@@ -31,17 +33,19 @@ def main() -> None:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     lines = []
-    for path in sorted(WEIGHTS.glob("*.onnx")):
+    for path in (WEIGHTS / f"{name}.onnx" for name, profile in PROFILES.items() if profile.solver == LEARNED):
         session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
-        maps = np.random.default_rng(0).random(session.get_inputs()[0].shape, dtype=np.float32)
+        rng = np.random.default_rng(0)
+        maps = {each.name: rng.random(each.shape, dtype=np.float32) for each in session.get_inputs()}
         net = cv2.dnn.readNetFromONNX(str(path))
 
-        def by_opencv(net: cv2.dnn.Net = net, maps: np.ndarray = maps) -> object:
-            net.setInput(maps)
+        def by_opencv(net: cv2.dnn.Net = net, maps: dict[str, F32] = maps) -> object:
+            for name, values in maps.items():
+                net.setInput(values, name)
             return net.forward()
 
-        def by_onnxruntime(session: onnxruntime.InferenceSession = session, maps: np.ndarray = maps) -> object:
-            return session.run(None, {"maps": maps})
+        def by_onnxruntime(session: onnxruntime.InferenceSession = session, maps: dict[str, F32] = maps) -> object:
+            return session.run(None, maps)
 
         off = float(np.abs(np.asarray(by_opencv()) - by_onnxruntime()[0]).max())  # type: ignore[index]
         found = [[timed_ms(run, args.runs) for run in (by_opencv, by_onnxruntime)] for _ in range(args.rounds)]

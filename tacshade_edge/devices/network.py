@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tacshade_edge.core import solvers
 from tacshade_edge.core.profiles import LEARNED, PROFILES, Profile
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.core.solvers.learned import Network
 from tacshade_edge.types import F32, Calibration
+
+if TYPE_CHECKING:
+    from onnxruntime import InferenceSession
 
 WEIGHTS = Path(solvers.__file__).parent / "weights"
 
@@ -20,21 +24,28 @@ def load_network(name: str) -> Network:
 
 
 def read_network(onnx: Path) -> Network:
-    """Read an ONNX file and the JSON file beside it (tools/train/export.py)."""
+    """Read an ONNX file, and those beside it: its JSON file and ``.sensor.onnx`` (tools/train/export.py)."""
+    fold = int(json.loads(onnx.with_suffix(".json").read_text())["fold"])
+    session = _session(onnx)
+
+    def sense(known: F32) -> F32:
+        answer: F32 = _session(onnx.with_suffix(".sensor.onnx")).run(None, {"known": known[None]})[0][0]
+        return answer
+
+    def run(white: F32, sensor: F32) -> F32:
+        answer: F32 = session.run(None, {"white": white[None], "sensor": sensor[None]})[0][0]
+        return answer
+
+    return Network(fold, sense, run)
+
+
+def _session(onnx: Path) -> InferenceSession:
     import onnxruntime  # on demand: 20 MB that `paper` does without
 
-    fold = int(json.loads(onnx.with_name(onnx.name.replace(".onnx", ".json")).read_text())["fold"])
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 3  # it warns of processors that it does not know
-    session = onnxruntime.InferenceSession(str(onnx), options, providers=["CPUExecutionProvider"])
-    name = session.get_inputs()[0].name
-
-    def run(maps: F32) -> F32:
-        answer: F32 = session.run(None, {name: maps[None]})[0][0]
-        return answer
-
-    return Network(fold, run)
+    return onnxruntime.InferenceSession(str(onnx), options, providers=["CPUExecutionProvider"])
 
 
 def load_networks() -> dict[str, Network]:

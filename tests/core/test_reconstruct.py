@@ -299,7 +299,8 @@ def test_what_a_network_says_beyond_its_range_is_told(depth_mm: float, told_mm: 
     height = np.where(pressed_cells, depth_mm / unit_mm, -0.01).astype(np.float32)
     height[0, 0], height[60, 90] = np.nan, np.inf
     said = fold(np.stack((height, np.where(pressed_cells, np.float32(3), np.float32(-3)))), 4)
-    made = Reconstructor(replace(calibrated(HALF, 0), factors={}), PROFILES["balanced"], Network(4, lambda maps: said))
+    network = Network(4, lambda known: known, lambda white, sensor: said)
+    made = Reconstructor(replace(calibrated(HALF, 0), factors={}), PROFILES["balanced"], network)
     result = made.step(Frame(0, 0, 0, pressed("ball", 3.0).image))
     assert (result.repaired_px, result.saturated) == (2, saturated)
     assert result.depth_max_mm == pytest.approx(told_mm, rel=1e-6)

@@ -95,16 +95,22 @@ def test_any_sensor_and_white_gives_an_answer(
 @pytest.mark.parametrize("name", NAMES)
 def test_another_engine_gives_the_same(name: str) -> None:
     """OpenCV adds in another order, and in float32 too: how far the two differ is what rounding does."""
-    other = cv2.dnn.readNetFromONNX(np.fromfile(WEIGHTS / f"{name}.onnx", np.uint8))
+    parts = [cv2.dnn.readNetFromONNX(np.fromfile(WEIGHTS / f"{name}{part}.onnx", np.uint8)) for part in (".sensor", "")]
 
-    def run(maps: F32) -> F32:
-        other.setInput(np.ascontiguousarray(maps[None]))
-        return np.array(other.forward()[0], np.float32)
+    def sense(known: F32) -> F32:
+        parts[0].setInput(np.ascontiguousarray(known[None]), "known")
+        return np.array(parts[0].forward()[0], np.float32)
+
+    def run(white: F32, sensor: F32) -> F32:
+        parts[1].setInput(np.ascontiguousarray(white[None]), "white")
+        parts[1].setInput(np.ascontiguousarray(sensor[None]), "sensor")
+        return np.array(parts[1].forward()[0], np.float32)
 
     geometry = Geometry(20.0, 14.0, 50.0, Disc(239.5, 319.5, 200.0))
     reference = white(name, "checkerboard 8 px")
     ours, theirs = (
-        LearnedInverse(net, geometry, 20.0, reference) for net in (network(name), Network(network(name).fold, run))
+        LearnedInverse(net, geometry, 20.0, reference)
+        for net in (network(name), Network(network(name).fold, sense, run))
     )
     worst = 0.0
     for image in EXTREME_IMAGES:

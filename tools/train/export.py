@@ -5,12 +5,15 @@
 
     .venv-train/bin/python tools/train/export.py --run RUN --out accurate.onnx
 
-Beside the ONNX file goes a JSON file of the same name: command, seed, commit, data, figures, SHA-256.
+The first layer is cut in two: what the sensor's reference and geometry add to it goes to ``accurate.sensor.onnx``,
+which is run once for a sensor; the rest, which takes a frame's white and that, is run for every frame. Beside them goes
+a JSON file of the same name: command, seed, commit, data, figures, SHA-256.
 """
 
 from __future__ import annotations
 
 import argparse
+import copy
 import hashlib
 import json
 import subprocess
@@ -21,13 +24,51 @@ import numpy as np
 import onnxruntime
 import torch
 from network import Net
+from torch import Tensor, nn
 from torch.nn import functional
+from torch.nn.utils.fusion import fuse_conv_bn_weights
 
 from tacshade_edge.core import discmap
-from tacshade_edge.core.solvers.learned import inputs
 
 OPSET = 13
 TOLERANCE = 1e-4
+
+
+class PerSensor(nn.Module):
+    """What the maps that are known of a sensor add to the first convolution."""
+
+    def __init__(self, net: Net) -> None:
+        super().__init__()
+        weight, bias = first_layer(net)
+        self.register_buffer("weight", weight[:, net.fold**2 :])
+        self.register_buffer("bias", bias)
+
+    def forward(self, known: Tensor) -> Tensor:
+        """Run it."""
+        return functional.conv2d(known, self.weight, self.bias, padding=1)
+
+
+class PerFrame(nn.Module):
+    """The network from a frame's white and what `PerSensor` gave."""
+
+    def __init__(self, net: Net) -> None:
+        super().__init__()
+        self.rest = copy.deepcopy(net)
+        self.rest.down[0] = self.rest.down[0][3:]
+        self.register_buffer("weight", first_layer(net)[0][:, : net.fold**2])
+
+    def forward(self, white: Tensor, sensor: Tensor) -> Tensor:
+        """Run it."""
+        return self.rest(functional.relu(functional.conv2d(white, self.weight, padding=1) + sensor))
+
+
+def first_layer(net: Net) -> tuple[Tensor, Tensor]:
+    """Weight and bias of the first convolution with its normalisation."""
+    conv, norm = net.down[0][0], net.down[0][1]
+    fused = fuse_conv_bn_weights(
+        conv.weight, None, norm.running_mean, norm.running_var, norm.eps, norm.weight, norm.bias
+    )
+    return fused[0].detach(), fused[1].detach()
 
 
 def main() -> None:
@@ -43,24 +84,22 @@ def main() -> None:
     net = Net(fold, widths)
     net.load_state_dict(mean)
     net.eval()
-    first, cells = net.down[0][0], int(state["arguments"].get("cells", discmap.CELLS))
-    first.weight = torch.nn.Parameter(functional.pad(first.weight, (0, 0, 0, 0, 0, inputs(fold) - first.in_channels)))
-    first.in_channels = inputs(fold)
-    x = torch.rand(1, inputs(fold), cells // fold, cells // fold, generator=torch.Generator().manual_seed(1))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # the exporter that needs nothing beside torch
-        torch.onnx.export(net, (x,), str(args.out), dynamo=False, opset_version=OPSET, input_names=["maps"],
-                          output_names=["depth_and_contact"])  # fmt: skip
-    run = onnxruntime.InferenceSession(str(args.out), providers=["CPUExecutionProvider"]).run
+    cells = int(state["arguments"].get("cells", discmap.CELLS))
+    shape = (1, net.down[0][0].in_channels, cells // fold, cells // fold)
+    x = torch.rand(shape, generator=torch.Generator().manual_seed(1))
+    white, known = x[:, : fold**2], x[:, fold**2 :]
+    once = args.out.with_suffix(".sensor.onnx")
     with torch.no_grad():
         expected = net(x).numpy()
-    off = float(np.abs(run(None, {"maps": x.numpy()})[0] - expected).max())
-    sha256 = hashlib.sha256(args.out.read_bytes()).hexdigest()
+        sensor = PerSensor(net)(known)
+    write(PerSensor(net), {"known": known}, "sensor", once)
+    write(PerFrame(net), {"white": white, "sensor": sensor}, "depth_and_contact", args.out)
+    found = run(args.out, {"white": white.numpy(), "sensor": run(once, {"known": known.numpy()})})
+    off = float(np.abs(found - expected).max())
     commit = subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=True).stdout.strip()
     rows = [json.loads(line) for line in (args.run / "figures.jsonl").read_text().splitlines()]
     about = {
-        "sha256": sha256,
-        "bytes": args.out.stat().st_size,
+        "sha256": {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in (args.out, once)},
         "cells": cells,
         "fold": fold,
         "parameters": sum(p.numel() for p in net.parameters()),
@@ -75,6 +114,19 @@ def main() -> None:
     print(json.dumps(about, indent=1))
     if off > TOLERANCE:
         raise SystemExit(f"its result differs by {off}, at most {TOLERANCE} was expected")
+
+
+def write(part: nn.Module, inputs: dict[str, Tensor], output: str, path: Path) -> None:
+    """Write a part of the network."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # the exporter that needs nothing beside torch
+        torch.onnx.export(part.eval(), tuple(inputs.values()), str(path), dynamo=False, opset_version=OPSET,
+                          input_names=list(inputs), output_names=[output])  # fmt: skip
+
+
+def run(path: Path, inputs: dict[str, np.ndarray]) -> np.ndarray:
+    """Run a part as the project does."""
+    return onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"]).run(None, inputs)[0]
 
 
 if __name__ == "__main__":

@@ -19,9 +19,6 @@ from tacshade_edge.types import F32, Geometry, freeze
 KNOWN = 6
 """Maps of `discmap.geometry_maps`."""
 
-ALIGNED = 4
-"""Inputs come in groups of so many, zeros at the end: convolutions take them so without sorting them first."""
-
 HEIGHT_SCALE = 10.0
 # On a skin of 20 mm the training presses end at 6.5 mm; what is deeper reads 6.2 to 6.9.
 DEEPEST_RADII = 0.31
@@ -29,18 +26,24 @@ DEEPEST_RADII = 0.31
 
 @dataclass(frozen=True, slots=True)
 class Network:
-    """A network and how it wants its maps.
+    """A network and how it wants its maps. N = cells / fold.
+
+    Its first layer is linear in what it is given, so what a sensor's reference adds there is the same for every frame.
 
     Attributes
     ----------
     fold : int
         Each square of fold x fold cells makes as many channels (`fold`).
+    sense : callable
+        What is known of a sensor, the reference's white folded and `KNOWN` maps, (fold² + KNOWN, N, N), to what it adds
+        to the first layer, (channels, N, N).
     run : callable
-        Maps (`inputs` of fold, N, N) to (2 fold², N, N), N = cells / fold.
+        A frame's white folded, (fold², N, N), and what `sense` gave, to (2 fold², N, N).
     """
 
     fold: int
-    run: Callable[[F32], F32]
+    sense: Callable[[F32], F32]
+    run: Callable[[F32, F32], F32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,24 +80,16 @@ class LearnedInverse:
     def __init__(self, network: Network, geometry: Geometry, pitch_px: float, reference_white: F32) -> None:
         self._network = network
         known = discmap.geometry_maps(geometry, pitch_px, len(reference_white))
-        self._unit_mm = geometry.skin_radius_mm * math.sin(math.radians(geometry.visible_half_angle_deg))
+        unit_mm = geometry.skin_radius_mm * math.sin(math.radians(geometry.visible_half_angle_deg))
+        self._mm = np.float32(unit_mm / HEIGHT_SCALE)
         n = network.fold
-        reference = fold(reference_white[None], n)
-        rest = np.zeros((inputs(n) - 2 * n * n - KNOWN, *reference.shape[1:]), np.float32)
-        # The frame's channels come first, here the reference's; the others stay.
-        self._maps: F32 = np.concatenate((reference, reference, known[:, ::n, ::n], rest))
+        self._sensor = network.sense(np.concatenate((fold(reference_white[None], n), known[:, ::n, ::n])))
 
     def __call__(self, white: F32) -> Inverse:
         """Run it on a frame's white, float32 (cells, cells), 0 to 1."""
         n = self._network.fold
-        self._maps[: n * n] = fold(white[None], n)
-        height, logit = unfold(self._network.run(self._maps), n)
-        return Inverse(height * np.float32(self._unit_mm / HEIGHT_SCALE), logit)
-
-
-def inputs(by: int) -> int:
-    """How many maps a network takes whose maps are folded by so much."""
-    return -(-(2 * by * by + KNOWN) // ALIGNED) * ALIGNED
+        height, logit = unfold(self._network.run(fold(white[None], n), self._sensor), n)
+        return Inverse(height * self._mm, logit)
 
 
 def fold(maps: F32, by: int) -> F32:

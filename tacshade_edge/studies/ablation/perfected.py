@@ -33,11 +33,11 @@ class PerfectedNetwork:
 
     def as_network(self) -> Network:
         """What a reconstructor takes."""
-        return Network(self._network.fold, self._run)
+        return Network(self._network.fold, self._network.sense, self._run)
 
-    def _run(self, maps: F32) -> F32:
+    def _run(self, white: F32, sensor: F32) -> F32:
         height, contact, top = self._perfect
-        found, logit = unfold(self._network.run(maps), self._network.fold)
+        found, logit = unfold(self._network.run(white, sensor), self._network.fold)
         if contact:
             logit = np.where(self._contact, np.float32(SURE), np.float32(-SURE))
         if height:

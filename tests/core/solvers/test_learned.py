@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from tacshade_edge.core import discmap
-from tacshade_edge.core.solvers.learned import KNOWN, LearnedInverse, Network, fold, inputs, unfold
+from tacshade_edge.core.solvers.learned import KNOWN, LearnedInverse, Network, fold, unfold
 from tacshade_edge.types import F32, Disc, Geometry
 
 GEOMETRY = Geometry(20.0, 14.0, 50.0, Disc(61.3, 83.9, 47.7))
@@ -27,34 +27,32 @@ def test_folding_keeps_neighbours_together() -> None:
 def test_the_network_gets_frame_reference_and_what_is_known_and_its_answer_becomes_mm(by: int) -> None:
     rng = np.random.default_rng(0)
     white, reference = rng.random((2, discmap.CELLS, discmap.CELLS), dtype=np.float32)
-    seen: list[F32] = []
+    sensed: list[F32] = []
     n = by * by
 
-    def answer(maps: F32) -> F32:
-        seen.append(maps.copy())
-        return maps[: 2 * n]
+    def sense(known: F32) -> F32:
+        sensed.append(known)
+        return known[:n] + 1
 
-    made = LearnedInverse(Network(by, answer), GEOMETRY, 6.0, reference)(white)
-    (maps,) = seen
-    assert maps.shape == (inputs(by), discmap.CELLS // by, discmap.CELLS // by)
-    assert inputs(by) % 4 == 0
-    assert maps.dtype == np.float32
-    np.testing.assert_array_equal(unfold(maps[:n], by)[0], white)
-    np.testing.assert_array_equal(unfold(maps[n : 2 * n], by)[0], reference)
-    known = maps[2 * n : 2 * n + KNOWN]
-    np.testing.assert_array_equal(known, discmap.geometry_maps(GEOMETRY, 6.0)[:, ::by, ::by])
-    assert not maps[2 * n + KNOWN :].any()
-    np.testing.assert_allclose(made.height_mm, unfold(maps[:n], by)[0] * UNIT_MM / 10, rtol=1e-6)
-    np.testing.assert_array_equal(made.contact_logit, unfold(maps[n : 2 * n], by)[0])
+    made = LearnedInverse(
+        Network(by, sense, lambda seen, sensor: np.concatenate((seen, sensor))), GEOMETRY, 6.0, reference
+    )
+    answers = [made(white), made(white)]
+    (known,) = sensed  # once for a sensor
+    assert known.shape == (n + KNOWN, discmap.CELLS // by, discmap.CELLS // by)
+    assert known.dtype == np.float32
+    np.testing.assert_array_equal(unfold(known[:n], by)[0], reference)
+    np.testing.assert_array_equal(known[n:], discmap.geometry_maps(GEOMETRY, 6.0)[:, ::by, ::by])
+    for answer in answers:
+        np.testing.assert_allclose(answer.height_mm, white * UNIT_MM / 10, rtol=1e-6)
+        np.testing.assert_array_equal(answer.contact_logit, reference + 1)
     with pytest.raises(ValueError, match="read-only"):
-        made.height_mm[0, 0] = 1
+        answers[0].height_mm[0, 0] = 1
 
 
 def test_one_frame_does_not_change_the_next() -> None:
-    def network(maps: F32) -> F32:
-        return maps[:8]
-
-    inverse = LearnedInverse(Network(2, network), GEOMETRY, 6.0, np.zeros((discmap.CELLS,) * 2, np.float32))
+    network = Network(2, lambda known: known[:4], lambda white, sensor: np.concatenate((white, sensor)))
+    inverse = LearnedInverse(network, GEOMETRY, 6.0, np.zeros((discmap.CELLS,) * 2, np.float32))
     dark, bright = np.zeros((discmap.CELLS,) * 2, np.float32), np.ones((discmap.CELLS,) * 2, np.float32)
     first = inverse(dark)
     before = first.height_mm.tobytes()

@@ -67,13 +67,14 @@ def test_the_truth_stands_in_the_place_of_the_answer() -> None:
     rng = np.random.default_rng(0)
     shape = (discmap.CELLS, discmap.CELLS)
     found, logit = rng.random((2, *shape), dtype=np.float32) - np.float32(0.2)
-    network = Network(4, lambda maps: fold(np.stack((found, logit)), 4))
+    network = Network(4, lambda known: known, lambda white, sensor: fold(np.stack((found, logit)), 4))
     height, contact = rng.random(shape, dtype=np.float32), rng.random(shape) < 0.5
 
     def answer(**perfect: bool) -> tuple[np.ndarray, np.ndarray]:
         made = PerfectedNetwork(network, **perfect)
         made.show(height, contact)
-        first, second = unfold(made.as_network().run(np.zeros((1, 1, 1), np.float32)), 4)
+        nothing = np.zeros((1, 1, 1), np.float32)
+        first, second = unfold(made.as_network().run(nothing, nothing), 4)
         return first, second
 
     np.testing.assert_array_equal(answer(), (found, logit))
