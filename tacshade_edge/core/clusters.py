@@ -179,8 +179,10 @@ def _described(x_y_z: F32, labels: U16, height_mm: F32, cell_area: F32) -> tuple
         At the points.
     """
     numbers = np.arange(1, labels[-1] + 1, dtype=np.uint16)
-    starts = labels.searchsorted(numbers)
-    counts = labels.searchsorted(numbers, side="right") - starts
+    ends = labels.searchsorted(numbers, side="right")
+    starts = np.zeros_like(ends)
+    starts[1:] = ends[:-1]
+    counts = ends - starts
     middles = np.add.reduceat(x_y_z, starts, axis=1, dtype=np.float64) / counts
     highest, lowest = (extreme.reduceat(x_y_z, starts, axis=1) for extreme in (np.maximum, np.minimum))
     extents = highest.astype(np.float64) - lowest

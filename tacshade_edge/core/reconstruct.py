@@ -196,10 +196,11 @@ class Reconstructor:
         if repaired:
             height = np.where(finite, height, np.float32(0))
         np.maximum(height, np.float32(0), out=height)
-        touched: Bool = (inverse.contact_logit > 0) & self.rays.inside
-        deepest = np.float32(DEEPEST_RADII * self.calibration.geometry.skin_radius_mm)
-        saturated = bool((touched & (height > deepest)).any())
-        return Depth(height, saturated, repaired), touched
+        touched: Bool = inverse.contact_logit > 0
+        touched &= self.rays.inside
+        deep = height > np.float32(DEEPEST_RADII * self.calibration.geometry.skin_radius_mm)
+        deep &= touched
+        return Depth(height, bool(deep.any()), repaired), touched
 
     def _objects(self, frame: Frame, depth: Depth, touched: Bool | None, degraded: str) -> Reconstruction:
         """Outline (the paper's split of heights where the solver gives none), metric points, clusters."""

@@ -94,8 +94,9 @@ class Edges:
     """
 
     def __init__(self, low: I32, part: F32) -> None:
-        self._low, self._next, self._part = low, low + 1, part[:, None]
-        self._at: Total | F32 = np.empty((0, 0), np.float32)
+        self._both = np.concatenate((low, low + 1))
+        self._part = part[:, None]
+        self._taken: Total | F32 = np.empty((0, 0), np.float32)
         self._turned: F32 = np.empty((0, 0), np.float32)
 
     def between(self, lines: Total | F32) -> F32:
@@ -103,16 +104,19 @@ class Edges:
 
         Differences first: they are small, and exact in float32.
         """
-        shape = (self._low.size, lines.shape[1])
-        if self._at.shape != shape or self._at.dtype != lines.dtype:
-            self._at, self._following = np.empty(shape, lines.dtype), np.empty(shape, lines.dtype)
-            self._beyond = np.empty(shape, np.float32)
-            self._between = np.empty((shape[0] - 1, shape[1]), np.float32)
-        # "clip" writes into `out` directly; no edge lies beyond. OpenCV converts without buffers.
-        at, following = lines.take(self._low, 0, self._at, "clip"), lines.take(self._next, 0, self._following, "clip")
-        cv2.subtract(following, at, dst=self._beyond, dtype=cv2.CV_32F)
-        self._beyond *= self._part
-        cv2.subtract(at[1:], at[:-1], dst=self._between, dtype=cv2.CV_32F)
+        edges, width = len(self._part), lines.shape[1]
+        if self._taken.shape[1] != width or self._taken.dtype != lines.dtype:
+            self._taken = np.empty((2 * edges, width), lines.dtype)
+            self._steps = np.empty((edges - 1, width), lines.dtype)
+            self._parts = np.repeat(self._part, width, axis=1)
+            self._beyond = np.empty((edges, width), np.float32)
+            self._between = np.empty((edges - 1, width), np.float32)
+        # "clip" writes into `out` directly; no edge lies beyond.
+        taken = lines.take(self._both, 0, self._taken, "clip")
+        at, following = taken[:edges], taken[edges:]
+        self._beyond[...] = np.subtract(following, at, out=following)
+        self._beyond *= self._parts
+        self._between[...] = np.subtract(at[1:], at[:-1], out=self._steps)
         self._between += self._beyond[1:]
         self._between -= self._beyond[:-1]
         return self._between
