@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 import onnxruntime
 import torch
-from network import Net
+from network import Net, trained
 from torch import Tensor, nn
 from torch.nn import functional
 from torch.nn.utils.fusion import fuse_conv_bn_weights
@@ -77,13 +77,8 @@ def main() -> None:
     parser.add_argument("--run", type=Path, required=True)
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args()
-    state = torch.load(args.run / "checkpoint.pt", weights_only=True)
-    widths = tuple(int(w) for w in state["arguments"]["widths"].strip("()[]").split(","))
-    mean = {k.removeprefix("module."): v for k, v in state["mean"].items() if k.startswith("module.")}
-    fold = int(state["arguments"]["fold"])
-    net = Net(fold, widths)
-    net.load_state_dict(mean)
-    net.eval()
+    net, state = trained(args.run)
+    fold = net.fold
     cells = int(state["arguments"].get("cells", discmap.CELLS))
     shape = (1, net.down[0][0].in_channels, cells // fold, cells // fold)
     x = torch.rand(shape, generator=torch.Generator().manual_seed(1))

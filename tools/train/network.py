@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -51,6 +53,15 @@ class Net(nn.Module):
             x = functional.interpolate(x, scale_factor=2.0, mode="nearest")
             x = self.up[k](torch.cat((skips[k], x), 1))
         return self.head(x)
+
+
+def trained(run: Path) -> tuple[Net, dict[str, Any]]:
+    """The averaged network of a run's checkpoint, to be used and not to be trained, and the checkpoint."""
+    state = torch.load(run / "checkpoint.pt", weights_only=True)
+    widths = tuple(int(width) for width in state["arguments"]["widths"].strip("()[]").split(","))
+    net = Net(int(state["arguments"]["fold"]), widths)
+    net.load_state_dict({k.removeprefix("module."): v for k, v in state["mean"].items() if k.startswith("module.")})
+    return net.eval(), state
 
 
 def grow(net: Net, narrow: dict[str, Tensor]) -> None:
