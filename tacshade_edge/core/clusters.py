@@ -10,7 +10,7 @@ import numpy as np
 
 from tacshade_edge.core.disc import DiscRays
 from tacshade_edge.core.skin import cell_area_mm2, skin_planes
-from tacshade_edge.types import F32, I32, I64, U16, Bool, Geometry, ObjectCloud, TouchedObject, freeze
+from tacshade_edge.types import F32, I64, U16, Bool, Geometry, ObjectCloud, TouchedObject, freeze
 
 BINS = 256
 # Smaller patches are not an object a finger could tell.
@@ -77,7 +77,7 @@ def find_objects(
     if cells.size == 0:
         return None
     x_y_z = planes.reshape(3, -1).take(cells, axis=1)
-    cloud = ObjectCloud(np.ascontiguousarray(x_y_z.T), labels.take(cells).astype(np.uint16))
+    cloud = ObjectCloud(np.ascontiguousarray(x_y_z.T), labels.take(cells))
     heights, areas = height.take(cells), area.take(cells)
     volume_mm3 = float((heights * areas).sum(dtype=np.float64))
     return Objects(contact, cloud, _described(x_y_z, cloud.labels, heights, areas), volume_mm3)
@@ -130,7 +130,7 @@ def two_means_split(values: F32) -> float:
     return float(split if float(split) <= middle else np.nextafter(split, np.float32(-np.inf)))
 
 
-def label_objects(contact: Bool, cell_area: F32) -> I32:
+def label_objects(contact: Bool, cell_area: F32) -> U16:
     """Number the connected contacts (8-neighbours), the greatest area first.
 
     Patches under 0.5 mm² vanish, and what is beyond the 65535 objects that a cloud can number.
@@ -143,27 +143,25 @@ def label_objects(contact: Bool, cell_area: F32) -> I32:
 
     Returns
     -------
-    int32 (rows, cols)
+    uint16 (rows, cols)
         0 outside every object, else its number from 1.
     """
     count, raw = cv2.connectedComponents(contact.view(np.uint8), connectivity=8)
-    raw = np.asarray(raw, dtype=np.int32)
-    areas = np.bincount(raw.ravel(), weights=cell_area.ravel(), minlength=count)
+    areas = np.bincount(np.ravel(raw), weights=cell_area.ravel(), minlength=count)
     areas[0] = 0.0
-    order = [int(i) for i in np.argsort(-areas, kind="stable") if areas[i] >= MIN_OBJECT_MM2]
-    del order[LABELS_MAX:]
-    new_label = np.zeros(count, dtype=np.int32)
+    order = (-areas).argsort(kind="stable")
+    order = order[: min(np.count_nonzero(areas >= MIN_OBJECT_MM2), LABELS_MAX)]
+    new_label = np.zeros(count, dtype=np.uint16)
     new_label[order] = np.arange(1, len(order) + 1)
-    labels: I32 = new_label.take(raw)
+    labels: U16 = new_label.take(raw)
     return labels
 
 
-def cells_by_label(labels: I32) -> I64:
+def cells_by_label(labels: U16) -> I64:
     """Flat indices of the labelled cells: object by object, row by row in each."""
-    cells = np.flatnonzero(labels > 0)
+    cells = np.flatnonzero(labels)
     # Of 16 bits, a stable sort is a radix sort.
-    order = np.argsort(labels.take(cells).astype(np.uint16), kind="stable")
-    return np.asarray(cells[order], np.int64)
+    return np.asarray(cells.take(labels.take(cells).argsort(kind="stable")), np.int64)
 
 
 def _described(x_y_z: F32, labels: U16, height_mm: F32, cell_area: F32) -> tuple[TouchedObject, ...]:
