@@ -131,7 +131,8 @@ class Preprocessor:
         return change if self.sign > 0 else -change
 
     def _smooth(self, g: F32) -> F32:
-        return greyscale.denoise_tv(g, self.rays.inside, self.profile.tv_weight, self.profile.tv_iterations)
+        profile = self.profile
+        return greyscale.denoise_tv(g, self.rays.inside, profile.tv_weight, profile.tv_iterations, profile.tv_precision)
 
     def _box_sums(self, values: U8) -> F32:
         self._sums.show(values)

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 from tacshade_edge.core import discmap
-from tacshade_edge.core.total_variation import ITERATIONS_MAX
+from tacshade_edge.core.total_variation import ITERATIONS_MAX, Precision
 
 LEARNED = "learned"
 """The solver that takes the white pixels and finds the contact too, with the network of the profile's name."""
@@ -43,6 +43,8 @@ class Profile:
         Along a side of the map that a network works on.
     tv_iterations : int
         The denoising's, at most.
+    tv_precision : str
+        What numbers the denoising is computed in. "int16" is the fastest; docs/numerics.md says how near.
     """
 
     name: str
@@ -55,6 +57,7 @@ class Profile:
     halved: bool = False
     cells: int = discmap.CELLS
     tv_iterations: int = ITERATIONS_MAX
+    tv_precision: Precision = "float32"
 
 
 DEFAULT = "balanced"

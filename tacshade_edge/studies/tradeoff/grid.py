@@ -19,6 +19,7 @@ WORDS: dict[str, Callable[[Any], str]] = {
     "window_pitches": "window {} pitch".format,
     "tv_weight": "TV {:g}".format,
     "tv_iterations": "TV {} times".format,
+    "tv_precision": "TV {}".format,
 }
 """Fields of a profile that are varied, and how that is said."""
 
@@ -31,6 +32,9 @@ _AROUND_LEARNED: tuple[dict[str, Any], ...] = (
 # At stride 1 a frame takes half a second; around it only what decides.
 _AROUND_PAPER: tuple[dict[str, Any], ...] = (
     {"solver": "grey"},
+    {"tv_precision": "int16"},
+    {"tv_precision": "float64"},
+    {"solver": "grey", "tv_precision": "int16"},
     {"halved": True},
     {"stride_px": 2},
     {"stride_px": 4},
@@ -42,6 +46,7 @@ _AROUND_PAPER: tuple[dict[str, Any], ...] = (
     {"stride_px": 4, "tv_weight": 0.2},
     {"stride_px": 4, "tv_iterations": 5},
     {"stride_px": 4, "tv_iterations": 10},
+    {"stride_px": 4, "tv_precision": "int16"},
     {"stride_px": 4, "solver": "grey"},
 )
 
