@@ -33,7 +33,7 @@ from tacshade_edge.studies.parallel import usable_cores
 from tacshade_edge.studies.tables import csv_text
 
 WORKING_SENSORS = "default,5,11,21"
-FINAL_SENSORS = tuple(SensorName(family, FINAL_SEED + k) for family in ("tacshade", "other") for k in (12, 13, 14))
+FINAL_SENSORS = tuple(SensorName(family, FINAL_SEED + k) for family in ("tacshade", "other") for k in (15, 16, 17))
 LIMITS_SENSORS = "default,5,11"
 ABLATION_SENSORS = "default,5,11,other:31,other:32,other:33"
 SIMULATED = ("sensors", "final", "objects", "presses", "references")

@@ -18,7 +18,7 @@ from tacshade_edge.devices.whole_files import write_whole
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.types import Calibration, Disc, Geometry
 
-VERSION = 5
+VERSION = 6
 """Also of the networks: factors are fitted to the weights that were shipped then (tests/devices/test_network.py)."""
 # What numpy and zipfile raise on damaged bytes (TypeError: a .npy; RuntimeError: a flag or method zipfile lacks).
 _DAMAGE = (

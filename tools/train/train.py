@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from network import HEIGHT_SCALE, Net, grow
+from network import HEIGHT_SCALE, Net, add_in_place_of_joining, grow
 from torch import Tensor
 from torch.nn import functional
 
@@ -157,6 +157,7 @@ def main() -> None:
     parser.add_argument("--fold", type=int, choices=(2, 4), default=2)
     parser.add_argument("--cells", type=int, choices=(56, 112), default=112, help="along a side of its maps")
     parser.add_argument("--shares", type=float, nargs=len(KINDS), default=(3, 1, 2, 4, 0), help=" ".join(KINDS))
+    parser.add_argument("--added", action="store_true", help="levels are added, not joined (`Net`)")
     parser.add_argument(
         "--start", type=Path, metavar="CHECKPOINT", help="its averaged weights begin, of the same or lesser widths"
     )
@@ -167,10 +168,13 @@ def main() -> None:
     torch.set_num_threads(args.threads)
     torch.manual_seed(args.seed)
     args.out.mkdir(parents=True, exist_ok=True)
-    net = Net(args.fold, tuple(args.widths)).to(memory_format=torch.channels_last)
+    net = Net(args.fold, tuple(args.widths), args.added).to(memory_format=torch.channels_last)
     if args.start is not None:
         averaged = torch.load(args.start, weights_only=True)["mean"]
-        grow(net, {k.removeprefix("module."): v for k, v in averaged.items() if k.startswith("module.")})
+        begun = {k.removeprefix("module."): v for k, v in averaged.items() if k.startswith("module.")}
+        if args.added and "narrow.0.weight" not in begun:
+            begun = add_in_place_of_joining(begun)
+        grow(net, begun)
     mean = torch.optim.swa_utils.AveragedModel(
         net, multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(0.998), use_buffers=True
     )
