@@ -9,7 +9,8 @@ import numpy as np
 
 from tacshade_edge.core import drift, greyscale, pattern, press_checks, refit
 from tacshade_edge.core.binarise import Binariser, odd
-from tacshade_edge.core.disc import Grid, Window, disc_mask, disc_rays, radius_squared
+from tacshade_edge.core.disc import Grid, Window, disc_mask, disc_rays
+from tacshade_edge.core.loaded import loaded_reason
 from tacshade_edge.core.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES, Profile
 from tacshade_edge.core.reconstruct import Reconstructor
@@ -18,7 +19,7 @@ from tacshade_edge.core.sums import Sums
 from tacshade_edge.core.validity import frame_check, invalid_reason
 from tacshade_edge.core.verdict import Verdict, judge
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.types import F32, IDENTITY_POSE, U8, Binarisation, Bool, Calibration, Geometry, Polarity
+from tacshade_edge.types import F32, IDENTITY_POSE, U8, Binarisation, Calibration, Geometry, Polarity
 
 # The maps that references and presses are judged by.
 PROFILE = replace(PROFILES["accurate"], name="calibration", tv_weight=0.05, gate_levels=20, gate_dark_levels=12)
@@ -28,15 +29,6 @@ MIN_PRESSES = 8
 MAX_LEFT_OUT = 0.25
 # RMS of g between frames of one still scene when one reference alone cannot tell it.
 ASSUMED_NOISE_GREY = 1.0
-# An unloaded skin is alike all around: a patch that differs this much from its ring is a load (grey levels, mm²),
-# where a fine pattern does not make every ring uneven (in deviations of the disc).
-LOADED_GREY = 22.0
-LOADED_DEVIATIONS = 3.5
-LOADED_MM2 = 9.0
-# And it changes smoothly outwards: a load in the middle is alike all around too, but bends the radial profile.
-# Second difference over two rings, measured on 60 sensors: at most 19 unloaded, a centred ball 3 mm deep 30 or more.
-RINGS = 12
-LOADED_BEND_GREY = 22.0
 # A new reference with less contrast than this part of the old one's cannot serve the old refit.
 WORN_CONTRAST = 0.6
 
@@ -132,7 +124,7 @@ def calibrate(
     )
     if len(greys) < 3:
         warnings.append(f"{len(greys)} reference: noise assumed to be {ASSUMED_NOISE_GREY} grey levels; 5 are better")
-    loaded = loaded_reason(unloaded)
+    loaded = loaded_reason(Preprocessor(unloaded, PROFILE))
     if loaded and not allow_loaded_reference:
         raise ConfigError(f"{loaded}; take it again without contact, or pass --allow-loaded-reference")
     if loaded:
@@ -194,7 +186,7 @@ def rezero(calibration: Calibration, images: Sequence[U8], allow_loaded: bool = 
                 "clean or focus the lens, or calibrate again"
             )
     renewed = _with_reference(replace(calibration, reference_grey=pattern.mean_image(greys), crc32=0), greys)
-    if not allow_loaded and (loaded := loaded_reason(renewed)):
+    if not allow_loaded and (loaded := loaded_reason(Preprocessor(renewed, PROFILE))):
         raise ConfigError(f"reference refused: {loaded}")
     return renewed
 
@@ -222,46 +214,6 @@ def _with_reference(calibration: Calibration, greys: Sequence[U8]) -> Calibratio
         noise = float(np.sqrt(np.mean(np.var(np.stack(ratios), axis=0, ddof=1))))
     reference = np.rint(white_sum * (255 / len(greys))).astype(np.uint8)
     return replace(calibration, reference_white=reference, noise_grey=noise)
-
-
-def loaded_reason(calibration: Calibration) -> str:
-    """Why a reference seems to have been taken under load; empty when it does not."""
-    disc = calibration.geometry.disc
-    front = Preprocessor(calibration, PROFILE)
-    g0, voting = front.reference_ratio, front.voting
-    rho2 = radius_squared(front.grid, disc)
-    residual = ring_residual(g0, rho2, voting)
-    deviation = 1.4826 * float(np.median(np.abs(residual[voting]))) if voting.any() else 0.0
-    threshold = max(LOADED_GREY, LOADED_DEVIATIONS * deviation)
-    area = float(np.count_nonzero(np.abs(residual) > threshold)) * front.cell_mm2
-    if area >= LOADED_MM2:
-        return f"the reference seems taken under load: {area:.0f} mm² of it differ from the skin around the centre"
-    bend = radial_bend(g0, rho2, voting)
-    if bend > LOADED_BEND_GREY:
-        return f"the reference seems taken under load in the middle: its profile bends by {bend:.0f} grey levels"
-    return ""
-
-
-def ring_residual(g0: F32, rho2: F32, voting: Bool) -> F32:
-    """g0 less its median on 12 rings around the centre; 0 where `voting` is False."""
-    rings = np.minimum((np.sqrt(rho2) * RINGS).astype(int), RINGS)
-    residual: F32 = np.zeros_like(g0)
-    for ring in range(RINGS + 1):
-        cells = (rings == ring) & voting
-        if cells.any():
-            residual[cells] = g0[cells] - np.median(g0[cells])
-    return residual
-
-
-def radial_bend(g0: F32, rho2: F32, voting: Bool) -> float:
-    """Greatest second difference, over two rings, of the radial profile of g0 (means over soft rings)."""
-    rho, profile = np.sqrt(rho2) * RINGS, []
-    for ring in range(RINGS):
-        weight = np.maximum(1.5 - np.abs(rho - ring), 0) * voting
-        if weight.any():
-            profile.append(float((weight * g0).sum() / weight.sum()))
-    mean = np.array(profile)
-    return float(np.abs(mean[:-4] - 2 * mean[2:-2] + mean[4:]).max(initial=0.0))
 
 
 def _check_references(calibration: Calibration, greys: Sequence[U8], allow_loaded: bool) -> list[str]:
