@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
 from tacshade_edge.core.binarise import binarise, halved
 from tacshade_edge.core.disc import Grid, Window, disc_mask
 from tacshade_edge.types import U8, Calibration, Disc
+
+MOVED_PARTS = (1 / 8, 3 / 4, 1 / 8)
+"""Of the reference moved by a pixel back, not at all and on, along each axis. With more of it moved depth is found less
+exactly where nothing moved."""
 
 LEAST_PITCH_PX = 14.0
 """A finer pattern is left as it is: of less than 7 px a pitch the networks have seen little."""
@@ -32,7 +37,11 @@ def grid_of_whole(grid: Grid) -> Grid:
 
 
 def halved_calibration(calibration: Calibration) -> Calibration:
-    """What calibrating on halved images would have found: the same skin, camera and light in pixels twice as wide."""
+    """What calibrating on halved images would have found: the same skin, camera and light in pixels twice as wide.
+
+    Of its white a part is of the image moved by a pixel (`MOVED_PARTS`): that pairs the pixels another way, and a
+    camera that moved by one would else look like less depth.
+    """
     geometry = calibration.geometry
     at = geometry.disc
     # Pixels (2i, 2i+1) have their middle at 2i + 0.5.
@@ -43,8 +52,13 @@ def halved_calibration(calibration: Calibration) -> Calibration:
     # As frames are binarised: inside the disc's window, whose first pixel the blocks of the threshold start from.
     window = Window.of_disc(height, width, disc)
     mask = window.cut(disc_mask(height, width, disc).astype(np.uint8))
-    white = np.zeros_like(grey)
-    window.cut(white)[...] = 255 * binarise(window.cut(grey), mask, calibration.binarisation, pitch_px)
+    white = np.zeros(grey.shape, np.float32)
+    around = np.pad(calibration.reference_grey, 1, mode="edge")
+    for (row, down), (col, across) in product(enumerate(MOVED_PARTS), enumerate(MOVED_PARTS)):
+        moved = around[row : row + calibration.image_height_px, col : col + calibration.image_width_px]
+        window.cut(white)[...] += (
+            down * across * binarise(window.cut(halved_image(moved)), mask, calibration.binarisation, pitch_px)
+        )
     return replace(
         calibration,
         geometry=replace(geometry, disc=disc),
@@ -52,6 +66,6 @@ def halved_calibration(calibration: Calibration) -> Calibration:
         image_width_px=width,
         pitch_px=pitch_px,
         reference_grey=grey,
-        reference_white=white,
+        reference_white=np.rint(white * np.float32(255)).astype(np.uint8),
         alpha=calibration.alpha / 2,
     )
