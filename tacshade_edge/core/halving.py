@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 
-from tacshade_edge.core.binarise import binarise, halved
+from tacshade_edge.core.binarise import Binariser, halved
 from tacshade_edge.core.disc import Grid, Window, disc_mask
 from tacshade_edge.types import U8, Calibration, Disc
 
@@ -52,13 +52,12 @@ def halved_calibration(calibration: Calibration) -> Calibration:
     # As frames are binarised: inside the disc's window, whose first pixel the blocks of the threshold start from.
     window = Window.of_disc(height, width, disc)
     mask = window.cut(disc_mask(height, width, disc).astype(np.uint8))
+    binariser = Binariser(mask, calibration.binarisation, pitch_px)
     white = np.zeros(grey.shape, np.float32)
     around = np.pad(calibration.reference_grey, 1, mode="edge")
-    for (row, down), (col, across) in product(enumerate(MOVED_PARTS), enumerate(MOVED_PARTS)):
+    for (row, down), (col, across) in product(enumerate(MOVED_PARTS), repeat=2):
         moved = around[row : row + calibration.image_height_px, col : col + calibration.image_width_px]
-        window.cut(white)[...] += (
-            down * across * binarise(window.cut(halved_image(moved)), mask, calibration.binarisation, pitch_px)
-        )
+        window.cut(white)[...] += down * across * binariser(window.cut(halved_image(moved)))
     return replace(
         calibration,
         geometry=replace(geometry, disc=disc),

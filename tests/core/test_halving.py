@@ -1,4 +1,5 @@
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -7,7 +8,7 @@ from calibrated_sensor import FULL, HALF, calibrated, pressed, unloaded
 
 from tacshade_edge.core.disc import disc_mask
 from tacshade_edge.core.greyscale import to_grey
-from tacshade_edge.core.halving import LEAST_PITCH_PX, can_be_halved, halved_calibration, halved_image
+from tacshade_edge.core.halving import LEAST_PITCH_PX, MOVED_PARTS, can_be_halved, halved_calibration, halved_image
 from tacshade_edge.core.pattern import marker_pitch_px
 from tacshade_edge.core.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES
@@ -55,7 +56,14 @@ def test_nothing_has_changed_in_a_reference_that_is_halved(rows: int, cols: int)
     whole = built_calibration(rows, cols, disc=Disc(rows / 2 - 1.3, cols / 2 + 3.8, 0.43 * rows), pitch_px=15.0)
     front = Preprocessor(halved_calibration(whole), PROFILES["balanced"])
     g, _ = front.white_ratio(halved_image(whole.reference_grey))
-    # But for the part of the reference that is of images moved by a pixel.
+    # The reference is the mean of itself moved by a pixel, to a grey level of its white.
+    around = np.pad(whole.reference_grey, 1, mode="edge")
+    mixed = np.zeros_like(front.reference_cells)
+    for (row, down), (col, across) in product(enumerate(MOVED_PARTS), repeat=2):
+        front.white_ratio(halved_image(around[row : row + whole.image_height_px, col : col + whole.image_width_px]))
+        mixed += down * across * front.white_cells()
+    np.testing.assert_allclose(front.reference_cells, mixed, atol=0.5 / 255 + 1e-4)
+    front.white_ratio(halved_image(whole.reference_grey))
     change = g[front.voting] - front.reference_ratio[front.voting]
     assert np.abs(change).max() < 4
     assert abs(change.mean()) < 0.5
