@@ -4,7 +4,7 @@
 PYTHON ?= python3
 PY := .venv/bin/python
 
-.PHONY: demo check test format clean
+.PHONY: demo lint check test format clean
 .DELETE_ON_ERROR:
 
 # Two stamps, so that the demo installs only what a user needs.
@@ -20,21 +20,20 @@ PY := .venv/bin/python
 demo: .venv/run.stamp
 	$(PY) -m tacshade_edge demo
 
-check: .venv/dev.stamp
+lint: .venv/dev.stamp
 	.venv/bin/ruff format --check .
 	.venv/bin/ruff check .
 	.venv/bin/mypy
 	.venv/bin/lint-imports
-	$(PY) -m pytest -n auto -m 'not guest and not broker and not slow and not browser'
+
+check: .venv/dev.stamp
+	$(PY) tools/run_tests.py lint quick
 
 test: .venv/dev.stamp
 	tools/install_debian.sh
 	$(PY) -m pip install --quiet --disable-pip-version-check -e '.[dev,systemd]' || \
 	  echo "tests: systemd-python could not be built: the service's tests will be skipped"
-	$(MAKE) --no-print-directory check
-	$(PY) -m pytest -n auto --dist loadfile -m 'slow and not guest and not broker and not browser' -rs
-	$(PY) -m pytest -n 2 --dist loadfile -m '(broker or browser) and not guest' -rs
-	$(PY) -m pytest -m guest -rs
+	$(PY) tools/run_tests.py
 
 format: .venv/dev.stamp
 	.venv/bin/ruff format .

@@ -66,17 +66,17 @@ class Pipeline:
             thread.start()
 
     def stop(self, timeout_s: float) -> bool:
-        """Stop reading, finish the frame in the mailbox; False when a thread hangs and was left behind."""
+        """Stop reading, finish the frame in the mailbox; False when a thread was not done by then and is left."""
         deadline = time.monotonic() + timeout_s
         grab, reconstruct = self._threads
         self.grab.stop()
         grab.join(timeout_s / 2)
         self._mailbox.close()
         reconstruct.join(max(0.0, deadline - time.monotonic()))
-        hung = [thread.name for thread in self._threads if thread.is_alive()]
-        if hung:
-            _log.warning("stopping without waiting for %s, which hangs", " and ".join(hung))
-        return not hung
+        left = [thread.name for thread in self._threads if thread.is_alive()]
+        if left:
+            _log.warning("stopping without waiting for %s, not done after %.1f s", " and ".join(left), timeout_s)
+        return not left
 
 
 @contextmanager

@@ -18,6 +18,9 @@ except ImportError:  # it has no wheel: an extra of its own
 
 _log = logging.getLogger(__name__)
 
+STOP_USEC = 10_000_000
+"""A stop is over in 2 s; a board that is starved of time gets this much before it is killed."""
+
 
 class Progress:
     """Whether work was done since the last question: what a watchdog may be fed with.
@@ -92,8 +95,8 @@ class Service:
         _notify("READY=1", f"STATUS={note or 'reloaded'}")
 
     def stopping(self) -> None:
-        """A stop begins."""
-        _notify("STOPPING=1", "STATUS=stopping")
+        """A stop begins; from here on the manager's time limit counts, not the watchdog's."""
+        _notify("STOPPING=1", f"EXTEND_TIMEOUT_USEC={STOP_USEC}", "STATUS=stopping")
 
 
 def _notify(*lines: str) -> None:

@@ -16,8 +16,9 @@ from pathlib import Path
 
 import cv2
 import pytest
-from mqtt_rig import free_port, wait_until
+from mqtt_rig import free_port
 from painted_sensor import FREE, painted_calibration
+from patience import patience, wait_until
 
 from tacshade_edge.devices import calibration_file
 
@@ -69,7 +70,9 @@ def settings(
 
 def refused(folder: Path, words: list[str], code: int) -> str:
     """The one line on stderr of a command that must refuse."""
-    done = subprocess.run([*COMMAND, *words], cwd=folder, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(
+        [*COMMAND, *words], cwd=folder, capture_output=True, text=True, timeout=patience(60), check=False
+    )
     assert done.returncode == code, done.stderr
     assert done.stderr.startswith("tacshade-edge: ")
     assert done.stderr.count("\n") == 1, done.stderr
@@ -192,7 +195,7 @@ def running(folder: Path, config: str) -> Iterator[Path]:
         yield said
         assert child.poll() is None
         child.send_signal(signal.SIGTERM)
-        assert child.wait(20) == 0
+        assert child.wait(patience(20)) == 0
         assert "Traceback" not in said.read_text()
     finally:
         child.kill()
@@ -244,7 +247,7 @@ def something_else(answer: bytes) -> Iterator[tuple[int, list[socket.socket]]]:
             yield server.getsockname()[1], connections
         finally:
             server.shutdown(socket.SHUT_RDWR)
-            thread.join(10)
+            thread.join(patience(10))
             for peer in connections:
                 peer.close()
 

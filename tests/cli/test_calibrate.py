@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from calibrated_sensor import calibrated, pressed, unloaded
+from patience import patience
 from sensor_files import write_files
 
 from tacshade_edge.cli import main
@@ -169,7 +170,9 @@ def test_rezero_refuses_in_one_line(words: list[str], tmp_path: Path, capsys: py
 
 def test_the_process_exits_with_78(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "tacshade_edge", "calibrate", "--sensor", "none.yaml", "--reference", "a.png"]
-    done = subprocess.run([*command, "--out", "cal.npz"], cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(
+        [*command, "--out", "cal.npz"], cwd=tmp_path, capture_output=True, text=True, timeout=patience(60)
+    )
     assert done.returncode == 78
     assert done.stdout == ""
     assert "none.yaml" in one_line(done.stderr)

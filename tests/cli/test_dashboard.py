@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 import pytest
+from patience import patience, stretched
 
 from tacshade_edge import cli
 
@@ -27,8 +28,8 @@ def test_it_tells_its_address_and_stops_on_a_signal(number: signal.Signals) -> N
     with socket.create_connection(("127.0.0.1", port)):  # one that says nothing
         began = time.monotonic()
         child.send_signal(number)
-        out, errors = child.communicate(timeout=20)
-    assert time.monotonic() - began < 3  # it is 0.8 s
+        out, errors = child.communicate(timeout=patience(20))
+    assert time.monotonic() - began < stretched(3)  # it is 0.8 s
     assert (child.returncode, out, errors) == (0, "", "")
 
 
@@ -83,7 +84,9 @@ def test_without_its_library_it_says_how_to_get_it() -> None:
     code = (
         "import sys; sys.modules['websockets'] = None; from tacshade_edge import cli; sys.exit(cli.main(['dashboard']))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=20, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=patience(20), check=False
+    )
     assert done.returncode == 78
     assert "pip install 'tacshade-edge[dashboard]'" in done.stderr
     assert done.stderr.count("\n") == 1

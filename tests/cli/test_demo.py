@@ -15,8 +15,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser import CHROMIUM, DRIVER, browser, errors
-from mqtt_rig import MOSQUITTO, wait_until
+from mqtt_rig import MOSQUITTO
 from page_client import PageClient
+from patience import patience, wait_until
 
 # As on a machine without mosquitto.
 WITHOUT_MOSQUITTO = "import shutil, sys; shutil.which = lambda *a, **k: None; from tacshade_edge.cli import main; "
@@ -74,7 +75,7 @@ def test_a_browser_sees_moving_maps_and_ctrl_c_leaves_nothing(broker: str, tmp_p
             heights = page.wait_for_heights(20, 30)
         assert running(tmp_path)
         process.send_signal(signal.SIGINT)
-        out, errors = process.communicate(timeout=20)
+        out, errors = process.communicate(timeout=patience(20))
         assert (process.returncode, out, errors) == (0, "", "")
     depths = [float(np.nanmax(message.height_mm)) for message in heights]
     assert heights[0].height_mm.shape == (112, 112)
@@ -94,7 +95,7 @@ def test_a_signal_while_it_starts_leaves_nothing(number: signal.Signals, tmp_pat
     os.close(follower)
     assert os.read(leader, 100).startswith(b"Calibrating")
     process.send_signal(number)
-    _, errors = process.communicate(timeout=20)
+    _, errors = process.communicate(timeout=patience(20))
     os.close(leader)
     assert (process.returncode, errors) == (0, b"")
     assert running(tmp_path) == []
@@ -106,8 +107,8 @@ def test_it_ends_by_itself_and_two_fit_on_one_machine(tmp_path: Path) -> None:
     with demo([*COMMANDS["embedded"], "--seconds", "2"], tmp_path) as (first, port):
         with demo([*COMMANDS["embedded"], "--seconds", "1"], tmp_path) as (second, other):
             assert other != port
-            assert second.wait(30) == 0
-        assert first.wait(30) == 0
+            assert second.wait(patience(30)) == 0
+        assert first.wait(patience(30)) == 0
 
 
 @pytest.mark.slow
@@ -118,7 +119,7 @@ def test_a_port_in_use_is_one_line(tmp_path: Path) -> None:
             [*COMMANDS["embedded"], "--http", str(port)],
             capture_output=True,
             text=True,
-            timeout=60,
+            timeout=patience(60),
             check=False,
             env={**os.environ, "TMPDIR": str(tmp_path)},
         )

@@ -10,6 +10,7 @@ import cv2
 import pytest
 from mqtt_rig import MOSQUITTO, Broker, free_port
 from painted_sensor import FREE, painted_calibration
+from patience import patience
 
 from tacshade_edge.cli import EXIT_CONFIG, EXIT_FAILED, EXIT_OK, main
 from tacshade_edge.cli.doctor import shown
@@ -55,7 +56,7 @@ def test_json_of_bad_settings_is_a_list_and_exit_78(tmp_path: Path, capsys: Any)
 def test_no_fault_is_exit_0_in_a_process_of_its_own(tmp_path: Path) -> None:
     with Broker(tmp_path) as broker:
         command = [sys.executable, "-m", "tacshade_edge", "doctor", "--config", write(tmp_path, broker.port)]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=patience(60), check=False)
     assert (done.returncode, done.stderr) == (EXIT_OK, ""), done.stdout
     assert "fault " not in done.stdout
     assert "ok       broker round trip  38 KB there and back in" in done.stdout

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from half_family import half_family
 from painted_sensor import HEIGHT, TOUCHED, WIDTH, painted_calibration
+from patience import patience
 
 from tacshade_edge.cli import evaluate, main, study
 from tacshade_edge.devices import calibration_file
@@ -84,7 +85,9 @@ def test_one_core_or_all_the_same_bytes(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "tacshade_edge", *SMALL, "--sensors", "default"]
     one = ["taskset", "-c", str(min(os.sched_getaffinity(0)))]
     for words, name in (([*one, *command], "one"), (command, "all")):
-        done = subprocess.run([*words, "--out", str(tmp_path / name)], capture_output=True, text=True, timeout=300)
+        done = subprocess.run(
+            [*words, "--out", str(tmp_path / name)], capture_output=True, text=True, timeout=patience(300)
+        )
         assert (done.returncode, done.stderr) == (0, "")
     first, second = ((tmp_path / name / "evaluation.csv").read_bytes() for name in ("one", "all"))
     assert first == second

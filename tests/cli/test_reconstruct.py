@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from calibrated_sensor import calibrated, pressed, reconstructor, unloaded
+from patience import patience
 
 from tacshade_edge.cli import main
 from tacshade_edge.core.profiles import PROFILES
@@ -142,7 +143,7 @@ def test_a_damaged_calibration_ends_the_process_with_78(folder: Path, tmp_path: 
     (tmp_path / "cal.npz").write_bytes(whole[: len(whole) // 2])
     given = [*words(tmp_path, tmp_path / "out"), str(folder / "ball.png")]
     command = [sys.executable, "-m", "tacshade_edge", *given]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=patience(60))
     assert done.returncode == 78
     assert done.stderr.count("\n") == 1
     assert "cal.npz: not a calibration, or damaged" in done.stderr

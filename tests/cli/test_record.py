@@ -14,8 +14,9 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port, wait_until
+from mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
 from painted_sensor import FREE, TOUCHED, painted_calibration
+from patience import patience, wait_until
 
 from tacshade_edge.cli import main
 from tacshade_edge.devices import calibration_file
@@ -147,7 +148,7 @@ def test_a_killed_daemon_leaves_what_it_wrote(tmp_path: Path, start: Start, seen
     wait_until(lambda: recording_frames(seen) > 20, 30, "a recording")
     told = recording_frames(seen)
     daemon.kill()
-    said, errors = client.communicate(timeout=30)
+    said, errors = client.communicate(timeout=patience(30))
     assert (client.returncode, said) == (1, "")
     rec = tmp_path / "recs" / "a"
     assert (
@@ -171,7 +172,7 @@ def test_a_signal_ends_the_recording_and_the_daemon_goes_on(
     client = start("record", "--seconds", "600")
     wait_until(lambda: recording_frames(seen) > 5, 30, "a recording")
     client.send_signal(number)
-    said, errors = client.communicate(timeout=30)
+    said, errors = client.communicate(timeout=patience(30))
     assert (client.returncode, errors) == (0, "")
     (rec,) = (tmp_path / "recs").iterdir()
     assert said.startswith(f"{rec}: {about(rec)['frames']} frames, ")
@@ -186,8 +187,8 @@ def test_a_daemon_that_is_stopped_finishes_the_recording(tmp_path: Path, start: 
     client = start("record", "--seconds", "600", "--name", "a")
     wait_until(lambda: recording_frames(seen) > 5, 30, "a recording")
     daemon.terminate()
-    assert daemon.wait(20) == 0
-    said, errors = client.communicate(timeout=30)
+    assert daemon.wait(patience(20)) == 0
+    said, errors = client.communicate(timeout=patience(30))
     assert (client.returncode, errors) == (0, "")
     assert said.endswith(" (daemon stopped)\n")
     assert about(tmp_path / "recs" / "a")["ending"] == "daemon stopped"
@@ -205,7 +206,7 @@ def test_a_reload_is_an_event_and_another_calibration_ends_it(tmp_path: Path, st
     wait_until(lambda: recording_frames(seen) > before, 20, "the recording goes on")
     calibration_file.save(tmp_path / "c.npz", replace(painted_calibration(), alpha=16.0))
     daemon.send_signal(signal.SIGHUP)
-    said, errors = client.communicate(timeout=30)
+    said, errors = client.communicate(timeout=patience(30))
     assert client.returncode == 1
     assert said.endswith("(another reference or calibration came into use)\n")
     assert errors.endswith("stopped: another reference or calibration came into use; what is there stays\n")

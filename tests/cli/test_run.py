@@ -12,8 +12,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port, wait_until
+from mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
 from painted_sensor import FREE, TOUCHED, painted_calibration, touched_depth_mm
+from patience import patience, stretched, wait_until
 
 from tacshade_edge.devices import calibration_file
 from tacshade_edge.protocol import wire
@@ -59,8 +60,8 @@ def terminated(child: Child, number: signal.Signals) -> tuple[int, str]:
     """Exit code and stderr after a signal, within the promised time."""
     began = time.monotonic()
     child.send_signal(number)
-    _, errors = child.communicate(timeout=20)
-    assert time.monotonic() - began < STOP_S
+    _, errors = child.communicate(timeout=patience(20))
+    assert time.monotonic() - began < stretched(STOP_S)
     return child.returncode, errors
 
 
@@ -115,7 +116,7 @@ def test_a_wrong_setting_is_one_line_and_exit_78(folder: Path, start: Callable[[
     path = settings(folder, 1883)
     path.write_text(path.read_text().replace("port", "prot"))
     child = start(path)
-    out, errors = child.communicate(timeout=20)
+    out, errors = child.communicate(timeout=patience(20))
     assert (child.returncode, out) == (78, "")
     assert errors.startswith(f"tacshade-edge: {path}:3: mqtt.prot: found an unknown key, expected one of host, port")
     assert errors.count("\n") == 1
@@ -124,7 +125,7 @@ def test_a_wrong_setting_is_one_line_and_exit_78(folder: Path, start: Callable[[
 def test_a_source_that_can_never_work_is_one_line_and_exit_78(folder: Path, start: Callable[[Path], Child]) -> None:
     (folder / "void").mkdir()
     child = start(settings(folder, free_port(), "kind: files, path: void"))
-    _, errors = child.communicate(timeout=20)
+    _, errors = child.communicate(timeout=patience(20))
     assert child.returncode == 78
     told = [line for line in errors.splitlines() if line.startswith("tacshade-edge: ")]
     assert told == [line for line in told if f"{folder}/void: found no image" in line]
@@ -139,7 +140,9 @@ def test_a_defect_in_a_thread_ends_the_process_with_a_traceback(folder: Path) ->
         "files.FilesSource.read = read\n"
         f"raise SystemExit(cli.main(['run', '--config', {str(settings(folder, free_port()))!r}]))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=20, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=patience(20), check=False
+    )
     assert done.returncode == 1
     assert "Traceback" in done.stderr
     assert done.stderr.rstrip().endswith("ZeroDivisionError: a defect\nin thread grab")

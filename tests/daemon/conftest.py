@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 
 import pytest
 from painted_sensor import BLACK, FREE, TOUCHED, painted_calibration
+from patience import wait_until
 
 from tacshade_edge.errors import TacshadeError
 from tacshade_edge.types import U8, Calibration, Frame
@@ -56,15 +56,6 @@ class ScriptedSource:
 
     def describe(self) -> dict[str, str | int | float]:
         return {"script": "test"}
-
-
-def wait_until(condition: Callable[[], bool], seconds: float = 10.0) -> None:
-    """Poll `condition` until it holds or the deadline passes."""
-    deadline = time.monotonic() + seconds
-    pause = threading.Event()
-    while not condition():
-        assert time.monotonic() < deadline, "the condition did not come true in time"
-        pause.wait(0.005)
 
 
 @pytest.fixture(scope="session")

@@ -15,8 +15,9 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port, wait_until
+from mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
 from painted_sensor import touched_depth_mm
+from patience import patience, stretched, wait_until
 
 from tacshade_edge.core.profiles import DEFAULT, LADDER, PROFILES
 from tacshade_edge.daemon import profile_chooser
@@ -87,7 +88,7 @@ class Running:
         return self.join() - began
 
     def join(self) -> float:
-        self._thread.join(20)
+        self._thread.join(patience(20))
         assert not self._thread.is_alive()
         return time.monotonic()
 
@@ -194,7 +195,7 @@ def test_a_lost_camera_degrades_and_a_new_one_brings_the_stream_back(
         wait_until(lambda: states(seen)[-1:] == ["online"], 5, "online again")
     finally:
         took_s = app.end()
-    assert took_s < STOP_S
+    assert took_s < stretched(STOP_S)
     wait_until(lambda: states(seen)[-1:] == ["stopped"], 5, "stopped")
     assert states(seen)[-3:-1] == ["degraded", "online"]
     cameras = [json.loads(p) for p in seen.of(f"{BASE}/status/camera")]
@@ -212,7 +213,7 @@ def test_a_stop_is_quick_while_the_camera_hangs(
         wait_until(
             lambda: "online" in states(seen) and last(seen, "status/camera").get("state") == "streaming", 10, "online"
         )
-        assert app.end() < STOP_S
+        assert app.end() < stretched(STOP_S)
         wait_until(lambda: states(seen)[-1] == "stopped", 5, "stopped")
         assert_accounted(last(seen, "health")["frames"])
     finally:
@@ -240,7 +241,7 @@ def test_a_stop_is_quick_without_a_broker_and_while_it_hangs(
     absent = Running(document(tmp_path, free_port()), scripted(paced(pictures.touched)), calibration)
     ledger = absent.app.ledger
     wait_until(lambda: ledger.counts().captured > 20, 10, "frames without a broker")
-    assert absent.end() < STOP_S
+    assert absent.end() < stretched(STOP_S)
     assert_accounted(ledger.counts().as_dict())
     assert ledger.counts().published == 0
 
@@ -249,7 +250,7 @@ def test_a_stop_is_quick_without_a_broker_and_while_it_hangs(
     wait_until(lambda: ledger.counts().unasked > 5, 10, "frames that nobody at the broker asks for")
     broker.stall()
     try:
-        assert stalled.end() < STOP_S
+        assert stalled.end() < stretched(STOP_S)
     finally:
         broker.resume()
     assert_accounted(ledger.counts().as_dict())
@@ -410,7 +411,7 @@ def test_a_broker_that_comes_late_and_restarts_gets_the_stream_without_help(
         counts = ledger.counts()
         assert counts.pending <= 6  # one in the mailbox, one in work, and the link's slot and two unsent
     finally:
-        assert app.end() < STOP_S
+        assert app.end() < stretched(STOP_S)
     assert_accounted(ledger.counts().as_dict())
 
 

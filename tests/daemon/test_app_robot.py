@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from mqtt_rig import MOSQUITTO, Broker, Subscriber, wait_until
+from mqtt_rig import MOSQUITTO, Broker, Subscriber
+from patience import patience, wait_until
 from robot import PtyRobot, motion
 
 from tacshade_edge.daemon.app import App
@@ -104,6 +105,6 @@ def test_poses_and_commands_from_the_line_to_a_subscriber(
             wait_until(lambda: last("status/serial")["state"] == "connected", 10, "connected")
         finally:
             app.stop()
-            thread.join(10)
+            thread.join(patience(10))
         assert not thread.is_alive()
     link.unlink(missing_ok=True)

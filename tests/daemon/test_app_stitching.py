@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 from calibrated_sensor import HALF, calibrated, simulated, unloaded
-from mqtt_rig import MOSQUITTO, Broker, Subscriber, wait_until
+from mqtt_rig import MOSQUITTO, Broker, Subscriber
+from patience import patience, wait_until
 from robot import PtyRobot
 
 from tacshade_edge.cli import main
@@ -82,7 +83,7 @@ class Cell:
     def _stop(self) -> None:
         self.frames.set()
         self._app.stop()
-        self._thread.join(10)
+        self._thread.join(patience(10))
         assert not self._thread.is_alive()
 
     def restart(self) -> None:

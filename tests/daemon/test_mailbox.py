@@ -4,6 +4,7 @@ import threading
 
 from hypothesis import given
 from hypothesis import strategies as st
+from patience import patience
 
 from tacshade_edge.daemon.mailbox import Mailbox
 
@@ -52,7 +53,7 @@ def test_a_slow_taker_sees_rising_items_and_the_last_one() -> None:
         if back is not None:
             replaced.append(back)
     box.close()
-    taker.join(10)
+    taker.join(patience(10))
     assert not taker.is_alive()
     assert taken[-1] == 19_999
     assert sorted(taken + replaced) == list(range(20_000))
@@ -65,5 +66,5 @@ def test_close_wakes_a_waiting_taker() -> None:
     taker = threading.Thread(target=lambda: got.append(box.take()))
     taker.start()
     box.close()
-    taker.join(10)
+    taker.join(patience(10))
     assert got == [None]

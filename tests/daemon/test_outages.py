@@ -14,7 +14,8 @@ from typing import Any
 
 import pytest
 from calibrated_sensor import FULL, calibrated
-from mqtt_rig import MOSQUITTO, Broker, Subscriber, wait_until
+from mqtt_rig import MOSQUITTO, Broker, Subscriber
+from patience import patience, promised, stretched, wait_until
 
 from tacshade_edge.devices import calibration_file
 from tacshade_edge.protocol import wire
@@ -22,9 +23,9 @@ from tacshade_edge.protocol import wire
 BASE = "tacshade/tacshade"
 BACK_S = 3.0
 AWAY_S = 5.0
-STALL_S = 60.0
+STALL_S = 20.0
 STOP_S = 2.0
-# Measured: 0.8 MB; with every payload of the stall kept it is 60 MB.
+# Measured: 0.8 MB; with every payload of the stall kept it is 20 MB.
 GROWTH_MAX_MB = 10.0
 STATE_CHANGE = re.compile(r"INFO tacshade_edge\.(daemon\.app: (source|stopped)|devices\.mqtt: 127\.0\.0\.1:\d+: )")
 
@@ -66,7 +67,7 @@ def heights(seen: Subscriber) -> list[wire.HeightMessage]:
 def stream_is_back(seen: Subscriber, since_ns: int) -> None:
     """Wait for a height map of a frame captured after `since_ns`, within 3 s of it."""
     left_s = BACK_S - (time.monotonic_ns() - since_ns) / 1e9
-    wait_until(lambda: any(h.t_ns > since_ns for h in heights(seen)), left_s, "the stream is back")
+    promised(lambda: any(h.t_ns > since_ns for h in heights(seen)), left_s, "the stream is back")
 
 
 def health(seen: Subscriber) -> dict[str, Any]:
@@ -81,7 +82,7 @@ def assert_accounted(frames: dict[str, int]) -> None:
 @pytest.mark.slow
 @pytest.mark.broker
 @pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
-def test_broker_absent_stopped_restarted_and_stalled_for_a_minute(
+def test_broker_absent_stopped_restarted_and_stalled(
     tmp_path: Path, broker: Broker, daemon: subprocess.Popen[str]
 ) -> None:
     said = tmp_path / "stderr"
@@ -95,7 +96,7 @@ def test_broker_absent_stopped_restarted_and_stalled_for_a_minute(
             stream_is_back(seen, since_ns)
             assert seen.wait_for(f"{BASE}/state")[-1] == b"online"
         broker.stop()
-        wait_until(lambda: said.read_text().rstrip().endswith("Connection refused"), BACK_S, "the loss is told")
+        promised(lambda: said.read_text().rstrip().endswith("Connection refused"), BACK_S, "the loss is told")
         threading.Event().wait(AWAY_S)
 
     broker.start()
@@ -113,7 +114,7 @@ def test_broker_absent_stopped_restarted_and_stalled_for_a_minute(
     since_ns = time.monotonic_ns()
     with Subscriber(broker.port) as seen:
         stream_is_back(seen, since_ns)
-        wait_until(lambda: seen.of(f"{BASE}/state")[-1:] == [b"online"], BACK_S, "online again")
+        promised(lambda: seen.of(f"{BASE}/state")[-1:] == [b"online"], BACK_S, "online again")
         seen.wait_for(f"{BASE}/height", 30, 20)
         growth_mb = memory_mb(daemon, "VmRSS") - rss_mb, memory_mb(daemon, "VmHWM") - peak_mb
         assert max(growth_mb) < GROWTH_MAX_MB
@@ -121,9 +122,9 @@ def test_broker_absent_stopped_restarted_and_stalled_for_a_minute(
 
         began_s = time.monotonic()
         daemon.terminate()
-        assert daemon.wait(20) == 0
-        assert time.monotonic() - began_s < STOP_S
-        wait_until(lambda: seen.of(f"{BASE}/state")[-1:] == [b"stopped"], BACK_S, "stopped")
+        assert daemon.wait(patience(20)) == 0
+        assert time.monotonic() - began_s < stretched(STOP_S)
+        promised(lambda: seen.of(f"{BASE}/state")[-1:] == [b"stopped"], BACK_S, "stopped")
         last = health(seen)
         assert_accounted(last["frames"])
         assert last["frames"]["pending"] == 0

@@ -5,6 +5,7 @@ import time
 from typing import Any
 
 import pytest
+from patience import stretched
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.daemon.ledger import FrameLedger, Outcome
@@ -51,7 +52,7 @@ def test_a_stop_leaves_a_hanging_read_behind(
     wait_until(lambda: line.ledger.counts().published == 1)
     began = time.monotonic()
     assert not line.stop(0.2)
-    assert time.monotonic() - began < 2  # the promise to systemd, not a speed
+    assert time.monotonic() - began < stretched(2)  # the promise to systemd, not a speed
     release.set()
 
 

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from mqtt_rig import wait_until
 from painted_sensor import FREE, TOUCHED
+from patience import patience, wait_until
 
 from tacshade_edge.daemon import record
 from tacshade_edge.daemon.ledger import FrameLedger
@@ -53,7 +53,7 @@ class Live:
             return bool(found)
 
         wait_until(poll, 20, "the recording has ended")
-        self.recorder.join(20)
+        self.recorder.join(patience(20))
         assert not any(thread.name == "record" for thread in threading.enumerate())
         assert self.grab.tap is None
         return found[0]
@@ -114,14 +114,14 @@ def test_a_disk_that_is_too_slow_loses_frames_and_counts_them(live: Live, monkey
 
     def slow(self: record.Recorder, frame: Frame) -> bool:
         writing.set()
-        assert go_on.wait(20)
+        assert go_on.wait(patience(20))
         return real(self, frame)
 
     monkeypatch.setattr(record.Recorder, "add", slow)
     monkeypatch.setattr(record, "QUEUE_BYTES", 3 * FREE.nbytes)
     live.start()
     live.give(*frames(1))
-    assert writing.wait(20)
+    assert writing.wait(patience(20))
     live.give(*frames(7, 1))  # the first is in the writer's hands, three wait
     assert live.recorder.counts() == {"written": 0, "dropped": 4, "waiting": 3}
     live.recorder.event("still there")

@@ -7,8 +7,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port, wait_until
+from mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
 from painted_sensor import FREE, TOUCHED, painted_calibration
+from patience import patience, wait_until
 from recordings import write_recording
 
 from tacshade_edge.cli import main
@@ -60,7 +61,7 @@ def test_an_endless_loop_ends_cleanly_with_ctrl_c(tmp_path: Path, given: list[st
         try:
             wait_until(lambda: len(seen.of("tacshade/left/height")) > 200, 30, "more than two passes")
             child.send_signal(signal.SIGINT)
-            said, errors = child.communicate(timeout=20)
+            said, errors = child.communicate(timeout=patience(20))
         finally:
             child.kill()
         assert child.returncode == 0

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from mqtt_rig import wait_until
+from patience import stretched, wait_until
 from robot import Clock, Faults, PtyRobot, motion
 
 from tacshade_edge.daemon.robot import Robot
@@ -133,10 +133,13 @@ def test_every_pose_is_accounted_for_on_a_bad_line(link: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_thousand_poses_a_second_for_a_minute(link: Path) -> None:
-    with PtyRobot(link, rate_hz=1000, binary=True, poses=60_000) as robot, Side(link) as side:
-        wait_until(lambda: robot.told.poses == 60_000, 240, "60,000 poses")
-        wait_until(lambda: side.robot.as_dict()["poses"] == 60_000, 10, "all arrived")
+def test_a_thousand_poses_a_second_are_all_there(link: Path) -> None:
+    """`tools/bench_serial.py` has it for a minute."""
+    rate_hz = 1000 / stretched(1)
+    print(f"{rate_hz:.0f} poses a second")
+    with PtyRobot(link, rate_hz=rate_hz, binary=True, poses=10_000) as robot, Side(link) as side:
+        wait_until(lambda: robot.told.poses == 10_000, 20, "10,000 poses")
+        wait_until(lambda: side.robot.as_dict()["poses"] == 10_000, 10, "all arrived")
         counts = side.robot.as_dict()
     names = ("poses_lost", "poses_repeated", "poses_bad", "poses_late", "damaged", "garbage", "unsent_bytes")
     assert {name: counts[name] for name in names} == dict.fromkeys(names, 0)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from calibrated_sensor import calibrated, pressed, step, unloaded
-from mqtt_rig import wait_until
+from patience import patience, wait_until
 
 from tacshade_edge.core.stitch import Stitched, Stitcher
 from tacshade_edge.daemon.stitch_sessions import StitchSessions, values
@@ -130,7 +130,7 @@ def test_a_stop_does_not_wait_for_a_map(daemon: Daemon, tmp_path: Path, monkeypa
     finish, go_on = Stitcher.finish, threading.Event()
 
     def slow(stitcher: Stitcher) -> Stitched:
-        assert go_on.wait(20)
+        assert go_on.wait(patience(20))
         return finish(stitcher)
 
     monkeypatch.setattr(Stitcher, "finish", slow)

@@ -11,7 +11,7 @@ from queue import Empty, SimpleQueue
 import numpy as np
 import pytest
 from calibrated_sensor import calibrated, pressed, step, unloaded
-from mqtt_rig import wait_until
+from patience import patience, wait_until
 
 from tacshade_edge.core.stitch import Stitcher
 from tacshade_edge.core.touch import touch_points
@@ -57,7 +57,7 @@ class Robot:
 
     def end(self) -> None:
         self.stitching.stop()
-        self.thread.join(DEADLINE_S)
+        self.thread.join(patience(DEADLINE_S))
         assert not self.thread.is_alive()
 
 
@@ -69,7 +69,7 @@ REST = (
 
 def wait(answers: SimpleQueue[tuple[str, str]]) -> tuple[str, str]:
     try:
-        return answers.get(timeout=DEADLINE_S)
+        return answers.get(timeout=patience(DEADLINE_S))
     except Empty:
         raise AssertionError("no answer") from None
 

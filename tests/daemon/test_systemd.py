@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 from mqtt_rig import free_port
 from painted_sensor import painted_calibration
+from patience import patience
 
 from tacshade_edge.daemon import app as app_module
 from tacshade_edge.daemon import systemd
@@ -84,7 +85,7 @@ def start(settings: Path, calibration: Calibration) -> Iterator[Callable[[Any], 
     yield started
     for app, thread in running:
         app.stop()
-        thread.join(10)
+        thread.join(patience(10))
         assert not thread.is_alive()
 
 
@@ -106,7 +107,7 @@ def test_ready_status_watchdog_stopping(
     assert not manager.has("STOPPING=1")
     app.stop()
     wait_until(lambda: manager.has("STOPPING=1\n"))
-    assert manager.heard[-1] == "STOPPING=1\nSTATUS=stopping"
+    assert manager.heard[-1] == f"STOPPING=1\nEXTEND_TIMEOUT_USEC={systemd.STOP_USEC}\nSTATUS=stopping"
 
 
 @needs_systemd
@@ -222,7 +223,7 @@ class Steps:
 
     def step(self, _frame: Frame, _mark: Any) -> Any:
         self.held.set()
-        assert self.go.wait(10)
+        assert self.go.wait(patience(10))
 
     def asked(self) -> bool:
         return True
@@ -244,7 +245,7 @@ def test_a_hung_step_is_no_progress_even_while_a_lost_camera_is_tried(
     threads = [threading.Thread(target=worker.run), threading.Thread(target=grab.run)]
     for thread in threads:
         thread.start()
-    assert steps.held.wait(10)
+    assert steps.held.wait(patience(10))
     wait_until(lambda: grab.attempts >= 4)  # three openings and the torn frame
     assert not progress.made(degraded=True)
     steps.go.set()
@@ -259,7 +260,7 @@ def test_a_hung_step_is_no_progress_even_while_a_lost_camera_is_tried(
     grab.stop()
     mailbox.close()
     for thread in threads:
-        thread.join(10)
+        thread.join(patience(10))
 
 
 def test_without_the_package_one_warning_and_no_message(

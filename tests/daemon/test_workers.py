@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
+from patience import patience
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
@@ -45,14 +46,14 @@ def rig() -> Iterator[Callable[[Any], Rig]]:
     yield start
     for r in made:
         r.grab.stop()
-        r.thread.join(10)
+        r.thread.join(patience(10))
         assert not r.thread.is_alive()
         assert not r.source.is_open
 
 
 def test_a_finite_source_is_read_to_its_end(rig: Any, scripted: Any, pictures: Any) -> None:
     r = rig(scripted([pictures.free, pictures.free, DecodeError("torn.png: cut"), pictures.free, None]))
-    r.thread.join(10)
+    r.thread.join(patience(10))
     assert r.states() == [("streaming", ""), ("ended", "")]
     assert r.told[0].details == {"script": "test"}
     counts = r.ledger.counts()
@@ -64,7 +65,7 @@ def test_a_finite_source_is_read_to_its_end(rig: Any, scripted: Any, pictures: A
 
 def test_a_source_that_begins_with_what_is_no_image_says_so_once(rig: Any, scripted: Any, pictures: Any) -> None:
     r = rig(scripted([DecodeError("0.png: cut"), DecodeError("1.png: cut"), pictures.free, DecodeError("3.png"), None]))
-    r.thread.join(10)
+    r.thread.join(patience(10))
     assert r.states() == [("away", "0.png: cut"), ("streaming", ""), ("ended", "")]
     assert r.ledger.counts().failed == 3
 
@@ -102,7 +103,7 @@ def test_stop_ends_a_long_pause(rig: Any, scripted: Any, wait_until: Any) -> Non
     r = rig(scripted(*[GONE] * 100))
     wait_until(lambda: len(r.source.opened_ns) >= 3)
     r.grab.stop()
-    r.thread.join(10)
+    r.thread.join(patience(10))
     assert not r.thread.is_alive()
     assert r.states() == [("away", str(GONE))]
 
@@ -153,7 +154,7 @@ def test_reconstruct_delivers_times_and_settles_every_frame(
     ledger.captured(3)
     mailbox.put(Frame(3, 0, 0, pictures.free))
     mailbox.close()
-    thread.join(10)
+    thread.join(patience(10))
     assert not thread.is_alive()
     assert [(r.valid, r.contact, r.profile) for r in sink.results] == [
         (True, False, "fast"),
@@ -196,7 +197,7 @@ def test_a_contact_that_nobody_asks_for_ends_at_the_gate_unless_it_is_watched(
         mailbox.put(Frame(seq, 0, 0, image))
         wait_until(lambda seq=seq: worker.processed == seq + 1)
     mailbox.close()
-    thread.join(10)
+    thread.join(patience(10))
     assert [(r.seq, r.valid, r.contact) for r in sink.results] == [(0, True, False), (2, False, False), (3, True, True)]
     assert ledger.counts().as_dict() == {
         **dict.fromkeys(("superseded", "failed", "pending"), 0),

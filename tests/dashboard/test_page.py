@@ -24,7 +24,8 @@ import pytest
 from browser import CHROMIUM, DRIVER, browser, errors
 from dashboard_process import dashboard
 from growing_map import PAD, GrowingMap, scan
-from mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port, wait_until
+from mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
+from patience import patience, wait_until
 from published_hand import COLS, DISC, PublishedHand, bump
 from selenium.webdriver import ActionChains, Chrome
 from selenium.webdriver.common.by import By
@@ -86,7 +87,7 @@ def daemon(folder: Path, calibration: Path, port: int, sensor_id: str = "left-in
     try:
         yield
         child.send_signal(signal.SIGTERM)
-        assert child.wait(10) == 0
+        assert child.wait(patience(10)) == 0
     finally:
         child.kill()
         child.wait()
@@ -668,7 +669,7 @@ def test_maps_of_full_size_are_drawn_as_they_come() -> None:
     root = Path(__file__).parents[2]
     command = [sys.executable, "tools/bench_dashboard.py", "--seconds", "5", "--json"]
     environment = {**os.environ, "PYTHONPATH": str(root / "tests" / "support")}
-    done = subprocess.run(command, cwd=root, env=environment, stdout=subprocess.PIPE, timeout=120, check=True)
+    done = subprocess.run(command, cwd=root, env=environment, stdout=subprocess.PIPE, timeout=patience(120), check=True)
     figures = json.loads(done.stdout)
     assert figures["drawn_per_s"] >= 10
     assert figures["age_ms"]["p50"] < 1000  # the newest is drawn, nothing queues up

@@ -12,9 +12,10 @@ from typing import Any
 
 import pytest
 from dashboard_process import dashboard
-from mqtt_rig import MOSQUITTO, Broker, wait_until
+from mqtt_rig import MOSQUITTO, Broker
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion
+from patience import wait_until
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 

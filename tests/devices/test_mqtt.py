@@ -19,9 +19,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port, wait_until
+from mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
+from patience import patience, promised, wait_until
 
 from tacshade_edge.devices.mqtt import MqttLink
 from tacshade_edge.errors import ConfigError
@@ -112,7 +113,7 @@ def come_back(rig: Rig, subscriber: Subscriber, seq: int) -> None:
         seq += 1
         return len(numbers(subscriber)) > have
 
-    wait_until(received, BACK_S, "the stream is back")
+    promised(received, BACK_S, "the stream is back")
 
 
 @broker_test
@@ -199,7 +200,7 @@ class TestUp:
             assert subscriber.wait_for(f"{BASE}/state", timeout_s=15) == [b"online"]
         finally:
             child.kill()
-            child.wait(10)
+            child.wait(patience(10))
         assert subscriber.wait_for(f"{BASE}/state", 2) == [b"online", b"offline"]
         with Subscriber(broker.port, f"{BASE}/state") as late:
             assert late.wait_for(f"{BASE}/state") == [b"offline"]
@@ -244,7 +245,7 @@ class TestAway:
         for seq in range(10):
             rig.link.offer("height", seq.to_bytes(4, "big"), seq)
         with broker, Subscriber(broker.port, f"{BASE}/height") as subscriber:
-            wait_until(lambda: rig.link.connected, BACK_S, "connected")
+            promised(lambda: rig.link.connected, BACK_S, "connected")
             subscriber.wait_for(f"{BASE}/height")
             assert numbers(subscriber) == [9]
             rig.link.stop(2)
@@ -257,7 +258,7 @@ class TestAway:
         wait_until(lambda: not rig.link.connected, 3, "the loss is seen")
         rig.link.set_retained("status/camera", b"new")
         broker.start()
-        wait_until(lambda: rig.link.connected, BACK_S, "connected")
+        promised(lambda: rig.link.connected, BACK_S, "connected")
         with Subscriber(broker.port, f"{BASE}/#") as late:
             rig.link.offer("contact", b"{}", 0)  # behind everything that the new connection began with
             late.wait_for(f"{BASE}/contact")
@@ -297,8 +298,8 @@ class TestStalled:
         assert counts["superseded"] + counts["failed"] > 0.3 * seconds * 60
         broker.resume()
         come_back(rig, subscriber, offered)
-        wait_until(lambda: subscriber.of(f"{BASE}/status/camera")[-1:] == [b"last"], BACK_S, "the newest status")
-        wait_until(lambda: subscriber.of(f"{BASE}/state")[-1:] == [b"online"], BACK_S, "online again")
+        promised(lambda: subscriber.of(f"{BASE}/status/camera")[-1:] == [b"last"], BACK_S, "the newest status")
+        promised(lambda: subscriber.of(f"{BASE}/state")[-1:] == [b"online"], BACK_S, "online again")
         seen = numbers(subscriber)
         assert seen == sorted(set(seen))
         rig.link.stop(2)
@@ -318,8 +319,8 @@ class TestStalled:
         last = offer_for(rig, 1.0, fps=100, size=200_000)
         rig.link.offer("height", last.to_bytes(4, "big"), last)
         broker.resume()
-        wait_until(lambda: numbers(subscriber)[-1:] == [last], BACK_S, "the last frame, last")
-        wait_until(lambda: rig.outcomes["height"][-1:] == [(last, "published")], BACK_S, "its outcome")
+        promised(lambda: numbers(subscriber)[-1:] == [last], BACK_S, "the last frame, last")
+        promised(lambda: rig.outcomes["height"][-1:] == [(last, "published")], BACK_S, "its outcome")
         counts = rig.counts("height")
         assert counts["superseded"] > 0
         assert counts.total() == last + 1
@@ -343,7 +344,7 @@ class TestStalled:
 class TestRequests:
     def test_request_and_reply_for_any_client(self, rig: Rig, subscriber: Subscriber) -> None:
         subscriber.publish(f"{BASE}/req/profile", b'{"profile": "fast", "transaction": "t1"}')
-        request = rig.requests.get(timeout=5)
+        request = rig.requests.get(timeout=patience(5))
         assert request == Request("profile", "t1", "fast")
         rig.link.reply(request, messages.encode_result(request.transaction, {"profile": "fast"}))
         assert json.loads(subscriber.wait_for(f"{BASE}/res/profile")[0])["transaction"] == "t1"
@@ -354,7 +355,7 @@ class TestRequests:
         properties.CorrelationData = b"\x00\x01"
         with Subscriber(broker.port, "#", v5=True) as client:
             client.publish(f"{BASE}/req/status", b"{}", properties=properties)
-            request = rig.requests.get(timeout=5)
+            request = rig.requests.get(timeout=patience(5))
             rig.link.reply(request, b"fine")
             client.publish(f"{BASE}/req/status", b"garbage", properties=properties)
             assert client.wait_for("me/answers", 2)[0] == b"fine"
@@ -372,7 +373,7 @@ class TestRequests:
         assert json.loads(subscriber.of(f"{BASE}/res/profile")[0])["transaction"] == 5
         subscriber.publish(f"{BASE}/req/status", bytes(1_000_000))  # the broker never sends us that much
         subscriber.publish(f"{BASE}/req/status", b"")
-        assert rig.requests.get(timeout=5) == Request("status")
+        assert rig.requests.get(timeout=patience(5)) == Request("status")
         assert rig.requests.empty()
         assert rig.link.counters() | {"replies": 3, "bad_requests": 3, "requests": 1} == rig.link.counters()
         assert rig.link.connected
@@ -382,7 +383,7 @@ class TestRequests:
         subscriber.wait_for(f"{BASE}/req/reference")
         rig = Rig(broker.port).connect()
         subscriber.publish(f"{BASE}/req/status", b"{}")
-        assert rig.requests.get(timeout=5).verb == "status"
+        assert rig.requests.get(timeout=patience(5)).verb == "status"
         assert rig.requests.empty()
         rig.link.stop(2)
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from patience import patience
 
 from tacshade_edge.core.touch_map import Raster
 from tacshade_edge.daemon.map_publisher import MapPublisher
@@ -61,7 +62,12 @@ def by_javascript(payloads: list[bytes]) -> list[dict[str, Any]]:
     assert NODE is not None
     lines = "".join(f"x{p.hex()}\n" for p in payloads)
     done = subprocess.run(
-        [NODE, "-e", code("javascript") + HARNESS], input=lines, capture_output=True, text=True, timeout=60, check=True
+        [NODE, "-e", code("javascript") + HARNESS],
+        input=lines,
+        capture_output=True,
+        text=True,
+        timeout=patience(60),
+        check=True,
     )
     answers = [json.loads(line) for line in done.stdout.splitlines()]
     for answer in answers:

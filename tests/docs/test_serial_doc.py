@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from patience import patience
 
 from tacshade_edge.daemon.robot import Robot
 from tacshade_edge.devices.serial_port import SerialPort
@@ -83,7 +84,7 @@ def test_the_microcontrollers_code_makes_the_vectors(tmp_path: Path) -> None:
     (code,) = blocks("c")
     source.write_text(code + HARNESS)
     flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O1", "-fsanitize=undefined"]
-    subprocess.run([GCC, *flags, "-o", program, source], check=True, timeout=60)
+    subprocess.run([GCC, *flags, "-o", program, source], check=True, timeout=patience(60))
     asked, expected = [], []
     for vector in VECTORS["crc"]:
         asked.append(f"seal {vector['text']}")

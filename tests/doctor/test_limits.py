@@ -3,6 +3,8 @@ from __future__ import annotations
 import threading
 import time
 
+from patience import patience
+
 from tacshade_edge.doctor.limits import outcome, start
 
 
@@ -18,7 +20,7 @@ def test_a_job_that_hangs_is_left_behind() -> None:
     deadline_s = began_s + 0.05
     assert outcome(hung, deadline_s, lambda why: why) == "no answer in time"
     assert outcome(quick, deadline_s, lambda why: why) == "quick", "though the limit has passed"
-    assert time.monotonic() - began_s < 30
+    assert time.monotonic() - began_s < patience(10)
     release.set()
 
 

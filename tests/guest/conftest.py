@@ -1,115 +1,240 @@
-"""Runs the tests of this folder inside a guest with a real kernel (tools/rig), one boot for each file.
+"""Runs the tests of this folder inside guests with a real kernel (tools/rig): one boot for all of them that need no
+more than the kernel, one for those marked `systemd`, in which systemd and udev run. Both at a time.
 
-The tests are ordinary ones, written for the inside: root, Debian's kernel, nothing to lose. On the outside each
-file's chosen tests are run by one pytest in the guest, which writes its reports to /out; here they are read back
-and take the place of a run. A file with the mark `systemd` gets a guest in which systemd and udev run.
+The tests are ordinary ones, written for the inside: root, Debian's kernel, nothing to lose, everything some twenty
+times slower. What only arithmetic can give they are handed (`handed_in`). On the outside one pytest in each guest runs
+the chosen tests and writes its reports to /out; here they are read back and take the place of a run. A test that fails
+says why before anything is made of it, and one that hangs says where and ends that boot: the tests after it run in
+another.
 """
 
 from __future__ import annotations
 
+import faulthandler
 import json
 import os
 import subprocess
 import sys
+import threading
+import traceback
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from patience import patience
 
 TREE = Path(__file__).resolve().parents[2]
 GUEST = TREE / "tools/rig/guest.py"
-LIMIT_S = 300
-HANGS_S = 120
-"""A test that takes longer tells where it is (all threads' stacks)."""
+HANDED_IN = TREE / "tests/support/handed_in.py"
+SILENT_S = 30.0
+"""A guest gives a sign of life each second."""
+TEST_S = 20.0
+"""The longest test takes so long where nothing is emulated."""
 ATTEMPTS = 2
+"""The emulator itself hangs now and then, whatever runs in it."""
 EXIT_CANNOT, EXIT_UNFINISHED = 77, 125  # of tools/rig/guest.py
-_INSIDE = "TACSHADE_GUEST_REPORTS"
-_stored = pytest.StashKey[dict[str, list[pytest.TestReport]]]()
+_INSIDE = "TACSHADE_GUEST_OUT"
+_Reports = dict[str, list[pytest.TestReport]]
+_boots = pytest.StashKey[dict[str, Future[_Reports]]]()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark every test of this folder."""
     for item in items:
-        if item.path.is_relative_to(Path(__file__).parent):
+        if _is_ours(item):
             item.add_marker(pytest.mark.guest)
+
+
+def _is_ours(item: pytest.Item) -> bool:
+    return item.path.is_relative_to(Path(__file__).parent)  # pytest asks every conftest about every item
+
+
+# Inside.
+
+
+def _note(nodeid: str, text: str) -> None:
+    with Path(os.environ[_INSIDE], "notes.jsonl").open("a") as file:
+        print(json.dumps([nodeid, text]), file=file)
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
+    """Inside: a test that hangs tells where, and ends this boot."""
+    if _INSIDE not in os.environ or not _is_ours(item):
+        return (yield)
+    _note(item.nodeid, "began\n")
+    watch = threading.Timer(patience(TEST_S), _hung)
+    watch.daemon = True
+    watch.start()
+    try:
+        return (yield)
+    finally:
+        watch.cancel()
+
+
+def _hung() -> None:
+    """Where each thread is, which processes there are, and where the kernel holds those that it holds."""
+    with Path(os.environ[_INSIDE], "hang.txt").open("w") as file:
+        faulthandler.dump_traceback(file)
+        file.flush()
+        look = "ps axo pid,ppid,stat,wchan:32,args; echo w >/proc/sysrq-trigger; dmesg | tail -n 200"
+        subprocess.run(look, shell=True, stdout=file, check=False)
+    os._exit(1)
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Iterator[pytest.TestReport]:
+    """Inside: note a failure before pytest makes much of it, which may take minutes."""
+    if _INSIDE in os.environ and call.excinfo is not None:
+        _note(item.nodeid, "".join(traceback.format_exception(call.excinfo.value, limit=-4)))
+    return (yield)
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
     """Inside: keep the report for the outside."""
     if _INSIDE in os.environ:
-        with Path(os.environ[_INSIDE]).open("a") as file:
+        with Path(os.environ[_INSIDE], "reports.jsonl").open("a") as file:
             print(json.dumps(report._to_json()), file=file)
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_runtest_protocol(item: pytest.Item) -> bool | None:
-    """Outside: let the reports from the guest stand for the run. (pytest asks every conftest about every item.)"""
-    if _INSIDE in os.environ or not item.path.is_relative_to(Path(__file__).parent):
+# Outside.
+
+
+@dataclass(frozen=True)
+class _Boot:
+    """How one guest ended.
+
+    Attributes
+    ----------
+    exit_code : int
+        Of guest.py.
+    output : str
+    reports : dict
+        Of the tests that are done.
+    notes : dict of str to str
+        What was noted of each test that began.
+    stacks : str
+        Where the test was that hung; empty when none did.
+    """
+
+    exit_code: int
+    output: str
+    reports: _Reports
+    notes: dict[str, str]
+    stacks: str
+
+
+@pytest.hookimpl(specname="pytest_runtest_protocol", tryfirst=True)
+def pytest_runtest_protocol_outside(item: pytest.Item) -> bool | None:
+    """Outside: let the reports from the guest stand for the run."""
+    if _INSIDE in os.environ or not _is_ours(item):
         return None
     stash = item.session.stash
-    if _stored not in stash:
-        stash[_stored] = {}
-    if item.nodeid not in stash[_stored]:
-        stash[_stored] |= _run(item)
+    if _boots not in stash:
+        stash[_boots] = _start(item.session)
+    reports = stash[_boots][_kind(item)].result()[item.nodeid]
     item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
-    for report in stash[_stored][item.nodeid]:
+    for report in reports:
         item.ihook.pytest_runtest_logreport(report=report)
     item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
     return True
 
 
-def _run(item: pytest.Item) -> dict[str, list[pytest.TestReport]]:
-    """Run all chosen tests of the item's file in one guest; a test without its reports is failed or skipped.
+def _kind(item: pytest.Item) -> str:
+    return "systemd" if item.get_closest_marker("systemd") else "kernel"
 
-    An emulated guest hangs now and then, whatever runs in it: what is left is run in another, once, and it is said.
-    """
-    left = chosen = [other for other in item.session.items if other.path == item.path]
-    results: dict[str, list[pytest.TestReport]] = {}
-    for attempt in range(ATTEMPTS):
-        done, reports = _boot(item, left)
-        results |= {name: found for name, found in reports.items() if found[-1].when == "teardown"}
-        left = [other for other in chosen if other.nodeid not in results]
-        if done.returncode != EXIT_UNFINISHED or not left:
-            break
-        terminal = item.config.pluginmanager.get_plugin("terminalreporter")
-        terminal.write_line(f"\nguest: attempt {attempt + 1} hung in {left[0].nodeid}\n{_said(done)}")
-    skipped = done.returncode == EXIT_CANNOT
-    text = done.stderr.strip() if skipped else f"the guest gave no result\n{_said(done)}"
-    for other in left:
-        path, line, _ = other.location
-        reason = (path, line or 0, f"Skipped: {text}") if skipped else text
-        outcome = "skipped" if skipped else "failed"
-        report = pytest.TestReport(other.nodeid, other.location, {}, outcome, reason, "call")  # type: ignore[arg-type]
-        results[other.nodeid] = [report]
+
+def _start(session: pytest.Session) -> dict[str, Future[_Reports]]:
+    """Boot a guest for each kind of the chosen tests."""
+    kinds: dict[str, list[pytest.Item]] = {}
+    for item in filter(_is_ours, session.items):
+        kinds.setdefault(_kind(item), []).append(item)
+    made = subprocess.run([sys.executable, str(HANDED_IN)], stdout=subprocess.DEVNULL, check=False)
+    assert made.returncode == 0, "what the guests are handed could not be made"
+    pool = ThreadPoolExecutor(len(kinds))
+    boots = {kind: pool.submit(_run, kind, items) for kind, items in kinds.items()}
+    pool.shutdown(wait=False)
+    return boots
+
+
+def _run(kind: str, items: list[pytest.Item]) -> _Reports:
+    """Run tests until each has a result: in one guest, in others after those that hung."""
+    out = TREE / ".rig" / f"out-{kind}"
+    out.mkdir(parents=True, exist_ok=True)
+    results: _Reports = {}
+    attempts = 0
+    while left := [item for item in items if item.nodeid not in results]:
+        boot = _boot(kind, out, left)
+        results |= boot.reports
+        unfinished = [item for item in left if item.nodeid not in results]
+        began = [item for item in unfinished if item.nodeid in boot.notes]
+        if boot.exit_code == EXIT_CANNOT:
+            results |= {item.nodeid: [_skipped(item, boot.output.strip())] for item in unfinished}
+        elif boot.stacks and began:
+            where = f"hung; its threads:\n{boot.stacks}\n{boot.notes[began[0].nodeid]}"
+            results[began[0].nodeid] = [_failed(began[0], where)]
+        elif unfinished:
+            attempts += 1
+            print(
+                f"\nguest: attempt {attempts} ended without a result of {unfinished[0].nodeid}\n{boot.output[-2000:]}"
+            )
+            if attempts == ATTEMPTS:
+                why = f"the guest gave no result\n{boot.output[-4000:]}"
+                results |= {i.nodeid: [_failed(i, f"{why}\n{boot.notes.get(i.nodeid, '')}")] for i in unfinished}
     return results
 
 
-def _boot(
-    item: pytest.Item, chosen: list[pytest.Item]
-) -> tuple[subprocess.CompletedProcess[str], dict[str, list[pytest.TestReport]]]:
-    """One guest: how it ended, and the reports of each test that began."""
-    out = TREE / ".rig" / f"out-{item.path.stem}"
-    reports = out / "reports.jsonl"
-    out.mkdir(parents=True, exist_ok=True)
-    reports.unlink(missing_ok=True)
-    inside = ["env", f"{_INSIDE}=/out/{reports.name}", sys.executable, "-m", "pytest", "-p", "no:cacheprovider"]
-    inside += ["-o", f"faulthandler_timeout={HANGS_S}"]
-    systemd = ["--systemd"] if item.get_closest_marker("systemd") else []
-    command = [sys.executable, str(GUEST), *systemd, "--out", str(out), "--limit", str(LIMIT_S), *inside]
-    done = subprocess.run(
-        [*command, *(other.nodeid for other in chosen)], cwd=TREE, text=True, capture_output=True, check=False
+def _boot(kind: str, out: Path, chosen: list[pytest.Item]) -> _Boot:
+    names = {name: out / name for name in ("reports.jsonl", "notes.jsonl", "hang.txt")}
+    for path in names.values():
+        path.unlink(missing_ok=True)
+    guest = [sys.executable, str(GUEST), "--out", str(out), "--silent", f"{patience(SILENT_S):.0f}"]
+    guest += ["--systemd"] if kind == "systemd" else []
+    check = subprocess.run([*guest, "--check"], text=True, capture_output=True, check=False)
+    if check.returncode:
+        return _Boot(check.returncode, check.stderr, {}, {}, "")
+    stops = os.environ.get("TACSHADE_STOPS", "2")
+    inside = [
+        "env",
+        f"{_INSIDE}=/out",
+        f"TACSHADE_STOPS={stops}",
+        sys.executable,
+        "-m",
+        "pytest",
+        "-p",
+        "no:cacheprovider",
+        "-p",
+        "no:faulthandler",
+    ]
+    command = [*guest, *inside, *(item.nodeid for item in chosen)]
+    done = subprocess.run(command, cwd=TREE, text=True, capture_output=True, check=False)
+    reports: _Reports = {}
+    for line in _lines(names["reports.jsonl"]):
+        report = pytest.TestReport._from_json(json.loads(line))
+        reports.setdefault(report.nodeid, []).append(report)
+    notes: dict[str, str] = {}
+    for nodeid, text in map(json.loads, _lines(names["notes.jsonl"])):
+        notes[nodeid] = notes.get(nodeid, "") + text
+    return _Boot(
+        exit_code=done.returncode,
+        output=done.stdout + done.stderr,
+        reports={nodeid: found for nodeid, found in reports.items() if found[-1].when == "teardown"},
+        notes=notes,
+        stacks="\n".join(_lines(names["hang.txt"])),
     )
-    found: dict[str, list[pytest.TestReport]] = {}
-    for report in _read(reports):
-        found.setdefault(report.nodeid, []).append(report)
-    return done, found
 
 
-def _said(done: subprocess.CompletedProcess[str]) -> str:
-    return done.stdout[-4000:] + done.stderr[-4000:]
+def _lines(path: Path) -> list[str]:
+    return path.read_text(errors="replace").splitlines() if path.exists() else []
 
 
-def _read(path: Path) -> Iterator[pytest.TestReport]:
-    if path.exists():
-        for line in path.read_text().splitlines():
-            yield pytest.TestReport._from_json(json.loads(line))
+def _skipped(item: pytest.Item, why: str) -> pytest.TestReport:
+    path, line, _ = item.location
+    reason = (path, line or 0, f"Skipped: {why}")
+    return pytest.TestReport(item.nodeid, item.location, {}, "skipped", reason, "call")
+
+
+def _failed(item: pytest.Item, why: str) -> pytest.TestReport:
+    return pytest.TestReport(item.nodeid, item.location, {}, "failed", why, "call")

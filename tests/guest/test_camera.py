@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from mqtt_rig import wait_until
+from patience import stretched, wait_until
 from vivid import NODE, WEBCAM, control, load_driver, unload_driver
 
 from tacshade_edge.devices.v4l2 import V4l2Source
@@ -151,6 +151,7 @@ def test_by_another_name(webcam: None) -> None:
     camera.open()
     assert camera.read() is not None
     camera.close()
+    link.unlink()
 
 
 def test_in_use_by_another(webcam: None) -> None:
@@ -170,7 +171,7 @@ def test_a_stalled_camera_does_not_block(camera: V4l2Source) -> None:
     began_s = time.monotonic()
     with pytest.raises(DeviceError, match=r"no frame after \d\.\d s, the camera stalls$"):
         read_out(camera)
-    assert time.monotonic() - began_s < 5
+    assert time.monotonic() - began_s < 2 + stretched(1)  # it waits 2 s for a frame
     control("percentage_of_dropped_buffers=0")
     camera.open()
     assert camera.read() is not None
@@ -220,7 +221,7 @@ def test_unplugged_and_plugged_in_again(camera: V4l2Source) -> None:
     plug.join()
     assert frame is not None
     print(f"first frame {took_s:.2f} s after the node, at attempt {next(attempts) - 1}")
-    assert took_s < 2
+    assert took_s < stretched(2)
     assert frame.seq > last.seq, "numbers go on across a reopening"
 
 

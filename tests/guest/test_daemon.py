@@ -16,34 +16,25 @@ from typing import Any
 
 import numpy as np
 import pytest
-from mqtt_rig import Broker, Subscriber, wait_until
-from painted_sensor import FREE, TOUCHED, enlarged, enlarged_calibration
+from handed_in import PAINTED, facts
+from mqtt_rig import Broker, Subscriber
+from patience import patience, stretched, wait_until
 from vivid import NODE, WEBCAM, control, load_driver, unload_driver
 
-from tacshade_edge.core.profiles import DEFAULT, PROFILES
-from tacshade_edge.devices import calibration_file
-from tacshade_edge.devices.network import make_reconstructor
 from tacshade_edge.protocol import wire
-from tacshade_edge.types import Calibration, Frame
 
 TREE = Path(__file__).resolve().parents[2]
 BASE = "tacshade/tacshade"
-START_S = 120  # emulated, and its modules come over 9p
-
-
-@pytest.fixture(scope="module")
-def calibration() -> Calibration:
-    return enlarged_calibration()
+START_S = 10
 
 
 @contextmanager
-def running(folder: Path, calibration: Calibration) -> Iterator[tuple[subprocess.Popen[str], Subscriber]]:
+def running(folder: Path) -> Iterator[tuple[subprocess.Popen[str], Subscriber]]:
     """`tacshade-edge run` on the camera, until SIGTERM ends it well."""
-    calibration_file.save(folder / "c.npz", calibration)
     config = folder / "settings.yaml"
     with Broker(folder) as broker, Subscriber(broker.port) as seen:
         config.write_text(
-            "calibration: c.npz\n"
+            f"calibration: {PAINTED}/calibration.npz\n"
             f"source: {{kind: v4l2, device: {NODE}, width_px: 640, height_px: 480, fps: 25, fourcc: YUYV}}\n"
             f"mqtt: {{host: 127.0.0.1, port: {broker.port}}}\n"
         )
@@ -53,7 +44,7 @@ def running(folder: Path, calibration: Calibration) -> Iterator[tuple[subprocess
             wait_until(lambda: camera(seen).get("state") == "streaming", START_S, "the camera streams")
             yield child, seen
             child.send_signal(signal.SIGTERM)
-            _, errors = child.communicate(timeout=20)
+            _, errors = child.communicate(timeout=patience(10))
             assert child.returncode == 0, errors
             assert seen.wait_for(f"{BASE}/state")[-1] == b"stopped"
         finally:
@@ -75,9 +66,9 @@ def no_driver_left() -> Iterator[None]:
     unload_driver()
 
 
-def test_replugged_camera_streams_within_two_seconds(tmp_path: Path, calibration: Calibration) -> None:
+def test_replugged_camera_streams_within_two_seconds(tmp_path: Path) -> None:
     load_driver(*WEBCAM)
-    with running(tmp_path, calibration) as (child, seen):
+    with running(tmp_path) as (child, seen):
         keeper = os.open(NODE, os.O_RDWR)  # the driver takes a disconnect back when its last user has gone
         control("disconnect=1")
         wait_until(lambda: camera(seen)["state"] == "away", 5, "the daemon says that the camera is away")
@@ -96,26 +87,24 @@ def test_replugged_camera_streams_within_two_seconds(tmp_path: Path, calibration
         plug.join()
         wait_until(lambda: captured(seen) > before + 10, 10, "frames go on")
         print(f"streaming {took_s:.2f} s after the node was back")
-        assert took_s < 2
+        assert took_s < stretched(2)
         assert child.poll() is None, "the same process"
 
 
-def test_sensor_images_through_the_device_to_a_subscriber(tmp_path: Path, calibration: Calibration) -> None:
+def test_sensor_images_through_the_device_to_a_subscriber(tmp_path: Path) -> None:
     """A subscriber decodes the depth that the core finds in the very image that was played."""
-    free, touched = enlarged(FREE), enlarged(TOUCHED)
-    expected = make_reconstructor(calibration, PROFILES[DEFAULT]).step(Frame(0, 0, 0, touched))
-    assert expected.contact
-    depth_mm = float(np.nanmax(expected.height.height_mm))
-    np.save(tmp_path / "images.npy", np.stack([free] * 10 + [touched] * 20))
-    command = [sys.executable, str(TREE / "tools/rig/feed_video.py"), str(tmp_path / "images.npy")]
+    command = [sys.executable, str(TREE / "tools/rig/feed_video.py"), str(PAINTED / "images.npy")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as feeder:
         assert feeder.stdout is not None
         assert feeder.stdout.readline() == "playing\n"
-        with running(tmp_path, calibration) as (_, seen):
-            payloads = seen.wait_for(f"{BASE}/height", 8, 60)
-            messages = [message for message in map(wire.decode, payloads) if isinstance(message, wire.HeightMessage)]
+        with running(tmp_path) as (_, seen):
+            wait_until(lambda: min(deepest := depths(seen), default=1) == 0 and len(deepest) >= 8, 20, "a release")
+            deepest = depths(seen)
         feeder.terminate()
-    assert len(messages) == len(payloads)
-    deepest = [float(np.nanmax(message.height_mm)) for message in messages]
-    assert max(deepest) == pytest.approx(depth_mm, abs=0.001)
-    assert min(deepest) == 0, "a release"
+    assert max(deepest) == pytest.approx(facts(PAINTED)["depth_mm"], abs=0.001)
+
+
+def depths(seen: Subscriber) -> list[float]:
+    """Greatest depth of each height map so far."""
+    decoded = [wire.decode(payload) for payload in seen.of(f"{BASE}/height")]
+    return [float(np.nanmax(message.height_mm)) for message in decoded if isinstance(message, wire.HeightMessage)]

@@ -7,15 +7,14 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from mqtt_rig import wait_until
-from painted_sensor import painted_calibration
+from handed_in import PAINTED
+from patience import patience, wait_until
 from vivid import NODE, WEBCAM, control, load_driver, unload_driver
 
-from tacshade_edge.devices import calibration_file, registry
+from tacshade_edge.devices import registry
 from tacshade_edge.doctor.camera import check_device, check_frames, list_cameras
 from tacshade_edge.doctor.capture import Captured, capture
 from tacshade_edge.doctor.finding import Finding
@@ -25,7 +24,6 @@ from tacshade_edge.settings import V4l2
 MACHINE = Machine()
 GOOD = V4l2(device=NODE, width_px=640, height_px=480, fps=25, fourcc="YUYV")
 BY_ID = Path("/dev/v4l/by-id/usb-test-video-index0")
-START_S = 120  # emulated, and its modules come over 9p
 
 
 @pytest.fixture(autouse=True)
@@ -122,20 +120,16 @@ def test_held_by_another_program() -> None:
 
 
 def test_held_by_the_daemon(tmp_path: Path) -> None:
-    small = painted_calibration()
-    grey = small.reference_grey.repeat(4, axis=0).repeat(4, axis=1)
-    large = replace(small, image_height_px=480, image_width_px=640, reference_grey=grey, reference_white=grey)
-    calibration_file.save(tmp_path / "c.npz", large)
     config = tmp_path / "settings.yaml"
     source = f"{{kind: v4l2, device: {NODE}, width_px: 640, height_px: 480, fps: 25, fourcc: YUYV}}"
-    config.write_text(f"calibration: c.npz\nsource: {source}\nmqtt: {{host: 127.0.0.1, port: 9}}\n")
+    config.write_text(f"calibration: {PAINTED}/calibration.npz\nsource: {source}\nmqtt: {{host: 127.0.0.1, port: 9}}\n")
     command = [sys.executable, "-m", "tacshade_edge", "run", "--config", str(config)]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as daemon:
         assert daemon.stderr is not None
         for line in daemon.stderr:
             if "source streaming" in line:
                 break
-        wait_until(lambda: [held.pid for held in MACHINE.holders(NODE)] == [daemon.pid], START_S, "it has the camera")
+        wait_until(lambda: [held.pid for held in MACHINE.holders(NODE)] == [daemon.pid], 10, "it has the camera")
         found = MACHINE.daemon()
         assert found is not None
         assert found.pid == daemon.pid
@@ -166,7 +160,7 @@ def test_the_command(tmp_path: Path) -> None:
     config = tmp_path / "settings.yaml"
     config.write_text("mqtt: {host: 127.0.0.1, port: 9}\n")
     command = [sys.executable, "-m", "tacshade_edge", "doctor", "--config", str(config), "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=patience(20), check=False)
     assert (done.returncode, done.stderr) == (1, "")
     found = {each["check"]: each for each in json.loads(done.stdout)}
     assert found["camera"]["found"] == f"{NODE}: no such device"

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import random
 import shutil
 import signal
 import stat
@@ -17,14 +18,12 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 from booted_service import CONFIG, UNIT, fresh, journal, process, sh, show, streaming, until
-from mqtt_rig import Subscriber, wait_until
-from painted_sensor import FREE, TOUCHED, enlarged, enlarged_calibration
+from handed_in import PAINTED
+from mqtt_rig import Subscriber
+from patience import patience, stretched, wait_until
 from vivid import NODE, control, unload_driver
-
-from tacshade_edge.devices import calibration_file
 
 pytestmark = [pytest.mark.systemd, pytest.mark.slow]
 
@@ -36,9 +35,12 @@ GROUP = Path("/sys/fs/cgroup/system.slice") / UNIT
 CAMERA = Path("/dev/tacshade/camera-platform-vivid_0")
 GOOD = f"source: {{kind: v4l2, device: {CAMERA}, width_px: 640, height_px: 480, fps: 25, fourcc: YUYV}}\n"
 WATCHDOG_S, MEMORY_MAX = 10.0, 150 * 2**20
-START_S = 90  # emulated, and its modules come over 9p
-# What the emulation needs and no machine: time to start, and the tests' own Python in the place of Debian's.
-DROP_IN = "[Service]\nTimeoutStartSec=120\nTimeoutStopSec=20\nEnvironment=LD_LIBRARY_PATH=/opt/python/lib\n"
+START_S = 10
+STOP_S = 2.0
+STOPS = int(os.environ.get("TACSHADE_STOPS", "2"))
+# What the emulation needs and no machine: time to start, and the tests' own Python in the place of Debian's. How long a
+# stop may take is as shipped: the daemon asks for more where it needs it.
+DROP_IN = "[Service]\nTimeoutStartSec={start_s:.0f}\nEnvironment=LD_LIBRARY_PATH=/opt/python/lib\n"
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -57,18 +59,17 @@ def installed() -> None:
     (APP / "bin/python").symlink_to(f"/opt/python/bin/{python}")
     (APP / "pyvenv.cfg").write_text("home = /opt/python/bin\n")
     script = APP / "bin/tacshade-edge"
-    script.write_text(f"#!{APP}/bin/python\nfrom tacshade_edge.cli import main\nraise SystemExit(main())\n")
+    script.write_text(f"#!{APP}/bin/python\nfrom tacshade_edge.cli.entry import entry\nentry()\n")
     script.chmod(0o755)
     drop_in = Path(f"/etc/systemd/system/{UNIT}.d/emulated.conf")
     drop_in.parent.mkdir()
-    drop_in.write_text(DROP_IN)
+    drop_in.write_text(DROP_IN.format(start_s=patience(START_S)))
     assert sh("systemd-sysusers", "/usr/local/lib/sysusers.d/tacshade-edge.conf")[0] == 0
     assert sh("chgrp", "-R", "tacshade-edge", str(CONFIG.parent))[0] == 0
     STATE.mkdir()
-    calibration_file.save(STATE / "calibration.npz", enlarged_calibration())
+    shutil.copy(PAINTED / "calibration.npz", STATE)
     for path in (STATE, STATE / "calibration.npz"):
         shutil.chown(path, "tacshade-edge", "tacshade-edge")
-    np.save("/run/images.npy", np.stack([enlarged(FREE)] * 5 + [enlarged(TOUCHED)] * 15))
     for command in (("daemon-reload",), ("start", "mosquitto")):  # with Debian's unit and our drop-in
         assert sh("systemctl", *command)[0] == 0, sh("journalctl", "--no-pager", "-n", "50")[1]
     sh("udevadm", "control", "--reload")
@@ -78,7 +79,7 @@ def installed() -> None:
 def plugged_in() -> Iterator[None]:
     """A camera that shows the sensor's images; udev tells of it once it is set up, which takes the only user."""
     sh("udevadm", "control", "--stop-exec-queue")
-    command = [sys.executable, str(TREE / "tools/rig/feed_video.py"), "/run/images.npy"]
+    command = [sys.executable, str(TREE / "tools/rig/feed_video.py"), str(PAINTED / "images.npy")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as feeder:
         assert feeder.stdout is not None
         try:
@@ -122,9 +123,12 @@ def test_the_life_of_a_plugged_in_camera() -> None:
         too_much_memory_ends_it_and_it_comes_back()
     unplugged_it_waits()
     with plugged_in():
-        now = until(streaming, START_S)
-        assert streaming(now), journal()
-        a_clean_stop()
+        for number in range(STOPS):
+            if number:
+                assert sh("systemctl", "start", UNIT)[0] == 0, journal()
+            now = until(streaming, START_S)
+            assert streaming(now), journal()
+            a_clean_stop(random.Random(number).uniform(0, 2))
 
 
 def streams_unprivileged(before: dict[str, str]) -> None:
@@ -196,11 +200,19 @@ def unplugged_it_waits() -> None:
     assert (now["ActiveState"], now["MainPID"], now["NRestarts"]) == ("active", before["MainPID"], before["NRestarts"])
 
 
-def a_clean_stop() -> None:
-    began = time.monotonic()
-    with Subscriber(1883) as seen:
+def a_clean_stop(after_s: float) -> None:
+    """At some moment, while all cores are busy: it says goodbye, and its end is what it said."""
+    with Subscriber(1883) as seen, contextlib.ExitStack() as busy:
+        for _ in range(os.cpu_count() or 1):
+            burner = busy.enter_context(subprocess.Popen([sys.executable, "-c", "while True: pass"]))
+            busy.callback(burner.kill)
+        time.sleep(after_s)
+        limit_s = stretched(STOP_S)
+        began_s = time.monotonic()
         assert sh("systemctl", "stop", UNIT)[0] == 0
+        took_s = time.monotonic() - began_s
         wait_until(lambda: seen.of("tacshade/tacshade/state")[-1:] == [b"stopped"], 5, "it says goodbye")
     now = show()
-    assert (now["ActiveState"], now["Result"], now["ExecMainStatus"]) == ("inactive", "success", "0")
-    print(f"stopped within {time.monotonic() - began:.1f} s, emulated")
+    assert (now["ActiveState"], now["Result"], now["ExecMainStatus"]) == ("inactive", "success", "0"), journal()
+    print(f"stopped within {took_s:.1f} s, emulated, of {limit_s:.1f} s allowed")
+    assert took_s < limit_s

@@ -18,6 +18,7 @@ from typing import Any
 from booted_service import CONFIG, UNIT, fresh, frozen, journal, process, sh, show, streaming, threads, until
 
 GOOD = "source: {kind: simulated}\n"
+WATCHDOG_S = 10.0
 INSTALL = "/payload/checkout/systemd/install.sh"
 # What install.sh may leave behind nothing of.
 PLACES = (
@@ -129,7 +130,7 @@ def hangs() -> dict[str, Any]:
 def works_a_while() -> dict[str, Any]:
     """Longer than the watchdog's time, so that only its feeding keeps it."""
     before = show()
-    time.sleep(15)
+    time.sleep(1.2 * WATCHDOG_S)
     now = show()
     return {"before": before, "now": now, "process": process(now["MainPID"])}
 
@@ -143,7 +144,7 @@ def stops() -> dict[str, Any]:
 def camera_is_absent() -> dict[str, Any]:
     code = fresh("source: {kind: v4l2, device: /dev/video99}\n")
     before = show()
-    time.sleep(15)
+    time.sleep(1.2 * WATCHDOG_S)
     return {"code": code, "before": before, "now": show()}
 
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 from calibrated_sensor import FULL, calibrated
+from patience import stretched
 
 from tacshade_edge.daemon import systemd
 from tacshade_edge.devices import calibration_file
@@ -56,8 +57,8 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     calibration_file.save(folder / "calibration.npz", calibrated(FULL))
     copy_checkout(folder / "checkout")
     fill(folder / "wheels")
-    for script in (CHECKOUT / "tests/service/scenario.py", CHECKOUT / "tests/support/booted_service.py"):
-        shutil.copy(script, folder)
+    for script in ("service/scenario.py", "support/booted_service.py", "support/patience.py"):
+        shutil.copy(CHECKOUT / "tests" / script, folder)
     python = f"python{sys.version_info[0]}.{sys.version_info[1]}"
     (folder / "scenario").write_text(f"#!/bin/bash\nexec /opt/python/bin/{python} /payload/scenario.py {python}\n")
     (folder / "scenario").chmod(0o755)
@@ -153,7 +154,7 @@ def test_the_watchdog_kills_a_process_whose_reconstruction_hangs(seen: dict[str,
     assert "daemon/workers.py" in hangs["journal"].split("Watchdog timeout")[-1], "it logs where each thread was"
     assert streams(hangs["after"])
     assert int(hangs["after"]["NRestarts"]) == int(hangs["before"]["NRestarts"]) + 1
-    assert hangs["seconds"] < WATCHDOG_S + 20
+    assert hangs["seconds"] < WATCHDOG_S + stretched(20)
     print(f"streams again {hangs['seconds']:.1f} s after it hung")
 
 
@@ -171,7 +172,7 @@ def test_frames_keep_the_watchdog_content_and_the_memory_stays_under_its_limit(s
 def test_a_stop_is_quick_and_clean(seen: dict[str, Any]) -> None:
     stops = seen["stops"]
     assert stops["code"] == 0
-    assert stops["seconds"] < STOP_S
+    assert stops["seconds"] < stretched(STOP_S)
     now = stops["now"]
     assert (now["ActiveState"], now["Result"], now["ExecMainStatus"]) == ("inactive", "success", "0")
 

@@ -14,10 +14,11 @@ from pathlib import Path
 
 import cv2
 import pytest
-from mqtt_rig import MOSQUITTO, free_port, wait_until
+from mqtt_rig import MOSQUITTO, free_port
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from painted_sensor import TOUCHED, painted_calibration
+from patience import patience, wait_until
 
 from tacshade_edge.devices import calibration_file
 
@@ -52,7 +53,7 @@ def mosquitto(folder: Path, text: str, port: int, ca: Path | None) -> Iterator[S
         yield Served(port, ca, process.pid)
     finally:
         process.terminate()
-        process.wait(10)
+        process.wait(patience(10))
     assert "Error" not in (folder / "mosquitto.log").read_text()
 
 
@@ -120,7 +121,7 @@ class User:
 
     def subscribe(self, topics: str) -> None:
         self.client.subscribe(topics, qos=1)
-        assert self._subscribed.wait(10)
+        assert self._subscribed.wait(patience(10))
 
     def publish(self, topic: str) -> str:
         """The broker's verdict."""
@@ -205,7 +206,7 @@ def test_daemon_and_dashboard_work_together(filled_in: Served, tmp_path: Path) -
             assert json.loads(answer.payload)["ok"]
         finally:
             daemon.terminate()
-            _, errors = daemon.communicate(timeout=20)
+            _, errors = daemon.communicate(timeout=patience(20))
         assert daemon.returncode == 0, errors
         wait_until(lambda: dashboard.messages[-1].payload == b"stopped", 10, "the last word")
 

@@ -5,7 +5,7 @@ import sys
 import time
 
 import pytest
-from mqtt_rig import wait_until
+from patience import patience, wait_until
 
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.studies.parallel import ordered_map, usable_cores
@@ -92,5 +92,5 @@ def test_no_process_outlives_the_command(number: signal.Signals, tmp_path: os.Pa
         assert made.stdout is not None
         workers = [int(made.stdout.readline()) for _ in range(2)]
         made.send_signal(number)
-        made.wait(timeout=20)
+        made.wait(timeout=patience(20))
         wait_until(lambda: not any(map(alive, workers)), timeout_s=20, what="both workers are gone")

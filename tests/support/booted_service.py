@@ -11,6 +11,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import Thread
 
+from patience import patience
+
 UNIT = "tacshade-edge.service"
 CONFIG = Path("/etc/tacshade-edge/config.yaml")
 PROPERTIES = (
@@ -32,8 +34,8 @@ def show() -> dict[str, str]:
 
 
 def until(condition: Callable[[dict[str, str]], bool], seconds: float) -> dict[str, str]:
-    """The service's properties when the condition holds, or at the deadline: the judge sees which."""
-    deadline = time.monotonic() + seconds
+    """The service's properties when the condition holds, or after so long on this machine: the judge sees which."""
+    deadline = time.monotonic() + patience(seconds)
     while not condition(now := show()) and time.monotonic() < deadline:
         time.sleep(0.1)
     return now

@@ -9,6 +9,8 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from patience import patience
+
 
 @contextmanager
 def dashboard(broker: str, *words: str) -> Iterator[str]:
@@ -22,7 +24,7 @@ def dashboard(broker: str, *words: str) -> Iterator[str]:
         assert found, told
         yield found[0]
         child.send_signal(signal.SIGTERM)
-        assert child.wait(10) == 0
+        assert child.wait(patience(10)) == 0
     finally:
         child.kill()
         child.communicate()

@@ -5,9 +5,9 @@ from __future__ import annotations
 import threading
 from types import TracebackType
 
-from mqtt_rig import wait_until
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
+from patience import patience, wait_until
 
 from tacshade_edge.protocol import wire
 from tacshade_edge.protocol.wire import HeightMessage
@@ -41,7 +41,7 @@ class PageClient:
     def __enter__(self) -> PageClient:
         self.client.connect("127.0.0.1", self._port)
         self.client.loop_start()
-        assert self._subscribed.wait(10)
+        assert self._subscribed.wait(patience(10))
         return self
 
     def __exit__(

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import plain_paper
 import pytest
+from patience import patience
 
 from tacshade_edge.core.solvers import GreyMaps, paper
 from tacshade_edge.core.total_variation import chambolle
@@ -33,7 +34,7 @@ def test_it_is_what_the_profile_computes() -> None:
 @pytest.mark.slow
 def test_the_bench_says_what_each_costs_and_finds() -> None:
     command = [sys.executable, str(BENCH), "--rounds", "1", "--frames", "20", "--objects", "ball"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=patience(300), check=False)
     assert (done.returncode, done.stderr) == (0, "")
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in done.stdout.splitlines() if line[:1] == "|"]
     found = {name: [float(cell) for cell in cells] for name, *cells in rows[2:]}

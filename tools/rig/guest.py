@@ -3,18 +3,19 @@
 
 ::
 
-    tools/rig/guest.py [--systemd] [--out DIR] [--limit SECONDS] COMMAND [ARGUMENT...]
+    tools/rig/guest.py [--systemd] [--out DIR] [--silent SECONDS] COMMAND [ARGUMENT...]
 
 The guest sees this machine's files at the same paths, read-only (9p); what it writes goes to memory and is lost,
 except below ``/out``, which is DIR here. COMMAND runs in the tree's folder; its output and its exit status are
 ours. With --systemd it runs when systemd and udev have started, as on any machine. 77 says that the guest cannot be
-run here (one line tells why), 125 that it did not finish. Only the standard library: it must be able to say what is
-missing.
+run here (one line tells why), 125 that it did not finish: it gave no sign of life for --silent seconds (it gives one
+each second), or ended without an exit status. Only the standard library: it must be able to say what is missing.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import lzma
 import os
 import platform
@@ -24,6 +25,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
@@ -115,18 +117,25 @@ def _modules(root: Path, version: str) -> list[Path]:
     return list(files)
 
 
-def run(command: list[str], out: Path, limit_s: float, systemd: bool) -> int:
+def run(command: list[str], out: Path, silent_s: float, systemd: bool) -> int:
     """Boot, run the command, return its exit status."""
     root, version = kernel()
     initramfs(out, root, version, systemd)
     (out / ".command").write_text(f"cd {shlex.quote(str(TREE))} && exec {shlex.join(command)}\n")
     status = out / ".status"
     status.unlink(missing_ok=True)
-    try:
-        subprocess.run(_qemu(root, version, out, systemd), stdin=subprocess.DEVNULL, timeout=limit_s, check=False)
-    except subprocess.TimeoutExpired:
-        print(f"guest: did not finish within {limit_s:g} s", file=sys.stderr)
-        return EXIT_UNFINISHED
+    alive, began_s = (out / ".alive", out / ".console"), time.time()
+    for sign in alive:
+        sign.unlink(missing_ok=True)
+    with subprocess.Popen(_qemu(root, version, out, systemd), stdin=subprocess.DEVNULL) as emulator:
+        while emulator.poll() is None:
+            latest_s = max([began_s, *(sign.stat().st_mtime for sign in alive if sign.exists())])
+            if time.time() - latest_s > silent_s:
+                emulator.kill()
+                print(f"guest: no sign of life for {silent_s:.0f} s", file=sys.stderr)
+                return EXIT_UNFINISHED
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                emulator.wait(1)
     if not status.exists():
         print(f"guest: did not reach its end; the console's last lines, from {out}/.console:", file=sys.stderr)
         print(*(out / ".console").read_text(errors="replace").splitlines()[-20:], sep="\n", file=sys.stderr)
@@ -163,7 +172,9 @@ def main() -> int:
     """Parse the command line and run."""
     parser = argparse.ArgumentParser(prog="guest.py", description="Run COMMAND under a real kernel in a guest.")
     parser.add_argument("--out", type=Path, help="folder that is /out in the guest (default: a new one, printed)")
-    parser.add_argument("--limit", type=float, default=300.0, metavar="SECONDS", help="give up after this (300)")
+    parser.add_argument(
+        "--silent", type=float, default=120.0, metavar="SECONDS", help="give up after no sign of life for so long (120)"
+    )
     parser.add_argument("--systemd", action="store_true", help="boot systemd and udev first")
     parser.add_argument("--check", action="store_true", help="only say whether a guest can be run here")
     parser.add_argument("command", nargs=argparse.REMAINDER, metavar="COMMAND", help="with its arguments")
@@ -179,7 +190,7 @@ def main() -> int:
             args.out = Path(tempfile.mkdtemp(prefix="guest-out."))
             print(f"guest: /out is {args.out}", file=sys.stderr)
         args.out.mkdir(parents=True, exist_ok=True)
-        return run(args.command, args.out.resolve(), args.limit, args.systemd)
+        return run(args.command, args.out.resolve(), args.silent, args.systemd)
     except CannotRunError as error:
         print(f"guest: {error}", file=sys.stderr)
         return EXIT_CANNOT

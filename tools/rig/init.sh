@@ -1,6 +1,7 @@
 #!/bin/busybox sh
 # First process of the guest (guest.py packs it): reach the host's root over 9p, lay a memory file system over it,
 # run /out/.command there, under systemd as PID 1 if that is wanted; leave its exit status in /out/.status, power off.
+# Each second it writes /out/.alive: guest.py gives up on a guest that no longer does.
 export PATH=/bin
 /bin/busybox --install -s /bin
 mount -t proc proc /proc
@@ -28,6 +29,7 @@ if [ -n "@SYSTEMD@" ]; then
   sh "/new@SYSTEMD@/systemd_root.sh" /new
   cat > /new/scenario.sh <<'END'
 export HOME=/root LANG=C.UTF-8 PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin
+while echo >/out/.alive; do sleep 1; done &
 bash /out/.command > /dev/hvc0 2>&1 < /dev/null
 echo $? > /out/.status
 sync
@@ -40,6 +42,7 @@ mount -t tmpfs tmpfs /run
 mount -t tracefs tracefs /sys/kernel/tracing 2>/dev/null
 busybox ifconfig lo 127.0.0.1 up
 hostname guest 2>/dev/null || busybox hostname guest
+while echo >/out/.alive; do sleep 1; done &
 setsid bash /out/.command > /dev/hvc0 2>&1 < /dev/null
 echo $? > /out/.status
 sync

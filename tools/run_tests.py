@@ -1,0 +1,78 @@
+#!/usr/bin/env python3
+"""Every stage of the tests, one after the other, and at the end what each ran, skipped (why) and took.
+
+::
+
+    tools/run_tests.py [STAGE...]
+
+`make test` runs it. A stage that fails does not keep the next from running. Exit 1 when one failed.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+TREE = Path(__file__).resolve().parents[1]
+PYTEST = (sys.executable, "-m", "pytest")
+SLOW = "(slow or broker or browser) and not guest"
+STAGES: dict[str, tuple[str, ...]] = {
+    "lint": ("make", "--no-print-directory", "lint"),
+    "quick": (*PYTEST, "-n", "auto", "-m", "not guest and not broker and not slow and not browser"),
+    # One more than there are cores of ours: every third of these waits, for a broker, a minute, a page.
+    "slow": (*PYTEST, "-n", "3", "--dist", "loadfile", "-m", SLOW),
+    "guest": (*PYTEST, "-m", "guest"),
+}
+
+
+@dataclass(frozen=True)
+class Stage:
+    """How one went; the counts are 0 where it runs no tests."""
+
+    name: str
+    seconds: float
+    ok: bool
+    passed: int
+    failed: int
+    skipped: Counter[str]
+
+
+def run(name: str) -> Stage:
+    """Run a stage, its output as it comes."""
+    print(f"--- {name}", flush=True)
+    began_s = time.monotonic()
+    with tempfile.TemporaryDirectory() as folder:
+        results = Path(folder, "results.xml")
+        told = (f"--junitxml={results}",) if PYTEST[-1] in STAGES[name] else ()
+        code = subprocess.run((*STAGES[name], *told), cwd=TREE, check=False).returncode
+        cases = list(ElementTree.parse(results).iter("testcase")) if results.exists() else []
+    bad = sum(case.find("failure") is not None or case.find("error") is not None for case in cases)
+    skips = [found for case in cases if (found := case.find("skipped")) is not None]
+    skipped = Counter(found.get("message", "") for found in skips if found.get("type") != "pytest.xfail")
+    passed = len(cases) - bad - len(skips)
+    return Stage(name, time.monotonic() - began_s, code == 0, passed, bad, skipped)
+
+
+def main() -> int:
+    """Run the stages that are named, or all."""
+    stages = [run(name) for name in sys.argv[1:] or STAGES]
+    print("\nstage       s   passed  failed  skipped")
+    for stage in stages:
+        counts = f"{stage.passed:8} {stage.failed:7} {stage.skipped.total():8}"
+        print(f"{stage.name:7}{stage.seconds:6.0f} {counts}{'' if stage.ok else '   FAILED'}")
+        for why, count in stage.skipped.items():
+            print(f"       {count} skipped: {why}")
+    print(f"all    {sum(stage.seconds for stage in stages):6.0f}")
+    total = [sum(stage.passed for stage in stages), sum(stage.failed for stage in stages)]
+    print(f"{total[0]} passed, {total[1]} failed, {sum(stage.skipped.total() for stage in stages)} skipped")
+    return 0 if all(stage.ok for stage in stages) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
