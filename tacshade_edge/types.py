@@ -230,7 +230,7 @@ class Reconstruction:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """Everything that is known of one sensor; stored as one ``.npz`` by ``devices.calibration_file``.
+    """Everything that is known of one sensor; stored as one ``.npz`` by ``devices.files.calibration_file``.
 
     Attributes
     ----------
@@ -253,7 +253,7 @@ class Calibration:
     alpha : float
         The paper's α: depth of a normalised height of 1, in pixels.
     factors : mapping of str to float
-        On h, of each profile that was refitted to presses (`core.refit`).
+        On h, of each profile that was refitted to presses (`core.calibration.gain`).
     fit : dict of str to float
         Fitted figures to show a person (cross-validated error and so on), all in mm or px as named.
     flange_T_sensor : 7 floats

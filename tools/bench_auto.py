@@ -27,7 +27,7 @@ from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 
 from tacshade_edge.cli.demo_sensor import make_calibration
-from tacshade_edge.devices import calibration_file
+from tacshade_edge.devices.files import calibration_file
 
 BUSY = "import numpy\na = numpy.random.rand(200, 200)\nwhile True: a @ a"
 

@@ -19,11 +19,11 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from tacshade_edge.core import drift
-from tacshade_edge.core.calibrate import BallPress, Calibrated, Sensor, calibrate, rezero
-from tacshade_edge.core.greyscale import to_grey
-from tacshade_edge.core.press_checks import Evidence, first_touch_mm
-from tacshade_edge.devices.network import load_networks
+from tacshade_edge.core.calibration.calibrate import BallPress, Calibrated, Sensor, calibrate, rezero
+from tacshade_edge.core.calibration.press_checks import Evidence, first_touch_mm
+from tacshade_edge.core.frame_check import registration
+from tacshade_edge.core.image.greyscale import to_grey
+from tacshade_edge.devices.weights.network import load_networks
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.simulator.calibration_set import ball_presses
@@ -202,7 +202,7 @@ class Measured:
     alarms: list[str]
     found: list[tuple[str, bool]]
     quality: list[tuple[str, float, float, str]]
-    drifts: list[drift.Drift]
+    drifts: list[registration.Drift]
 
 
 def measure(seed: int, detect: bool) -> Measured:
@@ -215,7 +215,7 @@ def measure(seed: int, detect: bool) -> Measured:
     except ConfigError as error:
         return Measured([f"sensor {seed}: refused: {error}"], [], [], [])
     calibration = result.calibration
-    look = drift.look(calibration.reference_grey, calibration.geometry.disc, calibration.pitch_px)
+    look = registration.look(calibration.reference_grey, calibration.geometry.disc, calibration.pitch_px)
     scale = given.model.skin_radius_mm / 20
     quality = []
     for sigma in (0.0, 0.3, 0.6):
@@ -236,7 +236,7 @@ def measure(seed: int, detect: bool) -> Measured:
         for label, wanted, said in ((*wrong_things(given, rng), *rezeros(given, result)) if detect else ())
     ]
     alarms = [f"sensor {seed}: {said}" for said in (*result.warnings, *result.verdict.advice)]
-    return Measured(alarms, found, quality, [drift.drift(look, press.image) for press in given.presses])
+    return Measured(alarms, found, quality, [registration.drift(look, press.image) for press in given.presses])
 
 
 def report(measured: Sequence[Measured]) -> str:

@@ -43,10 +43,11 @@ from paho.mqtt.enums import CallbackAPIVersion
 
 from tacshade_edge.cli.demo_sensor import make_calibration
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
-from tacshade_edge.devices import calibration_file, registry
-from tacshade_edge.devices.mqtt_caller import MqttCaller
-from tacshade_edge.devices.network import make_reconstructor
-from tacshade_edge.devices.recorder import PNG_OPTIONS
+from tacshade_edge.devices import registry
+from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.devices.files.recorder import PNG_OPTIONS
+from tacshade_edge.devices.mqtt.caller import MqttCaller
+from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.protocol import wire
 from tacshade_edge.settings import load
 from tacshade_edge.types import Frame

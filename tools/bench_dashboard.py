@@ -2,7 +2,7 @@
 
 ::
 
-    PYTHONPATH=tests/support .venv/bin/python tools/bench_dashboard.py [--fps 30] [--step 1] [--seconds 10] [--json]
+    PYTHONPATH=tests .venv/bin/python tools/bench_dashboard.py [--fps 30] [--step 1] [--seconds 10] [--json]
 
 Five processes: mosquitto, a publisher of synthetic maps with their clouds, the dashboard, Chromium with its driver, and
 this one. With ``--step 1`` a map is 640x480 cells (614 KB), with 4 it is 160x120 (38 KB; the daemon sends 112x112).
@@ -28,10 +28,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from browser import browser, errors
-from dashboard_process import dashboard
-from mqtt_rig import Broker, wait_until
-from published_hand import CRC, PublishedHand, bump
+from support.browser import browser, errors
+from support.dashboard_process import dashboard
+from support.mqtt_rig import Broker, wait_until
+from support.published_hand import CRC, PublishedHand, bump
 
 from tacshade_edge.protocol import wire
 

@@ -16,8 +16,8 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from tacshade_edge.core.greyscale import shape_grey
-from tacshade_edge.core.preprocess import Preprocessor
+from tacshade_edge.core.image.greyscale import shape_grey
+from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.simulator.objects import PAPER_OBJECTS

@@ -38,7 +38,7 @@ from paho.mqtt.enums import CallbackAPIVersion
 
 from tacshade_edge.cli.demo_sensor import make_calibration
 from tacshade_edge.core.profiles import AUTO, DEFAULT, PROFILES
-from tacshade_edge.devices import calibration_file
+from tacshade_edge.devices.files import calibration_file
 
 TOP = 8
 SLOWEST_FPS = 1.0  # a daemon that captures fewer is given up

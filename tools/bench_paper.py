@@ -26,10 +26,10 @@ import numpy as np
 import plain_paper
 from bench_stages import PRESS, next_frame, timed_ms
 
-from tacshade_edge.core.greyscale import DENOISERS, to_grey
+from tacshade_edge.core.depth import SOLVERS
+from tacshade_edge.core.image.greyscale import DENOISERS, to_grey
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.core.solvers import SOLVERS
 from tacshade_edge.simulator.objects import PAPER_OBJECTS
 from tacshade_edge.studies.evaluate.scenes import DEPTHS_MM, scenes
 from tacshade_edge.studies.evaluate.score import KnownTruth, Label, Row, score

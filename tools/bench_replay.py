@@ -20,8 +20,8 @@ import numpy as np
 
 from tacshade_edge.cli.demo_sensor import make_calibration
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.devices.recorder import Recorder
-from tacshade_edge.devices.run_files import CLOUDS, HEIGHTS, SUMMARY
+from tacshade_edge.devices.files.recorder import Recorder
+from tacshade_edge.devices.files.run_files import CLOUDS, HEIGHTS, SUMMARY
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.simulator.script import demonstration
 from tacshade_edge.types import Frame, Pose

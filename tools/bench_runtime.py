@@ -18,7 +18,7 @@ import onnxruntime
 from bench_stages import timed_ms
 
 from tacshade_edge.core.profiles import LEARNED, PROFILES
-from tacshade_edge.devices.network import WEIGHTS
+from tacshade_edge.devices.weights.network import WEIGHTS
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import F32
 

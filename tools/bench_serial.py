@@ -21,8 +21,8 @@ import threading
 import time
 from pathlib import Path
 
-from tacshade_edge.daemon.robot import Robot
-from tacshade_edge.devices.serial_port import SerialPort
+from tacshade_edge.daemon.robot.robot import Robot
+from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.protocol.serial_line import seal
 from tacshade_edge.protocol.serial_link import Command, SerialLink
 

@@ -17,8 +17,8 @@ import time
 
 import numpy as np
 
-from tacshade_edge.core.stitch import Stitcher
-from tacshade_edge.core.touch import Touch
+from tacshade_edge.core.stitching.press_points import Touch
+from tacshade_edge.core.stitching.stitcher import Stitcher
 from tacshade_edge.rigid import Rigid, from_seven, shift
 from tacshade_edge.simulator.pad import disturbed
 

@@ -30,7 +30,7 @@ import numpy as np
 from bench_rig import broker
 
 from tacshade_edge.cli.demo_sensor import make_calibration
-from tacshade_edge.devices import calibration_file
+from tacshade_edge.devices.files import calibration_file
 
 LONGEST_S = 6.0
 HANGS_S = 60.0

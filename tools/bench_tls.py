@@ -25,7 +25,7 @@ from bench_rig import broker
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 
-from tacshade_edge.devices.mqtt_client import connect, make_client
+from tacshade_edge.devices.mqtt.client import connect, make_client
 
 DROP_IN = Path(__file__).parents[1] / "systemd/mosquitto-tacshade.conf"
 HOST, TOPIC, WARM_UP = "127.0.0.1", "tacshade/bench/height", 10

@@ -10,9 +10,9 @@ import numpy as np
 from scipy.ndimage import median_filter
 from skimage.restoration import denoise_tv_chambolle
 
-from tacshade_edge.core.greyscale import shape_grey
-from tacshade_edge.core.solvers import Depth, GreyMaps
-from tacshade_edge.core.solvers.paper import C128, EPS, ITERATIONS
+from tacshade_edge.core.depth import Depth, GreyMaps
+from tacshade_edge.core.depth.hybrid_sfs import C128, EPS, ITERATIONS
+from tacshade_edge.core.image.greyscale import shape_grey
 from tacshade_edge.types import F32, F64
 
 

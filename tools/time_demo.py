@@ -22,7 +22,7 @@ import numpy as np
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests" / "support"))
-from page_client import PageClient  # noqa: E402
+from support.page_client import PageClient  # noqa: E402
 
 
 def once(clone: Path, environment: dict[str, str]) -> tuple[float, float, float, float]:

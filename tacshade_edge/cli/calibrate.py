@@ -10,12 +10,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from tacshade_edge.core import drift
-from tacshade_edge.core.calibrate import Calibrated, calibrate, rezero
-from tacshade_edge.devices import calibration_file
-from tacshade_edge.devices.images import read_image
-from tacshade_edge.devices.network import load_networks
-from tacshade_edge.devices.presses import read_presses
+from tacshade_edge.core.calibration.calibrate import Calibrated, calibrate, rezero
+from tacshade_edge.core.frame_check import registration
+from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.devices.files.images import read_image
+from tacshade_edge.devices.files.presses import read_presses
+from tacshade_edge.devices.weights.network import load_networks
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.settings.sensor_file import read_sensor
 from tacshade_edge.types import U8, Calibration
@@ -69,8 +69,8 @@ def _rezero(args: argparse.Namespace) -> int:
     except ConfigError as error:
         raise ConfigError(f"{args.rezero}: {error}") from None
     disc = old.geometry.disc
-    found = drift.drift(drift.look(old.reference_grey, disc, old.pitch_px), renewed.reference_grey)
-    changes = (drift.moved_reason(found, disc), drift.aged_reason(found))
+    found = registration.drift(registration.look(old.reference_grey, disc, old.pitch_px), renewed.reference_grey)
+    changes = (registration.moved_reason(found, disc), registration.aged_reason(found))
     warnings = [f"{change} since {args.rezero}" for change in changes if change]
     changed = {
         "moved_px": round(found.moved_px, 2),

@@ -16,7 +16,7 @@ from typing import Final
 from tacshade_edge.cli.demo_broker import broker_command
 from tacshade_edge.cli.demo_child import Child, free_port, wait_for_port
 from tacshade_edge.cli.demo_sensor import make_calibration
-from tacshade_edge.devices import calibration_file
+from tacshade_edge.devices.files import calibration_file
 
 FPS: Final = 20  # a laptop draws a simulated frame in 10 to 40 ms
 PORT: Final = 8080

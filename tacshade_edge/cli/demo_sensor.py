@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tacshade_edge.core.calibrate import BallPress, Sensor, calibrate
+from tacshade_edge.core.calibration.calibrate import BallPress, Sensor, calibrate
 from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.scene import SimulatedSensor

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from tacshade_edge.cli import study
-from tacshade_edge.core.calibrate import MIN_PRESSES
+from tacshade_edge.core.calibration.calibrate import MIN_PRESSES
 from tacshade_edge.core.profiles import LEARNED, PROFILES
-from tacshade_edge.devices import calibration_file
+from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator.objects import OBJECTS, PAPER_OBJECTS
 from tacshade_edge.studies.ablation.work import AblationRow, ablate, object_rows

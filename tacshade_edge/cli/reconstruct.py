@@ -13,11 +13,11 @@ import numpy as np
 from tacshade_edge.cli.profile_option import add_profile
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.devices import calibration_file
-from tacshade_edge.devices.images import read_image
-from tacshade_edge.devices.network import make_reconstructor
-from tacshade_edge.devices.panel import write_panel
-from tacshade_edge.devices.summary import summary
+from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.devices.files.images import read_image
+from tacshade_edge.devices.files.panel import write_panel
+from tacshade_edge.devices.files.summary import summary
+from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
 from tacshade_edge.types import Frame, Reconstruction
 

@@ -14,7 +14,7 @@ from typing import Any
 from tacshade_edge.cli.check_config import DEFAULT_CONFIG
 from tacshade_edge.cli.replay import positive
 from tacshade_edge.devices import registry
-from tacshade_edge.devices.mqtt_caller import MqttCaller
+from tacshade_edge.devices.mqtt.caller import MqttCaller
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.settings import load
 

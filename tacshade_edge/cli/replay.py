@@ -13,14 +13,15 @@ from pathlib import Path
 
 from tacshade_edge.cli.profile_option import add_profile
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.daemon.replay import Deliver, Progress, replay
-from tacshade_edge.daemon.replay_link import ReplayLink
-from tacshade_edge.devices import calibration_file, registry
-from tacshade_edge.devices.mqtt_client import BrokerAddress
-from tacshade_edge.devices.network import make_reconstructor
-from tacshade_edge.devices.recording import Recording
-from tacshade_edge.devices.run_compare import first_difference
-from tacshade_edge.devices.run_files import RunWriter
+from tacshade_edge.daemon.recording.replay import Deliver, Progress, replay
+from tacshade_edge.daemon.recording.replay_link import ReplayLink
+from tacshade_edge.devices import registry
+from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.devices.files.recording import Recording
+from tacshade_edge.devices.files.run_compare import first_difference
+from tacshade_edge.devices.files.run_files import RunWriter
+from tacshade_edge.devices.mqtt.client import BrokerAddress
+from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.settings import load
 
 

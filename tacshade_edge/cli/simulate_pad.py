@@ -12,7 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from tacshade_edge.devices.poses_table import HEADER
+from tacshade_edge.devices.files.poses_table import HEADER
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.rigid import Rigid, from_seven
 from tacshade_edge.simulator import pad as pads

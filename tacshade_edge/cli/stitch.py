@@ -9,12 +9,12 @@ from typing import Any
 
 from tacshade_edge.cli.profile_option import add_profile
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.stitch import Stitched
-from tacshade_edge.core.touch_map import STEP_MM, Raster
-from tacshade_edge.devices import calibration_file
-from tacshade_edge.devices.map_files import write_map
-from tacshade_edge.devices.poses_table import read_poses
-from tacshade_edge.devices.recording import Recording
+from tacshade_edge.core.stitching.stitcher import Stitched
+from tacshade_edge.core.stitching.surface_map import STEP_MM, Raster
+from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.devices.files.map_files import write_map
+from tacshade_edge.devices.files.poses_table import read_poses
+from tacshade_edge.devices.files.recording import Recording
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.studies.stitch.average import radius_average
 from tacshade_edge.studies.stitch.picture import write_comparison

@@ -12,7 +12,7 @@ from typing import Any
 
 from tacshade_edge.cli import study
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.devices import calibration_file
+from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator.objects import OBJECTS, PAPER_OBJECTS
 from tacshade_edge.studies.evaluate.own_images import images_in

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from tacshade_edge.core import discmap
-from tacshade_edge.core.total_variation import ITERATIONS_MAX, Precision
+from tacshade_edge.core.geometry import disc_map
+from tacshade_edge.core.image.total_variation import ITERATIONS_MAX, Precision
 
 LEARNED = "learned"
 """The solver that takes the white pixels and finds the contact too, with the network of the profile's name."""
@@ -23,7 +23,7 @@ class Profile:
     ----------
     name : str
     solver : str
-        Key of ``core.solvers.SOLVERS``, or `LEARNED`.
+        Key of ``core.depth.SOLVERS``, or `LEARNED`.
     stride_px : int
         Stride of eq. 1 and so of every map after it.
     window_pitches : int
@@ -38,7 +38,7 @@ class Profile:
         hardly brightens (of 885 presses of 1.5 mm the other level missed 4; their rims were 10.8 or more below, what a
         release of 0.2 mm leaves 8.7 at most).
     halved : bool
-        Work on means over 2x2 px, where the pattern is coarse enough (`core.halving`).
+        Work on means over 2x2 px, where the pattern is coarse enough (`core.image.halving`).
     cells : int
         Along a side of the map that a network works on.
     tv_iterations : int
@@ -55,7 +55,7 @@ class Profile:
     gate_levels: float
     gate_dark_levels: float = math.inf
     halved: bool = False
-    cells: int = discmap.CELLS
+    cells: int = disc_map.CELLS
     tv_iterations: int = ITERATIONS_MAX
     tv_precision: Precision = "float32"
 

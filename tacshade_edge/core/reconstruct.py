@@ -7,14 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tacshade_edge.core import clusters, discmap, greyscale
-from tacshade_edge.core.disc import DiscRays, Grid, cells_in_image, disc_rays
-from tacshade_edge.core.halving import can_be_halved, grid_of_whole, halved_calibration, halved_image
-from tacshade_edge.core.preprocess import Preprocessor
+from tacshade_edge.core.contact import objects
+from tacshade_edge.core.depth import SOLVERS, Depth
+from tacshade_edge.core.depth.learned import DEEPEST_RADII, Inverse, LearnedInverse, Network
+from tacshade_edge.core.frame_check.validity import size_reason
+from tacshade_edge.core.geometry import disc_map
+from tacshade_edge.core.geometry.disc import DiscRays, Grid, cells_in_image, disc_rays
+from tacshade_edge.core.image import greyscale
+from tacshade_edge.core.image.halving import can_be_halved, grid_of_whole, halved_calibration, halved_image
+from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import LEARNED, Profile
-from tacshade_edge.core.solvers import SOLVERS, Depth
-from tacshade_edge.core.solvers.learned import DEEPEST_RADII, Inverse, LearnedInverse, Network
-from tacshade_edge.core.validity import size_reason
 from tacshade_edge.types import F32, U8, Bool, Calibration, Frame, HeightMap, ObjectCloud, Reconstruction
 
 Mark = Callable[[str], None]
@@ -76,7 +78,7 @@ class Reconstructor:
         calibration: Calibration,
         profile: Profile,
         network: Network | None = None,
-        region: clusters.Region = clusters.bounding_box,
+        region: objects.Region = objects.bounding_box,
     ) -> None:
         self.calibration = calibration
         self._region = region
@@ -88,7 +90,7 @@ class Reconstructor:
         self._learned = _learned(self._front, network)
         self._asked_ns = -MOVED_EVERY_NS
         maps = grid_of_whole(self._front.grid) if self._halve else self._front.grid
-        cells = discmap.map_grid(calibration.geometry.disc, profile.cells)
+        cells = disc_map.map_grid(calibration.geometry.disc, profile.cells)
         self._factor = np.float32(calibration.factors.get(profile.name, 1.0))
         self.grid = maps if self._learned is None else cells
         self.rays = _seen_rays(calibration, self.grid)
@@ -209,8 +211,8 @@ class Reconstructor:
         height = np.minimum(depth.height_mm, np.float32(geometry.skin_radius_mm)) + self._untouched.height_mm
         if touched is None:
             # Of the heights as found: cut off at the skin's radius, those of a great α would all be one.
-            touched = inside & (depth.height_mm > clusters.two_means_split(depth.height_mm[inside]))
-        found = clusters.find_objects(touched, height, self.rays, geometry, self._region)
+            touched = inside & (depth.height_mm > objects.two_means_split(depth.height_mm[inside]))
+        found = objects.find_objects(touched, height, self.rays, geometry, self._region)
         if found is None:
             return self._nothing(frame, degraded=degraded)
         return Reconstruction(

@@ -17,20 +17,20 @@ import numpy as np
 
 from tacshade_edge import __version__
 from tacshade_edge.core.profiles import LADDER, PROFILES
-from tacshade_edge.daemon.active_profile import ActiveProfile, Stepped
-from tacshade_edge.daemon.health import Health
-from tacshade_edge.daemon.ledger import FrameLedger, Outcome
-from tacshade_edge.daemon.pipeline import Crash, Pipeline, crashes_to
-from tacshade_edge.daemon.publisher import Publisher
-from tacshade_edge.daemon.record import DAEMON_STOPPED, SOURCE_ENDED, LiveRecorder, RecordingEnded
-from tacshade_edge.daemon.record_requests import RecordRequests
+from tacshade_edge.daemon.pipeline.ledger import FrameLedger, Outcome
+from tacshade_edge.daemon.pipeline.pipeline import Crash, Pipeline, crashes_to
+from tacshade_edge.daemon.pipeline.workers import Sink, SourceState
+from tacshade_edge.daemon.profiles.active_profile import ActiveProfile, Stepped
+from tacshade_edge.daemon.publishing.health import Health
+from tacshade_edge.daemon.publishing.publisher import Publisher
+from tacshade_edge.daemon.recording.record import DAEMON_STOPPED, SOURCE_ENDED, LiveRecorder, RecordingEnded
+from tacshade_edge.daemon.recording.record_requests import RecordRequests
 from tacshade_edge.daemon.reload import reload
 from tacshade_edge.daemon.requests import Requests
 from tacshade_edge.daemon.systemd import Progress, Service
-from tacshade_edge.daemon.workers import Sink, SourceState
 from tacshade_edge.devices import registry
 from tacshade_edge.devices.base import FrameSource
-from tacshade_edge.devices.network import make_reconstructor
+from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.protocol import messages
 from tacshade_edge.protocol.messages import Request
@@ -38,8 +38,8 @@ from tacshade_edge.settings import Document, digest
 from tacshade_edge.types import Calibration
 
 if TYPE_CHECKING:
-    from tacshade_edge.daemon.robot import Robot
-    from tacshade_edge.daemon.stitch_sessions import StitchSessions
+    from tacshade_edge.daemon.robot.robot import Robot
+    from tacshade_edge.daemon.stitching.stitch_sessions import StitchSessions
 
 _log = logging.getLogger(__name__)
 
@@ -256,7 +256,7 @@ class App:
         """Imported only where a robot is: without one, no pyserial and no poses."""
         if (port := registry.make_serial_port(self._document.settings.serial)) is None:
             return None
-        from tacshade_edge.daemon.robot import Robot
+        from tacshade_edge.daemon.robot.robot import Robot
 
         return Robot(port, self._on_request, self._status, lambda s: self.link.set_retained("status/serial", s))
 
@@ -265,7 +265,7 @@ class App:
         settings = self._document.settings
         if not registry.frames_have_poses(settings):
             return None
-        from tacshade_edge.daemon.stitch_sessions import StitchSessions
+        from tacshade_edge.daemon.stitching.stitch_sessions import StitchSessions
 
         return StitchSessions(Path(settings.stitching.folder), self.link.set_retained, self.link.reply, self._robot)
 

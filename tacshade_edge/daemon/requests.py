@@ -8,10 +8,10 @@ from collections.abc import Callable
 from typing import Any
 
 from tacshade_edge.core.profiles import AUTO
-from tacshade_edge.daemon.active_profile import ActiveProfile
+from tacshade_edge.daemon.pipeline.workers import Reconstruct
+from tacshade_edge.daemon.profiles.active_profile import ActiveProfile
 from tacshade_edge.daemon.reference import REFERENCE_FRAMES, ReferenceCollector
-from tacshade_edge.daemon.workers import Reconstruct
-from tacshade_edge.devices.calibration_file import with_crc
+from tacshade_edge.devices.files.calibration_file import with_crc
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.protocol.messages import Request, encode_error, encode_result
 from tacshade_edge.types import U8
@@ -111,7 +111,7 @@ class Requests:
         if reason:
             self._refuse(request, reason)
             return
-        from tacshade_edge.core.calibrate import rezero  # on demand: few daemons ever calibrate
+        from tacshade_edge.core.calibration.calibrate import rezero  # on demand: few daemons ever calibrate
 
         try:
             calibration = with_crc(rezero(self._active.reconstructor.calibration, images))

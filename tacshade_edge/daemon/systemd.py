@@ -9,7 +9,7 @@ import logging
 import os
 import time
 
-from tacshade_edge.daemon.workers import Grab, Reconstruct, SourceState
+from tacshade_edge.daemon.pipeline.workers import Grab, Reconstruct, SourceState
 
 try:
     from systemd import daemon

@@ -6,23 +6,24 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tacshade_edge.devices import calibration_file, v4l2_node
 from tacshade_edge.devices.base import FrameSource
-from tacshade_edge.devices.frame_table import table_in
-from tacshade_edge.devices.mqtt import MqttLink
-from tacshade_edge.devices.mqtt_client import BrokerAddress
-from tacshade_edge.devices.mqtt_outlet import Outcome
+from tacshade_edge.devices.camera import v4l2_node
+from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.devices.files.frame_table import table_in
+from tacshade_edge.devices.mqtt.client import BrokerAddress
+from tacshade_edge.devices.mqtt.link import MqttLink
+from tacshade_edge.devices.mqtt.outlet import Outcome
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.protocol.messages import Request
 from tacshade_edge.settings import Document, Files, Serial, Settings, Simulated, Source, V4l2
 from tacshade_edge.types import Calibration
 
 if TYPE_CHECKING:
-    from tacshade_edge.devices.serial_port import SerialPort
+    from tacshade_edge.devices.serial.port import SerialPort
 
 
 def _v4l2(source: V4l2) -> FrameSource:
-    from tacshade_edge.devices.v4l2 import V4l2Source
+    from tacshade_edge.devices.camera.v4l2 import V4l2Source
 
     return V4l2Source(
         device=source.device,
@@ -35,13 +36,13 @@ def _v4l2(source: V4l2) -> FrameSource:
 
 
 def _files(source: Files) -> FrameSource:
-    from tacshade_edge.devices.files import FilesSource
+    from tacshade_edge.devices.files.image_source import FilesSource
 
     return FilesSource(path=Path(source.path), fps=source.fps, loop=source.loop)
 
 
 def _simulated(source: Simulated) -> FrameSource:
-    from tacshade_edge.devices.simulated import SimulatedSource
+    from tacshade_edge.devices.camera.simulated import SimulatedSource
 
     return SimulatedSource(fps=source.fps)
 
@@ -59,7 +60,7 @@ def make_serial_port(settings: Serial | None) -> SerialPort | None:
     """The robot's port that the settings name, not opened; None where there is no robot, and pyserial is not needed."""
     if settings is None:
         return None
-    from tacshade_edge.devices.serial_port import SerialPort
+    from tacshade_edge.devices.serial.port import SerialPort
 
     return SerialPort(settings.device, settings.baud)
 
@@ -98,7 +99,7 @@ def load_calibration(document: Document) -> Calibration:
 
 
 def _first_size(source: Files) -> tuple[int, int] | None:
-    from tacshade_edge.devices.files import first_size_px
+    from tacshade_edge.devices.files.image_source import first_size_px
 
     return first_size_px(Path(source.path))
 
@@ -134,7 +135,7 @@ def check_serial(document: Document) -> None:
     """Check that the robot's port, if it is there, can be one. Raises ConfigError."""
     if (settings := document.settings.serial) is None:
         return
-    from tacshade_edge.devices.serial_port import check_kind
+    from tacshade_edge.devices.serial.port import check_kind
 
     try:
         check_kind(settings.device)

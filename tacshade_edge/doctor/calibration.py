@@ -7,12 +7,13 @@ import os
 import time
 from collections.abc import Sequence
 
-from tacshade_edge.core import drift, pattern
-from tacshade_edge.core.calibrate import rezero
-from tacshade_edge.core.greyscale import to_grey
+from tacshade_edge.core.calibration import pattern
+from tacshade_edge.core.calibration.calibrate import rezero
+from tacshade_edge.core.frame_check import registration
+from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.devices import registry
-from tacshade_edge.devices.network import make_reconstructor
+from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.doctor.finding import Finding, fault, ok, warning
 from tacshade_edge.doctor.settings import AS_SERVICE
 from tacshade_edge.errors import ConfigError
@@ -93,24 +94,24 @@ def check_images(calibration: Calibration, images: Sequence[U8], live: bool) -> 
         return (*moved, warning("sensor", found, _REZERO))
     if result.degraded:
         return (*moved, warning("sensor", result.degraded, _mend(result.degraded)))
-    if drift.moved_too_far(found_drift, calibration.geometry.disc):
+    if registration.moved_too_far(found_drift, calibration.geometry.disc):
         return moved
-    if aged := drift.aged_reason(found_drift):
+    if aged := registration.aged_reason(found_drift):
         return (*moved, warning("sensor", f"{aged} since it was calibrated", _AGED))
     return (*moved, _check_noise(calibration, images))
 
 
-def _drift(calibration: Calibration, images: Sequence[U8]) -> drift.Drift:
-    old = drift.look(calibration.reference_grey, calibration.geometry.disc, calibration.pitch_px)
-    return drift.drift(old, pattern.mean_image([to_grey(image) for image in images]))
+def _drift(calibration: Calibration, images: Sequence[U8]) -> registration.Drift:
+    old = registration.look(calibration.reference_grey, calibration.geometry.disc, calibration.pitch_px)
+    return registration.drift(old, pattern.mean_image([to_grey(image) for image in images]))
 
 
-def _check_place(calibration: Calibration, found: drift.Drift) -> tuple[Finding, ...]:
+def _check_place(calibration: Calibration, found: registration.Drift) -> tuple[Finding, ...]:
     """Whether the visible circle is where it was; nothing when that cannot be seen (a contact may hide it)."""
     if found.still_part == 0:
         return ()
     said = f"visible circle {found.shift_px:.1f} px from where it was calibrated, size {100 * (found.zoom - 1):+.1f} %"
-    if drift.moved_too_far(found, calibration.geometry.disc):
+    if registration.moved_too_far(found, calibration.geometry.disc):
         mend = "the camera moved in the sensor: fix it where it was, or calibrate again (docs/calibration.md)"
         return (warning("camera place", said, mend),)
     return (ok("camera place", said),)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import contextlib
 from itertools import pairwise
 
-from tacshade_edge.core.disc import disc_mask
-from tacshade_edge.core.greyscale import to_grey
-from tacshade_edge.core.validity import frame_check, invalid_reason
-from tacshade_edge.devices import v4l2_node
+from tacshade_edge.core.frame_check.validity import frame_check, invalid_reason
+from tacshade_edge.core.geometry.disc import disc_mask
+from tacshade_edge.core.image.greyscale import to_grey
+from tacshade_edge.devices.camera import v4l2_node
 from tacshade_edge.doctor.cameras import CSI_MEND, card_name, found_cameras, has_csi_receiver, is_csi, stable_name
 from tacshade_edge.doctor.capture import Captured
 from tacshade_edge.doctor.finding import Finding, fault, ok, warning

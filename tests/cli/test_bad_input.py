@@ -16,11 +16,11 @@ from pathlib import Path
 
 import cv2
 import pytest
-from mqtt_rig import free_port
-from painted_sensor import FREE, painted_calibration
-from patience import patience, wait_until
+from support.mqtt_rig import free_port
+from support.painted_sensor import FREE, painted_calibration
+from support.patience import patience, wait_until
 
-from tacshade_edge.devices import calibration_file
+from tacshade_edge.devices.files import calibration_file
 
 pytestmark = pytest.mark.slow  # a process each: over half a minute in all
 COMMAND = [sys.executable, "-m", "tacshade_edge"]
@@ -268,7 +268,7 @@ def test_a_port_where_no_broker_listens(folder: Path, answer: bytes) -> None:
         told = lines_with(said, f"127.0.0.1:{port}: accepts")
     assert len(told) == 1
     expected = (
-        f"INFO tacshade_edge.devices.mqtt: 127.0.0.1:{port}: accepts connections but does not answer as an MQTT 5"
+        f"INFO tacshade_edge.devices.mqtt.link: 127.0.0.1:{port}: accepts connections but does not answer as an MQTT 5"
     )
     assert told[0].startswith(expected)
 
@@ -278,4 +278,5 @@ def test_a_port_where_nothing_listens(folder: Path) -> None:
     with running(folder, settings(folder, name="nothing.yaml", port=port)) as said:
         wait_until(lambda: lines_with(said, "refused"), 20, "the line")
         threading.Event().wait(1.5)  # another attempt
-    assert lines_with(said, "refused") == [f"INFO tacshade_edge.devices.mqtt: 127.0.0.1:{port}: Connection refused"]
+    told = f"INFO tacshade_edge.devices.mqtt.link: 127.0.0.1:{port}: Connection refused"
+    assert lines_with(said, "refused") == [told]

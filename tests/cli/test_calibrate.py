@@ -9,12 +9,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from calibrated_sensor import calibrated, pressed, unloaded
-from patience import patience
-from sensor_files import write_files
+from support.calibrated_sensor import calibrated, pressed, unloaded
+from support.patience import patience
+from support.sensor_files import write_files
 
 from tacshade_edge.cli import main
-from tacshade_edge.devices import calibration_file
+from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.simulator import nuisance
 
 

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from painted_sensor import painted_calibration
+from support.painted_sensor import painted_calibration
 
 from tacshade_edge.cli import EXIT_CONFIG, main
-from tacshade_edge.devices import calibration_file
+from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.settings import json_schema
 
 GOOD = "calibration: c.npz\nsource: {kind: simulated}\n"

@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 import pytest
-from patience import patience, stretched
+from support.patience import patience, stretched
 
 from tacshade_edge import cli
 

@@ -14,10 +14,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from browser import CHROMIUM, DRIVER, browser, errors
-from mqtt_rig import MOSQUITTO
-from page_client import PageClient
-from patience import patience, wait_until
+from support.browser import CHROMIUM, DRIVER, browser, errors
+from support.mqtt_rig import MOSQUITTO
+from support.page_client import PageClient
+from support.patience import patience, wait_until
 
 # As on a machine without mosquitto.
 WITHOUT_MOSQUITTO = "import shutil, sys; shutil.which = lambda *a, **k: None; from tacshade_edge.cli import main; "

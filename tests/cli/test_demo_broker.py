@@ -4,7 +4,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from mqtt_rig import MOSQUITTO, Subscriber
+from support.mqtt_rig import MOSQUITTO, Subscriber
 
 from tacshade_edge.cli.demo_broker import broker_command
 from tacshade_edge.cli.demo_child import Child, free_port, wait_for_port

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from patience import wait_until
+from support.patience import wait_until
 
 from tacshade_edge.cli.demo_child import Child, free_port, wait_for_port
 from tacshade_edge.errors import DeviceError

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import cv2
 import pytest
-from mqtt_rig import free_port
-from painted_sensor import FREE, painted_calibration
-from patience import patience
+from support.mqtt_rig import free_port
+from support.painted_sensor import FREE, painted_calibration
+from support.patience import patience
 
-from tacshade_edge.devices import calibration_file
+from tacshade_edge.devices.files import calibration_file
 
 # A library that works without the interpreter's lock and takes it again in a C++ destructor, for ever.
 IN_A_LIBRARY = """
@@ -47,8 +47,9 @@ def test_a_stop_while_the_camera_hangs_in_its_library(tmp_path: Path) -> None:
     source = "source: {kind: files, path: 0.png, fps: 100, loop: true}"
     settings.write_text(f"calibration: c.npz\n{source}\nmqtt: {{host: 127.0.0.1, port: {free_port()}}}\n")
     code = (
-        f"{IN_A_LIBRARY}\nfrom tacshade_edge.cli.entry import entry; from tacshade_edge.devices import files\n"
-        "files.FilesSource.read = lambda self: print('hangs', flush=True) or blur()\nentry()"
+        f"{IN_A_LIBRARY}\nfrom tacshade_edge.cli.entry import entry\n"
+        "from tacshade_edge.devices.files import image_source\n"
+        "image_source.FilesSource.read = lambda self: print('hangs', flush=True) or blur()\nentry()"
     )
     command = [sys.executable, "-c", code, "run", "--config", str(settings)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:

@@ -11,12 +11,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from half_family import half_family
-from painted_sensor import HEIGHT, TOUCHED, WIDTH, painted_calibration
-from patience import patience
+from support.half_family import half_family
+from support.painted_sensor import HEIGHT, TOUCHED, WIDTH, painted_calibration
+from support.patience import patience
 
 from tacshade_edge.cli import evaluate, main, study
-from tacshade_edge.devices import calibration_file
+from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.studies.evaluate.score import Row
 
 SMALL = ["evaluate", "--objects", "ball", "--presses", "0", "--references", "1"]

@@ -9,12 +9,12 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from calibrated_sensor import calibrated, pressed, reconstructor, unloaded
-from patience import patience
+from support.calibrated_sensor import calibrated, pressed, reconstructor, unloaded
+from support.patience import patience
 
 from tacshade_edge.cli import main
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.devices import calibration_file
+from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.types import U8
 
 

@@ -14,15 +14,15 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
-from painted_sensor import FREE, TOUCHED, painted_calibration
-from patience import patience, wait_until
+from support.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
+from support.painted_sensor import FREE, TOUCHED, painted_calibration
+from support.patience import patience, wait_until
 
 from tacshade_edge.cli import main
-from tacshade_edge.devices import calibration_file
-from tacshade_edge.devices.frame_table import HEADER, read_table
-from tacshade_edge.devices.recording import Recording
-from tacshade_edge.devices.run_files import HEIGHTS, payloads
+from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.devices.files.frame_table import HEADER, read_table
+from tacshade_edge.devices.files.recording import Recording
+from tacshade_edge.devices.files.run_files import HEIGHTS, payloads
 from tacshade_edge.protocol import wire
 from tacshade_edge.settings import load
 

@@ -11,13 +11,13 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from painted_sensor import BLACK, FREE, TOUCHED, painted_calibration, touched_depth_mm
-from patience import patience, wait_until
-from recordings import write_recording
+from support.painted_sensor import BLACK, FREE, TOUCHED, painted_calibration, touched_depth_mm
+from support.patience import patience, wait_until
+from support.recordings import write_recording
 
 from tacshade_edge.cli import main
-from tacshade_edge.devices import calibration_file
-from tacshade_edge.devices.run_files import CLOUDS, HEIGHTS, SUMMARY, payloads
+from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.devices.files.run_files import CLOUDS, HEIGHTS, SUMMARY, payloads
 from tacshade_edge.protocol import wire
 
 COMMAND = [sys.executable, "-m", "tacshade_edge"]

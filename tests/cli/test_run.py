@@ -12,11 +12,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
-from painted_sensor import FREE, TOUCHED, painted_calibration, touched_depth_mm
-from patience import patience, stretched, wait_until
+from support.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
+from support.painted_sensor import FREE, TOUCHED, painted_calibration, touched_depth_mm
+from support.patience import patience, stretched, wait_until
 
-from tacshade_edge.devices import calibration_file
+from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.protocol import wire
 
 STOP_S = 2.0
@@ -135,13 +135,14 @@ def test_a_source_that_can_never_work_is_one_line_and_exit_78(folder: Path, star
 
 def test_a_defect_in_a_thread_ends_the_process_with_a_traceback(folder: Path) -> None:
     code = (
-        "from tacshade_edge import cli; from tacshade_edge.devices import files\n"
+        "from tacshade_edge.cli.entry import entry; from tacshade_edge.devices.files import image_source\n"
         "def read(self): raise ZeroDivisionError('a defect')\n"
-        "files.FilesSource.read = read\n"
-        f"raise SystemExit(cli.main(['run', '--config', {str(settings(folder, free_port()))!r}]))"
+        "image_source.FilesSource.read = read\n"
+        "entry()"
     )
+    words = ["run", "--config", str(settings(folder, free_port()))]
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=patience(20), check=False
+        [sys.executable, "-c", code, *words], capture_output=True, text=True, timeout=patience(20), check=False
     )
     assert done.returncode == 1
     assert "Traceback" in done.stderr

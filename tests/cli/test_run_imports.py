@@ -8,10 +8,10 @@ import sys
 from pathlib import Path
 
 import cv2
-from mqtt_rig import free_port
-from painted_sensor import FREE, TOUCHED, painted_calibration
+from support.mqtt_rig import free_port
+from support.painted_sensor import FREE, TOUCHED, painted_calibration
 
-from tacshade_edge.devices import calibration_file
+from tacshade_edge.devices.files import calibration_file
 
 # Runs the command to the end of its recording, then tells what was imported.
 RUN = """
@@ -22,9 +22,10 @@ print(json.dumps([cli.main(sys.argv[1:]), *sys.modules]))
 OTHERS = {"scipy", "matplotlib", "skimage", "PIL", "serial", "websockets", "iotcore", "sklearn", "torch"}
 # Other commands; what waits for a reference to be taken, for a camera, for a simulated source; what needs poses.
 COMMANDS, ON_DEMAND, POSES = (
-    "simulator studies dashboard doctor daemon.replay",
-    "core.calibrate devices.v4l2 devices.simulated",
-    "core.stitch core.touch daemon.stitching daemon.stitch_sessions daemon.map_publisher devices.stitch_file",
+    "simulator studies dashboard doctor daemon.recording.replay",
+    "core.calibration.calibrate devices.camera.v4l2 devices.camera.simulated",
+    "core.stitching.stitcher core.stitching.press_points daemon.stitching.stitching daemon.stitching.stitch_sessions "
+    "daemon.publishing.map_publisher devices.files.stitch_file",
 )
 OWN = {f"tacshade_edge.{part}" for part in [*COMMANDS.split(), *ON_DEMAND.split()]}
 STITCHING = {f"tacshade_edge.{part}" for part in POSES.split()}
@@ -51,7 +52,7 @@ def test_imports_follow_the_settings(tmp_path: Path) -> None:
     assert "onnxruntime" in network
     assert "onnxruntime" not in paper
     for modules in (network, paper):
-        assert "tacshade_edge.devices.files" in modules
+        assert "tacshade_edge.devices.files.image_source" in modules
         assert not modules & (OTHERS | OWN | STITCHING)
     (tmp_path / "images" / "frames.csv").write_text("image,t_ns,x_mm,y_mm,z_mm,qw,qx,qy,qz\n0.png,0,0,0,0,1,0,0,0\n")
     posed = imported(tmp_path, "fast")

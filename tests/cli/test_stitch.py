@@ -8,10 +8,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from calibrated_sensor import HALF, calibrated, unloaded
+from support.calibrated_sensor import HALF, calibrated, unloaded
 
 from tacshade_edge.cli import main, simulate_pad
-from tacshade_edge.devices import calibration_file
+from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.rigid import from_seven
 from tacshade_edge.simulator.pad import Bar, Pad
 
@@ -186,7 +186,7 @@ def test_a_bad_table_is_told(
 def test_presses_too_far_apart_are_told(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tacshade_edge.core.touch_map.MAX_TILES", 2)
+    monkeypatch.setattr("tacshade_edge.core.stitching.surface_map.MAX_TILES", 2)
     assert main(words(folder, tmp_path / "out")) == 78
     error = capsys.readouterr().err
     assert "POSES.csv:" in error

@@ -6,11 +6,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from painted_sensor import FREE, HEIGHT, TOUCHED, WIDTH, painted_calibration
-from trade_points import point
+from support.painted_sensor import FREE, HEIGHT, TOUCHED, WIDTH, painted_calibration
+from support.trade_points import point
 
 from tacshade_edge.cli import main, tradeoff
-from tacshade_edge.devices import calibration_file
+from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.studies.tradeoff.budget import settings_block
 
 

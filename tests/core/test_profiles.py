@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import pytest
 
+from tacshade_edge.core.depth import SOLVERS
 from tacshade_edge.core.profiles import LEARNED, PROFILES
-from tacshade_edge.core.solvers import SOLVERS
 
 
 @pytest.mark.parametrize("name", PROFILES)

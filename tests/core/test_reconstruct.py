@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from calibrated_sensor import (
+from support.calibrated_sensor import (
     FULL,
     HALF,
     TACTIP,
@@ -19,12 +19,12 @@ from calibrated_sensor import (
     unloaded,
 )
 
-from tacshade_edge.core import discmap
-from tacshade_edge.core.calibrate import calibrate
+from tacshade_edge.core.calibration.calibrate import calibrate
+from tacshade_edge.core.depth.learned import HEIGHT_SCALE, Network, fold
+from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import STAGES, Reconstructor
-from tacshade_edge.core.solvers.learned import HEIGHT_SCALE, Network, fold
-from tacshade_edge.devices.network import make_reconstructor
+from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.objects import OBJECTS
@@ -262,8 +262,8 @@ def test_odd_sizes_work(rows: int, cols: int) -> None:
     result = step("balanced", pressed("ball", 3.0, model).image, model, 0)
     assert result.contact
     grid = result.height
-    assert grid.height_mm.shape == (discmap.CELLS, discmap.CELLS)
-    reach = (discmap.CELLS - 1) / 2 * grid.step_px  # its middle is the disc's
+    assert grid.height_mm.shape == (disc_map.CELLS, disc_map.CELLS)
+    reach = (disc_map.CELLS - 1) / 2 * grid.step_px  # its middle is the disc's
     assert (grid.row0 + reach, grid.col0 + reach) == pytest.approx((model.row_c, model.col_c), abs=1.0)
     assert np.hypot(*result.objects[0].centroid_mm[:2]) < 1.5
 
@@ -273,7 +273,7 @@ def test_what_the_image_cuts_off_the_disc_is_outside() -> None:
     result = step("balanced", pressed("ball", 3.0, model).image, model, 0)
     grid = result.height
     assert result.contact
-    beyond = grid.row0 + grid.step_px * np.arange(discmap.CELLS) < -0.5
+    beyond = grid.row0 + grid.step_px * np.arange(disc_map.CELLS) < -0.5
     assert 8 < beyond.sum() < 20
     assert np.isnan(grid.height_mm[beyond]).all()
     assert np.isfinite(grid.height_mm[np.argmin(beyond)]).any()
@@ -294,7 +294,7 @@ def test_an_orthographic_sensor_works() -> None:
 )
 def test_what_a_network_says_beyond_its_range_is_told(depth_mm: float, told_mm: float, saturated: bool) -> None:
     unit_mm = HALF.skin_radius_mm * np.sin(np.radians(HALF.visible_half_angle_deg)) / HEIGHT_SCALE
-    row, col = np.mgrid[: discmap.CELLS, : discmap.CELLS] - (discmap.CELLS - 1) / 2
+    row, col = np.mgrid[: disc_map.CELLS, : disc_map.CELLS] - (disc_map.CELLS - 1) / 2
     pressed_cells = np.hypot(row, col) < 20
     height = np.where(pressed_cells, depth_mm / unit_mm, -0.01).astype(np.float32)
     height[0, 0], height[60, 90] = np.nan, np.inf

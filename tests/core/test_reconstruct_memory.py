@@ -6,7 +6,7 @@ import gc
 import tracemalloc
 
 import pytest
-from calibrated_sensor import FULL, pressed, reconstructor, unloaded
+from support.calibrated_sensor import FULL, pressed, reconstructor, unloaded
 
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.types import Frame, Reconstruction

@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 
 import pytest
-from painted_sensor import BLACK, FREE, TOUCHED, painted_calibration
-from patience import wait_until
+from support.painted_sensor import BLACK, FREE, TOUCHED, painted_calibration
+from support.patience import wait_until
 
 from tacshade_edge.errors import TacshadeError
 from tacshade_edge.types import U8, Calibration, Frame

@@ -15,15 +15,15 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
-from painted_sensor import touched_depth_mm
-from patience import patience, stretched, wait_until
+from support.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
+from support.painted_sensor import touched_depth_mm
+from support.patience import patience, stretched, wait_until
 
 from tacshade_edge.core.profiles import DEFAULT, LADDER, PROFILES
-from tacshade_edge.daemon import profile_chooser
 from tacshade_edge.daemon.app import App
-from tacshade_edge.devices import calibration_file
-from tacshade_edge.devices.frame_table import read_table
+from tacshade_edge.daemon.profiles import profile_chooser
+from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.devices.files.frame_table import read_table
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
 from tacshade_edge.protocol import wire
 from tacshade_edge.settings import Document, load

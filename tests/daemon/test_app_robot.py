@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from mqtt_rig import MOSQUITTO, Broker, Subscriber
-from patience import patience, wait_until
 from robot import PtyRobot, motion
+from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from support.patience import patience, wait_until
 
 from tacshade_edge.daemon.app import App
-from tacshade_edge.devices.frame_table import read_table
+from tacshade_edge.devices.files.frame_table import read_table
 from tacshade_edge.protocol import wire
 from tacshade_edge.settings import load
 from tacshade_edge.types import Calibration

@@ -13,14 +13,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from calibrated_sensor import HALF, calibrated, simulated, unloaded
-from mqtt_rig import MOSQUITTO, Broker, Subscriber
-from patience import patience, wait_until
 from robot import PtyRobot
+from support.calibrated_sensor import HALF, calibrated, simulated, unloaded
+from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from support.patience import patience, wait_until
 
 from tacshade_edge.cli import main
 from tacshade_edge.daemon.app import App
-from tacshade_edge.devices.stitch_file import StitchFile
+from tacshade_edge.devices.files.stitch_file import StitchFile
 from tacshade_edge.protocol import wire
 from tacshade_edge.protocol.serial_line import PoseValues
 from tacshade_edge.settings import load

@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from calibrated_sensor import FULL, calibrated
-from mqtt_rig import MOSQUITTO, Broker, Subscriber
-from patience import patience, promised, stretched, wait_until
+from support.calibrated_sensor import FULL, calibrated
+from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from support.patience import patience, promised, stretched, wait_until
 
-from tacshade_edge.devices import calibration_file
+from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.protocol import wire
 
 BASE = "tacshade/tacshade"

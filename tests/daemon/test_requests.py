@@ -7,13 +7,13 @@ import pytest
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.daemon import requests
-from tacshade_edge.daemon.active_profile import ActiveProfile
-from tacshade_edge.daemon.ledger import FrameLedger, Timings
-from tacshade_edge.daemon.mailbox import Mailbox
+from tacshade_edge.daemon.pipeline.ledger import FrameLedger, Timings
+from tacshade_edge.daemon.pipeline.mailbox import Mailbox
+from tacshade_edge.daemon.pipeline.workers import Reconstruct
+from tacshade_edge.daemon.profiles.active_profile import ActiveProfile
 from tacshade_edge.daemon.reference import REFERENCE_FRAMES
 from tacshade_edge.daemon.requests import Requests
-from tacshade_edge.daemon.workers import Reconstruct
-from tacshade_edge.devices.network import make_reconstructor
+from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.protocol.messages import Request
 from tacshade_edge.types import Calibration, Frame
 

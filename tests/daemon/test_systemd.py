@@ -11,18 +11,18 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from mqtt_rig import free_port
-from painted_sensor import painted_calibration
-from patience import patience
+from support.mqtt_rig import free_port
+from support.painted_sensor import painted_calibration
+from support.patience import patience
 
 from tacshade_edge.daemon import app as app_module
 from tacshade_edge.daemon import systemd
 from tacshade_edge.daemon.app import App
-from tacshade_edge.daemon.ledger import FrameLedger, Timings
-from tacshade_edge.daemon.mailbox import Mailbox
+from tacshade_edge.daemon.pipeline.ledger import FrameLedger, Timings
+from tacshade_edge.daemon.pipeline.mailbox import Mailbox
+from tacshade_edge.daemon.pipeline.workers import Grab, Reconstruct
 from tacshade_edge.daemon.systemd import Progress, Service
-from tacshade_edge.daemon.workers import Grab, Reconstruct
-from tacshade_edge.devices import calibration_file
+from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.errors import DecodeError, DeviceError
 from tacshade_edge.settings import load
 from tacshade_edge.types import Calibration, Frame

@@ -21,19 +21,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import CHROMIUM, DRIVER, browser, errors
-from dashboard_process import dashboard
-from growing_map import PAD, GrowingMap, scan
-from mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
-from patience import patience, wait_until
-from published_hand import COLS, DISC, PublishedHand, bump
 from selenium.webdriver import ActionChains, Chrome
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.select import Select
+from support.browser import CHROMIUM, DRIVER, browser, errors
+from support.dashboard_process import dashboard
+from support.growing_map import PAD, GrowingMap, scan
+from support.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
+from support.patience import patience, wait_until
+from support.published_hand import COLS, DISC, PublishedHand, bump
 
 from tacshade_edge.cli.demo_sensor import make_calibration
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
-from tacshade_edge.devices import calibration_file
+from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.protocol import messages, wire
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.simulator.script import demonstration

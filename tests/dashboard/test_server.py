@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from dashboard_process import dashboard
-from mqtt_rig import MOSQUITTO, Broker
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion
-from patience import wait_until
+from support.dashboard_process import dashboard
+from support.mqtt_rig import MOSQUITTO, Broker
+from support.patience import wait_until
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 

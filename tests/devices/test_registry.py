@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from tacshade_edge.devices.files import FilesSource
+from tacshade_edge.devices.camera.simulated import SimulatedSource
+from tacshade_edge.devices.camera.v4l2 import V4l2Source
+from tacshade_edge.devices.files.image_source import FilesSource
 from tacshade_edge.devices.registry import SOURCES, make_source
-from tacshade_edge.devices.simulated import SimulatedSource
-from tacshade_edge.devices.v4l2 import V4l2Source
 from tacshade_edge.settings import Files, Settings, Simulated, Source, V4l2
 
 

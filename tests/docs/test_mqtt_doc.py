@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from patience import patience
+from support.patience import patience
 
-from tacshade_edge.core.touch_map import Raster
-from tacshade_edge.daemon.map_publisher import MapPublisher
-from tacshade_edge.daemon.stitching import MapRevision
+from tacshade_edge.core.stitching.surface_map import Raster
+from tacshade_edge.daemon.publishing.map_publisher import MapPublisher
+from tacshade_edge.daemon.stitching.stitching import MapRevision
 from tacshade_edge.protocol import wire
 from tacshade_edge.types import HeightMap, ObjectCloud, Pose, Reconstruction
 

@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from patience import patience
+from support.patience import patience
 
-from tacshade_edge.daemon.robot import Robot
-from tacshade_edge.devices.serial_port import SerialPort
+from tacshade_edge.daemon.robot.robot import Robot
+from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.protocol.serial_link import USAGE, LinkCounts, SerialLink
 
 ROOT = Path(__file__).parents[2]

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
-from patience import wait_until
+from support.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
+from support.patience import wait_until
 
 from tacshade_edge.doctor.broker import Heard, check_broker, judge_daemon, judge_round_trip
 from tacshade_edge.doctor.finding import Finding, ok

@@ -6,10 +6,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from calibrated_sensor import HALF, calibrated, pressed, unloaded
-from painted_sensor import painted_calibration
+from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
+from support.painted_sensor import painted_calibration
 
-from tacshade_edge.devices import calibration_file
+from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.doctor.calibration import check_images, load
 from tacshade_edge.doctor.finding import Finding
 from tacshade_edge.settings import load as load_settings

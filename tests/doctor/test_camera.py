@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from painted_sensor import BLACK, FREE
+from support.painted_sensor import BLACK, FREE
 
 from tacshade_edge.doctor.camera import check_frames, check_other_source, check_picture
 from tacshade_edge.doctor.capture import Captured

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import cv2
 import pytest
-from painted_sensor import FREE
+from support.painted_sensor import FREE
 
-from tacshade_edge.devices.files import FilesSource
+from tacshade_edge.devices.files.image_source import FilesSource
 from tacshade_edge.doctor.capture import FRAMES, Captured, capture
 
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import threading
 import time
 
-from patience import patience
+from support.patience import patience
 
 from tacshade_edge.doctor.limits import outcome, start
 

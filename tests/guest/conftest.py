@@ -23,11 +23,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from patience import patience
+from support.patience import patience
 
 TREE = Path(__file__).resolve().parents[2]
 GUEST = TREE / "tools/rig/guest.py"
-HANDED_IN = TREE / "tests/support/handed_in.py"
 SILENT_S = 30.0
 """A guest gives a sign of life each second."""
 TEST_S = 20.0
@@ -151,7 +150,8 @@ def _start(session: pytest.Session) -> dict[str, Future[_Reports]]:
     kinds: dict[str, list[pytest.Item]] = {}
     for item in filter(_is_ours, session.items):
         kinds.setdefault(_kind(item), []).append(item)
-    made = subprocess.run([sys.executable, str(HANDED_IN)], stdout=subprocess.DEVNULL, check=False)
+    command = [sys.executable, "-m", "support.handed_in"]
+    made = subprocess.run(command, cwd=TREE / "tests", stdout=subprocess.DEVNULL, check=False)
     assert made.returncode == 0, "what the guests are handed could not be made"
     pool = ThreadPoolExecutor(len(kinds))
     boots = {kind: pool.submit(_run, kind, items) for kind, items in kinds.items()}

@@ -13,10 +13,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from patience import stretched, wait_until
-from vivid import NODE, WEBCAM, control, load_driver, unload_driver
+from support.patience import stretched, wait_until
+from support.vivid import NODE, WEBCAM, control, load_driver, unload_driver
 
-from tacshade_edge.devices.v4l2 import V4l2Source
+from tacshade_edge.devices.camera.v4l2 import V4l2Source
 from tacshade_edge.errors import ConfigError, DeviceError
 
 TRACING = Path("/sys/kernel/tracing")

@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from handed_in import PAINTED, facts
-from mqtt_rig import Broker, Subscriber
-from patience import patience, stretched, wait_until
-from vivid import NODE, WEBCAM, control, load_driver, unload_driver
+from support.handed_in import PAINTED, facts
+from support.mqtt_rig import Broker, Subscriber
+from support.patience import patience, stretched, wait_until
+from support.vivid import NODE, WEBCAM, control, load_driver, unload_driver
 
 from tacshade_edge.protocol import wire
 

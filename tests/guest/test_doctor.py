@@ -10,9 +10,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from handed_in import PAINTED
-from patience import patience, wait_until
-from vivid import NODE, WEBCAM, control, load_driver, unload_driver
+from support.handed_in import PAINTED
+from support.patience import patience, wait_until
+from support.vivid import NODE, WEBCAM, control, load_driver, unload_driver
 
 from tacshade_edge.devices import registry
 from tacshade_edge.doctor.camera import check_device, check_frames, list_cameras

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from handed_in import PRESSED
+from support.handed_in import PRESSED
 
-from tacshade_edge.devices.v4l2 import V4l2Source
+from tacshade_edge.devices.camera.v4l2 import V4l2Source
 
 FEEDER = Path(__file__).resolve().parents[2] / "tools/rig/feed_video.py"
 PICTURES = 8

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from handed_in import IMAGES_A_PRESS, PRESSED, facts
-from mqtt_rig import Broker, Subscriber
-from patience import patience, slowness, wait_until
-from vivid import NODE, unload_driver
+from support.handed_in import IMAGES_A_PRESS, PRESSED, facts
+from support.mqtt_rig import Broker, Subscriber
+from support.patience import patience, slowness, wait_until
+from support.vivid import NODE, unload_driver
 
 from tacshade_edge.protocol import wire
 

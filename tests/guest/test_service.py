@@ -19,11 +19,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from booted_service import CONFIG, UNIT, fresh, journal, process, sh, show, streaming, until
-from handed_in import PAINTED
-from mqtt_rig import Subscriber
-from patience import patience, stretched, wait_until
-from vivid import NODE, control, unload_driver
+from support.booted_service import CONFIG, UNIT, fresh, journal, process, sh, show, streaming, until
+from support.handed_in import PAINTED
+from support.mqtt_rig import Subscriber
+from support.patience import patience, stretched, wait_until
+from support.vivid import NODE, control, unload_driver
 
 pytestmark = [pytest.mark.systemd, pytest.mark.slow]
 

@@ -15,7 +15,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from booted_service import CONFIG, UNIT, fresh, frozen, journal, process, sh, show, streaming, threads, until
+from support.booted_service import CONFIG, UNIT, fresh, frozen, journal, process, sh, show, streaming, threads, until
 
 GOOD = "source: {kind: simulated}\n"
 WATCHDOG_S = 10.0

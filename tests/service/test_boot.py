@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from calibrated_sensor import FULL, calibrated
-from patience import stretched
+from support.calibrated_sensor import FULL, calibrated
+from support.patience import stretched
 
 from tacshade_edge.daemon import systemd
-from tacshade_edge.devices import calibration_file
+from tacshade_edge.devices.files import calibration_file
 
 CHECKOUT = Path(__file__).parents[2]
 WATCHDOG_S, STOP_S, MEMORY_MAX_MB = 10.0, 2.0, 150
@@ -57,8 +57,9 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     calibration_file.save(folder / "calibration.npz", calibrated(FULL))
     copy_checkout(folder / "checkout")
     fill(folder / "wheels")
-    for script in ("service/scenario.py", "support/booted_service.py", "support/patience.py"):
-        shutil.copy(CHECKOUT / "tests" / script, folder)
+    (folder / "support").mkdir()
+    for script in ("service/scenario.py", "support/__init__.py", "support/booted_service.py", "support/patience.py"):
+        shutil.copy(CHECKOUT / "tests" / script, folder / script.removeprefix("service/"))
     python = f"python{sys.version_info[0]}.{sys.version_info[1]}"
     (folder / "scenario").write_text(f"#!/bin/bash\nexec /opt/python/bin/{python} /payload/scenario.py {python}\n")
     (folder / "scenario").chmod(0o755)
@@ -151,7 +152,9 @@ def test_the_watchdog_kills_a_process_whose_reconstruction_hangs(seen: dict[str,
     hangs = seen["hangs"]
     assert hangs["without"]["StatusText"] == "streaming, 0.0 frames/s"
     assert "Watchdog timeout" in hangs["journal"]
-    assert "daemon/workers.py" in hangs["journal"].split("Watchdog timeout")[-1], "it logs where each thread was"
+    assert "daemon/pipeline/workers.py" in hangs["journal"].split("Watchdog timeout")[-1], (
+        "it logs where each thread was"
+    )
     assert streams(hangs["after"])
     assert int(hangs["after"]["NRestarts"]) == int(hangs["before"]["NRestarts"]) + 1
     assert hangs["seconds"] < WATCHDOG_S + stretched(20)

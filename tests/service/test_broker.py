@@ -14,13 +14,13 @@ from pathlib import Path
 
 import cv2
 import pytest
-from mqtt_rig import MOSQUITTO, free_port
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
-from painted_sensor import TOUCHED, painted_calibration
-from patience import patience, wait_until
+from support.mqtt_rig import MOSQUITTO, free_port
+from support.painted_sensor import TOUCHED, painted_calibration
+from support.patience import patience, wait_until
 
-from tacshade_edge.devices import calibration_file
+from tacshade_edge.devices.files import calibration_file
 
 FILES = Path(__file__).parents[2] / "systemd"
 SENSOR, OTHER, DASHBOARD = "hand", "foot", "dashboard"

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from mqtt_rig import MOSQUITTO
+from support.mqtt_rig import MOSQUITTO
 
 BENCH = Path(__file__).parents[2] / "tools/bench_memory.py"
 FRAMES, FPS = 10_000, 150  # as fast as a busy machine of two cores reads them; what comes too fast is superseded

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tacshade_edge.core.greyscale import to_grey
+from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.simulator.objects import ball
 from tacshade_edge.simulator.other_family import OtherSensor, other_model, two_scale_skin
 from tacshade_edge.simulator.press import Press

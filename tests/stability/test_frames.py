@@ -8,15 +8,15 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from built_sensor import built_calibration, marked
-from extreme_images import EXTREME_IMAGES, Maker, makers
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from soundness import everything, sound_step
+from support.built_sensor import built_calibration, marked
+from support.extreme_images import EXTREME_IMAGES, Maker, makers
+from support.soundness import everything, sound_step
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.devices.network import make_reconstructor
+from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.types import U8, Binarisation, Calibration, Disc, Frame, Polarity
 
 

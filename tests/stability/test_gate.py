@@ -6,17 +6,17 @@ from functools import cache
 
 import numpy as np
 import pytest
-from built_sensor import built_calibration, marked
-from calibrated_sensor import FULL, HALF, TACTIP, calibrated, pressed, simulated
-from extreme_images import constant, ramp
-from soundness import sound_step
+from support.built_sensor import built_calibration, marked
+from support.calibrated_sensor import FULL, HALF, TACTIP, calibrated, pressed, simulated
+from support.extreme_images import constant, ramp
+from support.soundness import sound_step
 
-from tacshade_edge.core.greyscale import to_grey
-from tacshade_edge.core.halving import can_be_halved, halved_calibration, halved_image
-from tacshade_edge.core.preprocess import Preprocessor
+from tacshade_edge.core.image.greyscale import to_grey
+from tacshade_edge.core.image.halving import can_be_halved, halved_calibration, halved_image
+from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.devices.network import make_reconstructor
+from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.types import U8

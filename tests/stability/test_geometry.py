@@ -6,16 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from built_sensor import built_calibration, marked
-from extreme_images import EXTREME_IMAGES, noise
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from soundness import sound_step
+from support.built_sensor import built_calibration, marked
+from support.extreme_images import EXTREME_IMAGES, noise
+from support.soundness import sound_step
 
+from tacshade_edge.core.depth.learned import DEEPEST_RADII
 from tacshade_edge.core.profiles import LEARNED, PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.core.solvers.learned import DEEPEST_RADII
-from tacshade_edge.devices.network import make_reconstructor
+from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.types import U8, Calibration, Disc, Geometry
 
 ROWS, COLS, PITCH_PX = 96, 128, 8.0

@@ -7,14 +7,14 @@ from functools import cache
 import cv2
 import numpy as np
 import pytest
-from extreme_images import EXTREME_IMAGES
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from support.extreme_images import EXTREME_IMAGES
 
+from tacshade_edge.core.depth.learned import Inverse, LearnedInverse, Network
 from tacshade_edge.core.profiles import LEARNED, PROFILES
-from tacshade_edge.core.solvers.learned import Inverse, LearnedInverse, Network
-from tacshade_edge.devices.network import WEIGHTS, load_network
+from tacshade_edge.devices.weights.network import WEIGHTS, load_network
 from tacshade_edge.types import F32, Disc, Geometry
 
 NAMES = [name for name, profile in PROFILES.items() if profile.solver == LEARNED]

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from extreme_maps import EXTREME_MAPS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from support.extreme_maps import EXTREME_MAPS
 
-from tacshade_edge.core.clusters import BINS, find_objects, two_means_split
-from tacshade_edge.core.disc import Grid, disc_rays
+from tacshade_edge.core.contact.objects import BINS, find_objects, two_means_split
+from tacshade_edge.core.geometry.disc import Grid, disc_rays
 from tacshade_edge.types import F32, Disc, Geometry
 
 finite = st.floats(allow_nan=False, allow_infinity=False, width=32)

@@ -7,12 +7,12 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 import pytest
-from calibrated_sensor import HALF, calibrated, pressed, unloaded
+from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
 
-from tacshade_edge.core.greyscale import shape_grey
-from tacshade_edge.core.preprocess import Preprocessor
+from tacshade_edge.core.depth import GreyMaps, hybrid_sfs
+from tacshade_edge.core.image.greyscale import shape_grey
+from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.solvers import GreyMaps, paper
 from tacshade_edge.types import F64, Bool
 
 pytestmark = pytest.mark.slow
@@ -35,8 +35,8 @@ def press() -> tuple[F64, Bool]:
 @cache
 def after(iterations: int) -> F64:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(paper, "ITERATIONS", iterations)
-        return paper.hybrid_sfs(press()[0])[0]
+        patch.setattr(hybrid_sfs, "ITERATIONS", iterations)
+        return hybrid_sfs.hybrid_sfs(press()[0])[0]
 
 
 def backward(z: npt.NDArray[np.inexact], axis: int) -> npt.NDArray[np.inexact]:
@@ -81,7 +81,7 @@ def test_newtons_method_itself_ends_in_nothing_finite() -> None:
     """Eq. 11 without the epsilon that the published code adds."""
     image, z = press()[0], np.zeros_like(press()[0])
     with np.errstate(all="ignore"):
-        for _ in range(paper.ITERATIONS):
+        for _ in range(hybrid_sfs.ITERATIONS):
             p, q = backward(z, 1), backward(z, 0)
             norm2 = 1 + p * p + q * q
             z = z - (image - 1 / np.sqrt(norm2)) / ((p + q) / norm2**1.5)
@@ -95,7 +95,7 @@ def test_the_regularised_method_never_moves_from_a_flat_start(name: str) -> None
     """Tsai and Shah's gain S f' / (W + S f'²) is 0 where f' is."""
     image = press()[0] if name == "press" else FLATS[name]
     z, gain_state = np.zeros_like(image), np.full_like(image, 0.01)
-    for _ in range(paper.ITERATIONS):
+    for _ in range(hybrid_sfs.ITERATIONS):
         p, q = backward(z, 1), backward(z, 0)
         norm2 = 1 + p * p + q * q
         slope = (p + q) / norm2**1.5
@@ -106,7 +106,7 @@ def test_the_regularised_method_never_moves_from_a_flat_start(name: str) -> None
 
 def test_the_published_iteration_ends_as_a_scaled_copy_of_the_grey_image() -> None:
     grey, inside = press()
-    smooth = paper._median3(grey)[inside]
+    smooth = hybrid_sfs._median3(grey)[inside]
     like = {n: float(np.corrcoef(after(n)[inside], smooth)[0, 1]) for n in (0, 1, 2, 5, 25, 100)}
     for n, r in like.items():
         print(f"figure: eq. 11, a press, {n} iterations: r = {r:.3f} with g_hn, |Z| up to {after(n)[inside].max():.1e}")
@@ -115,9 +115,9 @@ def test_the_published_iteration_ends_as_a_scaled_copy_of_the_grey_image() -> No
     assert max(abs(like[n]) for n in (1, 2, 5)) < 0.5  # before that, it is not even that
     # It does not converge: each iteration adds g / eps.
     assert after(100)[inside].max() > 3 * after(25)[inside].max()
-    per_grey = float(np.polyfit(smooth, after(25)[inside], 1)[0]) * paper.EPS
+    per_grey = float(np.polyfit(smooth, after(25)[inside], 1)[0]) * hybrid_sfs.EPS
     print(f"figure: eq. 11, a press, 25 iterations: |Z| is {per_grey:.1f} g / eps")
-    assert 15 < per_grey <= paper.ITERATIONS
+    assert 15 < per_grey <= hybrid_sfs.ITERATIONS
 
 
 def test_what_float32_rounds_away_moves_the_result_visibly() -> None:
@@ -125,7 +125,7 @@ def test_what_float32_rounds_away_moves_the_result_visibly() -> None:
     good = after(25)[inside] / after(25)[inside].max()
     rng = np.random.default_rng(1)
     for size in (1e-15, 1e-9, 6e-8, 1e-6):
-        other, _ = paper.hybrid_sfs(grey + size * rng.normal(size=grey.shape))
+        other, _ = hybrid_sfs.hybrid_sfs(grey + size * rng.normal(size=grey.shape))
         moved = np.abs(other[inside] / other[inside].max() - good)
         print(f"figure: eq. 11, a press, {size:.0e} of noise on g_hn: h moves by up to {moved.max():.1e} of α")
         if size >= 6e-8:
@@ -139,12 +139,12 @@ def test_complex64_does_not_hold_it() -> None:
     p, q = (np.fft.fft2(backward(image, axis)).astype(np.complex64) for axis in (1, 0))
     z = image
     with np.errstate(all="ignore"):
-        for n in range(paper.ITERATIONS + 1):
+        for n in range(hybrid_sfs.ITERATIONS + 1):
             norm2 = 1 + p * p + q * q
             root = np.sqrt(norm2)
             r = 1 / root
             f = image - np.where(r.real < 0, 0, r)
-            z = f if n == 0 else z - f / ((p + q) / (norm2 * root) + np.complex64(paper.EPS))
+            z = f if n == 0 else z - f / ((p + q) / (norm2 * root) + np.complex64(hybrid_sfs.EPS))
             p, q = backward(z, 1), backward(z, 0)
     assert z.dtype == np.complex64
     lost = float(np.mean(~np.isfinite(z)))
@@ -154,27 +154,27 @@ def test_complex64_does_not_hold_it() -> None:
 
 def test_a_pixel_can_lose_most_of_an_image() -> None:
     """Where p² + q² = -1 the complex start divides by 0, and the neighbours take it over."""
-    z, repaired = paper.hybrid_sfs(spike(5))
+    z, repaired = hybrid_sfs.hybrid_sfs(spike(5))
     print(f"figure: eq. 11, one bright pixel in 5x5: {100 * repaired / z.size:.0f} % of Z repaired")
     assert repaired > 0.5 * z.size
     assert np.isfinite(z).all()
-    assert paper.hybrid_sfs(spike(CELLS))[1] == 0
+    assert hybrid_sfs.hybrid_sfs(spike(CELLS))[1] == 0
 
 
 def test_one_nan_takes_the_whole_image_unless_it_is_replaced_first() -> None:
     grey = press()[0].copy()
     grey[100, 100] = np.nan
     with np.errstate(all="ignore"):
-        spread = float(np.mean(~np.isfinite(paper._iterate(grey.astype(np.complex128)))))
+        spread = float(np.mean(~np.isfinite(hybrid_sfs._iterate(grey.astype(np.complex128)))))
     print(f"figure: eq. 11, a NaN in a press that is not replaced: {100 * spread:.0f} % of Z is not finite")
     assert spread == 1.0
-    assert paper.hybrid_sfs(grey)[1] == 1
+    assert hybrid_sfs.hybrid_sfs(grey)[1] == 1
 
 
 def test_without_a_gate_noise_becomes_a_full_height_object() -> None:
     """Eq. 10's normalisation stretches whatever there is to 0 to 1."""
     seen = maps(touched=False)
-    height = paper.solve(seen, 3.0).height_mm
+    height = hybrid_sfs.solve(seen, 3.0).height_mm
     change, true_change = (float(np.abs(m.g_d[m.inside]).max()) for m in (seen, maps()))
     print(
         f"figure: no contact, g_d within {change:.1f} levels (a press: {true_change:.0f}): {height.max():.1f} mm of 3"

@@ -7,14 +7,14 @@ from functools import cache
 
 import numpy as np
 import pytest
-from built_sensor import built_calibration, marked
-from extreme_images import EXTREME_IMAGES, noise
-from soundness import sound_step
+from support.built_sensor import built_calibration, marked
+from support.extreme_images import EXTREME_IMAGES, noise
+from support.soundness import sound_step
 
-from tacshade_edge.core.calibrate import Sensor, calibrate
-from tacshade_edge.core.disc import disc_mask
+from tacshade_edge.core.calibration.calibrate import Sensor, calibrate
+from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.devices.network import make_reconstructor
+from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import U8, Calibration, Disc
 

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tacshade_edge.core import discmap
-from tacshade_edge.core.disc import DiscRays, disc_rays
-from tacshade_edge.core.skin import cell_area_mm2, skin_points
+from tacshade_edge.core.geometry import disc_map
+from tacshade_edge.core.geometry.back_projection import cell_area_mm2, skin_points
+from tacshade_edge.core.geometry.disc import DiscRays, disc_rays
 from tacshade_edge.types import F32, Disc, Geometry
 
 Precise = npt.NDArray[np.longdouble]
@@ -44,13 +44,13 @@ def precise_points(height: F32, rays: DiscRays, geometry: Geometry) -> tuple[Pre
 @pytest.mark.slow
 @pytest.mark.parametrize("distance_mm", DISTANCES_MM)
 def test_points_are_those_of_more_digits(distance_mm: float | None) -> None:
-    noise = np.random.default_rng(1).random((discmap.CELLS, discmap.CELLS))
+    noise = np.random.default_rng(1).random((disc_map.CELLS, disc_map.CELLS))
     worst = 0.0
     for radius_mm, half_angle_deg, part in product(
         (1.0, 20.0, 200.0), (5.0, 50.0, 85.0), (0.0, 0.3, 0.999999, 1.0, noise)
     ):
         geometry = geometry_of(radius_mm, distance_mm, half_angle_deg)
-        rays = disc_rays(discmap.map_grid(DISC), geometry)
+        rays = disc_rays(disc_map.map_grid(DISC), geometry)
         inside = rays.inside
         height = (radius_mm * part * np.ones_like(noise)).astype(np.float32)
         points = skin_points(height, rays, geometry)
@@ -81,7 +81,7 @@ def test_a_height_of_the_radius_is_the_rays_point_nearest_to_the_centre(
 ) -> None:
     geometry = geometry_of(radius_mm, distance_mm, half_angle_deg)
     part = (slice(40, 44), slice(50, 60))
-    rays = disc_rays(discmap.map_grid(DISC), geometry).part(part)
+    rays = disc_rays(disc_map.map_grid(DISC), geometry).part(part)
     points = skin_points(np.full((4, 10), radius_mm, np.float32), rays, geometry)
     assert np.isfinite(points).all()
     # Where the lens lies on the sphere's centre or near, its rays pass through it.

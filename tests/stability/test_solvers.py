@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from extreme_maps import BEYOND, EXTREME_MAPS, any_maps, shapes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from support.extreme_maps import BEYOND, EXTREME_MAPS, any_maps, shapes
 
-from tacshade_edge.core.greyscale import normalise, shape_grey
-from tacshade_edge.core.solvers import SOLVERS, Depth, GreyMaps, paper
+from tacshade_edge.core.depth import SOLVERS, Depth, GreyMaps, hybrid_sfs
+from tacshade_edge.core.image.greyscale import normalise, shape_grey
 from tacshade_edge.types import F32, F64, Bool
 
 ALPHA_MM = 3.0
@@ -86,12 +86,12 @@ def test_ten_thousand_iterations_of_the_paper_stay_finite(name: str, monkeypatch
     grey = normalise(EXTREME_MAPS[name](64, 64), np.ones((64, 64), bool)).astype(np.float64)
     tops = []
     for iterations in (25, 10_000):
-        monkeypatch.setattr(paper, "ITERATIONS", iterations)
-        z, repaired = paper.hybrid_sfs(grey)
+        monkeypatch.setattr(hybrid_sfs, "ITERATIONS", iterations)
+        z, repaired = hybrid_sfs.hybrid_sfs(grey)
         assert np.isfinite(z).all()
         assert repaired == 0
         # Where f' is 0, which is nearly everywhere, an iteration adds f / eps, and |f| is at most 1.
-        assert z.max() <= 1.01 * iterations / paper.EPS
+        assert z.max() <= 1.01 * iterations / hybrid_sfs.EPS
         tops.append(float(z.max()))
     print(
         f"figure: eq. 11 at 64x64, {name}: greatest |Z| {tops[0]:.1e} after 25 iterations, {tops[1]:.1e} after 10,000"

@@ -7,17 +7,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from extreme_maps import EXTREME_MAPS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from skimage.restoration import denoise_tv_chambolle
+from support.extreme_maps import EXTREME_MAPS
 
-from tacshade_edge.core import total_variation, total_variation_int16
-from tacshade_edge.core.greyscale import denoise_tv
+from tacshade_edge.core.image import total_variation, total_variation_int16
+from tacshade_edge.core.image.greyscale import denoise_tv
+from tacshade_edge.core.image.total_variation import chambolle
+from tacshade_edge.core.image.total_variation_int16 import chambolle_int16, fraction_bits
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.total_variation import chambolle
-from tacshade_edge.core.total_variation_int16 import chambolle_int16, fraction_bits
 from tacshade_edge.types import F32
 
 WEIGHTS = sorted({p.tv_weight for p in PROFILES.values() if p.tv_weight > 0} | {1e-3, 1.0, 100.0})

@@ -6,18 +6,18 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from built_sensor import built_calibration
-from extreme_images import EXTREME_IMAGES, checkerboard, makers
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.built_sensor import built_calibration
+from support.extreme_images import EXTREME_IMAGES, checkerboard, makers
 
-from tacshade_edge.core import discmap
-from tacshade_edge.core.binarise import binarise
-from tacshade_edge.core.disc import Grid, Window, disc_mask
-from tacshade_edge.core.greyscale import white_ratio
-from tacshade_edge.core.preprocess import Preprocessor
+from tacshade_edge.core.geometry import disc_map
+from tacshade_edge.core.geometry.disc import Grid, Window, disc_mask
+from tacshade_edge.core.image.binarise import binarise
+from tacshade_edge.core.image.greyscale import white_ratio
+from tacshade_edge.core.image.integral_image import Sums
+from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.sums import Sums
 from tacshade_edge.types import F64, U8, Binarisation, Disc
 
 ROWS, COLS = 96, 128
@@ -102,8 +102,8 @@ def test_the_largest_image_has_exact_means(level: int) -> None:
     disc = Disc(1535.5, 2047.5, 1535.0)
     rng = np.random.default_rng(1)
     values = rng.integers(0, level + 1, (3072, 4096), np.uint8)
-    found = discmap.disc_average(values, disc)
-    grid = discmap.map_grid(disc)
+    found = disc_map.disc_average(values, disc)
+    grid = disc_map.map_grid(disc)
     step = grid.step_px
     total = np.pad(values.astype(np.float64).cumsum(0).cumsum(1), ((1, 0), (1, 0)))
 

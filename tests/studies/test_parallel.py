@@ -5,7 +5,7 @@ import sys
 import time
 
 import pytest
-from patience import patience, wait_until
+from support.patience import patience, wait_until
 
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.studies.parallel import ordered_map, usable_cores

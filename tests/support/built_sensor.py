@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tacshade_edge.core.binarise import binarise
-from tacshade_edge.core.disc import Window, disc_mask
+from tacshade_edge.core.geometry.disc import Window, disc_mask
+from tacshade_edge.core.image.binarise import binarise
 from tacshade_edge.types import U8, Binarisation, Calibration, Disc, Geometry, Polarity
 
 DARK, BRIGHT = 30, 200

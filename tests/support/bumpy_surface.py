@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from tacshade_edge.core.touch import Touch
+from tacshade_edge.core.stitching.press_points import Touch
 from tacshade_edge.rigid import Rigid, from_seven, shift, turn
 from tacshade_edge.types import F64
 

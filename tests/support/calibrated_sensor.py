@@ -7,11 +7,11 @@ from functools import cache
 
 import numpy as np
 
-from tacshade_edge.core.calibrate import BallPress, Sensor, calibrate
+from tacshade_edge.core.calibration.calibrate import BallPress, Sensor, calibrate
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.devices.calibration_file import with_crc
-from tacshade_edge.devices.network import load_networks, make_reconstructor
+from tacshade_edge.devices.files.calibration_file import with_crc
+from tacshade_edge.devices.weights.network import load_networks, make_reconstructor
 from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.simulator.model import SensorModel, random_model, tactip
 from tacshade_edge.simulator.objects import OBJECTS

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from patience import patience
+from support.patience import patience
 
 
 @contextmanager

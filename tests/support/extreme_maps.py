@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from extreme_images import EXTREME_IMAGES
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from support.extreme_images import EXTREME_IMAGES
 from tacshade_edge.types import F32
 
 EXTREME_MAPS: dict[str, Callable[[int, int], F32]] = {

@@ -2,7 +2,7 @@
 
 After a change that is meant to move the figures::
 
-    PYTHONPATH=tests/support .venv/bin/python -m golden_replay
+    PYTHONPATH=tests .venv/bin/python -m support.golden_replay
 
 writes tests/golden/replay.json anew; look at its diff before committing it.
 """
@@ -14,11 +14,10 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from calibrated_sensor import HALF, calibrated, simulated
-from recordings import write_recording
-
+from support.calibrated_sensor import HALF, calibrated, simulated
+from support.recordings import write_recording
 from tacshade_edge.cli import main
-from tacshade_edge.devices import calibration_file
+from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.simulator.script import Script, demonstration
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "replay.json"

@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from tacshade_edge.core.touch_map import TouchMap
-from tacshade_edge.daemon.map_publisher import MapPublisher
-from tacshade_edge.daemon.stitching import MapRevision
+from tacshade_edge.core.stitching.surface_map import TouchMap
+from tacshade_edge.daemon.publishing.map_publisher import MapPublisher
+from tacshade_edge.daemon.stitching.stitching import MapRevision
 from tacshade_edge.simulator.pad import touchpad
 
 PAD = touchpad()

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
-from calibrated_sensor import HALF
 
+from support.calibrated_sensor import HALF
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.studies.evaluate.sensors import FAMILIES, SensorName
 

@@ -11,13 +11,13 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from painted_sensor import FREE, TOUCHED, enlarged, enlarged_calibration
 
+from support.painted_sensor import FREE, TOUCHED, enlarged, enlarged_calibration
 from tacshade_edge.cli import main
-from tacshade_edge.core.greyscale import to_grey
+from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
-from tacshade_edge.devices import calibration_file
-from tacshade_edge.devices.network import make_reconstructor
+from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedSensor

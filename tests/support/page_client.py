@@ -7,8 +7,8 @@ from types import TracebackType
 
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
-from patience import patience, wait_until
 
+from support.patience import patience, wait_until
 from tacshade_edge.protocol import wire
 from tacshade_edge.protocol.wire import HeightMessage
 

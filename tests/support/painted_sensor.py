@@ -7,10 +7,10 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from tacshade_edge.core.binarise import binarise
+from tacshade_edge.core.image.binarise import binarise
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
-from tacshade_edge.devices.calibration_file import with_crc
-from tacshade_edge.devices.network import make_reconstructor
+from tacshade_edge.devices.files.calibration_file import with_crc
+from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.types import U8, Calibration, Disc, Frame, Geometry
 
 HEIGHT, WIDTH, PITCH_PX = 120, 160, 8.0

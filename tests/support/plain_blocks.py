@@ -1,4 +1,4 @@
-"""Blocks of 8x8 px in float64, for the checks that `core.blocks` makes of rounded ones."""
+"""Blocks of 8x8 px in float64, for the checks that `core.frame_check.blocks` makes of rounded ones."""
 
 from __future__ import annotations
 

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import cv2
 import yaml
-from calibrated_sensor import HALF, presses, references
+
+from support.calibrated_sensor import HALF, presses, references
 
 
 def write_files(folder: Path) -> list[str]:

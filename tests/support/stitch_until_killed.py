@@ -5,9 +5,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from bumpy_surface import grid_poses, touched
-
-from tacshade_edge.devices.stitch_file import About, StitchFile
+from support.bumpy_surface import grid_poses, touched
+from tacshade_edge.devices.files.stitch_file import About, StitchFile
 
 
 def main(folder: Path) -> None:

@@ -28,7 +28,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.nn.utils.fusion import fuse_conv_bn_weights
 
-from tacshade_edge.core import discmap
+from tacshade_edge.core.geometry import disc_map
 
 OPSET = 13
 TOLERANCE = 1e-4
@@ -79,7 +79,7 @@ def main() -> None:
     args = parser.parse_args()
     net, state = trained(args.run)
     fold = net.fold
-    cells = int(state["arguments"].get("cells", discmap.CELLS))
+    cells = int(state["arguments"].get("cells", disc_map.CELLS))
     shape = (1, net.down[0][0].in_channels, cells // fold, cells // fold)
     x = torch.rand(shape, generator=torch.Generator().manual_seed(1))
     white, known = x[:, : fold**2], x[:, fold**2 :]

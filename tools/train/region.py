@@ -19,9 +19,9 @@ import torch
 from network import Net, trained
 from torch.nn import functional
 
+from tacshade_edge.core.depth.learned import HEIGHT_SCALE, Network
 from tacshade_edge.core.profiles import LEARNED, PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.core.solvers.learned import HEIGHT_SCALE, Network
 from tacshade_edge.studies.evaluate.scenes import scenes
 from tacshade_edge.studies.evaluate.sensors import SensorName, calibrated
 from tacshade_edge.studies.tables import markdown

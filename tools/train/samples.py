@@ -11,9 +11,11 @@ import numpy as np
 from shapes import random_shape
 from varied import pin_outline, varied_model, varied_print, with_skirt
 
-from tacshade_edge.core import discmap, greyscale, pattern
-from tacshade_edge.core.binarise import binarise
-from tacshade_edge.core.disc import disc_mask
+from tacshade_edge.core.calibration import pattern
+from tacshade_edge.core.geometry import disc_map
+from tacshade_edge.core.geometry.disc import disc_mask
+from tacshade_edge.core.image import greyscale
+from tacshade_edge.core.image.binarise import binarise
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.simulator import skin as skin_module
@@ -26,7 +28,7 @@ from tacshade_edge.simulator.truth import CONTACT_TOLERANCE_MM, skin_points
 from tacshade_edge.simulator.varied_print import PinProfile, VariedRenderer, lattice_print
 from tacshade_edge.types import F32, U8, Bool, Disc, Geometry
 
-N = discmap.CELLS
+N = disc_map.CELLS
 TACTIP_PART, SMALL_PART, ORTHOGRAPHIC_PART = 0.05, 0.15, 0.06
 UNLOADED_PART, NUISANCE_PART = 0.05, 0.5
 
@@ -214,12 +216,12 @@ def spoil(image: U8, disc: Disc, rng: np.random.Generator) -> U8:
 
 def white_map(image: U8, mask: U8, disc: Disc, pitch_px: float) -> F32:
     """Part of white in each cell, 0 to 1."""
-    return discmap.disc_average(binarise(greyscale.to_grey(image), mask, "adaptive", pitch_px), disc)
+    return disc_map.disc_average(binarise(greyscale.to_grey(image), mask, "adaptive", pitch_px), disc)
 
 
 def true_maps(skin: Skin, presses: Sequence[Press], geometry: Geometry, seen: Disc) -> tuple[F32, Bool]:
     """H in disc radii (mm over r sinθ) and contact at the middles of the cells of the disc that was `seen`."""
-    grid = discmap.map_grid(seen)
+    grid = disc_map.map_grid(seen)
     rows = np.repeat(grid.row0 + grid.step_px * np.arange(N), N)
     cols = np.tile(grid.col0 + grid.step_px * np.arange(N), N)
     disc = geometry.disc
@@ -274,7 +276,7 @@ def sensor_samples(seed: int, frames: int) -> Samples | None:
         contacts.append(contact)
     return Samples(
         reference=np.rint(255 * reference).astype(np.uint8),
-        known=discmap.geometry_maps(seen, pitch_px),
+        known=disc_map.geometry_maps(seen, pitch_px),
         frame=np.stack(maps),
         height=np.stack(heights),
         contact=np.stack(contacts),

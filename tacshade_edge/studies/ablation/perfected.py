@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tacshade_edge.core import discmap
-from tacshade_edge.core.solvers.learned import HEIGHT_SCALE, Network, fold, unfold
+from tacshade_edge.core.depth.learned import HEIGHT_SCALE, Network, fold, unfold
+from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.simulator.press import distance_mm
 from tacshade_edge.simulator.scene import SimulatedFrame
 from tacshade_edge.simulator.truth import CONTACT_TOLERANCE_MM, skin_points
@@ -56,7 +56,7 @@ def true_answer(frame: SimulatedFrame, seen: Geometry, cells: int) -> tuple[F32,
         h in tenths of the disc's radius, 0 outside the disc.
     contact : bool (cells, cells)
     """
-    grid = discmap.map_grid(seen.disc, cells)
+    grid = disc_map.map_grid(seen.disc, cells)
     axis = grid.step_px * np.arange(cells)
     rows = np.repeat(grid.row0 + axis, cells)
     cols = np.tile(grid.col0 + axis, cells)

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from tacshade_edge.core.disc import Grid, disc_rays
-from tacshade_edge.core.skin import skin_points
-from tacshade_edge.devices.images import SUFFIXES, read_image
+from tacshade_edge.core.geometry.back_projection import skin_points
+from tacshade_edge.core.geometry.disc import Grid, disc_rays
+from tacshade_edge.devices.files.images import SUFFIXES, read_image
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.studies.evaluate.score import KnownTruth, Label, Row, between_pixels, score
 from tacshade_edge.studies.evaluate.sensors import reconstructor

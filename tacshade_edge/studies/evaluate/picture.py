@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tacshade_edge.core.disc import disc_rays
-from tacshade_edge.core.greyscale import to_grey
-from tacshade_edge.core.metrics import CloudScore, score_cloud
-from tacshade_edge.core.preprocess import Preprocessor
+from tacshade_edge.core.depth import GreyMaps
+from tacshade_edge.core.geometry.back_projection import skin_points
+from tacshade_edge.core.geometry.disc import disc_rays
+from tacshade_edge.core.image.greyscale import to_grey
+from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.skin import skin_points
-from tacshade_edge.core.solvers import GreyMaps
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.truth import Truth
 from tacshade_edge.studies.evaluate.scenes import scenes
 from tacshade_edge.studies.evaluate.score import KnownTruth
 from tacshade_edge.studies.evaluate.sensors import SensorName, reconstructor
+from tacshade_edge.studies.metrics import CloudScore, score_cloud
 from tacshade_edge.types import F32, F64, U8, Calibration, Disc, Frame, Reconstruction
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tacshade_edge.core.metrics import contact_iou, score_cloud
 from tacshade_edge.simulator.truth import Truth
+from tacshade_edge.studies.metrics import contact_iou, score_cloud
 from tacshade_edge.types import F32, Bool, HeightMap, Reconstruction, freeze
 
 NOTHING = np.zeros((0, 3), dtype=np.float32)
@@ -108,7 +108,7 @@ class Row:
     true_depth_mm, found_depth_mm, depth_error_pct : float
         Greatest h, and how far it is off (NaN without true contact).
     me_mm, sd_pct, sd_sum_pct, backward_mm : float
-        Eqs. 13 and 14 (`core.metrics.CloudScore`); ME is the forward distance. NaN without true contact, and ME and
+        Eqs. 13 and 14 (`studies.metrics.CloudScore`); ME is the forward distance. NaN without true contact, and ME and
         backward NaN where a contact was missed.
     iou : float
     points, true_points, objects, repaired_px : int

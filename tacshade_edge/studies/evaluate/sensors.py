@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from tacshade_edge.core.calibrate import BallPress, Calibrated, Sensor, calibrate
+from tacshade_edge.core.calibration.calibrate import BallPress, Calibrated, Sensor, calibrate
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.devices.network import load_networks, make_reconstructor
+from tacshade_edge.devices.weights.network import load_networks, make_reconstructor
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.simulator.model import SensorModel, random_model

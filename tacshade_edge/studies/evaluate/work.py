@@ -8,7 +8,7 @@ from itertools import chain
 
 import numpy as np
 
-from tacshade_edge.core.calibrate import Calibrated
+from tacshade_edge.core.calibration.calibrate import Calibrated
 from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.studies.evaluate.scenes import DEPTHS_MM, NULL_FRAMES, null_images, scenes
 from tacshade_edge.studies.evaluate.score import NOTHING, KnownTruth, Label, Row, score

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from tacshade_edge.core.touch_map import Raster, TouchMap
+from tacshade_edge.core.stitching.surface_map import Raster, TouchMap
 from tacshade_edge.types import F64
 
 _BLOCK_MM = 100.0

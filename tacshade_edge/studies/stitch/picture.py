@@ -7,8 +7,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from tacshade_edge.core.touch_map import Raster
-from tacshade_edge.devices.whole_files import told, write_whole
+from tacshade_edge.core.stitching.surface_map import Raster
+from tacshade_edge.devices.files.whole_files import told, write_whole
 from tacshade_edge.studies.stitch.score import at_cells_of
 from tacshade_edge.types import F32, U8
 

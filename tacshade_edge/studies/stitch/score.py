@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from tacshade_edge.core.touch_map import Raster
+from tacshade_edge.core.stitching.surface_map import Raster
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import F32, F64, freeze
 

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from tacshade_edge.core.profiles import Profile
-from tacshade_edge.core.settled import Settled
-from tacshade_edge.core.stitch import Stitcher
-from tacshade_edge.core.touch import NOTHING, Touch, touch_points
-from tacshade_edge.devices.images import read_image
-from tacshade_edge.devices.network import make_reconstructor
-from tacshade_edge.devices.poses_table import PosedImage
-from tacshade_edge.devices.recording import Recording
+from tacshade_edge.core.stitching.press_points import NOTHING, Touch, touch_points
+from tacshade_edge.core.stitching.rest import Settled
+from tacshade_edge.core.stitching.stitcher import Stitcher
+from tacshade_edge.devices.files.images import read_image
+from tacshade_edge.devices.files.poses_table import PosedImage
+from tacshade_edge.devices.files.recording import Recording
+from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.rigid import Rigid, from_seven, of_pose
 from tacshade_edge.types import F64, Calibration, Frame

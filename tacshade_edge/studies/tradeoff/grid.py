@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from tacshade_edge.core.clusters import Region, bounding_box
+from tacshade_edge.core.contact.objects import Region, bounding_box
 from tacshade_edge.core.profiles import LEARNED, PROFILES, Profile
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.devices.network import load_network
+from tacshade_edge.devices.weights.network import load_network
 from tacshade_edge.types import Bool, Calibration
 
 WORDS: dict[str, Callable[[Any], str]] = {

@@ -2,11 +2,11 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from calibrated_sensor import HALF
-from half_family import HALF_SENSOR, half_family
+from support.calibrated_sensor import HALF
+from support.half_family import HALF_SENSOR, half_family
 
-from tacshade_edge.core import discmap
-from tacshade_edge.core.solvers.learned import HEIGHT_SCALE, Network, fold, unfold
+from tacshade_edge.core.depth.learned import HEIGHT_SCALE, Network, fold, unfold
+from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.simulator.objects import ball
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedSensor
@@ -50,11 +50,11 @@ def test_it_is_told_by_object_and_by_family(found: tuple[tuple[str, Row], ...]) 
 
 def test_the_true_answer_is_the_truth_at_the_cells() -> None:
     frame = SimulatedSensor(HALF).frame((Press(ball(6.0), 1.0, 2.0, 3.0),))
-    height, contact = true_answer(frame, HALF.geometry, discmap.CELLS)
+    height, contact = true_answer(frame, HALF.geometry, disc_map.CELLS)
     true = frame.truth()
-    grid = discmap.map_grid(HALF.geometry.disc)
+    grid = disc_map.map_grid(HALF.geometry.disc)
     rows, cols = (
-        np.rint(first + grid.step_px * np.arange(discmap.CELLS)).astype(int) for first in (grid.row0, grid.col0)
+        np.rint(first + grid.step_px * np.arange(disc_map.CELLS)).astype(int) for first in (grid.row0, grid.col0)
     )
     unit_mm = HALF.skin_radius_mm * np.sin(np.radians(HALF.visible_half_angle_deg)) / HEIGHT_SCALE
     nearest = np.nan_to_num(true.height_mm[np.ix_(rows, cols)])
@@ -65,7 +65,7 @@ def test_the_true_answer_is_the_truth_at_the_cells() -> None:
 
 def test_the_truth_stands_in_the_place_of_the_answer() -> None:
     rng = np.random.default_rng(0)
-    shape = (discmap.CELLS, discmap.CELLS)
+    shape = (disc_map.CELLS, disc_map.CELLS)
     found, logit = rng.random((2, *shape), dtype=np.float32) - np.float32(0.2)
     network = Network(4, lambda known: known, lambda white, sensor: fold(np.stack((found, logit)), 4))
     height, contact = rng.random(shape, dtype=np.float32), rng.random(shape) < 0.5

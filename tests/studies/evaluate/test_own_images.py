@@ -5,13 +5,13 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from painted_sensor import DISC, FREE, HEIGHT, TOUCHED, WIDTH, painted_calibration
+from support.painted_sensor import DISC, FREE, HEIGHT, TOUCHED, WIDTH, painted_calibration
 
-from tacshade_edge.core.metrics import contact_iou, score_cloud
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.studies.evaluate.own_images import evaluate_images, images_in, read_truth
 from tacshade_edge.studies.evaluate.score import Row
 from tacshade_edge.studies.evaluate.sensors import reconstructor
+from tacshade_edge.studies.metrics import contact_iou, score_cloud
 from tacshade_edge.types import Bool, Frame, HeightMap
 
 CALIBRATION = painted_calibration()

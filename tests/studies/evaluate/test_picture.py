@@ -4,8 +4,8 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 import pytest
-from calibrated_sensor import calibrated
-from half_family import HALF_SENSOR, half_family
+from support.calibrated_sensor import calibrated
+from support.half_family import HALF_SENSOR, half_family
 
 from tacshade_edge.studies.evaluate import picture
 from tacshade_edge.types import U8

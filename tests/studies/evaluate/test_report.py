@@ -4,7 +4,7 @@ import json
 import math
 from dataclasses import fields, replace
 
-from evaluation_rows import ROW
+from support.evaluation_rows import ROW
 
 from tacshade_edge.simulator.objects import PAPER_OBJECTS
 from tacshade_edge.studies.evaluate.report import csv_text, document, table

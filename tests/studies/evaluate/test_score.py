@@ -3,11 +3,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from painted_sensor import FREE, TOUCHED, painted_calibration
+from support.painted_sensor import FREE, TOUCHED, painted_calibration
 
-from tacshade_edge.core.metrics import contact_iou, score_cloud
 from tacshade_edge.studies.evaluate.score import KnownTruth, Label, Row, between_pixels, score
 from tacshade_edge.studies.evaluate.sensors import reconstructor
+from tacshade_edge.studies.metrics import contact_iou, score_cloud
 from tacshade_edge.types import Bool, Frame, HeightMap, Reconstruction
 
 LABEL = Label("painted", "ball")

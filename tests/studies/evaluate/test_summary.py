@@ -2,7 +2,7 @@ import math
 from dataclasses import replace
 
 import pytest
-from evaluation_rows import ROW
+from support.evaluation_rows import ROW
 
 from tacshade_edge.studies.evaluate.summary import TABLE_I, beats_table_i, by_object, figures, null_figures, worst
 

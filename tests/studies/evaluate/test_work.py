@@ -3,15 +3,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from half_family import HALF_SENSOR, half_family
+from support.half_family import HALF_SENSOR, half_family
 
-from tacshade_edge.core.metrics import contact_iou, score_cloud
 from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.studies.evaluate.report import csv_text
 from tacshade_edge.studies.evaluate.scenes import scenes
 from tacshade_edge.studies.evaluate.score import KnownTruth
 from tacshade_edge.studies.evaluate.sensors import reconstructor
 from tacshade_edge.studies.evaluate.work import Evaluation, Plan, evaluate, time_profiles
+from tacshade_edge.studies.metrics import contact_iou, score_cloud
 from tacshade_edge.types import Frame
 
 pytestmark = pytest.mark.slow  # it renders and measures truths

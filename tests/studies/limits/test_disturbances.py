@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from calibrated_sensor import HALF, simulated
+from support.calibrated_sensor import HALF, simulated
 
 from tacshade_edge.simulator.objects import ball
 from tacshade_edge.simulator.press import Press

@@ -4,8 +4,8 @@ from dataclasses import fields
 import cv2
 import numpy as np
 import pytest
-from calibrated_sensor import HALF
-from half_family import HALF_SENSOR, half_family
+from support.calibrated_sensor import HALF
+from support.half_family import HALF_SENSOR, half_family
 
 from tacshade_edge.simulator.skin import press_skin
 from tacshade_edge.studies.limits import picture

@@ -1,6 +1,6 @@
 import numpy as np
 
-from tacshade_edge.core.touch_map import Raster
+from tacshade_edge.core.stitching.surface_map import Raster
 from tacshade_edge.studies.stitch.picture import comparison
 
 

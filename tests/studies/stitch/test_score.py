@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tacshade_edge.core.touch_map import Raster
+from tacshade_edge.core.stitching.surface_map import Raster
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator.pad import Arc, Bar, Pad
 from tacshade_edge.studies.stitch.score import KnownSurface, read_known, score

@@ -1,6 +1,6 @@
 from dataclasses import replace
 
-from trade_points import point
+from support.trade_points import point
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.studies.tradeoff.budget import best_within, over_budget, settings_block

@@ -2,10 +2,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from painted_sensor import TOUCHED, painted_calibration
+from support.painted_sensor import TOUCHED, painted_calibration
 
+from tacshade_edge.core.depth import SOLVERS
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.solvers import SOLVERS
 from tacshade_edge.studies.tradeoff.grid import WORDS, Setting, grid, make
 from tacshade_edge.types import Frame
 

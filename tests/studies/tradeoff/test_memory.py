@@ -2,7 +2,7 @@ import os
 from dataclasses import replace
 
 import pytest
-from painted_sensor import TOUCHED, enlarged, enlarged_calibration
+from support.painted_sensor import TOUCHED, enlarged, enlarged_calibration
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.studies.tradeoff.grid import Setting

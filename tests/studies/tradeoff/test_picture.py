@@ -3,7 +3,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from trade_points import point
+from support.trade_points import point
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.studies.tradeoff import picture

@@ -4,7 +4,7 @@ import json
 import math
 from dataclasses import replace
 
-from trade_points import point
+from support.trade_points import point
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.studies.tradeoff import report

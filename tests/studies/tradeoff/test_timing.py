@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from painted_sensor import FREE, TOUCHED, painted_calibration
+from support.painted_sensor import FREE, TOUCHED, painted_calibration
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import STAGES

@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from half_family import HALF_SENSOR, half_family
+from support.half_family import HALF_SENSOR, half_family
 
 from tacshade_edge.studies.evaluate.scenes import DEPTHS_MM
 from tacshade_edge.studies.tradeoff import cases

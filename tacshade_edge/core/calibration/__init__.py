@@ -1,0 +1,1 @@
+"""From references and presses to a calibration, and how good it is."""

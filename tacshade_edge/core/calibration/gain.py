@@ -1,0 +1,112 @@
+"""The closed-form refit of the learned inverse to ball presses.
+
+A network trained on every sensor is off on a given one by a nearly constant factor. It is fitted where the ball's
+surface is known and the network sees contact. Balls tell little more: corrections that also depend on depth and place
+fit the balls better, and other shapes no better (tools/train/README.md).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tacshade_edge.core.depth.learned import Inverse
+from tacshade_edge.core.geometry import disc_map
+from tacshade_edge.core.geometry.back_projection import skin_points
+from tacshade_edge.core.geometry.disc import disc_rays
+from tacshade_edge.types import F32, F64, Geometry
+
+# Pull towards "as it is": other shapes need a little less of the correction than balls.
+RIDGE = 0.1
+# A contact of fewer cells says nothing; fewer presses neither.
+LEAST_CELLS, LEAST_PRESSES = 12, 5
+# No sensor is farther from the network's idea of it.
+FACTOR_RANGE = (0.3, 3.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Ball:
+    """Where a pressed ball is, in the sensor frame."""
+
+    x_mm: float
+    y_mm: float
+    z_mm: float
+    radius_mm: float
+
+    def depth_max_mm(self, skin_radius_mm: float) -> float:
+        """Greatest h of the skin under it."""
+        return skin_radius_mm - math.hypot(self.x_mm, self.y_mm, self.z_mm) + self.radius_mm
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PressRows:
+    """One press in the regression, at the cells that are used: `target` is to be the factor times `found`, weighted."""
+
+    found: F64
+    target: F64
+
+
+def stated_ball(geometry: Geometry, x_mm: float, y_mm: float, depth_mm: float, radius_mm: float) -> Ball:
+    """Place a ball that was pressed along -z (docs/calibration.md says what its depth is)."""
+    beside = max(geometry.skin_radius_mm**2 - x_mm**2 - y_mm**2, 0.0)
+    return Ball(x_mm, y_mm, math.sqrt(beside) - depth_mm + radius_mm, radius_mm)
+
+
+def located_ball(geometry: Geometry, inverse: Inverse, depth_mm: float, radius_mm: float) -> Ball | None:
+    """The same where x and y were not stated: the contact's middle lies on the line from O to the ball's centre."""
+    rays = disc_rays(disc_map.map_grid(geometry.disc, len(inverse.height_mm)), geometry)
+    touched = (inverse.contact_logit > 0) & rays.inside
+    if np.count_nonzero(touched) < LEAST_CELLS:
+        return None
+    points = skin_points(np.maximum(inverse.height_mm, 0), rays, geometry)
+    middle = points[touched].astype(np.float64).mean(axis=0)
+    along = middle / np.linalg.norm(middle)
+    reach = geometry.skin_radius_mm - depth_mm + radius_mm
+    for _ in range(8):
+        x, y = reach * along[0], reach * along[1]
+        reach = stated_ball(geometry, x, y, depth_mm, radius_mm).z_mm / along[2]
+    return stated_ball(geometry, float(reach * along[0]), float(reach * along[1]), depth_mm, radius_mm)
+
+
+def ball_height(geometry: Geometry, ball: Ball, cells: int = disc_map.CELLS) -> F32:
+    """H of the ball's surface at the map's cells, mm; NaN where the cell's ray misses it and outside the disc."""
+    rays = disc_rays(disc_map.map_grid(geometry.disc, cells), geometry)
+    u, v = rays.u.astype(np.float64), rays.v.astype(np.float64)
+    if geometry.camera_distance_mm is None:
+        origin = np.stack((u, v, np.zeros_like(u)), axis=-1)
+        along = np.broadcast_to(np.array((0.0, 0.0, 1.0)), origin.shape)
+    else:
+        origin = np.broadcast_to(np.array((0.0, 0.0, -geometry.camera_distance_mm)), (*u.shape, 3))
+        along = np.stack((u, v, np.ones_like(u)), axis=-1)
+        along = along / np.linalg.norm(along, axis=-1, keepdims=True)
+    offset = np.array((ball.x_mm, ball.y_mm, ball.z_mm)) - origin
+    foot = np.sum(offset * along, axis=-1)
+    inside = ball.radius_mm**2 - (np.sum(offset * offset, axis=-1) - foot * foot)
+    s = foot - np.sqrt(np.where(inside > 0, inside, np.nan))
+    height = geometry.skin_radius_mm - np.linalg.norm(origin + s[..., None] * along, axis=-1)
+    return np.where(rays.inside, height, np.nan).astype(np.float32)
+
+
+def press_rows(inverse: Inverse, geometry: Geometry, ball: Ball) -> PressRows | None:
+    """One press for `fit_factor`; None where the network's contact and the ball hardly meet."""
+    height, truth = inverse.height_mm, ball_height(geometry, ball, len(inverse.height_mm))
+    use = (inverse.contact_logit > 0) & np.isfinite(height) & (height > 0.05) & (np.nan_to_num(truth) > 0.1)
+    cells = int(np.count_nonzero(use))
+    if cells < LEAST_CELLS:
+        return None
+    # Every press counts alike, a deep one a little less: its error in mm is larger.
+    weight = 1 / math.sqrt(cells * (0.5 + ball.depth_max_mm(geometry.skin_radius_mm)))
+    return PressRows(height[use].astype(np.float64) * weight, truth[use].astype(np.float64) * weight)
+
+
+def fit_factor(presses: Sequence[PressRows]) -> float | None:
+    """The factor on h by ridge regression; None where the presses are too few."""
+    if len(presses) < LEAST_PRESSES:
+        return None
+    found = np.concatenate([press.found for press in presses])
+    target = np.concatenate([press.target for press in presses])
+    excess = float(found @ (target - found)) / ((1 + RIDGE) * float(found @ found))
+    return min(max(1 + excess, FACTOR_RANGE[0]), FACTOR_RANGE[1])

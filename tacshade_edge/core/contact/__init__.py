@@ -1,0 +1,1 @@
+"""Whether anything touches, and what: the gate, outlines, objects."""

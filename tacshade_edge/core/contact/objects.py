@@ -1,0 +1,193 @@
+"""Object clouds: the paper's two-means split of heights, then one label for every connected contact."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from tacshade_edge.core.geometry.back_projection import cell_area_mm2, skin_planes
+from tacshade_edge.core.geometry.disc import DiscRays
+from tacshade_edge.types import F32, I64, U16, Bool, Geometry, ObjectCloud, TouchedObject, freeze
+
+BINS = 256
+# Smaller patches are not an object a finger could tell.
+MIN_OBJECT_MM2 = 0.5
+LABELS_MAX = np.iinfo(np.uint16).max
+
+
+Region = Callable[[Bool], tuple[slice, slice] | None]
+"""Of the contact: the rows and columns to look at, None where nothing touches."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Objects:
+    """All that touches.
+
+    Attributes
+    ----------
+    contact : bool (rows, cols)
+        Cells of some object.
+    cloud : ObjectCloud
+        Their points, ordered by label.
+    described : tuple of TouchedObject
+        The greatest first, at least one.
+    volume_mm3 : float
+        Displaced under them.
+    """
+
+    contact: Bool
+    cloud: ObjectCloud
+    described: tuple[TouchedObject, ...]
+    volume_mm3: float
+
+    def __post_init__(self) -> None:
+        freeze(self, "contact")
+
+
+def find_objects(
+    touched: Bool, height_mm: F32, rays: DiscRays, geometry: Geometry, region: Region | None = None
+) -> Objects | None:
+    """Tell apart what touches, and where in space its skin lies; None where nothing does.
+
+    Parameters
+    ----------
+    touched : bool (rows, cols)
+        Only cells with a height.
+    height_mm : float32 (rows, cols)
+        h, at most r; NaN outside the disc.
+    rays : DiscRays
+        Of the same grid.
+    geometry : Geometry
+    region : callable, optional
+        Where to look, else `bounding_box`; whatever holds all of the contact gives the same answer.
+    """
+    here = (region or bounding_box)(touched)
+    if here is None:
+        return None
+    height = np.ascontiguousarray(height_mm[here])
+    planes = skin_planes(height, rays.part(here), geometry)
+    area = cell_area_mm2(planes)
+    labels = label_objects(touched[here], area)
+    contact = np.zeros(touched.shape, bool)
+    contact[here] = labels > 0
+    cells = cells_by_label(labels)
+    if cells.size == 0:
+        return None
+    x_y_z = planes.reshape(3, -1).take(cells, axis=1)
+    cloud = ObjectCloud(np.ascontiguousarray(x_y_z.T), labels.take(cells))
+    heights, areas = height.take(cells), area.take(cells)
+    volume_mm3 = float((heights * areas).sum(dtype=np.float64))
+    return Objects(contact, cloud, _described(x_y_z, cloud.labels, heights, areas), volume_mm3)
+
+
+def bounding_box(touched: Bool) -> tuple[slice, slice] | None:
+    """Rows and columns of the contact, and one more to each side: a cell's area needs its neighbours."""
+    left, top, width, height = cv2.boundingRect(touched.view(np.uint8))
+    if width == 0:
+        return None
+    return slice(max(top - 1, 0), top + height + 1), slice(max(left - 1, 0), left + width + 1)
+
+
+def two_means_split(values: F32) -> float:
+    """Threshold of the k-means with k = 2 over scalar values, the paper's separation of object and skin.
+
+    In one dimension each cluster is an interval, so k-means is the choice of one threshold, and minimising
+    the variance within the two intervals is maximising the variance between them, which is Otsu's criterion.
+    Trying every threshold of a histogram therefore gives the global optimum (up to a bin) that Lloyd's
+    iterations only approach, without a seed.
+
+    Parameters
+    ----------
+    values : float32 (N,)
+        Finite.
+
+    Returns
+    -------
+    float
+        Values above it are the upper cluster; infinity where there are not two different values.
+    """
+    if values.size == 0:
+        return float("inf")
+    low, high = float(values.min()), float(values.max())
+    if not high > low:
+        return float("inf")
+    counts, edges = np.histogram(values.astype(np.float64), bins=BINS, range=(low, high))
+    middles = (edges[:-1] + edges[1:]) / 2
+    n0 = np.cumsum(counts)[:-1]
+    n1 = values.size - n0
+    sum0 = np.cumsum(counts * middles)[:-1]
+    sum1 = float((counts * middles).sum()) - sum0
+    with np.errstate(invalid="ignore", divide="ignore"):
+        between = np.nan_to_num(n0 * n1 * (sum0 / n0 - sum1 / n1) ** 2, nan=-1.0)
+    # Every threshold over the empty bins between two clusters is the same split: their middle is k-means' boundary.
+    best = np.flatnonzero(n0 == n0[np.argmax(between)])
+    middle = float((edges[best[0] + 1] + edges[best[-1] + 1]) / 2)
+    # As a float32 that is not over it: values between which there is no other are told apart, too.
+    split = np.float32(middle)
+    return float(split if float(split) <= middle else np.nextafter(split, np.float32(-np.inf)))
+
+
+def label_objects(contact: Bool, cell_area: F32) -> U16:
+    """Number the connected contacts (8-neighbours), the greatest area first.
+
+    Patches under 0.5 mm² vanish, and what is beyond the 65535 objects that a cloud can number.
+
+    Parameters
+    ----------
+    contact : bool (rows, cols)
+    cell_area : float32 (rows, cols)
+        mm² of skin per cell.
+
+    Returns
+    -------
+    uint16 (rows, cols)
+        0 outside every object, else its number from 1.
+    """
+    count, raw = cv2.connectedComponents(contact.view(np.uint8), connectivity=8)
+    areas = np.bincount(np.ravel(raw), weights=cell_area.ravel(), minlength=count)
+    areas[0] = 0.0
+    order = (-areas).argsort(kind="stable")
+    order = order[: min(np.count_nonzero(areas >= MIN_OBJECT_MM2), LABELS_MAX)]
+    new_label = np.zeros(count, dtype=np.uint16)
+    new_label[order] = np.arange(1, len(order) + 1)
+    labels: U16 = new_label.take(raw)
+    return labels
+
+
+def cells_by_label(labels: U16) -> I64:
+    """Flat indices of the labelled cells: object by object, row by row in each."""
+    cells = np.flatnonzero(labels)
+    # Of 16 bits, a stable sort is a radix sort.
+    return np.asarray(cells.take(labels.take(cells).argsort(kind="stable")), np.int64)
+
+
+def _described(x_y_z: F32, labels: U16, height_mm: F32, cell_area: F32) -> tuple[TouchedObject, ...]:
+    """Centroid, extent, depth and area of every labelled contact.
+
+    Parameters
+    ----------
+    x_y_z : float32 (3, N)
+        Points, at least one.
+    labels : uint16 (N,)
+        Theirs, in order; no label is left out.
+    height_mm, cell_area : float32 (N,)
+        At the points.
+    """
+    numbers = np.arange(1, labels[-1] + 1, dtype=np.uint16)
+    ends = labels.searchsorted(numbers, side="right")
+    starts = np.zeros_like(ends)
+    starts[1:] = ends[:-1]
+    counts = ends - starts
+    middles = np.add.reduceat(x_y_z, starts, axis=1, dtype=np.float64) / counts
+    highest, lowest = (extreme.reduceat(x_y_z, starts, axis=1) for extreme in (np.maximum, np.minimum))
+    extents = highest.astype(np.float64) - lowest
+    depths = np.maximum.reduceat(height_mm, starts)
+    areas = np.add.reduceat(cell_area, starts, dtype=np.float64)
+    columns = (middles.T.tolist(), extents.T.tolist(), depths.tolist(), areas.tolist())
+    return tuple(
+        TouchedObject(label, (middle[0], middle[1], middle[2]), (extent[0], extent[1], extent[2]), depth, area)
+        for label, (middle, extent, depth, area) in enumerate(zip(*columns, strict=True), start=1)
+    )

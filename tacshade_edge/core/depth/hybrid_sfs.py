@@ -1,0 +1,128 @@
+"""Eqs. 8, 11 and 12 as published: the hybrid linear shape from shading of the paper's ref. [20].
+
+A fidelity reference, not a good method: for the camera's overhead direction L = (0, 0, -1) the derivative of
+eq. 12 is zero wherever p = -q, and every flat is such a place. The iteration then divides by the machine
+epsilon, and its result is a scaled copy of the grey image (docs/numerics.md has the figures).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from tacshade_edge.core.depth.base import Depth, GreyMaps
+from tacshade_edge.core.image.greyscale import shape_grey
+from tacshade_edge.types import F32, F64
+
+ITERATIONS = 25
+EPS = 2.2e-16
+MEDIAN_ROWS = 16
+
+C128 = npt.NDArray[np.complex128]
+
+
+def _backward(z: C128, axis: int, out: C128 | None = None) -> C128:
+    """Backward difference with a zero first row or column; into `out` when given."""
+    d = np.zeros_like(z) if out is None else out
+    if axis == 0:
+        d[0] = 0
+        np.subtract(z[1:], z[:-1], out=d[1:])
+    else:
+        d[:, 0] = 0
+        np.subtract(z[:, 1:], z[:, :-1], out=d[:, 1:])
+    return d
+
+
+def hybrid_sfs(g_hn: F64) -> tuple[F64, int]:
+    """25 iterations of eq. 11 from the initialisation of ref. [20], and the 3x3 median of |Z|.
+
+    The reference code starts p and q as the Fourier transforms of the image gradient, used directly, and
+    shows its result upside down; the first is kept, the second is not. The denominators |N·L| of eqs. 4, 7
+    and 8 are read as |N||L|: as printed, the quotient could only be 1 or -1.
+
+    Parameters
+    ----------
+    g_hn : float64 (rows, cols), 0 to 1; other values, NaN and infinity among them, are accepted.
+
+    Returns
+    -------
+    z : float64 (rows, cols)
+        Finite, in units of the pixel, arbitrary scale.
+    repaired_px : int
+        Values of the input or the result that were not finite and were replaced by 0.
+    """
+    finite = np.isfinite(g_hn)
+    repaired = int(finite.size - np.count_nonzero(finite))
+    with np.errstate(all="ignore"):  # overflow is this method's normal course; it is repaired and counted below
+        magnitude = np.abs(_iterate(np.where(finite, g_hn, 0.0).astype(np.complex128)))
+    good = np.isfinite(magnitude)
+    repaired += int(good.size - np.count_nonzero(good))
+    return _median3(np.where(good, magnitude, 0.0)), repaired
+
+
+def _iterate(image: C128) -> C128:
+    """Z of eq. 11; in place wherever it can be, as every array of a whole image takes 5 MB."""
+    p: C128 = np.fft.fft2(_backward(image, axis=1))
+    q: C128 = np.fft.fft2(_backward(image, axis=0))
+    z = image
+    for n in range(ITERATIONS + 1):
+        norm2 = p * p
+        norm2 += 1
+        norm2 += q * q
+        root = np.sqrt(norm2)
+        f: C128 = np.divide(1, root)  # the reflectance
+        f[f.real < 0] = 0
+        np.subtract(image, f, out=f)
+        if n == 0:
+            z = f
+        else:
+            norm2 *= root
+            p += q
+            slope = np.divide(p, norm2, out=norm2)
+            slope += EPS
+            f /= slope
+            z -= f
+        _backward(z, axis=1, out=p)
+        _backward(z, axis=0, out=q)
+    return z
+
+
+def _median3(values: F64) -> F64:
+    """3x3 median in float64; the border repeats."""
+    padded = np.pad(values, 1, mode="edge")
+    median = np.empty_like(values)
+    for row in range(0, len(values), MEDIAN_ROWS):  # nine copies of a whole image would be most of a step's memory
+        windows = np.lib.stride_tricks.sliding_window_view(padded[row : row + MEDIAN_ROWS + 2], (3, 3))
+        median[row : row + MEDIAN_ROWS] = np.median(windows.reshape(*windows.shape[:2], 9), axis=-1)
+    return median
+
+
+def solve(maps: GreyMaps, alpha_mm: float) -> Depth:
+    """Height by the paper: g_hn (eq. 10), eq. 11, then α. Grey levels beyond their range count as its end."""
+    g_hn, bad = _finite_shape_grey(maps)
+    z, repaired = hybrid_sfs(g_hn.astype(np.float64))
+    # Of an image without contrast the iteration makes a constant; it is no height.
+    z = np.where(maps.inside, z, 0.0) if g_hn.any() else np.zeros_like(z)
+    top = float(z.max(initial=0.0))
+    return _of_unit(z / top if top > 0 else z, alpha_mm, repaired + bad)
+
+
+def scaled_grey(maps: GreyMaps, alpha_mm: float) -> Depth:
+    """α g_hn, without eq. 11: what its iterations start from, to tell what they buy."""
+    g_hn, bad = _finite_shape_grey(maps)
+    return _of_unit(g_hn.astype(np.float64), alpha_mm, bad)
+
+
+def _of_unit(unit: F64, alpha_mm: float, repaired: int) -> Depth:
+    """α times heights of 0 to 1, at most what float32 holds."""
+    height: F32 = np.minimum(alpha_mm * unit, np.finfo(np.float32).max).astype(np.float32)
+    return Depth(height_mm=height, saturated=False, repaired_px=repaired)
+
+
+def _finite_shape_grey(maps: GreyMaps) -> tuple[F32, int]:
+    """Eq. 10 with 0 where g_d or g0 is not finite, and at how many cells that is."""
+    finite = np.isfinite(maps.g_d) & np.isfinite(maps.g0)
+    g_d, g0 = (
+        np.where(finite, np.clip(values, low, 255), np.float32(0)) for values, low in ((maps.g_d, -255), (maps.g0, 0))
+    )
+    return shape_grey(g_d, g0, maps.inside), int(finite.size - np.count_nonzero(finite))

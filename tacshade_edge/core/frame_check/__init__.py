@@ -1,0 +1,1 @@
+"""Whether a frame can be used: light, torn frames, a camera that shifted."""

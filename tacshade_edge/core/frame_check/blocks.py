@@ -1,0 +1,182 @@
+"""What blocks of 8x8 px tell beside the reference's: markers lost, other light, a camera that moved."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from tacshade_edge.core.image.binarise import halved
+from tacshade_edge.core.image.median import median
+from tacshade_edge.types import F32, F64, U8, Bool, Disc, freeze
+
+# Three halvings make a block's mean; the first look at a frame lets two of them round.
+BLOCK_PX, HALVINGS, ROUNDED = 8, 3, 2
+# A block of the reference with at least this contrast has markers; rows across the disc cannot lose them all.
+TEXTURED_STD = 8.0
+LOST_STD = 3.0
+LOST_PART = 0.95
+LOST_ROWS = 2
+ROW_BLOCKS = 8
+# Blocks of the surround never change but with the light; half of this many levels is noise.
+SURROUND_LEVELS = 25.0
+SURROUND_PART = 0.15
+# The light may change by so much before the binarised image cannot be compared with the reference's.
+LIGHT_LOW, LIGHT_HIGH = 0.45, 1.7
+
+Box = tuple[slice, slice]
+Places = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BlockCheck:
+    """The reference in blocks of 8x8 px, of which the pixels `box` are (rows, cols).
+
+    Attributes
+    ----------
+    textured : bool (rows, cols)
+        Wholly inside the disc, with markers.
+    lost_most : float64 (rows,)
+        How many textured blocks of a row may lose their markers; infinite for rows with few.
+    lost_fewest : float
+        With no more lost blocks in all, there are not `LOST_ROWS` such rows.
+    textured_at, surround_at : intp (n,)
+        Flat places of the textured blocks, and of those wholly outside near the disc.
+    common : float
+        Median of the means of the textured blocks, at least 1.
+    surround : float32 (n,)
+        Means of the blocks of the surround.
+    per_surround : float32 (n,)
+        1 over them, at most 1.
+    camera_px : int
+        A pixel here is so many of the camera's, in which a person is told.
+    """
+
+    box: Box
+    textured: Bool
+    lost_most: F64
+    lost_fewest: float
+    textured_at: Places
+    surround_at: Places
+    common: float
+    surround: F32
+    per_surround: F32
+    camera_px: int
+
+    def __post_init__(self) -> None:
+        freeze(self, "textured", "lost_most", "textured_at", "surround_at", "surround", "per_surround")
+
+
+def block_check(reference_grey: U8, disc: Disc, camera_px: int = 1) -> BlockCheck | None:
+    """Prepare the check from the mean reference image; None when no block lies inside the disc."""
+    middle = (BLOCK_PX - 1) / 2
+    r = np.hypot(
+        np.arange(reference_grey.shape[0] // BLOCK_PX)[:, None] * BLOCK_PX + middle - disc.row_c,
+        np.arange(reference_grey.shape[1] // BLOCK_PX)[None, :] * BLOCK_PX + middle - disc.col_c,
+    )
+    half_diagonal = BLOCK_PX * 0.7072
+    inside = r < disc.radius_px - half_diagonal
+    if not inside.any():
+        return None
+    surround = (r > disc.radius_px + half_diagonal + 2) & (r < 1.35 * disc.radius_px)
+    rows, cols = (slice(int(at.min()), int(at.max()) + 1) for at in np.nonzero(inside | surround))
+    inside, surround = inside[rows, cols], surround[rows, cols]
+    box = (_pixels(rows), _pixels(cols))
+    level, variance = block_means(reference_grey[box], 0)
+    textured = inside & (variance >= TEXTURED_STD**2)
+    total = textured.sum(axis=1)
+    surround_at = np.flatnonzero(surround)
+    usual: F32 = level.take(surround_at)
+    # Where most of a row's blocks are flat already, a contact may well hide the others.
+    lost_most = np.where(total >= np.maximum(ROW_BLOCKS, inside.sum(axis=1) / 2), LOST_PART * total, np.inf)
+    return BlockCheck(
+        box=box,
+        textured=textured,
+        lost_most=lost_most,
+        lost_fewest=float(np.sort(lost_most)[:LOST_ROWS].sum()) if len(lost_most) >= LOST_ROWS else math.inf,
+        textured_at=np.flatnonzero(textured),
+        surround_at=surround_at,
+        common=max(median(level[textured]), 1.0) if textured.any() else 1.0,
+        surround=usual,
+        per_surround=np.reciprocal(np.maximum(usual, np.float32(1))),
+        camera_px=camera_px,
+    )
+
+
+def _pixels(blocks: slice) -> slice:
+    return slice(BLOCK_PX * blocks.start, BLOCK_PX * blocks.stop)
+
+
+def block_reasons(grey: U8, check: BlockCheck, rounded: int) -> tuple[str, str]:
+    """Lost markers, and other light or a moved camera; with `rounded` halvings both are said of too many frames."""
+    level, variance = block_means(grey[check.box], rounded)
+    slack = rounded / 2
+    lost = _lost_reason(variance, check, slack)
+    return lost, _bright_reason(level, check, slack) or _moved_reason(level, check, slack)
+
+
+def block_means(grey: U8, rounded: int) -> tuple[F32, F32]:
+    """Mean and variance of 8x8 blocks, from means of 2x2 px of which the first are rounded to whole grey levels.
+
+    Parameters
+    ----------
+    grey : uint8 (8 rows, 8 cols)
+    rounded : int
+        How many halvings round, 0 to 2; each errs by at most half a level.
+
+    Returns
+    -------
+    mean : float32 (rows, cols)
+        Within `rounded` / 2 levels.
+    variance : float32 (rows, cols)
+        Of what the rounded halvings left: its root is at most `rounded` / 2 levels over the pixels' deviation.
+    """
+    for _ in range(rounded):
+        grey = halved(grey)
+    mean = grey.astype(np.float32)
+    square = mean * mean
+    for _ in range(HALVINGS - rounded):
+        mean, square = halved(mean), halved(square)
+    return mean, square - mean * mean
+
+
+def light_reason(found: float) -> str:
+    return f"light: {found:.2f} times the reference's, expected {LIGHT_LOW} to {LIGHT_HIGH}"
+
+
+def _lost_reason(variance: F32, check: BlockCheck, slack: float) -> str:
+    # A contact can hide the markers of a patch, never those of whole rows across the disc.
+    flat = (variance < (LOST_STD + slack) ** 2) & check.textured
+    if np.count_nonzero(flat) <= check.lost_fewest:
+        return ""
+    empty = np.count_nonzero(np.count_nonzero(flat, axis=1) > check.lost_most)
+    rows = empty * BLOCK_PX * check.camera_px
+    return f"torn: {rows} rows across the disc show no marker" if empty >= LOST_ROWS else ""
+
+
+def _bright_reason(level: F32, check: BlockCheck, slack: float) -> str:
+    levels = level.take(check.textured_at)
+    # Half of them are over a limit if their median is.
+    if 2 * np.count_nonzero(levels > np.float32(0.999 * (LIGHT_HIGH * check.common - slack))) < levels.size:
+        return ""
+    common = (median(levels) + slack) / check.common
+    return light_reason(common) if common > LIGHT_HIGH else ""
+
+
+def _moved_reason(level: F32, check: BlockCheck, slack: float) -> str:
+    """Blocks of the surround that cannot be, within `slack` levels, what the reference shows there in today's light."""
+    usual = check.surround
+    if not usual.size:
+        return ""
+    found = level.take(check.surround_at)
+    low, high = found - slack, found + slack
+    # The surround's own light: a contact changes the brightness of the whole disc.
+    least, most = (min(max(median(end * check.per_surround), LIGHT_LOW), LIGHT_HIGH) for end in (low, high))
+    brighter = np.count_nonzero(high - (1.25 * least) * usual > SURROUND_LEVELS)
+    darker = np.count_nonzero(np.minimum((0.75 * most) * usual, 0.75 * 255) - low > SURROUND_LEVELS)
+    part = (brighter + darker) / usual.size  # with no slack none is both
+    if part > SURROUND_PART:
+        return f"torn or moved: {100 * part:.0f} % of the surround differs from the reference"
+    return ""

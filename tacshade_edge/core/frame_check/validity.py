@@ -1,0 +1,204 @@
+"""Whether a frame can be used at all, before any solver sees it.
+
+This runs on every frame. So each check first asks something cheap that no bad frame passes: a count of pixels over a
+limit in place of a median, blocks of rounded means in place of the pixels. What does not pass is worked out in full.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from tacshade_edge.core.frame_check.blocks import (
+    LIGHT_LOW,
+    ROUNDED,
+    BlockCheck,
+    block_check,
+    block_reasons,
+    light_reason,
+)
+from tacshade_edge.core.frame_check.torn import TearCheck, tear_check, torn_row
+from tacshade_edge.types import U8, Bool, Disc, freeze
+
+# A camera that works never shows a disc this dark or this flat (grey levels).
+BLACK_LEVEL = 12.0
+FLAT_STD = 4.0
+SATURATED_LEVEL = 250
+SATURATED_PART = 0.25
+# Median difference of neighbouring pixels; the pattern itself has flat places enough to leave it near the noise, or
+# so fine a pattern that the reference itself comes near it.
+NOISE_STEP = 9.0
+NOISE_OVER_REFERENCE = 5.0
+
+Box = tuple[slice, slice]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameCheck:
+    """What a good frame of one sensor looks like.
+
+    Attributes
+    ----------
+    shape : two ints
+        Rows and columns of every frame.
+    disc : two slices
+        Pixels around the disc, from multiples of 8, with the one left of it where the image has it.
+    mask : uint8 (h, w)
+        255 inside the disc, among the pixels `disc`.
+    inside_px : int
+        How many those are.
+    pairs, sampled : uint8
+        Of the mask, what `_steps` and `_sample` take of a frame; `pairs_px` and `sampled_px` is how many pixels.
+    step : float
+        Median difference of the reference's neighbouring pixels.
+    bright : float
+        Grey that a tenth of its disc exceeds, at least 1.
+    tear : TearCheck or None
+    blocks : BlockCheck or None
+        None when no block lies inside the disc.
+    camera_px : int
+        A pixel here is so many of the camera's, in which a person is told.
+    """
+
+    shape: tuple[int, int]
+    disc: Box
+    mask: U8
+    inside_px: int
+    pairs: U8
+    pairs_px: int
+    sampled: U8
+    sampled_px: int
+    step: float
+    bright: float
+    tear: TearCheck | None
+    blocks: BlockCheck | None
+    camera_px: int
+
+    def __post_init__(self) -> None:
+        freeze(self, "mask", "pairs", "sampled")
+
+
+def frame_check(reference_grey: U8, mask: Bool, disc: Disc, camera_px: int = 1) -> FrameCheck:
+    """Prepare the check from the mean reference image."""
+    box = _around(mask)
+    reference, inside = reference_grey[box], np.where(mask[box], np.uint8(255), np.uint8(0))
+    pairs, sampled = np.ascontiguousarray(inside[::8, 1:]), _sample(inside)
+    return FrameCheck(
+        shape=(mask.shape[0], mask.shape[1]),
+        disc=box,
+        mask=inside,
+        inside_px=int(np.count_nonzero(inside)),
+        pairs=pairs,
+        sampled=sampled,
+        sampled_px=int(np.count_nonzero(sampled)),
+        pairs_px=int(np.count_nonzero(pairs)),
+        step=_noise_step(reference, pairs),
+        bright=max(_bright(_sample(reference), sampled), 1.0),
+        tear=tear_check(reference_grey, mask),
+        blocks=block_check(reference_grey, disc, camera_px),
+        camera_px=camera_px,
+    )
+
+
+def _around(mask: Bool) -> Box:
+    """Pixels around a mask and left of it; from multiples of 8, so that `_steps` and `_sample` take the image's own."""
+    rows, cols = (np.flatnonzero(mask.any(axis=axis)).tolist() or [0, -1] for axis in (1, 0))
+    return slice(rows[0] // 8 * 8, rows[-1] + 1), slice(max(cols[0] - 1, 0) // 8 * 8, cols[-1] + 1)
+
+
+def invalid_reason(grey: U8, check: FrameCheck) -> str:
+    """Why a frame cannot be used, in a few words; empty for a good one.
+
+    Parameters
+    ----------
+    grey : uint8 (H, W)
+    check : FrameCheck
+    """
+    if reason := size_reason(grey, check.shape):
+        return reason
+    if check.inside_px == 0:
+        return "disc: no pixel of the visible circle lies in the image"
+    disc = grey[check.disc]
+    if reason := _camera_reason(disc, check):
+        return reason
+    return _compared_reason(grey, disc, check.blocks, check) if check.blocks else ""
+
+
+def size_reason(image: U8, shape: tuple[int, int]) -> str:
+    """Whether an image, (H, W) or (H, W, 3), has the calibrated rows and columns; empty when it does."""
+    if image.shape[:2] == shape:
+        return ""
+    return f"size: {image.shape[1]}x{image.shape[0]} px, calibrated for {shape[1]}x{shape[0]}"
+
+
+def _camera_reason(disc: U8, check: FrameCheck) -> str:
+    """What the disc's own pixels tell: saturated, black, flat, noise."""
+    pixels = check.inside_px
+    mean, square = (cv2.norm(disc, kind, check.mask) / pixels for kind in (cv2.NORM_L1, cv2.NORM_L2SQR))
+    if square > SATURATED_PART * SATURATED_LEVEL**2:  # so many pixels so bright alone make it more
+        bright = _count_from(disc, check.mask, SATURATED_LEVEL)
+        if bright > SATURATED_PART * pixels:
+            return f"saturated: {100 * bright / pixels:.0f} % of the disc at {SATURATED_LEVEL} or above"
+    std = math.sqrt(max(square - mean * mean, 0))
+    if std < FLAT_STD:
+        return f"{'black' if mean < BLACK_LEVEL else 'no contrast'}: mean grey {mean:.0f}, deviation {std:.1f}"
+    most = max(NOISE_STEP, check.step + NOISE_OVER_REFERENCE)
+    if check.pairs_px and 2 * _count_from(_steps(disc), check.pairs, most) >= check.pairs_px:
+        step = _noise_step(disc, check.pairs)
+        if step > most:
+            return f"noise: neighbouring pixels differ by {step:.0f} grey levels"
+    return ""
+
+
+def _count_from(grey: U8, mask: U8, level: float) -> int:
+    """How many pixels of a mask (255 inside) are at least at a level."""
+    bright = cv2.threshold(grey, math.ceil(level) - 1, 255, cv2.THRESH_BINARY)[1]
+    return cv2.countNonZero(cv2.bitwise_and(bright, mask))
+
+
+def _steps(disc: U8) -> U8:
+    """Differences of horizontal neighbours on every eighth row."""
+    rows = disc[::8]
+    return np.asarray(cv2.absdiff(rows[:, 1:], rows[:, :-1]), np.uint8)
+
+
+def _noise_step(disc: U8, pairs: U8) -> float:
+    """Median difference of horizontal neighbours in the disc."""
+    return float(np.median(_steps(disc)[pairs > 0])) if pairs.any() else 0.0
+
+
+def _sample(disc: U8) -> U8:
+    """Every fourth pixel in both directions."""
+    return np.ascontiguousarray(disc[::4, ::4])
+
+
+def _bright(sample: U8, sampled: U8) -> float:
+    """Grey level that a tenth of the disc exceeds."""
+    return float(np.percentile(sample[sampled > 0], 90)) if sampled.any() else 0.0
+
+
+def _compared_reason(grey: U8, disc: U8, blocks: BlockCheck, check: FrameCheck) -> str:
+    """What the reference tells: torn, moved, other light."""
+    row = torn_row(grey, check.tear) if check.tear else None
+    torn = "" if row is None else f"torn: row {row * check.camera_px} does not continue the rows above"
+    if not blocks.textured_at.size:
+        return torn
+    dark, lost, changed = _dark_reason(disc, check), "", ""
+    for rounded in (ROUNDED, 0):
+        lost, changed = block_reasons(grey, blocks, rounded)
+        if not lost and not changed:
+            break
+    return lost or torn or dark or changed
+
+
+def _dark_reason(disc: U8, check: FrameCheck) -> str:
+    # A deep contact darkens or brightens most of the disc, but some markers stay as bright as the light: those tell
+    # less light. More light saturates them; there the common level tells.
+    sample, sampled = _sample(disc), check.sampled
+    if _count_from(sample, sampled, LIGHT_LOW * check.bright) >= 0.1 * check.sampled_px + 2:
+        return ""
+    gain = _bright(sample, sampled) / check.bright
+    return light_reason(gain) if gain < LIGHT_LOW else ""

@@ -1,0 +1,70 @@
+"""Maps on the disc-normalised grid: every sensor's visible circle fills the same square, whatever its camera."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tacshade_edge.core.geometry.disc import Grid, Window
+from tacshade_edge.core.image.integral_image import Sums
+from tacshade_edge.types import F32, U8, Disc, Geometry
+
+CELLS = 112
+"""Cells along a side, where nothing else is said."""
+
+REACH = 1.02
+"""Half the square's side, in radii of the disc."""
+
+
+def map_grid(disc: Disc, cells: int = CELLS) -> Grid:
+    """The cells of the map as a grid of image positions (their middles; not whole pixels)."""
+    step = 2 * REACH * disc.radius_px / cells
+    first = (0.5 - cells / 2) * step
+    return Grid(rows=cells, cols=cells, row0=disc.row_c + first, col0=disc.col_c + first, step_px=step)
+
+
+def disc_average(values: U8, disc: Disc) -> F32:
+    """Mean of an image over each cell of the map: exact, as if every pixel were a small square of one value.
+
+    Parameters
+    ----------
+    values : uint8 (H, W)
+
+    Returns
+    -------
+    float32 (CELLS, CELLS)
+        0 counts where a cell leaves the image.
+    """
+    whole = Sums(Window(0, 0, *values.shape), 0)
+    whole.show(values)
+    return whole.means(whole.cells_of(map_grid(disc)))
+
+
+def geometry_maps(geometry: Geometry, pitch_px: float, cells: int = CELLS) -> F32:
+    """What is known of a sensor at each cell before any frame.
+
+    Returns
+    -------
+    float32 (6, cells, cells)
+        Position x and y in disc radii; how far the image of a skin point moves in x and in y, in disc radii, when
+        the point moves by one disc radius (in mm) towards the camera along its axis; cosine between the camera's ray
+        and the undeformed skin's normal; marker pitch in tenths of the disc's radius.
+    """
+    disc = geometry.disc
+    axis = (np.arange(cells) + 0.5 - cells / 2) * (2 * REACH / cells)
+    x, y = np.meshgrid(axis, axis)
+    rho2 = np.minimum(x * x + y * y, 1.0)
+    sin_half = np.sin(np.radians(geometry.visible_half_angle_deg))
+    if geometry.camera_distance_mm is None:
+        gain = np.zeros_like(x)
+        cosine = np.sqrt(1 - rho2 * sin_half**2)
+    else:
+        d = geometry.camera_distance_mm / geometry.skin_radius_mm
+        slope2 = rho2 * (geometry.disc.radius_px / geometry.f_px) ** 2
+        k = 1 + slope2
+        # In skin radii: the ray's far meeting with the sphere, z + d along the axis from the camera.
+        root = np.sqrt(np.maximum(d * d - k * (d * d - 1), 0))
+        along = (d + root) / k
+        gain = sin_half / along
+        cosine = (along * k - d) / np.sqrt(k)
+    pitch = np.full_like(x, 10 * pitch_px / disc.radius_px)
+    return np.stack((x, y, gain * x, gain * y, cosine, pitch)).astype(np.float32)

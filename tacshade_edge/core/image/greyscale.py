@@ -1,0 +1,112 @@
+"""Section IV-A of the paper: from an image to the white ratio, its denoising, and its change."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+
+from tacshade_edge.core.image.total_variation import ITERATIONS_MAX, Precision, chambolle
+from tacshade_edge.core.image.total_variation_int16 import chambolle_int16
+from tacshade_edge.types import F32, U8, Bool
+
+DENOISERS: dict[Precision, Callable[[F32, float, int], F32]] = {
+    "float32": chambolle,
+    "int16": chambolle_int16,
+    "float64": lambda image, weight, most: chambolle(image.astype(np.float64), weight, most).astype(np.float32),
+}
+"""The total-variation denoising in each precision: an image of 0 to 1, the weight, iterations at most."""
+
+
+def to_grey(image: U8, space: U8 | None = None) -> U8:
+    """Grey image of a grey (H, W) or BGR (H, W, 3) one; uint8, 0 to 255. It may be put into `space`, (H, W)."""
+    if image.ndim == 2:
+        return image
+    grey: U8 = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY, dst=space)
+    return grey
+
+
+def white_ratio(white_sum: F32, total: F32, full_scale: float = 255.0) -> F32:
+    """Eq. 1: ĝ = 255 s_w / s_t in a square window, at each cell of a grid.
+
+    Only pixels inside the disc count, in s_w and in s_t, so the disc's rim is not darker than its middle.
+
+    Parameters
+    ----------
+    white_sum : float32 (rows, cols)
+        s_w: white pixels in the window: sums of 0 and 1, or of means of binarised images 0 to 255 (see `full_scale`).
+    total : float32 (rows, cols)
+        s_t: the disc's pixels in the window.
+    full_scale : float
+        255 for sums of 0 and 1; 1 for those of 0 to 255.
+
+    Returns
+    -------
+    float32 (rows, cols), 0 to 255; 0 where the window holds no pixel of the disc.
+    """
+    g: F32 = (np.float32(full_scale) * white_sum / np.maximum(total, np.float32(1))).astype(np.float32)
+    return g
+
+
+def denoise_tv(
+    g: F32, inside: Bool, weight: float, iterations: int = ITERATIONS_MAX, precision: Precision = "float32"
+) -> F32:
+    """Total-variation denoising of the white ratio, Fig. 4(d).
+
+    Outside the disc the mean of the inside stands, so that its edge is not an edge of the image.
+
+    Parameters
+    ----------
+    g : float32 (rows, cols), 0 to 255
+    inside : bool (rows, cols)
+    weight : float
+        In units of g/255; 0 leaves the map as it is.
+    iterations : int
+        At most.
+    precision : str
+        Key of `DENOISERS`.
+
+    Returns
+    -------
+    float32 (rows, cols), 0 to 255.
+    """
+    if weight == 0 or not inside.any():
+        return g
+    filled: F32 = np.divide(np.where(inside, g, g[inside].mean()), np.float32(255))
+    smooth: F32 = (255 * DENOISERS[precision](filled, weight, iterations)).astype(np.float32)
+    return smooth
+
+
+def grey_difference(g: F32, g0: F32, inside: Bool, sign: float) -> F32:
+    """Eq. 9, g_d = g - g0, signed so that contact is positive (`sign` -1 for a sensor that darkens).
+
+    Returns
+    -------
+    float32 (rows, cols), -255 to 255; 0 outside the disc.
+    """
+    difference: F32 = np.where(inside, np.float32(sign) * (g - g0), np.float32(0))
+    return difference
+
+
+def normalise(values: F32, inside: Bool) -> F32:
+    """Min-max over the disc to [0, 1]; all 0 where the values do not differ; 0 outside."""
+    if not inside.any():
+        return np.zeros_like(values)
+    low, high = values[inside].min(), values[inside].max()
+    if not high > low:
+        return np.zeros_like(values)
+    result: F32 = np.where(inside, (values - low) / (high - low), np.float32(0)).astype(np.float32)
+    return result
+
+
+def shape_grey(g_d: F32, g0: F32, inside: Bool) -> F32:
+    """Eq. 10 and the normalisation after it: g_hn from g_d and g0.
+
+    Meaningless without contact, where it stretches noise to the full range: gate first.
+
+    Returns
+    -------
+    float32 (rows, cols), 0 to 1; 0 outside the disc.
+    """
+    return normalise(normalise(g_d, inside) * g0, inside)

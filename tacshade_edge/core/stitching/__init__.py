@@ -1,0 +1,1 @@
+"""Many presses to one map of a surface."""

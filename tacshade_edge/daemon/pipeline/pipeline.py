@@ -1,0 +1,94 @@
+"""Source, reconstructor and sink with their two threads: the graph that every live command runs."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.daemon.pipeline.ledger import FrameLedger, Timings
+from tacshade_edge.daemon.pipeline.mailbox import Mailbox
+from tacshade_edge.daemon.pipeline.workers import Grab, Reconstruct, Sink, SourceState
+from tacshade_edge.devices.base import FrameSource
+from tacshade_edge.types import Frame
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Crash:
+    """An exception that left a thread."""
+
+    error: BaseException
+    thread: str
+
+
+class Pipeline:
+    """The graph, and what is counted in it.
+
+    Parameters
+    ----------
+    source : FrameSource
+    reconstructor : Reconstructor
+    sink : Sink
+    ledger : FrameLedger
+        The sink settles in it what it does not settle at once.
+    report : callable
+        Gets each new `SourceState`, in the grab thread.
+    """
+
+    def __init__(
+        self,
+        source: FrameSource,
+        reconstructor: Reconstructor,
+        sink: Sink,
+        ledger: FrameLedger,
+        report: Callable[[SourceState], None],
+    ) -> None:
+        self.ledger = ledger
+        self.timings = Timings()
+        self._mailbox: Mailbox[Frame] = Mailbox()
+        self.grab = Grab(source, self._mailbox, ledger, report)
+        self.reconstruct = Reconstruct(reconstructor, self._mailbox, ledger, self.timings, sink)
+        # Daemon threads: a read or a step that hangs must not keep the process.
+        self._threads = (
+            threading.Thread(target=self.grab.run, name="grab", daemon=True),
+            threading.Thread(target=self.reconstruct.run, name="reconstruct", daemon=True),
+        )
+
+    def start(self) -> None:
+        """Start both threads."""
+        for thread in self._threads:
+            thread.start()
+
+    def stop(self, timeout_s: float) -> bool:
+        """Stop reading, finish the frame in the mailbox; False when a thread was not done by then and is left."""
+        deadline = time.monotonic() + timeout_s
+        grab, reconstruct = self._threads
+        self.grab.stop()
+        grab.join(timeout_s / 2)
+        self._mailbox.close()
+        reconstruct.join(max(0.0, deadline - time.monotonic()))
+        left = [thread.name for thread in self._threads if thread.is_alive()]
+        if left:
+            _log.warning("stopping without waiting for %s, not done after %.1f s", " and ".join(left), timeout_s)
+        return not left
+
+
+@contextmanager
+def crashes_to(report: Callable[[Crash], None]) -> Iterator[None]:
+    """Report every exception that leaves any thread, so that the process never lives on in half."""
+
+    def hook(crash: threading.ExceptHookArgs) -> None:
+        if crash.exc_value is not None:
+            report(Crash(crash.exc_value, crash.thread.name if crash.thread else "unknown"))
+
+    before, threading.excepthook = threading.excepthook, hook
+    try:
+        yield
+    finally:
+        threading.excepthook = before

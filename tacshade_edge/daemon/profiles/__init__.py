@@ -1,0 +1,1 @@
+"""Which profile runs, and who chose it."""

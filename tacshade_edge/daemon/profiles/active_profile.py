@@ -1,0 +1,175 @@
+"""Which reconstructor runs: the one place that replaces it. All of it is the main thread's, but for the looking on."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from tacshade_edge.core.profiles import AUTO, LADDER, PROFILES
+from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.daemon.pipeline.workers import Reconstruct
+from tacshade_edge.daemon.profiles.profile_chooser import ProfileChooser, Step
+from tacshade_edge.devices.weights.network import make_reconstructor
+from tacshade_edge.types import Calibration, Frame
+
+_log = logging.getLogger(__name__)
+
+REHEARSALS = 10
+CALM_S = 60
+
+
+@dataclass(frozen=True, slots=True)
+class Stepped:
+    """A chooser wants another profile; one that is asked no more is not listened to."""
+
+    chooser: ProfileChooser
+    step: Step
+
+
+class ActiveProfile:
+    """One profile, or `AUTO`: all of `LADDER` are then kept ready, so that a step makes nothing and waits for nothing.
+
+    Parameters
+    ----------
+    worker : Reconstruct
+        Not started yet. Its reconstructor is replaced, and it is watched by `AUTO`.
+    choice : str
+        A key of `PROFILES`, or `AUTO`.
+    budget_ms : float or None
+        What `AUTO` keeps; None where the settings have none.
+    report : callable
+        ``report(stepped)``, in the worker's thread: give it to `step` in the main thread.
+
+    Attributes
+    ----------
+    choice : str
+    budget_ms : float or None
+    """
+
+    def __init__(
+        self, worker: Reconstruct, choice: str, budget_ms: float | None, report: Callable[[Stepped], None]
+    ) -> None:
+        self._worker = worker
+        self._report = report
+        self._kept: dict[str, Reconstructor] = {}
+        self._chooser: ProfileChooser | None = None
+        self._steps = {"steps_down": 0, "steps_up": 0}
+        self._told_late, self._calm_s = False, 0
+        self.budget_ms = budget_ms
+        self.choice = ""
+        idle = worker.reconstructor  # before the start no thread uses it
+        self._install(choice, idle.calibration, {idle.profile.name: idle})
+
+    @property
+    def reconstructor(self) -> Reconstructor:
+        """The one that the next frame meets."""
+        return self._worker.reconstructor
+
+    @property
+    def choices(self) -> tuple[str, ...]:
+        """What `choose` takes."""
+        return tuple(PROFILES) if self.budget_ms is None else (*PROFILES, AUTO)
+
+    def choose(self, choice: str) -> None:
+        """Use a profile, or `AUTO` from its start; one of `choices`."""
+        self._install(choice, self._worker.reconstructor.calibration, {})
+
+    def use(self, calibration: Calibration) -> None:
+        """Use another calibration; what `AUTO` found out stays."""
+        profile = self._worker.reconstructor.profile
+        if self._chooser is None:
+            self._worker.reconstructor = make_reconstructor(calibration, profile)
+        else:
+            self._kept = {name: make_reconstructor(calibration, PROFILES[name]) for name in LADDER}
+            self._worker.reconstructor = self._kept[profile.name]
+
+    def reload(self, choice: str, budget_ms: float | None, calibration: Calibration) -> None:
+        """Follow the settings."""
+        unchanged = (choice, budget_ms) == (self.choice, self.budget_ms)
+        self.budget_ms = budget_ms
+        if unchanged:
+            self.use(calibration)
+        else:
+            self._install(choice, calibration, {})
+
+    def step(self, stepped: Stepped) -> bool:
+        """Do a step; False when its chooser is asked no more."""
+        if stepped.chooser is not self._chooser:
+            return False
+        step, before = stepped.step, self._worker.reconstructor.profile.name
+        self._worker.reconstructor = self._kept[step.profile]
+        self._steps["steps_up" if step.up else "steps_down"] += 1
+        _log.info(
+            "profile %s: from %s %s to %s: %s", AUTO, before, "up" if step.up else "down", step.profile, step.reason
+        )
+        return True
+
+    def budget(self) -> dict[str, Any] | None:
+        """For ``health``: how the budget is kept; None without `AUTO`."""
+        if self._chooser is None:
+            return None
+        standing = self._chooser.standing
+        within_ms = None if standing.within_ms is None else round(standing.within_ms, 3)
+        return {
+            "latency_budget_ms": self.budget_ms,
+            "profile": self._worker.reconstructor.profile.name,
+            "kept": standing.kept,
+            "p90_ms": within_ms,
+            **self._steps,
+        }
+
+    def tell_late(self) -> None:
+        """To be called once a second: log that not even the fastest keeps the budget, again only after `CALM_S`."""
+        if self._chooser is None or (within_ms := self._chooser.standing.within_ms) is None:
+            return
+        budget_ms, late = self._chooser.budget_ms, self._chooser.standing.kept is False
+        self._calm_s = 0 if late else self._calm_s + 1
+        if self._calm_s >= CALM_S:
+            self._told_late = False
+        if late and self._chooser.lowest and not self._told_late:
+            self._told_late = True
+            profile = self._chooser.profile
+            _log.warning(
+                "%s, the fastest, does not keep %g ms: 90 %% took up to %.1f ms", profile, budget_ms, within_ms
+            )
+
+    def _install(self, choice: str, calibration: Calibration, ready: dict[str, Reconstructor]) -> None:
+        """Use `choice`, and of the reconstructors those that are `ready`: rehearsed here, so no other thread's."""
+        self.choice, self._told_late, self._calm_s = choice, False, 0
+        self._worker.observe = self._chooser = None
+        if choice != AUTO or self.budget_ms is None:
+            self._kept = {}
+            self._worker.reconstructor = ready.get(choice) or make_reconstructor(calibration, PROFILES[choice])
+            return
+        self._kept = {name: ready.get(name) or make_reconstructor(calibration, PROFILES[name]) for name in LADDER}
+        costs_ms = {name: step_cost_ms(made) for name, made in self._kept.items()}
+        chooser = ProfileChooser(self.budget_ms, costs_ms)
+        self._chooser = chooser
+        self._worker.reconstructor = self._kept[chooser.profile]
+
+        def observe(profile: str, now_ns: int, latency_ms: float, own_ms: float) -> None:
+            if (step := chooser.observe(profile, now_ns / 1e9, latency_ms, own_ms)) is not None:
+                self._report(Stepped(chooser, step))
+
+        self._worker.observe = observe
+        costs = ", ".join(f"{name} {ms:.1f} ms" for name, ms in costs_ms.items())
+        _log.info(
+            "profile %s: begins with %s for a budget of %g ms; a step here: %s",
+            *(AUTO, chooser.profile, self.budget_ms, costs),
+        )
+
+
+def step_cost_ms(reconstructor: Reconstructor) -> float:
+    """About what a step in contact takes here, the least of some: all before the network, and the network."""
+    image = reconstructor.calibration.reference_grey
+    frame = Frame(seq=0, t_ns=0, wall_ns=0, image=image)
+    took_ns = []
+    for _ in range(REHEARSALS):
+        begin_ns = time.monotonic_ns()
+        reconstructor.step(frame)
+        reconstructor.inverse(image)
+        took_ns.append(time.monotonic_ns() - begin_ns)
+    return min(took_ns) / 1e6

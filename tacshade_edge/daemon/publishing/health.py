@@ -1,0 +1,79 @@
+"""The ``health`` message: what arrived, what became of it, how fast."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from tacshade_edge.daemon.pipeline.ledger import Counts, FrameLedger, Timings
+from tacshade_edge.types import Reconstruction
+
+# So many periods without one good frame are a state, not an event.
+UNUSABLE_PERIODS = 3
+
+
+def delivered(counts: Counts) -> int:
+    """Frames that ended as they should: sent, with nothing to send, or not asked for."""
+    return counts.published + counts.without_contact + counts.unasked
+
+
+class Health:
+    """Makes the message; the rates are between two calls of `snapshot`.
+
+    Attributes
+    ----------
+    unusable : str
+        Why every frame of the last `UNUSABLE_PERIODS` periods was invalid; empty when one was good or none came.
+    """
+
+    def __init__(self, ledger: FrameLedger, timings: Timings) -> None:
+        self._ledger = ledger
+        self._timings = timings
+        self._started_ns = self._last_ns = time.monotonic_ns()
+        self._last = ledger.counts()
+        self._unusable_periods = 0
+        self.unusable = ""
+
+    def snapshot(
+        self,
+        latest: Reconstruction | None,
+        source_dropped: int,
+        mqtt: dict[str, int],
+        recorder: dict[str, int],
+        budget: dict[str, Any] | None,
+    ) -> dict[str, Any]:
+        """The message as a dict.
+
+        ``frames`` holds captured = published + superseded + without_contact + unasked + invalid + failed + pending,
+        all of one instant. ``source_dropped`` frames never reached this process and are not in it.
+        """
+        now_ns = time.monotonic_ns()
+        counts, before = self._ledger.counts(), self._last
+        seconds = max(now_ns - self._last_ns, 1) / 1e9
+        self._last, self._last_ns = counts, now_ns
+        stages = self._timings.percentiles()
+        self._judge(before, counts, latest)
+        return {
+            "uptime_s": round((now_ns - self._started_ns) / 1e9, 1),
+            "frames": counts.as_dict(),
+            "source_dropped": source_dropped,
+            "capture_fps": round((counts.captured - before.captured) / seconds, 2),
+            "delivered_fps": round((delivered(counts) - delivered(before)) / seconds, 2),
+            "published_fps": round((counts.published - before.published) / seconds, 2),
+            "latency_ms": stages.pop("capture_to_offer", None),
+            "stages_ms": stages,
+            "invalid_reason": latest.reason if latest else "",
+            "degraded_reason": latest.degraded if latest else "",
+            "mqtt": mqtt,
+            "recorder": recorder,
+            "budget": budget,
+        }
+
+    def _judge(self, before: Counts, counts: Counts, latest: Reconstruction | None) -> None:
+        """Whether frames come but none can be used; the first reason stays, so that it is told once."""
+        if delivered(counts) > delivered(before):
+            self._unusable_periods, self.unusable = 0, ""
+        elif counts.invalid > before.invalid:
+            self._unusable_periods += 1
+        if self._unusable_periods >= UNUSABLE_PERIODS and not self.unusable:
+            self.unusable = (latest.reason if latest else "") or "no frame can be used"

@@ -1,0 +1,1 @@
+"""Recordings of the running daemon, and their replay."""

@@ -1,0 +1,151 @@
+"""A recording through the same reconstructor and publisher as the daemon's, by the recording's clock.
+
+One thread and no mailbox: every frame is reconstructed, in order, so equal input and settings give equal results.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.daemon.pipeline.ledger import Timings
+from tacshade_edge.devices.files.recording import RecordedFrame, Recording
+from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.types import Reconstruction
+
+Deliver = Callable[[RecordedFrame, Reconstruction], None]
+
+
+@dataclass(slots=True)
+class Progress:
+    """What a replay has done so far; it stays readable after an interruption.
+
+    Attributes
+    ----------
+    frames, contacts, invalid, undecodable : int
+        Undecodable images are not among the frames.
+    first_ns, last_ns : int
+        Time stamps of the recording.
+    seconds : float
+        By our clock, waits of a paced replay included.
+    timings : Timings
+    """
+
+    frames: int = 0
+    contacts: int = 0
+    invalid: int = 0
+    undecodable: int = 0
+    first_ns: int = 0
+    last_ns: int = 0
+    seconds: float = 0.0
+    timings: Timings = field(default_factory=Timings)
+
+    @property
+    def recorded_seconds(self) -> float:
+        """By the recording's clock, the last frame's mean period included."""
+        if self.frames < 2:
+            return 0.0
+        return (self.last_ns - self.first_ns) / 1e9 * self.frames / (self.frames - 1)
+
+    @property
+    def speed_up(self) -> float:
+        """Recorded time over our time."""
+        return self.recorded_seconds / self.seconds if self.seconds > 0 else 0.0
+
+    def as_dict(self) -> dict[str, Any]:
+        """For ``timings.json``."""
+        return {
+            "frames": self.frames,
+            "seconds": round(self.seconds, 4),
+            "recorded_seconds": round(self.recorded_seconds, 4),
+            "speed_up": round(self.speed_up, 3),
+            "stages_ms": self.timings.percentiles(),
+        }
+
+
+def replay(
+    recording: Recording,
+    reconstructor: Reconstructor,
+    sinks: Sequence[Deliver],
+    progress: Progress,
+    *,
+    speed: float | None,
+    undecodable: Callable[[str], None],
+) -> None:
+    """Reconstruct every frame and deliver it to every sink, in order.
+
+    Parameters
+    ----------
+    recording : Recording
+    reconstructor : Reconstructor
+    sinks : sequence of callables
+    progress : Progress
+        Counted in.
+    speed : float or None
+        Recorded seconds per second; None is as fast as possible.
+    undecodable : callable
+        Gets the line of every image that cannot be used.
+
+    Raises
+    ------
+    ConfigError
+        The first image is not of the calibration's size: another sensor's recording.
+    """
+    begin_ns = time.monotonic_ns()
+    pause = threading.Event()
+    while True:
+        try:
+            recorded = recording.read()
+        except DecodeError as error:
+            progress.undecodable += 1
+            undecodable(str(error))
+            continue
+        if recorded is None:
+            return
+        frame = recorded.frame
+        if progress.frames == 0:
+            _check_size(recorded, reconstructor)
+            progress.first_ns = frame.t_ns
+        if speed is not None:
+            due_ns = begin_ns + (frame.t_ns - progress.first_ns) / speed
+            pause.wait(max(0.0, (due_ns - time.monotonic_ns()) / 1e9))
+        result = _timed(reconstructor, recorded, sinks, progress.timings)
+        progress.frames += 1
+        progress.contacts += result.contact
+        progress.invalid += not result.valid
+        progress.last_ns = frame.t_ns
+        progress.seconds = (time.monotonic_ns() - begin_ns) / 1e9
+
+
+def _timed(
+    reconstructor: Reconstructor, recorded: RecordedFrame, sinks: Sequence[Deliver], timings: Timings
+) -> Reconstruction:
+    last_ns = time.monotonic_ns()
+    ms: dict[str, float] = {}
+
+    def mark(stage: str) -> None:
+        nonlocal last_ns
+        now_ns = time.monotonic_ns()
+        ms[stage] = (now_ns - last_ns) / 1e6
+        last_ns = now_ns
+
+    result = reconstructor.step(recorded.frame, mark)
+    for deliver in sinks:
+        deliver(recorded, result)
+    mark("deliver")
+    timings.add(ms)
+    return result
+
+
+def _check_size(recorded: RecordedFrame, reconstructor: Reconstructor) -> None:
+    calibration = reconstructor.calibration
+    height, width = recorded.frame.image.shape[:2]
+    if (height, width) != (calibration.image_height_px, calibration.image_width_px):
+        raise ConfigError(
+            f"{recorded.name}: found {width}x{height} px, expected {calibration.image_width_px}x"
+            f"{calibration.image_height_px} px, the size of the calibration's images"
+        )

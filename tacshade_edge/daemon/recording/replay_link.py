@@ -1,0 +1,104 @@
+"""A replay's way to the broker: the daemon's publisher and link, under a sensor name of its own."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+from tacshade_edge import __version__
+from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.daemon.publishing.publisher import Publisher
+from tacshade_edge.devices.files.recording import RecordedFrame
+from tacshade_edge.devices.mqtt.client import BrokerAddress
+from tacshade_edge.devices.mqtt.link import MqttLink
+from tacshade_edge.devices.mqtt.outlet import Outcome
+from tacshade_edge.errors import DeviceError
+from tacshade_edge.protocol import messages
+from tacshade_edge.protocol.messages import Request
+from tacshade_edge.types import Reconstruction
+
+CONNECT_S, HAND_OVER_S, STOP_S = 2.0, 5.0, 2.0
+
+
+class ReplayLink:
+    """Publishes what `run` would: every frame with contact, and the contact numbers between.
+
+    Parameters
+    ----------
+    broker : BrokerAddress
+    sensor_id : str
+    reconstructor : Reconstructor
+    wait : bool
+        Wait until the socket has taken each payload, so that none is superseded; False is the daemon's newest wins.
+
+    Raises
+    ------
+    ConfigError
+        A host name that can never work.
+    """
+
+    def __init__(self, *, broker: BrokerAddress, sensor_id: str, reconstructor: Reconstructor, wait: bool) -> None:
+        self._where = f"{broker['host']}:{broker['port']}"
+        self._calibration = reconstructor.calibration
+        self._profile = reconstructor.profile.name
+        self._wait = wait
+        self._changed = threading.Condition()
+        self._open = 0
+        self._began_s = 0.0
+        self._frames = 0
+        self._publisher = Publisher(self._offer)
+        self._link = MqttLink(
+            **broker,
+            base_topic=f"tacshade/{sensor_id}",
+            client_id=f"tacshade-replay-{sensor_id}",
+            on_request=self._on_request,
+            on_outcome=self._on_outcome,
+        )
+
+    def start(self) -> None:
+        """Connect. Raises DeviceError: unlike the daemon, a replay does not wait for a broker that is away."""
+        info = messages.encode_info(
+            version=__version__, config_digest="replay", profile=self._profile, calibration=self._calibration
+        )
+        self._link.set_retained("info", info)
+        self._link.set_retained("status/camera", messages.encode_status("streaming", "replay"))
+        self._link.start()
+        deadline_s = time.monotonic() + CONNECT_S
+        pause = threading.Event()
+        while not self._link.connected:
+            if time.monotonic() > deadline_s:
+                raise DeviceError(f"{self._link.reason}; expected a broker at {self._where} within {CONNECT_S:.0f} s")
+            pause.wait(0.02)
+        self._began_s = time.monotonic()
+
+    def add(self, recorded: RecordedFrame, result: Reconstruction) -> None:
+        """Publish what this result has to say. Raises DeviceError when waiting and the broker takes nothing."""
+        self._frames += 1
+        self._publisher.fps = self._frames / max(1e-3, time.monotonic() - self._began_s)
+        self._publisher.deliver(recorded.frame, result, self._calibration)
+        if self._wait:
+            with self._changed:
+                if not self._changed.wait_for(lambda: self._open == 0, HAND_OVER_S):
+                    raise DeviceError(f"{self._where}: the broker took nothing for {HAND_OVER_S:.0f} s")
+
+    def counters(self) -> dict[str, int]:
+        """Payloads so far: published, superseded, failed, and the link's others."""
+        return self._link.counters()
+
+    def stop(self) -> None:
+        """Say goodbye and disconnect."""
+        self._link.set_retained("status/camera", messages.encode_status("ended", "replay"))
+        self._link.stop(STOP_S)
+
+    def _offer(self, stream: str, payload: bytes, seq: int) -> None:
+        with self._changed:
+            self._open += 1
+        self._link.offer(stream, payload, seq)
+
+    def _on_outcome(self, stream: str, seq: int, outcome: Outcome) -> None:
+        with self._changed:
+            self._open -= 1
+            self._changed.notify_all()
+
+    def _on_request(self, request: Request) -> None:
+        self._link.reply(request, messages.encode_error(request.transaction, "a replay takes no requests"))

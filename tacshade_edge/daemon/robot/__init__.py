@@ -1,0 +1,1 @@
+"""The robot beside the sensor: its line, its clock, its commands."""

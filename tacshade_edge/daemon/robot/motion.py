@@ -1,0 +1,83 @@
+"""The robot's clock and poses, between the thread that receives them and those that ask."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+from typing import Any
+
+from tacshade_edge.core.stitching.poses import PoseBuffer
+from tacshade_edge.protocol.clock_sync import ClockSync, SyncState
+from tacshade_edge.protocol.serial_link import PoseArrived
+from tacshade_edge.types import Pose
+
+
+class RobotMotion:
+    """What is known of where the sensor was. Any thread; nothing here waits for more than a few microseconds."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._sync = ClockSync()
+        self._poses = PoseBuffer()
+        self._restarts = 0
+
+    def began_anew(self) -> None:
+        """The robot greeted: its clock is another."""
+        with self._lock:
+            self._sync.restart("the robot began anew")
+            self._forget_old()
+
+    def asked(self, t1_ns: int, t2_ns: int, t4_ns: int | None) -> None:
+        """A ``SYNC`` arrived; `replied` must follow."""
+        with self._lock:
+            self._sync.asked(t1_ns, t2_ns, t4_ns)
+            self._forget_old()
+
+    def replied(self, t3_ns: int) -> None:
+        """Its reply was given to the port."""
+        with self._lock:
+            self._sync.replied(t3_ns)
+
+    def add(self, arrived: PoseArrived) -> None:
+        """A pose arrived."""
+        sample = arrived.sample
+        with self._lock:
+            self._sync.arrived(sample.t_ns, arrived.arrived_ns)
+            self._forget_old()
+            self._poses.add(Pose(sample.t_ns, *sample.values))
+
+    def at(self, t_ns: int) -> tuple[Pose, int] | None:
+        """``base_T_flange`` at a time of CLOCK_MONOTONIC, and how far from it that may be, in µs; None if unknown."""
+        with self._lock:
+            robot = self._sync.to_robot(t_ns)
+            found = None if robot is None else self._poses.at(robot.t_ns)
+        if robot is None or found is None:
+            return None
+        return replace(found.pose, t_ns=t_ns), -(-(robot.error_ns + found.beyond_ns) // 1000)
+
+    def state(self) -> SyncState:
+        """How well the clock is known."""
+        with self._lock:
+            return self._sync.state()
+
+    def as_dict(self) -> dict[str, Any]:
+        """For ``health``."""
+        with self._lock:
+            state, counts, late = self._sync.state(), self._sync.counts, self._poses.late
+            return {
+                "sync": state.mode,
+                "offset_ns": state.offset_ns,
+                "drift_ppm": state.drift_ppm,
+                "error_us": state.error_us,
+                "exchanges": counts.exchanges,
+                "exchanges_refused": counts.exchanges_refused,
+                "exchange_outliers": counts.outliers,
+                "clock_restarts": counts.restarts,
+                "poses_late": late,
+            }
+
+    def _forget_old(self) -> None:
+        """Poses of a clock that is no more."""
+        if self._restarts != self._sync.counts.restarts:
+            self._restarts = self._sync.counts.restarts
+            self._poses.clear()

@@ -1,0 +1,1 @@
+"""Frames from cameras: V4L2, and the simulated one."""

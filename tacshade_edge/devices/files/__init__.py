@@ -1,0 +1,1 @@
+"""Files: images, tables, calibrations, recordings, sessions, maps."""

@@ -1,0 +1,161 @@
+"""Frames from image files or a video file, at a steady pace."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from tacshade_edge.devices.files.frame_table import Row, read_table, table_in
+from tacshade_edge.devices.files.images import SUFFIXES, read_image
+from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.types import U8, Frame
+
+
+class FilesSource:
+    """A `FrameSource` of a folder of images, one image, or a video file.
+
+    A folder's images come in the order of its table (`frame_table`) with the poses that it has, or of their names.
+
+    Parameters
+    ----------
+    path : Path
+    fps : float
+        Frames per second; a reader that is late gets the next frame at once, never a burst.
+    loop : bool
+        Begin again after the last.
+    """
+
+    def __init__(self, *, path: Path, fps: float, loop: bool) -> None:
+        self._path = path
+        self._period_ns = round(1e9 / fps)
+        self._loop = loop
+        self._seq = 0
+        self._due_ns = 0
+        self._size: tuple[int, int] | None = None
+        self._images: list[Path] = []
+        self._rows: dict[Path, Row] = {}
+        self._video: cv2.VideoCapture | None = None
+        self._items: Iterator[Path | U8] = iter(())
+
+    @property
+    def dropped(self) -> int:
+        """Always 0: a file loses nothing."""
+        return 0
+
+    def open(self) -> None:
+        """Find the files. Raises ConfigError when there is nothing to show, or the table is wrong."""
+        self.close()
+        self._images, self._video = look_at(self._path)
+        if (rows := _rows(self._path)) is not None:
+            self._rows = {self._path / row.image: row for row in rows}
+            self._images = [self._path / row.image for row in rows]
+        self._items = self._next_items()
+        self._due_ns = time.monotonic_ns()
+
+    def read(self) -> Frame | None:
+        """Wait until the next frame is due; None after the last.
+
+        Raises
+        ------
+        DecodeError
+            This image cannot be used; the next call goes on with the next.
+        """
+        item = next(self._items, None)
+        if item is None:
+            return None
+        late_ns = time.monotonic_ns() - self._due_ns
+        if late_ns < 0:
+            time.sleep(-late_ns / 1e9)
+        else:
+            self._due_ns += late_ns
+        self._due_ns += self._period_ns
+        t_ns, wall_ns, seq = time.monotonic_ns(), time.time_ns(), self._seq
+        self._seq += 1
+        row = self._rows.get(item) if isinstance(item, Path) else None
+        frame = Frame(seq=seq, t_ns=t_ns, wall_ns=wall_ns, image=self._checked(item))
+        if row is None or row.pose is None:
+            return frame
+        return replace(frame, pose=replace(row.pose, t_ns=t_ns), pose_error_us=row.pose_error_us)
+
+    def close(self) -> None:
+        """Release the video file."""
+        if self._video is not None:
+            self._video.release()
+        self._video, self._images, self._items = None, [], iter(())
+
+    def describe(self) -> dict[str, str | int | float]:
+        """Path, pace, and the number of images."""
+        about: dict[str, str | int | float] = {"path": str(self._path), "fps": 1e9 / self._period_ns}
+        return about | ({"images": len(self._images)} if self._images else {})
+
+    def _next_items(self) -> Iterator[Path | U8]:
+        while True:
+            yield from self._images
+            if self._video is not None:
+                while (grabbed := self._video.read())[0]:
+                    yield np.asarray(grabbed[1], dtype=np.uint8)
+                self._video.set(cv2.CAP_PROP_POS_FRAMES, 0)
+            if not self._loop:
+                return
+
+    def _checked(self, item: Path | U8) -> U8:
+        if not isinstance(item, Path):
+            return item
+        image = read_image(item)
+        height, width = image.shape[:2]
+        if self._size is None:
+            self._size = (height, width)
+        if self._size != (height, width):
+            expected = f"{self._size[1]}x{self._size[0]} px as the first"
+            raise DecodeError(f"{item}: found {width}x{height} px, expected {expected}")
+        return image
+
+
+def first_size_px(path: Path) -> tuple[int, int] | None:
+    """Width and height of the first image; None when it cannot be decoded.
+
+    Raises
+    ------
+    ConfigError
+        There is nothing to show, or the table is wrong.
+    """
+    images, video = look_at(path)
+    if video is not None:
+        size_px = int(video.get(cv2.CAP_PROP_FRAME_WIDTH)), int(video.get(cv2.CAP_PROP_FRAME_HEIGHT))
+        video.release()
+        return size_px
+    rows = _rows(path)
+    try:
+        image = read_image(path / rows[0].image if rows else images[0])
+    except DecodeError:
+        return None
+    return image.shape[1], image.shape[0]
+
+
+def _rows(path: Path) -> list[Row] | None:
+    table = table_in(path) if path.is_dir() else None
+    return None if table is None else read_table(table, cut_off=table.suffix == ".part")
+
+
+def look_at(path: Path) -> tuple[list[Path], cv2.VideoCapture | None]:
+    """The images of a folder, the one image, or the opened video. Raises ConfigError."""
+    if path.is_dir():
+        images = sorted(p for p in path.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file())
+        if not images:
+            raise ConfigError(f"{path}: found no image, expected a folder of {', '.join(sorted(SUFFIXES))} files")
+        return images, None
+    if not path.is_file():
+        raise ConfigError(f"{path}: found nothing, expected a folder of images, an image or a video file")
+    if path.suffix.lower() in SUFFIXES:
+        return [path], None
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)  # its warnings would double our one line
+    video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    if not (video.isOpened() and video.grab()):
+        raise ConfigError(f"{path}: found no video that OpenCV can read, expected a folder of images, or a video file")
+    video.set(cv2.CAP_PROP_POS_FRAMES, 0)
+    return [], video

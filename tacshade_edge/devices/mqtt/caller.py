@@ -1,0 +1,142 @@
+"""Asks a running daemon through the broker: requests with their replies, and the values that it keeps telling."""
+
+from __future__ import annotations
+
+import json
+import secrets
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from paho.mqtt.client import Client, MQTTMessage
+from paho.mqtt.reasoncodes import ReasonCode
+
+from tacshade_edge.devices.mqtt.client import BrokerAddress, connect, make_client
+from tacshade_edge.errors import DeviceError
+
+CONNECT_S = 5.0
+
+
+class MqttCaller:
+    """One client of one daemon.
+
+    Parameters
+    ----------
+    broker : BrokerAddress
+    sensor_id : str
+    verb : str
+        Of the requests.
+    watched : sequence of str
+        Retained topics to follow, such as ``state``.
+
+    Raises
+    ------
+    ConfigError
+        A host name or authority file that can never work.
+    """
+
+    def __init__(self, broker: BrokerAddress, *, sensor_id: str, verb: str, watched: tuple[str, ...]) -> None:
+        self._where, self._sensor_id, self._verb = f"{broker['host']}:{broker['port']}", sensor_id, verb
+        self._base = f"tacshade/{sensor_id}"
+        self._topics = [f"{self._base}/{topic}" for topic in (f"res/{verb}", *watched)]
+        self._address = broker["host"], broker["port"]
+        self._changed = threading.Condition()
+        self._ready = False
+        self._refused = ""
+        self._latest: dict[str, bytes] = {}
+        self._replies: dict[str, dict[str, Any]] = {}
+        self._client = make_client(
+            host=broker["host"],
+            base_topic=self._base,
+            client_id=f"tacshade-{verb}-{secrets.token_hex(6)}",
+            username=broker["username"],
+            password=broker["password"],
+            tls_ca=broker["tls_ca"],
+        )
+        self._client.on_connect = self._on_connect
+        self._client.on_connect_fail = self._on_connect_fail
+        self._client.on_subscribe = self._on_subscribe
+        self._client.on_message = self._on_message
+
+    def start(self) -> None:
+        """Connect. Raises DeviceError when there is no broker that lets us in."""
+        connect(self._client, *self._address)
+        if not self.wait_for(lambda: self._ready or bool(self._refused), CONNECT_S) or not self._ready:
+            reason = self._refused or f"no answer within {CONNECT_S:.0f} s"
+            raise DeviceError(f"{self._where}: {reason}; expected a broker")
+
+    def ask(self, body: Mapping[str, object], timeout_s: float) -> dict[str, Any]:
+        """The result of a request.
+
+        Raises
+        ------
+        DeviceError
+            The daemon refused it, or did not answer.
+        """
+        transaction = secrets.token_hex(8)
+        payload = json.dumps({**body, "transaction": transaction}).encode()
+        self._client.publish(f"{self._base}/req/{self._verb}", payload, qos=1)
+        if not self.wait_for(lambda: transaction in self._replies, timeout_s):
+            found = f"{self._where}: no answer from sensor {self._sensor_id} within {timeout_s:.0f} s"
+            raise DeviceError(f"{found}, expected a running daemon")
+        reply = self._replies[transaction]
+        if reply.get("ok") is not True:
+            raise DeviceError(str(reply.get("error")))
+        result: dict[str, Any] = reply["result"]
+        return result
+
+    def latest(self, topic: str) -> bytes:
+        """What the daemon told last on a watched topic; empty when nothing."""
+        return self._latest.get(f"{self._base}/{topic}", b"")
+
+    def wait_for(self, condition: Callable[[], bool], timeout_s: float) -> bool:
+        """Wait until something that was received makes `condition` true; its last value."""
+        deadline_s = time.monotonic() + timeout_s
+        with self._changed:
+            # In slices: a signal's handler runs only between them.
+            while not condition() and (left_s := deadline_s - time.monotonic()) > 0:
+                self._changed.wait(min(left_s, 0.1))
+            return condition()
+
+    def stop(self) -> None:
+        """Disconnect."""
+        self._client.disconnect()
+        self._client.loop_stop()
+
+    # -- called by paho, in its thread ----------------------------------------------------------------------------
+
+    def _note(self, refused: str) -> None:
+        with self._changed:
+            self._refused = refused
+            self._changed.notify_all()
+
+    def _on_connect(self, client: Client, _userdata: Any, _flags: Any, code: ReasonCode, _properties: Any) -> None:
+        if code.is_failure:
+            self._note(f"refused: {code}")
+        else:
+            client.subscribe([(topic, 1) for topic in self._topics])
+
+    def _on_connect_fail(self, _client: Client, _userdata: Any) -> None:
+        error = sys.exception()  # paho calls this while it handles the error, and does not pass it on
+        self._note(str(getattr(error, "strerror", None) or error or "no connection"))
+
+    def _on_subscribe(self, _client: Client, _userdata: Any, _mid: int, codes: list[ReasonCode], _p: Any) -> None:
+        refused = next((str(code) for code in codes if code.is_failure), "")
+        with self._changed:
+            self._ready, self._refused = not refused, refused and f"subscription refused: {refused}"
+            self._changed.notify_all()
+
+    def _on_message(self, _client: Client, _userdata: Any, message: MQTTMessage) -> None:
+        payload = bytes(message.payload)
+        with self._changed:
+            if message.topic == self._topics[0]:
+                try:
+                    reply = json.loads(payload)
+                    self._replies[str(reply["transaction"])] = reply
+                except (ValueError, TypeError, KeyError):
+                    return  # another's, or nobody's
+            else:
+                self._latest[message.topic] = payload
+            self._changed.notify_all()

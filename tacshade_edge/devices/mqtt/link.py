@@ -1,0 +1,382 @@
+"""The link to the MQTT broker: never blocks its caller, bounded whatever the peer does, back by itself.
+
+paho's own queue is unbounded for QoS 0, so every topic has an `Outlet`: one waiting payload, the newest, and
+at most two that paho holds and has not yet written.
+
+Threads: callers' and paho's network thread. `_lock` guards all state and is never held while paho or a
+callback of ours is called, since paho calls back with locks of its own held.
+"""
+
+from __future__ import annotations
+
+import logging
+import socket
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from typing import Any, Final, Literal
+
+from paho.mqtt.client import Client, MQTTMessage
+from paho.mqtt.enums import MQTTErrorCode
+from paho.mqtt.reasoncodes import ReasonCode
+from paho.mqtt.subscribeoptions import SubscribeOptions
+
+from tacshade_edge.devices.mqtt.client import connect, make_client, publish_properties
+from tacshade_edge.devices.mqtt.outlet import Item, Outcome, Outlet
+from tacshade_edge.errors import DecodeError
+from tacshade_edge.protocol.messages import Request, encode_error, parse_request, parse_transaction
+
+_log = logging.getLogger(__name__)
+
+_UNSENT_PER_STREAM: Final = 2
+_REPLIES_OPEN_MAX: Final = 16
+_STREAM_EXPIRY_S: Final = 5  # a broker drops what a stalled subscriber did not take by then
+_NO_LISTENER: Final = 0x10  # "no matching subscribers", MQTT 5
+_JSON: Final = "application/json"
+_CONTENT_TYPES: Final = {
+    "height": "application/vnd.tacshade.height",
+    "cloud": "application/vnd.tacshade.cloud",
+    "map/cloud": "application/vnd.tacshade.cloud",
+    "preview": "image/jpeg",
+    "state": "text/plain",
+}
+_COUNTERS: Final = (
+    *("connects", "losses", "published", "superseded", "failed", "refused"),
+    *("requests", "bad_requests", "replies", "replies_dropped"),
+)
+
+
+class MqttLink:
+    """Publish streams, retained values and replies; receive requests.
+
+    Parameters
+    ----------
+    host, port : str, int
+    base_topic : str
+        ``tacshade/<sensor-id>``, without a slash at either end.
+    client_id : str
+        Fixed per sensor: a new connection must take over from a dead one, will included.
+    username, password : str or None
+    tls_ca : str or None
+        PEM file of the authority that signed the broker's certificate; None is no TLS.
+    on_request, on_outcome : callable
+        Called from paho's network thread or from the caller of `offer`; they must only count or enqueue.
+        `on_outcome` gets (stream, seq, outcome) once per offered payload.
+
+    Raises
+    ------
+    ConfigError
+        A host name, topic or authority file that can never work.
+    """
+
+    def __init__(
+        self,
+        *,
+        host: str,
+        port: int,
+        base_topic: str,
+        client_id: str,
+        username: str | None = None,
+        password: str | None = None,
+        tls_ca: str | None = None,
+        on_request: Callable[[Request], None],
+        on_outcome: Callable[[str, int, Outcome], None],
+    ) -> None:
+        self._where = f"{host}:{port}"
+        self._host, self._port, self._base = host, port, base_topic
+        self._on_request, self._on_outcome = on_request, on_outcome
+        self._lock = threading.Lock()
+        self._changed = threading.Condition(self._lock)
+        self._connected, self._refused, self._stopping = False, False, False
+        self._reason = f"{self._where}: not started"
+        self._epoch = 0  # counts lost connections: what was handed over in an older one is settled already
+        self._outlets: dict[str, Outlet] = {}
+        self._by_mid: dict[int, tuple[Outlet, Item, int] | None] = {}  # with its QoS; None: a reply
+        self._early: dict[int, int] = {}  # what paho's thread reported before publish() had returned the number
+        self._replies_open = 0
+        self._counters: Counter[str] = Counter()
+        self._thread: threading.Thread | None = None
+        self._client = make_client(
+            host=host,
+            base_topic=base_topic,
+            client_id=client_id,
+            username=username,
+            password=password,
+            tls_ca=tls_ca,
+        )
+        self._client.will_set(f"{base_topic}/state", b"offline", qos=1, retain=True)
+        self._client.on_pre_connect = self._on_pre_connect
+        self._client.on_connect = self._on_connect
+        self._client.on_connect_fail = self._on_connect_fail
+        self._client.on_disconnect = self._on_disconnect
+        self._client.on_publish = self._on_publish
+        self._client.on_message = self._on_message
+        self.set_retained("state", b"online")
+
+    @property
+    def connected(self) -> bool:
+        """The broker has accepted us."""
+        return self._connected
+
+    @property
+    def reason(self) -> str:
+        """Why not connected, in one line; empty when connected."""
+        return self._reason
+
+    def counters(self) -> dict[str, int]:
+        """Since the start; all names are always there. `refused`: the broker's access rules denied a QoS 1 message."""
+        with self._lock:
+            return {name: self._counters[name] for name in _COUNTERS}
+
+    def start(self) -> None:
+        """Begin to connect, and go on for ever; an absent broker is no error. Call once."""
+        self._note(f"{self._where}: connecting")
+        connect(self._client, self._host, self._port)
+
+    def stop(self, timeout_s: float) -> None:
+        """Publish what waits and ``state`` = ``stopped``, and disconnect; return within `timeout_s` in any case.
+
+        A broker that does not take that in time publishes the last will, ``offline``, instead.
+        Every payload not sent by then has failed.
+        """
+        begin = time.monotonic()
+        with self._lock:
+            streams = [o for o in self._outlets.values() if not o.retain]
+            for outlet in streams:
+                outlet.most += 1  # the last of each stream goes before the state
+        for outlet in streams:
+            self._pump(outlet)
+        self.set_retained("state", b"stopped")
+        state = self._outlets["state"]
+        with self._lock:
+            self._changed.wait_for(lambda: state.idle or not self._connected, 0.6 * timeout_s)
+            self._stopping = True
+        self._client.disconnect()
+        with self._lock:
+            self._changed.wait_for(lambda: not self._connected, begin + 0.8 * timeout_s - time.monotonic())
+        self._end_thread(begin + timeout_s)
+        with self._lock:
+            left = self._lose("") + [(o.topic, i) for o in streams for i in o.drain()]
+        self._settle("failed", left)
+
+    def set_retained(self, topic: str, payload: bytes, *, qos: Literal[0, 1] = 1) -> None:
+        """Publish a retained value under the base topic, now and again on every connection; the newest wins."""
+        with self._lock:
+            outlet = self._outlet(topic, qos, True)
+            outlet.put(Item(payload, 0))
+        self._pump(outlet)
+
+    def wanted(self, stream: str) -> bool:
+        """Whether a payload of a stream may have a listener: False while the broker's latest answer was that none has.
+
+        True once a second all the same, so that the next payload asks again; and with a broker that is away, or that
+        never says so (MQTT 5 leaves it to the broker).
+        """
+        with self._lock:
+            outlet = self._outlets.get(stream)
+            return outlet is None or not outlet.unheard or outlet.probe_due(time.monotonic_ns())
+
+    def offer(self, stream: str, payload: bytes, seq: int) -> None:
+        """Send a payload of a stream (not retained) once the peer takes it, unless a newer one comes first.
+
+        With QoS 0, but one payload a second with QoS 1: its answer tells whether anyone listens (`wanted`).
+
+        Its one outcome: ``published`` (handed to the operating system), ``superseded`` (a newer one displaced it),
+        or ``failed`` (displaced or lost while the broker was away). While the broker is away the newest is kept,
+        and is the first to go out: subscribers are never left with an older truth.
+        """
+        with self._lock:
+            outlet = self._outlet(stream, 0, False)
+            item = Item(payload, seq)
+            displaced = item if self._stopping else outlet.put(item)
+            outcome: Outcome = "superseded" if self._connected and not self._stopping else "failed"
+        if displaced is not None:
+            self._settle(outcome, [(stream, displaced)])
+        self._pump(outlet)
+
+    def reply(self, request: Request, payload: bytes) -> None:
+        """Answer a request on ``res/<verb>``, or where its MQTT 5 properties say. Lost with the connection."""
+        self._answer(request.response_topic or f"{self._base}/res/{request.verb}", payload, request.correlation)
+
+    # -- sending --------------------------------------------------------------------------------------------------
+
+    def _outlet(self, topic: str, qos: int, retain: bool) -> Outlet:
+        """The topic's outlet, made on first use. Lock held."""
+        if topic not in self._outlets:
+            content_type = _CONTENT_TYPES.get(topic, _JSON)
+            properties = publish_properties(content_type, expiry_s=None if retain else _STREAM_EXPIRY_S)
+            most = 1 if retain else _UNSENT_PER_STREAM
+            self._outlets[topic] = Outlet(topic, qos, retain, most, properties)
+        return self._outlets[topic]
+
+    def _pump(self, outlet: Outlet) -> None:
+        """Hand paho what may go. One thread at a time per outlet; a second leaves the work to the first."""
+        while True:
+            with self._lock:
+                item = outlet.take() if self._connected and not self._stopping else None
+                epoch = self._epoch
+                if item is None:
+                    return
+                qos = outlet.next_qos(time.monotonic_ns())
+            info = self._client.publish(
+                f"{self._base}/{outlet.topic}", item.payload, qos, outlet.retain, outlet.properties
+            )
+            settled: tuple[Outcome, Item] | None = None
+            with self._lock:
+                outlet.busy = False
+                if epoch != self._epoch:
+                    continue  # lost meanwhile, and settled then
+                taken = info.rc == MQTTErrorCode.MQTT_ERR_SUCCESS
+                if not taken:  # the connection is going; the next one pumps
+                    failed = outlet.refuse(item)
+                    settled = None if failed is None else ("failed", failed)
+                elif (code := self._early.pop(info.mid, None)) is not None:
+                    self._done(outlet, item, qos, code)
+                    settled = ("published", item)
+                else:
+                    self._by_mid[info.mid] = (outlet, item, qos)
+            if settled is not None and not outlet.retain:
+                self._settle(settled[0], [(outlet.topic, settled[1])])
+            if not taken:
+                return
+
+    def _answer(self, topic: str, payload: bytes, correlation: bytes | None) -> None:
+        """Publish a reply (QoS 1); dropped when not connected or when 16 are not yet acknowledged."""
+        with self._lock:
+            if not self._connected or self._replies_open >= _REPLIES_OPEN_MAX:
+                self._counters["replies_dropped"] += 1
+                return
+            self._replies_open += 1
+            self._counters["replies"] += 1
+            epoch = self._epoch
+        info = self._client.publish(topic, payload, 1, False, publish_properties(_JSON, correlation=correlation))
+        with self._lock:
+            if epoch != self._epoch:
+                return
+            if info.rc != MQTTErrorCode.MQTT_ERR_SUCCESS or self._early.pop(info.mid, None) is not None:
+                self._replies_open -= 1
+            else:
+                self._by_mid[info.mid] = None
+
+    def _done(self, outlet: Outlet, item: Item, qos: int, code: int) -> None:
+        """Paho has sent an item (QoS 0), or the broker has answered it with a reason code. Lock held."""
+        outlet.done(item)
+        if qos == 1:
+            outlet.unheard = code == _NO_LISTENER
+        self._changed.notify_all()
+
+    def _settle(self, outcome: Outcome, items: list[tuple[str, Item]]) -> None:
+        """Tell the outcome of stream items. Lock not held."""
+        with self._lock:
+            self._counters[outcome] += len(items)
+        for stream, item in items:
+            self._on_outcome(stream, item.seq, outcome)
+
+    def _lose(self, reason: str) -> list[tuple[str, Item]]:
+        """Forget the connection; what failed with it. Lock held."""
+        self._counters["losses"] += self._connected and not self._stopping
+        self._connected = False
+        self._note(f"{self._where}: stopped" if self._stopping else reason)
+        self._epoch += 1
+        self._by_mid.clear()
+        self._early.clear()
+        self._replies_open = 0
+        self._changed.notify_all()
+        return [(o.topic, item) for o in self._outlets.values() for item in o.give_back()]
+
+    def _note(self, reason: str) -> None:
+        """Keep why we are not connected; a change is logged, a repetition is not."""
+        if reason != self._reason:
+            self._reason = reason
+            _log.info("%s", reason or f"{self._where}: connected")
+
+    def _end_thread(self, deadline: float) -> None:
+        """Wait for paho's thread; one that hangs in a connection attempt is a daemon thread and is left."""
+        sock = self._client.socket()
+        if sock is not None:
+            try:
+                sock.shutdown(socket.SHUT_RDWR)  # type: ignore[attr-defined]
+            except OSError:
+                _log.debug("the socket was closed already")
+        if self._thread is not None:
+            self._thread.join(max(0.0, deadline - time.monotonic()))
+
+    # -- called by paho, in its thread ----------------------------------------------------------------------------
+
+    def _on_pre_connect(self, _client: Client, _userdata: Any) -> None:
+        self._thread, self._refused = threading.current_thread(), False
+        if self._connected:  # paho can lose a connection without on_disconnect
+            self._drop(f"{self._where}: connection lost")
+
+    def _on_connect(self, client: Client, _userdata: Any, _flags: Any, code: ReasonCode, _properties: Any) -> None:
+        if code.is_failure:
+            with self._lock:
+                self._refused = True
+                self._note(f"{self._where}: refused: {code}")
+            return
+        client.drop_out_messages()  # or paho would send old retained values after the new ones
+        client.subscribe(f"{self._base}/req/+", options=SubscribeOptions(1, noLocal=True, retainHandling=2))
+        with self._lock:
+            self._connected = not self._stopping
+            self._counters["connects"] += 1
+            self._note("")
+            outlets = sorted(self._outlets.values(), key=lambda o: not o.retain)
+        for outlet in outlets:
+            self._pump(outlet)
+        if self._stopping:
+            client.disconnect()
+
+    def _on_connect_fail(self, _client: Client, _userdata: Any) -> None:
+        error = sys.exception()  # paho calls this while it handles the error, and does not pass it on
+        with self._lock:
+            self._note(f"{self._where}: {getattr(error, 'strerror', None) or error or 'no connection'}")
+
+    def _on_disconnect(self, _client: Client, _userdata: Any, _flags: Any, code: ReasonCode, _properties: Any) -> None:
+        if self._connected:
+            self._drop(f"{self._where}: connection lost ({code})")
+        elif not self._refused and not self._stopping:  # else that reason stays, and our own end is none
+            with self._lock:
+                self._note(f"{self._where}: accepts connections but does not answer as an MQTT 5 broker ({code})")
+
+    def _drop(self, reason: str) -> None:
+        with self._lock:
+            failed = self._lose(reason)
+        self._settle("failed", failed)
+
+    def _on_publish(self, _client: Client, _userdata: Any, mid: int, code: ReasonCode, _properties: Any) -> None:
+        with self._lock:
+            if code.is_failure:
+                self._counters["refused"] += 1
+            if mid not in self._by_mid:
+                self._early[mid] = code.value
+                return
+            entry = self._by_mid.pop(mid)
+            if entry is None:
+                self._replies_open -= 1
+                return
+            outlet, item, qos = entry
+            self._done(outlet, item, qos, code.value)
+        if not outlet.retain:
+            self._settle("published", [(outlet.topic, item)])
+        self._pump(outlet)
+
+    def _on_message(self, _client: Client, _userdata: Any, message: MQTTMessage) -> None:
+        verb = message.topic.removeprefix(f"{self._base}/req/")
+        payload = bytes(message.payload)
+        response_topic = getattr(message.properties, "ResponseTopic", None)
+        correlation = getattr(message.properties, "CorrelationData", None)
+        if not response_topic or set(response_topic) & set("+#\0"):
+            response_topic = None
+        try:
+            request = parse_request(verb, payload, response_topic=response_topic, correlation=correlation)
+        except DecodeError as error:
+            with self._lock:
+                self._counters["bad_requests"] += 1
+            answer = encode_error(parse_transaction(payload), str(error))
+            self._answer(response_topic or f"{self._base}/res/{verb}", answer, correlation)
+            return
+        with self._lock:
+            self._counters["requests"] += 1
+        self._on_request(request)

@@ -1,0 +1,58 @@
+"""The shipped networks of `core.depth.learned`, run by ONNX Runtime on one thread (decision 5)."""
+
+from __future__ import annotations
+
+import json
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tacshade_edge.core.depth.learned import Network
+from tacshade_edge.core.profiles import LEARNED, PROFILES, Profile
+from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.types import F32, Calibration
+
+if TYPE_CHECKING:
+    from onnxruntime import InferenceSession
+
+WEIGHTS = Path(str(resources.files("tacshade_edge.devices.weights")))
+
+
+def load_network(name: str) -> Network:
+    """Read the shipped weights of a profile. One network is for one thread at a time."""
+    return read_network(WEIGHTS / f"{name}.onnx")
+
+
+def read_network(onnx: Path) -> Network:
+    """Read an ONNX file, and those beside it: its JSON file and ``.sensor.onnx`` (tools/train/export.py)."""
+    fold = int(json.loads(onnx.with_suffix(".json").read_text())["fold"])
+    session = _session(onnx)
+
+    def sense(known: F32) -> F32:
+        answer: F32 = _session(onnx.with_suffix(".sensor.onnx")).run(None, {"known": known[None]})[0][0]
+        return answer
+
+    def run(white: F32, sensor: F32) -> F32:
+        answer: F32 = session.run(None, {"white": white[None], "sensor": sensor[None]})[0][0]
+        return answer
+
+    return Network(fold, sense, run)
+
+
+def _session(onnx: Path) -> InferenceSession:
+    import onnxruntime  # on demand: 20 MB that `paper` does without
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 3  # it warns of processors that it does not know
+    return onnxruntime.InferenceSession(str(onnx), options, providers=["CPUExecutionProvider"])
+
+
+def load_networks() -> dict[str, Network]:
+    """All that a calibration is to be refitted for."""
+    return {name: load_network(name) for name, profile in PROFILES.items() if profile.solver == LEARNED}
+
+
+def make_reconstructor(calibration: Calibration, profile: Profile) -> Reconstructor:
+    """A reconstructor, with a network of its own where the profile wants one."""
+    return Reconstructor(calibration, profile, load_network(profile.name) if profile.solver == LEARNED else None)

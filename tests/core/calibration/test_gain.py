@@ -1,0 +1,96 @@
+import numpy as np
+import pytest
+
+from tacshade_edge.core.calibration import gain
+from tacshade_edge.core.depth.learned import Inverse
+from tacshade_edge.core.geometry import disc_map
+from tacshade_edge.core.geometry.back_projection import skin_points
+from tacshade_edge.core.geometry.disc import disc_rays
+from tacshade_edge.types import Disc, Geometry
+
+DISC = Disc(61.3, 83.9, 47.7)
+PLACES = ((0.0, 0.0), (5.0, -2.0), (-4.0, 6.0), (2.0, 7.0), (-6.0, -5.0), (7.0, 1.0), (0.0, -8.0), (3.0, 3.0))
+BALLS = [(x, y, 1.0 + 0.4 * k, 4.0 + 0.5 * k) for k, (x, y) in enumerate(PLACES)]
+
+
+def geometry(distance: float | None = 14.0) -> Geometry:
+    return Geometry(20.0, distance, 50.0, DISC)
+
+
+def seen(ball: gain.Ball, factor: float = 1.0, where: Geometry | None = None) -> Inverse:
+    """A network that is off by a factor, and right about a contact that is the middle of the ball's imprint."""
+    height = np.nan_to_num(gain.ball_height(where or geometry(), ball))
+    contact = height > 0.5 * ball.depth_max_mm(20.0)
+    return Inverse((factor * np.maximum(height, 0)).astype(np.float32), np.where(contact, 5, -5).astype(np.float32))
+
+
+def rows(factor: float, where: Geometry | None = None) -> list[gain.PressRows]:
+    balls = [gain.stated_ball(where or geometry(), *b) for b in BALLS]
+    made = [gain.press_rows(seen(b, factor, where), where or geometry(), b) for b in balls]
+    return [m for m in made if m is not None]
+
+
+@pytest.mark.parametrize("distance", [None, 14.0])
+def test_a_balls_surface_is_where_its_rays_end(distance: float | None) -> None:
+    where = geometry(distance)
+    ball = gain.stated_ball(where, 4.0, -3.0, 2.0, 5.0)
+    height = gain.ball_height(where, ball)
+    rays = disc_rays(disc_map.map_grid(DISC), where)
+    points = skin_points(height, rays, where)
+    hit = np.isfinite(height)
+    assert 500 < np.count_nonzero(hit) < hit.size / 2
+    off = np.linalg.norm(points[hit] - (ball.x_mm, ball.y_mm, ball.z_mm), axis=1) - 5.0
+    assert np.abs(off).max() < 1e-3
+    assert np.nanmax(height) == pytest.approx(ball.depth_max_mm(20.0), abs=0.02)
+
+
+def test_the_stated_depth_is_along_z() -> None:
+    ball = gain.stated_ball(geometry(), 6.0, 0.0, 2.0, 5.0)
+    assert ball.z_mm - 5.0 == pytest.approx(np.sqrt(400 - 36) - 2.0)
+    assert gain.stated_ball(geometry(), 0.0, 0.0, 2.0, 5.0).depth_max_mm(20.0) == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(("x_mm", "y_mm"), [(0.0, 0.0), (5.0, -2.0), (-4.0, 6.0)])
+def test_a_ball_is_located_by_its_contact(x_mm: float, y_mm: float) -> None:
+    ball = gain.stated_ball(geometry(), x_mm, y_mm, 2.5, 6.0)
+    found = gain.located_ball(geometry(), seen(ball), 2.5, 6.0)
+    assert found is not None
+    assert np.hypot(found.x_mm - x_mm, found.y_mm - y_mm) < 0.25
+    assert found.z_mm == pytest.approx(ball.z_mm, abs=0.2)
+
+
+def test_without_contact_there_is_nothing_to_locate_or_fit() -> None:
+    nothing = Inverse(np.zeros((112, 112), dtype=np.float32), np.full((112, 112), -5, dtype=np.float32))
+    ball = gain.stated_ball(geometry(), 0.0, 0.0, 2.0, 5.0)
+    assert gain.located_ball(geometry(), nothing, 2.0, 5.0) is None
+    assert gain.press_rows(nothing, geometry(), ball) is None
+
+
+@pytest.mark.parametrize(("factor", "left"), [(0.6, 0.05), (0.75, 0.05), (1.0, 0.01), (1.35, 0.05)])
+def test_a_constant_factor_is_taken_away(factor: float, left: float) -> None:
+    fitted = gain.fit_factor(rows(factor))
+    assert fitted is not None
+    ball = gain.stated_ball(geometry(), -2.0, 3.0, 2.2, 5.5)  # not one of the presses
+    assert fitted * seen(ball, factor).height_mm.max() == pytest.approx(ball.depth_max_mm(20.0), rel=left)
+
+
+@pytest.mark.parametrize("factor", [0.6, 0.9, 1.35])
+def test_a_little_less_than_what_the_balls_say_is_taken(factor: float) -> None:
+    fitted = gain.fit_factor(rows(factor)) or 0.0
+    assert (fitted - 1) / (1 / factor - 1) == pytest.approx(1 / (1 + gain.RIDGE), abs=0.01)
+
+
+def test_every_press_counts_whatever_its_contacts_size() -> None:
+    small, large = [gain.PressRows(np.full(n, n**-0.5), np.full(n, t * n**-0.5)) for n, t in ((20, 1.2), (2000, 1.0))]
+    fitted = gain.fit_factor([small] * 3 + [large] * 3)
+    assert fitted == pytest.approx(1 + 0.1 / (1 + gain.RIDGE))
+
+
+def test_few_presses_fit_nothing() -> None:
+    assert gain.fit_factor(rows(0.7)[: gain.LEAST_PRESSES - 1]) is None
+
+
+def test_the_factor_is_bounded() -> None:
+    low, high = gain.FACTOR_RANGE
+    assert gain.fit_factor(rows(0.1)) == pytest.approx(high)
+    assert gain.fit_factor(rows(20.0)) == pytest.approx(low)

@@ -1,0 +1,166 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+import pytest
+
+from tacshade_edge.core.depth import SOLVERS, Depth, GreyMaps
+from tacshade_edge.core.depth.hybrid_sfs import hybrid_sfs
+from tacshade_edge.types import F32, F64
+
+ALPHA_MM = 3.0
+
+
+def bump(rows: int = 40, cols: int = 50, top: float = 80.0) -> F32:
+    y, x = np.mgrid[:rows, :cols]
+    return (top * np.exp(-((y - rows / 2) ** 2 + (x - cols / 2) ** 2) / 60)).astype(np.float32)
+
+
+def solve(solver: str, g_d: F32, *, inside: bool = True) -> Depth:
+    g0 = np.full(g_d.shape, 120, np.float32)
+    maps = GreyMaps(g=g0 + g_d, g0=g0, g_d=g_d, inside=np.full(g_d.shape, inside))
+    return SOLVERS[solver](maps, ALPHA_MM)
+
+
+def spike() -> F32:
+    values = np.zeros((20, 21), np.float32)
+    values[9, 9] = 200
+    return values
+
+
+def step_edge() -> F32:
+    values = np.zeros((20, 21), np.float32)
+    values[:, 10:] = 90
+    return values
+
+
+def checkerboard() -> F32:
+    return (np.indices((20, 21)).sum(axis=0) % 2 * 150).astype(np.float32)
+
+
+def noise() -> F32:
+    return np.random.default_rng(2).normal(0, 60, (20, 21)).astype(np.float32)
+
+
+EXTREMES: dict[str, Callable[[], F32]] = {
+    "zero": lambda: np.zeros((20, 21), np.float32),
+    "constant": lambda: np.full((20, 21), 70, np.float32),
+    "spike": spike,
+    "step edge": step_edge,
+    "checkerboard": checkerboard,
+    "noise": noise,
+    "full scale": lambda: np.sign(noise()) * np.float32(255),
+    "subnormal": lambda: np.float32(1e-44) * checkerboard(),
+    "ramp": lambda: np.tile(np.linspace(0, 255, 21, dtype=np.float32), (20, 1)),
+    "antidiagonal": lambda: np.subtract.outer(np.arange(20), np.arange(21)).astype(np.float32),  # p = -q everywhere
+    "1x1": lambda: np.ones((1, 1), np.float32),
+    "2x2": lambda: np.array([[0, 90], [0, 0]], np.float32),
+    "row": lambda: np.arange(9, dtype=np.float32)[None],
+    "column": lambda: np.arange(9, dtype=np.float32)[:, None],
+}
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("name", EXTREMES)
+def test_every_solver_is_finite_at_the_extremes(solver: str, name: str) -> None:
+    g_d = EXTREMES[name]()
+    depth = solve(solver, g_d)
+    assert depth.height_mm.shape == g_d.shape
+    assert depth.height_mm.dtype == np.float32
+    assert np.isfinite(depth.height_mm).all()
+    assert (depth.height_mm >= 0).all()
+    assert solver == "paper" or depth.repaired_px == 0
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_bad_input_is_repaired_and_counted(solver: str, bad: float) -> None:
+    good, g_d = bump(), bump()
+    g_d[3, 4] = bad
+    depth, unharmed = solve(solver, g_d), solve(solver, good)
+    assert np.isfinite(depth.height_mm).all()
+    assert unharmed.repaired_px == 0
+    assert depth.repaired_px == 1
+    # One bad cell far from the contact does not take the contact away.
+    assert depth.height_mm.max() == pytest.approx(unharmed.height_mm.max(), rel=0.02)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_nothing_but_nan_is_nothing(solver: str) -> None:
+    depth = solve(solver, np.full((8, 9), np.nan, np.float32))
+    assert not depth.height_mm.any()
+    assert depth.repaired_px == 72
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_outside_the_disc_is_zero(solver: str) -> None:
+    assert not solve(solver, bump(), inside=False).height_mm.any()
+    g_d = bump()
+    inside = np.zeros(g_d.shape, bool)
+    inside[:, :30] = True
+    g0 = np.full(g_d.shape, 120, np.float32)
+    maps = GreyMaps(g=g0 + g_d, g0=g0, g_d=np.where(inside, g_d, np.float32(0)), inside=inside)
+    height = SOLVERS[solver](maps, ALPHA_MM).height_mm
+    assert not height[~inside].any()
+    assert height[inside].any()
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_the_same_maps_give_the_same_bytes_and_stay_as_they_were(solver: str) -> None:
+    g_d = noise()
+    before = g_d.tobytes()
+    first, second = (solve(solver, g_d).height_mm.tobytes() for _ in range(2))
+    assert first == second
+    assert g_d.tobytes() == before
+
+
+@pytest.mark.parametrize("shape", [(40, 50), (41, 51)])
+def test_the_published_iteration_returns_its_input_scaled(shape: tuple[int, int]) -> None:
+    image = np.asarray(bump(*shape, top=1.0), np.float64)
+    z, repaired = hybrid_sfs(image)
+    flat = cv2.medianBlur(image.astype(np.float32), 3)
+    assert np.corrcoef(z.ravel(), flat.ravel())[0, 1] >= 0.99
+    assert z.max() / image.max() > 1e14  # divided by the machine epsilon
+    assert repaired == 0
+
+
+def test_the_iteration_is_the_literal_one() -> None:
+    """Eq. 11 as ref. [20] codes it, written out element by element with Python's complex numbers."""
+    image = np.random.default_rng(4).uniform(0.2, 1, (5, 6))
+    rows, cols = image.shape
+    p_image, q_image = np.zeros((rows, cols)), np.zeros((rows, cols))
+    p_image[:, 1:], q_image[1:] = np.diff(image, axis=1), np.diff(image, axis=0)
+    p, q = np.fft.fft2(p_image), np.fft.fft2(q_image)
+    z = [[0j] * cols for _ in range(rows)]
+    for n in range(26):
+        new = [[0j] * cols for _ in range(rows)]
+        for i in range(rows):
+            for j in range(cols):
+                norm2 = 1 + complex(p[i][j]) ** 2 + complex(q[i][j]) ** 2
+                r = 1 / norm2**0.5
+                f = image[i, j] - (r if r.real >= 0 else 0)
+                slope = (complex(p[i][j]) + complex(q[i][j])) / norm2**1.5 + 2.2e-16
+                new[i][j] = f if n == 0 else z[i][j] - f / slope
+        z = new
+        p = [[z[i][j] - z[i][j - 1] if j else 0j for j in range(cols)] for i in range(rows)]
+        q = [[z[i][j] - z[i - 1][j] if i else 0j for j in range(cols)] for i in range(rows)]
+    found, _ = hybrid_sfs(image)
+    expected = np.abs(np.array(z))
+    padded = np.pad(expected, 1, mode="edge")
+    median = [[np.median(padded[i : i + 3, j : j + 3]) for j in range(cols)] for i in range(rows)]
+    assert np.median(found) / np.median(median) == pytest.approx(1, rel=1e-3)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -1.0, 1e300])
+def test_what_is_no_grey_is_accepted(bad: float) -> None:
+    image: F64 = bump(9, 9, 1.0).astype(np.float64)
+    image[4, 4] = bad
+    z, repaired = hybrid_sfs(image)
+    assert np.isfinite(z).all()
+    assert repaired >= (0 if np.isfinite(bad) else 1)
+
+
+def test_alpha_is_the_height_of_the_highest() -> None:
+    assert solve("paper", bump()).height_mm.max() == pytest.approx(3.0, rel=1e-6)

@@ -1,0 +1,108 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.calibrated_sensor import HALF, calibrated, pressed, presses, unloaded
+
+from tacshade_edge.core.frame_check.registration import (
+    Drift,
+    Look,
+    aged_reason,
+    drift,
+    look,
+    moved_reason,
+    moved_too_far,
+)
+from tacshade_edge.core.image.greyscale import to_grey
+from tacshade_edge.simulator import nuisance
+from tacshade_edge.simulator.model import random_model
+from tacshade_edge.types import U8, Disc
+
+DISC = Disc(HALF.row_c, HALF.col_c, HALF.disc_radius_px)
+
+
+@pytest.fixture(scope="module")
+def reference() -> Look:
+    calibration = calibrated(count=0)
+    return look(calibration.reference_grey, calibration.geometry.disc, calibration.pitch_px)
+
+
+def warped(image: U8, row_px: float, col_px: float, turn_deg: float = 0.0, zoom: float = 1.0) -> U8:
+    """Move, turn and zoom about the middle of the visible circle."""
+    matrix = cv2.getRotationMatrix2D((HALF.col_c, HALF.row_c), -turn_deg, zoom)
+    matrix[:, 2] += col_px, row_px
+    size = (image.shape[1], image.shape[0])
+    return np.asarray(cv2.warpAffine(image, matrix, size, borderMode=cv2.BORDER_REPLICATE), np.uint8)
+
+
+@settings(max_examples=15)
+@given(st.floats(-12, 12), st.floats(-12, 12), st.floats(-2, 2), st.floats(0.98, 1.02))
+def test_the_camera_is_found_wherever_it_went(
+    reference: Look, row_px: float, col_px: float, turn_deg: float, zoom: float
+) -> None:
+    found = drift(reference, warped(to_grey(unloaded()), row_px, col_px, turn_deg, zoom))
+    assert found.still_part > 0.7
+    assert (found.row_px, found.col_px) == pytest.approx((row_px, col_px), abs=0.1)
+    assert found.turn_deg == pytest.approx(turn_deg, abs=0.1)
+    assert found.zoom == pytest.approx(zoom, abs=0.002)
+
+
+@pytest.mark.parametrize("shift_px", [0.0, 1.5, 6.0])
+def test_a_press_does_not_hide_or_feign_a_move(reference: Look, shift_px: float) -> None:
+    for press in presses()[::4]:
+        found = drift(reference, warped(to_grey(press.image), 0.0, shift_px))
+        assert (found.row_px, found.col_px) == pytest.approx((0, shift_px), abs=0.15)
+        assert bool(moved_reason(found, DISC)) == (shift_px > 0)
+        assert moved_too_far(found, DISC) == (shift_px > 2)
+
+
+def test_what_is_said_of_a_move() -> None:
+    moved = Drift(still_part=1, moved_px=4, row_px=3, col_px=0, turn_deg=-0.5, zoom=1.01)
+    assert moved_reason(moved, DISC) == "the image moved by 3.0 px, turned by -0.50 degrees, +1.0 % in size"
+    assert moved_reason(Drift(still_part=1, moved_px=0.4, col_px=0.3), DISC) == ""
+    assert "turned" in moved_reason(Drift(still_part=1, moved_px=1.5, turn_deg=0.8), DISC)
+
+
+def test_light_and_focus(reference: Look) -> None:
+    free, touched = to_grey(unloaded()), to_grey(pressed("ball", 2.5).image)
+    for image in (free, touched):
+        assert aged_reason(drift(reference, image)) == ""
+        assert drift(reference, nuisance.gain(image, 0.7)).light == pytest.approx(0.7, abs=0.02)
+        assert aged_reason(drift(reference, nuisance.gain(image, 0.7))).endswith(" times the light")
+        assert aged_reason(drift(reference, nuisance.gain(image, 0.9))) == ""
+        assert "blurred or dirty" in aged_reason(drift(reference, nuisance.defocus(image, 1.5)))
+        ramp = 1 - 0.5 * np.linspace(0, 1, image.shape[1])[None, :]
+        assert "the light falls otherwise" in aged_reason(drift(reference, (image * ramp).astype(np.uint8)))
+
+
+@settings(max_examples=15)
+@given(st.integers(0, 2**31), st.sampled_from(["noise", "flat", "black", "small"]))
+def test_an_image_of_something_else_says_nothing(reference: Look, seed: int, kind: str) -> None:
+    shape = (240, 320)
+    image = {
+        "noise": np.random.default_rng(seed).integers(0, 256, shape, dtype=np.uint8),
+        "flat": np.full(shape, seed % 256, np.uint8),
+        "black": np.zeros(shape, np.uint8),
+        "small": np.zeros((120, 160), np.uint8),
+    }[kind]
+    assert drift(reference, image) == Drift()
+
+
+def test_a_disc_too_small_or_outside_says_nothing() -> None:
+    grey = to_grey(unloaded())
+    for disc in (Disc(100, 100, 3), Disc(-500, 100, 80)):
+        assert drift(look(grey, disc, 8.0), grey) == Drift()
+
+
+@pytest.mark.slow
+def test_good_presses_of_other_sensors_did_not_move_or_age() -> None:
+    for seed in range(8200, 8206):
+        model = random_model(seed)
+        calibration = calibrated(model, 0)
+        old = look(calibration.reference_grey, calibration.geometry.disc, calibration.pitch_px)
+        for press in presses(model):
+            found = drift(old, to_grey(press.image))
+            assert moved_reason(found, calibration.geometry.disc) == aged_reason(found) == ""

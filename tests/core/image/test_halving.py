@@ -1,0 +1,160 @@
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+from support.built_sensor import built_calibration
+from support.calibrated_sensor import FULL, HALF, calibrated, pressed, unloaded
+
+from tacshade_edge.core.calibration.pattern import marker_pitch_px
+from tacshade_edge.core.geometry.disc import disc_mask
+from tacshade_edge.core.image.greyscale import to_grey
+from tacshade_edge.core.image.halving import (
+    LEAST_PITCH_PX,
+    MOVED_PARTS,
+    can_be_halved,
+    halved_calibration,
+    halved_image,
+)
+from tacshade_edge.core.image.preprocess import Preprocessor
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.devices.weights.network import make_reconstructor
+from tacshade_edge.simulator import nuisance
+from tacshade_edge.types import U8, Disc, Frame
+
+
+def grey_noise(rows: int, cols: int) -> U8:
+    return np.random.default_rng(rows).integers(0, 256, (rows, cols), dtype=np.uint8)
+
+
+@pytest.mark.parametrize(("rows", "cols"), [(8, 10), (9, 11), (480, 641)])
+def test_an_image_is_halved_by_means_rounded_half_up(rows: int, cols: int) -> None:
+    image = grey_noise(rows, cols)
+    whole = image[: rows // 2 * 2, : cols // 2 * 2].astype(int)
+    exact = whole.reshape(rows // 2, 2, cols // 2, 2).sum(axis=(1, 3))
+    np.testing.assert_array_equal(halved_image(image), (exact + 2) // 4)
+
+
+def test_the_halved_sensor_is_the_same_one() -> None:
+    whole = calibrated(FULL, 0)
+    half = halved_calibration(whole)
+    assert half.reference_grey.shape == half.reference_white.shape == (240, 320)
+    assert (half.image_height_px, half.image_width_px) == (240, 320)
+    geometry = half.geometry
+    assert geometry.mm_per_px == pytest.approx(2 * whole.geometry.mm_per_px)
+    assert geometry.f_px == pytest.approx(whole.geometry.f_px / 2)
+    # Its disc lies where the halved picture of the whole one lies.
+    mask = disc_mask(480, 640, whole.geometry.disc).astype(np.uint8)
+    weight = halved_image(mask * 255) / 255
+    rows, cols = np.mgrid[:240, :320]
+    middle = ((weight * rows).sum() / weight.sum(), (weight * cols).sum() / weight.sum())
+    assert middle == pytest.approx((geometry.disc.row_c, geometry.disc.col_c), abs=0.02)
+    assert np.sqrt(weight.sum() / np.pi) == pytest.approx(geometry.disc.radius_px, abs=0.05)
+    # What a look at the halved image alone would have found.
+    assert marker_pitch_px(half.reference_grey, geometry.disc) == pytest.approx(half.pitch_px, rel=0.03)
+    white = half.reference_white[disc_mask(240, 320, geometry.disc)]
+    whole_white = whole.reference_white[mask > 0]
+    assert white.mean() == pytest.approx(whole_white.mean(), abs=6)
+
+
+@pytest.mark.parametrize(("rows", "cols"), [(97, 129), (192, 256), (240, 320)])
+def test_nothing_has_changed_in_a_reference_that_is_halved(rows: int, cols: int) -> None:
+    whole = built_calibration(rows, cols, disc=Disc(rows / 2 - 1.3, cols / 2 + 3.8, 0.43 * rows), pitch_px=15.0)
+    front = Preprocessor(halved_calibration(whole), PROFILES["balanced"])
+    g, _ = front.white_ratio(halved_image(whole.reference_grey))
+    # The reference is the mean of itself moved by a pixel, to a grey level of its white.
+    around = np.pad(whole.reference_grey, 1, mode="edge")
+    mixed = np.zeros_like(front.reference_cells)
+    for (row, down), (col, across) in product(enumerate(MOVED_PARTS), repeat=2):
+        front.white_ratio(halved_image(around[row : row + whole.image_height_px, col : col + whole.image_width_px]))
+        mixed += down * across * front.white_cells()
+    np.testing.assert_allclose(front.reference_cells, mixed, atol=0.5 / 255 + 1e-4)
+    front.white_ratio(halved_image(whole.reference_grey))
+    change = g[front.voting] - front.reference_ratio[front.voting]
+    assert np.abs(change).max() < 4
+    assert abs(change.mean()) < 0.5
+    assert not front.gate(g).contact
+    cells = front.white_cells() - front.reference_cells
+    assert abs(cells.mean()) < 0.002
+    assert np.abs(cells).max() < 0.5
+
+
+@pytest.mark.parametrize("profile", ["fast", "balanced"])
+def test_a_camera_that_moved_by_a_pixel_costs_a_tenth_of_the_depth_at_most(profile: str) -> None:
+    """Pixels are paired another way then."""
+    calibration = calibrated(FULL, 0)
+    image = pressed("ball", 3.0, FULL).image
+
+    def depth_mm(rows: int, cols: int) -> float:
+        made = make_reconstructor(calibration, PROFILES[profile])
+        return made.step(Frame(0, 0, 0, nuisance.shift(image, rows, cols))).depth_max_mm
+
+    moved = [depth_mm(*by) for by in ((1, 0), (-1, 0), (0, 1), (0, -1))]
+    assert 0.9 < np.mean(moved) / depth_mm(0, 0) < 1.1
+
+
+def test_a_fine_pattern_is_left_as_it_is() -> None:
+    assert can_be_halved(calibrated(FULL, 0))
+    fine = replace(calibrated(HALF, 0), pitch_px=LEAST_PITCH_PX - 0.1)
+    assert not can_be_halved(fine)
+    image = pressed("ball", 3.0).image
+    made = make_reconstructor(fine, PROFILES["balanced"])
+    kept = make_reconstructor(fine, replace(PROFILES["balanced"], halved=False))
+    assert made.step(Frame(0, 0, 0, image)).height.height_mm.tobytes() == (
+        kept.step(Frame(0, 0, 0, image)).height.height_mm.tobytes()
+    )
+
+
+@pytest.mark.parametrize("depth_mm", [1.0, 3.0])
+def test_half_the_resolution_finds_the_same_contact(depth_mm: float) -> None:
+    calibration = calibrated(FULL, 0)
+    frame = Frame(0, 0, 0, pressed("cube", depth_mm, FULL).image)
+    half, whole = (
+        make_reconstructor(calibration, replace(PROFILES["balanced"], halved=halved)).step(frame)
+        for halved in (True, False)
+    )
+    assert (half.height.row0, half.height.col0, half.height.step_px) == (
+        whole.height.row0,
+        whole.height.col0,
+        whole.height.step_px,
+    )
+    assert half.depth_max_mm == pytest.approx(whole.depth_max_mm, rel=0.1)
+    both, either = (half.height.contact & whole.height.contact), (half.height.contact | whole.height.contact)
+    assert both.sum() > 0.85 * either.sum()
+    off = np.nanmax(np.abs(half.height.height_mm - whole.height.height_mm))
+    assert off < 0.3 * whole.depth_max_mm
+
+
+@pytest.mark.parametrize("shape", [(481, 640), (480, 641), (240, 320)])
+def test_an_image_of_another_size_is_told_in_its_own_pixels(shape: tuple[int, int]) -> None:
+    made = make_reconstructor(calibrated(FULL, 0), PROFILES["balanced"])
+    result = made.step(Frame(0, 0, 0, np.zeros(shape, np.uint8)))
+    assert result.reason == f"size: {shape[1]}x{shape[0]} px, calibrated for 640x480"
+    assert not made.step(Frame(0, 0, 0, to_grey(unloaded(FULL)))).contact
+
+
+@pytest.mark.parametrize("name", ["paper", "balanced"])
+def test_the_contact_lies_where_it_lies_in_the_whole_image(name: str) -> None:
+    frame, middles = Frame(0, 0, 0, pressed("ball", 3.0, FULL).image), []
+    for halved in (False, True):
+        profile = replace(PROFILES[name], halved=halved, stride_px=4)
+        height = make_reconstructor(calibrated(FULL, 0), profile).step(frame).height
+        rows, cols = np.nonzero(height.contact)
+        middles.append((height.row0 + height.step_px * rows.mean(), height.col0 + height.step_px * cols.mean()))
+    assert middles[1] == pytest.approx(middles[0], abs=3)
+
+
+def test_a_tear_is_told_in_the_cameras_rows() -> None:
+    calibration = calibrated(FULL, 0)
+    torn = unloaded(FULL).copy()
+    torn[260:] = np.roll(torn, 37, axis=1)[260:]
+    empty = unloaded(FULL).copy()
+    empty[200:328] = 128
+    for profile in ("balanced", "accurate"):
+        made = make_reconstructor(calibration, PROFILES[profile])
+        reason = made.step(Frame(0, 0, 0, torn)).reason
+        assert reason.startswith("torn: row "), profile
+        assert int(reason.split()[2]) == pytest.approx(260, abs=2), profile
+        reason = made.step(Frame(0, 0, 0, empty)).reason
+        assert reason.endswith("rows across the disc show no marker"), profile
+        assert int(reason.split()[1]) == pytest.approx(128, abs=32), profile

@@ -1,0 +1,94 @@
+import numpy as np
+import pytest
+from support.bumpy_surface import APEX_MM, grid_poses, height_mm, misreported, touched
+
+from tacshade_edge.core.stitching import stitcher as module
+from tacshade_edge.core.stitching.press_points import NOTHING, Touch
+from tacshade_edge.core.stitching.stitcher import Stitched, Stitcher
+from tacshade_edge.rigid import Rigid, shift
+
+TRUE = grid_poses()
+TOUCHES = [touched(pose, k) for k, pose in enumerate(TRUE)]
+
+
+def stitched(poses: list[Rigid], touches: list[Touch] = TOUCHES) -> Stitcher:
+    stitcher = Stitcher(APEX_MM)
+    for touch, pose in zip(touches, poses, strict=True):
+        stitcher.add(touch, pose)
+    return stitcher
+
+
+def rms_mm(finished: Stitched) -> float:
+    x, y, z = finished.raster.points().T
+    return float(np.sqrt(np.mean((z - height_mm(x, y)) ** 2)))
+
+
+def test_exact_poses_are_taken_as_exact() -> None:
+    finished = stitched(TRUE).finish()
+    assert not finished.refined
+    assert 0 < finished.disagreement_mm < module.EXACT_MM
+    assert rms_mm(finished) < 0.06
+    assert all(p.moved_mm == 0 and not p.rejected for p in finished.presses)
+    assert finished.presses[3].base_T_sensor is TRUE[3]
+
+
+def test_noisy_poses_are_refined() -> None:
+    stitcher = stitched(misreported(TRUE, 0))
+    plain, finished = stitcher.finish(None), stitcher.finish()
+    assert finished.refined
+    assert not plain.refined
+    assert finished.disagreement_mm > 0.2
+    assert rms_mm(finished) < 0.6 * rms_mm(plain)
+    assert max(p.moved_mm for p in finished.presses) > 0.3
+
+
+def test_a_press_that_fits_nowhere_is_left_out() -> None:
+    told = list(TRUE)
+    told[24] = shift(0, 0, 2.5) @ told[24]  # the robot slipped
+    finished = stitched(told).finish()
+    assert [k for k, p in enumerate(finished.presses) if p.rejected] == [24]
+    assert rms_mm(finished) < 0.06
+
+
+def test_a_point_that_fits_nowhere_counts_little() -> None:
+    wild = TOUCHES[24].points_mm.copy()
+    wild[::50, 2] -= 3.0
+    touches = list(TOUCHES)
+    touches[24] = Touch(wild, TOUCHES[24].normals, TOUCHES[24].trust)
+    clean, finished = rms_mm(stitched(TRUE).finish()), rms_mm(stitched(TRUE, touches).finish())
+    assert finished < 1.5 * clean
+
+
+def test_the_map_of_those_so_far() -> None:
+    stitcher = Stitcher(APEX_MM)
+    areas = []
+    for touch, pose in zip(TOUCHES[:5], TRUE[:5], strict=True):
+        stitcher.add(touch, pose)
+        areas.append(np.count_nonzero(np.isfinite(stitcher.map.raster().z_mm)))
+    assert areas == sorted(areas)
+    assert areas[0] < areas[-1]
+    assert stitcher.presses == 5
+
+
+def test_one_press_is_a_map() -> None:
+    finished = stitched(TRUE[:1], TOUCHES[:1]).finish()
+    assert not finished.refined
+    assert rms_mm(finished) < 0.06
+
+
+def test_what_cannot_be_added(monkeypatch: pytest.MonkeyPatch) -> None:
+    stitcher = Stitcher(APEX_MM)
+    with pytest.raises(ValueError, match="nothing was touched"):
+        stitcher.add(NOTHING, TRUE[0])
+    monkeypatch.setattr(module, "MAX_POINTS", 1000)
+    stitcher.add(TOUCHES[0], TRUE[0])
+    with pytest.raises(ValueError, match="more than 1000 points"):
+        stitcher.add(TOUCHES[1], TRUE[1])
+    assert stitcher.presses == 1
+    assert not np.isfinite(Stitcher(APEX_MM).finish().raster.z_mm).any()
+
+
+def test_the_sensors_own_frame_is_brought_to_the_base() -> None:
+    finished = stitched([shift(100, 50, 0) @ TRUE[0]], TOUCHES[:1]).finish()
+    middle = finished.raster.points()[:, :2].mean(axis=0)
+    np.testing.assert_allclose(middle, (100, 50), atol=0.3)

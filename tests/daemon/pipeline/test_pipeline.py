@@ -1,0 +1,87 @@
+from __future__ import annotations
+
+import threading
+import time
+from typing import Any
+
+import pytest
+from support.patience import stretched
+
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.daemon.pipeline.ledger import FrameLedger, Outcome
+from tacshade_edge.daemon.pipeline.pipeline import Crash, Pipeline, crashes_to
+from tacshade_edge.daemon.pipeline.workers import SourceState
+from tacshade_edge.devices.weights.network import make_reconstructor
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.types import Calibration, Frame, Reconstruction
+
+
+class Published:
+    def asked(self) -> bool:
+        return True
+
+    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> Outcome | None:
+        return "published"
+
+
+def pipeline(source: Any, calibration: Calibration, told: list[SourceState], sink: Any = None) -> Pipeline:
+    reconstructor = make_reconstructor(calibration, PROFILES["fast"])
+    return Pipeline(source, reconstructor, sink or Published(), FrameLedger(), told.append)
+
+
+def test_a_stop_finishes_the_frame_that_waits(
+    calibration: Calibration, pictures: Any, scripted: Any, wait_until: Any
+) -> None:
+    told: list[SourceState] = []
+    line = pipeline(scripted([pictures.free] * 50 + [None]), calibration, told)
+    line.start()
+    wait_until(lambda: told[-1:] == [SourceState("ended")])
+    assert line.stop(10)
+    counts = line.ledger.counts()
+    assert counts.pending == 0
+    assert counts.captured == counts.published + counts.superseded == 50
+    assert counts.published >= 1
+
+
+def test_a_stop_leaves_a_hanging_read_behind(
+    calibration: Calibration, pictures: Any, scripted: Any, wait_until: Any
+) -> None:
+    release = threading.Event()
+    line = pipeline(scripted([pictures.free, release.wait, None]), calibration, [])
+    line.start()
+    wait_until(lambda: line.ledger.counts().published == 1)
+    began = time.monotonic()
+    assert not line.stop(0.2)
+    assert time.monotonic() - began < stretched(2)  # the promise to systemd, not a speed
+    release.set()
+
+
+def test_an_exception_in_any_thread_is_reported_with_the_threads_name(
+    calibration: Calibration, scripted: Any, wait_until: Any
+) -> None:
+    crashes: list[Crash] = []
+    before = threading.excepthook
+    with crashes_to(crashes.append):
+        line = pipeline(scripted(ConfigError("x: found nothing")), calibration, [])
+        line.start()
+        wait_until(lambda: crashes != [])
+        line.stop(10)
+    assert [(c.thread, str(c.error)) for c in crashes] == [("grab", "x: found nothing")]
+    assert threading.excepthook is before
+
+
+def test_a_defect_in_a_step_is_reported(calibration: Calibration, scripted: Any, wait_until: Any) -> None:
+    crashes: list[Crash] = []
+
+    class Broken(Published):
+        def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> Outcome | None:
+            raise ZeroDivisionError("a defect")
+
+    with crashes_to(crashes.append):
+        line = pipeline(scripted([calibration.reference_grey, None]), calibration, [], Broken())
+        line.start()
+        wait_until(lambda: crashes != [])
+        line.stop(10)
+    assert crashes[0].thread == "reconstruct"
+    with pytest.raises(ZeroDivisionError, match="a defect"):
+        raise crashes[0].error

@@ -1,0 +1,207 @@
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from support.patience import patience
+
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.daemon.pipeline.ledger import FrameLedger, Outcome, Timings
+from tacshade_edge.daemon.pipeline.mailbox import Mailbox
+from tacshade_edge.daemon.pipeline.workers import Grab, Reconstruct, SourceState
+from tacshade_edge.devices.weights.network import make_reconstructor
+from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
+from tacshade_edge.types import Calibration, Frame, Reconstruction
+
+GONE = DeviceError("camera /dev/video9: gone")
+
+
+class Rig:
+    """A grab worker on a scripted source, and what it told."""
+
+    def __init__(self, source: Any) -> None:
+        self.mailbox: Mailbox[Frame] = Mailbox()
+        self.ledger = FrameLedger()
+        self.told: list[SourceState] = []
+        self.source = source
+        self.grab = Grab(source, self.mailbox, self.ledger, self.told.append)
+        self.thread = threading.Thread(target=self.grab.run)
+
+    def states(self) -> list[tuple[str, str]]:
+        return [(t.state, t.reason) for t in self.told]
+
+
+@pytest.fixture
+def rig() -> Iterator[Callable[[Any], Rig]]:
+    made: list[Rig] = []
+
+    def start(source: Any) -> Rig:
+        made.append(Rig(source))
+        made[-1].thread.start()
+        return made[-1]
+
+    yield start
+    for r in made:
+        r.grab.stop()
+        r.thread.join(patience(10))
+        assert not r.thread.is_alive()
+        assert not r.source.is_open
+
+
+def test_a_finite_source_is_read_to_its_end(rig: Any, scripted: Any, pictures: Any) -> None:
+    r = rig(scripted([pictures.free, pictures.free, DecodeError("torn.png: cut"), pictures.free, None]))
+    r.thread.join(patience(10))
+    assert r.states() == [("streaming", ""), ("ended", "")]
+    assert r.told[0].details == {"script": "test"}
+    counts = r.ledger.counts()
+    assert (counts.captured, counts.failed, counts.superseded, counts.pending) == (4, 1, 2, 1)
+    newest = r.mailbox.take()
+    assert newest is not None
+    assert newest.seq == 2
+
+
+def test_a_source_that_begins_with_what_is_no_image_says_so_once(rig: Any, scripted: Any, pictures: Any) -> None:
+    r = rig(scripted([DecodeError("0.png: cut"), DecodeError("1.png: cut"), pictures.free, DecodeError("3.png"), None]))
+    r.thread.join(patience(10))
+    assert r.states() == [("away", "0.png: cut"), ("streaming", ""), ("ended", "")]
+    assert r.ledger.counts().failed == 3
+
+
+def test_a_lost_source_is_opened_again_and_each_state_is_told_once(
+    rig: Any, scripted: Any, pictures: Any, wait_until: Any
+) -> None:
+    free = pictures.free
+    other = DeviceError("camera /dev/video9: busy")
+    r = rig(scripted([free, GONE], GONE, GONE, other, [free, free, None]))
+    wait_until(lambda: ("ended", "") in r.states())
+    assert r.states() == [
+        ("streaming", ""),
+        ("away", str(GONE)),
+        ("away", str(other)),
+        ("streaming", ""),
+        ("ended", ""),
+    ]
+    assert r.ledger.counts().captured == 3
+
+
+def test_pauses_grow_to_a_second_and_only_a_frame_resets_them(
+    rig: Any, scripted: Any, pictures: Any, wait_until: Any
+) -> None:
+    silent: list[Any] = [[GONE]] * 4  # opens, but gives no frame
+    r = rig(scripted(*silent, [pictures.free, GONE], [None]))
+    wait_until(lambda: r.states()[-1:] == [("ended", "")])
+    pauses = [(b - a) / 1e9 for a, b in zip(r.source.opened_ns, r.source.opened_ns[1:], strict=False)]
+    for pause, least in zip(pauses, [0.1, 0.2, 0.4, 0.8, 0.1], strict=True):
+        assert pause >= 0.99 * least
+    assert r.grab.retry_s == 0.2  # the reset and one more pause
+
+
+def test_stop_ends_a_long_pause(rig: Any, scripted: Any, wait_until: Any) -> None:
+    r = rig(scripted(*[GONE] * 100))
+    wait_until(lambda: len(r.source.opened_ns) >= 3)
+    r.grab.stop()
+    r.thread.join(patience(10))
+    assert not r.thread.is_alive()
+    assert r.states() == [("away", str(GONE))]
+
+
+def test_what_can_never_work_leaves_the_thread(scripted: Any) -> None:
+    r = Rig(scripted(ConfigError("x: no images")))
+    with pytest.raises(ConfigError, match="no images"):
+        r.grab.run()
+    assert not r.source.is_open
+
+
+class Collected:
+    """A sink that keeps everything and settles by kind."""
+
+    def __init__(self, *, asks: bool = True) -> None:
+        self.asks = asks
+        self.results: list[Reconstruction] = []
+
+    def asked(self) -> bool:
+        return self.asks
+
+    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> Outcome | None:
+        if result is None:
+            return "unasked"
+        assert frame.seq == result.seq
+        assert calibration.crc32
+        self.results.append(result)
+        if not result.valid:
+            return "invalid"
+        return "published" if result.contact else "without_contact"
+
+
+def test_reconstruct_delivers_times_and_settles_every_frame(
+    calibration: Calibration, pictures: Any, wait_until: Any
+) -> None:
+    mailbox: Mailbox[Frame] = Mailbox()
+    ledger, timings, sink = FrameLedger(), Timings(), Collected()
+    worker = Reconstruct(make_reconstructor(calibration, PROFILES["fast"]), mailbox, ledger, timings, sink)
+    watched: list[int] = []
+    worker.watch = lambda frame, result: watched.append(result.seq)
+    thread = threading.Thread(target=worker.run)
+    thread.start()
+    for seq, image in enumerate([pictures.free, pictures.touched, pictures.black]):
+        ledger.captured(seq)
+        assert mailbox.put(Frame(seq, 0, 0, image)) is None
+        wait_until(lambda seq=seq: len(watched) == seq + 1)
+    worker.reconstructor = Reconstructor(calibration, PROFILES["paper"])
+    ledger.captured(3)
+    mailbox.put(Frame(3, 0, 0, pictures.free))
+    mailbox.close()
+    thread.join(patience(10))
+    assert not thread.is_alive()
+    assert [(r.valid, r.contact, r.profile) for r in sink.results] == [
+        (True, False, "fast"),
+        (True, True, "fast"),
+        (False, False, "fast"),
+        (True, False, "paper"),
+    ]
+    counts = ledger.counts().as_dict()
+    assert (counts["captured"], counts["published"], counts["without_contact"], counts["invalid"]) == (4, 1, 2, 1)
+    assert counts["pending"] == 0
+    stages = timings.percentiles()
+    assert set(stages) == {
+        "wait",
+        "check",
+        "grey",
+        "gate",
+        "moved",
+        "denoise",
+        "depth",
+        "cloud",
+        "deliver",
+        "capture_to_offer",
+    }
+    assert all(0 < p["p50"] <= p["p99"] for p in stages.values())
+
+
+def test_a_contact_that_nobody_asks_for_ends_at_the_gate_unless_it_is_watched(
+    calibration: Calibration, pictures: Any, wait_until: Any
+) -> None:
+    mailbox: Mailbox[Frame] = Mailbox()
+    ledger, timings, sink = FrameLedger(), Timings(), Collected(asks=False)
+    worker = Reconstruct(make_reconstructor(calibration, PROFILES["fast"]), mailbox, ledger, timings, sink)
+    watched: list[int] = []
+    thread = threading.Thread(target=worker.run)
+    thread.start()
+    for seq, image in enumerate([pictures.free, pictures.touched, pictures.black, pictures.touched]):
+        if seq == 3:
+            worker.watch = lambda frame, result: watched.append(result.seq)
+        ledger.captured(seq)
+        mailbox.put(Frame(seq, 0, 0, image))
+        wait_until(lambda seq=seq: worker.processed == seq + 1)
+    mailbox.close()
+    thread.join(patience(10))
+    assert [(r.seq, r.valid, r.contact) for r in sink.results] == [(0, True, False), (2, False, False), (3, True, True)]
+    assert ledger.counts().as_dict() == {
+        **dict.fromkeys(("superseded", "failed", "pending"), 0),
+        **dict.fromkeys(("without_contact", "unasked", "invalid", "published"), 1),
+        "captured": 4,
+    }
+    wait_until(lambda: watched == [3])

@@ -1,0 +1,198 @@
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Iterable
+from itertools import pairwise
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tacshade_edge.daemon.profiles.profile_chooser import (
+    LATE_FRAMES,
+    LONGEST_PATIENCE_S,
+    MARGIN,
+    PATIENCE_S,
+    STEPS_A_MINUTE,
+    TRIAL_FRAMES,
+    WINDOW_FRAMES,
+    ProfileChooser,
+    Step,
+)
+
+COSTS_MS = {"accurate": 10.0, "balanced": 5.0, "fast": 2.0}
+WAIT_MS, FPS = 3.0, 30.0
+
+
+class Machine:
+    """Frames in contact, 30 per second unless said; a load makes each take so many times as long."""
+
+    def __init__(self, budget_ms: float, fps: float = FPS) -> None:
+        self.chooser = ProfileChooser(budget_ms, COSTS_MS)
+        self.real_ms = dict(COSTS_MS)
+        self.fps = fps
+        self.now_s = 0.0
+        self.steps: list[tuple[float, Step]] = []
+
+    def frame(self, load: float = 1.0, waited_ms: float = 0.0) -> None:
+        self.now_s += 1 / self.fps
+        own_ms = load * self.real_ms[self.chooser.profile]
+        self.took(own_ms + WAIT_MS + waited_ms, own_ms)
+
+    def took(self, latency_ms: float, own_ms: float) -> None:
+        step = self.chooser.observe(self.chooser.profile, self.now_s, latency_ms, own_ms)
+        if step is not None:
+            self.steps.append((self.now_s, step))
+
+    def run(self, seconds: float, load: float = 1.0) -> None:
+        for _ in range(round(seconds * self.fps)):
+            self.frame(load)
+
+    def path(self) -> list[str]:
+        return [step.profile for _, step in self.steps]
+
+
+@pytest.mark.parametrize(
+    ("budget_ms", "profile"),
+    [(100.0, "accurate"), (12.5, "accurate"), (12.4, "balanced"), (3.0, "fast"), (1.0, "fast")],
+)
+def test_it_begins_with_the_best_that_leaves_the_margin(budget_ms: float, profile: str) -> None:
+    chooser = ProfileChooser(budget_ms, COSTS_MS)
+    assert chooser.profile == profile
+    assert chooser.standing.kept is None
+    assert chooser.lowest == (profile == "fast")
+
+
+def test_a_load_steps_down_quickly_and_its_end_steps_up_again() -> None:
+    machine = Machine(20.0)
+    machine.run(10)
+    assert machine.steps == []
+    assert machine.chooser.standing.kept is True
+    assert machine.chooser.standing.within_ms == pytest.approx(13.0)
+    machine.run(5, load=2.2)
+    assert machine.path() == ["balanced"]  # 25 ms became 14
+    assert machine.steps[0][0] - 10 <= (LATE_FRAMES + 2) / FPS
+    assert machine.steps[0][1].reason == "7 of the latest 60 frames in contact took over 20 ms"
+    machine.run(5, load=3.5)
+    assert machine.path() == ["balanced", "fast"]  # 20.5 ms became 10
+    machine.run(120, load=3.5)
+    assert machine.path() == ["balanced", "fast"]  # nothing better is expected to keep it, so nothing is tried
+    machine.run(3 * PATIENCE_S)
+    assert machine.path() == ["balanced", "fast", "balanced", "accurate"]
+    assert machine.steps[3][1].reason == "90 % of 60 frames took up to 8.0 ms, expected now 13.0 ms"
+
+
+def test_a_budget_that_nothing_keeps_ends_at_the_cheapest_and_says_so() -> None:
+    machine = Machine(4.0)
+    machine.run(300)
+    assert machine.path() == []
+    assert (machine.chooser.profile, machine.chooser.standing.kept) == ("fast", False)
+
+
+def test_a_few_late_frames_of_a_window_do_not_matter() -> None:
+    machine = Machine(20.0)
+    for number in range(50 * WINDOW_FRAMES):
+        machine.frame(waited_ms=1000.0 if number % WINDOW_FRAMES < LATE_FRAMES else 0.0)
+    assert machine.steps == []
+
+
+def test_a_frame_that_began_before_the_step_does_not_count() -> None:
+    machine = Machine(20.0)
+    machine.run(5, load=2.2)
+    frames = machine.chooser.standing.frames
+    assert machine.chooser.observe("accurate", machine.now_s, 99.0, 99.0) is None
+    assert machine.chooser.standing.frames == frames
+
+
+def test_tries_that_fail_become_rare_and_one_that_lasts_is_forgiven() -> None:
+    machine = Machine(20.0, 5.0)
+    machine.run(10)
+    machine.real_ms["accurate"] = 30.0  # more than was measured at the start: every try fails
+    machine.run(7200)
+    up_s = [at_s for at_s, step in machine.steps if step.up]
+    pauses_s = [b - a for a, b in pairwise(up_s)]
+    assert len(up_s) <= 12
+    for pause_s, least_s in zip(pauses_s, (60, 120, 240, 480, 960, 960), strict=False):
+        assert least_s <= pause_s < least_s + 20
+    assert len(pauses_s) >= 6
+    machine.real_ms["accurate"] = 10.0
+    machine.run(LONGEST_PATIENCE_S + TRIAL_FRAMES / machine.fps + 10)
+    assert machine.chooser.profile == "accurate"
+    machine.run(10, load=2.2)
+    down_s = machine.now_s
+    machine.run(2 * PATIENCE_S)
+    assert machine.path()[-2:] == ["balanced", "accurate"]
+    assert machine.steps[-1][0] - down_s <= PATIENCE_S + 15
+
+
+def most_in_a_minute(times_s: Iterable[float]) -> int:
+    times = list(times_s)
+    return max((sum(0 <= b - a <= 60 for b in times) for a in times), default=0)
+
+
+noise = st.lists(st.tuples(st.integers(1, 400), st.floats(0.01, 100.0)), min_size=1, max_size=40)
+
+
+@settings(max_examples=25)
+@given(noise, st.floats(1.0, 50.0), st.sampled_from([1.0, 10.0, 60.0]))
+def test_whatever_the_load_does_there_are_few_steps_a_minute(
+    loads: list[tuple[int, float]], budget_ms: float, fps: float
+) -> None:
+    machine = Machine(budget_ms, fps)
+    for frames, load in loads:
+        for _ in range(frames):
+            machine.frame(load)
+    assert most_in_a_minute(at_s for at_s, _ in machine.steps) <= STEPS_A_MINUTE
+    assert machine.path()[-1:] in ([], [machine.chooser.profile])
+
+
+def worst(machine: Machine) -> float:
+    """An enemy: idle until it is tried, then late."""
+    return 1000.0 if machine.chooser.profile != "fast" else 0.01
+
+
+def late_at_the_top(machine: Machine) -> float:
+    return 1000.0 if machine.chooser.profile == "accurate" else 0.01
+
+
+@pytest.mark.parametrize("enemy", [worst, late_at_the_top])
+def test_even_an_enemy_gets_few_steps(enemy: Callable[[Machine], float]) -> None:
+    machine = Machine(20.0, 10.0)
+    for _ in range(round(3600 * machine.fps)):
+        machine.frame(enemy(machine))
+    times_s = [at_s for at_s, _ in machine.steps]
+    assert 2 <= most_in_a_minute(times_s) <= STEPS_A_MINUTE
+    assert sum(at_s > 1800 for at_s in times_s) <= 8  # two tries, of one rung and the next, and their returns
+
+
+SLOW_FPS = 3.0  # a camera for tests of minutes
+
+
+@settings(max_examples=15)
+@given(st.floats(1.0, 60.0), st.floats(1.0, 5.0), st.integers(0, 2**32))
+def test_a_steady_machine_comes_to_rest(budget_ms: float, load: float, seed: int) -> None:
+    machine, jitter = Machine(budget_ms, SLOW_FPS), random.Random(seed)
+    for _ in range(round(300 * SLOW_FPS)):
+        machine.frame(load * jitter.uniform(0.97, 1.0))
+    settled = len(machine.steps)
+    for _ in range(round(120 * SLOW_FPS)):
+        machine.frame(load * jitter.uniform(0.97, 1.0))
+    assert len(machine.steps) == settled
+    best = machine.chooser.profile
+    assert best == "fast" or WAIT_MS + load * COSTS_MS[best] * 0.97 <= budget_ms
+    if best != "accurate":  # the next better one would not have kept it with the margin
+        better = list(COSTS_MS)[list(COSTS_MS).index(best) - 1]
+        assert WAIT_MS + load * COSTS_MS[better] > MARGIN * 0.95 * budget_ms
+
+
+@settings(max_examples=15)
+@given(st.floats(15.0, 60.0), st.floats(1.5, 50.0), st.integers(5, 120))
+def test_it_is_back_where_it_was_after_a_load(budget_ms: float, load: float, seconds: int) -> None:
+    machine = Machine(budget_ms, SLOW_FPS)
+    machine.run(40)
+    before = machine.chooser.profile
+    machine.run(seconds, load)
+    machine.run(LONGEST_PATIENCE_S)
+    if WAIT_MS + COSTS_MS[before] <= 0.99 * MARGIN * budget_ms:
+        assert machine.chooser.profile == before
+    assert machine.chooser.standing.kept is True

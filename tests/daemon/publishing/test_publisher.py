@@ -1,0 +1,119 @@
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from support.painted_sensor import touched_depth_mm
+
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.daemon.publishing.publisher import Publisher
+from tacshade_edge.devices.weights.network import make_reconstructor
+from tacshade_edge.protocol import wire
+from tacshade_edge.types import Calibration, Frame, Pose
+
+POSE = Pose(5, 1.0, 2.0, 3.0, 0.0, 1.0, 0.0, 0.0)
+PERIOD_NS = 20_000_000  # 50 frames per second
+
+
+class Played:
+    """What the publisher offered for a run of pictures."""
+
+    def __init__(
+        self, calibration: Calibration, images: list[Any], wanted: tuple[str, ...] = ("height", "cloud", "contact")
+    ) -> None:
+        self.offers: list[tuple[str, bytes, int]] = []
+        publisher = Publisher(
+            lambda stream, payload, seq: self.offers.append((stream, payload, seq)), lambda stream: stream in wanted
+        )
+        publisher.fps = 12.5
+        reconstructor = make_reconstructor(calibration, PROFILES["balanced"])
+        self.outcomes = []
+        for seq, image in enumerate(images):
+            frame = Frame(seq, seq * PERIOD_NS, 0, image)
+            result = reconstructor.step(frame) if publisher.asked() else reconstructor.glance(frame)
+            self.outcomes.append(publisher.deliver(frame, result, calibration))
+        self.latest = publisher.latest
+
+    def seqs(self, stream: str) -> list[int]:
+        return [seq for s, _, seq in self.offers if s == stream]
+
+    def decoded(self, stream: str) -> list[Any]:
+        return [wire.decode(payload) for s, payload, _ in self.offers if s == stream]
+
+
+def test_contact_is_published_with_every_frame_and_its_end_once(calibration: Calibration, pictures: Any) -> None:
+    free, touched = pictures.free, pictures.touched
+    played = Played(calibration, [free, free, touched, touched, free, free, free, touched])
+    assert played.seqs("height") == [2, 3, 4, 7]
+    assert played.seqs("cloud") == [2, 3, 7]
+    assert played.outcomes == ["without_contact"] * 2 + [None] * 3 + ["without_contact"] * 2 + [None]
+    first, _, release, _ = played.decoded("height")
+    assert (first.contact, first.seq, first.calibration_crc32) == (True, 2, calibration.crc32)
+    assert np.nanmax(first.height_mm) == pytest.approx(touched_depth_mm(), abs=0.001)
+    assert (release.contact, release.invalid) == (False, False)
+    assert set(release.height_mm[release.height_mm == release.height_mm]) == {0.0}
+
+
+def test_contact_numbers_come_at_10_hz_without_contact_and_at_every_change(
+    calibration: Calibration, pictures: Any
+) -> None:
+    played = Played(calibration, [pictures.free] * 12 + [pictures.touched] * 2 + [pictures.free] * 7)
+    assert played.seqs("contact") == [0, 5, 10, 12, 13, 14, 19]
+    numbers = [json.loads(payload) for s, payload, _ in played.offers if s == "contact"]
+    assert [n["contact"] for n in numbers] == [0, 0, 0, 1, 1, 0, 0]
+    assert all(n["fps"] == 12.5 for n in numbers)
+
+
+def test_an_invalid_frame_ends_a_contact_with_a_flag_and_is_silent_after(
+    calibration: Calibration, pictures: Any
+) -> None:
+    played = Played(calibration, [pictures.touched, pictures.black, pictures.black, pictures.touched])
+    assert played.seqs("height") == [0, 1, 3]
+    assert played.outcomes == [None, None, "invalid", None]
+    assert [(h.contact, h.invalid) for h in played.decoded("height")] == [(True, False), (False, True), (True, False)]
+
+
+def test_a_known_pose_goes_with_height_and_cloud(calibration: Calibration, pictures: Any) -> None:
+    offers: list[tuple[str, bytes]] = []
+    publisher = Publisher(lambda stream, payload, _: offers.append((stream, payload)))
+    reconstructor = make_reconstructor(calibration, PROFILES["balanced"])
+    frames = [Frame(0, 5, 0, pictures.touched, POSE, 70), Frame(1, 6, 0, pictures.touched)]
+    for frame in frames:
+        publisher.deliver(frame, reconstructor.step(frame), calibration)
+    decoded = [wire.decode(payload) for stream, payload in offers if stream != "contact"]
+    assert [(m.pose, m.pose_error_us) for m in decoded] == [(POSE, 70)] * 2 + [(None, 0)] * 2
+
+
+def test_an_output_that_nobody_wants_is_left_out_but_for_begin_and_end_of_a_contact(
+    calibration: Calibration, pictures: Any
+) -> None:
+    images = [pictures.free] * 2 + [pictures.touched] * 3 + [pictures.free] * 7
+    only_contact = Played(calibration, images, ("contact",))
+    assert only_contact.seqs("height") == [2, 5]
+    assert only_contact.seqs("cloud") == [2]
+    assert only_contact.seqs("contact") == [0, 2, 3, 4, 5, 10]
+    assert only_contact.outcomes == ["without_contact"] * 2 + [
+        None,
+        "unasked",
+        "unasked",
+        None,
+        *["without_contact"] * 6,
+    ]
+    only_height = Played(calibration, images, ("height",))
+    assert only_height.seqs("height") == [2, 3, 4, 5]
+    assert only_height.seqs("cloud") == [2]
+    assert only_height.seqs("contact") == [2, 5]
+
+
+def test_a_contact_of_which_nobody_wants_anything_is_counted_and_its_picture_kept(
+    calibration: Calibration, pictures: Any
+) -> None:
+    played = Played(calibration, [pictures.free, pictures.touched, pictures.touched], ())
+    assert played.offers == []
+    assert played.outcomes == ["without_contact", "unasked", "unasked"]
+    assert played.latest is not None
+    frame, result = played.latest
+    assert (frame.seq, result.seq) == (2, 0)
+    assert Played(calibration, [pictures.touched], ()).latest is None

@@ -1,0 +1,211 @@
+"""Recordings with frames that the test hands over; `tests/daemon/test_app.py` records a running daemon."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.painted_sensor import FREE, TOUCHED
+from support.patience import patience, wait_until
+
+from tacshade_edge.daemon.pipeline.ledger import FrameLedger
+from tacshade_edge.daemon.pipeline.mailbox import Mailbox
+from tacshade_edge.daemon.pipeline.workers import Grab
+from tacshade_edge.daemon.recording import record
+from tacshade_edge.daemon.recording.record import LiveRecorder, Recorded, RecordingEnded
+from tacshade_edge.devices.files.frame_table import read_table
+from tacshade_edge.devices.files.recording import Recording
+from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.types import Calibration, Frame
+
+
+class Live:
+    """A recorder and the tap that the grab thread would use."""
+
+    def __init__(self, calibration: Calibration, folder: Path) -> None:
+        self.grab = Grab(None, Mailbox[Frame](), FrameLedger(), lambda _: None)  # type: ignore[arg-type]
+        self.told: list[RecordingEnded] = []
+        self.recorder = LiveRecorder(self.grab, self.told.append)
+        self.folder = folder / "recs" / "one"
+        self._calibration = calibration
+
+    def start(self, seconds: float = 60.0, name: str = "one") -> None:
+        folder = self.folder.with_name(name)
+        self.recorder.start(folder, seconds, "sensor_id: a\n", self._calibration, {"version": "1"})
+
+    def give(self, *frames: Frame) -> None:
+        for frame in frames:
+            if tap := self.grab.tap:
+                tap(frame)
+
+    def ended(self) -> Recorded:
+        found: list[Recorded] = []
+
+        def poll() -> bool:
+            found.extend(filter(None, [self.recorder.poll()]))
+            return bool(found)
+
+        wait_until(poll, 20, "the recording has ended")
+        self.recorder.join(patience(20))
+        assert not any(thread.name == "record" for thread in threading.enumerate())
+        assert self.grab.tap is None
+        return found[0]
+
+    def about(self) -> dict[str, Any]:
+        read: dict[str, Any] = json.loads((self.folder / "recording.json").read_text())
+        return read
+
+
+@pytest.fixture
+def live(calibration: Calibration, tmp_path: Path) -> Live:
+    return Live(calibration, tmp_path)
+
+
+def frames(count: int, first: int = 0) -> list[Frame]:
+    return [Frame(k, 1000 + k, 5 + k, (FREE, TOUCHED)[k % 2]) for k in range(first, first + count)]
+
+
+def test_what_was_captured_between_start_and_end_is_there(live: Live) -> None:
+    live.give(*frames(1))
+    live.start()
+    live.give(*frames(5, 1))
+    live.recorder.event("source", state="away")
+    live.recorder.end("stopped")
+    live.give(*frames(1, 6))
+    recorded = live.ended()
+    assert (recorded.frames, recorded.dropped, recorded.ending, recorded.failed) == (5, 0, "stopped", False)
+    rows = read_table(live.folder / "frames.csv")
+    assert [row.t_ns for row in rows] == [1001, 1002, 1003, 1004, 1005]
+    assert recorded.bytes == sum((live.folder / row.image).stat().st_size for row in rows)
+    recording = Recording(live.folder)
+    for frame in frames(5, 1):
+        read = recording.read()
+        assert read is not None
+        np.testing.assert_array_equal(read.frame.image, frame.image)
+    event = json.loads((live.folder / "events.jsonl").read_text())
+    assert (event["kind"], event["data"]) == ("source", {"state": "away"})
+    about = live.about()
+    assert (about["ending"], about["first_t_ns"], about["first_wall_ns"], about["version"]) == ("stopped", 1001, 6, "1")
+    assert live.recorder.counts() == {"written": 5, "dropped": 0, "waiting": 0}
+    assert live.told == [RecordingEnded()]
+    live.give(*frames(1))
+    live.recorder.event("late")
+    live.recorder.end("late")
+    assert live.recorder.poll() is None
+
+
+def test_the_time_ends_it_and_a_later_frame_is_not_in_it(live: Live) -> None:
+    live.start(0.05)
+    live.give(*frames(2), Frame(2, 2**61, 0, FREE))
+    recorded = live.ended()
+    assert (recorded.frames, recorded.ending) == (2, "time")
+
+
+def test_a_disk_that_is_too_slow_loses_frames_and_counts_them(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    go_on, writing = threading.Event(), threading.Event()
+    real = record.Recorder.add
+
+    def slow(self: record.Recorder, frame: Frame) -> bool:
+        writing.set()
+        assert go_on.wait(patience(20))
+        return real(self, frame)
+
+    monkeypatch.setattr(record.Recorder, "add", slow)
+    monkeypatch.setattr(record, "QUEUE_BYTES", 3 * FREE.nbytes)
+    live.start()
+    live.give(*frames(1))
+    assert writing.wait(patience(20))
+    live.give(*frames(7, 1))  # the first is in the writer's hands, three wait
+    assert live.recorder.counts() == {"written": 0, "dropped": 4, "waiting": 3}
+    live.recorder.event("still there")
+    go_on.set()
+    live.recorder.end("stopped")
+    recorded = live.ended()
+    assert (recorded.frames, recorded.dropped) == (4, 4)
+    assert live.about()["dropped"] == 4
+    assert "still there" in (live.folder / "events.jsonl").read_text()
+
+
+def test_another_reference_ends_it_another_profile_does_not(live: Live, calibration: Calibration) -> None:
+    live.start()
+    live.give(*frames(2))
+    live.recorder.reconstructs_with("paper", calibration.crc32)
+    live.give(*frames(2, 2))
+    live.recorder.reconstructs_with("paper", 77)
+    live.give(*frames(2, 4))
+    recorded = live.ended()
+    assert (recorded.frames, recorded.failed) == (4, True)
+    assert recorded.ending == "another reference or calibration came into use"
+    events = [json.loads(line) for line in (live.folder / "events.jsonl").read_text().splitlines()]
+    assert [event["data"]["calibration_crc32"] for event in events] == [calibration.crc32, 77]
+
+
+def test_one_at_a_time_and_no_folder_twice(live: Live) -> None:
+    live.start()
+    with pytest.raises(DeviceError, match=r"busy: recording to .*one"):
+        live.start(name="two")
+    live.recorder.end("stopped")
+    live.ended()
+    with pytest.raises(ConfigError, match=r"one: found it there already, expected the name of a new folder"):
+        live.start()
+    live.start(name="two")
+    live.recorder.end("stopped")
+    assert live.ended().folder.name == "two"
+
+
+def test_a_disk_at_its_floor(live: Live, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(record, "FREE_FLOOR_BYTES", 2**62)
+    with pytest.raises(DeviceError, match=r"recs: found \d+ MiB free on the disk, expected"):
+        live.start()
+    assert list((tmp_path / "recs").iterdir()) == []
+    assert live.grab.tap is None
+
+
+def test_a_disk_that_comes_to_its_floor_ends_it(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    full = threading.Event()
+    real = record.Recorder.add
+    monkeypatch.setattr(record.Recorder, "add", lambda self, frame: not full.is_set() and real(self, frame))
+    live.start()
+    live.give(*frames(2))
+    wait_until(lambda: live.recorder.counts()["written"] == 2, 20, "two frames")
+    full.set()
+    live.give(*frames(3, 2))
+    recorded = live.ended()
+    assert recorded.ending == "less than 256 MiB free on the disk"
+    assert recorded.frames == len(read_table(live.folder / "frames.csv")) == 2
+    assert recorded.frames + recorded.dropped <= 5  # what came after the end is not its own
+    assert recorded.dropped >= 1
+    assert live.about()["ending"] == recorded.ending
+
+
+def _folder_gone(folder: Path) -> None:
+    os.rename(folder, folder.with_name("moved"))
+
+
+def _folder_is_a_file(folder: Path) -> None:
+    _folder_gone(folder)
+    folder.touch()
+
+
+@pytest.mark.parametrize("happen", [_folder_gone, _folder_is_a_file])
+def test_a_folder_that_goes_away_ends_it_with_its_error(live: Live, happen: Callable[[Path], None]) -> None:
+    live.start()
+    live.give(*frames(1))
+    wait_until(lambda: live.recorder.counts()["written"] == 1, 20, "a frame")
+    happen(live.folder)
+    live.give(*frames(1, 1))
+    recorded = live.ended()
+    assert recorded.failed
+    assert re.search(r"/one.*: cannot be written: ", recorded.ending)
+    assert (recorded.frames, recorded.dropped) == (1, 1)
+    left = Recording(live.folder.with_name("moved"))
+    assert left.cut_off
+    assert left.read() is not None
+    assert left.read() is None

@@ -1,0 +1,100 @@
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from support.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
+from support.painted_sensor import FREE, TOUCHED, painted_calibration
+from support.patience import patience, wait_until
+from support.recordings import write_recording
+
+from tacshade_edge.cli import main
+from tacshade_edge.core.profiles import DEFAULT
+from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.devices.files.run_files import CLOUDS, HEIGHTS, payloads
+from tacshade_edge.protocol import wire
+
+BASE = "tacshade/replay"
+needs_broker = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
+
+
+@pytest.fixture
+def given(tmp_path: Path) -> list[str]:
+    calibration_file.save(tmp_path / "cal.npz", painted_calibration())
+    write_recording(tmp_path / "rec", [FREE] * 5 + [TOUCHED] * 90 + [FREE] * 5)
+    return ["replay", str(tmp_path / "rec"), "--calibration", str(tmp_path / "cal.npz")]
+
+
+@pytest.mark.broker
+@needs_broker
+def test_as_fast_as_possible_loses_nothing(
+    tmp_path: Path, given: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    with Broker(tmp_path) as broker, Subscriber(broker.port) as seen:
+        assert main([*given, "--out", str(out), "--mqtt", f"127.0.0.1:{broker.port}"]) == 0
+        seen.wait_for(f"{BASE}/state", 2)
+        heights, clouds = seen.wait_for(f"{BASE}/height", 91), seen.of(f"{BASE}/cloud")
+        assert json.loads(seen.of(f"{BASE}/info")[0])["profile"] == DEFAULT
+        assert seen.of(f"{BASE}/state") == [b"online", b"stopped"]
+        cameras = [json.loads(payload)["state"] for payload in seen.of(f"{BASE}/status/camera")]
+        assert cameras == ["streaming", "ended"]
+    # Every frame with contact and the one that ends it, the same bytes as in the files.
+    assert heights == list(payloads(out, HEIGHTS))[5:96]
+    decoded = [wire.decode(payload) for payload in heights]
+    assert [m.pose.x_mm if m.pose else None for m in decoded[:4]] == [5.0, None, 7.0, None]  # every other row has one
+    assert clouds == list(payloads(out, CLOUDS))[5:95]
+    assert "0 payloads superseded, 0 payloads failed" in capsys.readouterr().out
+
+
+@pytest.mark.broker
+@needs_broker
+def test_an_endless_loop_ends_cleanly_with_ctrl_c(tmp_path: Path, given: list[str]) -> None:
+    with Broker(tmp_path) as broker, Subscriber(broker.port) as seen:
+        more = ["--mqtt", f"127.0.0.1:{broker.port}", "--loop", "0", "--speed", "5", "--sensor-id", "left"]
+        command = [sys.executable, "-m", "tacshade_edge", *given, *more]
+        child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        try:
+            wait_until(lambda: len(seen.of("tacshade/left/height")) > 200, 30, "more than two passes")
+            child.send_signal(signal.SIGINT)
+            said, errors = child.communicate(timeout=patience(20))
+        finally:
+            child.kill()
+        assert child.returncode == 0
+        assert errors == ""
+        assert "frames, " in said
+        seen.wait_for("tacshade/left/state", 2)
+        assert seen.of("tacshade/left/state")[-1] == b"stopped"
+
+
+@pytest.mark.broker
+@needs_broker
+def test_a_broker_with_password_and_tls_is_named_by_a_settings_file(
+    tmp_path: Path, given: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "password").write_text("secret\n")
+    with Broker(tmp_path, users={"hand": "secret"}, tls=True) as broker:
+        config = tmp_path / "config.yaml"
+        access = f"username: hand, password_file: password, ca_file: {broker.ca}"
+        config.write_text(f"mqtt: {{host: 127.0.0.1, port: {broker.port}, {access}}}\n")
+        assert main([*given, "--config", str(config)]) == 0
+        assert "0 payloads superseded, 0 payloads failed" in capsys.readouterr().out
+        (tmp_path / "password").write_text("wrong\n")
+        assert main([*given, "--config", str(config)]) == 1
+        assert "refused: Not authorized; expected a broker at" in capsys.readouterr().err
+    (tmp_path / "password").unlink()
+    assert main([*given, "--config", str(config)]) == 78
+    assert "config.yaml:1: mqtt.password_file: " in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_broker_that_is_away_is_one_line(given: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    port = free_port()
+    assert main([*given, "--mqtt", f"127.0.0.1:{port}"]) == 1
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert f"127.0.0.1:{port}: Connection refused; expected a broker at 127.0.0.1:{port} within 2 s" in err

@@ -1,0 +1,283 @@
+"""A robot on a pty and the daemon's side of it: real threads, real ports."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from robot import Clock, Faults, PtyRobot, motion
+from support.patience import stretched, wait_until
+
+from tacshade_edge.daemon.robot.robot import Robot
+from tacshade_edge.daemon.robot.serial_commands import WAITING_MAX
+from tacshade_edge.devices.serial.port import SerialPort
+from tacshade_edge.protocol.messages import Request, encode_error, encode_result
+from tacshade_edge.types import Calibration, Frame, HeightMap, ObjectCloud, Reconstruction
+
+numbers = itertools.count()
+
+
+@pytest.fixture
+def link() -> Iterator[Path]:
+    """A place under /dev, as the settings want, that needs no root."""
+    path = Path(f"/dev/shm/tacshade-test-{os.getpid()}-{next(numbers)}")
+    yield path
+    path.unlink(missing_ok=True)
+
+
+class Side:
+    """The daemon's side, without camera and broker."""
+
+    def __init__(self, link: Path) -> None:
+        self.requests: list[Request] = []
+        self.told: list[dict[str, Any]] = []
+        self.robot = Robot(
+            SerialPort(str(link), 115200),
+            self.requests.append,
+            lambda: {"source": "streaming", "health": {"delivered_fps": 30.0}},
+            lambda payload: self.told.append(json.loads(payload)),
+        )
+
+    def __enter__(self) -> Side:
+        self.robot.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.robot.stop(10)
+
+    def until(self, what: str, **wanted: Any) -> dict[str, Any]:
+        """Poll until `status/serial` says so."""
+
+        def there() -> bool:
+            self.robot.poll()
+            return bool(self.told) and all(self.told[-1].get(key) == value for key, value in wanted.items())
+
+        wait_until(there, 30, f"{what}: {wanted}")
+        return self.told[-1]
+
+
+def frame(t_ns: int, calibration: Calibration, valid: bool = True) -> tuple[Frame, Reconstruction]:
+    image = np.zeros((2, 2), np.uint8)
+    height = HeightMap(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.bool_), 0, 0, 1)
+    cloud = ObjectCloud(np.zeros((0, 3), np.float32), np.zeros(0, np.uint16))
+    reason = "" if valid else "black"
+    return (
+        Frame(5, t_ns, 0, image),
+        Reconstruction(5, t_ns, 0, "fast", valid, reason, False, False, "", height, cloud),
+    )
+
+
+class Sink:
+    def __init__(self) -> None:
+        self.frames: list[Frame] = []
+
+    def asked(self) -> bool:
+        return False
+
+    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> Any:
+        self.frames.append(frame)
+        return "published"
+
+
+@pytest.mark.parametrize("binary", [False, True], ids=["ASCII", "BIN"])
+def test_frames_get_the_pose_that_the_sensor_had(link: Path, binary: bool, calibration: Calibration) -> None:
+    sink = Sink()
+    with PtyRobot(link, rate_hz=200, binary=binary) as robot, Side(link) as side:
+        side.until("synchronised", state="connected", sync="two-way", mode="BIN" if binary else "ASCII")
+        posed = side.robot.posed(sink)
+        wait_until(lambda: side.robot.motion.at(time.monotonic_ns() - 10_000_000), 10, "a pose")
+        for _ in range(20):
+            t_ns = time.monotonic_ns() - 10_000_000
+            posed.deliver(*frame(t_ns, calibration), calibration)
+        for got in sink.frames:
+            if got.pose is None:  # this machine stopped for a moment
+                continue
+            truth = motion(got.t_ns / 1e9 - robot.began_s)
+            found = (got.pose.x_mm, got.pose.y_mm, got.pose.z_mm, got.pose.qw, got.pose.qx, got.pose.qy, got.pose.qz)
+            slack_s = got.pose_error_us / 1e6 + 1e-4
+            assert found[:3] == pytest.approx(truth[:3], abs=63 * slack_s + 0.02)  # 40 mm once in 4 s
+            assert found[3:] == pytest.approx(truth[3:], abs=0.3 * slack_s + 1e-4)
+            assert (got.pose.t_ns, got.pose_error_us > 0) == (got.t_ns, True)
+        assert any(got.pose for got in sink.frames)
+    counts = side.robot.as_dict()
+    assert counts["frames_with_pose"] + counts["frames_without_pose"] == 20
+    assert counts["exchanges"] >= 1
+    assert counts["clock_restarts"] == 1  # its greeting
+
+
+def test_every_pose_is_accounted_for_on_a_bad_line(link: Path) -> None:
+    with PtyRobot(link, rate_hz=1000, binary=True, poses=1) as robot, Side(link) as side:
+        wait_until(lambda: side.robot.as_dict()["poses"] == 1, 15, "the first pose")
+        robot.faults = Faults(lose=0.03, damage=0.03)
+        robot.poses_max = 400
+        wait_until(lambda: robot.told.poses == 400, 30, "400 poses")
+        robot.faults = Faults()
+        robot.poses_max = 401
+
+        def accounted() -> int:
+            counts = side.robot.as_dict()
+            return int(counts["poses"] + counts["poses_lost"])
+
+        wait_until(lambda: accounted() == 401, 10, "each pose arrived or is missing by its number")
+    counts = side.robot.as_dict()
+    assert 0 < counts["poses_lost"] <= robot.told.lost + robot.told.damaged
+    assert counts["poses_repeated"] == 0
+    assert counts["damaged"] + counts["garbage"] > 0
+
+
+@pytest.mark.slow
+def test_a_thousand_poses_a_second_are_all_there(link: Path) -> None:
+    """`tools/bench_serial.py` has it for a minute."""
+    rate_hz = 1000 / stretched(1)
+    print(f"{rate_hz:.0f} poses a second")
+    with PtyRobot(link, rate_hz=rate_hz, binary=True, poses=10_000) as robot, Side(link) as side:
+        wait_until(lambda: robot.told.poses == 10_000, 20, "10,000 poses")
+        wait_until(lambda: side.robot.as_dict()["poses"] == 10_000, 10, "all arrived")
+        counts = side.robot.as_dict()
+    names = ("poses_lost", "poses_repeated", "poses_bad", "poses_late", "damaged", "garbage", "unsent_bytes")
+    assert {name: counts[name] for name in names} == dict.fromkeys(names, 0)
+    assert counts["clock_restarts"] == 1  # its greeting
+
+
+def test_unplugged_and_plugged_in_again_the_session_goes_on_and_the_gap_is_told(link: Path) -> None:
+    with PtyRobot(link, rate_hz=200, binary=True) as robot, Side(link) as side:
+        side.until("synchronised", sync="two-way")
+        robot.ask("STATUS")
+        wait_until(lambda: any("camera=" in r for r in robot.replies.values()), 10, "a reply")
+        number = next(n for n, r in robot.replies.items() if "camera=" in r)
+        before = robot.replies[number]
+        robot.unplug()
+        side.until("away", state="away")
+        wait_until(lambda: robot.told.poses > 0, 5, "poses")
+        pose_count = robot.told.poses
+        wait_until(lambda: robot.told.poses > pose_count + 20, 5, "poses into nothing")
+        robot.plug()
+        side.until("back", state="connected", sync="two-way", mode="BIN")
+        wait_until(lambda: any(e.startswith("READY tacshade 1 away_ms=") for e in robot.events), 10, "EVT READY")
+        wait_until(lambda: any(e.startswith("GAP poses=") for e in robot.events), 10, "EVT GAP")
+        # The same number and text: not done again, the reply is the one from before the cable was pulled.
+        robot.replies.clear()
+        robot._seq = number - 1
+        robot.ask("STATUS")
+        wait_until(lambda: number in robot.replies, 10, "the reply again")
+        assert robot.replies[number] == before
+    counts = side.robot.as_dict()
+    assert counts["reopened"] >= 1
+    assert counts["poses_lost"] >= 20
+    assert counts["clock_restarts"] == 1  # the greeting; not the cable
+
+
+def test_a_robot_that_reboots_is_noticed_and_known_again(link: Path) -> None:
+    with PtyRobot(link, rate_hz=100, binary=True, clock=Clock(5000.0, 20.0)) as robot, Side(link) as side:
+        side.until("synchronised", sync="two-way")
+        robot.faults.reboot_s = robot.true_s() + 0.2
+        wait_until(lambda: robot.told.boots == 2, 10, "a reboot")
+        robot.faults.reboot_s = 0
+        wait_until(lambda: side.robot.as_dict()["clock_restarts"] >= 2, 10, "noticed")
+        side.until("known again", state="connected", sync="two-way", mode="BIN")
+        wait_until(lambda: side.robot.motion.at(time.monotonic_ns() - 20_000_000), 10, "a pose")
+
+
+def test_poses_alone_say_that_they_are_one_way(link: Path) -> None:
+    with PtyRobot(link, rate_hz=100, one_way=True), Side(link) as side:
+        side.until("one-way", state="connected", sync="oneway")
+        wait_until(lambda: side.robot.motion.at(time.monotonic_ns() - 20_000_000), 10, "a pose")
+
+
+def test_captures_and_references(link: Path, calibration: Calibration) -> None:
+    with PtyRobot(link, rate_hz=0) as robot, Side(link) as side:
+        side.until("connected", state="connected")
+        posed = side.robot.posed(Sink())
+        old = frame(time.monotonic_ns(), calibration)
+        robot.ask("CAPTURE")
+        wait_until(lambda: side.robot.commands.waits_for_a_frame, 10, "CAPTURE")
+        assert posed.asked()
+        posed.deliver(*old, calibration)
+        assert side.robot.commands.waits_for_a_frame  # that one was from before
+        posed.deliver(*frame(time.monotonic_ns(), calibration), calibration)
+        wait_until(lambda: any(" frame=5 t_ns=" in r for r in robot.replies.values()), 10, "its answer")
+        robot.ask("CAPTURE")
+        wait_until(lambda: side.robot.commands.waits_for_a_frame, 10, "CAPTURE")
+        posed.deliver(*frame(time.monotonic_ns(), calibration, valid=False), calibration)
+        wait_until(lambda: any("INVALID frame=5: black" in r for r in robot.replies.values()), 10, "its answer")
+
+        for answer in (encode_result(None, {"frames": 10}), encode_error(None, "shows contact")):
+            robot.ask("REFERENCE")
+            wait_until(lambda: side.requests, 10, "the request")
+            request = side.requests.pop()
+            assert request.verb == "reference"
+            assert not side.robot.commands.answered(Request("reference"), answer)  # MQTT's
+            assert side.robot.commands.answered(request, answer)
+        wait_until(lambda: any(r.endswith("frames=10") for r in robot.replies.values()), 10, "OK")
+        wait_until(lambda: any(r.endswith("REFUSED shows contact") for r in robot.replies.values()), 10, "ERR")
+
+        assert not posed.asked()
+        robot.ask("STITCH BEGIN pad")
+        wait_until(lambda: any("UNAVAILABLE" in r for r in robot.replies.values()), 10, "no stitching")
+
+        class Session:
+            def stitch(self, action: str, name: str, answer: Any) -> None:
+                answer("" if action == "BEGIN" else "IDLE", f"{action} {name}")
+
+        side.robot.commands.stitching = Session()
+        robot.ask("STITCH BEGIN pad")
+        robot.ask("stitch end")
+        wait_until(lambda: any(r.endswith("BEGIN pad") and "OK" in r for r in robot.replies.values()), 10, "BEGIN")
+        wait_until(lambda: any(r.endswith("IDLE END") and "ERR" in r for r in robot.replies.values()), 10, "END")
+
+
+def test_a_port_that_is_away_and_one_that_is_taken(link: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tacshade_edge.daemon.robot.robot.SILENT_NS", 10_000_000)
+    side = Side(link)
+    with side:
+        assert side.until("away", state="away")["reason"] in ("starting", f"serial {link}: no such device")
+        side.until("away", reason=f"serial {link}: no such device")
+        robot = PtyRobot(link, rate_hz=0)
+        robot.plug()
+        side.until("silent", state="silent", reason="nothing for more than 0 s")
+        other = Side(link)
+        with other:
+            other.until("taken", reason=f"serial {link}: in use by another program")
+        robot.unplug()
+        side.until("away again", state="away")
+
+
+def test_a_capture_without_a_frame_ends_and_too_many_are_refused(link: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with PtyRobot(link, rate_hz=0) as robot, Side(link) as side:
+        side.until("connected", state="connected")
+        for _ in range(WAITING_MAX + 1):
+            robot.ask("CAPTURE")
+        wait_until(lambda: any("BUSY 16 captures are waiting" in r for r in robot.replies.values()), 10, "BUSY")
+        monkeypatch.setattr("tacshade_edge.daemon.robot.serial_commands.CAPTURE_TIMEOUT_NS", 0)
+        wait_until(lambda: sum("TIMEOUT no frame" in r for r in robot.replies.values()) == 16, 10, "TIMEOUT")
+        assert not side.robot.commands.waits_for_a_frame
+
+
+def test_a_chip_that_holds_bytes_back_is_told(link: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told = SerialPort.describe
+    monkeypatch.setattr(SerialPort, "describe", lambda port: {**told(port), "latency_ms": 16})
+    with PtyRobot(link), Side(link) as side:
+        status = side.until("two-way", state="connected", sync="two-way")
+    assert status["reason"] == "the port's chip holds bytes back for 16 ms; doctor tells the mend"
+
+
+def test_a_robot_that_reads_nothing_costs_no_poses(link: Path) -> None:
+    robot = PtyRobot(link, rate_hz=0)
+    robot.plug()
+    assert robot._fds is not None
+    master = robot._fds[0]
+    with Side(link) as side:
+        for number in range(3000):  # 120 kB of answers; a pty holds some 20
+            os.set_blocking(master, True)
+            os.write(master, b"#%d HELP\n" % (number % 65536))
+        os.write(master, b"POSE 1 0 0 0 1 0 0 0\n")
+        wait_until(lambda: side.robot.as_dict()["poses"] == 1, 20, "the pose")
+        assert side.robot.as_dict()["unsent_bytes"] > 0
+    robot.unplug()

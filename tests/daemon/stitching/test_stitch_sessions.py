@@ -1,0 +1,152 @@
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.calibrated_sensor import calibrated, pressed, step, unloaded
+from support.patience import patience, wait_until
+
+from tacshade_edge.core.stitching.stitcher import Stitched, Stitcher
+from tacshade_edge.daemon.pipeline.workers import Sink
+from tacshade_edge.daemon.stitching.stitch_sessions import StitchSessions, values
+from tacshade_edge.devices.files.stitch_file import open_session
+from tacshade_edge.protocol.messages import Request
+from tacshade_edge.types import Calibration, Frame, Pose, Reconstruction
+
+BEGIN, ADD, END, STATUS = (Request("stitch", n, action=a) for n, a in enumerate(("begin", "add", "end", "status")))  # type: ignore[arg-type]
+
+
+class Nobody:
+    """A sink that no one listens to."""
+
+    def __init__(self) -> None:
+        self.delivered = 0
+
+    def asked(self) -> bool:
+        return False
+
+    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> Any:
+        self.delivered += 1
+        return "published"
+
+
+class Daemon:
+    def __init__(self, folder: Path) -> None:
+        self.told: dict[str, bytes] = {}
+        self.replies: list[dict[str, Any]] = []
+        self.sessions = StitchSessions(
+            folder, self.told.__setitem__, lambda request, payload: self.replies.append(json.loads(payload)), None
+        )
+        self.nobody = Nobody()
+        self.sink: Sink = self.sessions.watched(self.nobody)
+        self.sessions.start()
+
+    def show(self, result: Reconstruction | None, *, pose: bool = True) -> None:
+        t_ns = time.monotonic_ns()
+        at = Pose(t_ns, 1.0, 2.0, 20.0, 0.0, 1.0, 0.0, 0.0) if pose else None
+        frame = Frame(1, t_ns, 0, np.zeros((2, 2), np.uint8), at)
+        seen = None if result is None else replace(result, t_ns=t_ns)
+        assert self.sink.deliver(frame, seen, calibrated()) == "published"
+
+    def ask(self, request: Request, result: Reconstruction | None = None) -> dict[str, Any]:
+        count = len(self.replies)
+        self.sessions.handle(request)
+        if result is not None:
+            self.show(result)
+        wait_until(lambda: len(self.replies) > count, 20, "a reply")
+        return self.replies[-1]
+
+    def status(self) -> dict[str, Any]:
+        self.sessions.poll()
+        return dict(json.loads(self.told["status/stitching"]))
+
+
+@pytest.fixture
+def daemon(tmp_path: Path) -> Iterator[Daemon]:
+    one = Daemon(tmp_path)
+    yield one
+    one.sessions.stop(20)
+
+
+def test_a_session_over_mqtt(daemon: Daemon, tmp_path: Path) -> None:
+    ball = step("fast", pressed("ball", 3.0).image)
+    assert daemon.ask(BEGIN)["error"].startswith("NOFRAME: ")
+    daemon.show(step("fast", unloaded()))
+    assert not daemon.sink.asked()
+    assert daemon.ask(replace(BEGIN, name="7", transaction="t")) == {
+        "transaction": "t",
+        "ok": True,
+        "result": {"name": "7"},
+    }
+    assert daemon.sink.asked()  # every frame, whoever listens
+    assert daemon.status() == {
+        **{"state": "open", "reason": "", "name": "7", "presses": 0, "points": 0, "revision": 0},
+        **{"missed": 0, "folder": ""},
+    }
+    added = daemon.ask(ADD, ball)["result"]
+    assert (added["press"], added["frame"]) == (1, 1)
+    assert daemon.ask(STATUS)["result"]["points"] == added["points"] > 100
+    ended = daemon.ask(END)["result"]
+    assert (ended["name"], ended["presses"], ended["disagreement_mm"]) == ("7", 1, 0.0)
+    assert daemon.status() == {
+        **{"state": "idle", "reason": "", "name": "", "presses": 0, "points": 0, "revision": 0},
+        **{"missed": 0, "folder": str(tmp_path / "7")},
+    }
+    assert not daemon.sink.asked()
+    assert {"map/cloud", "map/revision", "map/final"} <= set(daemon.told)
+    assert daemon.sessions.as_dict() == {"presses": 1, "refused": 0, "missed": 0, "waiting": 0}
+
+
+def test_what_was_not_added_is_counted_and_told(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
+    ball = step("fast", pressed("ball", 3.0).image)
+    assert daemon.ask(ADD)["error"] == "NOSESSION: no session is open, begin one first"
+    daemon.show(step("fast", unloaded()))
+    daemon.ask(BEGIN)
+    daemon.show(None)  # a contact that nobody asked for, from before
+    monkeypatch.setattr("tacshade_edge.core.stitching.rest.SETTLE_NS", 0)
+    daemon.show(ball, pose=False)
+    daemon.show(ball, pose=False)
+    wait_until(lambda: daemon.status()["missed"] == 1, 20, "missed")
+    assert daemon.status()["reason"].endswith("the robot's pose is not known at its time")
+    daemon.show(step("fast", unloaded()))
+    daemon.show(ball)
+    daemon.show(ball)
+    wait_until(lambda: daemon.status()["presses"] == 1, 20, "the next one")
+    assert (daemon.status()["reason"], daemon.status()["missed"]) == ("", 1)
+    assert daemon.sessions.as_dict() == {"presses": 1, "refused": 1, "missed": 1, "waiting": 0}
+
+
+def test_a_stop_does_not_wait_for_a_map(daemon: Daemon, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    daemon.show(step("fast", unloaded()))
+    daemon.ask(replace(BEGIN, name="pad"))
+    daemon.ask(ADD, step("fast", pressed("ball", 3.0).image))
+    finish, go_on = Stitcher.finish, threading.Event()
+
+    def slow(stitcher: Stitcher) -> Stitched:
+        assert go_on.wait(patience(20))
+        return finish(stitcher)
+
+    monkeypatch.setattr(Stitcher, "finish", slow)
+    daemon.sessions.handle(END)
+    wait_until(lambda: daemon.status()["state"] == "ending", 20, "ending")
+    daemon.sessions.stop(0.01)
+    assert daemon.status()["state"] == "ending"
+    assert open_session(tmp_path) == tmp_path / "pad"  # for the next daemon
+    go_on.set()
+    wait_until(lambda: daemon.status()["state"] == "idle", 20, "idle")
+
+
+def test_answers_are_values() -> None:
+    assert values("name=007 open=1 disagreement_mm=0.120 area_mm2=60") == {
+        "name": "007",
+        "open": 1,
+        "disagreement_mm": 0.12,
+        "area_mm2": 60,
+    }

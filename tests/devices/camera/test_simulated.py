@@ -1,0 +1,82 @@
+import time
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from tacshade_edge.devices.base import FrameSource
+from tacshade_edge.devices.camera.simulated import SimulatedSource
+from tacshade_edge.simulator.model import SensorModel
+from tacshade_edge.simulator.objects import ball
+from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.script import Script
+
+SMALL = replace(SensorModel(), image_height_px=48, image_width_px=64, row_c=23.0, col_c=31.0, disc_radius_px=20.0)
+SCRIPT = Script((Press(ball(5.0), depth_mm=3.0),), approach=1, hold=1, release=1, pause=1)
+
+
+def source(fps: float = 200.0, ring: int = 0) -> SimulatedSource:
+    return SimulatedSource(fps=fps, model=SMALL, script=SCRIPT, ring=ring)
+
+
+@pytest.mark.parametrize("ring", [0, 4])
+def test_frames_come_at_their_time_stamps_one_period_apart(ring: int) -> None:
+    camera: FrameSource = source(ring=ring)
+    camera.open()
+    frames = []
+    for _ in range(20):
+        frame = camera.read()
+        assert frame is not None
+        now_ns = time.monotonic_ns()
+        assert frame.t_ns <= now_ns
+        assert abs((time.time_ns() - frame.wall_ns) - (now_ns - frame.t_ns)) < 1_000_000_000
+        assert frame.image.shape == (48, 64, 3)
+        frames.append(frame)
+    for one, other in pairwise(frames):
+        assert other.t_ns - one.t_ns == (other.seq - one.seq) * 5_000_000
+    assert camera.dropped == frames[-1].seq - 19
+    camera.close()
+
+
+def test_what_was_not_read_in_time_is_dropped_and_counted() -> None:
+    camera = source(fps=1000.0, ring=4)
+    camera.open()
+    first = camera.read()
+    until_ns = first.t_ns + 20_000_000
+    while time.monotonic_ns() < until_ns:  # a reader that is busy for 20 periods
+        np.sum(first.image)
+    late = camera.read()
+    assert late.seq >= 20
+    assert camera.dropped == late.seq - 1
+    assert late.t_ns - first.t_ns == late.seq * 1_000_000
+
+
+def test_the_ring_repeats_and_its_truth_is_known() -> None:
+    camera = source(ring=4)
+    camera.open()
+    seen = {}
+    while len(seen) < 8:
+        frame = camera.read()
+        seen[frame.seq] = frame.image
+    for seq, image in seen.items():
+        for other, image_other in seen.items():
+            assert np.array_equal(image, image_other) == (seq % 4 == other % 4)
+    assert camera.presses(4) == ()
+    assert camera.presses(6)[0].depth_mm == 3.0
+    assert camera.presses(6)[0].shape.name == "ball"
+    assert camera.truth(6).depth_max_mm == pytest.approx(3.0, abs=0.02)
+    assert camera.truth(4).depth_max_mm == 0.0
+
+
+def test_numbering_goes_on_after_a_reopening() -> None:
+    camera = source()
+    camera.open()
+    last = [camera.read() for _ in range(3)][-1]
+    camera.close()
+    camera.close()
+    camera.open()
+    again = camera.read()
+    assert again.seq == 3 + camera.dropped
+    assert again.t_ns > last.t_ns
+    assert camera.describe() == {"device": "simulated", "width_px": 64, "height_px": 48, "fps": 200.0, "ring": 0}

@@ -1,0 +1,68 @@
+"""Locking a camera's automatic controls. The fake is a driver's control table, as OpenCV shows it."""
+
+from __future__ import annotations
+
+import cv2
+
+from tacshade_edge.devices.camera.v4l2_controls import lock_exposure, lock_white_balance
+
+AUTO, VALUE, BALANCE = cv2.CAP_PROP_AUTO_EXPOSURE, cv2.CAP_PROP_EXPOSURE, cv2.CAP_PROP_AUTO_WB
+
+
+class Driver:
+    """Controls with a range; the exposure of a USB camera takes no value while it is automatic (3)."""
+
+    def __init__(self, values: dict[int, float], frozen: tuple[int, ...] = ()) -> None:
+        self.values = values
+        self.frozen = frozen
+
+    def get(self, control: int, /) -> float:
+        return self.values.get(control, -1.0)
+
+    def set(self, control: int, value: float, /) -> bool:
+        if control not in self.values or control in self.frozen:
+            return False
+        if control == VALUE:
+            if self.values.get(AUTO) == 3:
+                return False
+            value = min(max(value, 3), 2047)
+        self.values[control] = value
+        return True
+
+
+def test_exposure_is_made_manual_before_it_is_set() -> None:
+    driver = Driver({AUTO: 3, VALUE: 250})
+    assert lock_exposure(driver, 157) == (157, "locked at 157")
+    assert driver.values == {AUTO: 1, VALUE: 157}
+
+
+def test_no_wish_keeps_the_value_but_locks_it() -> None:
+    driver = Driver({AUTO: 3, VALUE: 250})
+    assert lock_exposure(driver, None) == (250, "locked at 250")
+    assert driver.values[AUTO] == 1
+
+
+def test_a_value_out_of_range_is_told_as_it_is() -> None:
+    assert lock_exposure(Driver({AUTO: 3, VALUE: 250}), 9999) == (2047, "locked at 2047")
+
+
+def test_a_driver_that_stays_automatic_is_told() -> None:
+    value, text = lock_exposure(Driver({AUTO: 3, VALUE: 250}, frozen=(AUTO,)), 100)
+    assert value == 250
+    assert text == "automatic, the driver does not lock it (250)"
+
+
+def test_exposure_without_an_automatic() -> None:
+    assert lock_exposure(Driver({VALUE: 250}), 100) == (100, "locked at 100")
+
+
+def test_no_such_controls() -> None:
+    assert lock_exposure(Driver({}), 100) == (None, "no control")
+    assert lock_white_balance(Driver({})) == "no control"
+
+
+def test_white_balance() -> None:
+    driver = Driver({BALANCE: 1})
+    assert lock_white_balance(driver) == "locked"
+    assert driver.values[BALANCE] == 0
+    assert lock_white_balance(Driver({BALANCE: 1}, frozen=(BALANCE,))) == "automatic, the driver does not lock it"

@@ -1,0 +1,71 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tacshade_edge.devices.files.frame_table import ERROR_COLUMN, HEADER, read_table, table_in
+from tacshade_edge.errors import ConfigError
+
+
+@pytest.mark.parametrize(
+    ("row", "said"),
+    [
+        ("", r"frames\.csv: found no row, expected one for each frame"),
+        ("a.png,1\n", r"frames\.csv:2: found 2 columns, expected 9"),
+        (",1,,,,,,,\n", ":2: image: found nothing, expected a file's name"),
+        ("a.png,,,,,,,,\n", ":2: t_ns: found '', expected a whole number from 0 to"),
+        ("a.png,-1,,,,,,,\n", ":2: t_ns: found '-1', expected a whole number"),
+        ("a.png,1.5,,,,,,,\n", ":2: t_ns: found '1.5', expected a whole number"),
+        (f"a.png,{2**62 + 1},,,,,,,\n", ":2: t_ns: found '4611686018427387905', expected a whole number"),
+        ("a.png,5,,,,,,,\na.png,5,,,,,,,\n", ":3: t_ns: found 5, expected more than 5 of the row before"),
+        ("a.png,5,1,,,,,,\n", ":2: x_mm to qz: found 1 of the 7, expected all or none"),
+        ("a.png,5,1,2,x,1,0,0,0\n", ":2: z_mm: found 'x', expected a number"),
+        ("a.png,5,1,2,3,1,1,0,0\n", ":2: qw, qx, qy, qz: found the norm 1.414, expected a unit quaternion"),
+    ],
+)
+def test_a_wrong_table_is_told_by_line_and_column(tmp_path: Path, row: str, said: str) -> None:
+    (tmp_path / "frames.csv").write_text(",".join(HEADER) + "\n" + row)
+    with pytest.raises(ConfigError, match=said) as refusal:
+        read_table(tmp_path / "frames.csv")
+    assert "\n" not in str(refusal.value)
+
+
+ERRORS = ",".join((*HEADER, ERROR_COLUMN)) + "\n"
+
+
+def test_the_time_error_of_a_pose_is_a_column_that_older_tables_lack(tmp_path: Path) -> None:
+    table = tmp_path / "frames.csv"
+    table.write_text(ERRORS + f"a.png,5,1,2,3,1,0,0,0,{2**32 - 1}\nb.png,6,1,2,3,1,0,0,0,\nc.png,7,,,,,,,,\n")
+    assert [(row.pose is None, row.pose_error_us) for row in read_table(table)] == [
+        (False, 2**32 - 1),
+        (False, 0),
+        (True, 0),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("row", "said"),
+    [
+        ("a.png,5,1,2,3,1,0,0,0", "found 9 columns, expected 10"),
+        ("a.png,5,1,2,3,1,0,0,0,-1", "pose_error_us: found '-1', expected a whole number from 0 to"),
+        (f"a.png,5,1,2,3,1,0,0,0,{2**32}", "pose_error_us: found '4294967296', expected a whole number"),
+        ("a.png,5,,,,,,,,3", "pose_error_us: found '3', expected nothing, as there is no pose"),
+    ],
+)
+def test_a_wrong_time_error_is_told(tmp_path: Path, row: str, said: str) -> None:
+    (tmp_path / "frames.csv").write_text(f"{ERRORS}{row}\n")
+    with pytest.raises(ConfigError, match=rf"frames\.csv:2: {said}"):
+        read_table(tmp_path / "frames.csv")
+
+
+def test_the_table_of_a_writer_that_died_is_read_to_its_last_whole_line(tmp_path: Path) -> None:
+    assert table_in(tmp_path) is None
+    partial, table = tmp_path / "frames.csv.part", tmp_path / "frames.csv"
+    partial.write_text(",".join(HEADER) + "\na.png,5,,,,,,,\nb.png,61,,,,,,")
+    assert table_in(tmp_path) == partial
+    assert [row.image for row in read_table(partial, cut_off=True)] == ["a.png"]
+    with pytest.raises(ConfigError, match="part:3: found 8 columns, expected 9"):
+        read_table(partial)
+    table.touch()
+    assert table_in(tmp_path) == table

@@ -1,0 +1,117 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.painted_sensor import painted_calibration
+
+from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.devices.files.frame_table import read_table
+from tacshade_edge.devices.files.recorder import Recorder
+from tacshade_edge.devices.files.recording import Recording
+from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.types import U8, Frame, Pose
+
+NOISE = np.random.default_rng(2)
+POSE = Pose(1007, 0.1 + 0.2, -3.0, 1e-17, 0.6, 0.0, -0.8, 0.0)
+BESIDE = {"calibration.npz", "settings.yaml"}
+
+
+def picture(*shape: int) -> U8:
+    return NOISE.integers(0, 256, shape, dtype=np.uint8)
+
+
+def begun(folder: Path) -> Recorder:
+    recorder = Recorder(folder, free_floor_bytes=0)
+    recorder.begin("sensor_id: a\n", painted_calibration())
+    return recorder
+
+
+@pytest.mark.parametrize("shape", [(48, 64), (48, 64, 3)])
+def test_what_is_recorded_is_replayed_bit_by_bit(tmp_path: Path, shape: tuple[int, ...]) -> None:
+    images = [picture(*shape) for _ in range(3)]
+    folder = tmp_path / "new" / "rec"
+    recorder = begun(folder)
+    for k, image in enumerate(images):
+        assert recorder.add(Frame(10 + k, 1000 + 7 * k, 5, image, *((POSE, 431) if k == 1 else ())))
+    recorder.event(1001, "source", {"state": "away"})
+    recorder.finish({"frames": recorder.frames})
+    recording = Recording(folder)
+    assert not recording.cut_off
+    for k, image in enumerate(images):
+        recorded = recording.read()
+        assert recorded is not None
+        frame = recorded.frame
+        assert (frame.seq, frame.t_ns) == (k, 1000 + 7 * k)
+        assert (frame.pose, frame.pose_error_us) == ((POSE, 431) if k == 1 else (None, 0))
+        np.testing.assert_array_equal(frame.image, image)
+    assert recording.read() is None
+    names = {path.name for path in folder.iterdir()}
+    assert names == BESIDE | {*(f"00000{k}.png" for k in range(3)), "frames.csv", "events.jsonl", "recording.json"}
+    assert json.loads((folder / "recording.json").read_text()) == {"frames": 3}
+    assert json.loads((folder / "events.jsonl").read_text()) == {
+        "t_ns": 1001,
+        "kind": "source",
+        "data": {"state": "away"},
+    }
+    assert calibration_file.load(folder / "calibration.npz").crc32 == painted_calibration().crc32
+    assert (folder / "settings.yaml").read_text() == "sensor_id: a\n"
+
+
+def test_a_recording_of_a_recording_is_the_same(tmp_path: Path) -> None:
+    first = begun(tmp_path / "a")
+    for k in range(3):
+        first.add(Frame(k, 1000 + 7 * k, 5, picture(8, 8), POSE if k == 1 else None))
+    first.finish({})
+    again, recording = begun(tmp_path / "b"), Recording(tmp_path / "a")
+    while (recorded := recording.read()) is not None:
+        again.add(recorded.frame)
+    again.finish({})
+    for path in (tmp_path / "a").iterdir():
+        assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes(), path.name
+
+
+@pytest.mark.parametrize("lost", [0, 1, 12])
+def test_after_a_crash_whole_frames_are_read(tmp_path: Path, lost: int) -> None:
+    recorder = begun(tmp_path / "rec")
+    for k in range(130):
+        recorder.add(Frame(k, k, 0, picture(8, 8)))
+    recorder.close()
+    table = tmp_path / "rec" / "frames.csv.part"
+    table.write_bytes(table.read_bytes()[: -lost or None])
+    (tmp_path / "rec" / "000130.png.part").write_bytes(b"half")
+    recording = Recording(tmp_path / "rec")
+    assert recording.cut_off
+    read = 0
+    while recording.read() is not None:
+        read += 1
+    assert read == 130 - (lost > 0)
+    assert len(read_table(table, cut_off=True)) == read
+
+
+def test_before_the_first_frame_there_is_nothing_to_replay(tmp_path: Path) -> None:
+    begun(tmp_path / "rec").close()
+    with pytest.raises(ConfigError, match=r"frames\.csv\.part: found no row"):
+        Recording(tmp_path / "rec")
+
+
+def test_a_disk_at_its_floor_takes_no_frame(tmp_path: Path) -> None:
+    with pytest.raises(DeviceError, match=r"found \d+ MiB free on the disk, expected \d+ at least"):
+        Recorder(tmp_path / "rec", free_floor_bytes=2**62)
+    recorder = begun(tmp_path / "rec")
+    recorder._floor = 2**62
+    assert not recorder.add(Frame(0, 0, 0, picture(8, 8)))
+    assert recorder.frames == 0
+    assert not list((tmp_path / "rec").glob("*.png*"))
+    recorder.close()
+
+
+def test_a_folder_that_cannot_be_taken(tmp_path: Path) -> None:
+    (tmp_path / "used").mkdir()
+    with pytest.raises(ConfigError, match=r"used: found it there already, expected the name of a new folder"):
+        Recorder(tmp_path / "used", free_floor_bytes=0)
+    (tmp_path / "used" / "a").touch()
+    with pytest.raises(DeviceError, match=r"a: cannot be written: (File exists|Not a directory)"):
+        Recorder(tmp_path / "used" / "a" / "rec", free_floor_bytes=0)

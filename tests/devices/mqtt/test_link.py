@@ -1,0 +1,454 @@
+"""The MQTT link against a real mosquitto: up, away, restarted, stalled, killed, refused."""
+
+from __future__ import annotations
+
+import json
+import logging
+import queue
+import socket
+import ssl
+import subprocess
+import sys
+import threading
+import time
+import tracemalloc
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
+from support.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
+from support.patience import patience, promised, wait_until
+
+from tacshade_edge.devices.mqtt.link import MqttLink
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.protocol import messages, wire
+from tacshade_edge.protocol.messages import Request
+from tacshade_edge.types import HeightMap, ObjectCloud, Reconstruction
+
+BASE = "tacshade/test"
+BACK_S = 3.0
+broker_test = pytest.mark.broker
+needs_mosquitto = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
+
+
+class Rig:
+    """A link whose requests and outcomes are kept."""
+
+    def __init__(self, port: int, **options: Any) -> None:
+        self.requests: queue.SimpleQueue[Request] = queue.SimpleQueue()
+        self.outcomes: dict[str, list[tuple[int, str]]] = defaultdict(list)
+        self.link = MqttLink(
+            host="127.0.0.1",
+            port=port,
+            base_topic=BASE,
+            client_id="tacshade-test",
+            on_request=self.requests.put,
+            on_outcome=lambda stream, seq, outcome: self.outcomes[stream].append((seq, outcome)),
+            **options,
+        )
+
+    def connect(self) -> Rig:
+        self.link.start()
+        wait_until(lambda: self.link.connected, 10, "connected")
+        return self
+
+    def counts(self, stream: str) -> Counter[str]:
+        return Counter(outcome for _, outcome in list(self.outcomes[stream]))
+
+
+@pytest.fixture
+def broker(tmp_path: Path) -> Iterator[Broker]:
+    with Broker(tmp_path) as running:
+        yield running
+
+
+@pytest.fixture
+def rig(broker: Broker) -> Iterator[Rig]:
+    made = Rig(broker.port).connect()
+    yield made
+    broker.resume()
+    made.link.stop(2)
+
+
+@pytest.fixture
+def subscriber(broker: Broker) -> Iterator[Subscriber]:
+    with Subscriber(broker.port, f"{BASE}/#") as made:
+        yield made
+
+
+def reconstruction(seq: int) -> Reconstruction:
+    rows, cols = np.mgrid[0:120, 0:160]
+    height = np.where(np.hypot(rows - 60, cols - 80) < 55, 0.01 * rows, np.nan).astype(np.float32)
+    cloud = ObjectCloud(np.arange(30, dtype=np.float32).reshape(10, 3), np.full(10, 1, np.uint16))
+    grid = HeightMap(height, height > 1, 0.0, 0.0, 4.0)
+    return Reconstruction(seq, 10, 20, "fast", True, "", True, False, "", grid, cloud)
+
+
+def offer_for(rig: Rig, seconds: float, fps: int = 60, size: int = 38_000, first: int = 0) -> int:
+    """Offer fresh payloads at a steady rate, each begins with its number; how many."""
+    pause = threading.Event()
+    count = round(seconds * fps)
+    for seq in range(first, first + count):
+        rig.link.offer("height", seq.to_bytes(4, "big") + bytes(size), seq)
+        pause.wait(1 / fps)
+    return count
+
+
+def numbers(subscriber: Subscriber) -> list[int]:
+    return [int.from_bytes(p[:4], "big") for p in subscriber.of(f"{BASE}/height")]
+
+
+def come_back(rig: Rig, subscriber: Subscriber, seq: int) -> None:
+    """From the broker's return: frames are offered until one is received, within 3 s."""
+    have = len(numbers(subscriber))
+
+    def received() -> bool:
+        nonlocal seq
+        rig.link.offer("height", seq.to_bytes(4, "big"), seq)
+        seq += 1
+        return len(numbers(subscriber)) > have
+
+    promised(received, BACK_S, "the stream is back")
+
+
+@broker_test
+@needs_mosquitto
+class TestUp:
+    def test_published_bytes_arrive_as_they_were_and_decode(self, rig: Rig, subscriber: Subscriber) -> None:
+        result = reconstruction(41)
+        height, cloud = (encode(result, calibration_crc32=3) for encode in (wire.encode_height, wire.encode_cloud))
+        rig.link.offer("height", height, 41)
+        rig.link.offer("cloud", cloud, 41)
+        assert subscriber.wait_for(f"{BASE}/height") == [height]
+        assert subscriber.wait_for(f"{BASE}/cloud") == [cloud]
+        decoded = wire.decode(height)
+        assert isinstance(decoded, wire.HeightMessage)
+        np.testing.assert_allclose(decoded.height_mm, result.height.height_mm, atol=0.0006)
+        wait_until(lambda: rig.outcomes["cloud"], 3, "outcome")
+        assert rig.outcomes["height"] == rig.outcomes["cloud"] == [(41, "published")]
+        assert not subscriber.messages[-1].retain
+
+    def test_late_subscriber_finds_the_newest_retained_values(self, rig: Rig, broker: Broker) -> None:
+        for reason in ("opening", "capturing"):
+            rig.link.set_retained("status/camera", messages.encode_status("online", reason))
+        rig.link.set_retained("health", b'{"captured":1}', qos=0)
+        rig.link.set_retained("state", b"degraded")
+        with Subscriber(broker.port, f"{BASE}/#") as late:
+            for topic, newest in (("state", b"degraded"), ("health", b'{"captured":1}')):
+                wait_until(lambda t=topic, n=newest: late.of(f"{BASE}/{t}")[-1:] == [n], 3, topic)
+            status = late.wait_for(f"{BASE}/status/camera")
+            assert json.loads(status[-1]) == {"state": "online", "reason": "capturing"}
+
+    def test_a_stream_is_wanted_while_someone_listens_and_once_a_second_else(self, rig: Rig, broker: Broker) -> None:
+        assert rig.link.wanted("height")  # nothing is known yet
+        rig.link.offer("height", b"0", 0)
+        wait_until(lambda: not rig.link.wanted("height"), 3, "the broker told that nobody listens")
+        assert rig.link.wanted("cloud")
+        wait_until(lambda: rig.link.wanted("height"), 3, "time to ask again")
+        with Subscriber(broker.port, f"{BASE}/height", v5=True) as subscriber:
+            began, answers = time.monotonic(), 0
+            for seq in range(1, 150):
+                rig.link.offer("height", bytes([seq]), seq)
+                wait_until(lambda seq=seq: len(rig.outcomes["height"]) == seq + 1, 3, "sent")
+                answers += rig.link.wanted("height")
+            subscriber.wait_for(f"{BASE}/height", 149)
+            assert answers == 149
+            qos1 = sum(m.qos == 1 for m in subscriber.messages)
+            assert 1 <= qos1 <= time.monotonic() - began + 1
+        assert [m.payload[0] for m in subscriber.messages] == list(range(1, 150))
+        rig.link.offer("cloud", b"", 0)
+        wait_until(lambda: not rig.link.wanted("cloud"), 3, "each stream has its own listeners")
+
+    def test_a_broker_that_comes_back_may_have_listeners(self, rig: Rig, broker: Broker) -> None:
+        rig.link.offer("height", b"0", 0)
+        wait_until(lambda: not rig.link.wanted("height"), 3, "the broker told that nobody listens")
+        broker.kill()
+        wait_until(lambda: rig.link.wanted("height"), 3, "wanted")
+        broker.start()
+
+    def test_stop_says_stopped_after_the_last_frame(self, broker: Broker, subscriber: Subscriber) -> None:
+        rig = Rig(broker.port).connect()
+        for seq in range(5):
+            rig.link.offer("height", seq.to_bytes(4, "big") + bytes(200_000), seq)
+        rig.link.stop(2)
+        rig.link.stop(2)  # again is nothing
+        assert subscriber.wait_for(f"{BASE}/state", 2)[-1] == b"stopped"
+        assert numbers(subscriber)[-1] == 4
+        topics = [m.topic for m in subscriber.messages]
+        assert topics.index(f"{BASE}/height") < len(topics) - 1
+        assert topics[-1] == f"{BASE}/state"
+        rig.link.offer("height", b"late", 5)
+        assert sorted(s for s, _ in rig.outcomes["height"]) == list(range(6))
+        assert rig.outcomes["height"][-1] == (5, "failed")
+        assert not rig.link.connected
+        assert rig.link.counters()["losses"] == 0
+
+    def test_killed_process_leaves_offline(self, broker: Broker, subscriber: Subscriber) -> None:
+        code = (
+            "import sys, threading; from tacshade_edge.devices.mqtt.link import MqttLink\n"
+            "link = MqttLink(host='127.0.0.1', port=int(sys.argv[1]), base_topic=sys.argv[2], client_id='child',"
+            " on_request=print, on_outcome=print)\n"
+            "link.start(); threading.Event().wait()"
+        )
+        child = subprocess.Popen([sys.executable, "-c", code, str(broker.port), BASE])
+        try:
+            assert subscriber.wait_for(f"{BASE}/state", timeout_s=15) == [b"online"]
+        finally:
+            child.kill()
+            child.wait(patience(10))
+        assert subscriber.wait_for(f"{BASE}/state", 2) == [b"online", b"offline"]
+        with Subscriber(broker.port, f"{BASE}/state") as late:
+            assert late.wait_for(f"{BASE}/state") == [b"offline"]
+
+    def test_payloads_and_passwords_are_not_logged(self, broker: Broker, caplog: pytest.LogCaptureFixture) -> None:
+        caplog.set_level(logging.DEBUG)
+        rig = Rig(broker.port, username="u", password="pa55word").connect()
+        rig.link.offer("contact", b"pay1oad", 0)
+        rig.link.stop(2)
+        assert "connected" in caplog.text
+        assert "pa55word" not in caplog.text
+        assert "pay1oad" not in caplog.text
+
+
+@broker_test
+@needs_mosquitto
+class TestAway:
+    def test_absent_at_start_then_there_then_restarted(self, tmp_path: Path) -> None:
+        broker = Broker(tmp_path)
+        rig = Rig(broker.port)
+        rig.link.set_retained("info", b"{}")
+        rig.link.start()
+        offered = offer_for(rig, 0.5)
+        wait_until(lambda: "refused" in rig.link.reason, 3, "a reason")
+        assert not rig.link.connected
+        assert rig.counts("height") == {"failed": offered - 1}  # the newest waits
+        for seq in (1_000, 2_000):
+            with broker, Subscriber(broker.port, f"{BASE}/#") as subscriber:
+                come_back(rig, subscriber, seq)
+                assert rig.link.reason == ""
+                assert subscriber.wait_for(f"{BASE}/state")[-1] == b"online"
+                assert subscriber.wait_for(f"{BASE}/info")[-1] == b"{}"
+            wait_until(lambda: not rig.link.connected, 3, "the loss is seen")
+            assert str(broker.port) in rig.link.reason
+        assert rig.link.counters()["connects"] == rig.link.counters()["losses"] == 2
+        rig.link.stop(2)
+
+    def test_newest_frame_offered_while_away_goes_out_first(self, tmp_path: Path) -> None:
+        broker = Broker(tmp_path)
+        rig = Rig(broker.port)
+        rig.link.start()
+        for seq in range(10):
+            rig.link.offer("height", seq.to_bytes(4, "big"), seq)
+        with broker, Subscriber(broker.port, f"{BASE}/height") as subscriber:
+            promised(lambda: rig.link.connected, BACK_S, "connected")
+            subscriber.wait_for(f"{BASE}/height")
+            assert numbers(subscriber) == [9]
+            rig.link.stop(2)
+        assert rig.outcomes["height"] == [(s, "failed") for s in range(9)] + [(9, "published")]
+
+    def test_undelivered_retained_value_does_not_come_back_over_a_newer_one(self, rig: Rig, broker: Broker) -> None:
+        broker.stall()
+        rig.link.set_retained("status/camera", b"old")  # sent, never acknowledged
+        broker.kill()
+        wait_until(lambda: not rig.link.connected, 3, "the loss is seen")
+        rig.link.set_retained("status/camera", b"new")
+        broker.start()
+        promised(lambda: rig.link.connected, BACK_S, "connected")
+        with Subscriber(broker.port, f"{BASE}/#") as late:
+            rig.link.offer("contact", b"{}", 0)  # behind everything that the new connection began with
+            late.wait_for(f"{BASE}/contact")
+            assert set(late.of(f"{BASE}/status/camera")) == {b"new"}
+
+    def test_stop_without_a_broker_ends_in_time(self) -> None:
+        rig = Rig(free_port())
+        rig.link.start()
+        rig.link.offer("height", b"x", 0)
+        stopped = threading.Event()
+        threading.Thread(target=lambda: (rig.link.stop(1.5), stopped.set())).start()
+        assert stopped.wait(1.5 + 0.5)
+        assert rig.outcomes["height"] == [(0, "failed")]
+
+
+@broker_test
+@needs_mosquitto
+class TestStalled:
+    def stall(self, rig: Rig, broker: Broker, subscriber: Subscriber, seconds: float) -> None:
+        """Frames at 60/s and a flapping status while the broker hangs: bounded, accounted for, back in 3 s."""
+        offered = offer_for(rig, 0.2)
+        subscriber.wait_for(f"{BASE}/height", offered)
+        broker.stall()
+        tracemalloc.start()
+        try:
+            for _ in range(round(seconds)):
+                for n in range(200):
+                    rig.link.set_retained("status/camera", f"{n}".encode() + bytes(1000))
+                offered += offer_for(rig, 1.0, first=offered)
+            _, peak = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+        assert peak < 2_000_000, f"{peak} bytes for {seconds * 60 * 38_000:.0f} offered"
+        rig.link.set_retained("status/camera", b"last")
+        counts = rig.counts("height")
+        assert offered - 3 <= counts.total() <= offered - 1
+        assert counts["superseded"] + counts["failed"] > 0.3 * seconds * 60
+        broker.resume()
+        come_back(rig, subscriber, offered)
+        promised(lambda: subscriber.of(f"{BASE}/status/camera")[-1:] == [b"last"], BACK_S, "the newest status")
+        promised(lambda: subscriber.of(f"{BASE}/state")[-1:] == [b"online"], BACK_S, "online again")
+        seen = numbers(subscriber)
+        assert seen == sorted(set(seen))
+        rig.link.stop(2)
+        settled = sorted(seq for seq, _ in rig.outcomes["height"])
+        assert settled == list(range(settled[-1] + 1))
+        assert settled[-1] >= offered
+
+    def test_stalled_for_seconds(self, rig: Rig, broker: Broker, subscriber: Subscriber) -> None:
+        self.stall(rig, broker, subscriber, 6)
+
+    @pytest.mark.slow
+    def test_stalled_for_a_minute(self, rig: Rig, broker: Broker, subscriber: Subscriber) -> None:
+        self.stall(rig, broker, subscriber, 60)
+
+    def test_short_stall_ends_with_the_newest_frame(self, rig: Rig, broker: Broker, subscriber: Subscriber) -> None:
+        broker.stall()
+        last = offer_for(rig, 1.0, fps=100, size=200_000)
+        rig.link.offer("height", last.to_bytes(4, "big"), last)
+        broker.resume()
+        promised(lambda: numbers(subscriber)[-1:] == [last], BACK_S, "the last frame, last")
+        promised(lambda: rig.outcomes["height"][-1:] == [(last, "published")], BACK_S, "its outcome")
+        counts = rig.counts("height")
+        assert counts["superseded"] > 0
+        assert counts.total() == last + 1
+
+    def test_stop_ends_in_time_and_the_will_speaks(self, broker: Broker, subscriber: Subscriber) -> None:
+        rig = Rig(broker.port).connect()
+        subscriber.wait_for(f"{BASE}/state")
+        broker.stall()
+        offered = offer_for(rig, 0.5, fps=60, size=1_000_000)
+        stopped = threading.Event()
+        threading.Thread(target=lambda: (rig.link.stop(1.5), stopped.set())).start()
+        assert stopped.wait(1.5 + 0.5)
+        assert rig.counts("height").total() == offered
+        assert rig.counts("height")["failed"] >= 1
+        broker.resume()
+        wait_until(lambda: subscriber.of(f"{BASE}/state")[-1:] == [b"offline"], 5, "the will")
+
+
+@broker_test
+@needs_mosquitto
+class TestRequests:
+    def test_request_and_reply_for_any_client(self, rig: Rig, subscriber: Subscriber) -> None:
+        subscriber.publish(f"{BASE}/req/profile", b'{"profile": "fast", "transaction": "t1"}')
+        request = rig.requests.get(timeout=patience(5))
+        assert request == Request("profile", "t1", "fast")
+        rig.link.reply(request, messages.encode_result(request.transaction, {"profile": "fast"}))
+        assert json.loads(subscriber.wait_for(f"{BASE}/res/profile")[0])["transaction"] == "t1"
+
+    def test_mqtt5_client_is_answered_where_it_asked(self, rig: Rig, broker: Broker) -> None:
+        properties = Properties(PacketTypes.PUBLISH)
+        properties.ResponseTopic = "me/answers"
+        properties.CorrelationData = b"\x00\x01"
+        with Subscriber(broker.port, "#", v5=True) as client:
+            client.publish(f"{BASE}/req/status", b"{}", properties=properties)
+            request = rig.requests.get(timeout=patience(5))
+            rig.link.reply(request, b"fine")
+            client.publish(f"{BASE}/req/status", b"garbage", properties=properties)
+            assert client.wait_for("me/answers", 2)[0] == b"fine"
+            answers = [m for m in client.messages if m.topic == "me/answers"]
+            assert [m.properties.CorrelationData for m in answers] == [b"\x00\x01"] * 2
+            assert json.loads(answers[1].payload)["ok"] is False
+            assert client.of(f"{BASE}/res/status") == []
+
+    def test_garbage_is_counted_and_answered(self, rig: Rig, subscriber: Subscriber) -> None:
+        for verb, payload in (("status", b"\xff\x00"), ("profile", b'{"transaction": 5}'), ("explode", b"{}")):
+            subscriber.publish(f"{BASE}/req/{verb}", payload)
+            answer = json.loads(subscriber.wait_for(f"{BASE}/res/{verb}")[0])
+            assert answer["ok"] is False
+            assert "expected" in answer["error"]
+        assert json.loads(subscriber.of(f"{BASE}/res/profile")[0])["transaction"] == 5
+        subscriber.publish(f"{BASE}/req/status", bytes(1_000_000))  # the broker never sends us that much
+        subscriber.publish(f"{BASE}/req/status", b"")
+        assert rig.requests.get(timeout=patience(5)) == Request("status")
+        assert rig.requests.empty()
+        assert rig.link.counters() | {"replies": 3, "bad_requests": 3, "requests": 1} == rig.link.counters()
+        assert rig.link.connected
+
+    def test_retained_request_is_not_executed_on_connecting(self, broker: Broker, subscriber: Subscriber) -> None:
+        subscriber.publish(f"{BASE}/req/reference", b"{}", retain=True)
+        subscriber.wait_for(f"{BASE}/req/reference")
+        rig = Rig(broker.port).connect()
+        subscriber.publish(f"{BASE}/req/status", b"{}")
+        assert rig.requests.get(timeout=patience(5)).verb == "status"
+        assert rig.requests.empty()
+        rig.link.stop(2)
+
+    def test_flood_of_requests_to_a_stalled_broker_holds_few_replies(self, rig: Rig, broker: Broker) -> None:
+        broker.stall()
+        for _ in range(1_000):
+            rig.link.reply(Request("status"), bytes(1_000))
+        assert rig.link.counters()["replies"] == 16
+        assert rig.link.counters()["replies_dropped"] == 984
+
+
+@broker_test
+@needs_mosquitto
+class TestRefused:
+    def test_wrong_password_is_a_state_with_a_reason(self, tmp_path: Path) -> None:
+        with Broker(tmp_path, users={"sensor": "right"}) as broker:
+            wrong = Rig(broker.port, username="sensor", password="wrong")
+            wrong.link.start()
+            wait_until(lambda: "refused: Not authorized" in wrong.link.reason, 5, "the reason")
+            assert not wrong.link.connected
+            wrong.link.stop(2)
+            Rig(broker.port, username="sensor", password="right").connect().link.stop(2)
+
+    def test_something_else_on_the_port(self) -> None:
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            rig = Rig(server.getsockname()[1])
+            rig.link.start()
+            peer, _ = server.accept()
+            peer.sendall(b"HTTP/1.1 400 Bad Request\r\n\r\n")
+            peer.close()
+            wait_until(lambda: "does not answer as an MQTT 5 broker" in rig.link.reason, 5, "the reason")
+            rig.link.stop(2)
+        assert not rig.link.connected
+
+    # paho leaves the socket of a failed handshake to the garbage collector
+    @pytest.mark.filterwarnings("ignore:Exception ignored in. <ssl.SSLSocket:pytest.PytestUnraisableExceptionWarning")
+    def test_tls(self, tmp_path: Path) -> None:
+        with Broker(tmp_path, tls=True) as broker:
+            rig = Rig(broker.port, tls_ca=str(broker.ca)).connect()
+            rig.link.offer("height", b"x", 0)
+            wait_until(lambda: rig.outcomes["height"] == [(0, "published")], 3, "published")
+            rig.link.stop(2)
+            (tmp_path / "other").mkdir()
+            other = Broker(tmp_path / "other", tls=True)
+            stranger = Rig(broker.port, tls_ca=str(other.ca))
+            stranger.link.start()
+            wait_until(lambda: "certificate verify failed" in stranger.link.reason, 5, "the reason")
+            stranger.link.stop(2)
+
+
+def test_authority_file_that_is_none_is_a_configuration_error(tmp_path: Path) -> None:
+    (tmp_path / "not.pem").write_text("hello")
+    for name in ("not.pem", "absent.pem"):
+        with pytest.raises(ConfigError, match=f"{name}.*expected a PEM file") as caught:
+            Rig(1883, tls_ca=str(tmp_path / name))
+        assert isinstance(caught.value.__cause__, OSError | ssl.SSLError)
+
+
+@pytest.mark.parametrize("topic", ["", "/a", "a/", "a/+/b", "a/#", "a\0"])
+def test_topic_that_cannot_be_published_is_a_configuration_error(topic: str) -> None:
+    with pytest.raises(ConfigError, match="expected levels"):
+        MqttLink(host="h", port=1, base_topic=topic, client_id="c", on_request=print, on_outcome=print)
+
+
+@pytest.mark.parametrize("host", ["", "a..b", "x" * 70])
+def test_host_that_cannot_be_one_is_a_configuration_error(host: str) -> None:
+    with pytest.raises(ConfigError, match="expected a host name"):
+        MqttLink(host=host, port=1, base_topic="t", client_id="c", on_request=print, on_outcome=print)
