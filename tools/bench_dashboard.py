@@ -30,7 +30,8 @@ from typing import Any
 import numpy as np
 from support.browser import browser, errors
 from support.dashboard_process import dashboard
-from support.mqtt_rig import Broker, wait_until
+from support.mqtt_rig import Broker
+from support.patience import wait_until
 from support.published_hand import CRC, PublishedHand, bump
 
 from tacshade_edge.protocol import wire

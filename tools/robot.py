@@ -191,7 +191,8 @@ class PtyRobot:
             if master is None:
                 self._stop.wait(0.005)
             else:
-                select.select([master], [], [], 0.0005)
+                with contextlib.suppress(OSError, ValueError):  # unplugged just now
+                    select.select([master], [], [], 0.0005)
 
     def _talk(self, now_s: float) -> None:
         if self._state in ("hello", "mode"):

@@ -668,7 +668,7 @@ def test_maps_of_full_size_are_drawn_as_they_come() -> None:
     """Thirty 640x480 maps a second. A loose bound: a test's machine has other work too."""
     root = Path(__file__).parents[2]
     command = [sys.executable, "tools/bench_dashboard.py", "--seconds", "5", "--json"]
-    environment = {**os.environ, "PYTHONPATH": str(root / "tests" / "support")}
+    environment = {**os.environ, "PYTHONPATH": str(root / "tests")}
     done = subprocess.run(command, cwd=root, env=environment, stdout=subprocess.PIPE, timeout=patience(120), check=True)
     figures = json.loads(done.stdout)
     assert figures["drawn_per_s"] >= 10
