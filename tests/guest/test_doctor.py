@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -84,7 +85,7 @@ def test_slower_than_asked() -> None:
     captured, found = frames(asked(fps=30))
     assert captured.described["fps_stated"] == 25
     assert found[0].state == "warning"
-    assert found[0].found.endswith(" frames/s, 30 asked")
+    assert re.search(r" frames/s, 30 asked(, \d+ lost)?$", found[0].found), "an emulated machine may lose one"
 
 
 def test_lost_frames() -> None:
