@@ -7,10 +7,11 @@
 
 Each daemon runs on the simulated sensor with the profile ``accurate`` and a broker, beside one busy process for each
 core. It gets SIGTERM after 0 to 6 s, evenly: while it starts, while it streams, in contact and not. Before the
-interpreter has reached the program's first lines, the kernel ends it (-15): these are counted apart; systemd takes that
-as a clean end too. `--python` is the interpreter of another checkout's `.venv`, to compare. Exit 1 when another exit code
-was not 0. With systemd and a camera, in
-the guest: ``TACSHADE_STOPS=20 .venv/bin/python -m pytest -m guest tests/guest/test_service.py``.
+interpreter has reached the program's first lines the kernel ends it (-15): these stops are counted apart, and systemd
+takes them as clean too. `--python` is the interpreter of another checkout's `.venv`, to compare. Exit 1 when another
+exit code was not 0.
+
+With systemd and a camera, in the guest: ``TACSHADE_STOPS=20 .venv/bin/python -m pytest tests/guest/test_service.py``.
 """
 
 from __future__ import annotations
