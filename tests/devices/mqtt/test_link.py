@@ -22,7 +22,7 @@ import pytest
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 from support.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
-from support.patience import patience, promised, wait_until
+from support.patience import patience, promised, stretched, wait_until
 
 from tacshade_edge.devices.mqtt.link import MqttLink
 from tacshade_edge.errors import ConfigError
@@ -270,7 +270,7 @@ class TestAway:
         rig.link.offer("height", b"x", 0)
         stopped = threading.Event()
         threading.Thread(target=lambda: (rig.link.stop(1.5), stopped.set())).start()
-        assert stopped.wait(1.5 + 0.5)
+        assert stopped.wait(1.5 + stretched(0.5))
         assert rig.outcomes["height"] == [(0, "failed")]
 
 
@@ -332,7 +332,7 @@ class TestStalled:
         offered = offer_for(rig, 0.5, fps=60, size=1_000_000)
         stopped = threading.Event()
         threading.Thread(target=lambda: (rig.link.stop(1.5), stopped.set())).start()
-        assert stopped.wait(1.5 + 0.5)
+        assert stopped.wait(1.5 + stretched(0.5))
         assert rig.counts("height").total() == offered
         assert rig.counts("height")["failed"] >= 1
         broker.resume()
