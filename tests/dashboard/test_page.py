@@ -28,7 +28,7 @@ from support.browser import CHROMIUM, DRIVER, browser, errors
 from support.dashboard_process import dashboard
 from support.growing_map import PAD, GrowingMap, scan
 from support.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
-from support.patience import patience, wait_until
+from support.patience import patience, stretched, wait_until
 from support.published_hand import COLS, DISC, PublishedHand, bump
 
 from tacshade_edge.cli.demo_sensor import make_calibration
@@ -665,12 +665,14 @@ def test_it_fits_the_screen(tmp_path: Path, name: str, size_px: tuple[int, int],
 
 
 def test_maps_of_full_size_are_drawn_as_they_come() -> None:
-    """Thirty 640x480 maps a second. A loose bound: a test's machine has other work too."""
+    """Thirty 640x480 maps a second, where the machine can. A loose bound: it has other work too."""
     root = Path(__file__).parents[2]
-    command = [sys.executable, "tools/bench_dashboard.py", "--seconds", "5", "--json"]
+    slow = stretched(1)
+    print(f"{30 / slow:.1f} maps a second")
+    command = [sys.executable, "tools/bench_dashboard.py", "--seconds", "5", "--json", "--fps", f"{30 / slow:.1f}"]
     environment = {**os.environ, "PYTHONPATH": str(root / "tests")}
     done = subprocess.run(command, cwd=root, env=environment, stdout=subprocess.PIPE, timeout=patience(120), check=True)
     figures = json.loads(done.stdout)
-    assert figures["drawn_per_s"] >= 10
-    assert figures["age_ms"]["p50"] < 1000  # the newest is drawn, nothing queues up
+    assert figures["drawn_per_s"] >= 10 / slow
+    assert figures["age_ms"]["p50"] < 1000 * slow  # the newest is drawn, nothing queues up
     assert (figures["undecodable"], figures["console_errors"]) == (0, [])

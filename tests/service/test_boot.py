@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 from support.calibrated_sensor import FULL, calibrated
-from support.patience import stretched
+from support.patience import patience, stretched
 
 from tacshade_edge.daemon import systemd
 from tacshade_edge.devices.files import calibration_file
@@ -65,7 +65,8 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     (folder / "scenario").chmod(0o755)
     binds = [f"--bind-ro={sys.base_prefix}:/opt/python", f"--bind-ro={folder / 'wheels'}:/wheels"]
     command = [CHECKOUT / "tools/rig/boot_systemd.sh", folder, *binds]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    limit = os.environ | {"LIMIT_S": f"{patience(120):.0f}"}
+    done = subprocess.run(command, env=limit, capture_output=True, text=True, check=False)
     if done.returncode == 125:
         pytest.skip(f"systemd cannot be booted here: {(done.stdout + done.stderr).strip()[-300:]}")
     assert done.returncode == 0, done.stdout + done.stderr
