@@ -15,6 +15,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
@@ -22,8 +23,10 @@ from xml.etree import ElementTree
 TREE = Path(__file__).resolve().parents[1]
 PYTEST = (sys.executable, "-m", "pytest")
 SLOW = "(slow or broker or browser) and not guest"
+LINT = "lint"
+"""Runs beside the stage after it, whose tests wait now and then."""
 STAGES: dict[str, tuple[str, ...]] = {
-    "lint": ("make", "--no-print-directory", "lint"),
+    LINT: ("make", "--no-print-directory", "lint"),
     "quick": (*PYTEST, "-n", "auto", "-m", "not guest and not broker and not slow and not browser"),
     # One more than there are cores of ours: every third of these waits, for a broker, a minute, a page.
     "slow": (*PYTEST, "-n", "3", "--dist", "loadfile", "-m", SLOW),
@@ -44,13 +47,17 @@ class Stage:
 
 
 def run(name: str) -> Stage:
-    """Run a stage, its output as it comes."""
+    """Run a stage, its output as it comes; that of `LINT` when it is over."""
     print(f"--- {name}", flush=True)
     began_s = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
         results = Path(folder, "results.xml")
-        told = (f"--junitxml={results}",) if PYTEST[-1] in STAGES[name] else ()
-        code = subprocess.run((*STAGES[name], *told), cwd=TREE, check=False).returncode
+        if name == LINT:
+            done = subprocess.run(STAGES[name], cwd=TREE, text=True, capture_output=True, check=False)
+            print(f"--- {name} ended\n{done.stdout}{done.stderr}", flush=True)
+            code = done.returncode
+        else:
+            code = subprocess.run((*STAGES[name], f"--junitxml={results}"), cwd=TREE, check=False).returncode
         cases = list(ElementTree.parse(results).iter("testcase")) if results.exists() else []
     bad = sum(case.find("failure") is not None or case.find("error") is not None for case in cases)
     skips = [found for case in cases if (found := case.find("skipped")) is not None]
@@ -61,14 +68,19 @@ def run(name: str) -> Stage:
 
 def main() -> int:
     """Run the stages that are named, or all."""
-    stages = [run(name) for name in sys.argv[1:] or STAGES]
+    began_s = time.monotonic()
+    names = sys.argv[1:] or list(STAGES)
+    with ThreadPoolExecutor() as pool:
+        lint = [pool.submit(run, name) for name in names if name == LINT]
+        stages = [run(name) for name in names if name != LINT]
+        stages = [future.result() for future in lint] + stages
     print("\nstage       s   passed  failed  skipped")
     for stage in stages:
         counts = f"{stage.passed:8} {stage.failed:7} {stage.skipped.total():8}"
         print(f"{stage.name:7}{stage.seconds:6.0f} {counts}{'' if stage.ok else '   FAILED'}")
         for why, count in stage.skipped.items():
             print(f"       {count} skipped: {why}")
-    print(f"all    {sum(stage.seconds for stage in stages):6.0f}")
+    print(f"all    {time.monotonic() - began_s:6.0f}")
     total = [sum(stage.passed for stage in stages), sum(stage.failed for stage in stages)]
     print(f"{total[0]} passed, {total[1]} failed, {sum(stage.skipped.total() for stage in stages)} skipped")
     return 0 if all(stage.ok for stage in stages) else 1
