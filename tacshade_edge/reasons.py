@@ -14,6 +14,18 @@ class ReasonCode(StrEnum):
 
     # A frame.
     SIZE = "size"
+    NO_DISC = "no_disc"
+    SATURATED = "saturated"
+    BLACK = "black"
+    NO_CONTRAST = "no_contrast"
+    NOISE = "noise"
+    LIGHT = "light"
+    TORN = "torn"
+    SURROUND = "surround"
+    GLARE = "glare"
+    LIGHT_DRIFT = "light_drift"
+    CAMERA_SHIFT = "camera_shift"
+    NO_USABLE_FRAME = "no_usable_frame"
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,3 +44,13 @@ class Reason:
 
     def __str__(self) -> str:
         return self.text
+
+
+def text_of(reason: Reason | None) -> str:
+    """Its text; empty without one."""
+    return "" if reason is None else reason.text
+
+
+def code_of(reason: Reason | None) -> str:
+    """Its code; empty without one."""
+    return "" if reason is None else reason.code.value

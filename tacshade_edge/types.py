@@ -10,6 +10,8 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from tacshade_edge.reasons import Reason
+
 U8 = npt.NDArray[np.uint8]
 U16 = npt.NDArray[np.uint16]
 I32 = npt.NDArray[np.int32]
@@ -189,14 +191,14 @@ class Reconstruction:
     profile : str
     valid : bool
         False: the frame could not be used, `reason` says why; height 0 inside the disc.
-    reason : str
-        Empty when valid.
+    reason : Reason or None
+        None when valid.
     contact : bool
         Without contact, height is exactly 0 inside the disc and the cloud is empty.
     saturated : bool
         The grey left the range that the calibration covers: depth is a lower bound.
-    degraded : str
-        Empty, or why the result deserves less trust (glare, light drift).
+    degraded : Reason or None
+        Why the result deserves less trust (glare, light drift).
     height : HeightMap
     cloud : ObjectCloud
     objects : tuple of TouchedObject
@@ -212,10 +214,10 @@ class Reconstruction:
     wall_ns: int
     profile: str
     valid: bool
-    reason: str
+    reason: Reason | None
     contact: bool
     saturated: bool
-    degraded: str
+    degraded: Reason | None
     height: HeightMap
     cloud: ObjectCloud
     objects: tuple[TouchedObject, ...] = ()

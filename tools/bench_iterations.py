@@ -12,11 +12,14 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from functools import partial
 
 import cv2
 import numpy as np
 
-from tacshade_edge.core.image.greyscale import shape_grey
+from tacshade_edge.core.depth.hybrid_sfs import HybridSfs
+from tacshade_edge.core.image.grey_maps import GreyMapper
+from tacshade_edge.core.image.greyscale import shape_grey, to_grey
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
@@ -25,6 +28,7 @@ from tacshade_edge.studies.evaluate.scenes import DEPTHS_MM, scenes
 from tacshade_edge.studies.evaluate.score import KnownTruth, Label, Row, score
 from tacshade_edge.studies.evaluate.sensors import SensorName, calibrated, reconstructor
 from tacshade_edge.studies.evaluate.summary import figures
+from tacshade_edge.studies.scaled_grey import scaled_grey
 from tacshade_edge.types import Calibration, Frame
 
 SENSORS = ("default", "5", "11")
@@ -32,7 +36,8 @@ SENSORS = ("default", "5", "11")
 
 def without_iterations(calibration: Calibration) -> Reconstructor:
     """`paper` without its iterations: α g_hn."""
-    return Reconstructor(calibration, replace(PROFILES["paper"], name="paper_0", solver="grey"))
+    profile = replace(PROFILES["paper"], name="paper_0")
+    return Reconstructor(calibration, profile, make_solver=partial(HybridSfs, solve=scaled_grey))
 
 
 def main() -> None:
@@ -43,6 +48,8 @@ def main() -> None:
     correlations = []
     for name in map(SensorName.parse, SENSORS):
         sensor, calibration = name.make(), calibrated(name, 8, 40).calibration
+        preprocess = Preprocessor(calibration, PROFILES["paper"])
+        grey_maps = GreyMapper(preprocess)
         methods = (reconstructor(calibration, "paper"), without_iterations(calibration))
         for object_name in PAPER_OBJECTS:
             for scene in scenes(sensor.model, name.seed, object_name)[: len(DEPTHS_MM)]:
@@ -54,7 +61,7 @@ def main() -> None:
                     taken[result.profile].append(1e3 * (time.process_time() - start))
                     rows.append(score(Label(str(name), object_name), truth, result))
                     if result.profile == "paper":
-                        maps = Preprocessor(calibration, made.profile).grey_maps(frame.image)
+                        maps = grey_maps(preprocess(to_grey(frame.image)))
                         g_hn = shape_grey(maps.g_d, maps.g0, maps.inside)[maps.inside]
                         height = result.height.height_mm[maps.inside]
                         correlations.append(float(np.corrcoef(height, g_hn)[0, 1]))

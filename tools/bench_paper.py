@@ -20,14 +20,15 @@ import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from statistics import median
 
 import numpy as np
 import plain_paper
 from bench_stages import PRESS, next_frame, timed_ms
 
-from tacshade_edge.core.depth import SOLVERS
-from tacshade_edge.core.image.greyscale import DENOISERS, to_grey
+from tacshade_edge.core.depth.hybrid_sfs import HybridSfs
+from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.simulator.objects import PAPER_OBJECTS
@@ -46,10 +47,8 @@ SAME = 1e-3
 
 def plain(calibration: Calibration) -> Reconstructor:
     """Profile `paper` with the transcription's denoising and solver."""
-    SOLVERS[PLAIN] = plain_paper.solve
-    DENOISERS[PLAIN] = plain_paper.denoise  # type: ignore[index]  # what profiles cannot name
-    profile = replace(PROFILES[PAPER], name=PLAIN, solver=PLAIN, tv_precision=PLAIN)  # type: ignore[arg-type]
-    return Reconstructor(calibration, profile)
+    method = partial(HybridSfs, denoise=plain_paper.denoise, solve=plain_paper.solve)
+    return Reconstructor(calibration, replace(PROFILES[PAPER], name=PLAIN), make_solver=method)
 
 
 def timed(methods: dict[str, Reconstructor], image: U8, rounds: int, frames: int) -> dict[str, tuple[float, float]]:

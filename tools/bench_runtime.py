@@ -17,7 +17,7 @@ import numpy as np
 import onnxruntime
 from bench_stages import timed_ms
 
-from tacshade_edge.core.profiles import LEARNED, PROFILES
+from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.devices.weights.network import WEIGHTS
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import F32
@@ -33,7 +33,7 @@ def main() -> None:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     lines = []
-    for path in (WEIGHTS / f"{name}.onnx" for name, profile in PROFILES.items() if profile.solver == LEARNED):
+    for path in (WEIGHTS / f"{profile.network}.onnx" for profile in PROFILES.values() if profile.network):
         session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
         rng = np.random.default_rng(0)
         maps = {each.name: rng.random(each.shape, dtype=np.float32) for each in session.get_inputs()}

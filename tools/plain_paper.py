@@ -10,13 +10,15 @@ import numpy as np
 from scipy.ndimage import median_filter
 from skimage.restoration import denoise_tv_chambolle
 
-from tacshade_edge.core.depth import Depth, GreyMaps
+from tacshade_edge.core.depth import Depth
 from tacshade_edge.core.depth.hybrid_sfs import C128, EPS, ITERATIONS
+from tacshade_edge.core.image.grey_maps import GreyMaps
 from tacshade_edge.core.image.greyscale import shape_grey
+from tacshade_edge.core.image.total_variation import ITERATIONS_MAX
 from tacshade_edge.types import F32, F64
 
 
-def denoise(image: F32, weight: float, iterations: int) -> F32:
+def denoise(image: F32, weight: float, iterations: int = ITERATIONS_MAX) -> F32:
     """The total-variation denoising of Fig. 4(d)."""
     smooth: F32 = denoise_tv_chambolle(image, weight=weight, max_num_iter=iterations)
     return smooth

@@ -70,7 +70,7 @@ def _rezero(args: argparse.Namespace) -> int:
         raise ConfigError(f"{args.rezero}: {error}") from None
     disc = old.geometry.disc
     found = registration.drift(registration.look(old.reference_grey, disc, old.pitch_px), renewed.reference_grey)
-    changes = (registration.moved_reason(found, disc), registration.aged_reason(found))
+    changes = (registration.shift_reason(found, disc), registration.light_drift_reason(found))
     warnings = [f"{change} since {args.rezero}" for change in changes if change]
     changed = {
         "moved_px": round(found.moved_px, 2),

@@ -12,7 +12,7 @@ from typing import Any
 
 from tacshade_edge.cli import study
 from tacshade_edge.core.calibration.calibrate import MIN_PRESSES
-from tacshade_edge.core.profiles import LEARNED, PROFILES
+from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator.objects import OBJECTS, PAPER_OBJECTS
@@ -112,7 +112,7 @@ def _profiles(args: argparse.Namespace) -> tuple[str, ...]:
 def _ablation(args: argparse.Namespace) -> int:
     _alone(args, "ablation")
     profile, *more = dict.fromkeys(args.profile or ["accurate"])
-    if more or PROFILES[profile].solver != LEARNED:
+    if more or PROFILES[profile].network is None:
         args.usage_error(f"--profile: found {' '.join((profile, *more))}, expected one that runs a network")
     sensors = args.sensors or tuple(SensorName.parse(word) for word in ABLATION_SENSORS.split(","))
     study.make_folder(args.out)

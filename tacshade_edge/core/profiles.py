@@ -6,10 +6,6 @@ import math
 from dataclasses import dataclass, replace
 
 from tacshade_edge.core.geometry import disc_map
-from tacshade_edge.core.image.total_variation import ITERATIONS_MAX, Precision
-
-LEARNED = "learned"
-"""The solver that takes the white pixels and finds the contact too, with the network of the profile's name."""
 
 AUTO = "auto"
 """In a profile's place: the daemon steps between those of `LADDER` by a latency budget."""
@@ -23,7 +19,9 @@ class Profile:
     ----------
     name : str
     solver : str
-        Key of ``core.depth.SOLVERS``, or `LEARNED`.
+        Key of ``core.depth.SOLVERS``.
+    network : str or None
+        Name of the weights that the solver runs; None where it runs none.
     stride_px : int
         Stride of eq. 1 and so of every map after it.
     window_pitches : int
@@ -41,10 +39,6 @@ class Profile:
         Work on means over 2x2 px, where the pattern is coarse enough (`core.image.halving`).
     cells : int
         Along a side of the map that a network works on.
-    tv_iterations : int
-        The denoising's, at most.
-    tv_precision : str
-        What numbers the denoising is computed in. "int16" is the fastest; docs/numerics.md says how near.
     """
 
     name: str
@@ -56,24 +50,30 @@ class Profile:
     gate_dark_levels: float = math.inf
     halved: bool = False
     cells: int = disc_map.CELLS
-    tv_iterations: int = ITERATIONS_MAX
-    tv_precision: Precision = "float32"
+    network: str | None = None
 
 
 DEFAULT = "balanced"
 """What a user gets who names none."""
 
 # Eq. 1 serves the gate of the learned ones only.
-_ACCURATE = Profile(
-    "accurate", LEARNED, stride_px=4, window_pitches=2, tv_weight=0.0, gate_levels=16, gate_dark_levels=10
+_LEARNED = Profile(
+    "accurate",
+    "learned",
+    stride_px=4,
+    window_pitches=2,
+    tv_weight=0.0,
+    gate_levels=16,
+    gate_dark_levels=10,
+    network="accurate",
 )
 PROFILES: dict[str, Profile] = {
     p.name: p
     for p in (
-        Profile(name="paper", solver="paper", stride_px=1, window_pitches=2, tv_weight=0.1, gate_levels=20),
-        replace(_ACCURATE, name="fast", halved=True, cells=56),
-        replace(_ACCURATE, name="balanced", halved=True),
-        _ACCURATE,
+        Profile("paper", "hybrid_sfs", stride_px=1, window_pitches=2, tv_weight=0.1, gate_levels=20),
+        replace(_LEARNED, name="fast", network="fast", halved=True, cells=56),
+        replace(_LEARNED, name="balanced", network="balanced", halved=True),
+        _LEARNED,
     )
 }
 

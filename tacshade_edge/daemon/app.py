@@ -293,7 +293,7 @@ class App:
         if self._camera.state == "streaming" and silent_s > STALL_S:
             return SourceState("away", f"no frame for more than {STALL_S:.0f} s", self._camera.details)
         if self._camera.state == "streaming" and self._health.unusable:
-            return SourceState("unusable", self._health.unusable, self._camera.details)
+            return SourceState("unusable", str(self._health.unusable), self._camera.details)
         return self._camera
 
     def _tell_camera(self, state: SourceState | None = None) -> None:

@@ -17,6 +17,7 @@ from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.doctor.finding import Finding, fault, ok, warning
 from tacshade_edge.doctor.settings import AS_SERVICE
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.settings import Document
 from tacshade_edge.types import U8, Calibration, Frame
 
@@ -34,18 +35,22 @@ _AGED = (
     "bring light, exposure and focus back to what they were, or take a new reference: tacshade-edge calibrate --rezero "
     "CAL.npz --reference ref_*.png --out NEW.npz"
 )
-# What the reason of an unusable or a degraded frame begins with, and what mends it.
+_RELIGHT = "bring the light and source.exposure back to what they were when calibrating, or calibrate again"
+# Of the reason why a frame is unusable or degraded.
 _MENDS = {
-    "size": "set source.width_px and height_px to the calibration's, or calibrate again at this size",
-    "black": "switch the sensor's light on",
-    "no contrast": "switch the sensor's light on; is the camera in focus?",
-    "saturated": "dim the sensor's light, or lower source.exposure to what it was when calibrating",
-    "light": "bring the light and source.exposure back to what they were when calibrating, or calibrate again",
-    "glare": "light from outside falls into the sensor or mirrors in it: shade it",
-    "noise": "more light and less gain; check the camera's cable",
-    "camera moved": "fix the camera where it was, take a new reference (calibrate --rezero), or calibrate again",
-    "torn or moved": "the camera or its light moved: fix it where it was, or calibrate again",
-    "torn": "frames are damaged on their way: another USB port, a shorter cable, a lower rate",
+    ReasonCode.SIZE: "set source.width_px and height_px to the calibration's, or calibrate again at this size",
+    ReasonCode.BLACK: "switch the sensor's light on",
+    ReasonCode.NO_CONTRAST: "switch the sensor's light on; is the camera in focus?",
+    ReasonCode.SATURATED: "dim the sensor's light, or lower source.exposure to what it was when calibrating",
+    ReasonCode.LIGHT: _RELIGHT,
+    ReasonCode.LIGHT_DRIFT: _RELIGHT,
+    ReasonCode.GLARE: "light from outside falls into the sensor or mirrors in it: shade it",
+    ReasonCode.NOISE: "more light and less gain; check the camera's cable",
+    ReasonCode.CAMERA_SHIFT: (
+        "fix the camera where it was, take a new reference (calibrate --rezero), or calibrate again"
+    ),
+    ReasonCode.SURROUND: "the camera or its light moved: fix it where it was, or calibrate again",
+    ReasonCode.TORN: "frames are damaged on their way: another USB port, a shorter cable, a lower rate",
 }
 
 
@@ -82,23 +87,23 @@ def check_images(calibration: Calibration, images: Sequence[U8], live: bool) -> 
     """
     reconstructor = make_reconstructor(calibration, PROFILES["fast"])
     result = reconstructor.step(Frame(0, 0, 0, images[-1]))
-    if not result.valid:
+    if result.reason:
         return (fault("sensor", f"frames cannot be used: {result.reason}", _mend(result.reason)),)
     found_drift = _drift(calibration, images)
-    moved = _check_place(calibration, found_drift)
+    place = _check_place(calibration, found_drift)
     if not live:
         found = f"contact of {result.depth_max_mm:.1f} mm" if result.contact else "no contact"
-        return (*moved, ok("sensor", f"looks as calibrated, {found}"))
+        return (*place, ok("sensor", f"looks as calibrated, {found}"))
     if result.contact:
         found = f"the skin seems pressed by {result.depth_max_mm:.1f} mm; if nothing touches it, it has changed"
-        return (*moved, warning("sensor", found, _REZERO))
+        return (*place, warning("sensor", found, _REZERO))
     if result.degraded:
-        return (*moved, warning("sensor", result.degraded, _mend(result.degraded)))
-    if registration.moved_too_far(found_drift, calibration.geometry.disc):
-        return moved
-    if aged := registration.aged_reason(found_drift):
-        return (*moved, warning("sensor", f"{aged} since it was calibrated", _AGED))
-    return (*moved, _check_noise(calibration, images))
+        return (*place, warning("sensor", result.degraded.text, _mend(result.degraded)))
+    if registration.shifted_too_far(found_drift, calibration.geometry.disc):
+        return place
+    if change := registration.light_drift_reason(found_drift):
+        return (*place, warning("sensor", f"{change} since it was calibrated", _AGED))
+    return (*place, _check_noise(calibration, images))
 
 
 def _drift(calibration: Calibration, images: Sequence[U8]) -> registration.Drift:
@@ -111,7 +116,7 @@ def _check_place(calibration: Calibration, found: registration.Drift) -> tuple[F
     if found.still_part == 0:
         return ()
     said = f"visible circle {found.shift_px:.1f} px from where it was calibrated, size {100 * (found.zoom - 1):+.1f} %"
-    if registration.moved_too_far(found, calibration.geometry.disc):
+    if registration.shifted_too_far(found, calibration.geometry.disc):
         mend = "the camera moved in the sensor: fix it where it was, or calibrate again (docs/calibration.md)"
         return (warning("camera place", said, mend),)
     return (ok("camera place", said),)
@@ -130,5 +135,5 @@ def _check_noise(calibration: Calibration, images: Sequence[U8]) -> Finding:
     return ok("sensor", f"looks as calibrated, no contact, {noise if len(images) >= 3 else 'one image'}")
 
 
-def _mend(reason: str) -> str:
-    return next((mend for start, mend in _MENDS.items() if reason.startswith(start)), _REZERO)
+def _mend(reason: Reason) -> str:
+    return _MENDS.get(reason.code, _REZERO)

@@ -14,6 +14,7 @@ from tacshade_edge.doctor.capture import Captured
 from tacshade_edge.doctor.finding import Finding, fault, ok, warning
 from tacshade_edge.doctor.machine import Machine, may_use, permission_mend
 from tacshade_edge.errors import DeviceError, TacshadeError
+from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.settings import V4l2
 from tacshade_edge.types import U8, Disc
 
@@ -24,9 +25,9 @@ _LOST_PART = 0.05  # a stream's start may cost a frame
 _AGE_MAX_S = 0.5
 _SIZES_SHOWN = 8
 _PICTURE_MENDS = {
-    "black": "switch the sensor's light on, take the lens cap off, or raise source.exposure",
-    "saturated": "dim the sensor's light, or lower source.exposure",
-    "no contrast": "is the camera inside the sensor, in focus, with its light on?",
+    ReasonCode.BLACK: "switch the sensor's light on, take the lens cap off, or raise source.exposure",
+    ReasonCode.SATURATED: "dim the sensor's light, or lower source.exposure",
+    ReasonCode.NO_CONTRAST: "is the camera inside the sensor, in focus, with its light on?",
 }
 
 
@@ -130,10 +131,7 @@ def check_picture(image: U8) -> Finding:
     reason = invalid_reason(grey, frame_check(grey, disc_mask(height, width, disc), disc))
     if not reason:
         return ok("picture", f"{width}x{height} px, mean grey {grey.mean():.0f}, deviation {grey.std():.0f}")
-    mend = next(
-        (mend for start, mend in _PICTURE_MENDS.items() if reason.startswith(start)), _PICTURE_MENDS["no contrast"]
-    )
-    return fault("picture", reason, mend)
+    return fault("picture", reason.text, _PICTURE_MENDS.get(reason.code, _PICTURE_MENDS[ReasonCode.NO_CONTRAST]))
 
 
 def _busy(device: str, machine: Machine, daemon_says: str) -> Finding | None:

@@ -14,6 +14,7 @@ import numpy as np
 
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol.wire import WIRE_VERSION
+from tacshade_edge.reasons import code_of
 from tacshade_edge.types import Calibration, Reconstruction
 
 Verb = Literal["reference", "profile", "status", "record", "stitch"]
@@ -157,7 +158,7 @@ def encode_error(transaction: str | int | None, error: str) -> bytes:
 
 
 def encode_contact(result: Reconstruction, *, fps: float) -> bytes:
-    """The ``contact`` payload: flat numbers.
+    """The ``contact`` payload: flat numbers, and codes of `reasons.ReasonCode`, empty when all is well.
 
     ``contact`` is 0 or 1, ``objects`` a count, ``area_mm2`` their sum; ``x_mm`` and ``y_mm`` are the centroid
     of the greatest object and null without one, since 0 is a place. `fps` is the rate of delivery in 1/s.
@@ -175,6 +176,8 @@ def encode_contact(result: Reconstruction, *, fps: float) -> bytes:
             "x_mm": x_mm,
             "y_mm": y_mm,
             "fps": fps,
+            "reason_code": code_of(result.reason),
+            "degraded_code": code_of(result.degraded),
         }
     )
 

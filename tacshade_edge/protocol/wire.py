@@ -211,7 +211,7 @@ def _whose(result: Reconstruction, calibration_crc32: int) -> tuple[int, int, in
         _CONTACT * result.contact
         | _INVALID * (not result.valid)
         | _SATURATED * result.saturated
-        | _DEGRADED * bool(result.degraded)
+        | _DEGRADED * (result.degraded is not None)
     )
     return flags, result.seq, calibration_crc32, result.t_ns, result.wall_ns
 

@@ -3,14 +3,14 @@ from __future__ import annotations
 import pytest
 
 from tacshade_edge.core.depth import SOLVERS
-from tacshade_edge.core.profiles import LEARNED, PROFILES
+from tacshade_edge.core.profiles import PROFILES
 
 
 @pytest.mark.parametrize("name", PROFILES)
 def test_a_profile_can_be_run(name: str) -> None:
     profile = PROFILES[name]
     assert profile.name == name
-    assert profile.solver in SOLVERS or profile.solver == LEARNED
+    assert profile.solver in SOLVERS
     assert profile.stride_px >= 1
     assert profile.window_pitches >= 1  # a whole number: the pattern itself averages out
     assert isinstance(profile.window_pitches, int)

@@ -20,11 +20,13 @@ from support.calibrated_sensor import (
 )
 
 from tacshade_edge.core.calibration.calibrate import calibrate
-from tacshade_edge.core.depth.learned import HEIGHT_SCALE, Network, fold
+from tacshade_edge.core.depth import Network
+from tacshade_edge.core.depth.learned import HEIGHT_SCALE, fold
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import STAGES, Reconstructor
 from tacshade_edge.devices.weights.network import make_reconstructor
+from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.objects import OBJECTS
@@ -137,7 +139,7 @@ def test_pressed_depth_is_found_within_a_quarter(name: str, depth_mm: float) -> 
     frame = pressed(name, depth_mm)
     result = step("fast", frame.image)
     assert result.contact
-    assert result.degraded == ""
+    assert result.degraded is None
     assert result.depth_max_mm == pytest.approx(frame.truth().depth_max_mm, rel=0.25)
     x, y, z = result.objects[0].centroid_mm
     assert np.hypot(x, y) < 1.0
@@ -214,7 +216,8 @@ def test_each_stage_is_marked_once_in_order(profile: str) -> None:
     marks: list[str] = []
     made = reconstructor(profile)
     made.step(Frame(0, 0, 0, pressed("ball", 3.0).image), marks.append)
-    assert marks == list(STAGES)
+    ran = list(STAGES) if profile == "paper" else [stage for stage in STAGES if stage != "denoise"]
+    assert marks == ran
     for image, last in ((unloaded(), "gate"), (unloaded() * 0, "check")):
         marks.clear()
         made.step(Frame(0, 0, 0, image), marks.append)
@@ -341,13 +344,13 @@ def test_a_sensor_that_hardly_brightens_feels_all_the_same(seed: int) -> None:
     assert not made.step(Frame(0, 0, 0, sensor.frame((), 99).image)).contact
 
 
-def test_a_contact_that_lasts_is_asked_for_a_moved_camera_ten_times_a_second() -> None:
+def test_a_contact_that_lasts_is_checked_for_a_camera_shift_ten_times_a_second() -> None:
     made = reconstructor("accurate", FULL, 0)
     touched, moved = pressed("ball", 2.0, FULL).image, nuisance.shift(unloaded(FULL), 4, 5)
     second = 1_000_000_000
     assert made.step(Frame(0, second, 0, touched)).contact
-    assert made.step(Frame(1, second + 50_000_000, 0, moved)).contact  # asked 50 ms ago
+    assert made.step(Frame(1, second + 50_000_000, 0, moved)).contact  # checked 50 ms ago
     for t_ns in (second + 100_000_000, second + 110_000_000):  # once told, in every frame
-        assert made.step(Frame(2, t_ns, 0, moved)).reason.startswith("camera moved")
+        assert made.step(Frame(2, t_ns, 0, moved)).reason.code is ReasonCode.CAMERA_SHIFT
     assert made.step(Frame(3, second + 120_000_000, 0, touched)).contact
-    assert made.step(Frame(4, 5, 0, moved)).reason.startswith("camera moved"), "a stream that began again"
+    assert made.step(Frame(4, 5, 0, moved)).reason.code is ReasonCode.CAMERA_SHIFT, "a stream that began again"

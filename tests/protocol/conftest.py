@@ -41,10 +41,10 @@ def make_result() -> Callable[..., Reconstruction]:
             "wall_ns": 2_000,
             "profile": "fast",
             "valid": True,
-            "reason": "",
+            "reason": None,
             "contact": True,
             "saturated": False,
-            "degraded": "",
+            "degraded": None,
             "height": HeightMap(height, np.zeros(height.shape, np.bool_), 1.5, 2.5, 4.0),
             "cloud": ObjectCloud(points, np.ones(len(points), np.uint16)),
         }

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol import messages
 from tacshade_edge.protocol.messages import Request
+from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Calibration, Disc, Geometry, Reconstruction, TouchedObject
 
 
@@ -33,13 +34,26 @@ def test_contact_is_flat_numbers_with_the_promised_keys(
         "x_mm": 1.25,
         "y_mm": -2.5,
         "fps": 59.5,
+        "reason_code": "",
+        "degraded_code": "",
     }
 
 
 def test_contact_without_contact_has_no_place(make_result: Callable[..., Reconstruction]) -> None:
     decoded = json.loads(messages.encode_contact(make_result(contact=False), fps=0.0))
-    assert ",".join(decoded) == "t_ns,seq,contact,depth_max_mm,area_mm2,volume_mm3,objects,x_mm,y_mm,fps"
+    assert (
+        ",".join(decoded)
+        == "t_ns,seq,contact,depth_max_mm,area_mm2,volume_mm3,objects,x_mm,y_mm,fps,reason_code,degraded_code"
+    )
     assert [decoded[k] for k in ("contact", "depth_max_mm", "objects", "x_mm", "y_mm")] == [0, 0.0, 0, None, None]
+
+
+def test_contact_has_the_codes_of_its_reasons(make_result: Callable[..., Reconstruction]) -> None:
+    torn, glare = Reason(ReasonCode.TORN, "two frames"), Reason(ReasonCode.GLARE, "a spot")
+    refused = json.loads(messages.encode_contact(make_result(valid=False, contact=False, reason=torn), fps=0.0))
+    assert (refused["reason_code"], refused["degraded_code"]) == ("torn", "")
+    doubtful = json.loads(messages.encode_contact(make_result(degraded=glare), fps=0.0))
+    assert (doubtful["reason_code"], doubtful["degraded_code"]) == ("", "glare")
 
 
 def test_nan_is_null_as_json_has_none(make_result: Callable[..., Reconstruction]) -> None:

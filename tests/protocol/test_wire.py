@@ -13,18 +13,20 @@ from hypothesis.extra import numpy as npst
 
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol import wire
+from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import HeightMap, ObjectCloud, Pose, Reconstruction
 
+GLARE = Reason(ReasonCode.GLARE, "glare: 5 % of the disc unseen")
 METADATA = ("seq", "calibration_crc32", "t_ns", "wall_ns", "contact", "invalid", "saturated", "degraded")
 FLAGS = st.fixed_dictionaries(
-    {name: st.booleans() for name in ("valid", "contact", "saturated")} | {"degraded": st.sampled_from(["", "glare"])}
+    {name: st.booleans() for name in ("valid", "contact", "saturated")} | {"degraded": st.sampled_from([None, GLARE])}
 )
 FLOATS = st.floats(width=32, allow_nan=True, allow_infinity=True)
 
 
 def reconstruction(height: Any, points: Any, labels: Any, **other: Any) -> Reconstruction:
     fields: dict[str, Any] = {"seq": 1, "t_ns": 2, "wall_ns": 3, "valid": True, "contact": True, "saturated": False}
-    fields |= {"degraded": "", "profile": "fast", "reason": ""} | other
+    fields |= {"degraded": None, "profile": "fast", "reason": None} | other
     grid = HeightMap(height, np.zeros(height.shape, np.bool_), 0.5, 1.5, 2.0)
     return Reconstruction(height=grid, cloud=ObjectCloud(points, labels), **fields)
 
@@ -34,9 +36,9 @@ def from_vector(expect: dict[str, Any]) -> tuple[Reconstruction, Pose | None]:
     height = np.array([np.nan if h is None else h for h in expect.get("height_mm", [0.0])], np.float32)
     points = np.array(expect.get("points_mm", []), np.float32).reshape(-1, 3)
     result = Reconstruction(
-        *(expect["seq"], expect["t_ns"], expect["wall_ns"], "fast", not expect["invalid"], "", expect["contact"]),
+        *(expect["seq"], expect["t_ns"], expect["wall_ns"], "fast", not expect["invalid"], None, expect["contact"]),
         saturated=expect["saturated"],
-        degraded="why" if expect["degraded"] else "",
+        degraded=GLARE if expect["degraded"] else None,
         height=HeightMap(
             height.reshape(expect.get("rows", 1), -1),
             np.zeros((1, 1), np.bool_),
@@ -100,7 +102,7 @@ def test_any_height_is_rounded_or_clamped_and_never_wrapped(height: Any, flags: 
     inside = ~np.isnan(height)
     assert np.all(np.abs(message.height_mm[inside] - expected[inside]) <= 0.000504)
     assert message.invalid is not flags["valid"]
-    assert message.degraded is bool(flags["degraded"])
+    assert message.degraded is (flags["degraded"] is not None)
     assert (message.contact, message.saturated) == (flags["contact"], flags["saturated"])
 
 

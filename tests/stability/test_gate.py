@@ -11,8 +11,6 @@ from support.calibrated_sensor import FULL, HALF, TACTIP, calibrated, pressed, s
 from support.extreme_images import constant, ramp
 from support.soundness import sound_step
 
-from tacshade_edge.core.image.greyscale import to_grey
-from tacshade_edge.core.image.halving import can_be_halved, halved_calibration, halved_image
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
@@ -67,11 +65,8 @@ def test_the_cameras_own_noise_and_other_light_are_no_contact(profile: str, name
 def test_the_noise_of_g_is_far_below_the_gate(name: str) -> None:
     calibration = calibrated(MODELS[name], 0)
     for profile in PROFILES.values():
-        halve = profile.halved and can_be_halved(calibration)
-        front = Preprocessor(halved_calibration(calibration) if halve else calibration, profile)
-        greys = (to_grey(image) for image in untouched(name))
-        g = np.stack([front.white_ratio(halved_image(grey) if halve else grey)[0] for grey in greys])
-        change = np.abs(g - front.reference_ratio)[:, front.voting]
+        preprocess = Preprocessor(calibration, profile)
+        change = np.abs([preprocess(preprocess.grey(image)).g_d for image in untouched(name)])
         assert change.max() < min(profile.gate_levels, profile.gate_dark_levels)
         at = f"figure: g without contact, {name}, {profile.name}"
         print(f"{at}: {change.max():.1f} levels at most, the gate at {profile.gate_levels:g}")

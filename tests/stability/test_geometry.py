@@ -13,9 +13,10 @@ from support.extreme_images import EXTREME_IMAGES, noise
 from support.soundness import sound_step
 
 from tacshade_edge.core.depth.learned import DEEPEST_RADII
-from tacshade_edge.core.profiles import LEARNED, PROFILES
+from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.devices.weights.network import make_reconstructor
+from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.types import U8, Calibration, Disc, Geometry
 
 ROWS, COLS, PITCH_PX = 96, 128, 8.0
@@ -54,7 +55,8 @@ def test_every_disc_is_borne(profile: str, name: str) -> None:
     free = sound_step(made, calibration.reference_grey)
     assert not free.contact
     if name in EMPTY:
-        assert free.reason == "disc: no pixel of the visible circle lies in the image"
+        assert free.reason is not None
+        assert free.reason.code is ReasonCode.NO_DISC
     elif name not in FAR:
         assert np.isfinite(free.height.height_mm).any()
     for image in (noise(1), EXTREME_IMAGES["spot"], EXTREME_IMAGES["step, axis 0"]):
@@ -114,7 +116,7 @@ def test_paper_is_as_high_as_alpha_says_and_never_deeper_than_the_skin(alpha: fl
 
 
 @pytest.mark.parametrize("factor", [1e-45, 1e-3, 1.0, 3.0, 1e5])
-@pytest.mark.parametrize("profile", [p.name for p in PROFILES.values() if p.solver == LEARNED])
+@pytest.mark.parametrize("profile", [p.name for p in PROFILES.values() if p.network])
 def test_a_factor_scales_and_never_breaks(profile: str, factor: float) -> None:
     calibration = built_calibration(ROWS, COLS, disc=WHOLE, pitch_px=PITCH_PX)
     plain = sound_step(make_reconstructor(calibration, PROFILES[profile]), pressed(WHOLE))

@@ -12,12 +12,13 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from support.extreme_images import EXTREME_IMAGES
 
-from tacshade_edge.core.depth.learned import Inverse, LearnedInverse, Network
-from tacshade_edge.core.profiles import LEARNED, PROFILES
+from tacshade_edge.core.depth import Network
+from tacshade_edge.core.depth.learned import Inverse, LearnedInverse
+from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.devices.weights.network import WEIGHTS, load_network
 from tacshade_edge.types import F32, Disc, Geometry
 
-NAMES = [name for name, profile in PROFILES.items() if profile.solver == LEARNED]
+NAMES = [name for name, profile in PROFILES.items() if profile.network]
 # Heights in skin radii and log odds, on anything; the gate and the limit at r come after.
 MOST_RADII, MOST_LOGIT = 2.0, 300.0
 

@@ -9,7 +9,8 @@ import numpy.typing as npt
 import pytest
 from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
 
-from tacshade_edge.core.depth import GreyMaps, hybrid_sfs
+from tacshade_edge.core.depth import hybrid_sfs
+from tacshade_edge.core.image.grey_maps import GreyMapper, GreyMaps
 from tacshade_edge.core.image.greyscale import shape_grey
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES
@@ -22,7 +23,8 @@ CELLS = 64
 @cache
 def maps(touched: bool = True) -> GreyMaps:
     image = pressed("ball", 3.0).image if touched else unloaded()
-    return Preprocessor(calibrated(HALF, 0), PROFILES["paper"]).grey_maps(image)
+    preprocess = Preprocessor(calibrated(HALF, 0), PROFILES["paper"])
+    return GreyMapper(preprocess)(preprocess(preprocess.grey(image)))
 
 
 @cache

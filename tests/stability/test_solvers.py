@@ -1,6 +1,8 @@
-"""Every solver on grey maps that no sensor gives: finite, not below 0, the same twice; and ten thousand iterations."""
+"""Every method on grey maps that no sensor gives: finite, not below 0, the same twice; and ten thousand iterations."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -9,11 +11,15 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from support.extreme_maps import BEYOND, EXTREME_MAPS, any_maps, shapes
 
-from tacshade_edge.core.depth import SOLVERS, Depth, GreyMaps, hybrid_sfs
+from tacshade_edge.core.depth import Depth, hybrid_sfs
+from tacshade_edge.core.image.grey_maps import GreyMaps
 from tacshade_edge.core.image.greyscale import normalise, shape_grey
+from tacshade_edge.studies.scaled_grey import scaled_grey
 from tacshade_edge.types import F32, F64, Bool
 
 ALPHA_MM = 3.0
+METHODS: dict[str, Callable[[GreyMaps, float], Depth]] = {"paper": hybrid_sfs.solve, "grey": scaled_grey}
+"""From grey maps to depth: with eq. 11 and without."""
 
 
 def maps_of(g_d: F32, g0: F32 | float = 120.0, inside: Bool | bool = True) -> GreyMaps:
@@ -23,7 +29,7 @@ def maps_of(g_d: F32, g0: F32 | float = 120.0, inside: Bool | bool = True) -> Gr
 
 def sound_depth(solver: str, maps: GreyMaps, alpha_mm: float) -> Depth:
     before = tuple(m.tobytes() for m in (maps.g, maps.g0, maps.g_d, maps.inside))
-    depth = SOLVERS[solver](maps, alpha_mm)
+    depth = METHODS[solver](maps, alpha_mm)
     assert depth.height_mm.shape == maps.g_d.shape
     assert depth.height_mm.dtype == np.float32
     assert np.isfinite(depth.height_mm).all()
@@ -31,7 +37,7 @@ def sound_depth(solver: str, maps: GreyMaps, alpha_mm: float) -> Depth:
     assert not depth.height_mm[~maps.inside].any()
     bad = int(np.count_nonzero(~np.isfinite(maps.g_d) | ~np.isfinite(maps.g0)))
     assert bad <= depth.repaired_px <= bad + 2 * maps.g_d.size
-    again = SOLVERS[solver](maps, alpha_mm)
+    again = METHODS[solver](maps, alpha_mm)
     assert again.height_mm.tobytes() == depth.height_mm.tobytes()
     assert again.repaired_px == depth.repaired_px
     assert tuple(m.tobytes() for m in (maps.g, maps.g0, maps.g_d, maps.inside)) == before
@@ -39,7 +45,7 @@ def sound_depth(solver: str, maps: GreyMaps, alpha_mm: float) -> Depth:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("solver", METHODS)
 @pytest.mark.parametrize("shape", [(1, 1), (1, 64), (64, 1), (8, 8), (61, 64)])
 def test_every_extreme_map_is_borne(solver: str, shape: tuple[int, int]) -> None:
     disc = np.hypot(*np.indices(shape)) < 40
@@ -49,13 +55,13 @@ def test_every_extreme_map_is_borne(solver: str, shape: tuple[int, int]) -> None
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("solver", METHODS)
 @pytest.mark.parametrize("name", ["noise 0", "checkerboard 2 px", "step, axis 0", "white spike", "ramp, axis 1"])
 def test_a_whole_image_is_borne(solver: str, name: str) -> None:
     sound_depth(solver, maps_of(EXTREME_MAPS[name](480, 640)), ALPHA_MM)
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("solver", METHODS)
 @pytest.mark.parametrize("beyond", BEYOND)
 def test_a_value_that_no_grey_has_is_borne_in_both_maps(solver: str, beyond: str) -> None:
     g_d = EXTREME_MAPS["normal noise"](20, 21)
@@ -67,7 +73,7 @@ def test_a_value_that_no_grey_has_is_borne_in_both_maps(solver: str, beyond: str
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("solver", METHODS)
 @given(data=st.data(), shape=shapes, alpha_mm=st.floats(0, 1e300))
 @settings(max_examples=300)
 def test_any_maps_are_borne(solver: str, data: st.DataObject, shape: tuple[int, int], alpha_mm: float) -> None:

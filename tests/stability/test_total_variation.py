@@ -13,11 +13,12 @@ from hypothesis.extra.numpy import arrays
 from skimage.restoration import denoise_tv_chambolle
 from support.extreme_maps import EXTREME_MAPS
 
-from tacshade_edge.core.image import total_variation, total_variation_int16
+from tacshade_edge.core.image import total_variation
 from tacshade_edge.core.image.greyscale import denoise_tv
 from tacshade_edge.core.image.total_variation import chambolle
-from tacshade_edge.core.image.total_variation_int16 import chambolle_int16, fraction_bits
 from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.studies import total_variation_int16
+from tacshade_edge.studies.total_variation_int16 import chambolle_int16, fraction_bits
 from tacshade_edge.types import F32
 
 WEIGHTS = sorted({p.tv_weight for p in PROFILES.values() if p.tv_weight > 0} | {1e-3, 1.0, 100.0})

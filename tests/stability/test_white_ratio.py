@@ -15,7 +15,7 @@ from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.disc import Grid, Window, disc_mask
 from tacshade_edge.core.image.binarise import binarise
 from tacshade_edge.core.image.greyscale import white_ratio
-from tacshade_edge.core.image.integral_image import Sums
+from tacshade_edge.core.image.integral_image import BoxSums, CellMeans, Integrator
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.types import F64, U8, Binarisation, Disc
@@ -54,13 +54,12 @@ def test_every_period_has_its_ratio(side_px: int, radius_px: float) -> None:
     disc = Disc(DISC.row_c, DISC.col_c, radius_px)
     mask = disc_mask(ROWS, COLS, disc).astype(np.uint8)
     window = Window(0, 0, ROWS, COLS)
-    grid, shown = Grid.of_window(window, 3), Sums(window, side_px // 2 + 1)
-    shown.show(mask)
-    total = shown.boxes(grid, side_px)
+    grid, integrator = Grid.of_window(window, 3), Integrator(window, side_px // 2 + 1)
+    box_sums = BoxSums(integrator, grid, side_px)
+    total = box_sums(integrator(mask))
     for period in range(2, 130):
         white = checkerboard(period)(ROWS, COLS) // 255 * mask
-        shown.show(white)
-        g = white_ratio(shown.boxes(grid, side_px), total)
+        g = white_ratio(box_sums(integrator(white)), total)
         np.testing.assert_allclose(g, plain_ratio(white, mask, grid, side_px), atol=BOUND)
         assert (g >= 0).all()
         assert (g <= 255).all()
@@ -83,11 +82,12 @@ def test_any_image_is_black_and_white_inside_the_disc_and_black_outside(
 
 @pytest.mark.parametrize("profile", PROFILES)
 def test_every_extreme_image_has_ratios(profile: str) -> None:
-    front = Preprocessor(built_calibration(ROWS, COLS, disc=DISC, pitch_px=8.0), PROFILES[profile])
+    preprocess = Preprocessor(built_calibration(ROWS, COLS, disc=DISC, pitch_px=8.0), PROFILES[profile])
+    means = CellMeans(preprocess.integrator, disc_map.map_grid(DISC))
     for image in EXTREME_IMAGES.values():
-        g, unseen = front.white_ratio(np.ascontiguousarray(image(ROWS, COLS)))
-        cells = front.white_cells()
-        assert 0 <= unseen <= 1
+        found = preprocess(np.ascontiguousarray(image(ROWS, COLS)))
+        g, cells = found.g, means(found.white)
+        assert 0 <= found.unseen <= 1
         assert np.isfinite(g).all()
         assert (g >= 0).all()
         assert (g <= 255 * (1 + 1e-6)).all()
@@ -102,8 +102,8 @@ def test_the_largest_image_has_exact_means(level: int) -> None:
     disc = Disc(1535.5, 2047.5, 1535.0)
     rng = np.random.default_rng(1)
     values = rng.integers(0, level + 1, (3072, 4096), np.uint8)
-    found = disc_map.disc_average(values, disc)
-    grid = disc_map.map_grid(disc)
+    grid, integrator = disc_map.map_grid(disc), Integrator(Window(0, 0, 3072, 4096), 0)
+    found = CellMeans(integrator, grid)(integrator(values))
     step = grid.step_px
     total = np.pad(values.astype(np.float64).cumsum(0).cumsum(1), ((1, 0), (1, 0)))
 

@@ -12,7 +12,7 @@ from tacshade_edge.types import Frame
 def test_the_stages_that_are_run_in_their_order() -> None:
     made = make_reconstructor(painted_calibration(), PROFILES["fast"])
     touched, free = (stages_ms(made, Frame(0, 0, 0, image)) for image in (TOUCHED, FREE))
-    assert tuple(touched) == STAGES
+    assert tuple(touched) == tuple(stage for stage in STAGES if stage != "denoise")
     assert tuple(free) == ("check", "grey", "gate")
     assert min(*touched.values(), *free.values()) >= 0
     assert sum(touched.values()) > 0

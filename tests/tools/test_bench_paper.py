@@ -12,7 +12,8 @@ import plain_paper
 import pytest
 from support.patience import patience
 
-from tacshade_edge.core.depth import GreyMaps, hybrid_sfs
+from tacshade_edge.core.depth import hybrid_sfs
+from tacshade_edge.core.image.grey_maps import GreyMaps
 from tacshade_edge.core.image.total_variation import chambolle
 
 BENCH = Path(__file__).parents[2] / "tools" / "bench_paper.py"

@@ -19,8 +19,9 @@ import torch
 from network import Net, trained
 from torch.nn import functional
 
-from tacshade_edge.core.depth.learned import HEIGHT_SCALE, Network
-from tacshade_edge.core.profiles import LEARNED, PROFILES
+from tacshade_edge.core.depth import Network
+from tacshade_edge.core.depth.learned import HEIGHT_SCALE
+from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.studies.evaluate.scenes import scenes
 from tacshade_edge.studies.evaluate.sensors import SensorName, calibrated
@@ -35,7 +36,7 @@ def main() -> None:
     """Measure, print."""
     parser = argparse.ArgumentParser(description="A network on a part of the disc.")
     parser.add_argument("--run", type=Path, required=True)
-    learned = [name for name, profile in PROFILES.items() if profile.solver == LEARNED]
+    learned = [name for name, profile in PROFILES.items() if profile.network]
     parser.add_argument("--profile", choices=learned, required=True)
     args = parser.parse_args()
     net, _ = trained(args.run)

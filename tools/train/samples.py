@@ -13,9 +13,10 @@ from varied import pin_outline, varied_model, varied_print, with_skirt
 
 from tacshade_edge.core.calibration import pattern
 from tacshade_edge.core.geometry import disc_map
-from tacshade_edge.core.geometry.disc import disc_mask
+from tacshade_edge.core.geometry.disc import Window, disc_mask
 from tacshade_edge.core.image import greyscale
 from tacshade_edge.core.image.binarise import binarise
+from tacshade_edge.core.image.integral_image import CellMeans, Integrator
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.simulator import skin as skin_module
@@ -216,7 +217,9 @@ def spoil(image: U8, disc: Disc, rng: np.random.Generator) -> U8:
 
 def white_map(image: U8, mask: U8, disc: Disc, pitch_px: float) -> F32:
     """Part of white in each cell, 0 to 1."""
-    return disc_map.disc_average(binarise(greyscale.to_grey(image), mask, "adaptive", pitch_px), disc)
+    integrator = Integrator(Window(0, 0, *mask.shape), 0)
+    white = binarise(greyscale.to_grey(image), mask, "adaptive", pitch_px)
+    return CellMeans(integrator, disc_map.map_grid(disc))(integrator(white))
 
 
 def true_maps(skin: Skin, presses: Sequence[Press], geometry: Geometry, seen: Disc) -> tuple[F32, Bool]:

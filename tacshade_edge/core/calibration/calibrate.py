@@ -10,16 +10,18 @@ import numpy as np
 from tacshade_edge.core.calibration import gain, pattern, press_checks
 from tacshade_edge.core.calibration.grade import Verdict, judge
 from tacshade_edge.core.calibration.reference_load import loaded_reason
-from tacshade_edge.core.depth.learned import Network
+from tacshade_edge.core.contact.gate import ContactGate
+from tacshade_edge.core.depth import Network
+from tacshade_edge.core.depth.learned import LearnedSolver
 from tacshade_edge.core.frame_check import registration
-from tacshade_edge.core.frame_check.validity import frame_check, invalid_reason
+from tacshade_edge.core.frame_check.validity import FrameCheck, invalid_reason, sensor_check
 from tacshade_edge.core.geometry.disc import Grid, Window, disc_mask, disc_rays
 from tacshade_edge.core.image import greyscale
 from tacshade_edge.core.image.binarise import Binariser, odd
-from tacshade_edge.core.image.integral_image import Sums
+from tacshade_edge.core.image.grey_maps import GreyMapper
+from tacshade_edge.core.image.integral_image import BoxSums, Integrator
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES, Profile
-from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import F32, IDENTITY_POSE, U8, Binarisation, Calibration, Geometry, Polarity
 
@@ -172,16 +174,15 @@ def rezero(calibration: Calibration, images: Sequence[U8], allow_loaded: bool = 
         raise ConfigError("no image to take a reference from")
     greys = [greyscale.to_grey(image) for image in images]
     geometry = calibration.geometry
-    mask = disc_mask(calibration.image_height_px, calibration.image_width_px, geometry.disc)
-    check = frame_check(calibration.reference_grey, mask, geometry.disc)
+    check = sensor_check(calibration)
     for grey in greys:
         if reason := invalid_reason(grey, check):
             raise ConfigError(f"reference refused: {reason}")
     old = registration.look(calibration.reference_grey, geometry.disc, calibration.pitch_px)
     for found in (registration.drift(old, grey) for grey in greys):
-        if registration.moved_too_far(found, geometry.disc):
-            moved = registration.moved_reason(found, geometry.disc)
-            raise ConfigError(f"reference refused: {moved}; fix the camera where it was, or calibrate again")
+        if registration.shifted_too_far(found, geometry.disc):
+            shifted = registration.shift_reason(found, geometry.disc)
+            raise ConfigError(f"reference refused: {shifted}; fix the camera where it was, or calibrate again")
         if found.contrast < WORN_CONTRAST:
             raise ConfigError(
                 f"reference refused: {found.contrast:.2f} times the contrast, expected {WORN_CONTRAST} or more: "
@@ -200,17 +201,16 @@ def _with_reference(calibration: Calibration, greys: Sequence[U8]) -> Calibratio
     window = Window.of_disc(height, width, geometry.disc)
     mask = window.cut(disc_mask(height, width, geometry.disc).astype(np.uint8))
     side = odd(PROFILE.window_pitches * calibration.pitch_px)
-    grid, sums = Grid.of_window(window, PROFILE.stride_px), Sums(window, side // 2 + 1)
-    sums.show(mask)
-    total, inside = sums.boxes(grid, side), disc_rays(grid, geometry).inside
+    grid, integrator = Grid.of_window(window, PROFILE.stride_px), Integrator(window, side // 2 + 1)
+    box_sums = BoxSums(integrator, grid, side)
+    total, inside = box_sums(integrator(mask)), disc_rays(grid, geometry).inside
     binariser = Binariser(mask, calibration.binarisation, calibration.pitch_px)
     white_sum: F32 = np.zeros((height, width), dtype=np.float32)
     ratios = []
     for grey in greys:
         white = binariser(window.cut(grey))
         window.cut(white_sum)[...] += white
-        sums.show(white)
-        ratios.append(greyscale.white_ratio(sums.boxes(grid, side), total)[inside])
+        ratios.append(greyscale.white_ratio(box_sums(integrator(white)), total)[inside])
     noise = calibration.noise_grey
     if len(greys) >= 3:
         noise = float(np.sqrt(np.mean(np.var(np.stack(ratios), axis=0, ddof=1))))
@@ -225,14 +225,17 @@ def _check_references(calibration: Calibration, greys: Sequence[U8], allow_loade
     warnings = []
     for number, grey in enumerate(greys[1:], start=2):
         found = registration.drift(first, grey)
-        moved = registration.moved_reason(found, disc)
-        if registration.moved_too_far(found, disc):
-            raise ConfigError(f"reference {number}: {moved} since reference 1; fix the camera and take them all again")
-        if reason := moved or registration.aged_reason(found):
-            warnings.append(f"reference {number}: {reason} against reference 1")
+        shifted = registration.shift_reason(found, disc)
+        if registration.shifted_too_far(found, disc):
+            raise ConfigError(
+                f"reference {number}: {shifted} since reference 1; fix the camera and take them all again"
+            )
+        if change := shifted or registration.light_drift_reason(found):
+            warnings.append(f"reference {number}: {change} against reference 1")
     # A pressed reference raises the measured noise, and would hide behind it.
-    front = Preprocessor(replace(calibration, noise_grey=ASSUMED_NOISE_GREY), PROFILE)
-    pressed = [str(number) for number, grey in enumerate(greys, start=1) if front.touched(grey)]
+    preprocess = Preprocessor(replace(calibration, noise_grey=ASSUMED_NOISE_GREY), PROFILE)
+    gate = ContactGate(preprocess)
+    pressed = [str(number) for number, grey in enumerate(greys, start=1) if gate(preprocess(grey))]
     if pressed:
         reason = f"reference {', '.join(pressed)}: seems pressed, it differs from the mean of all references"
         if not allow_loaded:
@@ -252,25 +255,32 @@ def _usable_presses(
     if len(presses) < MIN_PRESSES:
         raise ConfigError(f"{len(presses)} presses: at least {MIN_PRESSES} are needed (20 are better)")
     geometry = unloaded.geometry
-    front = Preprocessor(unloaded, PROFILE)
+    preprocess = Preprocessor(unloaded, PROFILE)
+    grey_maps, gate, check = GreyMapper(preprocess), ContactGate(preprocess), sensor_check(unloaded)
     reference = registration.look(unloaded.reference_grey, geometry.disc, unloaded.pitch_px)
     kept: list[BallPress] = []
     left_out: list[str] = []
     warnings: list[str] = []
     for press in presses:
-        seen = _is_seen(front, press)
+        _check_press(unloaded, check, press)
         found = registration.drift(reference, greyscale.to_grey(press.image))
-        moved, aged = registration.moved_reason(found, geometry.disc), registration.aged_reason(found)
-        if registration.moved_too_far(found, geometry.disc):
-            left_out.append(f"{press.name}: {moved} since the references")
-        elif not seen:
+        shifted = registration.shift_reason(found, geometry.disc)
+        if registration.shifted_too_far(found, geometry.disc):
+            left_out.append(f"{press.name}: {shifted} since the references")
+        elif not gate(preprocess(greyscale.to_grey(press.image))):
             left_out.append(f"{press.name}: no contact to be seen, {press.depth_mm} mm is stated")
         else:
             kept.append(press)
-            if reason := moved or aged:
+            if reason := shifted or registration.light_drift_reason(found):
                 warnings.append(f"{press.name}: {reason} since the references")
     rows = [
-        press_checks.gather_evidence(front, p.name, p.image, (p.radius_mm, p.depth_mm, p.x_mm, p.y_mm)) for p in kept
+        press_checks.gather_evidence(
+            preprocess,
+            p.name,
+            grey_maps(preprocess(greyscale.to_grey(p.image))),
+            (p.radius_mm, p.depth_mm, p.x_mm, p.y_mm),
+        )
+        for p in kept
     ]
     hints = list(press_checks.hints(rows, geometry)) if len(rows) >= MIN_PRESSES else []
     wrong = {found.index: found.reason for found in press_checks.disagreements(rows, geometry)}
@@ -290,10 +300,11 @@ def _refit(
     And how far off (mm) the greatest h of each press is with weights that were fitted without it.
     """
     geometry = calibration.geometry
-    reconstructor = Reconstructor(calibration, profile, network)
+    preprocess = Preprocessor(calibration, profile)
+    solver = LearnedSolver(preprocess, network)
     rows, tops, names = [], [], []
     for press in presses:
-        inverse = reconstructor.inverse(press.image)
+        inverse = solver.inverse(preprocess(preprocess.grey(press.image)))
         if press.x_mm is not None and press.y_mm is not None:
             ball: gain.Ball | None = gain.stated_ball(geometry, press.x_mm, press.y_mm, press.depth_mm, press.radius_mm)
         else:
@@ -323,9 +334,8 @@ def _refit(
     return refitted, list(zip(names, errors, strict=True))
 
 
-def _is_seen(front: Preprocessor, press: BallPress) -> bool:
-    """Whether the gate opens for a press; refuses what cannot be a press of this sensor."""
-    calibration = front.calibration
+def _check_press(calibration: Calibration, check: FrameCheck, press: BallPress) -> None:
+    """Refuse what cannot be a press of this sensor."""
     r = calibration.geometry.skin_radius_mm
     if press.image.shape[:2] != (calibration.image_height_px, calibration.image_width_px):
         raise ConfigError(
@@ -337,6 +347,5 @@ def _is_seen(front: Preprocessor, press: BallPress) -> bool:
             f"{press.name}: depth {press.depth_mm} mm, ball radius {press.radius_mm} mm; "
             f"expected 0 < depth < {r} and a radius above 0"
         )
-    if reason := front.invalid_reason(press.image):
+    if reason := invalid_reason(greyscale.to_grey(press.image), check):
         raise ConfigError(f"{press.name}: not usable: {reason}")
-    return front.touched(press.image)

@@ -15,8 +15,9 @@ import numpy as np
 
 from tacshade_edge.core.calibration.screened_change import REACH_RADII, brightening, gathered_change
 from tacshade_edge.core.geometry.back_projection import skin_points
+from tacshade_edge.core.image.grey_maps import GreyMaps
 from tacshade_edge.core.image.preprocess import Preprocessor
-from tacshade_edge.types import F64, U8, Geometry
+from tacshade_edge.types import F64, Geometry
 
 # log(travel) on 1, log χ, ρ², ρ⁴, log ball radius, log brightened area, log brightening: the mean weights of 29
 # simulated sensors, towards which the fit is pulled (lengths scaled to a skin of 20 mm).
@@ -87,7 +88,7 @@ class Disagreement:
 def gather_evidence(
     front: Preprocessor,
     name: str,
-    image: U8,
+    maps: GreyMaps,
     stated: tuple[float, float, float | None, float | None],
 ) -> Evidence:
     """Read one press.
@@ -96,12 +97,12 @@ def gather_evidence(
     ----------
     front : Preprocessor
     name : str
-    image : uint8 (H, W) or (H, W, 3)
+    maps : GreyMaps
+        Of its image.
     stated : radius_mm, depth_mm, x_mm, y_mm
     """
     geometry = front.calibration.geometry
     reach = REACH_RADII * geometry.skin_radius_mm / (front.profile.stride_px * geometry.mm_per_px)
-    maps = front.grey_maps(image)
     chi = gathered_change(maps, reach)
     bright = brightening(maps, reach)
     peak = np.unravel_index(int(np.argmax(bright)), bright.shape)

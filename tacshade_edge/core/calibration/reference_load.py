@@ -22,7 +22,7 @@ LOADED_BEND_GREY = 22.0
 
 def loaded_reason(front: Preprocessor) -> str:
     """Why the reference seems to have been taken under load; empty when it does not."""
-    g0, voting, disc = front.reference_ratio, front.voting, front.calibration.geometry.disc
+    g0, voting, disc = front.reference_g, front.voting, front.calibration.geometry.disc
     rho2 = radius_squared(front.grid, disc)
     residual = ring_residual(g0, rho2, voting)
     deviation = 1.4826 * float(np.median(np.abs(residual[voting]))) if voting.any() else 0.0

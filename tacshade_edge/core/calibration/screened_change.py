@@ -12,7 +12,7 @@ import math
 import cv2
 import numpy as np
 
-from tacshade_edge.core.depth.base import GreyMaps
+from tacshade_edge.core.image.grey_maps import GreyMaps
 from tacshade_edge.types import F32
 
 # The reach of the gathering, in skin radii: 8 mm on a skin of 20 mm.

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
+from tacshade_edge.core.depth.base import Depth
 from tacshade_edge.core.geometry.back_projection import cell_area_mm2, skin_planes
 from tacshade_edge.core.geometry.disc import DiscRays
 from tacshade_edge.types import F32, I64, U16, Bool, Geometry, ObjectCloud, TouchedObject, freeze
@@ -17,9 +17,7 @@ BINS = 256
 MIN_OBJECT_MM2 = 0.5
 LABELS_MAX = np.iinfo(np.uint16).max
 
-
-Region = Callable[[Bool], tuple[slice, slice] | None]
-"""Of the contact: the rows and columns to look at, None where nothing touches."""
+Box = tuple[slice, slice]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,32 +45,41 @@ class Objects:
         freeze(self, "contact")
 
 
-def find_objects(
-    touched: Bool, height_mm: F32, rays: DiscRays, geometry: Geometry, region: Region | None = None
-) -> Objects | None:
+def contact_of(depth: Depth, inside: Bool) -> Bool:
+    """Where the skin touches an object, bool (rows, cols): the solver's contact, else the paper's split of heights.
+
+    The split is of the heights as found: cut off at the skin's radius, those of a great α would all be one.
+    """
+    if depth.contact is not None:
+        return depth.contact
+    return inside & (depth.height_mm > two_means_split(depth.height_mm[inside]))
+
+
+def find_objects(contact: Bool, height_mm: F32, rays: DiscRays, geometry: Geometry) -> Objects | None:
     """Tell apart what touches, and where in space its skin lies; None where nothing does.
 
     Parameters
     ----------
-    touched : bool (rows, cols)
+    contact : bool (rows, cols)
         Only cells with a height.
     height_mm : float32 (rows, cols)
         h, at most r; NaN outside the disc.
     rays : DiscRays
         Of the same grid.
     geometry : Geometry
-    region : callable, optional
-        Where to look, else `bounding_box`; whatever holds all of the contact gives the same answer.
     """
-    here = (region or bounding_box)(touched)
-    if here is None:
-        return None
-    height = np.ascontiguousarray(height_mm[here])
-    planes = skin_planes(height, rays.part(here), geometry)
+    box = bounding_box(contact)
+    return None if box is None else objects_in(box, contact, height_mm, rays, geometry)
+
+
+def objects_in(box: Box, contact: Bool, height_mm: F32, rays: DiscRays, geometry: Geometry) -> Objects | None:
+    """`find_objects` in some rows and columns; all that hold the contact and a cell around it give the same."""
+    height = np.ascontiguousarray(height_mm[box])
+    planes = skin_planes(height, rays.part(box), geometry)
     area = cell_area_mm2(planes)
-    labels = label_objects(touched[here], area)
-    contact = np.zeros(touched.shape, bool)
-    contact[here] = labels > 0
+    labels = label_objects(contact[box], area)
+    labelled = np.zeros(contact.shape, bool)
+    labelled[box] = labels > 0
     cells = cells_by_label(labels)
     if cells.size == 0:
         return None
@@ -80,12 +87,12 @@ def find_objects(
     cloud = ObjectCloud(np.ascontiguousarray(x_y_z.T), labels.take(cells))
     heights, areas = height.take(cells), area.take(cells)
     volume_mm3 = float((heights * areas).sum(dtype=np.float64))
-    return Objects(contact, cloud, _described(x_y_z, cloud.labels, heights, areas), volume_mm3)
+    return Objects(labelled, cloud, _described(x_y_z, cloud.labels, heights, areas), volume_mm3)
 
 
-def bounding_box(touched: Bool) -> tuple[slice, slice] | None:
+def bounding_box(contact: Bool) -> Box | None:
     """Rows and columns of the contact, and one more to each side: a cell's area needs its neighbours."""
-    left, top, width, height = cv2.boundingRect(touched.view(np.uint8))
+    left, top, width, height = cv2.boundingRect(contact.view(np.uint8))
     if width == 0:
         return None
     return slice(max(top - 1, 0), top + height + 1), slice(max(left - 1, 0), left + width + 1)

@@ -1,8 +1,12 @@
-"""Depth from grey maps: a new solver is one file and one line here. The learned one takes the white pixels instead."""
+"""From a preprocessed image to depth: a new solver is one file here and one line in `SOLVERS`."""
 
-from tacshade_edge.core.depth import hybrid_sfs
-from tacshade_edge.core.depth.base import Depth, GreyMaps, Solver
+from tacshade_edge.core.depth.base import Depth, MakeSolver, Network, Solver
+from tacshade_edge.core.depth.hybrid_sfs import HybridSfs
+from tacshade_edge.core.depth.learned import LearnedSolver
 
-SOLVERS: dict[str, Solver] = {"paper": hybrid_sfs.solve, "grey": hybrid_sfs.scaled_grey}
+SOLVERS: dict[str, MakeSolver] = {
+    "hybrid_sfs": HybridSfs,
+    "learned": LearnedSolver,
+}
 
-__all__ = ["SOLVERS", "Depth", "GreyMaps", "Solver"]
+__all__ = ["SOLVERS", "Depth", "MakeSolver", "Network", "Solver"]

@@ -1,43 +1,29 @@
-"""The interface of the solvers that work on grey maps."""
+"""The interface of all solvers."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
+from tacshade_edge.core.geometry.disc import Grid
+from tacshade_edge.core.image.preprocess import Preprocessed, Preprocessor
 from tacshade_edge.types import F32, Bool, freeze
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class GreyMaps:
-    """What a solver works on: the maps of section IV-A and IV-B on one grid.
-
-    Attributes
-    ----------
-    g, g0 : float32 (rows, cols), 0 to 255
-        White ratio now and of the unloaded skin.
-    g_d : float32 (rows, cols)
-        Eq. 9, positive in contact.
-    inside : bool (rows, cols)
-    """
-
-    g: F32
-    g0: F32
-    g_d: F32
-    inside: Bool
-
-    def __post_init__(self) -> None:
-        freeze(self, "g", "g0", "g_d", "inside")
+Mark = Callable[[str], None]
+"""Called with a stage's name at its end; a caller with a clock times the stages so."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Depth:
-    """A solver's answer.
+    """A solver's answer on its grid.
 
     Attributes
     ----------
     height_mm : float32 (rows, cols)
-        h, finite everywhere; outside the disc it says nothing.
+        h, finite and not below 0; outside the disc it says nothing.
+    contact : bool (rows, cols) or None
+        Where the skin touches an object, inside the disc only; None: to be told from the heights.
     saturated : bool
         Some cell left the range of the calibration.
     repaired_px : int
@@ -45,12 +31,50 @@ class Depth:
     """
 
     height_mm: F32
-    saturated: bool
-    repaired_px: int
+    contact: Bool | None = None
+    saturated: bool = False
+    repaired_px: int = 0
 
     def __post_init__(self) -> None:
         freeze(self, "height_mm")
+        if self.contact is not None:
+            freeze(self, "contact")
 
 
-Solver = Callable[[GreyMaps, float], Depth]
-"""Of the maps and α in mm: what a normalised height of 1 is."""
+@dataclass(frozen=True, slots=True)
+class Network:
+    """A network and how it wants its maps. N = cells / fold.
+
+    Its first layer is linear in what it is given, so what a sensor's reference adds there is the same for every frame.
+
+    Attributes
+    ----------
+    fold : int
+        Each square of fold x fold cells makes as many channels (`learned.fold`).
+    sense : callable
+        What is known of a sensor, the reference's white folded and `learned.KNOWN` maps, (fold² + KNOWN, N, N), to what
+        it adds to the first layer, (channels, N, N).
+    run : callable
+        A frame's white folded, (fold², N, N), and what `sense` gave, to (2 fold², N, N).
+    """
+
+    fold: int
+    sense: Callable[[F32], F32]
+    run: Callable[[F32, F32], F32]
+
+
+class Solver(Protocol):
+    """Depth from the preprocessed images of one sensor."""
+
+    @property
+    def grid(self) -> Grid:
+        """Where its cells lie, in the camera's pixels."""
+        ...
+
+    def __call__(self, preprocessed: Preprocessed, mark: Mark) -> Depth:
+        """Solve for one image in contact; `mark` is for stages before the last, ``depth``, which the caller marks."""
+        ...
+
+
+MakeSolver = Callable[[Preprocessor, Network | None], Solver]
+"""Prepare a solver for what a preprocessor gives; the network is that of the profile, where it names one."""

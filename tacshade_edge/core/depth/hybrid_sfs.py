@@ -7,11 +7,16 @@ epsilon, and its result is a scaled copy of the grey image (docs/numerics.md has
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import numpy.typing as npt
 
-from tacshade_edge.core.depth.base import Depth, GreyMaps
-from tacshade_edge.core.image.greyscale import shape_grey
+from tacshade_edge.core.depth.base import Depth, Mark, Network
+from tacshade_edge.core.image.grey_maps import GreyMapper, GreyMaps
+from tacshade_edge.core.image.greyscale import Denoiser, shape_grey
+from tacshade_edge.core.image.preprocess import Preprocessed, Preprocessor
+from tacshade_edge.core.image.total_variation import chambolle
 from tacshade_edge.types import F32, F64
 
 ITERATIONS = 25
@@ -98,31 +103,66 @@ def _median3(values: F64) -> F64:
 
 
 def solve(maps: GreyMaps, alpha_mm: float) -> Depth:
-    """Height by the paper: g_hn (eq. 10), eq. 11, then α. Grey levels beyond their range count as its end."""
-    g_hn, bad = _finite_shape_grey(maps)
+    """Height by the paper: g_hn (eq. 10), eq. 11, then α. Grey levels beyond their range count as its end.
+
+    Parameters
+    ----------
+    maps : GreyMaps
+    alpha_mm : float
+        α: what a normalised height of 1 is.
+    """
+    g_hn, bad = finite_shape_grey(maps)
     z, repaired = hybrid_sfs(g_hn.astype(np.float64))
     # Of an image without contrast the iteration makes a constant; it is no height.
     z = np.where(maps.inside, z, 0.0) if g_hn.any() else np.zeros_like(z)
     top = float(z.max(initial=0.0))
-    return _of_unit(z / top if top > 0 else z, alpha_mm, repaired + bad)
+    return scaled(z / top if top > 0 else z, alpha_mm, repaired + bad)
 
 
-def scaled_grey(maps: GreyMaps, alpha_mm: float) -> Depth:
-    """α g_hn, without eq. 11: what its iterations start from, to tell what they buy."""
-    g_hn, bad = _finite_shape_grey(maps)
-    return _of_unit(g_hn.astype(np.float64), alpha_mm, bad)
-
-
-def _of_unit(unit: F64, alpha_mm: float, repaired: int) -> Depth:
-    """α times heights of 0 to 1, at most what float32 holds."""
-    height: F32 = np.minimum(alpha_mm * unit, np.finfo(np.float32).max).astype(np.float32)
-    return Depth(height_mm=height, saturated=False, repaired_px=repaired)
-
-
-def _finite_shape_grey(maps: GreyMaps) -> tuple[F32, int]:
+def finite_shape_grey(maps: GreyMaps) -> tuple[F32, int]:
     """Eq. 10 with 0 where g_d or g0 is not finite, and at how many cells that is."""
     finite = np.isfinite(maps.g_d) & np.isfinite(maps.g0)
     g_d, g0 = (
         np.where(finite, np.clip(values, low, 255), np.float32(0)) for values, low in ((maps.g_d, -255), (maps.g0, 0))
     )
     return shape_grey(g_d, g0, maps.inside), int(finite.size - np.count_nonzero(finite))
+
+
+def scaled(unit: F64, alpha_mm: float, repaired_px: int) -> Depth:
+    """α times heights of 0 to 1, at most what float32 holds."""
+    height: F32 = np.minimum(alpha_mm * unit, np.finfo(np.float32).max).astype(np.float32)
+    return Depth(height_mm=height, repaired_px=repaired_px)
+
+
+class HybridSfs:
+    """Denoising, eq. 9, and `solve`.
+
+    Parameters
+    ----------
+    preprocessor : Preprocessor
+    network : None
+        Not used.
+    denoise : callable
+        The total-variation denoising.
+    solve : callable
+        From the maps and α in mm to depth.
+    """
+
+    def __init__(
+        self,
+        preprocessor: Preprocessor,
+        network: Network | None = None,
+        denoise: Denoiser = chambolle,
+        solve: Callable[[GreyMaps, float], Depth] = solve,
+    ) -> None:
+        self.grid = preprocessor.camera_grid
+        self._grey_maps = GreyMapper(preprocessor, denoise)
+        self._solve = solve
+        # α is per pixel of the image (the paper ties it to the image's resolution).
+        self._alpha_mm = preprocessor.camera.alpha * preprocessor.camera.geometry.mm_per_px
+
+    def __call__(self, preprocessed: Preprocessed, mark: Mark) -> Depth:
+        """See `Solver`."""
+        maps = self._grey_maps(preprocessed)
+        mark("denoise")
+        return self._solve(maps, self._alpha_mm)

@@ -1,4 +1,4 @@
-"""The learned inverse of the physical model: white of the frame and of the unloaded skin to height and contact.
+"""The learned inverse of the physical model: white of the image and of the unloaded skin to height and contact.
 
 The network is trained on simulated sensors alone (tools/train). It sees every sensor on the same square of cells
 (`core.geometry.disc_map`) and is told what is known of it; its heights are in tenths of the disc's radius. How it is
@@ -8,42 +8,23 @@ run is the caller's choice (`devices.weights.network` takes ONNX Runtime).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from tacshade_edge.core.depth.base import Depth, Mark, Network
 from tacshade_edge.core.geometry import disc_map
-from tacshade_edge.types import F32, Geometry, freeze
+from tacshade_edge.core.geometry.disc import rays_in_image
+from tacshade_edge.core.image.integral_image import CellMeans
+from tacshade_edge.core.image.preprocess import Preprocessed, Preprocessor
+from tacshade_edge.types import F32, Bool, Geometry, freeze
 
 KNOWN = 6
-"""Maps of `discmap.geometry_maps`."""
+"""Maps of `disc_map.geometry_maps`."""
 
 HEIGHT_SCALE = 10.0
 # On a skin of 20 mm the training presses end at 6.5 mm; what is deeper reads 6.2 to 6.9.
 DEEPEST_RADII = 0.31
-
-
-@dataclass(frozen=True, slots=True)
-class Network:
-    """A network and how it wants its maps. N = cells / fold.
-
-    Its first layer is linear in what it is given, so what a sensor's reference adds there is the same for every frame.
-
-    Attributes
-    ----------
-    fold : int
-        Each square of fold x fold cells makes as many channels (`fold`).
-    sense : callable
-        What is known of a sensor, the reference's white folded and `KNOWN` maps, (fold² + KNOWN, N, N), to what it adds
-        to the first layer, (channels, N, N).
-    run : callable
-        A frame's white folded, (fold², N, N), and what `sense` gave, to (2 fold², N, N).
-    """
-
-    fold: int
-    sense: Callable[[F32], F32]
-    run: Callable[[F32, F32], F32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,7 +55,7 @@ class LearnedInverse:
     geometry : Geometry
     pitch_px : float
     reference_white : float32 (cells, cells), 0 to 1
-        White of the unloaded skin, on `discmap.map_grid`.
+        White of the unloaded skin, on `disc_map.map_grid`.
     """
 
     def __init__(self, network: Network, geometry: Geometry, pitch_px: float, reference_white: F32) -> None:
@@ -90,6 +71,48 @@ class LearnedInverse:
         n = self._network.fold
         height, logit = unfold(self._network.run(fold(white[None], n), self._sensor), n)
         return Inverse(height * self._mm, logit)
+
+
+class LearnedSolver:
+    """The inverse refitted to the sensor, and the contact that it finds, on the network's own cells.
+
+    Parameters
+    ----------
+    preprocessor : Preprocessor
+    network : Network
+        ValueError where it is missing.
+    """
+
+    def __init__(self, preprocessor: Preprocessor, network: Network | None) -> None:
+        camera, calibration, profile = preprocessor.camera, preprocessor.calibration, preprocessor.profile
+        if network is None:
+            raise ValueError(f"profile {profile.name} needs a network")
+        self.grid = disc_map.map_grid(camera.geometry.disc, profile.cells)
+        self._inside = rays_in_image(self.grid, camera).inside
+        self._cells = CellMeans(preprocessor.integrator, disc_map.map_grid(calibration.geometry.disc, profile.cells))
+        reference: F32 = self._cells(preprocessor.reference_white) / np.float32(255)
+        self._inverse = LearnedInverse(network, calibration.geometry, calibration.pitch_px, reference)
+        self._factor = np.float32(camera.factors.get(profile.name, 1.0))
+        self._deepest_mm = np.float32(DEEPEST_RADII * camera.geometry.skin_radius_mm)
+
+    def inverse(self, preprocessed: Preprocessed) -> Inverse:
+        """What the network makes of an image, not refitted: for calibration."""
+        return self._inverse(self._cells(preprocessed.white))
+
+    def __call__(self, preprocessed: Preprocessed, mark: Mark) -> Depth:
+        """See `Solver`."""
+        inverse = self.inverse(preprocessed)
+        height = inverse.height_mm * self._factor
+        finite = np.isfinite(height)
+        repaired_px = finite.size - int(np.count_nonzero(finite))
+        if repaired_px:
+            height = np.where(finite, height, np.float32(0))
+        np.maximum(height, np.float32(0), out=height)
+        contact: Bool = inverse.contact_logit > 0
+        contact &= self._inside
+        deep = height > self._deepest_mm
+        deep &= contact
+        return Depth(height, contact, bool(deep.any()), repaired_px)
 
 
 def fold(maps: F32, by: int) -> F32:

@@ -1,4 +1,4 @@
-"""What blocks of 8x8 px tell beside the reference's: markers lost, other light, a camera that moved."""
+"""What blocks of 8x8 px tell beside the reference's: markers lost, other light, another surround."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from tacshade_edge.core.image.binarise import halved
 from tacshade_edge.core.image.median import median
+from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import F32, F64, U8, Bool, Disc, freeze
 
 # Three halvings make a block's mean; the first look at a frame lets two of them round.
@@ -51,7 +52,7 @@ class BlockCheck:
     per_surround : float32 (n,)
         1 over them, at most 1.
     camera_px : int
-        A pixel here is so many of the camera's, in which a person is told.
+        A pixel here is so many of the camera's, in which reasons are given.
     """
 
     box: Box
@@ -109,12 +110,12 @@ def _pixels(blocks: slice) -> slice:
     return slice(BLOCK_PX * blocks.start, BLOCK_PX * blocks.stop)
 
 
-def block_reasons(grey: U8, check: BlockCheck, rounded: int) -> tuple[str, str]:
-    """Lost markers, and other light or a moved camera; with `rounded` halvings both are said of too many frames."""
+def block_reasons(grey: U8, check: BlockCheck, rounded: int) -> tuple[Reason | None, Reason | None]:
+    """Lost markers, and other light or surround; with `rounded` halvings both are found in too many frames."""
     level, variance = block_means(grey[check.box], rounded)
     slack = rounded / 2
     lost = _lost_reason(variance, check, slack)
-    return lost, _bright_reason(level, check, slack) or _moved_reason(level, check, slack)
+    return lost, _bright_reason(level, check, slack) or _surround_reason(level, check, slack)
 
 
 def block_means(grey: U8, rounded: int) -> tuple[F32, F32]:
@@ -142,34 +143,37 @@ def block_means(grey: U8, rounded: int) -> tuple[F32, F32]:
     return mean, square - mean * mean
 
 
-def light_reason(found: float) -> str:
-    return f"light: {found:.2f} times the reference's, expected {LIGHT_LOW} to {LIGHT_HIGH}"
+def light_reason(found: float) -> Reason:
+    """Of a light that is `found` times the reference's."""
+    return Reason(ReasonCode.LIGHT, f"light: {found:.2f} times the reference's, expected {LIGHT_LOW} to {LIGHT_HIGH}")
 
 
-def _lost_reason(variance: F32, check: BlockCheck, slack: float) -> str:
+def _lost_reason(variance: F32, check: BlockCheck, slack: float) -> Reason | None:
     # A contact can hide the markers of a patch, never those of whole rows across the disc.
     flat = (variance < (LOST_STD + slack) ** 2) & check.textured
     if np.count_nonzero(flat) <= check.lost_fewest:
-        return ""
+        return None
     empty = np.count_nonzero(np.count_nonzero(flat, axis=1) > check.lost_most)
     rows = empty * BLOCK_PX * check.camera_px
-    return f"torn: {rows} rows across the disc show no marker" if empty >= LOST_ROWS else ""
+    if empty < LOST_ROWS:
+        return None
+    return Reason(ReasonCode.TORN, f"torn: {rows} rows across the disc show no marker")
 
 
-def _bright_reason(level: F32, check: BlockCheck, slack: float) -> str:
+def _bright_reason(level: F32, check: BlockCheck, slack: float) -> Reason | None:
     levels = level.take(check.textured_at)
     # Half of them are over a limit if their median is.
     if 2 * np.count_nonzero(levels > np.float32(0.999 * (LIGHT_HIGH * check.common - slack))) < levels.size:
-        return ""
+        return None
     common = (median(levels) + slack) / check.common
-    return light_reason(common) if common > LIGHT_HIGH else ""
+    return light_reason(common) if common > LIGHT_HIGH else None
 
 
-def _moved_reason(level: F32, check: BlockCheck, slack: float) -> str:
+def _surround_reason(level: F32, check: BlockCheck, slack: float) -> Reason | None:
     """Blocks of the surround that cannot be, within `slack` levels, what the reference shows there in today's light."""
     usual = check.surround
     if not usual.size:
-        return ""
+        return None
     found = level.take(check.surround_at)
     low, high = found - slack, found + slack
     # The surround's own light: a contact changes the brightness of the whole disc.
@@ -177,6 +181,7 @@ def _moved_reason(level: F32, check: BlockCheck, slack: float) -> str:
     brighter = np.count_nonzero(high - (1.25 * least) * usual > SURROUND_LEVELS)
     darker = np.count_nonzero(np.minimum((0.75 * most) * usual, 0.75 * 255) - low > SURROUND_LEVELS)
     part = (brighter + darker) / usual.size  # with no slack none is both
-    if part > SURROUND_PART:
-        return f"torn or moved: {100 * part:.0f} % of the surround differs from the reference"
-    return ""
+    if part <= SURROUND_PART:
+        return None
+    text = f"torn or moved: {100 * part:.0f} % of the surround differs from the reference"
+    return Reason(ReasonCode.SURROUND, text)

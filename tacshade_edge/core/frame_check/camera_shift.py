@@ -1,4 +1,4 @@
-"""Has the camera moved since the reference? Asked of every frame in contact, because a moved pattern looks like one."""
+"""Has the camera moved since the reference? Checked in contact, because a shifted pattern looks like one."""
 
 from __future__ import annotations
 
@@ -7,18 +7,24 @@ import math
 import cv2
 import numpy as np
 
+from tacshade_edge.core.geometry import disc_map
+from tacshade_edge.core.image.integral_image import CellMeans, IntegralImage
+from tacshade_edge.core.image.preprocess import Preprocessor
+from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import F32
 
 # Between these the frame is the reference elsewhere. One pixel along both axes (1.4) is let pass: it changes depths by
 # a few per cent. Further than half a pitch the pattern looks like itself again.
 LEAST_PX, MOST_PITCHES = 1.8, 0.6
-# How sharply frame and reference must agree on it: a moved camera without contact gives 0.6 and more, a contact under
+# How sharply frame and reference must agree on it: a shifted camera without contact gives 0.6 and more, a contact under
 # which most of the pattern shifts 0.43 at most (800 presses of 13 objects on 8 sensors).
 LEAST_RESPONSE = 0.5
+# How often a contact that lasts is checked.
+PERIOD_NS = 100_000_000
 
 
-class MovedCheck:
-    """Compares frames with the reference by phase correlation of the map's cells (Kuglin and Hines 1975).
+class CameraShift:
+    """Measures the shift between images and the reference by phase correlation (Kuglin and Hines 1975).
 
     Parameters
     ----------
@@ -34,16 +40,44 @@ class MovedCheck:
         self._cell_px = cell_px
         self._most_px = MOST_PITCHES * pitch_px
 
-    def reason(self, cells: F32) -> str:
-        """Why a frame cannot be compared with the reference; empty when the camera is where it was.
+    def reason(self, cells: F32) -> Reason | None:
+        """Why an image cannot be compared with the reference; None when the camera is where it was.
 
         Parameters
         ----------
         cells : float32 (cells, cells), 0 to 1
-            White of the frame.
+            White of the image.
         """
         (cols, rows), response = cv2.phaseCorrelate(self._reference, cells, self._window)
         shift_px = math.hypot(rows, cols) * self._cell_px
         if response < LEAST_RESPONSE or not LEAST_PX <= shift_px <= self._most_px:
-            return ""
-        return f"camera moved by {shift_px:.1f} px since the reference"
+            return None
+        return Reason(ReasonCode.CAMERA_SHIFT, f"camera moved by {shift_px:.1f} px since the reference")
+
+
+class CameraShiftCheck:
+    """`CameraShift` of a stream of frames, every `PERIOD_NS`; of each frame once it has found one.
+
+    Parameters
+    ----------
+    preprocessor : Preprocessor
+        Whose images are checked.
+    """
+
+    def __init__(self, preprocessor: Preprocessor) -> None:
+        grid = disc_map.map_grid(preprocessor.calibration.geometry.disc)
+        self._cells = CellMeans(preprocessor.integrator, grid)
+        reference: F32 = self._cells(preprocessor.reference_white) / np.float32(255)
+        camera_px = preprocessor.camera_px
+        self._shift = CameraShift(reference, camera_px * grid.step_px, camera_px * preprocessor.calibration.pitch_px)
+        self._checked_ns = -PERIOD_NS
+
+    def due(self, t_ns: int) -> bool:
+        """Whether a frame of this time is to be checked; one of an earlier time belongs to a new stream."""
+        return not 0 < t_ns - self._checked_ns < PERIOD_NS
+
+    def __call__(self, white: IntegralImage, t_ns: int) -> Reason | None:
+        """Check a frame: `CameraShift.reason` of its white."""
+        reason = self._shift.reason(self._cells(white))
+        self._checked_ns = -PERIOD_NS if reason else t_ns
+        return reason

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import F32, U8, Disc, freeze
 
 # Points are tracked on a lattice of this pitch inside this part of the disc, each in a window of so many pitches.
@@ -22,8 +23,8 @@ _INLIER_PX = 0.5
 _LEAST_POINTS, _LEAST_PART = 20, 0.2
 # Beyond so much of the disc's radius the geometry is wrong; below, a shift of the centre, and what turn and zoom move
 # besides (a deep press alone looks like 1 px of them), are worth a word.
-MOVED_PART = 0.02
-_TOLD_SHIFT_PART, _TOLD_PART = 0.0035, 0.012
+SHIFTED_PART = 0.02
+_SHIFT_PART, _RIM_PART = 0.0035, 0.012
 # Light that is compensated, its unevenness and a blur that are not seen in good presses (docs/calibration.md).
 _LIGHT_LOW, _LIGHT_HIGH, _UNEVEN, _CONTRAST = 0.8, 1.25, 0.08, 0.8
 
@@ -166,30 +167,30 @@ def drift(reference: Look, grey: U8) -> Drift:
     )
 
 
-def moved_reason(found: Drift, disc: Disc) -> str:
-    """How the camera moved against the skin; empty when it did not, as far as can be seen."""
-    if found.shift_px <= _TOLD_SHIFT_PART * disc.radius_px and found.moved_px <= _TOLD_PART * disc.radius_px:
-        return ""
+def shift_reason(found: Drift, disc: Disc) -> Reason | None:
+    """How the camera moved against the skin; None when it did not, as far as can be measured."""
+    if found.shift_px <= _SHIFT_PART * disc.radius_px and found.moved_px <= _RIM_PART * disc.radius_px:
+        return None
     turned = f", turned by {found.turn_deg:.2f} degrees" if abs(found.turn_deg) > 0.2 else ""
     zoomed = f", {100 * (found.zoom - 1):+.1f} % in size" if abs(found.zoom - 1) > 0.005 else ""
-    return f"the image moved by {found.shift_px:.1f} px{turned}{zoomed}"
+    return Reason(ReasonCode.CAMERA_SHIFT, f"the image moved by {found.shift_px:.1f} px{turned}{zoomed}")
 
 
-def moved_too_far(found: Drift, disc: Disc) -> bool:
+def shifted_too_far(found: Drift, disc: Disc) -> bool:
     """Whether the visible circle is no longer where it was calibrated."""
-    return found.moved_px > MOVED_PART * disc.radius_px
+    return found.moved_px > SHIFTED_PART * disc.radius_px
 
 
-def aged_reason(found: Drift) -> str:
-    """How light or focus changed; empty when they did not, or so little that it is compensated."""
-    said = []
+def light_drift_reason(found: Drift) -> Reason | None:
+    """How light or focus changed; None when they did not, or so little that it is compensated."""
+    changes = []
     if not _LIGHT_LOW <= found.light <= _LIGHT_HIGH:
-        said.append(f"{found.light:.2f} times the light")
+        changes.append(f"{found.light:.2f} times the light")
     if found.uneven > _UNEVEN:
-        said.append(f"the light falls otherwise (it varies by {100 * found.uneven:.0f} % over the disc)")
+        changes.append(f"the light falls otherwise (it varies by {100 * found.uneven:.0f} % over the disc)")
     if found.contrast < _CONTRAST:
-        said.append(f"blurred or dirty ({found.contrast:.2f} times the contrast)")
-    return ", ".join(said)
+        changes.append(f"blurred or dirty ({found.contrast:.2f} times the contrast)")
+    return Reason(ReasonCode.LIGHT_DRIFT, ", ".join(changes)) if changes else None
 
 
 def _statistics(grey: U8, pitch_px: float) -> tuple[F32, F32]:

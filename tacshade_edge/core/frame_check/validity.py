@@ -21,7 +21,9 @@ from tacshade_edge.core.frame_check.blocks import (
     light_reason,
 )
 from tacshade_edge.core.frame_check.torn import TearCheck, tear_check, torn_row
-from tacshade_edge.types import U8, Bool, Disc, freeze
+from tacshade_edge.core.geometry.disc import disc_mask
+from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.types import U8, Bool, Calibration, Disc, freeze
 
 # A camera that works never shows a disc this dark or this flat (grey levels).
 BLACK_LEVEL = 12.0
@@ -60,7 +62,7 @@ class FrameCheck:
     blocks : BlockCheck or None
         None when no block lies inside the disc.
     camera_px : int
-        A pixel here is so many of the camera's, in which a person is told.
+        A pixel here is so many of the camera's, in which reasons are given.
     """
 
     shape: tuple[int, int]
@@ -103,14 +105,21 @@ def frame_check(reference_grey: U8, mask: Bool, disc: Disc, camera_px: int = 1) 
     )
 
 
+def sensor_check(calibration: Calibration, camera_px: int = 1) -> FrameCheck:
+    """`frame_check` with a calibration's reference."""
+    disc = calibration.geometry.disc
+    mask = disc_mask(calibration.image_height_px, calibration.image_width_px, disc)
+    return frame_check(calibration.reference_grey, mask, disc, camera_px)
+
+
 def _around(mask: Bool) -> Box:
     """Pixels around a mask and left of it; from multiples of 8, so that `_steps` and `_sample` take the image's own."""
     rows, cols = (np.flatnonzero(mask.any(axis=axis)).tolist() or [0, -1] for axis in (1, 0))
     return slice(rows[0] // 8 * 8, rows[-1] + 1), slice(max(cols[0] - 1, 0) // 8 * 8, cols[-1] + 1)
 
 
-def invalid_reason(grey: U8, check: FrameCheck) -> str:
-    """Why a frame cannot be used, in a few words; empty for a good one.
+def invalid_reason(grey: U8, check: FrameCheck) -> Reason | None:
+    """Why a frame cannot be used; None for a good one.
 
     Parameters
     ----------
@@ -120,37 +129,42 @@ def invalid_reason(grey: U8, check: FrameCheck) -> str:
     if reason := size_reason(grey, check.shape):
         return reason
     if check.inside_px == 0:
-        return "disc: no pixel of the visible circle lies in the image"
+        return Reason(ReasonCode.NO_DISC, "disc: no pixel of the visible circle lies in the image")
     disc = grey[check.disc]
     if reason := _camera_reason(disc, check):
         return reason
-    return _compared_reason(grey, disc, check.blocks, check) if check.blocks else ""
+    return _compared_reason(grey, disc, check.blocks, check) if check.blocks else None
 
 
-def size_reason(image: U8, shape: tuple[int, int]) -> str:
-    """Whether an image, (H, W) or (H, W, 3), has the calibrated rows and columns; empty when it does."""
+def size_reason(image: U8, shape: tuple[int, int]) -> Reason | None:
+    """Whether an image, (H, W) or (H, W, 3), has other than the calibrated rows and columns; None when it has those."""
     if image.shape[:2] == shape:
-        return ""
-    return f"size: {image.shape[1]}x{image.shape[0]} px, calibrated for {shape[1]}x{shape[0]}"
+        return None
+    text = f"size: {image.shape[1]}x{image.shape[0]} px, calibrated for {shape[1]}x{shape[0]}"
+    return Reason(ReasonCode.SIZE, text)
 
 
-def _camera_reason(disc: U8, check: FrameCheck) -> str:
+def _camera_reason(disc: U8, check: FrameCheck) -> Reason | None:
     """What the disc's own pixels tell: saturated, black, flat, noise."""
     pixels = check.inside_px
     mean, square = (cv2.norm(disc, kind, check.mask) / pixels for kind in (cv2.NORM_L1, cv2.NORM_L2SQR))
     if square > SATURATED_PART * SATURATED_LEVEL**2:  # so many pixels so bright alone make it more
         bright = _count_from(disc, check.mask, SATURATED_LEVEL)
         if bright > SATURATED_PART * pixels:
-            return f"saturated: {100 * bright / pixels:.0f} % of the disc at {SATURATED_LEVEL} or above"
+            text = f"saturated: {100 * bright / pixels:.0f} % of the disc at {SATURATED_LEVEL} or above"
+            return Reason(ReasonCode.SATURATED, text)
     std = math.sqrt(max(square - mean * mean, 0))
     if std < FLAT_STD:
-        return f"{'black' if mean < BLACK_LEVEL else 'no contrast'}: mean grey {mean:.0f}, deviation {std:.1f}"
+        figures = f"mean grey {mean:.0f}, deviation {std:.1f}"
+        if mean < BLACK_LEVEL:
+            return Reason(ReasonCode.BLACK, f"black: {figures}")
+        return Reason(ReasonCode.NO_CONTRAST, f"no contrast: {figures}")
     most = max(NOISE_STEP, check.step + NOISE_OVER_REFERENCE)
     if check.pairs_px and 2 * _count_from(_steps(disc), check.pairs, most) >= check.pairs_px:
         step = _noise_step(disc, check.pairs)
         if step > most:
-            return f"noise: neighbouring pixels differ by {step:.0f} grey levels"
-    return ""
+            return Reason(ReasonCode.NOISE, f"noise: neighbouring pixels differ by {step:.0f} grey levels")
+    return None
 
 
 def _count_from(grey: U8, mask: U8, level: float) -> int:
@@ -180,13 +194,12 @@ def _bright(sample: U8, sampled: U8) -> float:
     return float(np.percentile(sample[sampled > 0], 90)) if sampled.any() else 0.0
 
 
-def _compared_reason(grey: U8, disc: U8, blocks: BlockCheck, check: FrameCheck) -> str:
-    """What the reference tells: torn, moved, other light."""
-    row = torn_row(grey, check.tear) if check.tear else None
-    torn = "" if row is None else f"torn: row {row * check.camera_px} does not continue the rows above"
+def _compared_reason(grey: U8, disc: U8, blocks: BlockCheck, check: FrameCheck) -> Reason | None:
+    """What the reference tells: torn, shifted, other light."""
+    torn = _torn_reason(grey, check)
     if not blocks.textured_at.size:
         return torn
-    dark, lost, changed = _dark_reason(disc, check), "", ""
+    dark = _dark_reason(disc, check)
     for rounded in (ROUNDED, 0):
         lost, changed = block_reasons(grey, blocks, rounded)
         if not lost and not changed:
@@ -194,11 +207,18 @@ def _compared_reason(grey: U8, disc: U8, blocks: BlockCheck, check: FrameCheck) 
     return lost or torn or dark or changed
 
 
-def _dark_reason(disc: U8, check: FrameCheck) -> str:
+def _torn_reason(grey: U8, check: FrameCheck) -> Reason | None:
+    row = torn_row(grey, check.tear) if check.tear else None
+    if row is None:
+        return None
+    return Reason(ReasonCode.TORN, f"torn: row {row * check.camera_px} does not continue the rows above")
+
+
+def _dark_reason(disc: U8, check: FrameCheck) -> Reason | None:
     # A deep contact darkens or brightens most of the disc, but some markers stay as bright as the light: those tell
     # less light. More light saturates them; there the common level tells.
     sample, sampled = _sample(disc), check.sampled
     if _count_from(sample, sampled, LIGHT_LOW * check.bright) >= 0.1 * check.sampled_px + 2:
-        return ""
+        return None
     gain = _bright(sample, sampled) / check.bright
-    return light_reason(gain) if gain < LIGHT_LOW else ""
+    return light_reason(gain) if gain < LIGHT_LOW else None

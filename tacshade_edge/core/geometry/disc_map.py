@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tacshade_edge.core.geometry.disc import Grid, Window
-from tacshade_edge.core.image.integral_image import Sums
-from tacshade_edge.types import F32, U8, Disc, Geometry
+from tacshade_edge.core.geometry.disc import Grid
+from tacshade_edge.types import F32, Disc, Geometry
 
 CELLS = 112
 """Cells along a side, where nothing else is said."""
@@ -20,23 +19,6 @@ def map_grid(disc: Disc, cells: int = CELLS) -> Grid:
     step = 2 * REACH * disc.radius_px / cells
     first = (0.5 - cells / 2) * step
     return Grid(rows=cells, cols=cells, row0=disc.row_c + first, col0=disc.col_c + first, step_px=step)
-
-
-def disc_average(values: U8, disc: Disc) -> F32:
-    """Mean of an image over each cell of the map: exact, as if every pixel were a small square of one value.
-
-    Parameters
-    ----------
-    values : uint8 (H, W)
-
-    Returns
-    -------
-    float32 (CELLS, CELLS)
-        0 counts where a cell leaves the image.
-    """
-    whole = Sums(Window(0, 0, *values.shape), 0)
-    whole.show(values)
-    return whole.means(whole.cells_of(map_grid(disc)))
 
 
 def geometry_maps(geometry: Geometry, pitch_px: float, cells: int = CELLS) -> F32:

@@ -1,4 +1,4 @@
-"""Section IV-A of the paper: from an image to the white ratio, its denoising, and its change."""
+"""The equations of section IV-A of the paper: the white ratio, its denoising, and its change."""
 
 from __future__ import annotations
 
@@ -7,16 +7,11 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from tacshade_edge.core.image.total_variation import ITERATIONS_MAX, Precision, chambolle
-from tacshade_edge.core.image.total_variation_int16 import chambolle_int16
+from tacshade_edge.core.image.total_variation import chambolle
 from tacshade_edge.types import F32, U8, Bool
 
-DENOISERS: dict[Precision, Callable[[F32, float, int], F32]] = {
-    "float32": chambolle,
-    "int16": chambolle_int16,
-    "float64": lambda image, weight, most: chambolle(image.astype(np.float64), weight, most).astype(np.float32),
-}
-"""The total-variation denoising in each precision: an image of 0 to 1, the weight, iterations at most."""
+Denoiser = Callable[[F32, float], F32]
+"""Total-variation denoising: an image of 0 to 1 and the weight."""
 
 
 def to_grey(image: U8, space: U8 | None = None) -> U8:
@@ -49,9 +44,7 @@ def white_ratio(white_sum: F32, total: F32, full_scale: float = 255.0) -> F32:
     return g
 
 
-def denoise_tv(
-    g: F32, inside: Bool, weight: float, iterations: int = ITERATIONS_MAX, precision: Precision = "float32"
-) -> F32:
+def denoise_tv(g: F32, inside: Bool, weight: float, denoise: Denoiser = chambolle) -> F32:
     """Total-variation denoising of the white ratio, Fig. 4(d).
 
     Outside the disc the mean of the inside stands, so that its edge is not an edge of the image.
@@ -62,10 +55,7 @@ def denoise_tv(
     inside : bool (rows, cols)
     weight : float
         In units of g/255; 0 leaves the map as it is.
-    iterations : int
-        At most.
-    precision : str
-        Key of `DENOISERS`.
+    denoise : callable
 
     Returns
     -------
@@ -74,7 +64,7 @@ def denoise_tv(
     if weight == 0 or not inside.any():
         return g
     filled: F32 = np.divide(np.where(inside, g, g[inside].mean()), np.float32(255))
-    smooth: F32 = (255 * DENOISERS[precision](filled, weight, iterations)).astype(np.float32)
+    smooth: F32 = (255 * denoise(filled, weight)).astype(np.float32)
     return smooth
 
 

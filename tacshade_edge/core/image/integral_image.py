@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tacshade_edge.core.geometry.disc import Grid, Window
-from tacshade_edge.types import F32, I32, U8
+from tacshade_edge.types import F32, I32, U8, freeze
 
 Total = npt.NDArray[np.int32] | npt.NDArray[np.float64]
 
@@ -17,10 +17,26 @@ _EXACT = 2**31
 """Integrals below it are exact in int32."""
 
 
-class Sums:
-    """The integral image of a window's pixels, with zeros around it; of one image at a time.
+@dataclass(frozen=True, slots=True, eq=False)
+class IntegralImage:
+    """The integral image of a window's pixels, with zeros around them.
 
     Exact: whole numbers in int32 (float64 where an image of grey levels is so large that they would not fit).
+
+    Attributes
+    ----------
+    total : int32 or float64 (rows + 2 margin + 1, cols + 2 margin + 1)
+        Element (i, j) is the sum over the rows before i and the columns before j.
+    """
+
+    total: Total
+
+    def __post_init__(self) -> None:
+        freeze(self, "total")
+
+
+class Integrator:
+    """Makes the integral images of a window's pixels.
 
     Parameters
     ----------
@@ -31,60 +47,88 @@ class Sums:
 
     def __init__(self, window: Window, margin_px: int) -> None:
         self.window = window
-        self._margin = margin_px
-        shape = (window.rows + 2 * margin_px, window.cols + 2 * margin_px)
-        self._values = np.zeros(shape, np.uint8)
-        self._total: Total = np.zeros((shape[0] + 1, shape[1] + 1), np.int32)
-        self._bands: Total = self._total[:0]  # space to work in
+        self.margin_px = margin_px
+        self._values = np.zeros((window.rows + 2 * margin_px, window.cols + 2 * margin_px), np.uint8)
 
-    def show(self, values: U8) -> None:
-        """Take an image of the window, uint8 (rows, cols); what follows is of this one."""
-        rows, cols, m = self.window.rows, self.window.cols, self._margin
+    def space(self) -> I32:
+        """Space for one integral image."""
+        rows, cols = self._values.shape
+        return np.empty((rows + 1, cols + 1), np.int32)
+
+    def __call__(self, values: U8, space: I32 | None = None) -> IntegralImage:
+        """Integrate an image of the window.
+
+        Parameters
+        ----------
+        values : uint8 (rows, cols)
+        space : int32, optional
+            Of `space`: the result is put there where it fits, and lasts until `space` is used again.
+        """
+        rows, cols, m = self.window.rows, self.window.cols, self.margin_px
         self._values[m : m + rows, m : m + cols] = values
         if values.size < _EXACT // 255 or int(values.max()) * values.size < _EXACT:
-            if self._total.dtype != np.int32:
-                self._total = np.zeros(self._total.shape, np.int32)
-            cv2.integral(self._values, self._total, cv2.CV_32S)
-        else:
-            self._total = cv2.integral(self._values, sdepth=cv2.CV_64F)
+            return IntegralImage(np.asarray(cv2.integral(self._values, space, cv2.CV_32S), np.int32))
+        return IntegralImage(np.asarray(cv2.integral(self._values, sdepth=cv2.CV_64F), np.float64))
 
-    def boxes(self, grid: Grid, side_px: int) -> F32:
-        """Sums over boxes of an odd side around the cells of a grid of whole pixels inside the window.
 
-        Returns
-        -------
-        float32 (grid.rows, grid.cols)
-            Exact below 2**24.
-        """
-        half, step = side_px // 2, int(grid.step_px)
-        row = int(grid.row0) - self.window.row0 + self._margin
-        col = int(grid.col0) - self.window.col0 + self._margin
-        if len(self._bands) != grid.rows or self._bands.dtype != self._total.dtype:
-            self._bands = np.empty((grid.rows, self._total.shape[1]), self._total.dtype)
-        below, above = self._total[row + half + 1 :: step], self._total[row - half :: step]
-        bands = np.subtract(below[: grid.rows], above[: grid.rows], out=self._bands)
-        sums = bands[:, col + half + 1 :: step][:, : grid.cols] - bands[:, col - half :: step][:, : grid.cols]
+class BoxSums:
+    """Sums over boxes of an odd side around the cells of a grid of whole pixels inside the window.
+
+    Parameters
+    ----------
+    integrator : Integrator
+        Whose integral images are summed; its margin is over half the side.
+    grid : Grid
+    side_px : int
+    """
+
+    def __init__(self, integrator: Integrator, grid: Grid, side_px: int) -> None:
+        half, self._step = side_px // 2, int(grid.step_px)
+        row = int(grid.row0) - integrator.window.row0 + integrator.margin_px
+        col = int(grid.col0) - integrator.window.col0 + integrator.margin_px
+        self._rows, self._cols = grid.rows, grid.cols
+        self._above, self._below = row - half, row + half + 1
+        self._left, self._right = col - half, col + half + 1
+        self._bands: Total = np.empty((0, 0), np.int32)  # space to work in
+
+    def __call__(self, integral: IntegralImage) -> F32:
+        """The sums, float32 (grid.rows, grid.cols), exact below 2**24."""
+        total, step = integral.total, self._step
+        if self._bands.shape[1] != total.shape[1] or self._bands.dtype != total.dtype:
+            self._bands = np.empty((self._rows, total.shape[1]), total.dtype)
+        below, above = total[self._below :: step], total[self._above :: step]
+        bands = np.subtract(below[: self._rows], above[: self._rows], out=self._bands)
+        sums = bands[:, self._right :: step][:, : self._cols] - bands[:, self._left :: step][:, : self._cols]
         return sums.astype(np.float32)
 
-    def means(self, cells: Cells) -> F32:
-        """Means over cells whose edges need not lie between pixels, as if a pixel were a square of one value.
 
-        Returns
-        -------
-        float32 (cells.rows, cells.cols)
-            Exact to 1e-4 of the greatest value. What lies beyond the window is 0.
+class CellMeans:
+    """Means over cells whose edges need not lie between pixels, as if a pixel were a square of one value.
+
+    Parameters
+    ----------
+    integrator : Integrator
+        Whose integral images are averaged.
+    grid : Grid
+        Of cells as wide as its step.
+    """
+
+    def __init__(self, integrator: Integrator, grid: Grid) -> None:
+        window, m = integrator.window, integrator.margin_px
+        self._rows = _edges(grid.row0 - window.row0, grid.step_px, grid.rows, window.rows, m)
+        self._cols = _edges(grid.col0 - window.col0, grid.step_px, grid.cols, window.cols, m)
+        self._per_area = np.float32(1 / grid.step_px**2)
+
+    def __call__(self, integral: IntegralImage) -> F32:
+        """The means, float32 (grid.rows, grid.cols).
+
+        Exact to 1e-4 of the greatest value. What lies beyond the window is 0.
         """
-        both = cells.cols.across(cells.rows.between(self._total))
-        return np.multiply(both.T, np.float32(1 / cells.area_px2), order="C")
-
-    def cells_of(self, grid: Grid) -> Cells:
-        """Prepare `means` over the cells of a grid."""
-        rows, cols, m = self.window.rows, self.window.cols, self._margin
-        row_edges = _edges(grid.row0 - self.window.row0, grid.step_px, grid.rows, rows, m)
-        return Cells(row_edges, _edges(grid.col0 - self.window.col0, grid.step_px, grid.cols, cols, m), grid.step_px**2)
+        both = self._cols.across(self._rows.between(integral.total))
+        return np.multiply(both.T, self._per_area, order="C")
 
 
-class Edges:
+class _Edges:
     """Where the edges of cells in a row lie in an integral image: between line `low` and the next, at `part` of it.
 
     Parameters
@@ -129,17 +173,8 @@ class Edges:
         return self.between(self._turned)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Cells:
-    """Cells of a grid in an integral image."""
-
-    rows: Edges
-    cols: Edges
-    area_px2: float
-
-
-def _edges(first: float, step: float, count: int, size: int, margin: int) -> Edges:
+def _edges(first: float, step: float, count: int, size: int, margin: int) -> _Edges:
     # Pixel i reaches from i - 0.5 to i + 0.5, and row i of an integral image is the sum up to i - 0.5.
     edge = np.clip(first + step * (np.arange(count + 1) - 0.5) + 0.5, 0, size) + margin
     low = np.minimum(edge.astype(np.int32), size + 2 * margin - 1).astype(np.int32)
-    return Edges(low, (edge - low).astype(np.float32))
+    return _Edges(low, (edge - low).astype(np.float32))

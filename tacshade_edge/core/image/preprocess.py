@@ -1,141 +1,168 @@
-"""A frame up to the solver: is it valid, what is white, does anything touch (section IV-A of the paper)."""
+"""Section IV-A of the paper: from an image to the white ratio (eq. 1) and its change (eq. 9)."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
-from tacshade_edge.core.contact import gate
-from tacshade_edge.core.depth.base import GreyMaps
-from tacshade_edge.core.frame_check.camera_shift import MovedCheck
-from tacshade_edge.core.frame_check.validity import frame_check, invalid_reason
-from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.disc import DiscRays, Grid, Window, disc_mask, disc_rays
 from tacshade_edge.core.image import greyscale
 from tacshade_edge.core.image.binarise import Binariser, odd
-from tacshade_edge.core.image.integral_image import Sums
+from tacshade_edge.core.image.glare import glare_check, glare_mask
+from tacshade_edge.core.image.halving import can_be_halved, grid_of_whole, halved_calibration, halved_image
+from tacshade_edge.core.image.integral_image import BoxSums, IntegralImage, Integrator
+from tacshade_edge.core.image.median import median
 from tacshade_edge.core.profiles import Profile
-from tacshade_edge.types import F32, U8, Bool, Calibration
+from tacshade_edge.types import F32, I32, U8, Bool, Calibration, freeze
+
+# Cells whose window is cut by the rim below this part of its full size do not vote: a shift of the camera shows there.
+VOTING_WINDOW_PART = 0.75
+# A window of which glare leaves less than this part tells nothing.
+CLEAR_WINDOW_PART = 0.25
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Preprocessed:
+    """What is known of an image before its depth.
+
+    Attributes
+    ----------
+    g : float32 (rows, cols), 0 to 255
+        Eq. 1 on `Preprocessor.grid`; under glare the reference's.
+    g_d : float32 (N,)
+        Eq. 9 at the cells that have a vote, positive in contact, not denoised.
+    drift_grey : float
+        Median of `g_d`, grey levels: a change of light moves every cell, a contact only some.
+    white : IntegralImage
+        Of the binarised image, 0 and 1; under glare the reference's.
+    unseen : float
+        Part of the disc under glare, 0 to 1.
+    """
+
+    g: F32
+    g_d: F32
+    drift_grey: float
+    white: IntegralImage
+    unseen: float
+
+    def __post_init__(self) -> None:
+        freeze(self, "g", "g_d")
 
 
 class Preprocessor:
-    """What every profile does first, and all that calibration needs of it.
+    """Prepares images of one sensor for every solver.
 
     Parameters
     ----------
     calibration : Calibration
     profile : Profile
-        Its stride, window and weight of the denoising; not its solver.
+        Its resolution, stride and window; not its solver.
+
+    Attributes
+    ----------
+    camera : Calibration
+        As given, in the camera's pixels.
+    calibration : Calibration
+        In the pixels that are worked on: the camera's, or of twice their width where the profile halves them.
     camera_px : int
-        A pixel of the calibration is so many of the camera's.
+        A pixel that is worked on is so many of the camera's.
+    profile : Profile
+    sign : float
+        -1 for a sensor that darkens in contact, else 1.
+    integrator : Integrator
+        Makes `Preprocessed.white`.
+    grid : Grid
+        Of `Preprocessed.g`, in pixels that are worked on.
+    rays : DiscRays
+        Of `grid`.
+    voting : bool (rows, cols)
+        Cells of `Preprocessed.g_d`: most of the window lies in the disc.
+    reference_g : float32 (rows, cols), 0 to 255
+        Eq. 1 of the unloaded skin.
+    reference_white : IntegralImage
+        Of the unloaded skin's `Calibration.reference_white`, 0 to 255.
+    cell_mm2 : float
+        Area of skin of a cell of `grid`.
     """
 
-    def __init__(self, calibration: Calibration, profile: Profile, camera_px: int = 1) -> None:
-        geometry = calibration.geometry
-        height, width = calibration.image_height_px, calibration.image_width_px
-        self.calibration = calibration
+    def __init__(self, calibration: Calibration, profile: Profile) -> None:
+        self.camera = calibration
         self.profile = profile
+        self._halve = profile.halved and can_be_halved(calibration)
+        self.camera_px = 2 if self._halve else 1
+        self.calibration = calibration = halved_calibration(calibration) if self._halve else calibration
+        geometry, pitch_px = calibration.geometry, calibration.pitch_px
+        height, width = calibration.image_height_px, calibration.image_width_px
         self.sign = 1.0 if calibration.polarity == "bright" else -1.0
-        mask = disc_mask(height, width, geometry.disc)
-        self._check = frame_check(calibration.reference_grey, mask, geometry.disc, camera_px)
         self._window = Window.of_disc(height, width, geometry.disc)
-        self._mask: U8 = self._window.cut(mask.astype(np.uint8))
-        self._binarise = Binariser(self._mask, calibration.binarisation, calibration.pitch_px)
-        self._glare_check = gate.glare_check(
-            self._window.cut(calibration.reference_grey), self._mask, calibration.pitch_px
-        )
-        self._side_px = odd(profile.window_pitches * calibration.pitch_px)
-        self._sums = Sums(self._window, self._side_px // 2 + 1)
-        self._cells = self._sums.cells_of(disc_map.map_grid(geometry.disc, profile.cells))
-        fine = disc_map.map_grid(geometry.disc)
-        self._fine_cells = self._cells if profile.cells == disc_map.CELLS else self._sums.cells_of(fine)
+        self._mask: U8 = self._window.cut(disc_mask(height, width, geometry.disc).astype(np.uint8))
+        self._binarise = Binariser(self._mask, calibration.binarisation, pitch_px)
+        self._glare_check = glare_check(self._window.cut(calibration.reference_grey), self._mask, pitch_px)
+        side_px = odd(profile.window_pitches * pitch_px)
+        self.integrator = Integrator(self._window, side_px // 2 + 1)
         self.grid = Grid.of_window(self._window, profile.stride_px)
         self.rays: DiscRays = disc_rays(self.grid, geometry)
-        self._total = self._box_sums(self._mask)
+        self._box_sums = BoxSums(self.integrator, self.grid, side_px)
+        self._total = self._box_sums(self.integrator(self._mask))
+        self._per_total: F32 = np.divide(np.float32(255), np.maximum(self._total, np.float32(1)))
         self.voting: Bool = self.rays.inside & (
-            self._total >= gate.GATE_WINDOW_PART * min(self._side_px**2, int(self._mask.sum()))
+            self._total >= VOTING_WINDOW_PART * min(side_px**2, int(self._mask.sum()))
         )
         self._voters = np.flatnonzero(self.voting)
         reference = self._window.cut(calibration.reference_white)
-        self.reference_ratio = greyscale.white_ratio(self._box_sums(reference), self._total, full_scale=1.0)
-        self._reference_voted: F32 = self.reference_ratio.take(self._voters)
-        self._per_total: F32 = np.divide(np.float32(255), np.maximum(self._total, np.float32(1)))
-        self.reference_cells: F32 = self._sums.means(self._cells) / np.float32(255)
-        reference_fine: F32 = self._sums.means(self._fine_cells) / np.float32(255)
-        self._moved = MovedCheck(reference_fine, camera_px * fine.step_px, camera_px * calibration.pitch_px)
-        # A network that sees black under glare would see pins; what stood there without contact says nothing.
-        self._usual = (reference > 127).astype(np.uint8)
-        self._g0 = self._smooth(self.reference_ratio)
+        self.reference_white = self.integrator(reference)
+        self.reference_g = greyscale.white_ratio(self._box_sums(self.reference_white), self._total, full_scale=1.0)
+        self._reference_voted: F32 = self.reference_g.take(self._voters)
+        self._reference_binary: U8 = (reference > 127).astype(np.uint8)
         self.cell_mm2 = (profile.stride_px * geometry.mm_per_px) ** 2
 
-    def invalid_reason(self, image: U8) -> str:
-        """Why an image cannot be used; empty for a good one."""
-        return invalid_reason(greyscale.to_grey(image), self._check)
+    @property
+    def camera_grid(self) -> Grid:
+        """`grid` in the camera's pixels."""
+        return grid_of_whole(self.grid) if self._halve else self.grid
 
-    def gate(self, g_raw: F32) -> gate.GateResult:
-        """Whether anything touches, by eq. 9 of eq. 1."""
-        levels, dark = self.profile.gate_levels, self.profile.gate_dark_levels
-        return gate.gate(self._voted(g_raw), self.calibration.noise_grey, self.cell_mm2, levels, dark)
+    def grey(self, image: U8, space: U8 | None = None) -> U8:
+        """The grey image that is worked on, of the camera's.
 
-    def touched(self, image: U8) -> bool:
-        """Whether the contact gate opens for an image."""
-        return self.gate(self.white_ratio(greyscale.to_grey(image))[0]).contact
+        Parameters
+        ----------
+        image : uint8 (H, W) or (H, W, 3) BGR
+        space : uint8 (H, W), optional
+            The result may be put there, and lasts until `space` is used again.
+        """
+        grey = greyscale.to_grey(image, space)
+        return halved_image(grey) if self._halve else grey
 
-    def grey_maps(self, image: U8) -> GreyMaps:
-        """The maps that a solver would get from an image, without validity check and gate: for calibration."""
-        g_raw, _ = self.white_ratio(greyscale.to_grey(image))
-        return self.denoised(g_raw, gate.light_drift(self._voted(g_raw)))
+    def __call__(self, grey: U8, space: I32 | None = None) -> Preprocessed:
+        """Binarise, then eqs. 1 and 9, without what is under glare.
 
-    def denoised(self, g_raw: F32, drift_grey: float) -> GreyMaps:
-        """TV denoising, then eq. 9 without the common change of light."""
-        inside = self.rays.inside
-        g = self._smooth(g_raw - np.float32(self.sign * drift_grey))
-        g_d = greyscale.grey_difference(g, self._g0, inside, self.sign)
-        return GreyMaps(g=g, g0=self._g0, g_d=g_d, inside=inside)
-
-    def white_ratio(self, grey: U8) -> tuple[F32, float]:
-        """Eq. 1 of an image without what is under glare, and the part of the disc that this is.
-
-        Returns
-        -------
-        g : float32 (rows, cols)
-        unseen : float
+        Parameters
+        ----------
+        grey : uint8 (H, W)
+            Of `grey`.
+        space : int32, optional
+            Of ``integrator.space``: `Preprocessed.white` may be put there, and lasts until `space` is used again.
         """
         window = self._window.cut(grey)
-        glare = gate.glare_mask(window, self._glare_check)
+        glare = glare_mask(window, self._glare_check)
         white = self._binarise(window)
         if glare is None:
-            return self._box_sums(white) * self._per_total, 0.0
+            integral = self.integrator(white, space)
+            g, unseen = self._box_sums(integral) * self._per_total, 0.0
+        else:
+            g, unseen = self._ratio_beside(glare, white)
+            # A network that sees black under glare would see pins; what stood there without contact says nothing.
+            integral = self.integrator(np.where(glare > 0, self._reference_binary, white), space)
+        g_d = g.take(self._voters) - self._reference_voted
+        g_d = g_d if self.sign > 0 else -g_d
+        return Preprocessed(g, g_d, median(g_d) if g_d.size else 0.0, integral, unseen)
+
+    def _ratio_beside(self, glare: U8, white: U8) -> tuple[F32, float]:
+        """Eq. 1 of what is not under glare, and the part of the disc that is."""
         clear = cv2.bitwise_and(self._mask, 1 - glare)
-        total = self._box_sums(clear)
-        g = greyscale.white_ratio(self._box_sums(cv2.bitwise_and(white, clear)), total)
-        # A window that sees next to nothing says nothing.
-        g = np.where(total < 0.25 * self._total, self.reference_ratio, g).astype(np.float32)
-        self._sums.show(np.where(glare > 0, self._usual, white))
+        total = self._box_sums(self.integrator(clear))
+        g = greyscale.white_ratio(self._box_sums(self.integrator(cv2.bitwise_and(white, clear))), total)
+        g = np.where(total < CLEAR_WINDOW_PART * self._total, self.reference_g, g).astype(np.float32)
         return g, 1 - cv2.countNonZero(clear) / cv2.countNonZero(self._mask)
-
-    def white_cells(self) -> F32:
-        """White of the last image that `white_ratio` saw, for a network; under glare the reference's.
-
-        Returns
-        -------
-        float32 (cells, cells), 0 to 1
-        """
-        return self._sums.means(self._cells)
-
-    def moved_reason(self) -> str:
-        """Whether the camera has moved since the reference, by the last image that `white_ratio` saw."""
-        return self._moved.reason(self._sums.means(self._fine_cells))
-
-    def _voted(self, g_raw: F32) -> F32:
-        """Eq. 9 at the cells that have a vote, positive in contact: float32 (N,)."""
-        change: F32 = g_raw.take(self._voters) - self._reference_voted
-        return change if self.sign > 0 else -change
-
-    def _smooth(self, g: F32) -> F32:
-        profile = self.profile
-        return greyscale.denoise_tv(g, self.rays.inside, profile.tv_weight, profile.tv_iterations, profile.tv_precision)
-
-    def _box_sums(self, values: U8) -> F32:
-        self._sums.show(values)
-        return self._sums.boxes(self.grid, self._side_px)

@@ -6,15 +6,13 @@ them); without importing it, which costs 60 MB of memory and a second on a fast 
 
 from __future__ import annotations
 
-from typing import Literal, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
 from tacshade_edge.types import F32, F64
 
 Floats = TypeVar("Floats", F32, F64)
-Precision = Literal["float32", "int16", "float64"]
-"""What numbers it is computed in: those of scikit-image, fewer bits (`core.image.total_variation_int16`), or more."""
 
 ITERATIONS_MAX = 200
 # Iterating ends when the cost falls by less than this part of its first value.

@@ -163,13 +163,13 @@ class ActiveProfile:
 
 
 def step_cost_ms(reconstructor: Reconstructor) -> float:
-    """About what a step in contact takes here, the least of some: all before the network, and the network."""
+    """About what a step in contact takes here, the least of some: all before the solver, and the solver."""
     image = reconstructor.calibration.reference_grey
     frame = Frame(seq=0, t_ns=0, wall_ns=0, image=image)
     took_ns = []
     for _ in range(REHEARSALS):
         begin_ns = time.monotonic_ns()
         reconstructor.step(frame)
-        reconstructor.inverse(image)
+        reconstructor.depth(image)
         took_ns.append(time.monotonic_ns() - begin_ns)
     return min(took_ns) / 1e6

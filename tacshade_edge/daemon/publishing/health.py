@@ -6,6 +6,7 @@ import time
 from typing import Any
 
 from tacshade_edge.daemon.pipeline.ledger import Counts, FrameLedger, Timings
+from tacshade_edge.reasons import Reason, ReasonCode, code_of, text_of
 from tacshade_edge.types import Reconstruction
 
 # So many periods without one good frame are a state, not an event.
@@ -22,8 +23,8 @@ class Health:
 
     Attributes
     ----------
-    unusable : str
-        Why every frame of the last `UNUSABLE_PERIODS` periods was invalid; empty when one was good or none came.
+    unusable : Reason or None
+        Why every frame of the last `UNUSABLE_PERIODS` periods was invalid; None when one was good or none came.
     """
 
     def __init__(self, ledger: FrameLedger, timings: Timings) -> None:
@@ -32,7 +33,7 @@ class Health:
         self._started_ns = self._last_ns = time.monotonic_ns()
         self._last = ledger.counts()
         self._unusable_periods = 0
-        self.unusable = ""
+        self.unusable: Reason | None = None
 
     def snapshot(
         self,
@@ -52,7 +53,8 @@ class Health:
         seconds = max(now_ns - self._last_ns, 1) / 1e9
         self._last, self._last_ns = counts, now_ns
         stages = self._timings.percentiles()
-        self._judge(before, counts, latest)
+        reason, degraded = (latest.reason, latest.degraded) if latest else (None, None)
+        self._judge(before, counts, reason)
         return {
             "uptime_s": round((now_ns - self._started_ns) / 1e9, 1),
             "frames": counts.as_dict(),
@@ -62,18 +64,20 @@ class Health:
             "published_fps": round((counts.published - before.published) / seconds, 2),
             "latency_ms": stages.pop("capture_to_offer", None),
             "stages_ms": stages,
-            "invalid_reason": latest.reason if latest else "",
-            "degraded_reason": latest.degraded if latest else "",
+            "invalid_reason": text_of(reason),
+            "invalid_reason_code": code_of(reason),
+            "degraded_reason": text_of(degraded),
+            "degraded_reason_code": code_of(degraded),
             "mqtt": mqtt,
             "recorder": recorder,
             "budget": budget,
         }
 
-    def _judge(self, before: Counts, counts: Counts, latest: Reconstruction | None) -> None:
+    def _judge(self, before: Counts, counts: Counts, reason: Reason | None) -> None:
         """Whether frames come but none can be used; the first reason stays, so that it is told once."""
         if delivered(counts) > delivered(before):
-            self._unusable_periods, self.unusable = 0, ""
+            self._unusable_periods, self.unusable = 0, None
         elif counts.invalid > before.invalid:
             self._unusable_periods += 1
         if self._unusable_periods >= UNUSABLE_PERIODS and not self.unusable:
-            self.unusable = (latest.reason if latest else "") or "no frame can be used"
+            self.unusable = reason or Reason(ReasonCode.NO_USABLE_FRAME, "no frame can be used")

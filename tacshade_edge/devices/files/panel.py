@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from tacshade_edge.errors import DeviceError
+from tacshade_edge.reasons import text_of
 from tacshade_edge.types import U8, HeightMap, Reconstruction
 
 _LEGEND_PX = 22
@@ -40,11 +41,11 @@ def panel(image: U8, result: Reconstruction) -> U8:
     touched = _over_image(result.height.contact.astype(np.uint8), result.height, size, cv2.INTER_NEAREST)
     outlines, _ = cv2.findContours(touched, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     cv2.drawContours(right, outlines, -1, (255, 255, 255), 1)
-    text = result.reason or (
+    text = text_of(result.reason) or (
         f"{result.profile}: {len(result.objects)} objects, deepest {result.depth_max_mm:.2f} mm, "
-        f"colours 0 to {top:.2f} mm{' SATURATED' if result.saturated else ''} {result.degraded}"
+        f"colours 0 to {top:.2f} mm{' SATURATED' if result.saturated else ''} {text_of(result.degraded)}"
         if result.contact
-        else f"{result.profile}: no contact {result.degraded}"
+        else f"{result.profile}: no contact {text_of(result.degraded)}"
     )
     legend = np.full((_LEGEND_PX, 2 * cols, 3), 255, dtype=np.uint8)
     cv2.putText(legend, text[:120], (6, 15), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (0, 0, 0), 1, cv2.LINE_AA)

@@ -7,8 +7,8 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tacshade_edge.core.depth.learned import Network
-from tacshade_edge.core.profiles import LEARNED, PROFILES, Profile
+from tacshade_edge.core.depth import Network
+from tacshade_edge.core.profiles import PROFILES, Profile
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.types import F32, Calibration
 
@@ -19,7 +19,7 @@ WEIGHTS = Path(str(resources.files("tacshade_edge.devices.weights")))
 
 
 def load_network(name: str) -> Network:
-    """Read the shipped weights of a profile. One network is for one thread at a time."""
+    """Read shipped weights (`Profile.network`). One network is for one thread at a time."""
     return read_network(WEIGHTS / f"{name}.onnx")
 
 
@@ -49,10 +49,10 @@ def _session(onnx: Path) -> InferenceSession:
 
 
 def load_networks() -> dict[str, Network]:
-    """All that a calibration is to be refitted for."""
-    return {name: load_network(name) for name, profile in PROFILES.items() if profile.solver == LEARNED}
+    """Those of all profiles that a calibration is refitted for."""
+    return {name: load_network(profile.network) for name, profile in PROFILES.items() if profile.network}
 
 
 def make_reconstructor(calibration: Calibration, profile: Profile) -> Reconstructor:
-    """A reconstructor, with a network of its own where the profile wants one."""
-    return Reconstructor(calibration, profile, load_network(profile.name) if profile.solver == LEARNED else None)
+    """A reconstructor, with a network of its own where the profile names one."""
+    return Reconstructor(calibration, profile, load_network(profile.network) if profile.network else None)

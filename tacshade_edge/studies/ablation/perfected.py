@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tacshade_edge.core.depth.learned import HEIGHT_SCALE, Network, fold, unfold
+from tacshade_edge.core.depth import Network
+from tacshade_edge.core.depth.learned import HEIGHT_SCALE, fold, unfold
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.simulator.press import distance_mm
 from tacshade_edge.simulator.scene import SimulatedFrame

@@ -9,7 +9,8 @@ from itertools import chain
 import numpy as np
 
 from tacshade_edge.core.calibration.gain import LEAST_CELLS, PressRows, fit_factor
-from tacshade_edge.core.depth.learned import HEIGHT_SCALE
+from tacshade_edge.core.depth.learned import HEIGHT_SCALE, LearnedSolver
+from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.devices.weights.network import load_network
@@ -154,10 +155,11 @@ def _perfectly_calibrated(
     plan: Plan, calibration: Calibration, geometry: Geometry, pressed: Sequence[_Pressed]
 ) -> Calibration:
     true = replace(calibration, geometry=geometry)
-    reconstructor = Reconstructor(true, PROFILES[plan.profile], load_network(plan.profile))
+    preprocess = Preprocessor(true, PROFILES[plan.profile])
+    solver = LearnedSolver(preprocess, load_network(plan.profile))
     rows = []
     for each in pressed:
-        inverse = reconstructor.inverse(each.noisy.image)
+        inverse = solver.inverse(preprocess(preprocess.grey(each.noisy.image)))
         height, contact = true_answer(each.simulated, geometry, PROFILES[plan.profile].cells)
         if (made := _rows_of(inverse.height_mm, height, contact, geometry)) is not None:
             rows.append(made)

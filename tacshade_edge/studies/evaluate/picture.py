@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tacshade_edge.core.depth import GreyMaps
 from tacshade_edge.core.geometry.back_projection import skin_points
 from tacshade_edge.core.geometry.disc import disc_rays
+from tacshade_edge.core.image.grey_maps import GreyMapper, GreyMaps
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES
@@ -60,14 +60,15 @@ def columns(name: SensorName, calibration: Calibration, profile: str, objects: S
     """Press the first `COLUMNS` objects `DEPTH_MM` deep near the middle of a sensor."""
     sensor = name.make()
     solve = reconstructor(calibration, profile)
-    fine = Preprocessor(calibration, PROFILES["paper"])  # its maps are as fine as the image
+    preprocess = Preprocessor(calibration, PROFILES["paper"])  # its maps are as fine as the image
+    grey_maps = GreyMapper(preprocess)
     made = []
     for object_name in objects[:COLUMNS]:
         scene = scenes(sensor.model, name.seed, object_name, (DEPTH_MM,))[0]
         frame = sensor.frame((scene.press,), scene.noise_seed)
         result, truth = solve.step(Frame(0, 0, 0, frame.image)), frame.truth()
         score = score_cloud(result.cloud.points_mm, KnownTruth.of(truth).points_mm, truth.depth_max_mm)
-        maps = fine.grey_maps(frame.image)
+        maps = grey_maps(preprocess(to_grey(frame.image)))
         made.append(Column(object_name.replace("_", " "), scene.press, frame.image, maps, result, truth, score))
     return made
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tacshade_edge.reasons import text_of
 from tacshade_edge.simulator.truth import Truth
 from tacshade_edge.studies.metrics import contact_iou, score_cloud
 from tacshade_edge.types import F32, Bool, HeightMap, Reconstruction, freeze
@@ -185,5 +186,5 @@ def score(label: Label, truth: KnownTruth, result: Reconstruction) -> Row:
         true_points=len(truth.points_mm),
         objects=len(result.objects),
         repaired_px=result.repaired_px,
-        degraded=result.reason or result.degraded,
+        degraded=text_of(result.reason or result.degraded),
     )

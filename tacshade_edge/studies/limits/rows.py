@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from tacshade_edge.reasons import text_of
 from tacshade_edge.types import Reconstruction
 
 
@@ -29,7 +30,7 @@ def found(result: Reconstruction) -> tuple[str, bool, bool, bool, float, int, st
         result.saturated,
         result.depth_max_mm,
         len(result.objects),
-        result.reason or result.degraded,
+        text_of(result.reason or result.degraded),
     )
 
 

@@ -16,6 +16,7 @@ from tacshade_edge.devices.files.poses_table import PosedImage
 from tacshade_edge.devices.files.recording import Recording
 from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.reasons import text_of
 from tacshade_edge.rigid import Rigid, from_seven, of_pose
 from tacshade_edge.types import F64, Calibration, Frame
 
@@ -69,7 +70,7 @@ def read_presses(
             continue
         result = reconstructor.step(Frame(seq=k, t_ns=0, wall_ns=0, image=image))
         touch = touch_points(result.height, calibration.geometry) if result.contact else NOTHING
-        skipped = result.reason or ("" if len(touch.points_mm) else "no contact")
+        skipped = text_of(result.reason) or ("" if len(touch.points_mm) else "no contact")
         presses.append(Press(one.path.name, one.where, base_T_sensor, touch, skipped, failed=image.shape[:2] != size))
     report(len(posed), len(posed))
     return presses

@@ -2,15 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
-from tacshade_edge.core.contact.objects import Region, bounding_box
-from tacshade_edge.core.profiles import LEARNED, PROFILES, Profile
+import numpy as np
+
+from tacshade_edge.core.contact.objects import Objects, find_objects, objects_in
+from tacshade_edge.core.depth import MakeSolver
+from tacshade_edge.core.depth.hybrid_sfs import HybridSfs, solve
+from tacshade_edge.core.geometry.disc import DiscRays
+from tacshade_edge.core.image.total_variation import ITERATIONS_MAX, chambolle
+from tacshade_edge.core.profiles import PROFILES, Profile
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.devices.weights.network import load_network
-from tacshade_edge.types import Bool, Calibration
+from tacshade_edge.studies.scaled_grey import scaled_grey
+from tacshade_edge.studies.total_variation_int16 import chambolle_int16
+from tacshade_edge.types import F32, Bool, Calibration, Geometry
+
+
+def chambolle_float64(image: F32, weight: float, iterations: int = ITERATIONS_MAX) -> F32:
+    """`chambolle` in float64."""
+    return chambolle(image.astype(np.float64), weight, iterations).astype(np.float32)
+
+
+DENOISERS: Mapping[str, Callable[[F32, float, int], F32]] = {
+    "float32": chambolle,
+    "int16": chambolle_int16,
+    "float64": chambolle_float64,
+}
+"""The total-variation denoising in each precision: an image of 0 to 1, the weight, iterations at most."""
 
 WORDS: dict[str, Callable[[Any], str]] = {
     "solver": "solver {}".format,
@@ -21,9 +43,9 @@ WORDS: dict[str, Callable[[Any], str]] = {
     "tv_iterations": "TV {} times".format,
     "tv_precision": "TV {}".format,
 }
-"""Fields of a profile that are varied, and how that is said."""
+"""What is varied, and how that is said."""
 
-_AROUND_LEARNED: tuple[dict[str, Any], ...] = (
+_AROUND_NETWORK: tuple[dict[str, Any], ...] = (
     {"stride_px": 2},
     {"stride_px": 8},
     {"window_pitches": 1},
@@ -31,10 +53,10 @@ _AROUND_LEARNED: tuple[dict[str, Any], ...] = (
 )
 # At stride 1 a frame takes half a second; around it only what decides.
 _AROUND_PAPER: tuple[dict[str, Any], ...] = (
-    {"solver": "grey"},
+    {"scaled_grey": True},
     {"tv_precision": "int16"},
     {"tv_precision": "float64"},
-    {"solver": "grey", "tv_precision": "int16"},
+    {"scaled_grey": True, "tv_precision": "int16"},
     {"halved": True},
     {"stride_px": 2},
     {"stride_px": 4},
@@ -47,7 +69,7 @@ _AROUND_PAPER: tuple[dict[str, Any], ...] = (
     {"stride_px": 4, "tv_iterations": 5},
     {"stride_px": 4, "tv_iterations": 10},
     {"stride_px": 4, "tv_precision": "int16"},
-    {"stride_px": 4, "solver": "grey"},
+    {"stride_px": 4, "scaled_grey": True},
 )
 
 
@@ -61,23 +83,41 @@ class Setting:
         A shipped one, or one that differs; its name stays that of the shipped one, whose network and factor it has.
     whole_disc : bool
         Objects are looked for everywhere in place of the contact's box.
+    scaled_grey : bool
+        The paper's method without eq. 11.
+    tv_iterations : int
+        The denoising's, at most.
+    tv_precision : str
+        Key of `DENOISERS`.
     """
 
     profile: Profile
     whole_disc: bool = False
+    scaled_grey: bool = False
+    tv_iterations: int = ITERATIONS_MAX
+    tv_precision: str = "float32"
 
     @property
     def shipped(self) -> bool:
         """Whether a user can choose it by name."""
-        return not self.whole_disc and self.profile == PROFILES[self.profile.name]
+        return self == Setting(PROFILES[self.profile.name])
+
+    @property
+    def fields(self) -> dict[str, Any]:
+        """What may be varied (`WORDS`), and its value."""
+        own = {
+            "solver": "grey" if self.scaled_grey else self.profile.solver,
+            "tv_iterations": self.tv_iterations,
+            "tv_precision": self.tv_precision,
+        }
+        return {field: own[field] if field in own else getattr(self.profile, field) for field in WORDS}
 
     @property
     def varied(self) -> str:
         """What differs from the shipped profile; empty for that one."""
-        base = PROFILES[self.profile.name]
-        mine = {field: getattr(self.profile, field) for field in WORDS}
-        said = [WORDS[field](value) for field, value in mine.items() if value != getattr(base, field)]
-        return ", ".join((*said, *(("whole disc",) if self.whole_disc else ())))
+        base = Setting(PROFILES[self.profile.name]).fields
+        words = [WORDS[field](value) for field, value in self.fields.items() if value != base[field]]
+        return ", ".join((*words, *(("whole disc",) if self.whole_disc else ())))
 
     def __str__(self) -> str:
         """Its name for a person, unique in a grid."""
@@ -88,23 +128,37 @@ def grid(names: Sequence[str]) -> tuple[Setting, ...]:
     """The shipped profiles of these names, each followed by what differs from it."""
     settings = []
     for profile in (PROFILES[name] for name in names):
-        around = _AROUND_PAPER
-        if profile.solver == LEARNED:
-            around = ({"halved": not profile.halved}, *_AROUND_LEARNED)
+        around = ({"halved": not profile.halved}, *_AROUND_NETWORK) if profile.network else _AROUND_PAPER
         settings.append(Setting(profile))
-        settings += [Setting(replace(profile, **changes)) for changes in around]
+        settings += [_changed(profile, changes) for changes in around]
         settings.append(Setting(profile, whole_disc=True))
     return tuple(settings)
+
+
+def _changed(profile: Profile, changes: Mapping[str, Any]) -> Setting:
+    own = {field: value for field, value in changes.items() if field in Setting.__dataclass_fields__}
+    return Setting(replace(profile, **{field: changes[field] for field in changes.keys() - own.keys()}), **own)
 
 
 def make(setting: Setting, calibration: Calibration) -> Reconstructor:
     """A reconstructor of a setting, with a network of its own where it wants one."""
     profile = setting.profile
-    network = load_network(profile.name) if profile.solver == LEARNED else None
-    region: Region = _everywhere if setting.whole_disc else bounding_box
-    return Reconstructor(calibration, profile, network, region)
+    return Reconstructor(
+        calibration,
+        profile,
+        load_network(profile.network) if profile.network else None,
+        None if profile.network else _hybrid_sfs(setting),
+        _find_everywhere if setting.whole_disc else find_objects,
+    )
 
 
-def _everywhere(touched: Bool) -> tuple[slice, slice]:
-    rows, cols = touched.shape
-    return slice(0, rows), slice(0, cols)
+def _hybrid_sfs(setting: Setting) -> MakeSolver:
+    def denoise(image: F32, weight: float) -> F32:
+        return DENOISERS[setting.tv_precision](image, weight, setting.tv_iterations)
+
+    return partial(HybridSfs, denoise=denoise, solve=scaled_grey if setting.scaled_grey else solve)
+
+
+def _find_everywhere(contact: Bool, height_mm: F32, rays: DiscRays, geometry: Geometry) -> Objects | None:
+    rows, cols = contact.shape
+    return objects_in((slice(0, rows), slice(0, cols)), contact, height_mm, rays, geometry)

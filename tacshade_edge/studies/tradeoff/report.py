@@ -11,7 +11,6 @@ from tacshade_edge.core.reconstruct import STAGES
 from tacshade_edge.studies import tables
 from tacshade_edge.studies.evaluate.report import versions, without_nan
 from tacshade_edge.studies.parallel import usable_cores
-from tacshade_edge.studies.tradeoff.grid import WORDS
 from tacshade_edge.studies.tradeoff.summary import Estimate, Point
 
 _HEADER = (
@@ -72,12 +71,11 @@ def _with_interval(estimate: Estimate, spec: str) -> str:
 
 def record(point: Point) -> dict[str, Any]:
     """A point as one flat line: what it is, its figures, and each interval's ends."""
-    profile = point.setting.profile
     line: dict[str, Any] = {
         "setting": str(point.setting),
-        "profile": profile.name,
+        "profile": point.setting.profile.name,
         "shipped": point.setting.shipped,
-        **{field: getattr(profile, field) for field in WORDS},
+        **point.setting.fields,
         "whole_disc": point.setting.whole_disc,
         "front": point.front,
         "presses": point.presses,

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tacshade_edge.core.calibration.screened_change import DARKENING_FLOOR, DARKENING_WEIGHT, gather, gathered_change
-from tacshade_edge.core.depth import GreyMaps
+from tacshade_edge.core.image.grey_maps import GreyMaps
 from tacshade_edge.types import F32
 
 SIZES = st.integers(1, 33)

@@ -16,6 +16,7 @@ from tacshade_edge.core.contact.objects import (
     cells_by_label,
     find_objects,
     label_objects,
+    objects_in,
     two_means_split,
 )
 from tacshade_edge.core.geometry.back_projection import skin_points
@@ -159,7 +160,7 @@ def test_objects_found_in_the_contacts_box_are_those_of_the_whole_map(
         touched[row : row + high, col : col + wide] = True
     touched &= rays.inside
     found = find_objects(touched, height, rays, geometry)
-    everywhere = find_objects(touched, height, rays, geometry, lambda _: (slice(0, rows), slice(0, cols)))
+    everywhere = objects_in((slice(0, rows), slice(0, cols)), touched, height, rays, geometry)
     expected = over_the_whole_map(touched, height, rays, geometry)
     if found is None or expected is None or everywhere is None:
         assert found is expected is everywhere is None

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from tacshade_edge.core.depth.learned import KNOWN, LearnedInverse, Network, fold, unfold
+from tacshade_edge.core.depth import Network
+from tacshade_edge.core.depth.learned import KNOWN, LearnedInverse, fold, unfold
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.types import F32, Disc, Geometry
 

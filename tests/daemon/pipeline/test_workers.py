@@ -172,7 +172,6 @@ def test_reconstruct_delivers_times_and_settles_every_frame(
         "grey",
         "gate",
         "moved",
-        "denoise",
         "depth",
         "cloud",
         "deliver",

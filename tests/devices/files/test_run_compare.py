@@ -17,6 +17,7 @@ from tacshade_edge.devices.files.run_compare import first_difference
 from tacshade_edge.devices.files.run_files import HEIGHTS, SUMMARY, RunWriter
 from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Frame, HeightMap, ObjectCloud, Reconstruction
 
 Change = Callable[[Reconstruction], Reconstruction]
@@ -68,7 +69,10 @@ def test_equal_runs_differ_in_nothing(run: Path, tmp_path: Path) -> None:
     ("change", "said"),
     [
         (lambda r: replace(r, t_ns=25), "frame 2 (2.png): t_ns: 20, against 25 (by -5)"),
-        (lambda r: replace(r, valid=False, reason="torn"), "frame 2 (2.png): valid: True, against False"),
+        (
+            lambda r: replace(r, valid=False, reason=Reason(ReasonCode.TORN, "torn")),
+            "frame 2 (2.png): valid: True, against False",
+        ),
         (lambda r: replace(r, wall_ns=3), "frame 2 (2.png): heights.bin: wall_ns: 0, against 3 (by -3)"),
         (lambda r: replace(r, objects=()), "frame 2 (2.png): depth_max_mm: "),
         (lambda r: replace(r, objects=(*r.objects, *r.objects)), "frame 2 (2.png): objects: 1, against 2"),

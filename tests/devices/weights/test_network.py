@@ -12,14 +12,14 @@ import pytest
 from support.calibrated_sensor import calibrated, pressed
 
 from tacshade_edge.core.depth.learned import KNOWN, Network
-from tacshade_edge.core.profiles import LEARNED, PROFILES
+from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.devices.files.calibration_file import VERSION
 from tacshade_edge.devices.weights.network import load_network, load_networks, make_reconstructor
 from tacshade_edge.types import F32, Frame
 
 WEIGHTS = resources.files("tacshade_edge.devices.weights")
-NAMES = [name for name, profile in PROFILES.items() if profile.solver == LEARNED]
+NAMES = [name for name, profile in PROFILES.items() if profile.network]
 
 
 def maps(name: str, network: Network, channels: int, seed: int = 0) -> F32:
@@ -72,8 +72,6 @@ def test_only_a_profile_that_needs_it_gets_a_network() -> None:
         assert make_reconstructor(calibrated(), PROFILES[name]).step(frame).contact
     with pytest.raises(ValueError, match="profile accurate needs a network"):
         Reconstructor(calibrated(), PROFILES["accurate"])
-    with pytest.raises(ValueError, match="profile paper has no network"):
-        make_reconstructor(calibrated(), PROFILES["paper"]).inverse(frame.image)
 
 
 def test_calibrations_are_of_the_shipped_weights() -> None:

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from support.painted_sensor import TOUCHED, painted_calibration
 
-from tacshade_edge.core.depth import SOLVERS
+from tacshade_edge.core.image import greyscale
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.studies.tradeoff.grid import WORDS, Setting, grid, make
+from tacshade_edge.studies.tradeoff.grid import DENOISERS, WORDS, Setting, grid, make
 from tacshade_edge.types import Frame
 
 
@@ -17,12 +17,13 @@ def test_the_whole_grid_has_every_profile_and_no_setting_twice() -> None:
     assert [setting.profile.name for setting in settings if setting.shipped] == list(PROFILES)
     assert all(bool(setting.varied) != setting.shipped for setting in settings)
     for dimension in WORDS:
-        assert len({getattr(setting.profile, dimension) for setting in settings}) > 1
+        assert len({setting.fields[dimension] for setting in settings}) > 1
 
 
 def test_a_setting_says_what_differs() -> None:
     paper = PROFILES["paper"]
-    setting = Setting(replace(paper, stride_px=4, tv_weight=0.0, tv_iterations=7, solver="grey"), whole_disc=True)
+    changed = replace(paper, stride_px=4, tv_weight=0.0)
+    setting = Setting(changed, whole_disc=True, scaled_grey=True, tv_iterations=7)
     assert str(setting) == "paper, solver grey, stride 4 px, TV 0, TV 7 times, whole disc"
     assert str(Setting(paper)) == "paper"
     assert not Setting(paper, whole_disc=True).shipped
@@ -31,13 +32,29 @@ def test_a_setting_says_what_differs() -> None:
 
 def test_what_differs_is_what_runs() -> None:
     frame, calibration = Frame(0, 0, 0, TOUCHED), painted_calibration()
-    fine, coarse, grey = (
-        make(Setting(replace(PROFILES["paper"], **changes)), calibration).step(frame)
-        for changes in ({}, {"stride_px": 4}, {"solver": "grey"})
+    paper = PROFILES["paper"]
+    settings = (
+        Setting(paper),
+        Setting(replace(paper, stride_px=4)),
+        Setting(paper, scaled_grey=True),
+        Setting(paper, tv_iterations=2),
+        *(Setting(paper, tv_precision=precision) for precision in DENOISERS if precision != "float32"),
     )
+    fine, coarse, grey, *denoised = (make(setting, calibration).step(frame) for setting in settings)
     assert fine.height.height_mm.size > 10 * coarse.height.height_mm.size
     assert grey.height.height_mm.tobytes() != fine.height.height_mm.tobytes()
-    assert "grey" in SOLVERS
+    heights = {found.height.height_mm.tobytes() for found in (fine, *denoised)}
+    assert len(heights) == 1 + len(denoised)
+
+
+def test_tv_in_every_precision_is_near_that_of_float64() -> None:
+    g = np.random.default_rng(1).uniform(60, 180, (30, 40)).astype(np.float32)
+    inside = np.ones(g.shape, bool)
+    smooth = {precision: greyscale.denoise_tv(g, inside, 0.1, denoise) for precision, denoise in DENOISERS.items()}
+    for each in smooth.values():
+        assert each.dtype == np.float32
+        assert np.abs(each - smooth["float64"]).max() < 0.5
+    assert len({each.tobytes() for each in smooth.values()}) == len(smooth)
 
 
 @pytest.mark.parametrize("name", ["fast", "paper"])

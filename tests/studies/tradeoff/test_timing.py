@@ -28,7 +28,7 @@ def test_every_setting_is_timed_in_every_round() -> None:
             assert some.shape[1] == 1 + len(STAGES)
             assert 1 <= len(some) <= most
             assert (some[:, 0] > 0).all()
-            np.testing.assert_allclose(some[:, 0], some[:, 1:].sum(axis=1))
+            np.testing.assert_allclose(some[:, 0], np.nansum(some[:, 1:], axis=1))
         assert all(len(some) == IDLE_FRAMES and (some > 0).all() for some in each.idle)
 
 

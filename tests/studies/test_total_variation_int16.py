@@ -10,9 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from tacshade_edge.core.image import total_variation, total_variation_int16
+from tacshade_edge.core.image import total_variation
 from tacshade_edge.core.image.total_variation import chambolle
-from tacshade_edge.core.image.total_variation_int16 import (
+from tacshade_edge.studies import total_variation_int16
+from tacshade_edge.studies.total_variation_int16 import (
     GREATEST_LENGTHS,
     GREATEST_LEVELS,
     chambolle_int16,

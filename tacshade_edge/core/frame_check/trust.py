@@ -1,0 +1,40 @@
+"""How far a preprocessed frame is to be trusted: glare, and a change of light or focus."""
+
+from __future__ import annotations
+
+from tacshade_edge.reasons import Reason, ReasonCode
+
+# A common change of g larger than the first is a doubt; beyond the second the frame is another picture.
+DRIFT_LEVELS, DRIFT_INVALID_LEVELS = 12.0, 30.0
+# With more of the disc under glare than this, the rest says too little.
+UNSEEN_INVALID = 0.4
+
+
+def refusal(unseen: float, drift_grey: float) -> Reason | None:
+    """Why a frame cannot be used; None for one that can.
+
+    Parameters
+    ----------
+    unseen : float
+        Part of the disc under glare, 0 to 1.
+    drift_grey : float
+        Common change of g since the reference, grey levels.
+    """
+    if unseen > UNSEEN_INVALID:
+        return _glare(unseen)
+    return _light_drift(drift_grey) if abs(drift_grey) > DRIFT_INVALID_LEVELS else None
+
+
+def doubt(unseen: float, drift_grey: float) -> Reason | None:
+    """Why the result of a frame that can be used deserves less trust; parameters as of `refusal`."""
+    if abs(drift_grey) > DRIFT_LEVELS:
+        return _light_drift(drift_grey)
+    return _glare(unseen) if unseen > 0 else None
+
+
+def _glare(unseen: float) -> Reason:
+    return Reason(ReasonCode.GLARE, f"glare: {100 * unseen:.0f} % of the disc unseen")
+
+
+def _light_drift(drift_grey: float) -> Reason:
+    return Reason(ReasonCode.LIGHT_DRIFT, f"light or focus: g moved by {drift_grey:.0f} levels everywhere")

@@ -1,0 +1,128 @@
+"""Specular spots that the reference does not have: what they and their halo cover says nothing of the skin."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from tacshade_edge.core.image.binarise import padded
+from tacshade_edge.types import U8, freeze
+
+# Every box of so many pitches holds a piece of a black pin, in contact too (measured: at most 0.9); under glare it
+# does not, and its darkest pixel is brighter than the reference's there by GLARE_LIFT or more.
+GLARE_PITCHES = 1.0
+GLARE_LIFT = 22
+# So are pixels brighter than GLARE_GAIN times the brightest marker around in the reference plus GLARE_OFFSET.
+GLARE_GAIN, GLARE_OFFSET = 1.3, 25
+GLARE_PX = 6
+# The halo around a glare spot that is not trusted either, in pitches (and a block).
+GLARE_HALO_PITCHES = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GlareCheck:
+    """What a sensor looks like without glare, inside the window of its disc.
+
+    Attributes
+    ----------
+    inside : uint8 (H / block_px, W / block_px)
+        255 where a block has pixels of the disc.
+    block_px : int
+        The search is by blocks of this side: a quarter of the pitch or less, 4 at most.
+    darkest : uint8 (H / block_px, W / block_px)
+        The brightest that the darkest pixel around a block may be.
+    brightest : uint8 (H, W)
+        The brightest that a pixel may be: 255 outside the disc, where glare is none of ours.
+    box, halo : uint8 (n, n)
+        Neighbourhoods of blocks as morphological kernels.
+    whole, bright : uint8
+        Space to work in: of whole blocks, white beyond the window; as large as the window.
+    """
+
+    inside: U8
+    block_px: int
+    darkest: U8
+    brightest: U8
+    box: U8
+    halo: U8
+    whole: U8
+    bright: U8
+
+    def __post_init__(self) -> None:
+        freeze(self, "inside", "darkest", "brightest", "box", "halo")
+
+
+def glare_check(reference_grey: U8, mask: U8, pitch_px: float) -> GlareCheck:
+    """Prepare the search for glare from the mean reference image and the disc's mask (0 or 1), both of the window."""
+    block_px = next(side for side in (4, 2, 1) if side == 1 or side <= pitch_px / 4)
+    box = _around(GLARE_PITCHES * pitch_px, block_px)
+    halo = _around(2 * (GLARE_HALO_PITCHES * pitch_px + block_px), block_px)
+    marked = cv2.multiply(reference_grey, mask)
+    near = np.ones((len(box) * block_px,) * 2, np.uint8)
+    lifted = cv2.erode(_least(reference_grey, block_px), box) + np.uint16(GLARE_LIFT)
+    brightest = cv2.convertScaleAbs(cv2.dilate(marked, near), alpha=GLARE_GAIN, beta=GLARE_OFFSET)
+    return GlareCheck(
+        inside=_most(np.multiply(mask, 255, dtype=np.uint8), block_px),
+        block_px=block_px,
+        darkest=np.minimum(lifted, 255).astype(np.uint8),
+        brightest=np.where(mask > 0, brightest, np.uint8(255)),
+        box=box,
+        halo=halo,
+        whole=padded(np.full_like(mask, 255), block_px, 255),
+        bright=np.empty_like(mask),
+    )
+
+
+def glare_mask(grey: U8, check: GlareCheck) -> U8 | None:
+    """Pixels in and around specular spots that the reference does not have.
+
+    Parameters
+    ----------
+    grey : uint8 (H, W)
+        Of the window.
+    check : GlareCheck
+
+    Returns
+    -------
+    uint8 (H, W) or None
+        1 where glare and its halo are, in whole blocks; None without glare.
+    """
+    side, (rows, cols) = check.block_px, grey.shape
+    check.whole[:rows, :cols] = grey
+    found = cv2.compare(cv2.erode(_least(check.whole, side), check.box), check.darkest, cv2.CMP_GT)
+    bright = cv2.compare(grey, check.brightest, cv2.CMP_GT, dst=check.bright)
+    some = cv2.countNonZero(bright) >= GLARE_PX
+    if not some and cv2.countNonZero(found) == 0:
+        return None
+    if some:
+        found = cv2.bitwise_or(found, _most(bright, side))
+    found = cv2.bitwise_and(found, check.inside)
+    if cv2.countNonZero(found) == 0:
+        return None
+    grown = np.minimum(cv2.dilate(found, check.halo), 1)
+    return np.ascontiguousarray(grown.repeat(side, axis=0).repeat(side, axis=1)[:rows, :cols])
+
+
+def _around(size_px: float, block_px: int) -> U8:
+    """The least odd number of blocks that is as wide as so many pixels, as a kernel."""
+    blocks = math.ceil(size_px / block_px)
+    return np.ones((blocks + 1 - blocks % 2,) * 2, dtype=np.uint8)
+
+
+def _least(image: U8, block_px: int) -> U8:
+    """The darkest pixel of each block."""
+    least = padded(image, block_px, 255)
+    step = 1
+    while step < block_px:
+        least = np.asarray(cv2.min(least[::2], least[1::2]), np.uint8)
+        least = np.asarray(cv2.min(least[:, :-step], least[:, step:]), np.uint8)  # of 2 step columns from each on
+        step *= 2
+    return np.ascontiguousarray(least[:, ::block_px])
+
+
+def _most(image: U8, block_px: int) -> U8:
+    """The brightest pixel of each block."""
+    return np.asarray(cv2.bitwise_not(_least(cv2.bitwise_not(image), block_px)), np.uint8)
