@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,17 +29,11 @@ if TYPE_CHECKING:
 COLUMNS = 5
 DEPTH_MM = 3.0
 PACKAGES = ("matplotlib", "skimage")
-INSTALL = "matplotlib and scikit-image draw it: pip install 'tacshade-edge[studies]'"
 HEIGHT_COLOURS = "YlGnBu"  # pale where nothing is pressed, so that the skin's shading shows
 FOUND_COLOUR, TRUE_COLOUR = "#e4572e", "#3d6fb4"
 # Enough of each that their shape shows, few enough that a page stays small.
 _CLOUD_POINTS, _SKIN_CELLS = 900, 100
 _OBJECT_HEIGHT_MM, _GAP_MM = 8.0, 4.0  # how much of an object is drawn, and how far above the skin
-
-
-def can_draw() -> bool:
-    """Whether what draws it is installed (without importing it)."""
-    return all(importlib.util.find_spec(name) is not None for name in PACKAGES)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +72,7 @@ def draw(made: Sequence[Column], calibration: Calibration, profile: str, dpi: in
     Raises
     ------
     ImportError
-        What draws it is not installed (`can_draw`).
+        What draws it is not installed.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
