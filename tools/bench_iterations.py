@@ -5,7 +5,7 @@
 
     .venv/bin/python tools/bench_iterations.py
 
-Three sensors, the paper's five objects near the middle at three depths. Prints a table for docs/accuracy-and-speed.md.
+Three sensors, the paper's five objects near the middle at three depths. docs/results/iterations.md is what it prints.
 """
 
 from __future__ import annotations

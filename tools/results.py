@@ -68,7 +68,8 @@ COLUMNS = """\
 ME is eq. 13, the mean distance from a found point to the nearest true one; back, the mean distance from a true point to
 the nearest found one; SD, eq. 14 with the half sum of both ("sum": with their sum), never clamped. IoU is of the
 contact's outline, against skin within 0.02 mm of the object. Depth off is the error of the greatest depth, mean and
-worst. A missed contact counts as a skin left alone: SD 0, the true depth for ME and back."""
+worst. A missed contact counts as a skin left alone: SD 0, the true depth for ME and back. Milliseconds here are of a
+machine that did other work; [stages](../speed.md) has those that count."""
 
 PAGES: dict[str, Page] = {
     "objects": Page(
@@ -227,7 +228,7 @@ def write(name: str, page: Page, *, busy: bool) -> str:
         program, *arguments = page.command
         run = ["-m", "tacshade_edge"] if program == "tacshade-edge" else [str(ROOT / "tools" / program)]
         drawing = ["--out", out] if page.drawn else []
-        before, start = worked_s(), time.monotonic()
+        code, before, start = commit(), worked_s(), time.monotonic()
         done = subprocess.run(
             [sys.executable, *run, *arguments, *drawing], cwd=ROOT, stdout=subprocess.PIPE, text=True, check=False
         )
@@ -240,7 +241,7 @@ def write(name: str, page: Page, *, busy: bool) -> str:
             return f"{name}: something else took {other:.2f} cores meanwhile; not written (--busy writes it)"
         top = (
             ("command", f"`{shown(page.command)}`"),
-            ("code", commit()),
+            ("code", code),
             ("machine", machine()),
             ("versions", ", ".join(f"{package} {number}" for package, number in versions().items())),
             ("took", f"{took_s:.0f} s, beside other work of {other:.2f} cores"),
@@ -258,13 +259,13 @@ def write(name: str, page: Page, *, busy: bool) -> str:
 
 def index() -> None:
     """Write the list of the pages that are there."""
-    rows = [
-        f"| [{page.title}]({name}.md) | `{shown(page.command)}` |"
-        for name, page in PAGES.items()
-        if (FOLDER / f"{name}.md").exists()
-    ]
+    rows = []
+    for name, page in PAGES.items():
+        title = f"[{page.title}]({name}.md)" if (FOLDER / f"{name}.md").exists() else f"{page.title} (not yet written)"
+        rows.append(f"| {title} | `{name}` | `{shown(page.command)}` |")
     head = "# Results\n\nWritten by `tools/results.py`, which says the commit and the machine at the top of each page."
-    (FOLDER / "README.md").write_text("\n".join((head, "", "| page | command |", "|---|---|", *rows)) + "\n")
+    text = "\n".join((head, "", "| page | name | command |", "|---|---|---|", *rows))
+    (FOLDER / "README.md").write_text(f"{text}\n", encoding="utf-8")
 
 
 def is_current(name: str) -> bool:
@@ -293,7 +294,7 @@ def main() -> int:
         problem = write(name, PAGES[name], busy=args.busy)
         print(problem or f"{name} written", flush=True)
         failed |= bool(problem)
-        index()
+    index()
     return int(failed)
 
 
