@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     mistakes: list[str] = []
     if study.is_own(args, ("sensors", "objects")):
         calibration, cases, mistakes = study.own_images(args)
-        images = (SensorCases(calibration, tuple(cases)),)
+        images: tuple[SensorCases, ...] = (SensorCases(calibration, tuple(cases)),)
         if not any(case.touched for case in images[0].cases):
             expected = "found no image of a contact that can be scored, expected one with its truth"
             raise ConfigError(f"{args.images}: {expected}")
