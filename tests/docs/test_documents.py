@@ -37,6 +37,12 @@ def test_links_lead_somewhere(path: Path) -> None:
     assert broken == []
 
 
+@pytest.mark.parametrize("path", DOCUMENTS, ids=name)
+def test_files_that_it_names_are_there(path: Path) -> None:
+    named = set(re.findall(r"(?:tests|tools|tacshade_edge)/[\w./-]*\w\.(?:py|json|sh)", path.read_text()))
+    assert [file for file in sorted(named) if not (ROOT / file).exists()] == []
+
+
 @pytest.mark.parametrize("document", LINES_MAX)
 def test_it_is_short(document: str) -> None:
     assert len((ROOT / document).read_text().splitlines()) <= LINES_MAX[document]
