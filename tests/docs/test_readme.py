@@ -34,7 +34,7 @@ def test_the_listener_prints_each_height_map(tmp_path: Path) -> None:
     grid = HeightMap(height, height > 0, 0.0, 0.0, 4.0)
     nothing = ObjectCloud(np.zeros((0, 3), np.float32), np.zeros(0, np.uint16))
     payload = wire.encode_height(
-        Reconstruction(1, 1, 1, "fast", True, "", True, False, "", grid, nothing), calibration_crc32=1
+        Reconstruction(1, 1, 1, "fast", True, None, True, False, None, grid, nothing), calibration_crc32=1
     )
     topic = "tacshade/hand/height"
     printed = tmp_path / "printed"
