@@ -157,11 +157,11 @@ def _perfectly_calibrated(
     plan: Plan, calibration: Calibration, geometry: Geometry, pressed: Sequence[_Pressed]
 ) -> Calibration:
     true = replace(calibration, geometry=geometry)
-    preprocess = Preprocessor(true, PROFILES[plan.profile])
-    solver = LearnedSolver(preprocess, load_network(plan.profile))
+    preprocessor = Preprocessor(true, PROFILES[plan.profile])
+    solver = LearnedSolver(preprocessor, load_network(plan.profile))
     rows = []
     for each in pressed:
-        inverse = solver.inverse(preprocess(preprocess.grey(each.noisy.image)))
+        inverse = solver.inverse(preprocessor.preprocess(preprocessor.grey(each.noisy.image)))
         height, contact = true_answer(each.simulated, geometry, PROFILES[plan.profile].cells)
         if (made := _rows_of(inverse.height_mm, height, contact, geometry)) is not None:
             rows.append(made)

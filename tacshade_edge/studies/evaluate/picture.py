@@ -53,15 +53,15 @@ def columns(name: SensorName, calibration: Calibration, profile: str, objects: S
     """Press the first `COLUMNS` objects `DEPTH_MM` deep near the middle of a sensor."""
     sensor = name.make()
     solve = reconstructor(calibration, profile)
-    preprocess = Preprocessor(calibration, PROFILES["paper"])  # its maps are as fine as the image
-    grey_maps = GreyMapper(preprocess)
+    preprocessor = Preprocessor(calibration, PROFILES["paper"])  # its maps are as fine as the image
+    grey_mapper = GreyMapper(preprocessor)
     made = []
     for object_name in objects[:COLUMNS]:
         scene = scenes(sensor.model, name.seed, object_name, (DEPTH_MM,))[0]
         frame = sensor.frame((scene.press,), scene.noise_seed)
         result, truth = solve.step(Frame(0, 0, 0, frame.image)), frame.truth()
         score = score_cloud(result.cloud.points_mm, KnownTruth.of(truth).points_mm, truth.depth_max_mm)
-        maps = grey_maps(preprocess(to_grey(frame.image)))
+        maps = grey_mapper.maps(preprocessor.preprocess(to_grey(frame.image)))
         made.append(Column(object_name.replace("_", " "), scene.press, frame.image, maps, result, truth, score))
     return made
 
