@@ -15,6 +15,7 @@ from tacshade_edge.daemon.robot.serial_channel import SILENT_NS, SerialChannel
 from tacshade_edge.daemon.robot.serial_commands import SerialCommands
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.protocol.messages import Request, encode_status
+from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Calibration, Frame, Reconstruction
 
 # A recorded frame waits so long for the pose after it: that of a robot that tells ten a second is there then.
@@ -72,14 +73,15 @@ class Robot:
         """Tell ``status/serial`` when it changed; called in the main thread."""
         port, sync = self._channel.port_state, self.motion.state()
         if port.state == "away":
-            status = encode_status("away", port.reason, port.details)
+            status = encode_status("away", Reason(ReasonCode.DEVICE, port.reason), port.details)
         else:
             silent = time.monotonic_ns() - self._channel.quiet_since_ns > SILENT_NS
             reason = f"nothing for more than {SILENT_NS / 1e9:.0f} s" if silent else sync.reason
             if not reason and int(port.details.get("latency_ms", 0)) > LATENCY_MAX_MS:
                 reason = f"the port's chip holds bytes back for {port.details['latency_ms']} ms; doctor tells the mend"
             details = {**port.details, "mode": self._channel.mode, "sync": sync.mode}
-            status = encode_status("silent" if silent else "connected", reason, details)
+            why = Reason(ReasonCode.STALLED if silent else ReasonCode.DEVICE, reason) if reason else None
+            status = encode_status("silent" if silent else "connected", why, details)
         if status != self._told:
             self._told = status
             self._tell(status)

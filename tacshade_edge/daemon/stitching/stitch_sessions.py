@@ -12,6 +12,7 @@ from tacshade_edge.daemon.pipeline.workers import Sink
 from tacshade_edge.daemon.publishing.map_publisher import MapPublisher
 from tacshade_edge.daemon.stitching.stitching import Stitching
 from tacshade_edge.protocol.messages import Request, encode_error, encode_result, encode_status
+from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Calibration, Frame, Reconstruction
 
 if TYPE_CHECKING:
@@ -86,7 +87,8 @@ class StitchSessions:
             if self._robot and not self._robot.knows_pose():
                 reason = "the robot's pose is not known: nothing can be added"
         counts = {"presses": now.presses, "points": now.points, "revision": now.revision, "missed": now.missed}
-        status = encode_status(state, reason, {"name": now.name, **counts, "folder": now.folder})
+        why = Reason(ReasonCode.UNAVAILABLE, reason) if reason else None
+        status = encode_status(state, why, {"name": now.name, **counts, "folder": now.folder})
         if status != self._told:
             self._told = status
             self._publish("status/stitching", status)

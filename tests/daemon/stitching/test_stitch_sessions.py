@@ -87,7 +87,7 @@ def test_a_session_over_mqtt(daemon: Daemon, tmp_path: Path) -> None:
     }
     assert daemon.sink.asked()  # every frame, whoever listens
     assert daemon.status() == {
-        **{"state": "open", "reason": "", "name": "7", "presses": 0, "points": 0, "revision": 0},
+        **{"state": "open", "reason": "", "reason_code": "", "name": "7", "presses": 0, "points": 0, "revision": 0},
         **{"missed": 0, "folder": ""},
     }
     added = daemon.ask(ADD, ball)["result"]
@@ -96,7 +96,7 @@ def test_a_session_over_mqtt(daemon: Daemon, tmp_path: Path) -> None:
     ended = daemon.ask(END)["result"]
     assert (ended["name"], ended["presses"], ended["disagreement_mm"]) == ("7", 1, 0.0)
     assert daemon.status() == {
-        **{"state": "idle", "reason": "", "name": "", "presses": 0, "points": 0, "revision": 0},
+        **{"state": "idle", "reason": "", "reason_code": "", "name": "", "presses": 0, "points": 0, "revision": 0},
         **{"missed": 0, "folder": str(tmp_path / "7")},
     }
     assert not daemon.sink.asked()
