@@ -160,7 +160,7 @@ def _connect(client: Client, host: str, port: int, tls_ca: str | None) -> Findin
         return fault("broker", f"{host}: the name has no address ({error.strerror})", mend)
     except ssl.SSLCertVerificationError as error:
         return fault(
-            "broker", f"{where}: its certificate is refused: {error.verify_message}", _certificate_mend(error, host)
+            "broker", f"{where}: its certificate is refused: {error.verify_message}", certificate_mend(error, host)
         )
     except ssl.SSLError as error:
         mend = "is mqtt.port the broker's TLS port (often 8883)? Without TLS leave mqtt.ca_file out"
@@ -191,7 +191,8 @@ def _reach(host: str, port: int, tls_ca: str | None) -> None:
             context.wrap_socket(plain, server_hostname=host).close()
 
 
-def _certificate_mend(error: ssl.SSLCertVerificationError, host: str) -> str:
+def certificate_mend(error: ssl.SSLCertVerificationError, host: str) -> str:
+    """What to do about a certificate that was refused."""
     if error.verify_code in _OUT_OF_TIME:
         return "renew the broker's certificate; is this machine's clock right?"
     if error.verify_code in _OTHER_NAME:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.daemon.pipeline.ledger import FrameLedger, Outcome, Timings
+from tacshade_edge.daemon.pipeline.ledger import FrameLedger, FrameOutcome, Timings
 from tacshade_edge.daemon.pipeline.mailbox import Mailbox
 from tacshade_edge.devices.base import FrameSource
 from tacshade_edge.errors import DecodeError, DeviceError
@@ -116,12 +116,12 @@ class Grab:
 class Sink(Protocol):
     """Where reconstructions go."""
 
-    def asked(self) -> bool:
-        """Whether anyone wants to know more of a contact than that it is there."""
+    def needs_depth(self) -> bool:
+        """Whether more of a contact is needed than that it is there."""
         ...
 
-    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> Outcome | None:
-        """Pass a result on without waiting (None: a contact that was not asked for); None: it will be settled later."""
+    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> FrameOutcome | None:
+        """Pass a result on without waiting (None: a contact without its depth); None: it will be settled later."""
         ...
 
 
@@ -174,7 +174,7 @@ class Reconstruct:
 
         reconstructor = self.reconstructor
         began_ns = last_ns
-        whole = self.watch is not None or self._sink.asked()
+        whole = self.watch is not None or self._sink.needs_depth()
         result = (reconstructor.step if whole else reconstructor.glance)(frame, mark)
         step_ms = (time.monotonic_ns() - began_ns) / 1e6
         outcome = self._sink.deliver(frame, result, reconstructor.calibration)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from tacshade_edge.daemon.pipeline.ledger import Outcome
+from tacshade_edge.daemon.pipeline.ledger import FrameOutcome
 from tacshade_edge.protocol import messages, wire
 from tacshade_edge.types import Calibration, Frame, Reconstruction
 
@@ -31,7 +31,7 @@ class Publisher:
     fps : float
         For ``contact``.
     latest : (Frame, Reconstruction) or None
-        The newest of each; they belong together unless nobody asked for the frame's.
+        The newest of each; they belong together unless the frame's depth was not needed.
     """
 
     def __init__(
@@ -44,12 +44,12 @@ class Publisher:
         self.fps = 0.0
         self.latest: tuple[Frame, Reconstruction] | None = None
 
-    def asked(self) -> bool:
-        """Whether anyone listens to what only a reconstruction tells."""
+    def needs_depth(self) -> bool:
+        """Whether anyone listens to what is made from depth."""
         return any(map(self._has_listener, ("height", "cloud", "contact")))
 
-    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> Outcome | None:
-        """Offer what this result has to say; None is a contact of which nobody asked for more."""
+    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> FrameOutcome | None:
+        """Offer what is in this result; None is a contact without its depth."""
         if result is None:
             self.latest = self.latest and (frame, self.latest[1])
             return "unasked"

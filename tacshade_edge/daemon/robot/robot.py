@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from tacshade_edge.daemon.pipeline.ledger import Outcome
+from tacshade_edge.daemon.pipeline.ledger import FrameOutcome
 from tacshade_edge.daemon.pipeline.workers import Sink
 from tacshade_edge.daemon.robot.motion import RobotMotion
 from tacshade_edge.daemon.robot.serial_channel import SILENT_NS, SerialChannel
@@ -120,10 +120,10 @@ class _PosedSink:
         self._sink = sink
         self._robot = robot
 
-    def asked(self) -> bool:
-        return self._robot.commands.waits_for_a_frame or self._sink.asked()
+    def needs_depth(self) -> bool:
+        return self._robot.commands.waits_for_a_frame or self._sink.needs_depth()
 
-    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> Outcome | None:
+    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> FrameOutcome | None:
         posed = self._robot.with_pose(frame)
         outcome = self._sink.deliver(posed, result, calibration)
         if result is not None:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tacshade_edge.daemon.pipeline.ledger import Outcome
+from tacshade_edge.daemon.pipeline.ledger import FrameOutcome
 from tacshade_edge.daemon.pipeline.workers import Sink
 from tacshade_edge.daemon.publishing.map_publisher import MapPublisher
 from tacshade_edge.daemon.stitching.stitching import Stitching
@@ -103,10 +103,10 @@ class _WatchedSink:
         self._sink = sink
         self._stitching = stitching
 
-    def asked(self) -> bool:
-        return self._stitching.open or self._sink.asked()
+    def needs_depth(self) -> bool:
+        return self._stitching.open or self._sink.needs_depth()
 
-    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> Outcome | None:
+    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> FrameOutcome | None:
         outcome = self._sink.deliver(frame, result, calibration)
         if result is not None:
             self._stitching.reconstructed(frame, result, calibration)

@@ -9,7 +9,7 @@ from support.patience import patience
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.daemon.pipeline.ledger import FrameLedger, Outcome, Timings
+from tacshade_edge.daemon.pipeline.ledger import FrameLedger, FrameOutcome, Timings
 from tacshade_edge.daemon.pipeline.mailbox import Mailbox
 from tacshade_edge.daemon.pipeline.workers import Grab, Reconstruct, SourceState
 from tacshade_edge.devices.weights.network import make_reconstructor
@@ -125,10 +125,10 @@ class Collected:
         self.asks = asks
         self.results: list[Reconstruction] = []
 
-    def asked(self) -> bool:
+    def needs_depth(self) -> bool:
         return self.asks
 
-    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> Outcome | None:
+    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> FrameOutcome | None:
         if result is None:
             return "unasked"
         assert frame.seq == result.seq

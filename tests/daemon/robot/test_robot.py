@@ -78,7 +78,7 @@ class Sink:
     def __init__(self) -> None:
         self.frames: list[Frame] = []
 
-    def asked(self) -> bool:
+    def needs_depth(self) -> bool:
         return False
 
     def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> Any:
@@ -198,7 +198,7 @@ def test_captures_and_references(link: Path, calibration: Calibration) -> None:
         old = frame(time.monotonic_ns(), calibration)
         robot.ask("CAPTURE")
         wait_until(lambda: side.robot.commands.waits_for_a_frame, 10, "CAPTURE")
-        assert posed.asked()
+        assert posed.needs_depth()
         posed.deliver(*old, calibration)
         assert side.robot.commands.waits_for_a_frame  # that one was from before
         posed.deliver(*frame(time.monotonic_ns(), calibration), calibration)
@@ -218,7 +218,7 @@ def test_captures_and_references(link: Path, calibration: Calibration) -> None:
         wait_until(lambda: any(r.endswith("frames=10") for r in robot.replies.values()), 10, "OK")
         wait_until(lambda: any(r.endswith("REFUSED shows contact") for r in robot.replies.values()), 10, "ERR")
 
-        assert not posed.asked()
+        assert not posed.needs_depth()
         robot.ask("STITCH BEGIN pad")
         wait_until(lambda: any("UNAVAILABLE" in r for r in robot.replies.values()), 10, "no stitching")
 
