@@ -22,7 +22,7 @@ from tacshade_edge.cli import main
 from tacshade_edge.daemon.app import App
 from tacshade_edge.devices.files.stitch_file import StitchFile
 from tacshade_edge.protocol import wire
-from tacshade_edge.protocol.serial_line import PoseValues
+from tacshade_edge.protocol.serial.pose import PoseValues
 from tacshade_edge.settings import load
 from tacshade_edge.simulator.pad import Bar, Pad, scan
 from tacshade_edge.simulator.press import Press
@@ -156,7 +156,7 @@ def cell(tmp_path: Path, scripted: Any) -> Iterator[Cell]:
 
 def test_the_live_map_is_that_of_the_recording(cell: Cell, tmp_path: Path) -> None:
     assert cell.status() == {
-        **{"state": "idle", "reason": "", "name": "", "presses": 0},
+        **{"state": "idle", "reason": "", "reason_code": "", "name": "", "presses": 0},
         **{"points": 0, "revision": 0, "missed": 0, "folder": ""},
     }
     assert cell.ask("stitch", action="add") == "NOSESSION: no session is open, begin one first"
