@@ -27,6 +27,53 @@ class ReasonCode(StrEnum):
     CAMERA_SHIFT = "camera_shift"
     NO_USABLE_FRAME = "no_usable_frame"
 
+    # A command, over MQTT or on the serial line.
+    BAD_REQUEST = "bad_request"
+    UNKNOWN_PROFILE = "unknown_profile"
+    BUSY = "busy"
+    TIMEOUT = "timeout"
+    UNAVAILABLE = "unavailable"
+    DEVICE_FAILED = "device_failed"
+    IMAGE_UNREADABLE = "image_unreadable"
+    FRAME_INVALID = "frame_invalid"
+    FRAME_IN_CONTACT = "frame_in_contact"
+    REFERENCE_INVALID = "reference_invalid"
+    NO_RECORDING = "no_recording"
+
+    # A line of the robot.
+    NOT_A_LINE = "not_a_line"
+    UNKNOWN_VERB = "unknown_verb"
+    BAD_ARGUMENTS = "bad_arguments"
+    BAD_CHECKSUM = "bad_checksum"
+    BAD_SYNTAX = "bad_syntax"
+    OTHER_VERSION = "other_version"
+    NUMBER_REUSED = "number_reused"
+    NUMBER_STALE = "number_stale"
+
+    # A stitching session, and a press of it.
+    NO_SESSION = "no_session"
+    BAD_NAME = "bad_name"
+    NAME_TAKEN = "name_taken"
+    NO_FRAME = "no_frame"
+    NO_CONTACT = "no_contact"
+    NO_POSE = "no_pose"
+    MAP_FULL = "map_full"
+    NO_PRESS = "no_press"
+    PRESS_DEVIATES = "press_deviates"
+    PRESS_DISPLACED = "press_displaced"
+
+    # The robot's line and its clock.
+    STARTING = "starting"
+    PORT_AWAY = "port_away"
+    PORT_SILENT = "port_silent"
+    PORT_LATENCY = "port_latency"
+    NOTHING_RECEIVED = "nothing_received"
+    ROBOT_RESTARTED = "robot_restarted"
+    CLOCK_JUMPED = "clock_jumped"
+    CLOCK_WENT_BACK = "clock_went_back"
+    CLOCK_LATE = "clock_late"
+    CLOCK_DRIFT = "clock_drift"
+
 
 @dataclass(frozen=True, slots=True)
 class Reason:

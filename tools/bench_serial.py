@@ -23,8 +23,9 @@ from pathlib import Path
 
 from tacshade_edge.daemon.robot.robot import Robot
 from tacshade_edge.devices.serial.port import SerialPort
-from tacshade_edge.protocol.serial_line import seal
-from tacshade_edge.protocol.serial_link import Command, SerialLink
+from tacshade_edge.protocol.serial.line import seal
+from tacshade_edge.protocol.serial.link import SerialLink
+from tacshade_edge.protocol.serial.verbs import Command
 
 FRAME_PERIOD_S = 1 / 30
 BEHIND_NS = 10_000_000

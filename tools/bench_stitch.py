@@ -17,7 +17,7 @@ import time
 
 import numpy as np
 
-from tacshade_edge.core.stitching.press_points import Touch
+from tacshade_edge.core.stitching.press_points import PressPoints
 from tacshade_edge.core.stitching.stitcher import Stitcher
 from tacshade_edge.rigid import Rigid, from_seven, shift
 from tacshade_edge.simulator.pad import disturbed
@@ -34,14 +34,14 @@ def scan(count: int) -> list[Rigid]:
     return [shift(PITCH_MM * (k % side), PITCH_MM * (k // side), APEX_MM) @ down for k in range(count)]
 
 
-def touch(pose: Rigid, points: int, rng: np.random.Generator) -> Touch:
+def touch(pose: Rigid, points: int, rng: np.random.Generator) -> PressPoints:
     """What a press of the surface touches."""
     x0, y0, _ = pose.apply(np.array((0, 0, APEX_MM)))
     rho, angle = RADIUS_MM * np.sqrt(rng.uniform(size=points)), rng.uniform(0, 2 * math.pi, points)
     x, y = x0 + rho * np.cos(angle), y0 + rho * np.sin(angle)
     z = 0.5 * np.sin(x / 4) * np.cos(y / 5) + rng.normal(0, 0.05, points)
     local = pose.inverse().apply(np.stack((x, y, z), axis=1)).astype(np.float32)
-    return Touch(local, np.broadcast_to(np.float32((0, 0, 1)), local.shape), np.ones(points, np.float32))
+    return PressPoints(local, np.broadcast_to(np.float32((0, 0, 1)), local.shape), np.ones(points, np.float32))
 
 
 def main() -> None:

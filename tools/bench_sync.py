@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 from robot_links import LINES, Clock, LineModel
 
-from tacshade_edge.protocol.clock_sync import ClockSync
+from tacshade_edge.protocol.serial.clock_sync import ClockSync
 
 WARM_S = 10.0
 
@@ -52,9 +52,9 @@ def two_way(line: LineModel, clock: Clock, seconds: float, period_s: float, rng:
     while at_s < seconds:
         t1_ns = clock.read_ns(at_s)
         received_s = at_s + line.to_daemon_s(rng)
-        sync.asked(t1_ns, round(1e9 * (base_s + received_s)), t4_ns)
+        sync.sync_received(t1_ns, round(1e9 * (base_s + received_s)), t4_ns)
         sent_s = received_s + rng.expovariate(1 / 0.0001)
-        sync.replied(round(1e9 * (base_s + sent_s)))
+        sync.sync_answered(round(1e9 * (base_s + sent_s)))
         t4_s = sent_s + line.to_robot_s(rng)
         t4_ns = clock.read_ns(t4_s)
         following_s = max(at_s + period_s, t4_s)
@@ -76,7 +76,7 @@ def one_way(line: LineModel, clock: Clock, seconds: float, rng: random.Random) -
     for step in range(round(100 * seconds)):
         at_s = step / 100
         arrived_s = max(arrived_s, at_s + line.to_daemon_s(rng))
-        sync.arrived(clock.read_ns(at_s), round(1e9 * (1000 + arrived_s)))
+        sync.stamp_received(clock.read_ns(at_s), round(1e9 * (1000 + arrived_s)))
         if step % 10 == 0 and (found := sync.to_robot(round(1e9 * (1000 + at_s)))):
             rows.append(((found.t_ns - clock.read_ns(at_s)) / 1e6, found.error_ns / 1e6, at_s >= WARM_S))
     assert sync.counts.restarts == 0, "a sound clock was taken for one that jumped"

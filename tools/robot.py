@@ -31,8 +31,10 @@ from pathlib import Path
 from robot_links import LINES, Clock, LineModel
 
 from tacshade_edge.errors import DecodeError
-from tacshade_edge.protocol import cobs
-from tacshade_edge.protocol.serial_line import BadLine, PoseSample, PoseValues, encode_pose, parse_line, seal
+from tacshade_edge.protocol.serial import cobs
+from tacshade_edge.protocol.serial.line import parse_line, seal
+from tacshade_edge.protocol.serial.pose import PoseSample, PoseValues, encode_pose
+from tacshade_edge.reasons import Reason, ReasonCode
 
 REPLY_S = 0.5
 SYNC_S, FIRST_SYNCS, FIRST_SYNC_S = 1.0, 8, 0.1
@@ -298,8 +300,8 @@ class PtyRobot:
             try:
                 line = parse_line(cobs.decode(raw)[1:] if zero else raw) if raw else None
             except DecodeError as error:
-                line = BadLine("GARBAGE", str(error))
-            if isinstance(line, BadLine):
+                line = Reason(ReasonCode.NOT_A_LINE, str(error))
+            if isinstance(line, Reason):
                 self.told.bad_replies += 1
             elif line is not None and line.verb == "EVT":
                 self.events.append(" ".join(line.args))

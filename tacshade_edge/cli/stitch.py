@@ -9,7 +9,7 @@ from typing import Any
 
 from tacshade_edge.cli.profile_option import add_profile
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.stitching.stitcher import Stitched
+from tacshade_edge.core.stitching.stitcher import StitchedMap
 from tacshade_edge.core.stitching.surface_map import STEP_MM, Raster
 from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.devices.files.map_files import write_map
@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Stitch; a press that cannot be used is told in map.json, an image that cannot be read here too."""
+    """Stitch; a press that cannot be used is named in map.json, an image that cannot be read here too."""
     calibration = calibration_file.load(args.calibration)
     profile, known = PROFILES[args.profile], None if args.truth is None else read_known(args.truth)
     if args.recording is None:
@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
         why = presses[0].skipped if presses else "no contact settled"
         raise ConfigError(f"{args.poses or args.recording}: found no press that can be used: {why}")
     finished = stitcher.finish()
-    about = {"profile": args.profile, **_described(presses, finished)}
+    about = {"profile": args.profile, **_details(presses, finished)}
     if known is not None:
         about["score"] = score(finished.raster, known).as_json()
         average = radius_average(all_points(presses), STEP_MM)
@@ -75,19 +75,23 @@ def run(args: argparse.Namespace) -> int:
     return EXIT_FAILED if failed else 0
 
 
-def _described(presses: list[Press], finished: Stitched) -> dict[str, Any]:
+def _details(presses: list[Press], finished: StitchedMap) -> dict[str, Any]:
     placed = iter(finished.presses)
     records = []
     for press in presses:
-        record: dict[str, Any] = {"image": press.name, "used": False, "reason": press.skipped}
+        record: dict[str, Any] = {
+            "image": press.name,
+            "used": False,
+            "reason": press.skipped.text if press.skipped else "",
+        }
         if not press.skipped:
             one = next(placed)
             record |= {
-                "used": not one.rejected,
-                "reason": one.rejected,
-                "points": len(press.touch.points_mm),
-                "moved_mm": round(one.moved_mm, 4),
-                "turned_deg": round(one.turned_deg, 4),
+                "used": one.rejected is None,
+                "reason": one.rejected.text if one.rejected else "",
+                "points": len(press.points.points_mm),
+                "moved_mm": round(one.correction_mm, 4),
+                "turned_deg": round(one.correction_deg, 4),
             }
         records.append(record)
     return {

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -34,12 +35,14 @@ from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.protocol import messages
 from tacshade_edge.protocol.messages import Request
+from tacshade_edge.protocol.results import RequestResult
+from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.settings import Document, digest
 from tacshade_edge.types import Calibration
 
 if TYPE_CHECKING:
     from tacshade_edge.daemon.robot.robot import Robot
-    from tacshade_edge.daemon.stitching.stitch_sessions import StitchSessions
+    from tacshade_edge.daemon.stitching.session_requests import SessionRequests
 
 _log = logging.getLogger(__name__)
 
@@ -92,11 +95,11 @@ class App:
         self._publisher = Publisher(self.link.offer, self.link.wanted)
         self._robot = self._make_robot()
         self._sessions = self._make_sessions()
-        sink: Sink = self._sessions.watched(self._publisher) if self._sessions else self._publisher
+        sink: Sink = self._sessions.observing(self._publisher) if self._sessions else self._publisher
         self._pipeline = Pipeline(
             source,
             make_reconstructor(calibration, PROFILES.get(settings.profile, PROFILES[LADDER[-1]])),
-            self._robot.posed(sink) if self._robot else sink,
+            self._robot.adding_poses(sink) if self._robot else sink,
             self.ledger,
             self._events.put,
         )
@@ -106,10 +109,10 @@ class App:
         self._service = Service(Progress(self._pipeline.grab, self._pipeline.reconstruct))
         self._health = Health(self.ledger, self._pipeline.timings)
         self._recorder = LiveRecorder(
-            self._pipeline.grab, self._events.put, self._robot.with_settled_pose if self._robot else None
+            self._pipeline.grab, self._events.put, self._robot.with_interpolated_pose if self._robot else None
         )
         self._record = RecordRequests(
-            self._recorder, self.link.reply, lambda status: self.link.set_retained("status/recorder", status)
+            self._recorder, self._reply, lambda status: self.link.set_retained("status/recorder", status)
         )
         self._requests = Requests(
             *(self._pipeline.reconstruct, self._active, self._reply, self._status, self._changed),
@@ -237,14 +240,14 @@ class App:
 
     def _on_request(self, request: Request) -> None:
         if self._events.qsize() >= EVENTS_MAX:
-            error = messages.encode_error(request.transaction, f"busy: {EVENTS_MAX} requests are waiting, try again")
-            self._reply(request, error)
+            self._reply(request, Reason(ReasonCode.BUSY, f"busy: {EVENTS_MAX} requests are waiting, try again"))
         else:
             self._events.put(request)
 
-    def _reply(self, request: Request, payload: bytes) -> None:
-        if self._robot is None or not self._robot.commands.answered(request, payload):
-            self.link.reply(request, payload)
+    def _reply(self, request: Request, outcome: RequestResult | Mapping[str, Any] | Reason) -> None:
+        """Answer a request where it came from."""
+        if self._robot is None or not self._robot.commands.complete(request, outcome):
+            self.link.reply(request, messages.encode_reply(request, outcome))
 
     def _on_outcome(self, stream: str, seq: int, outcome: Outcome) -> None:
         if stream == "height":
@@ -260,14 +263,14 @@ class App:
 
         return Robot(port, self._on_request, self._status, lambda s: self.link.set_retained("status/serial", s))
 
-    def _make_sessions(self) -> StitchSessions | None:
+    def _make_sessions(self) -> SessionRequests | None:
         """Imported only where frames have poses."""
         settings = self._document.settings
         if not registry.frames_have_poses(settings):
             return None
-        from tacshade_edge.daemon.stitching.stitch_sessions import StitchSessions
+        from tacshade_edge.daemon.stitching.session_requests import SessionRequests
 
-        return StitchSessions(Path(settings.stitching.folder), self.link.set_retained, self.link.reply, self._robot)
+        return SessionRequests(Path(settings.stitching.folder), self.link.set_retained, self._reply, self._robot)
 
     def _changed(self) -> None:
         """The reconstructor was replaced."""
@@ -282,8 +285,8 @@ class App:
         if self._sessions:
             self._sessions.handle(request)
         else:
-            error = "UNAVAILABLE: found no poses, expected `serial` in the settings, or a folder with poses as source"
-            self._reply(request, messages.encode_error(request.transaction, error))
+            text = "found no poses, expected `serial` in the settings, or a folder with poses as source"
+            self._reply(request, Reason(ReasonCode.UNAVAILABLE, text))
 
     # What is told.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import U8, Frame, Reconstruction
 
 REFERENCE_FRAMES = 10
@@ -15,10 +16,10 @@ class ReferenceCollector:
     Parameters
     ----------
     done : callable
-        ``done(images, reason)``, called once: all images and an empty reason, or none and why not.
+        ``done(outcome)``, called once: all images, or why not.
     """
 
-    def __init__(self, done: Callable[[list[U8], str], None]) -> None:
+    def __init__(self, done: Callable[[list[U8] | Reason], None]) -> None:
         self._done = done
         self._images: list[U8] = []
         self._finished = False
@@ -28,15 +29,16 @@ class ReferenceCollector:
         if self._finished:
             return
         if not result.valid:
-            self._finish([], f"frame {frame.seq} is invalid ({result.reason}), expected an untouched sensor in view")
+            text = f"frame {frame.seq} is invalid ({result.reason}), expected an untouched sensor in view"
+            self._finish(Reason(ReasonCode.FRAME_INVALID, text))
         elif result.contact:
             found = f"frame {frame.seq} shows contact {result.depth_max_mm:.2f} mm deep"
-            self._finish([], f"{found}, expected nothing to touch the sensor")
+            self._finish(Reason(ReasonCode.FRAME_IN_CONTACT, f"{found}, expected nothing to touch the sensor"))
         else:
             self._images.append(frame.image)
             if len(self._images) == REFERENCE_FRAMES:
-                self._finish(self._images, "")
+                self._finish(self._images)
 
-    def _finish(self, images: list[U8], reason: str) -> None:
+    def _finish(self, outcome: list[U8] | Reason) -> None:
         self._finished = True
-        self._done(images, reason)
+        self._done(outcome)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from tacshade_edge.core.profiles import AUTO
@@ -13,12 +13,17 @@ from tacshade_edge.daemon.profiles.active_profile import ActiveProfile
 from tacshade_edge.daemon.reference import REFERENCE_FRAMES, ReferenceCollector
 from tacshade_edge.devices.files.calibration_file import with_crc
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.protocol.messages import Request, encode_error, encode_result
+from tacshade_edge.protocol.messages import Request
+from tacshade_edge.protocol.results import ProfileChosen, ReferenceTaken, RequestResult
+from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import U8
 
 _log = logging.getLogger(__name__)
 
 REFERENCE_TIMEOUT_S = 5.0
+
+Reply = Callable[[Request, RequestResult | Mapping[str, Any] | Reason], None]
+"""``reply(request, outcome)``: what it gave, or why it was not done."""
 
 
 class Requests:
@@ -30,8 +35,7 @@ class Requests:
         Gives the frames for a new reference.
     active : ActiveProfile
         Changed by `profile` and `reference`.
-    reply : callable
-        ``reply(request, payload)``.
+    reply : Reply
     status : callable
         The answer to ``status``.
     changed : callable
@@ -44,7 +48,7 @@ class Requests:
         self,
         worker: Reconstruct,
         active: ActiveProfile,
-        reply: Callable[[Request, bytes], None],
+        reply: Reply,
         status: Callable[[], dict[str, Any]],
         changed: Callable[[], None],
         record: Callable[[Request], None],
@@ -58,12 +62,12 @@ class Requests:
         self._record = record
         self._stitch = stitch
         self._reference: tuple[Request, float] | None = None  # and its deadline
-        self._taken: tuple[list[U8], str] | None = None  # set by the reconstruct thread, once
+        self._taken: list[U8] | Reason | None = None  # set by the reconstruct thread, once
 
     def handle(self, request: Request) -> None:
         """Do or refuse one request."""
         if request.verb == "status":
-            self._reply(request, encode_result(request.transaction, self._status()))
+            self._reply(request, self._status())
         elif request.verb == "record":
             self._record(request)
         elif request.verb == "stitch":
@@ -80,50 +84,50 @@ class Requests:
         request, deadline_s = self._reference
         if self._taken is None and time.monotonic() < deadline_s:
             return
-        images, reason = self._taken or ([], f"fewer than {REFERENCE_FRAMES} frames in {REFERENCE_TIMEOUT_S:.0f} s")
+        late = Reason(ReasonCode.TIMEOUT, f"fewer than {REFERENCE_FRAMES} frames in {REFERENCE_TIMEOUT_S:.0f} s")
+        taken = self._taken or late
         self._worker.watch = self._reference = self._taken = None
-        self._set_reference(request, images, reason)
+        if isinstance(taken, Reason):
+            self._refuse(request, taken)
+        else:
+            self._set_reference(request, taken)
 
     def _set_profile(self, request: Request) -> None:
         if request.profile not in self._active.choices:
             expected = f"one of {', '.join(self._active.choices)}"
             if request.profile == AUTO:
                 expected += "; the settings give no latency budget"
-            self._refuse(request, f"profile: found {request.profile}, expected {expected}")
+            text = f"profile: found {request.profile}, expected {expected}"
+            self._refuse(request, Reason(ReasonCode.UNKNOWN_PROFILE, text))
             return
         self._active.choose(request.profile)
         self._changed()
         _log.info("profile is now %s", request.profile)
-        profile = self._active.reconstructor.profile.name
-        self._reply(request, encode_result(request.transaction, {"profile": profile}))
+        self._reply(request, ProfileChosen(self._active.reconstructor.profile.name))
 
     def _take_reference(self, request: Request) -> None:
         if self._reference is not None:
-            self._refuse(request, "busy: a reference is being taken")
+            self._refuse(request, Reason(ReasonCode.BUSY, "busy: a reference is being taken"))
             return
         self._reference = request, time.monotonic() + REFERENCE_TIMEOUT_S
         self._worker.watch = ReferenceCollector(self._on_taken).watch
 
-    def _on_taken(self, images: list[U8], reason: str) -> None:
-        self._taken = images, reason
+    def _on_taken(self, outcome: list[U8] | Reason) -> None:
+        self._taken = outcome
 
-    def _set_reference(self, request: Request, images: list[U8], reason: str) -> None:
-        if reason:
-            self._refuse(request, reason)
-            return
+    def _set_reference(self, request: Request, images: list[U8]) -> None:
         from tacshade_edge.core.calibration.calibrate import rezero  # on demand: few daemons ever calibrate
 
         try:
             calibration = with_crc(rezero(self._active.reconstructor.calibration, images))
         except ConfigError as error:
-            self._refuse(request, str(error))
+            self._refuse(request, Reason(ReasonCode.REFERENCE_INVALID, str(error)))
             return
         self._active.use(calibration)
         self._changed()
         _log.info("new reference from %d frames, until the next start", len(images))
-        result = {"frames": len(images), "calibration_crc32": calibration.crc32, "noise_grey": calibration.noise_grey}
-        self._reply(request, encode_result(request.transaction, result))
+        self._reply(request, ReferenceTaken(len(images), calibration.crc32, calibration.noise_grey))
 
-    def _refuse(self, request: Request, reason: str) -> None:
+    def _refuse(self, request: Request, reason: Reason) -> None:
         _log.info("req/%s refused: %s", request.verb, reason)
-        self._reply(request, encode_error(request.transaction, reason))
+        self._reply(request, reason)

@@ -6,15 +6,17 @@ JSON has no NaN and no infinity: both are written as null.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Annotated, Any, Final, Literal
 
 import msgspec
 import numpy as np
 
 from tacshade_edge.errors import DecodeError
+from tacshade_edge.protocol.results import NoSession, RequestResult, SessionEnded, SessionStatus
+from tacshade_edge.protocol.serial.answers import error_word
 from tacshade_edge.protocol.wire import WIRE_VERSION
-from tacshade_edge.reasons import code_of
+from tacshade_edge.reasons import Reason, code_of
 from tacshade_edge.types import Calibration, Reconstruction
 
 Verb = Literal["reference", "profile", "status", "record", "stitch"]
@@ -147,14 +149,26 @@ def parse_transaction(payload: bytes) -> str | int | None:
         return None
 
 
-def encode_result(transaction: str | int | None, result: Mapping[str, Any]) -> bytes:
+def encode_result(transaction: str | int | None, result: RequestResult | Mapping[str, Any]) -> bytes:
     """The reply to a request that was done: ``{"transaction", "ok": true, "result": {...}}``."""
-    return _encode({"transaction": transaction, "ok": True, "result": result})
+    return _encode({"transaction": transaction, "ok": True, "result": _result_json(result)})
 
 
-def encode_error(transaction: str | int | None, error: str) -> bytes:
-    """The reply to a request that was refused or failed: ``{"transaction", "ok": false, "error": "one line"}``."""
-    return _encode({"transaction": transaction, "ok": False, "error": error})
+def encode_error(transaction: str | int | None, reason: Reason) -> bytes:
+    """The reply to a request that was refused or failed.
+
+    ``{"transaction", "ok": false, "error": "one line", "reason_code"}``.
+    """
+    return _encode({"transaction": transaction, "ok": False, "error": reason.text, "reason_code": reason.code})
+
+
+def encode_reply(request: Request, outcome: RequestResult | Mapping[str, Any] | Reason) -> bytes:
+    """The reply to a request; the error of ``stitch`` begins with the serial line's word for its code."""
+    if not isinstance(outcome, Reason):
+        return encode_result(request.transaction, outcome)
+    if request.verb == "stitch":
+        outcome = Reason(outcome.code, f"{error_word(outcome.code)}: {outcome.text}")
+    return encode_error(request.transaction, outcome)
 
 
 def encode_contact(result: Reconstruction, *, fps: float) -> bytes:
@@ -236,6 +250,20 @@ def encode_map(about: Mapping[str, str | int | float | None]) -> bytes:
 def encode_health(health: Mapping[str, Any]) -> bytes:
     """The ``health`` payload: the daemon's counters and rates as they are."""
     return _encode(health)
+
+
+def _result_json(result: RequestResult | Mapping[str, Any]) -> object:
+    """Numbers as on the serial line."""
+    match result:
+        case SessionEnded():
+            rounded = {"disagreement_mm": round(result.disagreement_mm, 3), "area_mm2": round(result.area_mm2)}
+            return {**asdict(result), "refined": int(result.refined), **rounded}
+        case SessionStatus():
+            return {"open": 1, **asdict(result)}
+        case NoSession():
+            return {"open": 0}
+        case _:
+            return result
 
 
 def _encode(value: object) -> bytes:

@@ -24,8 +24,8 @@ OTHERS = {"scipy", "matplotlib", "skimage", "PIL", "serial", "websockets", "iotc
 COMMANDS, ON_DEMAND, POSES = (
     "simulator studies dashboard doctor daemon.recording.replay",
     "core.calibration.calibrate devices.camera.v4l2 devices.camera.simulated",
-    "core.stitching.stitcher core.stitching.press_points daemon.stitching.stitching daemon.stitching.stitch_sessions "
-    "daemon.publishing.map_publisher devices.files.stitch_file",
+    "core.stitching.stitcher core.stitching.press_points daemon.stitching.session daemon.stitching.session_worker "
+    "daemon.stitching.session_requests daemon.publishing.map_publisher devices.files.stitch_file",
 )
 OWN = {f"tacshade_edge.{part}" for part in [*COMMANDS.split(), *ON_DEMAND.split()]}
 STITCHING = {f"tacshade_edge.{part}" for part in POSES.split()}

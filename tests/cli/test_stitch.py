@@ -186,7 +186,7 @@ def test_a_bad_table_is_told(
 def test_presses_too_far_apart_are_told(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tacshade_edge.core.stitching.surface_map.MAX_TILES", 2)
+    monkeypatch.setattr("tacshade_edge.core.stitching.surface_map.TILES_MAX", 2)
     assert main(words(folder, tmp_path / "out")) == 78
     error = capsys.readouterr().err
     assert "POSES.csv:" in error

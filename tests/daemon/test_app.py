@@ -288,7 +288,11 @@ def test_requests(
         assert ask(seen, "profile", profile="paper") == {"ok": True, "result": {"profile": "paper"}}
         wait_until(lambda: last(seen, "info")["profile"] == "paper", 5, "info tells the profile")
         refused = ask(seen, "profile", profile="slow")
-        assert refused == {"ok": False, "error": "profile: found slow, expected one of paper, fast, balanced, accurate"}
+        assert refused == {
+            "ok": False,
+            "error": "profile: found slow, expected one of paper, fast, balanced, accurate",
+            "reason_code": "unknown_profile",
+        }
         ask(seen, "profile", profile="fast")
         refused = ask(seen, "stitch", action="begin")
         assert refused["error"].startswith("UNAVAILABLE: found no poses, expected `serial` in the settings")
@@ -456,11 +460,15 @@ def test_a_recording_goes_on_while_the_camera_is_lost_and_ends_with_its_referenc
     try:
         wait_until(lambda: last(seen, "status/camera").get("state") == "streaming", 10, "streaming")
         wait_until(lambda: last(seen, "status/recorder") == {"state": "idle", "reason": ""}, 5, "idle")
-        assert ask(seen, "record", action="stop") == {"ok": False, "error": "found no recording to stop"}
+        assert ask(seen, "record", action="stop") == {
+            "ok": False,
+            "error": "found no recording to stop",
+            "reason_code": "no_recording",
+        }
         started = ask(seen, "record", action="start", seconds=600, name="one")
         assert started == {"ok": True, "result": {"folder": str(folder)}}
         again = ask(seen, "record", action="start", seconds=600, name="two")
-        assert again == {"ok": False, "error": f"busy: recording to {folder}"}
+        assert again == {"ok": False, "error": f"busy: recording to {folder}", "reason_code": "busy"}
         wait_until(lambda: last(seen, "status/recorder")["frames"] > 5, 10, "frames")
         assert last(seen, "status/recorder")["state"] == "recording"
         lose.set()

@@ -22,7 +22,7 @@ from tacshade_edge.cli import main
 from tacshade_edge.daemon.app import App
 from tacshade_edge.devices.files.stitch_file import StitchFile
 from tacshade_edge.protocol import wire
-from tacshade_edge.protocol.serial_line import PoseValues
+from tacshade_edge.protocol.serial.pose import PoseValues
 from tacshade_edge.settings import load
 from tacshade_edge.simulator.pad import Bar, Pad, scan
 from tacshade_edge.simulator.press import Press

@@ -14,7 +14,7 @@ from tacshade_edge.daemon.profiles.active_profile import ActiveProfile
 from tacshade_edge.daemon.reference import REFERENCE_FRAMES
 from tacshade_edge.daemon.requests import Requests
 from tacshade_edge.devices.weights.network import make_reconstructor
-from tacshade_edge.protocol.messages import Request
+from tacshade_edge.protocol.messages import Request, encode_reply
 from tacshade_edge.types import Calibration, Frame
 
 
@@ -31,7 +31,7 @@ class Asked:
         self.requests = Requests(
             self.worker,
             self.active,
-            lambda _, payload: self.replies.append(json.loads(payload)),
+            lambda request, outcome: self.replies.append(json.loads(encode_reply(request, outcome))),
             lambda: {"up": 1},
             self._changed,
             self.records.append,
@@ -64,6 +64,7 @@ def test_status_and_profile(asked: Asked) -> None:
             "transaction": "b",
             "ok": False,
             "error": "profile: found slow, expected one of paper, fast, balanced, accurate",
+            "reason_code": "unknown_profile",
         },
     ]
     assert asked.worker.reconstructor.profile.name == "paper"
@@ -91,7 +92,9 @@ def test_a_reference_is_taken_from_the_next_frames_and_used(asked: Asked, pictur
     before = asked.worker.reconstructor
     asked.requests.handle(Request("reference", transaction=5))
     asked.requests.handle(Request("reference", transaction=6))
-    assert asked.replies == [{"transaction": 6, "ok": False, "error": "busy: a reference is being taken"}]
+    assert asked.replies == [
+        {"transaction": 6, "ok": False, "error": "busy: a reference is being taken", "reason_code": "busy"}
+    ]
     asked.frames(pictures.free, REFERENCE_FRAMES - 1)
     asked.requests.poll()
     assert len(asked.replies) == 1

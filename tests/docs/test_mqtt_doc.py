@@ -16,7 +16,7 @@ from support.patience import patience
 
 from tacshade_edge.core.stitching.surface_map import Raster
 from tacshade_edge.daemon.publishing.map_publisher import MapPublisher
-from tacshade_edge.daemon.stitching.stitching import MapRevision
+from tacshade_edge.daemon.stitching.map_revision import MapRevision
 from tacshade_edge.protocol import wire
 from tacshade_edge.types import HeightMap, ObjectCloud, Pose, Reconstruction
 
@@ -157,7 +157,7 @@ def test_what_is_told_of_a_map_is_what_the_text_shows() -> None:
     z = np.array([[np.nan, 1.25, 1.5], [-0.5, np.nan, 0.75]], np.float32)
     revision = MapRevision("pad-1", 5, 4, 4, 1, "/s/pad-1", lambda: Raster(z, 120.0, -3.5, 0.25))
     told: dict[str, bytes] = {}
-    MapPublisher(told.__setitem__).tell(revision)
+    MapPublisher(told.__setitem__).publish(revision)
     assert json.loads(told["map/final"]) == json.loads(code("json"))
     vector = next(v["expect"] for v in VECTORS if v["name"] == "map cloud")
     cloud = wire.decode(told["map/cloud"])

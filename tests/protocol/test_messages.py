@@ -15,6 +15,18 @@ from hypothesis import strategies as st
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol import messages
 from tacshade_edge.protocol.messages import Request
+from tacshade_edge.protocol.results import (
+    NoSession,
+    PressAdded,
+    ProfileChosen,
+    ReferenceTaken,
+    RequestResult,
+    SessionAborted,
+    SessionBegun,
+    SessionEnded,
+    SessionStatus,
+)
+from tacshade_edge.protocol.serial.answers import result_text
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Calibration, Disc, Geometry, Reconstruction, TouchedObject
 
@@ -180,7 +192,7 @@ def test_no_request_does_worse_than_a_one_line_decode_error(verb: str, payload: 
             messages.parse_request(tried, b'{"x": ' + payload + b"}")
         assert str(caught.value).isprintable()
     echo = messages.parse_transaction(payload)
-    assert json.loads(messages.encode_error(echo, "why"))["transaction"] == echo
+    assert json.loads(messages.encode_error(echo, Reason(ReasonCode.BUSY, "why")))["transaction"] == echo
 
 
 def test_refused_request_still_tells_its_transaction() -> None:
@@ -192,5 +204,46 @@ def test_refused_request_still_tells_its_transaction() -> None:
 def test_replies_echo_the_transaction() -> None:
     done: Any = json.loads(messages.encode_result("t", {"profile": "fast"}))
     assert done == {"transaction": "t", "ok": True, "result": {"profile": "fast"}}
-    refused = json.loads(messages.encode_error(None, "no such profile"))
-    assert refused == {"transaction": None, "ok": False, "error": "no such profile"}
+    refused = json.loads(messages.encode_error(None, Reason(ReasonCode.UNKNOWN_PROFILE, "no such profile")))
+    assert refused == {
+        "transaction": None,
+        "ok": False,
+        "error": "no such profile",
+        "reason_code": "unknown_profile",
+    }
+
+
+@pytest.mark.parametrize(
+    ("result", "written"),
+    [
+        (SessionBegun("007"), {"name": "007"}),
+        (PressAdded(3, 812, 1290), {"press": 3, "frame": 812, "points": 1290}),
+        (
+            SessionEnded("pad", 3, 2, False, 0.03149, 211.6),
+            {"name": "pad", "presses": 3, "used": 2, "refined": 0, "disagreement_mm": 0.031, "area_mm2": 212},
+        ),
+        (SessionAborted("pad", 3), {"name": "pad", "presses": 3}),
+        (
+            SessionStatus("pad", 3, 3871, 4, 3, 0),
+            {"open": 1, "name": "pad", "presses": 3, "points": 3871, "tiles": 4, "revision": 3, "missed": 0},
+        ),
+        (NoSession(), {"open": 0}),
+        (ProfileChosen("fast"), {"profile": "fast"}),
+        (ReferenceTaken(10, 7, 0.5), {"frames": 10, "calibration_crc32": 7, "noise_grey": 0.5}),
+    ],
+)
+def test_results_have_the_serial_lines_words_as_keys(result: RequestResult, written: dict[str, Any]) -> None:
+    payload = messages.encode_result(None, result)
+    assert json.loads(payload)["result"] == written
+    assert [*json.loads(payload)["result"]] == [*written]  # in that order
+    if not isinstance(result, ProfileChosen):
+        words = dict(word.split("=") for word in result_text(result).split())
+        assert {key: value if key == "name" else float(value) for key, value in words.items()} == written
+
+
+def test_the_error_of_stitch_begins_with_the_serial_lines_word() -> None:
+    reason = Reason(ReasonCode.NO_POSE, "frame 812: the robot's pose is not known at its time")
+    error = json.loads(messages.encode_reply(Request("stitch", 5, action="add"), reason))
+    assert (error["transaction"], error["error"], error["reason_code"]) == (5, f"NOPOSE: {reason}", "no_pose")
+    error = json.loads(messages.encode_reply(Request("reference"), reason))
+    assert error["error"] == reason.text

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from tacshade_edge.core.stitching.press_points import Touch
+from tacshade_edge.core.stitching.press_points import PressPoints
 from tacshade_edge.rigid import Rigid, from_seven, shift, turn
 from tacshade_edge.types import F64
 
@@ -24,7 +24,7 @@ def grid_poses(side_mm: float = 30.0, step_mm: float = 5.0) -> list[Rigid]:
     return [shift(x, y, APEX_MM) @ DOWN for y in places for x in places]
 
 
-def touched(pose: Rigid, seed: int, radius_mm: float = 5.0, noise_mm: float = 0.03) -> Touch:
+def press_of(pose: Rigid, seed: int, radius_mm: float = 5.0, noise_mm: float = 0.03) -> PressPoints:
     """Points around the apex, on the surface."""
     rng = np.random.default_rng(seed)
     x0, y0, _ = pose.apply(np.array((0, 0, APEX_MM)))
@@ -33,7 +33,7 @@ def touched(pose: Rigid, seed: int, radius_mm: float = 5.0, noise_mm: float = 0.
     z = height_mm(x, y) + rng.normal(0, noise_mm, x.shape)
     points = pose.inverse().apply(np.stack((x, y, z), axis=1))
     normals = np.broadcast_to(np.array((0, 0, 1), np.float32), points.shape)
-    return Touch(points.astype(np.float32), normals, np.ones(len(points), np.float32))
+    return PressPoints(points.astype(np.float32), normals, np.ones(len(points), np.float32))
 
 
 def misreported(poses: list[Rigid], seed: int, mm: float = 0.3, deg: float = 0.6) -> list[Rigid]:

@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from tacshade_edge.core.stitching.surface_map import TouchMap
+from tacshade_edge.core.stitching.surface_map import SurfaceMap
 from tacshade_edge.daemon.publishing.map_publisher import MapPublisher
-from tacshade_edge.daemon.stitching.stitching import MapRevision
+from tacshade_edge.daemon.stitching.map_revision import MapRevision
 from tacshade_edge.simulator.pad import touchpad
 
 PAD = touchpad()
@@ -30,7 +30,7 @@ class GrowingMap:
 
     def __init__(self, publish: Callable[[str, bytes], None], name: str, x_mm: float = 0.0, y_mm: float = 0.0) -> None:
         self._publish, self._name, self._corner_mm = publish, name, (x_mm, y_mm)
-        self._map = TouchMap()
+        self._map = SurfaceMap()
         self.presses = self.revision = 0
 
     def press(self, *places_mm: tuple[float, float]) -> None:
@@ -52,7 +52,7 @@ class GrowingMap:
     def _tell(self, used: int, folder: str) -> None:
         self.revision += 1
         about = (self._name, self.revision, self.presses, used, 0x1234ABCD, folder)
-        MapPublisher(self._publish).tell(MapRevision(*about, self._map.raster))  # a new one: no second between two
+        MapPublisher(self._publish).publish(MapRevision(*about, self._map.raster))  # a new one: no second between two
 
 
 def scan(every_mm: float = 8.0) -> Sequence[tuple[float, float]]:

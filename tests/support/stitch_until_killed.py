@@ -5,17 +5,17 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from support.bumpy_surface import grid_poses, touched
-from tacshade_edge.devices.files.stitch_file import About, StitchFile
+from support.bumpy_surface import grid_poses, press_of
+from tacshade_edge.devices.files.stitch_file import SessionInfo, StitchFile
 
 
 def main(folder: Path) -> None:
     poses = grid_poses()
-    touches = [touched(pose, k) for k, pose in enumerate(poses)]
-    file = StitchFile.create(folder, About("killed", 1, 0, 20.0))
+    presses = [press_of(pose, k) for k, pose in enumerate(poses)]
+    file = StitchFile.create(folder, SessionInfo("killed", 1, 0, 20.0))
     while True:
-        for pose, touch in zip(poses, touches, strict=True):
-            file.append(touch, pose)
+        for pose, points in zip(poses, presses, strict=True):
+            file.append(points, pose)
             print("added", flush=True)
 
 

@@ -1,4 +1,7 @@
-"""The flange's pose between the poses that the robot told: straight lines and great circles, never far beyond."""
+"""The flange's pose between the poses that the robot sent: straight lines and great circles, never far beyond.
+
+Rotations are interpolated by slerp (Shoemake, "Animating rotation with quaternion curves", SIGGRAPH 1985).
+"""
 
 from __future__ import annotations
 
@@ -10,26 +13,26 @@ from dataclasses import dataclass
 from tacshade_edge.types import Pose
 
 GAP_MAX_NS = 250_000_000  # poses farther apart say nothing of what was between
-BEYOND_MAX_NS = 20_000_000  # at 1 m/s² a straight line is wrong by 0.2 mm then
-KEPT_NS = 5_000_000_000
-KEPT_MAX = 8192
+EXTRAPOLATION_MAX_NS = 20_000_000  # at 1 m/s² a straight line is wrong by 0.2 mm then
+HISTORY_NS = 5_000_000_000
+POSES_MAX = 8192
 
 
 @dataclass(frozen=True, slots=True)
-class PoseAt:
-    """A pose at a time that was asked for, and by how much it is beyond the newest that is known."""
+class InterpolatedPose:
+    """A pose, and by how much its time is beyond the newest that is known."""
 
     pose: Pose
-    beyond_ns: int
+    extrapolated_ns: int
 
 
 def interpolate(a: Pose, b: Pose, t_ns: int) -> Pose:
     """The pose at `t_ns` of one that moves and turns evenly from `a` to `b`; beyond them it goes on so.
 
     The rotation takes the shorter way (q and -q are the same); `a` and `b` must not be of the same time. Of two equal
-    poses it is that pose to the last bit: a robot at rest is at one place, whichever two of its poses are asked.
+    poses it is that pose to the last bit: a robot at rest is at one place, whichever two of its poses are taken.
     """
-    part = (t_ns - a.t_ns) / (b.t_ns - a.t_ns)
+    fraction = (t_ns - a.t_ns) / (b.t_ns - a.t_ns)
     q, r = (a.qw, a.qx, a.qy, a.qz), (b.qw, b.qx, b.qy, b.qz)
     dot = sum(u * v for u, v in zip(q, r, strict=True))
     if dot < 0:
@@ -38,13 +41,13 @@ def interpolate(a: Pose, b: Pose, t_ns: int) -> Pose:
     if q == r:
         weights = 1.0, 0.0
     elif angle < 1e-4:  # the sines are equal to their angles within 1e-9
-        weights = 1 - part, part
+        weights = 1 - fraction, fraction
     else:
-        weights = math.sin((1 - part) * angle) / math.sin(angle), math.sin(part * angle) / math.sin(angle)
-    turned = [weights[0] * u + weights[1] * v for u, v in zip(q, r, strict=True)]
-    norm = math.hypot(*turned)
-    qw, qx, qy, qz = (value / norm for value in turned)
-    x, y, z = (u + part * (v - u) for u, v in ((a.x_mm, b.x_mm), (a.y_mm, b.y_mm), (a.z_mm, b.z_mm)))
+        weights = math.sin((1 - fraction) * angle) / math.sin(angle), math.sin(fraction * angle) / math.sin(angle)
+    rotated = [weights[0] * u + weights[1] * v for u, v in zip(q, r, strict=True)]
+    norm = math.hypot(*rotated)
+    qw, qx, qy, qz = (value / norm for value in rotated)
+    x, y, z = (u + fraction * (v - u) for u, v in ((a.x_mm, b.x_mm), (a.y_mm, b.y_mm), (a.z_mm, b.z_mm)))
     return Pose(t_ns, x, y, z, qw, qx, qy, qz)
 
 
@@ -59,7 +62,7 @@ class PoseBuffer:
 
     def __init__(self) -> None:
         self.late = 0
-        self._poses: deque[Pose] = deque(maxlen=KEPT_MAX)
+        self._poses: deque[Pose] = deque(maxlen=POSES_MAX)
 
     def add(self, pose: Pose) -> None:
         """Keep a pose."""
@@ -68,25 +71,25 @@ class PoseBuffer:
             self.late += 1
             return
         poses.append(pose)
-        while pose.t_ns - poses[0].t_ns > KEPT_NS:
+        while pose.t_ns - poses[0].t_ns > HISTORY_NS:
             poses.popleft()
 
     def clear(self) -> None:
         """Forget all: what comes is of another clock."""
         self._poses.clear()
 
-    def at(self, t_ns: int) -> PoseAt | None:
+    def at(self, t_ns: int) -> InterpolatedPose | None:
         """The pose at a time; None where none is known well enough.
 
-        Between two poses at most `GAP_MAX_NS` apart, or at most `BEYOND_MAX_NS` after the newest.
+        Between two poses at most `GAP_MAX_NS` apart, or at most `EXTRAPOLATION_MAX_NS` after the newest.
         """
         poses = self._poses
         if len(poses) < 2 or t_ns < poses[0].t_ns:
             return None
         after = bisect.bisect_left(poses, t_ns, key=lambda pose: pose.t_ns)
-        beyond_ns = max(0, t_ns - poses[-1].t_ns)
+        extrapolated_ns = max(0, t_ns - poses[-1].t_ns)
         after = min(max(after, 1), len(poses) - 1)
         a, b = poses[after - 1], poses[after]
-        if beyond_ns > BEYOND_MAX_NS or (b.t_ns - a.t_ns > GAP_MAX_NS and t_ns not in (a.t_ns, b.t_ns)):
+        if extrapolated_ns > EXTRAPOLATION_MAX_NS or (b.t_ns - a.t_ns > GAP_MAX_NS and t_ns not in (a.t_ns, b.t_ns)):
             return None
-        return PoseAt(interpolate(a, b, t_ns), beyond_ns)
+        return InterpolatedPose(interpolate(a, b, t_ns), extrapolated_ns)

@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
-SETTLE_NS = 300_000_000
+REST_NS = 300_000_000
 STEADY_MM = 0.06
-_STEADY_PART = 0.03  # a deep contact's depth trembles more
+_STEADY_FRACTION = 0.03  # of the depth: a deep contact's trembles more
 
 
-class Settled:
-    """Told of every frame; says once in each contact that its depth has been steady for `SETTLE_NS`."""
+class RestDetector:
+    """Fires once in each contact, when its depth has been steady for `REST_NS`."""
 
     def __init__(self) -> None:
-        self._told = False
+        self._fired = False
         self._since_ns = 0
-        self._low = self._high = 0.0
+        self._min_mm = self._max_mm = 0.0
 
-    def taken(self) -> None:
-        """The present contact counts already: something else has said so."""
-        self._told = True
+    def suppress(self) -> None:
+        """The present contact counts already: it does not fire again."""
+        self._fired = True
 
-    def of(self, t_ns: int, contact: bool, depth_mm: float) -> bool:
-        """Whether the contact has just settled.
+    def update(self, t_ns: int, contact: bool, depth_mm: float) -> bool:
+        """Take the next frame: whether the contact has just come to rest.
 
         Parameters
         ----------
@@ -32,14 +32,14 @@ class Settled:
             Greatest depth.
         """
         if not contact:
-            self._told, self._since_ns = False, 0
+            self._fired, self._since_ns = False, 0
             return False
-        low, high = min(self._low, depth_mm), max(self._high, depth_mm)
-        if self._since_ns == 0 or high - low > STEADY_MM + _STEADY_PART * high:
-            self._since_ns, self._low, self._high = t_ns, depth_mm, depth_mm
+        min_mm, max_mm = min(self._min_mm, depth_mm), max(self._max_mm, depth_mm)
+        if self._since_ns == 0 or max_mm - min_mm > STEADY_MM + _STEADY_FRACTION * max_mm:
+            self._since_ns, self._min_mm, self._max_mm = t_ns, depth_mm, depth_mm
             return False
-        self._low, self._high = low, high
-        if self._told or t_ns - self._since_ns < SETTLE_NS:
+        self._min_mm, self._max_mm = min_mm, max_mm
+        if self._fired or t_ns - self._since_ns < REST_NS:
             return False
-        self._told = True
+        self._fired = True
         return True

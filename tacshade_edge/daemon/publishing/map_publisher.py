@@ -8,18 +8,18 @@ from collections.abc import Callable
 import numpy as np
 
 from tacshade_edge.core.stitching.surface_map import Raster
-from tacshade_edge.daemon.stitching.stitching import MapRevision
+from tacshade_edge.daemon.stitching.map_revision import MapRevision
 from tacshade_edge.protocol.messages import encode_map
 from tacshade_edge.protocol.wire import encode_map_cloud
 from tacshade_edge.types import F32
 
 PERIOD_S = 1.0
 POINTS_MAX = 20_000
-"""Of a ``map/cloud``: 280 kB; a larger map is told with fewer of its nodes."""
+"""Of a ``map/cloud``: 280 kB; of a larger map with fewer of its nodes."""
 
 
 class MapPublisher:
-    """Tells of maps, at most once a second while they grow: a raster costs the more, the larger the map is.
+    """Publishes maps, at most once a second while they grow: a raster costs the more, the larger the map is.
 
     Parameters
     ----------
@@ -31,8 +31,8 @@ class MapPublisher:
         self._publish = publish
         self._next_s = 0.0
 
-    def tell(self, revision: MapRevision) -> bool:
-        """Publish a revision, unless one was published just before: True then; the final one always."""
+    def publish(self, revision: MapRevision) -> bool:
+        """Publish a revision; True: deferred, since one was published just before. The final one never is."""
         now_s = time.monotonic()
         if not revision.folder and now_s < self._next_s:
             return True
@@ -70,9 +70,9 @@ class MapPublisher:
 
 def thinned_points(raster: Raster) -> tuple[F32, float]:
     """Points (N, 3) of every k-th row and column, k so that they are at most `POINTS_MAX`; and their spacing in mm."""
-    by = 1
-    while np.count_nonzero(np.isfinite(raster.z_mm[::by, ::by])) > POINTS_MAX:
-        by += 1
-    spacing_mm = by * raster.step_mm
-    thin = Raster(raster.z_mm[::by, ::by], raster.x0_mm, raster.y0_mm, spacing_mm)
+    stride = 1
+    while np.count_nonzero(np.isfinite(raster.z_mm[::stride, ::stride])) > POINTS_MAX:
+        stride += 1
+    spacing_mm = stride * raster.step_mm
+    thin = Raster(raster.z_mm[::stride, ::stride], raster.x0_mm, raster.y0_mm, spacing_mm)
     return thin.points().astype(np.float32), spacing_mm

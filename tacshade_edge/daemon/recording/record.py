@@ -27,6 +27,10 @@ TIME, STOPPED, SOURCE_ENDED, DAEMON_STOPPED = "time", "stopped", "source ended",
 GOOD_ENDINGS = (TIME, STOPPED, SOURCE_ENDED, DAEMON_STOPPED)
 
 
+class RecorderBusyError(DeviceError):
+    """A recording goes on."""
+
+
 @dataclass(frozen=True, slots=True)
 class RecordingEnded:
     """The thread of a recording is done: `LiveRecorder.poll` has its figures."""
@@ -189,12 +193,14 @@ class LiveRecorder:
         ------
         ConfigError
             The folder is there already.
+        RecorderBusyError
+            One goes on.
         DeviceError
-            One goes on; the folder cannot be made; the disk is down to the floor.
+            The folder cannot be made; the disk is down to the floor.
         """
         if (now := self.now()) is not None:
             doing = "the latest is still being written to" if now.ending else "recording to"
-            raise DeviceError(f"busy: {doing} {now.folder}")
+            raise RecorderBusyError(f"busy: {doing} {now.folder}")
         recorder = Recorder(folder, free_floor_bytes=FREE_FLOOR_BYTES)
         job = _Job(recorder, seconds, settings_yaml, calibration, self._posed)
 

@@ -12,10 +12,12 @@ import msgspec
 from tacshade_edge import __version__
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.pipeline.workers import SourceState
-from tacshade_edge.daemon.recording.record import STOPPED, LiveRecorder, Recorded
+from tacshade_edge.daemon.recording.record import STOPPED, LiveRecorder, Recorded, RecorderBusyError
+from tacshade_edge.daemon.requests import Reply
 from tacshade_edge.devices.files.recorder import CALIBRATION_NAME
-from tacshade_edge.errors import TacshadeError
-from tacshade_edge.protocol.messages import Request, encode_error, encode_result, encode_status
+from tacshade_edge.errors import ConfigError, TacshadeError
+from tacshade_edge.protocol.messages import Request, encode_status
+from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.settings import Settings, to_yaml
 
 FIGURES_PERIOD_S = 1.0
@@ -28,15 +30,12 @@ class RecordRequests:
     Parameters
     ----------
     recorder : LiveRecorder
-    reply : callable
-        ``reply(request, payload)``.
+    reply : Reply
     tell : callable
         ``tell(status_payload)``.
     """
 
-    def __init__(
-        self, recorder: LiveRecorder, reply: Callable[[Request, bytes], None], tell: Callable[[bytes], None]
-    ) -> None:
+    def __init__(self, recorder: LiveRecorder, reply: Reply, tell: Callable[[bytes], None]) -> None:
         self._recorder = recorder
         self._reply = reply
         self._tell = tell
@@ -47,15 +46,15 @@ class RecordRequests:
 
     def handle(self, request: Request, settings: Settings, reconstructor: Reconstructor, source: SourceState) -> None:
         """Do or refuse one request."""
-        try:
-            if request.action == "start":
-                folder = self._start(request, settings, reconstructor, source)
-                self._reply(request, encode_result(request.transaction, {"folder": str(folder)}))
-            else:
-                self._end(request)
-        except TacshadeError as error:
-            _log.info("req/record refused: %s", error)
-            self._reply(request, encode_error(request.transaction, str(error)))
+        outcome: dict[str, str] | Reason | None
+        if request.action == "start":
+            outcome = self._start(request, settings, reconstructor, source)
+        else:
+            outcome = self._end(request)
+        if isinstance(outcome, Reason):
+            _log.info("req/record refused: %s", outcome)
+        if outcome is not None:
+            self._reply(request, outcome)
         self.poll()
 
     def poll(self) -> None:
@@ -66,7 +65,7 @@ class RecordRequests:
             _log.info("recording ended: %s", recorded.as_dict())
             if (request := self._stop) is not None:
                 self._stop = None
-                self._reply(request, encode_result(request.transaction, recorded.as_dict()))
+                self._reply(request, recorded.as_dict())
         now, latest = self._recorder.now(), self._latest
         if now is not None:
             status = encode_status("recording", "", now.as_dict())
@@ -83,23 +82,33 @@ class RecordRequests:
         self._told, self._told_s, self._told_folder = status, now_s, now.folder if now else None
         self._tell(status)
 
-    def _start(self, request: Request, settings: Settings, reconstructor: Reconstructor, source: SourceState) -> Path:
+    def _start(
+        self, request: Request, settings: Settings, reconstructor: Reconstructor, source: SourceState
+    ) -> dict[str, str] | Reason:
         name = request.name or time.strftime("%Y%m%d-%H%M%S", time.gmtime())
         folder = Path(settings.recorder.folder) / name
         calibration, profile = reconstructor.calibration, reconstructor.profile.name
         about = {"version": __version__, "profile": profile, "calibration_crc32": calibration.crc32}
-        self._recorder.start(folder, request.seconds, _replayable(settings), calibration, about)
+        try:
+            self._recorder.start(folder, request.seconds, _replayable(settings), calibration, about)
+        except RecorderBusyError as error:
+            return Reason(ReasonCode.BUSY, str(error))
+        except ConfigError as error:
+            return Reason(ReasonCode.NAME_TAKEN, str(error))
+        except TacshadeError as error:
+            return Reason(ReasonCode.DEVICE_FAILED, str(error))
         self._recorder.event("start", state=source.state, reason=source.reason, source=source.details, **about)
         _log.info("recording to %s", folder)
-        return folder
+        return {"folder": str(folder)}
 
-    def _end(self, request: Request) -> None:
+    def _end(self, request: Request) -> Reason | None:
         if self._stop is not None:
-            raise TacshadeError("busy: the recording is being stopped")
+            return Reason(ReasonCode.BUSY, "busy: the recording is being stopped")
         if self._recorder.now() is None:
-            raise TacshadeError("found no recording to stop")
+            return Reason(ReasonCode.NO_RECORDING, "found no recording to stop")
         self._stop = request
         self._recorder.end(STOPPED)
+        return None
 
 
 def _replayable(settings: Settings) -> str:

@@ -15,6 +15,7 @@ from tacshade_edge.devices.mqtt.outlet import Outcome
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.protocol import messages
 from tacshade_edge.protocol.messages import Request
+from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Reconstruction
 
 CONNECT_S, HAND_OVER_S, STOP_S = 2.0, 5.0, 2.0
@@ -101,4 +102,5 @@ class ReplayLink:
             self._changed.notify_all()
 
     def _on_request(self, request: Request) -> None:
-        self._link.reply(request, messages.encode_error(request.transaction, "a replay takes no requests"))
+        refusal = Reason(ReasonCode.UNAVAILABLE, "a replay takes no requests")
+        self._link.reply(request, messages.encode_error(request.transaction, refusal))

@@ -1,4 +1,4 @@
-"""The robot's clock and poses, between the thread that receives them and those that ask."""
+"""The robot's clock and poses, between the thread that receives them and those that use them."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from dataclasses import replace
 from typing import Any
 
 from tacshade_edge.core.stitching.poses import PoseBuffer
-from tacshade_edge.protocol.clock_sync import ClockSync, SyncState
-from tacshade_edge.protocol.serial_link import PoseArrived
+from tacshade_edge.protocol.serial.clock_sync import ClockSync, SyncState
+from tacshade_edge.protocol.serial.link import PoseArrived
+from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Pose
 
 
@@ -21,28 +22,28 @@ class RobotMotion:
         self._poses = PoseBuffer()
         self._restarts = 0
 
-    def began_anew(self) -> None:
+    def restart(self) -> None:
         """The robot greeted: its clock is another."""
         with self._lock:
-            self._sync.restart("the robot began anew")
+            self._sync.restart(Reason(ReasonCode.ROBOT_RESTARTED, "the robot began anew"))
             self._forget_old()
 
-    def asked(self, t1_ns: int, t2_ns: int, t4_ns: int | None) -> None:
-        """A ``SYNC`` arrived; `replied` must follow."""
+    def sync_received(self, t1_ns: int, t2_ns: int, t4_ns: int | None) -> None:
+        """A ``SYNC`` arrived; `sync_answered` must follow."""
         with self._lock:
-            self._sync.asked(t1_ns, t2_ns, t4_ns)
+            self._sync.sync_received(t1_ns, t2_ns, t4_ns)
             self._forget_old()
 
-    def replied(self, t3_ns: int) -> None:
+    def sync_answered(self, t3_ns: int) -> None:
         """Its reply was given to the port."""
         with self._lock:
-            self._sync.replied(t3_ns)
+            self._sync.sync_answered(t3_ns)
 
     def add(self, arrived: PoseArrived) -> None:
         """A pose arrived."""
         sample = arrived.sample
         with self._lock:
-            self._sync.arrived(sample.t_ns, arrived.arrived_ns)
+            self._sync.stamp_received(sample.t_ns, arrived.arrived_ns)
             self._forget_old()
             self._poses.add(Pose(sample.t_ns, *sample.values))
 
@@ -50,10 +51,10 @@ class RobotMotion:
         """``base_T_flange`` at a time of CLOCK_MONOTONIC, and how far from it that may be, in µs; None if unknown."""
         with self._lock:
             robot = self._sync.to_robot(t_ns)
-            found = None if robot is None else self._poses.at(robot.t_ns)
-        if robot is None or found is None:
+            sample = None if robot is None else self._poses.at(robot.t_ns)
+        if robot is None or sample is None:
             return None
-        return replace(found.pose, t_ns=t_ns), -(-(robot.error_ns + found.beyond_ns) // 1000)
+        return replace(sample.pose, t_ns=t_ns), -(-(robot.error_ns + sample.extrapolated_ns) // 1000)
 
     def state(self) -> SyncState:
         """How well the clock is known."""

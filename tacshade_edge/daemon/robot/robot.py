@@ -15,10 +15,11 @@ from tacshade_edge.daemon.robot.serial_channel import SILENT_NS, SerialChannel
 from tacshade_edge.daemon.robot.serial_commands import SerialCommands
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.protocol.messages import Request, encode_status
+from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Calibration, Frame, Reconstruction
 
-# A recorded frame waits so long for the pose after it: that of a robot that tells ten a second is there then.
-SETTLED_NS = 120_000_000
+# A frame waits so long for the pose after it: that of a robot that sends ten a second is there then.
+POSE_WAIT_NS = 120_000_000
 LATENCY_MAX_MS = 1
 
 
@@ -32,8 +33,8 @@ class Robot:
         Takes the robot's requests for the main thread.
     state : callable
         The daemon's state, as for ``req/status``.
-    tell : callable
-        ``tell(payload)`` publishes ``status/serial``.
+    publish_status : callable
+        ``publish_status(payload)`` publishes ``status/serial``.
 
     Attributes
     ----------
@@ -46,15 +47,15 @@ class Robot:
         port: SerialPort,
         on_request: Callable[[Request], None],
         state: Callable[[], dict[str, Any]],
-        tell: Callable[[bytes], None],
+        publish_status: Callable[[bytes], None],
     ) -> None:
         self.motion = RobotMotion()
         self.commands = SerialCommands(self.motion, on_request, state, port.wake)
         self._channel = SerialChannel(port, self.motion, self.commands)
-        self._tell = tell
-        self._told = b""
+        self._publish_status = publish_status
+        self._published = b""
         self._stopped = threading.Event()
-        self._posed = self._unposed = 0
+        self._with_pose = self._without_pose = 0
         # A daemon thread: a port that hangs must not keep the process.
         self._thread = threading.Thread(target=self._channel.run, name="serial", daemon=True)
 
@@ -69,61 +70,64 @@ class Robot:
         self._thread.join(timeout_s)
 
     def poll(self) -> None:
-        """Tell ``status/serial`` when it changed; called in the main thread."""
+        """Publish ``status/serial`` when it changed; called in the main thread."""
         port, sync = self._channel.port_state, self.motion.state()
         if port.state == "away":
-            status = encode_status("away", port.reason, port.details)
+            state, reason, details = "away", port.reason, port.details
         else:
             silent = time.monotonic_ns() - self._channel.quiet_since_ns > SILENT_NS
-            reason = f"nothing for more than {SILENT_NS / 1e9:.0f} s" if silent else sync.reason
-            if not reason and int(port.details.get("latency_ms", 0)) > LATENCY_MAX_MS:
-                reason = f"the port's chip holds bytes back for {port.details['latency_ms']} ms; doctor tells the mend"
+            state, reason = "silent" if silent else "connected", sync.reason
             details = {**port.details, "mode": self._channel.mode, "sync": sync.mode}
-            status = encode_status("silent" if silent else "connected", reason, details)
-        if status != self._told:
-            self._told = status
-            self._tell(status)
+            if silent:
+                reason = Reason(ReasonCode.PORT_SILENT, f"nothing for more than {SILENT_NS / 1e9:.0f} s")
+            elif reason is None and (latency_ms := int(port.details.get("latency_ms", 0))) > LATENCY_MAX_MS:
+                text = f"the port's chip holds bytes back for {latency_ms} ms; doctor tells the mend"
+                reason = Reason(ReasonCode.PORT_LATENCY, text)
+        status = encode_status(state, reason.text if reason else "", details)
+        if status != self._published:
+            self._published = status
+            self._publish_status(status)
 
     def as_dict(self) -> dict[str, Any]:
         """For ``health``."""
-        frames = {"frames_with_pose": self._posed, "frames_without_pose": self._unposed}
+        frames = {"frames_with_pose": self._with_pose, "frames_without_pose": self._without_pose}
         return {**self._channel.as_dict(), **self.motion.as_dict(), **frames}
 
-    def posed(self, sink: Sink) -> Sink:
+    def adding_poses(self, sink: Sink) -> Sink:
         """`sink`, whose frames get their poses, and whose results answer the robot's captures."""
-        return _PosedSink(sink, self)
+        return _PoseSink(sink, self)
 
-    def with_settled_pose(self, frame: Frame) -> Frame:
-        """The frame with the pose between the two about it, for which it waits; for a recording."""
-        self._stopped.wait(max(0, frame.t_ns + SETTLED_NS - time.monotonic_ns()) / 1e9)
-        found = self.motion.at(frame.t_ns)
-        return frame if found is None else replace(frame, pose=found[0], pose_error_us=found[1])
+    def with_interpolated_pose(self, frame: Frame) -> Frame:
+        """Wait for the pose after the frame, and give the frame the pose between it and the one before."""
+        self._stopped.wait(max(0, frame.t_ns + POSE_WAIT_NS - time.monotonic_ns()) / 1e9)
+        known = self.motion.at(frame.t_ns)
+        return frame if known is None else replace(frame, pose=known[0], pose_error_us=known[1])
 
     def knows_pose(self) -> bool:
         """Whether a frame of now would get one, once the pose after it is there."""
-        return self.motion.at(time.monotonic_ns() - SETTLED_NS) is not None
+        return self.motion.at(time.monotonic_ns() - POSE_WAIT_NS) is not None
 
     def with_pose(self, frame: Frame) -> Frame:
         """The frame with the pose that the sensor had."""
-        found = self.motion.at(frame.t_ns)
-        if found is None:
-            self._unposed += 1
+        known = self.motion.at(frame.t_ns)
+        if known is None:
+            self._without_pose += 1
             return frame
-        self._posed += 1
-        return replace(frame, pose=found[0], pose_error_us=found[1])
+        self._with_pose += 1
+        return replace(frame, pose=known[0], pose_error_us=known[1])
 
 
-class _PosedSink:
+class _PoseSink:
     def __init__(self, sink: Sink, robot: Robot) -> None:
         self._sink = sink
         self._robot = robot
 
     def asked(self) -> bool:
-        return self._robot.commands.waits_for_a_frame or self._sink.asked()
+        return self._robot.commands.capture_pending or self._sink.asked()
 
     def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> Outcome | None:
-        posed = self._robot.with_pose(frame)
-        outcome = self._sink.deliver(posed, result, calibration)
+        frame = self._robot.with_pose(frame)
+        outcome = self._sink.deliver(frame, result, calibration)
         if result is not None:
-            self._robot.commands.reconstructed(posed, result)
+            self._robot.commands.observe(frame, result)
         return outcome

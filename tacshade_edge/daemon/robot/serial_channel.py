@@ -12,7 +12,9 @@ from tacshade_edge.daemon.robot.motion import RobotMotion
 from tacshade_edge.daemon.robot.serial_commands import SerialCommands
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.errors import DeviceError
-from tacshade_edge.protocol.serial_link import PROTOCOL_VERSION, Greeted, PoseArrived, SerialLink
+from tacshade_edge.protocol.serial.answers import PortOpened, PosesMissing, SyncChanged
+from tacshade_edge.protocol.serial.link import Greeted, PoseArrived, SerialLink
+from tacshade_edge.reasons import Reason, ReasonCode
 
 _log = logging.getLogger(__name__)
 
@@ -27,7 +29,7 @@ class PortState:
     """How the port is."""
 
     state: Literal["away", "open"]
-    reason: str = ""
+    reason: Reason | None = None
     details: dict[str, str | int | float] = field(default_factory=dict)
 
 
@@ -49,7 +51,7 @@ class SerialChannel:
     """
 
     def __init__(self, port: SerialPort, motion: RobotMotion, commands: SerialCommands) -> None:
-        self.port_state = PortState("away", "starting")
+        self.port_state = PortState("away", Reason(ReasonCode.STARTING, "starting"))
         self.quiet_since_ns = 0
         self._port = port
         self._link = SerialLink()
@@ -60,9 +62,9 @@ class SerialChannel:
         self._lost_ns: int | None = None
         self._away_ms = 0
         self._unsent_bytes = 0
-        self._deaf_until_s = 0.0
-        self._gap, self._gap_told_ns, self._gap_logged_ns = 0, 0, 0
-        self._told_sync = "none"
+        self._write_after_s = 0.0
+        self._missing, self._gap_sent_ns, self._gap_logged_ns = 0, 0, 0
+        self._sent_sync = "none"
 
     @property
     def mode(self) -> str:
@@ -80,12 +82,12 @@ class SerialChannel:
         while not self._stop.is_set():
             try:
                 self._port.open()
-                self._say_ready()
+                self._on_open()
                 while not self._stop.is_set():
                     if self._turn():
                         retry_s = FIRST_RETRY_S
             except DeviceError as error:
-                self._tell(PortState("away", str(error)))
+                self._set_state(PortState("away", Reason(ReasonCode.PORT_AWAY, str(error))))
                 if self._lost_ns is None and self._opened:
                     self._lost_ns = time.monotonic_ns()
             finally:
@@ -103,8 +105,8 @@ class SerialChannel:
             "unsent_bytes": self._unsent_bytes,
         }
 
-    def _say_ready(self) -> None:
-        """A session outlives its port, and the robot is told how long it was away."""
+    def _on_open(self) -> None:
+        """A session outlives its port: the robot learns how long it was away."""
         self._opened += 1
         self.quiet_since_ns = time.monotonic_ns()
         away_ms = 0
@@ -112,9 +114,8 @@ class SerialChannel:
             away_ms = (self.quiet_since_ns - self._lost_ns) // 1_000_000
             self._away_ms += away_ms
             self._lost_ns = None
-        self._tell(PortState("open", "", self._port.describe()))
-        gap = f" away_ms={away_ms}" if away_ms else ""
-        self._link.event(f"READY tacshade {PROTOCOL_VERSION}{gap}")
+        self._set_state(PortState("open", None, self._port.describe()))
+        self._link.notify(PortOpened(away_ms))
 
     def _turn(self) -> bool:
         """One wait for bytes, and all that they cause; whether some came."""
@@ -122,45 +123,45 @@ class SerialChannel:
         now_ns = time.monotonic_ns()
         if data:
             self.quiet_since_ns = now_ns
-        for event in self._link.receive(data, now_ns):
-            if isinstance(event, PoseArrived):
-                self._gap += event.lost
-                self._motion.add(event)
-            elif isinstance(event, Greeted):
-                _log.info("the robot greeted%s", f", boot {event.boot}" if event.boot else "")
-                self._motion.began_anew()
+        for received in self._link.receive(data, now_ns):
+            if isinstance(received, PoseArrived):
+                self._missing += received.missing
+                self._motion.add(received)
+            elif isinstance(received, Greeted):
+                _log.info("the robot greeted%s", f", boot {received.boot}" if received.boot else "")
+                self._motion.restart()
             else:
-                self._commands.handle(event, self._link)
+                self._commands.handle(received, self._link)
         self._commands.send_answers(self._link)
-        self._say_news(now_ns)
+        self._send_events(now_ns)
         self._write()
         return bool(data)
 
-    def _say_news(self, now_ns: int) -> None:
-        if self._gap and now_ns - self._gap_told_ns >= GAP_PERIOD_NS:
-            self._link.event(f"GAP poses={self._gap}")
+    def _send_events(self, now_ns: int) -> None:
+        if self._missing and now_ns - self._gap_sent_ns >= GAP_PERIOD_NS:
+            self._link.notify(PosesMissing(self._missing))
             if now_ns - self._gap_logged_ns >= GAP_LOG_PERIOD_NS:
                 self._gap_logged_ns = now_ns
                 _log.info("%d poses are missing by their numbers so far", self._link.counts.poses_lost)
-            self._gap, self._gap_told_ns = 0, now_ns
+            self._missing, self._gap_sent_ns = 0, now_ns
         sync = self._motion.state()
-        if sync.mode != self._told_sync:
-            self._told_sync = sync.mode
-            self._link.event(f"SYNC mode={sync.mode} error_us={sync.error_us}")
+        if sync.mode != self._sent_sync:
+            self._sent_sync = sync.mode
+            self._link.notify(SyncChanged(sync.mode, sync.error_us))
             _log.info("sync %s%s", sync.mode, f": {sync.reason}" if sync.reason else "")
 
     def _write(self) -> None:
         data = self._link.take_output()
         if not data:
             return
-        if time.monotonic() < self._deaf_until_s:
+        if time.monotonic() < self._write_after_s:
             self._unsent_bytes += len(data)
         elif not self._port.write(data):
             # Some of it may be out; the robot's parser drops what is cut, and asks again.
             self._unsent_bytes += len(data)
-            self._deaf_until_s = time.monotonic() + NOT_READING_PAUSE_S
+            self._write_after_s = time.monotonic() + NOT_READING_PAUSE_S
 
-    def _tell(self, state: PortState) -> None:
+    def _set_state(self, state: PortState) -> None:
         if state != self.port_state:
             self.port_state = state
             _log.info("serial %s%s", state.state, f": {state.reason}" if state.reason else "")

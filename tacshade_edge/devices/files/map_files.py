@@ -21,7 +21,7 @@ _LEGEND_PX = 24
 _UNTOUCHED_GREY = 225
 
 
-def write_map(folder: Path, raster: Raster, described: Mapping[str, Any]) -> None:
+def write_map(folder: Path, raster: Raster, details: Mapping[str, Any]) -> None:
     """Write all files of a map; each is there whole or not at all.
 
     Parameters
@@ -29,8 +29,8 @@ def write_map(folder: Path, raster: Raster, described: Mapping[str, Any]) -> Non
     folder : Path
         Made when missing.
     raster : Raster
-    described : mapping
-        What else ``map.json`` says.
+    details : mapping
+        More keys of ``map.json``.
 
     Raises
     ------
@@ -48,7 +48,7 @@ def write_map(folder: Path, raster: Raster, described: Mapping[str, Any]) -> Non
         "touched_mm2": float(np.count_nonzero(known)) * raster.step_mm**2,
         # Of map.png: 0 is untouched, level n is z0_mm + (n - 1) scale_mm.
         "png": {"z0_mm": z0_mm, "scale_mm": scale_mm},
-        **described,
+        **details,
     }
     buffer = io.BytesIO()
     np.savez_compressed(buffer, z_mm=raster.z_mm, x0_mm=raster.x0_mm, y0_mm=raster.y0_mm, step_mm=raster.step_mm)

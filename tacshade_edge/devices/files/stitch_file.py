@@ -17,7 +17,7 @@ from typing import BinaryIO, Literal
 
 import numpy as np
 
-from tacshade_edge.core.stitching.press_points import Touch
+from tacshade_edge.core.stitching.press_points import PressPoints
 from tacshade_edge.devices.files.whole_files import sync, told, write_whole
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.rigid import Rigid
@@ -27,11 +27,11 @@ VERSION = 1
 _HEAD = struct.Struct("<4sII")  # magic, bytes and CRC-32 of what follows
 _MAGIC = b"TCSP"
 _POSE_VALUES, _POINT_VALUES = 12, 7
-_POINTS_MAX = 1_000_000
+_PRESS_POINTS_MAX = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class About:
+class SessionInfo:
     """What ``session.json`` holds.
 
     Attributes
@@ -61,7 +61,7 @@ class StitchFile:
     Parameters
     ----------
     folder : Path
-    about : About
+    info : SessionInfo
 
     Raises
     ------
@@ -69,25 +69,25 @@ class StitchFile:
         The folder cannot be written; from the methods too.
     """
 
-    def __init__(self, folder: Path, about: About) -> None:
+    def __init__(self, folder: Path, info: SessionInfo) -> None:
         self.folder = folder
-        self.about = about
+        self.info = info
         self._stream: BinaryIO | None = None
         self._end = 0  # of the last whole press
 
     @classmethod
-    def create(cls, folder: Path, about: About) -> StitchFile:
+    def create(cls, folder: Path, info: SessionInfo) -> StitchFile:
         """Begin a session in a folder that has none."""
         with told(folder):
             folder.mkdir(parents=True)
             (folder / PRESSES).touch(exist_ok=False)
-            write_whole(folder / SESSION, _json(about))
+            write_whole(folder / SESSION, _json(info))
             sync(folder)
             sync(folder.parent)
-        return cls(folder, about)
+        return cls(folder, info)
 
     @classmethod
-    def resume(cls, folder: Path) -> tuple[StitchFile, list[tuple[Touch, Rigid]]]:
+    def resume(cls, folder: Path) -> tuple[StitchFile, list[tuple[PressPoints, Rigid]]]:
         """Go on with a session: its presses, those that are whole, in order.
 
         Raises
@@ -95,22 +95,22 @@ class StitchFile:
         DecodeError
             ``session.json`` is damaged or of another version.
         """
-        about = read_about(folder)
-        presses: list[tuple[Touch, Rigid]] = []
+        info = read_info(folder)
+        presses: list[tuple[PressPoints, Rigid]] = []
         with told(folder), (folder / PRESSES).open("r+b") as stream:
             end = 0
-            for touch, pose, end in _presses(stream):  # noqa: B007 (the last one counts)
-                presses.append((touch, pose))
+            for points, pose, end in _presses(stream):  # noqa: B007 (the last one counts)
+                presses.append((points, pose))
             stream.truncate(end)
             os.fsync(stream.fileno())
-        file = cls(folder, about)
+        file = cls(folder, info)
         file._end = end
         return file, presses
 
-    def append(self, touch: Touch, base_T_sensor: Rigid) -> None:
+    def append(self, points: PressPoints, base_T_sensor: Rigid) -> None:
         """Add a press; it is on the disk when this returns."""
         pose = np.concatenate((base_T_sensor.rotation.ravel(), base_T_sensor.translation_mm))
-        columns = np.column_stack((touch.points_mm, touch.normals, touch.trust)).astype("<f4")
+        columns = np.column_stack((points.points_mm, points.normals, points.confidence)).astype("<f4")
         body = pose.astype("<f8").tobytes() + columns.tobytes()
         record = _HEAD.pack(_MAGIC, len(body), zlib.crc32(body)) + body
         with told(self.folder):
@@ -126,9 +126,9 @@ class StitchFile:
     def end(self) -> None:
         """Mark the session as ended; its presses stay."""
         self.close()
-        self.about = replace(self.about, state="ended")
+        self.info = replace(self.info, state="ended")
         with told(self.folder):
-            write_whole(self.folder / SESSION, _json(self.about))
+            write_whole(self.folder / SESSION, _json(self.info))
 
     def remove(self) -> None:
         """Delete the session's files, and the folder if nothing else is in it."""
@@ -153,15 +153,15 @@ def open_session(folder: Path) -> Path | None:
     found = []
     for path in sorted(folder.glob(f"*/{SESSION}")):
         try:
-            about = read_about(path.parent)
+            info = read_info(path.parent)
         except DecodeError:
             continue
-        if about.state == "open":
-            found.append((about.begun_wall_ns, path.parent))
+        if info.state == "open":
+            found.append((info.begun_wall_ns, path.parent))
     return max(found)[1] if found else None
 
 
-def read_about(folder: Path) -> About:
+def read_info(folder: Path) -> SessionInfo:
     """Read ``session.json``.
 
     Raises
@@ -172,33 +172,33 @@ def read_about(folder: Path) -> About:
     path = folder / SESSION
     try:
         values = json.loads(path.read_text(encoding="utf-8"))
-        about = About(**values)
+        info = SessionInfo(**values)
     except OSError as error:
         raise DecodeError(f"{path}: {error.strerror or error}, expected a stitching session") from None
     except (ValueError, TypeError) as error:
         raise DecodeError(f"{path}: {error}, expected a stitching session") from None
-    if about.version != VERSION:
-        raise DecodeError(f"{path}: found version {about.version}, expected {VERSION}")
-    return about
+    if info.version != VERSION:
+        raise DecodeError(f"{path}: found version {info.version}, expected {VERSION}")
+    return info
 
 
-def _json(about: About) -> bytes:
-    return (json.dumps(asdict(about), indent=2) + "\n").encode()
+def _json(info: SessionInfo) -> bytes:
+    return (json.dumps(asdict(info), indent=2) + "\n").encode()
 
 
-def _presses(stream: BinaryIO) -> Iterator[tuple[Touch, Rigid, int]]:
+def _presses(stream: BinaryIO) -> Iterator[tuple[PressPoints, Rigid, int]]:
     """Every whole press from the start, and where it ends; stops before the first that is not."""
     while len(head := stream.read(_HEAD.size)) == _HEAD.size:
         magic, size, crc32 = _HEAD.unpack(head)
         rest = size - 8 * _POSE_VALUES
-        if magic != _MAGIC or not 0 <= rest <= 4 * _POINT_VALUES * _POINTS_MAX or rest % (4 * _POINT_VALUES):
+        if magic != _MAGIC or not 0 <= rest <= 4 * _POINT_VALUES * _PRESS_POINTS_MAX or rest % (4 * _POINT_VALUES):
             return
         body = stream.read(size)
         if len(body) < size or zlib.crc32(body) != crc32:
             return
         pose = np.frombuffer(body, "<f8", _POSE_VALUES).astype(np.float64)
         columns = np.frombuffer(body, "<f4", offset=8 * _POSE_VALUES).reshape(-1, _POINT_VALUES).astype(np.float32)
-        points, normals, trust = (
+        points_mm, normals, confidence = (
             np.ascontiguousarray(part) for part in (columns[:, :3], columns[:, 3:6], columns[:, 6])
         )
-        yield Touch(points, normals, trust), Rigid(pose[:9].reshape(3, 3), pose[9:]), stream.tell()
+        yield PressPoints(points_mm, normals, confidence), Rigid(pose[:9].reshape(3, 3), pose[9:]), stream.tell()

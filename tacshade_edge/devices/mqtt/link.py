@@ -23,6 +23,7 @@ from paho.mqtt.enums import MQTTErrorCode
 from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
+from tacshade_edge import reasons
 from tacshade_edge.devices.mqtt.client import connect, make_client, publish_properties
 from tacshade_edge.devices.mqtt.outlet import Item, Outcome, Outlet
 from tacshade_edge.errors import DecodeError
@@ -374,7 +375,8 @@ class MqttLink:
         except DecodeError as error:
             with self._lock:
                 self._counters["bad_requests"] += 1
-            answer = encode_error(parse_transaction(payload), str(error))
+            refusal = reasons.Reason(reasons.ReasonCode.BAD_REQUEST, str(error))
+            answer = encode_error(parse_transaction(payload), refusal)
             self._answer(response_topic or f"{self._base}/res/{verb}", answer, correlation)
             return
         with self._lock:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from tacshade_edge.core.stitching.surface_map import Raster, TouchMap
+from tacshade_edge.core.stitching.surface_map import Raster, SurfaceMap
 from tacshade_edge.types import F64
 
 _BLOCK_MM = 100.0
@@ -28,7 +28,7 @@ def radius_average(points_mm: F64, step_mm: float, radius_mm: float = RADIUS_MM)
     total = points_mm[:, 2].copy()
     for one, other in ((0, 1), (1, 0)):
         total += np.bincount(pairs[:, one], points_mm[pairs[:, other], 2], len(points_mm))
-    fused = TouchMap(step_mm, bounded=False)
+    fused = SurfaceMap(step_mm, bounded=False)
     averaged = np.column_stack((points_mm[:, :2], total / count))
     # The map takes what one press touches, not a table's width.
     _, block = np.unique(np.floor(points_mm[:, :2] / _BLOCK_MM), axis=0, return_inverse=True)

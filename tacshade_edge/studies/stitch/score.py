@@ -71,12 +71,12 @@ class Score:
     Attributes
     ----------
     rms_mm, mean_mm, p95_mm : float
-        Height errors in the touched cells over the known surface; `p95_mm` of their sizes.
+        Height errors in the map's cells over the known surface; `p95_mm` of their sizes.
     outside_cells : int
-        Touched cells beyond the known surface.
+        The map's cells beyond the known surface.
     covered_mm2 : float
     raised_coverage : float
-        The part of the surface over half its height that was touched.
+        The part of the surface over half its height that the map covers.
     raised_rms_mm, raised_mean_mm : float
         Of the height errors there.
     flat_rms_mm : float
@@ -138,8 +138,8 @@ def score(found: Raster, known: KnownSurface) -> Score:
         They share no cell.
     """
     true = at_cells_of(known.raster, found)
-    touched = np.isfinite(found.z_mm)
-    both = touched & np.isfinite(true)
+    covered = np.isfinite(found.z_mm)
+    both = covered & np.isfinite(true)
     if not both.any():
         raise ConfigError("the known surface and the map share no cell: are the poses in its frame?")
     error = found.z_mm[both].astype(np.float64) - true[both]
@@ -154,7 +154,7 @@ def score(found: Raster, known: KnownSurface) -> Score:
         rms_mm=_rms(error),
         mean_mm=float(error.mean()),
         p95_mm=float(np.percentile(np.abs(error), 95)),
-        outside_cells=int(np.count_nonzero(touched & ~both)),
+        outside_cells=int(np.count_nonzero(covered & ~both)),
         covered_mm2=float(np.count_nonzero(both)) * found.step_mm**2,
         raised_coverage=float(there[raised].mean()) if raised.any() else float("nan"),
         raised_rms_mm=_rms(error[over]) if over.any() else float("nan"),

@@ -8,20 +8,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from tacshade_edge.core.profiles import Profile
-from tacshade_edge.core.stitching.press_points import NOTHING, Touch, touch_points
-from tacshade_edge.core.stitching.rest import Settled
+from tacshade_edge.core.stitching.press_points import NO_POINTS, PressPoints, press_points
+from tacshade_edge.core.stitching.rest import RestDetector
 from tacshade_edge.core.stitching.stitcher import Stitcher
 from tacshade_edge.devices.files.images import read_image
 from tacshade_edge.devices.files.poses_table import PosedImage
 from tacshade_edge.devices.files.recording import Recording
 from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.errors import ConfigError, DecodeError
-from tacshade_edge.reasons import text_of
+from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.rigid import Rigid, from_seven, of_pose
 from tacshade_edge.types import F64, Calibration, Frame
 
 AVERAGED_POINTS = 500
 """The paper's average looks at every pair in its radius: ten times the points take a hundred times the memory."""
+_NO_CONTACT = Reason(ReasonCode.NO_CONTACT, "no contact")
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,10 +37,10 @@ class Press:
         Which line or file says so, for a message.
     base_T_sensor : Rigid
         As the robot reported.
-    touch : Touch
-        Nothing where `skipped` says why.
-    skipped : str
-        Empty, or why the image adds nothing: invalid, no contact, unreadable.
+    points : PressPoints
+        None where `skipped` says why.
+    skipped : Reason or None
+        Why the image adds nothing: invalid, no contact, no pose, unreadable.
     failed : bool
         It is a mistake, not a press into the air.
     """
@@ -47,8 +48,8 @@ class Press:
     name: str
     where: str
     base_T_sensor: Rigid
-    touch: Touch
-    skipped: str
+    points: PressPoints
+    skipped: Reason | None
     failed: bool = False
 
 
@@ -66,52 +67,55 @@ def read_presses(
         try:
             image = read_image(one.path)
         except DecodeError as error:
-            presses.append(Press(one.path.name, one.where, base_T_sensor, NOTHING, str(error), failed=True))
+            unreadable = Reason(ReasonCode.IMAGE_UNREADABLE, str(error))
+            presses.append(Press(one.path.name, one.where, base_T_sensor, NO_POINTS, unreadable, failed=True))
             continue
         result = reconstructor.step(Frame(seq=k, t_ns=0, wall_ns=0, image=image))
-        touch = touch_points(result.height, calibration.geometry) if result.contact else NOTHING
-        skipped = text_of(result.reason) or ("" if len(touch.points_mm) else "no contact")
-        presses.append(Press(one.path.name, one.where, base_T_sensor, touch, skipped, failed=image.shape[:2] != size))
+        points = press_points(result.height, calibration.geometry) if result.contact else NO_POINTS
+        skipped = result.reason or (None if len(points.points_mm) else _NO_CONTACT)
+        presses.append(Press(one.path.name, one.where, base_T_sensor, points, skipped, failed=image.shape[:2] != size))
     report(len(posed), len(posed))
     return presses
 
 
 def read_recording(calibration: Calibration, profile: Profile, recording: Recording, where: str) -> list[Press]:
-    """Reconstruct every frame; each contact that settles is a press, as in the daemon.
+    """Reconstruct every frame; each contact that comes to rest is a press, as in the daemon.
 
-    A frame that cannot be used is passed over; where a contact settles without a pose, it says so.
+    A frame that cannot be used is passed over; where a contact comes to rest without a pose, it says so.
     """
-    reconstructor, settled = make_reconstructor(calibration, profile), Settled()
+    reconstructor, rest = make_reconstructor(calibration, profile), RestDetector()
     flange_T_sensor = from_seven(calibration.flange_T_sensor)
     presses = []
     while True:
         try:
             recorded = recording.read()
         except DecodeError as error:
-            presses.append(Press("", where, flange_T_sensor, NOTHING, str(error), failed=True))
+            unreadable = Reason(ReasonCode.IMAGE_UNREADABLE, str(error))
+            presses.append(Press("", where, flange_T_sensor, NO_POINTS, unreadable, failed=True))
             continue
         if recorded is None:
             return presses
         frame = recorded.frame
         result = reconstructor.step(frame)
-        if not settled.of(result.t_ns, result.valid and result.contact, result.depth_max_mm):
+        if not rest.update(result.t_ns, result.valid and result.contact, result.depth_max_mm):
             continue
         if frame.pose is None:
-            presses.append(Press(recorded.name, where, flange_T_sensor, NOTHING, "the table has no pose for it"))
+            no_pose = Reason(ReasonCode.NO_POSE, "the table has no pose for it")
+            presses.append(Press(recorded.name, where, flange_T_sensor, NO_POINTS, no_pose))
         else:
-            touch = touch_points(result.height, calibration.geometry)
-            skipped = "" if len(touch.points_mm) else "no contact"
-            presses.append(Press(recorded.name, where, of_pose(frame.pose) @ flange_T_sensor, touch, skipped))
+            points = press_points(result.height, calibration.geometry)
+            skipped = None if len(points.points_mm) else _NO_CONTACT
+            presses.append(Press(recorded.name, where, of_pose(frame.pose) @ flange_T_sensor, points, skipped))
 
 
 def stitcher_of(presses: Sequence[Press], skin_radius_mm: float) -> Stitcher:
-    """All presses that touched, in order. Raises ConfigError where they make too large a map."""
+    """All presses that have points, in order. Raises ConfigError where they make too large a map."""
     stitcher = Stitcher(skin_radius_mm)
     for press in presses:
         if press.skipped:
             continue
         try:
-            stitcher.add(press.touch, press.base_T_sensor)
+            stitcher.add(press.points, press.base_T_sensor)
         except ValueError as error:
             raise ConfigError(f"{press.where}: {error}") from None
     return stitcher
@@ -122,6 +126,6 @@ def all_points(presses: Sequence[Press]) -> F64:
     parts = []
     for press in presses:
         if not press.skipped:
-            every = -(-len(press.touch.points_mm) // AVERAGED_POINTS)
-            parts.append(press.base_T_sensor.apply(press.touch.points_mm[::every]))
+            every = -(-len(press.points.points_mm) // AVERAGED_POINTS)
+            parts.append(press.base_T_sensor.apply(press.points.points_mm[::every]))
     return np.concatenate(parts)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tacshade_edge.core.stitching.poses import BEYOND_MAX_NS, GAP_MAX_NS, KEPT_NS, PoseBuffer, interpolate
+from tacshade_edge.core.stitching.poses import EXTRAPOLATION_MAX_NS, GAP_MAX_NS, HISTORY_NS, PoseBuffer, interpolate
 from tacshade_edge.types import Pose
 
 MS = 10**6
@@ -57,16 +57,16 @@ def test_between_two_poses() -> None:
     for t_ms in (100, 103, 110, 118, 120):
         found = buffer.at(t_ms * MS)
         assert found is not None
-        assert (found.pose.t_ns, found.beyond_ns) == (t_ms * MS, 0)
+        assert (found.pose.t_ns, found.extrapolated_ns) == (t_ms * MS, 0)
         assert found.pose.x_mm == pytest.approx(t_ms)
 
 
 def test_never_far_beyond_nor_before_nor_over_a_gap() -> None:
     buffer = filled(100, 110)
-    beyond = buffer.at(110 * MS + BEYOND_MAX_NS)
+    beyond = buffer.at(110 * MS + EXTRAPOLATION_MAX_NS)
     assert beyond is not None
-    assert (beyond.beyond_ns, beyond.pose.x_mm) == (BEYOND_MAX_NS, pytest.approx(130))
-    assert buffer.at(110 * MS + BEYOND_MAX_NS + 1) is None
+    assert (beyond.extrapolated_ns, beyond.pose.x_mm) == (EXTRAPOLATION_MAX_NS, pytest.approx(130))
+    assert buffer.at(110 * MS + EXTRAPOLATION_MAX_NS + 1) is None
     assert buffer.at(100 * MS - 1) is None
     buffer.add(turned(110 * MS + GAP_MAX_NS + 1, 0.0))
     assert buffer.at(200 * MS) is None
@@ -91,6 +91,6 @@ def test_poses_that_come_late_or_again_are_counted_and_left_out() -> None:
 
 
 def test_old_poses_go() -> None:
-    buffer = filled(*range(0, 2 * KEPT_NS // MS, 10))
-    assert buffer.at(KEPT_NS - 20 * MS) is None
-    assert buffer.at(KEPT_NS + 20 * MS) is not None
+    buffer = filled(*range(0, 2 * HISTORY_NS // MS, 10))
+    assert buffer.at(HISTORY_NS - 20 * MS) is None
+    assert buffer.at(HISTORY_NS + 20 * MS) is not None

@@ -2,21 +2,21 @@ import numpy as np
 import pytest
 from support.calibrated_sensor import HALF, calibrated, pressed, step
 
-from tacshade_edge.core.stitching.press_points import LEAST_TRUST, NOTHING, height_weight, touch_points
+from tacshade_edge.core.stitching.press_points import MIN_CONFIDENCE, NO_POINTS, height_weight, press_points
 from tacshade_edge.rigid import shift, turn
 from tacshade_edge.types import HeightMap
 
 
 def test_the_points_are_the_contacts() -> None:
     result = step("accurate", pressed("ball", 3.0).image)
-    touch = touch_points(result.height, calibrated().geometry)
+    touch = press_points(result.height, calibrated().geometry)
     # The cloud is ordered by object; of one object both go row by row.
     np.testing.assert_allclose(touch.points_mm, result.cloud.points_mm, atol=1e-5)
-    assert touch.trust.min() == pytest.approx(LEAST_TRUST, abs=0.4)
-    assert touch.trust.max() == 1
-    # The middle of the contact is trusted more than its outline.
+    assert touch.confidence.min() == pytest.approx(MIN_CONFIDENCE, abs=0.4)
+    assert touch.confidence.max() == 1
+    # The middle of the contact has more confidence than its outline.
     rho = np.hypot(*touch.points_mm[:, :2].T)
-    assert touch.trust[rho < 1].min() > touch.trust[rho > np.percentile(rho, 95)].max()
+    assert touch.confidence[rho < 1].min() > touch.confidence[rho > np.percentile(rho, 95)].max()
 
 
 def test_wide_cells_are_divided() -> None:
@@ -27,9 +27,9 @@ def test_wide_cells_are_divided() -> None:
     inside = np.hypot(rows - 31.5, cols - 31.5) < 24
     dent = np.maximum(0, 2 - 0.003 * ((rows - 31.5) ** 2 + (cols - 31.5) ** 2)).astype(np.float32)
     first = (geometry.disc.row_c - 31.5 * fine_px, geometry.disc.col_c - 31.5 * fine_px)
-    fine = touch_points(HeightMap(dent, inside, *first, fine_px), geometry)
+    fine = press_points(HeightMap(dent, inside, *first, fine_px), geometry)
     blocks = dent.reshape(16, 4, 16, 4).mean(axis=(1, 3)), inside[1::4, 1::4].copy()
-    wide = touch_points(HeightMap(*blocks, first[0] + 1.5 * fine_px, first[1] + 1.5 * fine_px, 4 * fine_px), geometry)
+    wide = press_points(HeightMap(*blocks, first[0] + 1.5 * fine_px, first[1] + 1.5 * fine_px, 4 * fine_px), geometry)
     assert len(wide.points_mm) == pytest.approx(9 * np.count_nonzero(blocks[1]))  # 0.8 mm into three
     assert len(fine.points_mm) == np.count_nonzero(inside)
     middle = np.hypot(*wide.points_mm[:, :2].T) < 3
@@ -46,14 +46,14 @@ def test_of_narrow_cells_some_do() -> None:
     inside = np.hypot(rows - 75, cols - 75) < 60
     first = (geometry.disc.row_c - 75 * step_px, geometry.disc.col_c - 75 * step_px)
     height = HeightMap(np.zeros((150, 150), np.float32), inside, *first, step_px)
-    touch = touch_points(height, geometry)
+    touch = press_points(height, geometry)
     assert len(touch.points_mm) == pytest.approx(np.count_nonzero(inside) / 9, rel=0.05)
     np.testing.assert_allclose(np.linalg.norm(touch.points_mm, axis=1), geometry.skin_radius_mm, atol=1e-3)
     np.testing.assert_allclose(touch.points_mm[:, :2].mean(axis=0), 0, atol=0.3)
     # A contact of a cell or two may fall between them: that is nothing to trust.
     small = np.zeros((150, 150), bool)
     small[70, 70] = True
-    assert len(touch_points(HeightMap(height.height_mm, small, *first, step_px), geometry).points_mm) <= 1
+    assert len(press_points(HeightMap(height.height_mm, small, *first, step_px), geometry).points_mm) <= 1
 
 
 def test_normals_are_the_skins() -> None:
@@ -63,15 +63,15 @@ def test_normals_are_the_skins() -> None:
     contact[20:40, 20:40] = True
     step_px = geometry.disc.radius_px / 40
     height = HeightMap(flat, contact, geometry.disc.row_c - 30 * step_px, geometry.disc.col_c - 30 * step_px, step_px)
-    touch = touch_points(height, geometry)
+    touch = press_points(height, geometry)
     # Undeformed skin is the sphere.
     np.testing.assert_allclose(touch.normals, touch.points_mm / HALF.skin_radius_mm, atol=0.01)
 
 
 def test_steep_places_say_little_of_height() -> None:
-    touch = touch_points(step("accurate", pressed("ball", 3.0).image).height, calibrated().geometry)
+    touch = press_points(step("accurate", pressed("ball", 3.0).image).height, calibrated().geometry)
     upright = height_weight(touch, shift(1, 2, 3))
-    assert (upright <= touch.trust + 1e-6).all()
+    assert (upright <= touch.confidence + 1e-6).all()
     middle = int(np.argmin(np.hypot(*touch.points_mm[:, :2].T)))
     assert upright[middle] > 0.9
     tilted = height_weight(touch, turn((0.7, 0, 0)))  # 40 degrees
@@ -82,4 +82,4 @@ def test_steep_places_say_little_of_height() -> None:
 
 def test_without_contact_there_is_nothing() -> None:
     height = HeightMap(np.zeros((9, 9), np.float32), np.zeros((9, 9), bool), 100.0, 100.0, 4.0)
-    assert touch_points(height, calibrated().geometry) is NOTHING
+    assert press_points(height, calibrated().geometry) is NO_POINTS

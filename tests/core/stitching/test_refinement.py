@@ -1,15 +1,15 @@
 import numpy as np
 import pytest
-from support.bumpy_surface import APEX_MM, DOWN, grid_poses, misreported, touched
+from support.bumpy_surface import APEX_MM, DOWN, grid_poses, misreported, press_of
 
-from tacshade_edge.core.stitching.press_points import NOTHING, Touch
-from tacshade_edge.core.stitching.refinement import PoseError, correction, refined, thinned
+from tacshade_edge.core.stitching.press_points import NO_POINTS, PressPoints
+from tacshade_edge.core.stitching.refinement import PoseError, correction, refine_poses, thin_points
 from tacshade_edge.rigid import Rigid, shift, turn
 from tacshade_edge.types import F64
 
 APEX = np.array((0, 0, APEX_MM))
 TRUE = grid_poses()
-PRESSES = [thinned(touched(pose, k)) for k, pose in enumerate(TRUE)]
+PRESSES = [thin_points(press_of(pose, k)) for k, pose in enumerate(TRUE)]
 
 
 def apex_errors(poses: list[Rigid]) -> F64:
@@ -23,20 +23,23 @@ def rms(values: F64) -> F64:
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_overlaps_correct_pose_noise(seed: int) -> None:
     told = misreported(TRUE, seed)
-    before, after = rms(apex_errors(told)), rms(apex_errors(refined(PRESSES, told, APEX, PoseError())))
+    before, after = rms(apex_errors(told)), rms(apex_errors(refine_poses(PRESSES, told, APEX, PoseError())))
     assert after[2] < 0.35 * before[2]
     assert (after[:2] < 0.8 * before[:2]).all()
 
 
 def test_exact_poses_stay() -> None:
-    poses = refined(PRESSES, TRUE, APEX, PoseError())
+    poses = refine_poses(PRESSES, TRUE, APEX, PoseError())
     assert rms(apex_errors(poses)).max() < 0.05
 
 
 def test_the_map_does_not_bend() -> None:
     # A tilt of the whole map and its height come from the mean of all reports, whatever the overlaps say.
     told = misreported(TRUE, 3)
-    errors, places = apex_errors(refined(PRESSES, told, APEX, PoseError())), np.stack([p.apply(APEX) for p in TRUE])
+    errors, places = (
+        apex_errors(refine_poses(PRESSES, told, APEX, PoseError())),
+        np.stack([p.apply(APEX) for p in TRUE]),
+    )
     fit = np.column_stack((places[:, :2] - places[:, :2].mean(axis=0), np.ones(len(TRUE))))
     tilt_x, tilt_y, lift = np.linalg.lstsq(fit, errors[:, 2], rcond=None)[0]
     assert abs(lift) < 3 * 0.3 / np.sqrt(len(TRUE))
@@ -49,8 +52,8 @@ def test_the_frame_does_not_matter() -> None:
     # The same presses on the same table, which stands a metre away: turned about the vertical.
     base = shift(1000, -500, 30) @ turn((0, 0, 0.8))
     told = misreported(TRUE, 4)
-    here = refined(PRESSES, told, APEX, PoseError())
-    there = refined(PRESSES, [base @ t for t in told], APEX, PoseError())
+    here = refine_poses(PRESSES, told, APEX, PoseError())
+    there = refine_poses(PRESSES, [base @ t for t in told], APEX, PoseError())
     # Cells lie elsewhere, so it is the same within what cells do.
     off = np.stack([(base @ h).apply(APEX) - t.apply(APEX) for h, t in zip(here, there, strict=True)])
     assert rms(off).max() < 0.1
@@ -58,25 +61,27 @@ def test_the_frame_does_not_matter() -> None:
 
 def test_what_overlaps_nothing_stays() -> None:
     alone = [shift(200.0 * k, 0, APEX_MM) @ DOWN for k in range(3)]
-    presses = [thinned(touched(pose, k)) for k, pose in enumerate(alone)]
-    for told, found in zip(alone, refined(presses, alone, APEX, PoseError()), strict=True):
-        moved_mm, turned_deg = correction(told, found, APEX)
-        assert moved_mm < 0.02
-        assert turned_deg < 0.2
-    assert refined(presses[:1], alone[:1], APEX, PoseError()) == alone[:1]
+    presses = [thin_points(press_of(pose, k)) for k, pose in enumerate(alone)]
+    for told, found in zip(alone, refine_poses(presses, alone, APEX, PoseError()), strict=True):
+        correction_mm, correction_deg = correction(told, found, APEX)
+        assert correction_mm < 0.02
+        assert correction_deg < 0.2
+    assert refine_poses(presses[:1], alone[:1], APEX, PoseError()) == alone[:1]
 
 
 def test_thinning_keeps_where_things_are() -> None:
-    touch = touched(TRUE[0], 0)
-    thin = thinned(touch)
+    touch = press_of(TRUE[0], 0)
+    thin = thin_points(touch)
     assert len(thin) < 100
     assert (thin[:, 3] > 0).all()
     assert thin[:, 3].max() <= 1
     weighted = np.average(thin[:, :3], axis=0, weights=thin[:, 3])
     np.testing.assert_allclose(weighted, touch.points_mm.mean(axis=0), atol=0.3)
-    assert thinned(NOTHING).shape == (0, 4)
-    one = Touch(np.array(((1.0, 2.0, 19.0),), np.float32), np.array(((0, 0, 1),), np.float32), np.ones(1, np.float32))
-    np.testing.assert_allclose(thinned(one)[0, :3], (1, 2, 19))
+    assert thin_points(NO_POINTS).shape == (0, 4)
+    one = PressPoints(
+        np.array(((1.0, 2.0, 19.0),), np.float32), np.array(((0, 0, 1),), np.float32), np.ones(1, np.float32)
+    )
+    np.testing.assert_allclose(thin_points(one)[0, :3], (1, 2, 19))
 
 
 def test_a_correction_is_told_in_mm_and_degrees() -> None:

@@ -1,24 +1,24 @@
 import numpy as np
 import pytest
-from support.bumpy_surface import APEX_MM, grid_poses, height_mm, misreported, touched
+from support.bumpy_surface import APEX_MM, grid_poses, height_mm, misreported, press_of
 
 from tacshade_edge.core.stitching import stitcher as module
-from tacshade_edge.core.stitching.press_points import NOTHING, Touch
-from tacshade_edge.core.stitching.stitcher import Stitched, Stitcher
+from tacshade_edge.core.stitching.press_points import NO_POINTS, PressPoints
+from tacshade_edge.core.stitching.stitcher import StitchedMap, Stitcher
 from tacshade_edge.rigid import Rigid, shift
 
 TRUE = grid_poses()
-TOUCHES = [touched(pose, k) for k, pose in enumerate(TRUE)]
+PRESSES = [press_of(pose, k) for k, pose in enumerate(TRUE)]
 
 
-def stitched(poses: list[Rigid], touches: list[Touch] = TOUCHES) -> Stitcher:
+def stitched(poses: list[Rigid], touches: list[PressPoints] = PRESSES) -> Stitcher:
     stitcher = Stitcher(APEX_MM)
-    for touch, pose in zip(touches, poses, strict=True):
-        stitcher.add(touch, pose)
+    for points, pose in zip(touches, poses, strict=True):
+        stitcher.add(points, pose)
     return stitcher
 
 
-def rms_mm(finished: Stitched) -> float:
+def rms_mm(finished: StitchedMap) -> float:
     x, y, z = finished.raster.points().T
     return float(np.sqrt(np.mean((z - height_mm(x, y)) ** 2)))
 
@@ -28,18 +28,18 @@ def test_exact_poses_are_taken_as_exact() -> None:
     assert not finished.refined
     assert 0 < finished.disagreement_mm < module.EXACT_MM
     assert rms_mm(finished) < 0.06
-    assert all(p.moved_mm == 0 and not p.rejected for p in finished.presses)
+    assert all(p.correction_mm == 0 and p.rejected is None for p in finished.presses)
     assert finished.presses[3].base_T_sensor is TRUE[3]
 
 
-def test_noisy_poses_are_refined() -> None:
+def test_noisy_poses_are_refine_poses() -> None:
     stitcher = stitched(misreported(TRUE, 0))
     plain, finished = stitcher.finish(None), stitcher.finish()
     assert finished.refined
     assert not plain.refined
     assert finished.disagreement_mm > 0.2
     assert rms_mm(finished) < 0.6 * rms_mm(plain)
-    assert max(p.moved_mm for p in finished.presses) > 0.3
+    assert max(p.correction_mm for p in finished.presses) > 0.3
 
 
 def test_a_press_that_fits_nowhere_is_left_out() -> None:
@@ -51,10 +51,10 @@ def test_a_press_that_fits_nowhere_is_left_out() -> None:
 
 
 def test_a_point_that_fits_nowhere_counts_little() -> None:
-    wild = TOUCHES[24].points_mm.copy()
+    wild = PRESSES[24].points_mm.copy()
     wild[::50, 2] -= 3.0
-    touches = list(TOUCHES)
-    touches[24] = Touch(wild, TOUCHES[24].normals, TOUCHES[24].trust)
+    touches = list(PRESSES)
+    touches[24] = PressPoints(wild, PRESSES[24].normals, PRESSES[24].confidence)
     clean, finished = rms_mm(stitched(TRUE).finish()), rms_mm(stitched(TRUE, touches).finish())
     assert finished < 1.5 * clean
 
@@ -62,8 +62,8 @@ def test_a_point_that_fits_nowhere_counts_little() -> None:
 def test_the_map_of_those_so_far() -> None:
     stitcher = Stitcher(APEX_MM)
     areas = []
-    for touch, pose in zip(TOUCHES[:5], TRUE[:5], strict=True):
-        stitcher.add(touch, pose)
+    for points, pose in zip(PRESSES[:5], TRUE[:5], strict=True):
+        stitcher.add(points, pose)
         areas.append(np.count_nonzero(np.isfinite(stitcher.map.raster().z_mm)))
     assert areas == sorted(areas)
     assert areas[0] < areas[-1]
@@ -71,24 +71,24 @@ def test_the_map_of_those_so_far() -> None:
 
 
 def test_one_press_is_a_map() -> None:
-    finished = stitched(TRUE[:1], TOUCHES[:1]).finish()
+    finished = stitched(TRUE[:1], PRESSES[:1]).finish()
     assert not finished.refined
     assert rms_mm(finished) < 0.06
 
 
 def test_what_cannot_be_added(monkeypatch: pytest.MonkeyPatch) -> None:
     stitcher = Stitcher(APEX_MM)
-    with pytest.raises(ValueError, match="nothing was touched"):
-        stitcher.add(NOTHING, TRUE[0])
-    monkeypatch.setattr(module, "MAX_POINTS", 1000)
-    stitcher.add(TOUCHES[0], TRUE[0])
+    with pytest.raises(ValueError, match="without points"):
+        stitcher.add(NO_POINTS, TRUE[0])
+    monkeypatch.setattr(module, "POINTS_MAX", 1000)
+    stitcher.add(PRESSES[0], TRUE[0])
     with pytest.raises(ValueError, match="more than 1000 points"):
-        stitcher.add(TOUCHES[1], TRUE[1])
+        stitcher.add(PRESSES[1], TRUE[1])
     assert stitcher.presses == 1
     assert not np.isfinite(Stitcher(APEX_MM).finish().raster.z_mm).any()
 
 
 def test_the_sensors_own_frame_is_brought_to_the_base() -> None:
-    finished = stitched([shift(100, 50, 0) @ TRUE[0]], TOUCHES[:1]).finish()
+    finished = stitched([shift(100, 50, 0) @ TRUE[0]], PRESSES[:1]).finish()
     middle = finished.raster.points()[:, :2].mean(axis=0)
     np.testing.assert_allclose(middle, (100, 50), atol=0.3)

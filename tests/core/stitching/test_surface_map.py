@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tacshade_edge.core.stitching import surface_map
-from tacshade_edge.core.stitching.surface_map import TouchMap
+from tacshade_edge.core.stitching.surface_map import SurfaceMap
 
 STEP_MM = surface_map.STEP_MM
 
@@ -14,7 +14,7 @@ def cells(x: np.ndarray, y: np.ndarray, z: float | np.ndarray) -> np.ndarray:
 
 
 def test_a_point_on_a_node_is_that_cell() -> None:
-    fused = TouchMap()
+    fused = SurfaceMap()
     fused.add(np.array(((-3.0, 4.5, 1.25),)), np.ones(1))
     raster = fused.raster()
     assert raster.z_mm.shape == (1, 1)
@@ -24,7 +24,7 @@ def test_a_point_on_a_node_is_that_cell() -> None:
 
 
 def test_weights_are_the_means() -> None:
-    fused = TouchMap()
+    fused = SurfaceMap()
     fused.add(np.array(((0.0, 0.0, 1.0),)), np.array((3.0,)))
     fused.add(np.array(((0.0, 0.0, 2.0),)), np.array((1.0,)))
     assert fused.z_at(np.array(((0.01, -0.01, 0.0),))) == pytest.approx([1.25])
@@ -35,7 +35,7 @@ def test_weights_are_the_means() -> None:
 def test_a_plane_comes_back_anywhere(x0: float, y0: float, z: float) -> None:
     rng = np.random.default_rng(0)
     x, y = rng.uniform(0, 4, (2, 5000))
-    fused = TouchMap()
+    fused = SurfaceMap()
     fused.add(cells(x0 + x, y0 + y, z), np.ones(5000))
     raster = fused.raster()
     assert raster.z_mm.shape == pytest.approx((4 / STEP_MM + 1,) * 2, abs=1)
@@ -47,7 +47,7 @@ def test_a_plane_comes_back_anywhere(x0: float, y0: float, z: float) -> None:
 def test_holes_stay_holes() -> None:
     x, y = (a.ravel() for a in np.meshgrid(np.arange(0, 20, STEP_MM), np.arange(0, 20, STEP_MM)))
     hole = np.hypot(x - 10, y - 10) < 4
-    fused = TouchMap()
+    fused = SurfaceMap()
     fused.add(cells(x[~hole], y[~hole], 1.0), np.ones(np.count_nonzero(~hole)))
     z = fused.raster().z_mm
     np.testing.assert_array_equal(np.isnan(z.ravel()), hole)
@@ -57,7 +57,7 @@ def test_holes_stay_holes() -> None:
 def test_a_slope_is_not_shifted() -> None:
     rng = np.random.default_rng(1)
     x, y = rng.uniform(-10, 10, (2, 60000))
-    fused = TouchMap()
+    fused = SurfaceMap()
     fused.add(cells(x, y, 0.2 * x - 0.1 * y), np.ones(x.size))
     points = fused.raster().points()
     inner = np.abs(points[:, :2]).max(axis=1) < 9.5
@@ -66,16 +66,16 @@ def test_a_slope_is_not_shifted() -> None:
 
 
 def test_what_was_only_neared_is_not_touched() -> None:
-    fused = TouchMap()
+    fused = SurfaceMap()
     fused.add(np.array(((0.0, 0.0, 1.0), (2.0, 0.0, 1.0))), np.array((1.0, 0.01)))
     assert fused.raster().z_mm.shape == (1, 1)
-    assert np.isnan(fused.raster(least_weight=5.0).z_mm).all()
-    assert TouchMap().raster().z_mm.shape == (1, 1)
+    assert np.isnan(fused.raster(min_weight=5.0).z_mm).all()
+    assert SurfaceMap().raster().z_mm.shape == (1, 1)
 
 
 def test_its_size_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(surface_map, "MAX_TILES", 4)
-    fused = TouchMap()
+    monkeypatch.setattr(surface_map, "TILES_MAX", 4)
+    fused = SurfaceMap()
     tile_mm = surface_map.TILE * STEP_MM
     for k in range(4):
         fused.add(np.array(((k * tile_mm + 1, 1.0, 0.0),)), np.ones(1))
@@ -87,7 +87,7 @@ def test_its_size_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_press_far_from_the_others_is_refused() -> None:
-    fused = TouchMap()
+    fused = SurfaceMap()
     fused.add(np.array(((0.0, 0.0, 1.0),)), np.ones(1))
     with pytest.raises(ValueError, match="a pose is far from the others"):
         fused.add(np.array(((2000.0, 2000.0, 1.0),)), np.ones(1))
@@ -98,7 +98,7 @@ def test_a_press_far_from_the_others_is_refused() -> None:
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e12])
 def test_a_point_that_is_none_is_refused(bad: float) -> None:
-    fused = TouchMap()
+    fused = SurfaceMap()
     with pytest.raises(ValueError, match="not finite"):
         fused.add(np.array(((0.0, bad, 0.0),)), np.ones(1))
     assert fused.tiles == 0

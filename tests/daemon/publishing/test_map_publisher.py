@@ -6,7 +6,7 @@ import pytest
 from tacshade_edge.core.stitching.surface_map import Raster
 from tacshade_edge.daemon.publishing import map_publisher
 from tacshade_edge.daemon.publishing.map_publisher import MapPublisher, thinned_points
-from tacshade_edge.daemon.stitching.stitching import MapRevision
+from tacshade_edge.daemon.stitching.map_revision import MapRevision
 from tacshade_edge.protocol.wire import CloudMessage, decode
 
 
@@ -23,18 +23,18 @@ def revision(number: int, folder: str = "", of: Raster | None = None) -> MapRevi
 def test_a_growing_map_is_told_once_a_second_and_the_last_one_always(monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[tuple[str, bytes]] = []
     publisher = MapPublisher(lambda topic, payload: told.append((topic, payload)))
-    assert [publisher.tell(revision(k + 1)) for k in range(5)] == [False, True, True, True, True]
-    assert not publisher.tell(revision(6, "/sessions/pad"))
+    assert [publisher.publish(revision(k + 1)) for k in range(5)] == [False, True, True, True, True]
+    assert not publisher.publish(revision(6, "/sessions/pad"))
     assert [topic for topic, _ in told] == ["map/cloud", "map/revision", "map/cloud", "map/final"]
     monkeypatch.setattr(map_publisher, "PERIOD_S", -1.0)
-    publisher.tell(revision(7, "/sessions/pad"))
-    publisher.tell(revision(8))
+    publisher.publish(revision(7, "/sessions/pad"))
+    publisher.publish(revision(8))
     assert len(told) == 8  # a period after the one before
 
 
 def test_a_subscriber_decodes_the_map() -> None:
     told: dict[str, bytes] = {}
-    MapPublisher(told.__setitem__).tell(revision(9, "/sessions/pad"))
+    MapPublisher(told.__setitem__).publish(revision(9, "/sessions/pad"))
     about = json.loads(told["map/final"])
     assert (about["name"], about["revision"], about["presses"], about["used"]) == ("pad", 9, 3, 2)
     assert (about["width_mm"], about["length_mm"], about["spacing_mm"]) == (12.5, 10.0, 0.25)
@@ -58,6 +58,6 @@ def test_a_large_map_is_told_with_fewer_points(monkeypatch: pytest.MonkeyPatch) 
 
 def test_an_empty_map_is_told() -> None:
     told: dict[str, bytes] = {}
-    MapPublisher(told.__setitem__).tell(revision(1, of=Raster(np.full((1, 1), np.nan, np.float32), 0.0, 0.0, 0.25)))
+    MapPublisher(told.__setitem__).publish(revision(1, of=Raster(np.full((1, 1), np.nan, np.float32), 0.0, 0.0, 0.25)))
     assert json.loads(told["map/revision"])["z_min_mm"] is None
     assert len(decode(told["map/cloud"]).points_mm) == 0  # type: ignore[union-attr]

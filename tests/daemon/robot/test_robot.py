@@ -18,7 +18,9 @@ from support.patience import stretched, wait_until
 from tacshade_edge.daemon.robot.robot import Robot
 from tacshade_edge.daemon.robot.serial_commands import WAITING_MAX
 from tacshade_edge.devices.serial.port import SerialPort
-from tacshade_edge.protocol.messages import Request, encode_error, encode_result
+from tacshade_edge.protocol.messages import Request
+from tacshade_edge.protocol.results import ReferenceTaken, SessionBegun
+from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Calibration, Frame, HeightMap, ObjectCloud, Reconstruction
 
 numbers = itertools.count()
@@ -91,7 +93,7 @@ def test_frames_get_the_pose_that_the_sensor_had(link: Path, binary: bool, calib
     sink = Sink()
     with PtyRobot(link, rate_hz=200, binary=binary) as robot, Side(link) as side:
         side.until("synchronised", state="connected", sync="two-way", mode="BIN" if binary else "ASCII")
-        posed = side.robot.posed(sink)
+        posed = side.robot.adding_poses(sink)
         wait_until(lambda: side.robot.motion.at(time.monotonic_ns() - 10_000_000), 10, "a pose")
         for _ in range(20):
             t_ns = time.monotonic_ns() - 10_000_000
@@ -194,28 +196,32 @@ def test_poses_alone_say_that_they_are_one_way(link: Path) -> None:
 def test_captures_and_references(link: Path, calibration: Calibration) -> None:
     with PtyRobot(link, rate_hz=0) as robot, Side(link) as side:
         side.until("connected", state="connected")
-        posed = side.robot.posed(Sink())
+        posed = side.robot.adding_poses(Sink())
         old = frame(time.monotonic_ns(), calibration)
         robot.ask("CAPTURE")
-        wait_until(lambda: side.robot.commands.waits_for_a_frame, 10, "CAPTURE")
+        wait_until(lambda: side.robot.commands.capture_pending, 10, "CAPTURE")
         assert posed.asked()
         posed.deliver(*old, calibration)
-        assert side.robot.commands.waits_for_a_frame  # that one was from before
+        assert side.robot.commands.capture_pending  # that one was from before
         posed.deliver(*frame(time.monotonic_ns(), calibration), calibration)
         wait_until(lambda: any(" frame=5 t_ns=" in r for r in robot.replies.values()), 10, "its answer")
         robot.ask("CAPTURE")
-        wait_until(lambda: side.robot.commands.waits_for_a_frame, 10, "CAPTURE")
+        wait_until(lambda: side.robot.commands.capture_pending, 10, "CAPTURE")
         posed.deliver(*frame(time.monotonic_ns(), calibration, valid=False), calibration)
         wait_until(lambda: any("INVALID frame=5: black" in r for r in robot.replies.values()), 10, "its answer")
 
-        for answer in (encode_result(None, {"frames": 10}), encode_error(None, "shows contact")):
+        for outcome in (ReferenceTaken(10, 7, 0.5), Reason(ReasonCode.FRAME_IN_CONTACT, "shows contact")):
             robot.ask("REFERENCE")
             wait_until(lambda: side.requests, 10, "the request")
             request = side.requests.pop()
             assert request.verb == "reference"
-            assert not side.robot.commands.answered(Request("reference"), answer)  # MQTT's
-            assert side.robot.commands.answered(request, answer)
-        wait_until(lambda: any(r.endswith("frames=10") for r in robot.replies.values()), 10, "OK")
+            assert not side.robot.commands.complete(Request("reference"), outcome)  # MQTT's
+            assert side.robot.commands.complete(request, outcome)
+        wait_until(
+            lambda: any(r.endswith("frames=10 calibration_crc32=7 noise_grey=0.5") for r in robot.replies.values()),
+            10,
+            "OK",
+        )
         wait_until(lambda: any(r.endswith("REFUSED shows contact") for r in robot.replies.values()), 10, "ERR")
 
         assert not posed.asked()
@@ -223,14 +229,16 @@ def test_captures_and_references(link: Path, calibration: Calibration) -> None:
         wait_until(lambda: any("UNAVAILABLE" in r for r in robot.replies.values()), 10, "no stitching")
 
         class Session:
-            def stitch(self, action: str, name: str, answer: Any) -> None:
-                answer("" if action == "BEGIN" else "IDLE", f"{action} {name}")
+            def submit(self, action: str, name: str, reply: Any) -> None:
+                reply(SessionBegun(name) if action == "BEGIN" else Reason(ReasonCode.NO_SESSION, "none is open"))
 
-        side.robot.commands.stitching = Session()
+        side.robot.commands.sessions = Session()
         robot.ask("STITCH BEGIN pad")
         robot.ask("stitch end")
-        wait_until(lambda: any(r.endswith("BEGIN pad") and "OK" in r for r in robot.replies.values()), 10, "BEGIN")
-        wait_until(lambda: any(r.endswith("IDLE END") and "ERR" in r for r in robot.replies.values()), 10, "END")
+        wait_until(lambda: any(r.endswith("name=pad") and "OK" in r for r in robot.replies.values()), 10, "BEGIN")
+        wait_until(
+            lambda: any(r.endswith("NOSESSION none is open") and "ERR" in r for r in robot.replies.values()), 10, "END"
+        )
 
 
 def test_a_port_that_is_away_and_one_that_is_taken(link: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -257,7 +265,7 @@ def test_a_capture_without_a_frame_ends_and_too_many_are_refused(link: Path, mon
         wait_until(lambda: any("BUSY 16 captures are waiting" in r for r in robot.replies.values()), 10, "BUSY")
         monkeypatch.setattr("tacshade_edge.daemon.robot.serial_commands.CAPTURE_TIMEOUT_NS", 0)
         wait_until(lambda: sum("TIMEOUT no frame" in r for r in robot.replies.values()) == 16, 10, "TIMEOUT")
-        assert not side.robot.commands.waits_for_a_frame
+        assert not side.robot.commands.capture_pending
 
 
 def test_a_chip_that_holds_bytes_back_is_told(link: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,34 +6,34 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support import stitch_until_killed
-from support.bumpy_surface import grid_poses, touched
+from support.bumpy_surface import grid_poses, press_of
 
-from tacshade_edge.core.stitching.press_points import Touch
-from tacshade_edge.devices.files.stitch_file import PRESSES, SESSION, About, StitchFile, open_session, read_about
+from tacshade_edge.core.stitching.press_points import PressPoints
+from tacshade_edge.devices.files.stitch_file import PRESSES, SESSION, SessionInfo, StitchFile, open_session, read_info
 from tacshade_edge.errors import DecodeError, DeviceError
 from tacshade_edge.rigid import Rigid
 
 POSES = grid_poses()[:3]
-TOUCHES = [touched(pose, k) for k, pose in enumerate(POSES)]
+POINTS = [press_of(pose, k) for k, pose in enumerate(POSES)]
 
 
-def about(name: str = "one", begun: int = 5) -> About:
-    return About(name, begun, 77, 20.0)
+def info(name: str = "one", begun: int = 5) -> SessionInfo:
+    return SessionInfo(name, begun, 77, 20.0)
 
 
 def written(folder: Path) -> StitchFile:
-    file = StitchFile.create(folder, about())
-    for touch, pose in zip(TOUCHES, POSES, strict=True):
-        file.append(touch, pose)
+    file = StitchFile.create(folder, info())
+    for points, pose in zip(POINTS, POSES, strict=True):
+        file.append(points, pose)
     file.close()  # it buffers nothing: a kill loses no more than this
     return file
 
 
-def same(found: list[tuple[Touch, Rigid]], count: int) -> None:
+def same(found: list[tuple[PressPoints, Rigid]], count: int) -> None:
     assert len(found) == count
-    for (touch, pose), expected, true in zip(found, TOUCHES, POSES, strict=False):
-        for name in ("points_mm", "normals", "trust"):
-            np.testing.assert_array_equal(getattr(touch, name), getattr(expected, name))
+    for (points, pose), expected, true in zip(found, POINTS, POSES, strict=False):
+        for name in ("points_mm", "normals", "confidence"):
+            np.testing.assert_array_equal(getattr(points, name), getattr(expected, name))
         np.testing.assert_array_equal(pose.rotation, true.rotation)
         np.testing.assert_array_equal(pose.translation_mm, true.translation_mm)
 
@@ -42,7 +42,7 @@ def test_every_press_comes_back_bit_for_bit(tmp_path: Path) -> None:
     written(tmp_path / "one")
     file, found = StitchFile.resume(tmp_path / "one")
     same(found, 3)
-    assert file.about == about()
+    assert file.info == info()
 
 
 @pytest.mark.parametrize("lost", [1, 9, 5000])
@@ -52,7 +52,7 @@ def test_a_torn_press_is_cut_off_and_the_session_goes_on(tmp_path: Path, lost: i
     path.write_bytes(path.read_bytes()[:-lost])
     file, found = StitchFile.resume(tmp_path / "one")
     same(found, 2)
-    file.append(TOUCHES[2], POSES[2])
+    file.append(POINTS[2], POSES[2])
     file.close()
     same(StitchFile.resume(tmp_path / "one")[1], 3)
 
@@ -82,21 +82,21 @@ def test_what_was_acknowledged_survives_kill_9(tmp_path: Path) -> None:
     poses = grid_poses()
     for k, (touch, pose) in enumerate(found):
         np.testing.assert_array_equal(pose.translation_mm, poses[k % len(poses)].translation_mm)
-        np.testing.assert_array_equal(touch.points_mm, touched(poses[k % len(poses)], k % len(poses)).points_mm)
-    file.append(TOUCHES[0], POSES[0])
+        np.testing.assert_array_equal(touch.points_mm, press_of(poses[k % len(poses)], k % len(poses)).points_mm)
+    file.append(POINTS[0], POSES[0])
     file.close()
 
 
 def test_only_an_open_session_is_found(tmp_path: Path) -> None:
     assert open_session(tmp_path) is None
     assert open_session(tmp_path / "none") is None
-    StitchFile.create(tmp_path / "old", about("old", 1))
-    newer = StitchFile.create(tmp_path / "new", about("new", 2))
+    StitchFile.create(tmp_path / "old", info("old", 1))
+    newer = StitchFile.create(tmp_path / "new", info("new", 2))
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / SESSION).write_text("{")
     assert open_session(tmp_path) == tmp_path / "new"
     newer.end()
-    assert read_about(tmp_path / "new").state == "ended"
+    assert read_info(tmp_path / "new").state == "ended"
     assert open_session(tmp_path) == tmp_path / "old"
 
 
@@ -112,14 +112,14 @@ def test_removing_leaves_what_is_not_ours(tmp_path: Path) -> None:
 def test_what_is_there_is_not_overwritten(tmp_path: Path) -> None:
     written(tmp_path / "one")
     with pytest.raises(DeviceError, match="one: cannot be written"):
-        StitchFile.create(tmp_path / "one", about())
+        StitchFile.create(tmp_path / "one", info())
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"name": "x"}', "\x00"])
 def test_a_damaged_description(tmp_path: Path, text: str) -> None:
     (tmp_path / SESSION).write_text(text)
     with pytest.raises(DecodeError, match="expected a stitching session"):
-        read_about(tmp_path)
+        read_info(tmp_path)
 
 
 def test_another_version(tmp_path: Path) -> None:

@@ -1,11 +1,14 @@
 """The robot's clock against the daemon's: daemon = robot + offset, the offset a line over time.
 
 With ``SYNC`` (two-way) every exchange has four times, t1 and t4 of the robot and t2 and t3 of the daemon. Its offset
-((t2 - t1) + (t3 - t4)) / 2 is wrong by at most half its round trip, whatever the line does. So the line is fitted
+((t2 - t1) + (t3 - t4)) / 2 is wrong by at most half its round trip, whatever the line does (NTP's on-wire protocol,
+RFC 5905 section 8). As NTP's clock filter prefers the samples of least delay (RFC 5905 section 10), the line is fitted
 to the quarter of the latest exchanges with the shortest round trips, and what breaks that bound is a clock that jumped.
 
-Without (one-way) only arrivals are known, and the least delay of them: a line under all of them. What the
-least delay itself is cannot be seen from one side, and is stated as `ONE_WAY_LATENCY_NS`.
+Without (one-way) only arrivals are known, and the least delay of them: a line under all of them, from their lower
+convex hull (Moon, Skelly and Towsley, "Estimation and removal of clock skew from network delay measurements", INFOCOM
+1999; Zhang, Liu and Xia, "Clock synchronization algorithms for network measurements", INFOCOM 2002). What the least
+delay itself is cannot be seen from one side, and is stated as `ONE_WAY_LATENCY_NS`.
 """
 
 from __future__ import annotations
@@ -16,15 +19,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
+from tacshade_edge.reasons import Reason, ReasonCode
+
 SyncMode = Literal["none", "oneway", "two-way"]
 
 EXCHANGES_KEPT: Final = 60
 EXCHANGE_AGE_MAX_NS: Final = 300_000_000_000
-BEST_PART, BEST_LEAST = 4, 4  # the best quarter, and never under four
+BEST_FRACTION, BEST_MIN = 1 / 4, 4  # of the exchanges
 TWO_WAY_ERROR_MAX_NS: Final = 20_000_000  # of a line that no exchange has renewed: then arrivals know better
 DRIFT_EXPECTED: Final = 1e-3  # of a resonator; a crystal has a tenth of it
 TOLERANCE_NS: Final = 20_000  # reading a clock
-DRIFT_TOLD_PPM: Final = 500.0
+DRIFT_REPORTED_PPM: Final = 500.0
 ONE_WAY_LATENCY_NS: Final = 2_000_000
 BUCKET_NS: Final = 1_000_000_000
 BUCKETS_KEPT: Final = 60
@@ -34,8 +39,8 @@ BACKWARDS_NS: Final = 1_000_000_000  # a robot's time that goes back by more beg
 
 
 @dataclass(frozen=True, slots=True)
-class TimeWithin:
-    """A time of one clock that was told in the other, and how far it may be off."""
+class ConvertedTime:
+    """A time of one clock, from the other's, and how far it may be off."""
 
     t_ns: int
     error_ns: int
@@ -48,8 +53,8 @@ class SyncState:
     Attributes
     ----------
     mode : str
-    reason : str
-        Why it is not known, or what is odd with it; empty when all is well.
+    reason : Reason or None
+        Why it is not known, or what is odd with it.
     offset_ns : int
         Daemon minus robot, now; 0 with ``none``.
     drift_ppm : float
@@ -59,7 +64,7 @@ class SyncState:
     """
 
     mode: SyncMode
-    reason: str
+    reason: Reason | None
     offset_ns: int
     drift_ppm: float
     error_us: int
@@ -94,15 +99,15 @@ class _Line:
     sigma_ns: float
     bound_ns: float
 
-    def local(self, robot_ns: int) -> TimeWithin:
+    def local(self, robot_ns: int) -> ConvertedTime:
         after_ns = robot_ns - self.at_ns
-        return TimeWithin(
+        return ConvertedTime(
             robot_ns + self.base_ns + round(self.rest_ns + self.slope * after_ns), self.error_ns(after_ns)
         )
 
-    def robot(self, local_ns: int) -> TimeWithin:
+    def robot(self, local_ns: int) -> ConvertedTime:
         after_ns = round(((local_ns - self.at_ns - self.base_ns) - self.rest_ns) / (1 + self.slope))
-        return TimeWithin(self.at_ns + after_ns, self.error_ns(after_ns))
+        return ConvertedTime(self.at_ns + after_ns, self.error_ns(after_ns))
 
     def error_ns(self, after_ns: int) -> int:
         return round(self.bound_ns + 2 * math.hypot(self.sigma_ns, self.slope_sigma * after_ns))
@@ -118,8 +123,8 @@ class ClockSync:
 
     def __init__(self) -> None:
         self.counts = SyncCounts()
-        self._why_none = "nothing has come from the robot"
-        self._asked: tuple[int, int, int] | None = None  # t1, t2, t3 of the latest SYNC
+        self._reason_none = Reason(ReasonCode.NOTHING_RECEIVED, "nothing has come from the robot")
+        self._open: tuple[int, int, int] | None = None  # t1, t2, t3 of the latest SYNC, whose t4 comes with the next
         self._exchanges: deque[_Exchange] = deque(maxlen=EXCHANGES_KEPT)
         self._suspect: _Exchange | None = None
         self._two_way: _Line | None = None
@@ -128,15 +133,15 @@ class ClockSync:
         self._one_way: _Line | None = None
         self._newest_ns: int | None = None
 
-    def restart(self, reason: str) -> None:
+    def restart(self, reason: Reason) -> None:
         """Forget what was known of the clock."""
         self._forget()
-        self._why_none = reason
+        self._reason_none = reason
         self.counts.restarts += 1
 
-    def asked(self, t1_ns: int, t2_ns: int, t4_ns: int | None) -> None:
-        """A ``SYNC t1 [t4]`` arrived at `t2_ns`; t4 completes the exchange before. `replied` must follow."""
-        before, self._asked = self._asked, (t1_ns, t2_ns, t2_ns)
+    def sync_received(self, t1_ns: int, t2_ns: int, t4_ns: int | None) -> None:
+        """A ``SYNC t1 [t4]`` arrived at `t2_ns`; t4 completes the exchange before. `sync_answered` must follow."""
+        before, self._open = self._open, (t1_ns, t2_ns, t2_ns)
         if t4_ns is not None and before is not None:
             first_ns, received_ns, sent_ns = before
             round_trip_ns = (t4_ns - first_ns) - (sent_ns - received_ns)
@@ -145,20 +150,20 @@ class ClockSync:
                 self._add(_Exchange((first_ns + t4_ns) // 2, offset_ns, round_trip_ns))
             else:
                 self.counts.exchanges_refused += 1
-        self._went_back(t1_ns)
+        self._advance(t1_ns)
 
-    def replied(self, t3_ns: int) -> None:
-        """The reply to the latest `asked` was given to the port at `t3_ns`."""
-        if self._asked is not None:
-            self._asked = (*self._asked[:2], t3_ns)
+    def sync_answered(self, t3_ns: int) -> None:
+        """The reply to the latest ``SYNC`` was given to the port at `t3_ns`."""
+        if self._open is not None:
+            self._open = (*self._open[:2], t3_ns)
 
-    def arrived(self, robot_ns: int, arrived_ns: int) -> None:
-        """Something that the robot stamped with `robot_ns` arrived: the envelope, and a clock that jumped forward."""
+    def stamp_received(self, robot_ns: int, arrived_ns: int) -> None:
+        """What the robot stamped with `robot_ns` arrived: one more delay, and maybe a clock that jumped forward."""
         if (line := self._two_way) is not None:
             local = line.local(robot_ns)
             if local.t_ns - local.error_ns - TOLERANCE_NS > arrived_ns:
-                self.restart("the robot's clock jumped forward")
-        self._went_back(robot_ns)
+                self.restart(Reason(ReasonCode.CLOCK_JUMPED, "the robot's clock jumped forward"))
+        self._advance(robot_ns)
         delay_ns = arrived_ns - robot_ns
         bucket = self._bucket
         if bucket is None or robot_ns - bucket[0] >= BUCKET_NS:
@@ -168,33 +173,31 @@ class ClockSync:
         elif delay_ns < bucket[1]:
             self._bucket = bucket[0], delay_ns
         if (line := self._one_way) is None:
-            self._one_way = _under([(robot_ns, delay_ns)])
+            self._one_way = _lower_line([(robot_ns, delay_ns)])
         else:
             below_ns = line.local(robot_ns).t_ns - arrived_ns
             if below_ns > LATE_NS:
-                self.restart("the robot's clock jumped forward")
-                self._newest_ns, self._one_way = robot_ns, _under([(robot_ns, delay_ns)])
+                self.restart(Reason(ReasonCode.CLOCK_JUMPED, "the robot's clock jumped forward"))
+                self._newest_ns, self._one_way = robot_ns, _lower_line([(robot_ns, delay_ns)])
             elif below_ns > 0:
-                self._one_way = _under([*self._buckets, (robot_ns, delay_ns)])
+                self._one_way = _lower_line([*self._buckets, (robot_ns, delay_ns)])
 
-    def to_robot(self, local_ns: int) -> TimeWithin | None:
+    def to_robot(self, local_ns: int) -> ConvertedTime | None:
         """What the robot's clock shows at a time of the daemon's; None while it is not known."""
         line = self._line()
         return line.robot(local_ns) if line else None
 
     def state(self) -> SyncState:
-        """How it is at the newest time that the robot told."""
+        """How it is at the robot's newest time."""
         line, newest_ns = self._line(), self._newest_ns
         if line is None or newest_ns is None:
-            return SyncState("none", self._why_none, 0, 0.0, 0)
+            return SyncState("none", self._reason_none, 0, 0.0, 0)
         local = line.local(newest_ns)
         drift_ppm = 1e6 * line.slope
-        odd = abs(drift_ppm) - 2e6 * line.slope_sigma > DRIFT_TOLD_PPM
-        reason = (
-            f"the robot's clock is about {round(abs(drift_ppm), -2):.0f} ppm {'slow' if drift_ppm > 0 else 'fast'}"
-            if odd
-            else ""
-        )
+        reason = None
+        if abs(drift_ppm) - 2e6 * line.slope_sigma > DRIFT_REPORTED_PPM:
+            size, sign = round(abs(drift_ppm), -2), "slow" if drift_ppm > 0 else "fast"
+            reason = Reason(ReasonCode.CLOCK_DRIFT, f"the robot's clock is about {size:.0f} ppm {sign}")
         mode: SyncMode = "two-way" if line is self._two_way else "oneway"
         return SyncState(mode, reason, local.t_ns - newest_ns, round(drift_ppm, 2), round(local.error_ns / 1000))
 
@@ -207,16 +210,17 @@ class ClockSync:
         return self._one_way or two_way
 
     def _forget(self) -> None:
-        self._asked = self._suspect = self._two_way = self._bucket = self._one_way = self._newest_ns = None
+        self._open = self._suspect = self._two_way = self._bucket = self._one_way = self._newest_ns = None
         self._exchanges.clear()
         self._buckets.clear()
 
-    def _went_back(self, robot_ns: int) -> None:
+    def _advance(self, robot_ns: int) -> None:
+        """Take note of the robot's time; one that goes back is a clock that was set."""
         newest_ns = self._newest_ns
         if newest_ns is not None and newest_ns - robot_ns > BACKWARDS_NS:
-            asked = self._asked
-            self.restart("the robot's clock went back")
-            self._asked = asked if asked and asked[0] == robot_ns else None
+            exchange = self._open
+            self.restart(Reason(ReasonCode.CLOCK_WENT_BACK, "the robot's clock went back"))
+            self._open = exchange if exchange and exchange[0] == robot_ns else None
             newest_ns = None
         self._newest_ns = robot_ns if newest_ns is None else max(robot_ns, newest_ns)
 
@@ -228,9 +232,9 @@ class ClockSync:
                 self._suspect = exchange
                 return
             # The second in a row: it is the clock, not the exchange.
-            asked = self._asked
-            self.restart("the robot's clock jumped")
-            self._asked, self._newest_ns = asked, exchange.robot_ns
+            latest = self._open
+            self.restart(Reason(ReasonCode.CLOCK_JUMPED, "the robot's clock jumped"))
+            self._open, self._newest_ns = latest, exchange.robot_ns
             if abs(exchange.offset_ns - suspect.offset_ns) <= (exchange.round_trip_ns + suspect.round_trip_ns) / 2 + (
                 DRIFT_EXPECTED * (exchange.robot_ns - suspect.robot_ns)
             ):
@@ -240,7 +244,7 @@ class ClockSync:
         self._exchanges.append(exchange)
         while exchange.robot_ns - self._exchanges[0].robot_ns > EXCHANGE_AGE_MAX_NS:
             self._exchanges.popleft()
-        self._two_way = _through(self._exchanges)
+        self._two_way = _fit_line(self._exchanges)
 
     def _possible(self, exchange: _Exchange) -> bool:
         """Whether the line so far and half a round trip can explain it."""
@@ -258,15 +262,16 @@ class ClockSync:
             late_ns = min(robot_ns + delay_ns - line.local(robot_ns).t_ns for robot_ns, delay_ns in latest)
             if late_ns > LATE_NS and self._two_way is None:
                 newest_ns = self._newest_ns
-                self.restart("the robot's clock was set back, or its line became slow")
+                text = "the robot's clock was set back, or its line became slow"
+                self.restart(Reason(ReasonCode.CLOCK_LATE, text))
                 self._buckets.extend(latest)
                 self._newest_ns = newest_ns
-        self._one_way = _under(self._buckets)
+        self._one_way = _lower_line(self._buckets)
 
 
-def _through(exchanges: Sequence[_Exchange]) -> _Line:
-    """The line of the best exchanges, weighted by how far their round trips are from the shortest."""
-    count = max(math.ceil(len(exchanges) / BEST_PART), min(len(exchanges), BEST_LEAST))
+def _fit_line(exchanges: Sequence[_Exchange]) -> _Line:
+    """Weighted least squares through the best exchanges: the less, the farther a round trip is from the shortest."""
+    count = max(math.ceil(len(exchanges) * BEST_FRACTION), min(len(exchanges), BEST_MIN))
     best = sorted(exchanges, key=lambda e: e.round_trip_ns)[:count]
     least_ns = best[0].round_trip_ns
     at_ns, base_ns = best[0].robot_ns, best[0].offset_ns
@@ -293,13 +298,16 @@ def _through(exchanges: Sequence[_Exchange]) -> _Line:
     )
 
 
-def _under(points: Sequence[tuple[int, int]]) -> _Line:
-    """The line under all delays that is nearest to them: the edge of their lower hull below their middle."""
+def _lower_line(points: Sequence[tuple[int, int]]) -> _Line:
+    """The line under all delays that is nearest to them: the edge of their lower convex hull at their mean time.
+
+    It is the one with the least sum of distances (Moon et al. 1999); the hull is Andrew's monotone chain.
+    """
     first_ns, base_ns = points[0]
     placed = [(float(t_ns - first_ns), float(delay_ns - base_ns)) for t_ns, delay_ns in points]
     hull: list[tuple[float, float]] = []
     for x, y in placed:
-        while len(hull) > 1 and _turns_right(hull[-2], hull[-1], (x, y)):
+        while len(hull) > 1 and _is_clockwise(hull[-2], hull[-1], (x, y)):
             hull.pop()
         hull.append((x, y))
     middle = sum(x for x, _ in placed) / len(placed)
@@ -315,5 +323,5 @@ def _under(points: Sequence[tuple[int, int]]) -> _Line:
     return _Line(first_ns, base_ns, rest, slope, min(slope_sigma, DRIFT_EXPECTED), 0.0, spread + ONE_WAY_LATENCY_NS)
 
 
-def _turns_right(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> bool:
+def _is_clockwise(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> bool:
     return (b[0] - a[0]) * (c[1] - a[1]) <= (b[1] - a[1]) * (c[0] - a[0])

@@ -13,33 +13,45 @@ import pytest
 from support.calibrated_sensor import calibrated, pressed, step, unloaded
 from support.patience import patience, wait_until
 
-from tacshade_edge.core.stitching.press_points import touch_points
+from tacshade_edge.core.stitching.press_points import press_points
 from tacshade_edge.core.stitching.stitcher import Stitcher
-from tacshade_edge.daemon.stitching.stitching import MapRevision, Stitching
+from tacshade_edge.daemon.stitching.map_revision import MapRevision
+from tacshade_edge.daemon.stitching.session_worker import SessionWorker
 from tacshade_edge.devices.files.stitch_file import open_session
+from tacshade_edge.protocol.results import (
+    NoSession,
+    PressAdded,
+    SessionAborted,
+    SessionBegun,
+    SessionEnded,
+    SessionResult,
+    SessionStatus,
+)
+from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.rigid import of_pose
 from tacshade_edge.types import Frame, Pose, Reconstruction
 
 DEADLINE_S = 20.0
+Outcome = SessionResult | Reason
 
 
 class Robot:
     """Sends commands, shows frames, waits for answers."""
 
     def __init__(self, folder: Path, *, automatic: bool = False) -> None:
-        self.told: list[MapRevision] = []
-        self.stitching = Stitching(folder, self.told.append, automatic=automatic)
-        self.thread = threading.Thread(target=self.stitching.run)
+        self.maps: list[MapRevision] = []
+        self.worker = SessionWorker(folder, self.maps.append, automatic=automatic)
+        self.thread = threading.Thread(target=self.worker.run)
         self.thread.start()
         self.seq = 0
 
-    def ask(self, action: str, name: str = "") -> tuple[str, str]:
+    def ask(self, action: str, name: str = "") -> Outcome:
         answers = self.begin(action, name)
         return wait(answers)
 
-    def begin(self, action: str, name: str = "") -> SimpleQueue[tuple[str, str]]:
-        answers: SimpleQueue[tuple[str, str]] = SimpleQueue()
-        self.stitching.stitch(action, name, lambda code, text: answers.put((code, text)))
+    def begin(self, action: str, name: str = "") -> SimpleQueue[Outcome]:
+        answers: SimpleQueue[Outcome] = SimpleQueue()
+        self.worker.submit(action, name, answers.put)
         return answers
 
     def show(self, result: Reconstruction, x_mm: float = 0.0, *, pose: bool = True, t_ns: int | None = None) -> None:
@@ -48,15 +60,15 @@ class Robot:
         where = Pose(at_ns, x_mm, 0.0, 20.0, 0.0, 1.0, 0.0, 0.0) if pose else None
         frame = Frame(self.seq, at_ns, 0, np.zeros((4, 4), np.uint8), where)
         seen = Reconstruction(self.seq, at_ns, 0, *(getattr(result, n) for n in REST))
-        self.stitching.reconstructed(frame, seen, calibrated())
+        self.worker.observe(frame, seen, calibrated())
 
-    def add(self, result: Reconstruction, x_mm: float = 0.0, *, pose: bool = True) -> tuple[str, str]:
+    def add(self, result: Reconstruction, x_mm: float = 0.0, *, pose: bool = True) -> Outcome:
         answers = self.begin("ADD")
         self.show(result, x_mm, pose=pose)
         return wait(answers)
 
     def end(self) -> None:
-        self.stitching.stop()
+        self.worker.stop()
         self.thread.join(patience(DEADLINE_S))
         assert not self.thread.is_alive()
 
@@ -67,7 +79,18 @@ REST = (
 )  # fmt: skip
 
 
-def wait(answers: SimpleQueue[tuple[str, str]]) -> tuple[str, str]:
+def code(outcome: Outcome) -> ReasonCode | None:
+    """Why it was not done; None when it was."""
+    return outcome.code if isinstance(outcome, Reason) else None
+
+
+def status(robot: Robot) -> SessionStatus:
+    outcome = robot.ask("STATUS")
+    assert isinstance(outcome, SessionStatus)
+    return outcome
+
+
+def wait(answers: SimpleQueue[Outcome]) -> Outcome:
     try:
         return answers.get(timeout=patience(DEADLINE_S))
     except Empty:
@@ -93,23 +116,24 @@ def nothing() -> Reconstruction:
 
 def test_a_session_from_begin_to_end(robot: Robot, ball: Reconstruction, tmp_path: Path) -> None:
     robot.show(ball)
-    assert robot.ask("BEGIN", "pad-1") == ("", "name=pad-1")
+    assert robot.ask("BEGIN", "pad-1") == SessionBegun("pad-1")
     for k in range(3):
-        code, text = robot.add(ball, 3.0 * k)
-        assert code == ""
-        assert text.startswith(f"press={k + 1} frame={robot.seq} points=")
-    assert "open=1 name=pad-1 presses=3" in robot.ask("STATUS")[1]
-    code, text = robot.ask("END")
-    assert code == ""
-    assert "name=pad-1 presses=3 used=3" in text
-    assert robot.ask("STATUS") == ("", "open=0")
+        added = robot.add(ball, 3.0 * k)
+        assert isinstance(added, PressAdded)
+        assert (added.press, added.frame) == (k + 1, robot.seq)
+        assert added.points > 100
+    assert (status(robot).name, status(robot).presses) == ("pad-1", 3)
+    ended = robot.ask("END")
+    assert isinstance(ended, SessionEnded)
+    assert (ended.name, ended.presses, ended.used) == ("pad-1", 3, 3)
+    assert robot.ask("STATUS") == NoSession()
     folder = tmp_path / "sessions" / "pad-1"
     about = json.loads((folder / "map.json").read_text())
     assert (about["presses"], about["used"], about["rejected"]) == (3, 3, [])
-    assert [r.revision for r in robot.told] == [1, 2, 3, 4]
-    assert [bool(r.folder) for r in robot.told] == [False, False, False, True]
+    assert [r.revision for r in robot.maps] == [1, 2, 3, 4]
+    assert [bool(r.folder) for r in robot.maps] == [False, False, False, True]
     with np.load(folder / "map.npz") as npz:
-        np.testing.assert_array_equal(npz["z_mm"], robot.told[-1].raster().z_mm)
+        np.testing.assert_array_equal(npz["z_mm"], robot.maps[-1].raster().z_mm)
 
 
 def test_the_map_is_the_offline_one(robot: Robot, ball: Reconstruction) -> None:
@@ -119,9 +143,9 @@ def test_the_map_is_the_offline_one(robot: Robot, ball: Reconstruction) -> None:
     for x_mm in (0.0, 2.0, 4.0):
         robot.add(ball, x_mm)
         pose = of_pose(Pose(0, x_mm, 0.0, 20.0, 0.0, 1.0, 0.0, 0.0))
-        offline.add(touch_points(ball.height, calibrated().geometry), pose)
+        offline.add(press_points(ball.height, calibrated().geometry), pose)
     robot.ask("END")
-    np.testing.assert_array_equal(robot.told[-1].raster().z_mm, offline.finish().raster.z_mm)
+    np.testing.assert_array_equal(robot.maps[-1].raster().z_mm, offline.finish().raster.z_mm)
 
 
 def test_a_killed_session_goes_on(tmp_path: Path, ball: Reconstruction) -> None:
@@ -135,24 +159,26 @@ def test_a_killed_session_goes_on(tmp_path: Path, ball: Reconstruction) -> None:
     first.end()  # as a kill does, it leaves the session open on the disk
     assert open_session(folder) == folder / "pad"
     second = Robot(folder)
-    assert "open=1 name=pad presses=2" in second.ask("STATUS")[1]
+    assert (status(second).name, status(second).presses) == ("pad", 2)
     for robot in (second, whole):
-        assert robot.add(ball, 6.0)[1].startswith("press=3 ")
-        assert robot.ask("END")[0] == ""
+        added = robot.add(ball, 6.0)
+        assert isinstance(added, PressAdded)
+        assert added.press == 3
+        assert code(robot.ask("END")) is None
         robot.end()
-    np.testing.assert_array_equal(second.told[-1].raster().z_mm, whole.told[-1].raster().z_mm)
+    np.testing.assert_array_equal(second.maps[-1].raster().z_mm, whole.maps[-1].raster().z_mm)
 
 
 def test_what_cannot_be_added(robot: Robot, ball: Reconstruction, nothing: Reconstruction) -> None:
-    assert robot.ask("ADD") == ("NOSESSION", "no session is open, begin one first")
-    assert robot.ask("BEGIN")[0] == "NOFRAME"
+    assert robot.ask("ADD") == Reason(ReasonCode.NO_SESSION, "no session is open, begin one first")
+    assert code(robot.ask("BEGIN")) == ReasonCode.NO_FRAME
     robot.show(nothing)
     robot.ask("BEGIN")
-    assert robot.add(nothing)[0] == "NOCONTACT"
-    assert robot.add(ball, pose=False)[0] == "NOPOSE"
-    assert robot.ask("END")[0] == "EMPTY"
-    assert robot.ask("BEGIN")[0] == "BUSY"
-    assert "presses=0" in robot.ask("STATUS")[1]
+    assert code(robot.add(nothing)) == ReasonCode.NO_CONTACT
+    assert code(robot.add(ball, pose=False)) == ReasonCode.NO_POSE
+    assert code(robot.ask("END")) == ReasonCode.NO_PRESS
+    assert code(robot.ask("BEGIN")) == ReasonCode.BUSY
+    assert status(robot).presses == 0
 
 
 def test_a_frame_from_before_the_command_is_not_taken(robot: Robot, ball: Reconstruction) -> None:
@@ -161,18 +187,20 @@ def test_a_frame_from_before_the_command_is_not_taken(robot: Robot, ball: Recons
     answers = robot.begin("ADD")
     robot.show(ball, t_ns=time.monotonic_ns() - 10**9)
     robot.show(ball, 5.0)
-    assert f"frame={robot.seq}" in wait(answers)[1]
+    added = wait(answers)
+    assert isinstance(added, PressAdded)
+    assert added.frame == robot.seq
 
 
 def test_no_frame_in_time(robot: Robot, ball: Reconstruction, monkeypatch: pytest.MonkeyPatch) -> None:
     robot.show(ball)
     robot.ask("BEGIN")
     answers = robot.begin("ADD")
-    robot.stitching.poll()
+    robot.worker.poll()
     assert answers.empty()
-    monkeypatch.setattr("tacshade_edge.daemon.stitching.stitching.ADD_TIMEOUT_NS", -1)
-    robot.stitching.poll()
-    assert wait(answers)[0] == "TIMEOUT"
+    monkeypatch.setattr("tacshade_edge.daemon.stitching.pending_adds.ADD_TIMEOUT_NS", -1)
+    robot.worker.poll()
+    assert code(wait(answers)) == ReasonCode.TIMEOUT
 
 
 def test_settled_contacts_are_added_by_themselves(
@@ -185,7 +213,7 @@ def test_settled_contacts_are_added_by_themselves(
     for k in range(60):
         touching = k % 30 >= 10
         robot.show(ball if touching else nothing, t_ns=start_ns + k * 33_000_000)
-    assert "presses=2" in robot.ask("STATUS")[1]
+    assert status(robot).presses == 2
     robot.end()
 
 
@@ -194,26 +222,26 @@ def test_an_aborted_session_leaves_nothing(robot: Robot, ball: Reconstruction, t
     robot.ask("BEGIN", "x")
     robot.add(ball)
     waiting = robot.begin("ADD")
-    assert robot.ask("ABORT") == ("", "name=x presses=1")
-    assert wait(waiting)[0] == "NOSESSION"
+    assert robot.ask("ABORT") == SessionAborted("x", 1)
+    assert code(wait(waiting)) == ReasonCode.NO_SESSION
     assert list((tmp_path / "sessions").iterdir()) == []
-    assert robot.ask("BEGIN", "x")[0] == ""
+    assert code(robot.ask("BEGIN", "x")) is None
 
 
 @pytest.mark.parametrize("name", ["../x", "a/b", ".x", "a b", "é", "x" * 65])
 def test_names_stay_in_the_folder(robot: Robot, ball: Reconstruction, name: str) -> None:
     robot.show(ball)
-    assert robot.ask("BEGIN", name)[0] == "NAME"
+    assert code(robot.ask("BEGIN", name)) == ReasonCode.BAD_NAME
 
 
 def test_a_disk_that_fails_adds_nothing(robot: Robot, ball: Reconstruction, tmp_path: Path) -> None:
     robot.show(ball)
     robot.ask("BEGIN", "x")
     (tmp_path / "sessions" / "x" / "presses.bin").unlink()
-    code, text = robot.add(ball)
-    assert code == "FAILED"
-    assert "cannot be written" in text
-    assert "presses=0" in robot.ask("STATUS")[1]
+    failed = robot.add(ball)
+    assert code(failed) == ReasonCode.DEVICE_FAILED
+    assert "cannot be written" in str(failed)
+    assert status(robot).presses == 0
 
 
 def test_a_press_that_was_commanded_is_not_added_again_when_it_settles(
@@ -224,10 +252,10 @@ def test_a_press_that_was_commanded_is_not_added_again_when_it_settles(
     robot.ask("BEGIN")
     begun_ns = time.monotonic_ns()
     robot.show(ball, t_ns=begun_ns)
-    assert robot.add(ball)[0] == ""
+    assert code(robot.add(ball)) is None
     for k in range(30):
         robot.show(ball, t_ns=time.monotonic_ns() + k * 33_000_000)
-    assert "presses=1" in robot.ask("STATUS")[1]
+    assert status(robot).presses == 1
     robot.end()
 
 
@@ -239,7 +267,7 @@ def test_a_contact_that_is_there_when_a_session_begins_is_its_own(tmp_path: Path
         robot.ask("BEGIN", name)
         for k in range(12):
             robot.show(ball, t_ns=begun_ns + k * 33_000_000)
-        assert "presses=1" in robot.ask("STATUS")[1]
+        assert status(robot).presses == 1
         robot.ask("END")
         begun_ns += 12 * 33_000_000
     robot.end()
@@ -249,30 +277,30 @@ def test_a_touch_of_nothing_is_no_press(robot: Robot, ball: Reconstruction) -> N
     robot.show(ball)
     robot.ask("BEGIN")
     height = replace(ball.height, contact=np.zeros_like(ball.height.contact))
-    assert robot.add(replace(ball, height=height))[0] == "NOCONTACT"
-    assert "presses=0" in robot.ask("STATUS")[1]
+    assert code(robot.add(replace(ball, height=height))) == ReasonCode.NO_CONTACT
+    assert status(robot).presses == 0
 
 
 def test_the_pose_is_asked_for_when_the_press_is_added(tmp_path: Path, ball: Reconstruction) -> None:
-    told: list[MapRevision] = []
+    maps: list[MapRevision] = []
 
-    def posed(frame: Frame) -> Frame:
+    def with_pose(frame: Frame) -> Frame:
         assert frame.image.size == 0  # what waits here must not keep images
         return replace(frame, pose=Pose(frame.t_ns, 50.0, 0.0, 20.0, 0.0, 1.0, 0.0, 0.0))
 
     robot = Robot(tmp_path)
     robot.end()
-    robot.stitching = Stitching(tmp_path, told.append, posed)
-    robot.thread = threading.Thread(target=robot.stitching.run)
+    robot.worker = SessionWorker(tmp_path, maps.append, with_pose)
+    robot.thread = threading.Thread(target=robot.worker.run)
     robot.thread.start()
     robot.show(ball)
     robot.ask("BEGIN")
-    assert robot.add(ball, pose=False)[0] == ""
+    assert code(robot.add(ball, pose=False)) is None
     robot.end()
-    assert told[-1].raster().x0_mm > 30
+    assert maps[-1].raster().x0_mm > 30
 
 
-def test_a_resumed_map_is_told_at_once(tmp_path: Path, ball: Reconstruction) -> None:
+def test_a_resumed_map_is_published_at_once(tmp_path: Path, ball: Reconstruction) -> None:
     first = Robot(tmp_path)
     first.show(ball)
     first.ask("BEGIN", "pad")
@@ -280,39 +308,39 @@ def test_a_resumed_map_is_told_at_once(tmp_path: Path, ball: Reconstruction) -> 
     first.end()
     second = Robot(tmp_path)
     second.ask("STATUS")
-    assert [(r.name, r.revision, r.presses, r.folder) for r in second.told] == [("pad", 1, 1, "")]
-    assert second.stitching.now.presses == 1
+    assert [(r.name, r.revision, r.presses, r.folder) for r in second.maps] == [("pad", 1, 1, "")]
+    assert second.worker.state.presses == 1
     second.end()
 
 
 def test_a_folder_that_cannot_be_is_told(tmp_path: Path, ball: Reconstruction) -> None:
     robot = Robot(tmp_path / ("x" * 300))
     robot.show(ball)
-    code, text = robot.ask("BEGIN", "pad")
-    assert (code, "File name too long" in text) == ("FAILED", True)
-    assert robot.ask("STATUS") == ("", "open=0")
+    failed = robot.ask("BEGIN", "pad")
+    assert (code(failed), "File name too long" in str(failed)) == (ReasonCode.DEVICE_FAILED, True)
+    assert robot.ask("STATUS") == NoSession()
     robot.end()
 
 
-def test_what_was_held_back_is_told_though_nothing_more_comes(
+def test_a_deferred_map_is_published_though_nothing_more_comes(
     tmp_path: Path, ball: Reconstruction, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tacshade_edge.daemon.stitching.stitching.RETELL_S", 0.01)
-    told: list[int] = []
+    monkeypatch.setattr("tacshade_edge.daemon.stitching.session_worker.DEFERRED_S", 0.01)
+    published: list[int] = []
 
-    def tell(revision: MapRevision) -> bool:
-        told.append(revision.revision)
-        return len(told) < 3
+    def publish(revision: MapRevision) -> bool:
+        published.append(revision.revision)
+        return len(published) < 3
 
     robot = Robot(tmp_path)
     robot.end()
-    robot.stitching = Stitching(tmp_path, tell)
-    robot.thread = threading.Thread(target=robot.stitching.run)
+    robot.worker = SessionWorker(tmp_path, publish)
+    robot.thread = threading.Thread(target=robot.worker.run)
     robot.thread.start()
     robot.show(ball)
     robot.ask("BEGIN")
     robot.add(ball)
-    wait_until(lambda: len(told) == 3, DEADLINE_S, "told again")
+    wait_until(lambda: len(published) == 3, DEADLINE_S, "published again")
     robot.ask("STATUS")
     robot.end()
-    assert told == [1, 1, 1]
+    assert published == [1, 1, 1]

@@ -13,11 +13,11 @@ import pytest
 from support.calibrated_sensor import calibrated, pressed, step, unloaded
 from support.patience import patience, wait_until
 
-from tacshade_edge.core.stitching.stitcher import Stitched, Stitcher
+from tacshade_edge.core.stitching.stitcher import StitchedMap, Stitcher
 from tacshade_edge.daemon.pipeline.workers import Sink
-from tacshade_edge.daemon.stitching.stitch_sessions import StitchSessions, values
+from tacshade_edge.daemon.stitching.session_requests import SessionRequests
 from tacshade_edge.devices.files.stitch_file import open_session
-from tacshade_edge.protocol.messages import Request
+from tacshade_edge.protocol.messages import Request, encode_reply
 from tacshade_edge.types import Calibration, Frame, Pose, Reconstruction
 
 BEGIN, ADD, END, STATUS = (Request("stitch", n, action=a) for n, a in enumerate(("begin", "add", "end", "status")))  # type: ignore[arg-type]
@@ -39,13 +39,16 @@ class Nobody:
 
 class Daemon:
     def __init__(self, folder: Path) -> None:
-        self.told: dict[str, bytes] = {}
+        self.published: dict[str, bytes] = {}
         self.replies: list[dict[str, Any]] = []
-        self.sessions = StitchSessions(
-            folder, self.told.__setitem__, lambda request, payload: self.replies.append(json.loads(payload)), None
+        self.sessions = SessionRequests(
+            folder,
+            self.published.__setitem__,
+            lambda request, outcome: self.replies.append(json.loads(encode_reply(request, outcome))),
+            None,
         )
         self.nobody = Nobody()
-        self.sink: Sink = self.sessions.watched(self.nobody)
+        self.sink: Sink = self.sessions.observing(self.nobody)
         self.sessions.start()
 
     def show(self, result: Reconstruction | None, *, pose: bool = True) -> None:
@@ -65,7 +68,7 @@ class Daemon:
 
     def status(self) -> dict[str, Any]:
         self.sessions.poll()
-        return dict(json.loads(self.told["status/stitching"]))
+        return dict(json.loads(self.published["status/stitching"]))
 
 
 @pytest.fixture
@@ -77,7 +80,7 @@ def daemon(tmp_path: Path) -> Iterator[Daemon]:
 
 def test_a_session_over_mqtt(daemon: Daemon, tmp_path: Path) -> None:
     ball = step("fast", pressed("ball", 3.0).image)
-    assert daemon.ask(BEGIN)["error"].startswith("NOFRAME: ")
+    assert daemon.ask(BEGIN)["reason_code"] == "no_frame"
     daemon.show(step("fast", unloaded()))
     assert not daemon.sink.asked()
     assert daemon.ask(replace(BEGIN, name="7", transaction="t")) == {
@@ -100,17 +103,21 @@ def test_a_session_over_mqtt(daemon: Daemon, tmp_path: Path) -> None:
         **{"missed": 0, "folder": str(tmp_path / "7")},
     }
     assert not daemon.sink.asked()
-    assert {"map/cloud", "map/revision", "map/final"} <= set(daemon.told)
+    assert {"map/cloud", "map/revision", "map/final"} <= set(daemon.published)
     assert daemon.sessions.as_dict() == {"presses": 1, "refused": 0, "missed": 0, "waiting": 0}
 
 
 def test_what_was_not_added_is_counted_and_told(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
     ball = step("fast", pressed("ball", 3.0).image)
-    assert daemon.ask(ADD)["error"] == "NOSESSION: no session is open, begin one first"
+    refused = daemon.ask(ADD)
+    assert (refused["error"], refused["reason_code"]) == (
+        "NOSESSION: no session is open, begin one first",
+        "no_session",
+    )
     daemon.show(step("fast", unloaded()))
     daemon.ask(BEGIN)
     daemon.show(None)  # a contact that nobody asked for, from before
-    monkeypatch.setattr("tacshade_edge.core.stitching.rest.SETTLE_NS", 0)
+    monkeypatch.setattr("tacshade_edge.core.stitching.rest.REST_NS", 0)
     daemon.show(ball, pose=False)
     daemon.show(ball, pose=False)
     wait_until(lambda: daemon.status()["missed"] == 1, 20, "missed")
@@ -129,7 +136,7 @@ def test_a_stop_does_not_wait_for_a_map(daemon: Daemon, tmp_path: Path, monkeypa
     daemon.ask(ADD, step("fast", pressed("ball", 3.0).image))
     finish, go_on = Stitcher.finish, threading.Event()
 
-    def slow(stitcher: Stitcher) -> Stitched:
+    def slow(stitcher: Stitcher) -> StitchedMap:
         assert go_on.wait(patience(20))
         return finish(stitcher)
 
@@ -141,12 +148,3 @@ def test_a_stop_does_not_wait_for_a_map(daemon: Daemon, tmp_path: Path, monkeypa
     assert open_session(tmp_path) == tmp_path / "pad"  # for the next daemon
     go_on.set()
     wait_until(lambda: daemon.status()["state"] == "idle", 20, "idle")
-
-
-def test_answers_are_values() -> None:
-    assert values("name=007 open=1 disagreement_mm=0.120 area_mm2=60") == {
-        "name": "007",
-        "open": 1,
-        "disagreement_mm": 0.12,
-        "area_mm2": 60,
-    }

@@ -12,21 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tacshade_edge.errors import DecodeError
-from tacshade_edge.protocol import cobs
-from tacshade_edge.protocol.serial_line import (
-    LINE_BYTES_MAX,
-    BadLine,
-    Line,
-    PoseSample,
-    crc16,
-    decode_pose,
-    encode_pose,
-    parse_line,
-    parse_pose,
-    seal,
-)
+from tacshade_edge.protocol.serial import cobs
+from tacshade_edge.protocol.serial.answers import ERROR_WORDS
+from tacshade_edge.protocol.serial.line import LINE_BYTES_MAX, Line, crc16, parse_line, seal
+from tacshade_edge.protocol.serial.pose import PoseSample, decode_pose, encode_pose, parse_pose
+from tacshade_edge.reasons import Reason, ReasonCode
 
-VECTORS = json.loads((Path(__file__).parent / "vectors" / "serial.json").read_text())
+VECTORS = json.loads((Path(__file__).parents[1] / "vectors" / "serial.json").read_text())
 QUATERNIONS = st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: math.hypot(*q) > 1e-3)
 
 
@@ -47,15 +39,16 @@ def test_line(vector: dict[str, Any]) -> None:
 @pytest.mark.parametrize("vector", VECTORS["bad_lines"], ids=lambda v: v["raw"])
 def test_bad_line(vector: dict[str, str]) -> None:
     line = parse_line(vector["raw"].encode())
-    assert isinstance(line, BadLine)
-    assert line.code == vector["code"]
+    assert isinstance(line, Reason)
+    assert ERROR_WORDS.get(line.code, "GARBAGE") == vector["code"]
 
 
 def test_a_line_has_at_most_256_bytes_with_its_end() -> None:
     longest = "HELP " + "x" * (LINE_BYTES_MAX - 1 - 5 - 5)
     assert len(seal(longest)) == LINE_BYTES_MAX
     assert isinstance(parse_line(seal(longest)[:-1]), Line)
-    assert parse_line(seal(longest + "x")[:-1]) == BadLine("GARBAGE", "expected at most 255 printable ASCII characters")
+    too_long = Reason(ReasonCode.NOT_A_LINE, "expected at most 255 printable ASCII characters")
+    assert parse_line(seal(longest + "x")[:-1]) == too_long
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 63))
@@ -64,7 +57,7 @@ def test_two_wrong_bits_of_a_line_are_noticed(first: int, distance: int) -> None
     for bit in (first, first + distance):
         place = bit % (8 * (len(raw) - 5))
         raw[place // 8] ^= 1 << place % 8
-    assert isinstance(parse_line(bytes(raw)), BadLine)
+    assert isinstance(parse_line(bytes(raw)), Reason)
 
 
 @pytest.mark.parametrize("vector", VECTORS["poses"], ids=lambda v: str(v["seq"]))

@@ -11,11 +11,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tacshade_edge.protocol import cobs
-from tacshade_edge.protocol.serial_line import BadLine, PoseSample, encode_pose, parse_line, seal
-from tacshade_edge.protocol.serial_link import REPLIES_KEPT, Command, Event, Greeted, PoseArrived, SerialLink
+from tacshade_edge.protocol.results import SessionBegun
+from tacshade_edge.protocol.serial import cobs
+from tacshade_edge.protocol.serial.line import parse_line, seal
+from tacshade_edge.protocol.serial.link import Greeted, PoseArrived, Received, SerialLink
+from tacshade_edge.protocol.serial.pose import PoseSample, encode_pose
+from tacshade_edge.protocol.serial.replies import REPLIES_KEPT
+from tacshade_edge.protocol.serial.verbs import Command
+from tacshade_edge.reasons import Reason, ReasonCode
 
-VECTORS = json.loads((Path(__file__).parent / "vectors" / "serial.json").read_text())
+VECTORS = json.loads((Path(__file__).parents[1] / "vectors" / "serial.json").read_text())
 IDENTITY = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
 
@@ -34,7 +39,7 @@ class Desk:
             self.take(event, answer)
         return texts(self.link.take_output())
 
-    def take(self, event: Event, answer: bool) -> None:
+    def take(self, event: Received, answer: bool) -> None:
         if isinstance(event, PoseArrived):
             self.poses.append(event)
         elif isinstance(event, Greeted):
@@ -42,7 +47,7 @@ class Desk:
         else:
             self.done.append(event)
             if answer:
-                self.link.reply(event, f"done {len(self.done)}")
+                self.link.answer(event, SessionBegun(f"done-{len(self.done)}"))
 
     def verbs(self) -> list[tuple[int | None, str]]:
         return [(command.seq, command.verb) for command in self.done]
@@ -53,7 +58,7 @@ def texts(output: bytes) -> list[str]:
     lines, newline, frames = output.rpartition(b"\n")
     raws = lines.split(b"\n") if newline else []
     raws += [cobs.decode(frame)[1:] for frame in frames.split(b"\0") if frame]
-    assert not any(isinstance(parse_line(raw), BadLine) or len(raw) > 255 for raw in raws)
+    assert not any(isinstance(parse_line(raw), Reason) or len(raw) > 255 for raw in raws)
     return [raw.decode().rpartition("*")[0] for raw in raws]
 
 
@@ -75,9 +80,9 @@ def test_a_person_types() -> None:
         "OK - HELLO SYNC POSE CAPTURE REFERENCE STITCH STATUS MODE HELP; HELP VERB tells more"
     ]
     assert desk.send(b"HELP pose\r") == ["OK - POSE t x y z qw qx qy qz"]
-    assert desk.send(b"status\n") == ["OK - done 1"]
-    assert desk.send(b"status\n") == ["OK - done 2"]  # without a number nothing is a repeat
-    assert desk.send(b"stitch begin pad\n") == ["OK - done 3"]
+    assert desk.send(b"status\n") == ["OK - name=done-1"]
+    assert desk.send(b"status\n") == ["OK - name=done-2"]  # without a number nothing is a repeat
+    assert desk.send(b"stitch begin pad\n") == ["OK - name=done-3"]
     assert desk.done[-1].args == ("BEGIN", "pad")
     assert desk.send(b"\n\r\n\n") == []
 
@@ -107,7 +112,7 @@ def test_a_mistake_is_told_and_takes_no_number(line: str, answer: str) -> None:
     (said,) = desk.send(line.encode() + b"\n")
     assert said.startswith(answer)
     assert desk.done == []
-    assert desk.send(b"#9 STATUS\n") == ["OK 9 done 1"]
+    assert desk.send(b"#9 STATUS\n") == ["OK 9 name=done-1"]
 
 
 def test_a_session_of_the_vectors() -> None:
@@ -129,7 +134,7 @@ def test_a_session_of_the_vectors() -> None:
 def test_a_repeated_line_gets_its_reply_again_and_is_not_done_again() -> None:
     desk = Desk()
     for line in (b"#7 CAPTURE\n", b"#7 CAPTURE\n", seal("#7 CAPTURE")):
-        assert desk.send(line) == ["OK 7 done 1"]
+        assert desk.send(line) == ["OK 7 name=done-1"]
     assert desk.verbs() == [(7, "CAPTURE")]
     assert desk.send(b"#7 REFERENCE\n") == ["ERR 7 REUSED another line had this number, expected a new one"]
     assert desk.link.counts.repeats == 2
@@ -139,7 +144,7 @@ def test_a_line_that_is_still_being_done_is_answered_once_it_is() -> None:
     desk = Desk()
     assert desk.send(b"#7 CAPTURE\n", answer=False) == []
     assert desk.send(b"#7 CAPTURE\n") == []
-    desk.link.refuse(desk.done[0], "TIMEOUT", "no frame")
+    desk.link.answer(desk.done[0], Reason(ReasonCode.TIMEOUT, "no frame"))
     assert texts(desk.link.take_output()) == ["ERR 7 TIMEOUT no frame"]
     assert desk.send(b"#7 CAPTURE\n") == ["ERR 7 TIMEOUT no frame"]
     assert desk.verbs() == [(7, "CAPTURE")]
@@ -150,7 +155,7 @@ def test_numbers_that_are_too_old_to_be_known_are_refused() -> None:
     for seq in range(100, 100 + 2 * REPLIES_KEPT):
         desk.send(b"#%d STATUS\n" % seq)
     newest = 100 + 2 * REPLIES_KEPT - 1
-    assert desk.send(b"#%d STATUS\n" % (newest - REPLIES_KEPT + 1)) == [f"OK {newest - REPLIES_KEPT + 1} done 65"]
+    assert desk.send(b"#%d STATUS\n" % (newest - REPLIES_KEPT + 1)) == [f"OK {newest - REPLIES_KEPT + 1} name=done-65"]
     assert desk.send(b"#%d STATUS\n" % (newest - REPLIES_KEPT)) == [
         f"ERR {newest - REPLIES_KEPT} STALE expected a number after #{newest}, or HELLO"
     ]
@@ -160,17 +165,17 @@ def test_numbers_that_are_too_old_to_be_known_are_refused() -> None:
 def test_numbers_may_be_left_out_and_go_round() -> None:
     desk = Desk()
     for seq in (65000, 65535, 0, 65534, 3, 2):
-        assert desk.send(b"#%d STATUS\n" % seq) == [f"OK {seq} done {len(desk.done)}"]
-    assert desk.send(b"#65534 STATUS\n") == ["OK 65534 done 4"]
+        assert desk.send(b"#%d STATUS\n" % seq) == [f"OK {seq} name=done-{len(desk.done)}"]
+    assert desk.send(b"#65534 STATUS\n") == ["OK 65534 name=done-4"]
 
 
 def test_hello_begins_anew_unless_it_is_the_same_robot_that_repeats_itself() -> None:
     desk = Desk()
     desk.send(b"#1 HELLO 1 boot=a\n#2 CAPTURE\n")
-    assert desk.send(b"#1 HELLO 1 boot=a\n#2 CAPTURE\n") == ["OK 1 tacshade 1 crc=opt mode=ASCII", "OK 2 done 1"]
-    assert desk.send(b"#1 HELLO 1 boot=b\n#2 CAPTURE\n") == ["OK 1 tacshade 1 crc=opt mode=ASCII", "OK 2 done 2"]
-    assert desk.send(b"HELLO 1\n#2 CAPTURE\n")[-1] == "OK 2 done 3"
-    assert desk.send(b"HELLO 1\n#2 CAPTURE\n")[-1] == "OK 2 done 4"
+    assert desk.send(b"#1 HELLO 1 boot=a\n#2 CAPTURE\n") == ["OK 1 tacshade 1 crc=opt mode=ASCII", "OK 2 name=done-1"]
+    assert desk.send(b"#1 HELLO 1 boot=b\n#2 CAPTURE\n") == ["OK 1 tacshade 1 crc=opt mode=ASCII", "OK 2 name=done-2"]
+    assert desk.send(b"HELLO 1\n#2 CAPTURE\n")[-1] == "OK 2 name=done-3"
+    assert desk.send(b"HELLO 1\n#2 CAPTURE\n")[-1] == "OK 2 name=done-4"
     assert desk.greeted == ["a", "b", "", ""]
 
 
@@ -178,10 +183,10 @@ def test_the_answer_to_a_session_that_is_over_is_not_given() -> None:
     desk = Desk()
     desk.send(b"#7 CAPTURE\n", answer=False)
     desk.send(b"HELLO 1\n#7 STATUS\n", answer=False)
-    desk.link.reply(desk.done[0], "late")
+    desk.link.answer(desk.done[0], SessionBegun("late"))
     assert desk.link.take_output() == b""
-    desk.link.reply(desk.done[1], "mine")
-    assert texts(desk.link.take_output()) == ["OK 7 mine"]
+    desk.link.answer(desk.done[1], SessionBegun("mine"))
+    assert texts(desk.link.take_output()) == ["OK 7 name=mine"]
 
 
 def test_checksums_once_required() -> None:
@@ -190,7 +195,7 @@ def test_checksums_once_required() -> None:
     assert desk.send(b"#2 CAPTURE\n") == ["ERR - CRC found none, expected one since HELLO asked for it"]
     assert desk.send(b"POSE 1 0 0 0 1 0 0 0\n")[0].startswith("ERR - CRC")
     assert (desk.done, desk.poses) == ([], [])
-    assert desk.send(seal("#2 CAPTURE")) == ["OK 2 done 1"]
+    assert desk.send(seal("#2 CAPTURE")) == ["OK 2 name=done-1"]
 
 
 def test_our_own_lines_and_garbage_are_not_answered() -> None:
@@ -200,20 +205,20 @@ def test_our_own_lines_and_garbage_are_not_answered() -> None:
     assert desk.send(b"\xff\xfe\x07\n" + b"x" * 1000 + b"\n" + b"\x80" * 255 + b"\n") == []
     counts = desk.link.counts
     assert (counts.echoes, counts.garbage, counts.garbage_bytes) == (3, 3, 3 + 1000 + 255)
-    assert desk.send(b"#1 STATUS\n") == ["OK 1 done 1"]
+    assert desk.send(b"#1 STATUS\n") == ["OK 1 name=done-1"]
 
 
 def test_binary_mode_and_back() -> None:
     desk = Desk()
     assert desk.send(seal("#1 MODE BIN") + frame(pose(0)) + line_frame("#2 CAPTURE") + frame(pose(2))) == [
         "OK 1 BIN",
-        "OK 2 done 1",
+        "OK 2 name=done-1",
     ]
-    assert [(p.sample.seq, p.lost) for p in desk.poses] == [(0, 0), (2, 1)]
+    assert [(p.sample.seq, p.missing) for p in desk.poses] == [(0, 0), (2, 1)]
     assert desk.send(line_frame("#3 HELLO 1")) == ["OK 3 tacshade 1 crc=opt mode=BIN"]
     assert desk.send(frame(b"L#4 HELLO 1\n")) == ["OK 4 tacshade 1 crc=opt mode=BIN"]
     assert desk.send(line_frame("#5 MODE ASCII")) == ["OK 5 ASCII"]
-    assert desk.send(b"#6 STATUS\n") == ["OK 6 done 2"]
+    assert desk.send(b"#6 STATUS\n") == ["OK 6 name=done-2"]
     assert desk.link.mode == "ASCII"
 
 
@@ -223,7 +228,7 @@ def test_a_robot_that_began_anew_in_ascii_is_heard_in_binary_mode() -> None:
     assert desk.send(b"#1 HELLO 1 boot=2\n") == ["OK 1 tacshade 1 crc=opt mode=ASCII"]
     assert desk.link.mode == "ASCII"
     desk.send(b"#2 MODE BIN\n" + b"\x01\xff" * 700)  # and from within a stretch of garbage
-    assert desk.send(b"\nHELLO 1\n#3 STATUS\n") == ["OK - tacshade 1 crc=opt mode=ASCII", "OK 3 done 1"]
+    assert desk.send(b"\nHELLO 1\n#3 STATUS\n") == ["OK - tacshade 1 crc=opt mode=ASCII", "OK 3 name=done-1"]
 
 
 @pytest.mark.parametrize("chunk", [1, 7, 43, 1000])
@@ -239,7 +244,7 @@ def test_a_robot_that_goes_on_in_binary_is_understood_by_a_new_daemon(chunk: int
 def test_missing_and_repeated_poses_are_counted_by_their_numbers() -> None:
     desk = Desk()
     desk.send(b"#1 MODE BIN\n" + b"".join(frame(pose(seq)) for seq in (65533, 65535, 65535, 65533, 2, 40000, 40001)))
-    assert [p.lost for p in desk.poses] == [0, 1, 2, 0, 0]
+    assert [p.missing for p in desk.poses] == [0, 1, 2, 0, 0]
     counts = desk.link.counts
     assert (counts.poses, counts.poses_lost, counts.poses_repeated) == (5, 3, 2)
 
@@ -263,7 +268,7 @@ def test_a_lost_port_ends_a_line_and_nothing_else() -> None:
     desk.link.interrupted()
     assert desk.send(b"URE\n#2 CAPTURE\n") == [
         "ERR - VERB found URE, expected one of HELLO SYNC POSE CAPTURE REFERENCE STITCH STATUS MODE HELP",
-        "OK 2 done 1",
+        "OK 2 name=done-1",
     ]
     assert desk.link.counts.garbage_bytes == len("#3 CAPT")
 
@@ -271,9 +276,9 @@ def test_a_lost_port_ends_a_line_and_nothing_else() -> None:
 def test_a_reply_is_one_line_whatever_is_in_it() -> None:
     desk = Desk()
     desk.send(b"#1 CAPTURE\n", answer=False)
-    desk.link.reply(desk.done[0], "a\nb*c\u00e9" + "x" * 500)
+    desk.link.answer(desk.done[0], SessionBegun("a\nb*c\u00e9" + "x" * 500))
     (said,) = texts(desk.link.take_output())
-    assert said.startswith("OK 1 a?b?c?xxx")
+    assert said.startswith("OK 1 name=a?b?c?xxx")
 
 
 def chunks(data: bytes, rng: random.Random, mean: int = 40) -> list[bytes]:
@@ -294,9 +299,9 @@ def test_a_quarter_of_a_million_bytes_of_garbage(mode: str, alphabet: bytes) -> 
     for piece in chunks(data, rng):
         desk.send(piece)
     assert (desk.done, desk.poses) == ([], [])
-    assert len(desk.link._in) < 600
+    assert desk.link.buffered_bytes < 600
     desk.send(b"\n" + seal("#1 HELLO 1 crc=req boot=b"))
-    assert desk.send(seal("#5 CAPTURE")) == ["OK 5 done 1"]
+    assert desk.send(seal("#5 CAPTURE")) == ["OK 5 name=done-1"]
     assert desk.link.counts.bytes > len(data)
 
 

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tacshade_edge.errors import DecodeError
-from tacshade_edge.protocol import cobs
+from tacshade_edge.protocol.serial import cobs
 
 FULL = bytes(range(1, 255))
 

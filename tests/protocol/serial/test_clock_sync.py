@@ -8,10 +8,12 @@ from collections.abc import Callable
 import bench_sync
 import pytest
 
-from tacshade_edge.protocol.clock_sync import ONE_WAY_LATENCY_NS, ClockSync
+from tacshade_edge.protocol.serial.clock_sync import ONE_WAY_LATENCY_NS, ClockSync
+from tacshade_edge.reasons import Reason, ReasonCode
 
 S = 10**9
 MS = 10**6
+REBOOT = Reason(ReasonCode.ROBOT_RESTARTED, "the robot began anew")
 
 
 @pytest.mark.parametrize(("line", "rms_ms"), [("usb", 0.15), ("loaded", 0.3), ("ftdi", 2.0)])
@@ -47,15 +49,15 @@ class Rig:
         self.true_ns += after_ns
         t1 = self.robot_ns()
         jitter = self.rng.randrange(300_000)
-        self.sync.asked(t1, self.true_ns + MS + jitter, self._t4)
+        self.sync.sync_received(t1, self.true_ns + MS + jitter, self._t4)
         self.true_ns += MS + jitter
-        self.sync.replied(self.true_ns + 50_000)
+        self.sync.sync_answered(self.true_ns + 50_000)
         self.true_ns += 50_000 + MS
         self._t4 = t4(self.robot_ns())
 
     def pose(self, after_ns: int = 10 * MS, late_ns: int = MS) -> None:
         self.true_ns += after_ns
-        self.sync.arrived(self.robot_ns(), self.true_ns + late_ns)
+        self.sync.stamp_received(self.robot_ns(), self.true_ns + late_ns)
 
     def error_ns(self) -> int:
         found = self.sync.to_robot(self.true_ns)
@@ -67,13 +69,16 @@ class Rig:
 def test_nothing_is_known_at_first_and_two_exchanges_make_a_time() -> None:
     rig = Rig()
     assert rig.sync.to_robot(rig.true_ns) is None
-    assert (rig.sync.state().mode, rig.sync.state().reason) == ("none", "nothing has come from the robot")
+    state = rig.sync.state()
+    assert state.mode == "none"
+    assert state.reason is not None
+    assert state.reason.code == ReasonCode.NOTHING_RECEIVED
     rig.exchange()
     assert rig.sync.to_robot(rig.true_ns) is None  # its t4 comes with the next
     rig.exchange()
     assert abs(rig.error_ns()) < MS
     state = rig.sync.state()
-    assert (state.mode, state.reason) == ("two-way", "")
+    assert (state.mode, state.reason) == ("two-way", None)
     assert state.offset_ns == pytest.approx(5000 * S - 70 * S, abs=MS)
     assert 0 < state.error_us < 4000
 
@@ -84,7 +89,7 @@ def test_drift_is_found_and_a_poor_clock_is_told() -> None:
         rig.exchange()
     state = rig.sync.state()
     assert state.drift_ppm == pytest.approx(800, abs=10)
-    assert state.reason == "the robot's clock is about 800 ppm slow"
+    assert state.reason == Reason(ReasonCode.CLOCK_DRIFT, "the robot's clock is about 800 ppm slow")
     assert abs(rig.error_ns()) < 300_000
 
 
@@ -169,8 +174,15 @@ def test_poses_alone_make_an_envelope_of_the_least_delay() -> None:
     assert rig.sync.state().drift_ppm == pytest.approx(60, abs=20)
 
 
-@pytest.mark.parametrize(("jump_ns", "reason"), [(2 * S, "jumped forward"), (-500 * MS, "set back"), (-60 * S, "back")])
-def test_a_jump_is_seen_in_poses_alone(jump_ns: int, reason: str) -> None:
+@pytest.mark.parametrize(
+    ("jump_ns", "code"),
+    [
+        (2 * S, ReasonCode.CLOCK_JUMPED),
+        (-500 * MS, ReasonCode.CLOCK_LATE),
+        (-60 * S, ReasonCode.CLOCK_WENT_BACK),
+    ],
+)
+def test_a_jump_is_seen_in_poses_alone(jump_ns: int, code: ReasonCode) -> None:
     rig = Rig()
     for _ in range(600):
         rig.pose()
@@ -178,7 +190,7 @@ def test_a_jump_is_seen_in_poses_alone(jump_ns: int, reason: str) -> None:
     for _ in range(600):
         rig.pose()
     assert rig.sync.counts.restarts == 1
-    assert reason in rig.sync._why_none
+    assert rig.sync._reason_none.code == code
     assert abs(rig.error_ns()) <= ONE_WAY_LATENCY_NS
 
 
@@ -210,6 +222,6 @@ def test_a_greeting_forgets_the_clock() -> None:
     rig = Rig()
     for _ in range(3):
         rig.exchange()
-    rig.sync.restart("the robot began anew")
-    assert rig.sync.state().reason == "the robot began anew"
+    rig.sync.restart(REBOOT)
+    assert rig.sync.state().reason == REBOOT
     assert rig.sync.to_robot(rig.true_ns) is None

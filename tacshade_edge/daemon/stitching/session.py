@@ -1,0 +1,191 @@
+"""A stitching session: its presses, on the disk and in the map."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from pathlib import Path
+
+import numpy as np
+
+from tacshade_edge.core.stitching.press_points import PressPoints
+from tacshade_edge.core.stitching.stitcher import Stitcher
+from tacshade_edge.daemon.stitching.map_revision import MapRevision
+from tacshade_edge.devices.files.map_files import write_map
+from tacshade_edge.devices.files.stitch_file import SessionInfo, StitchFile, open_session
+from tacshade_edge.devices.files.whole_files import told
+from tacshade_edge.protocol.results import PressAdded, SessionAborted, SessionBegun, SessionEnded, SessionStatus
+from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.rigid import Rigid
+from tacshade_edge.types import Calibration
+
+_NAME_MAX = 64
+
+
+class RefusedError(Exception):
+    """A command that cannot be done now, and why."""
+
+    def __init__(self, code: ReasonCode, text: str) -> None:
+        super().__init__(text)
+        self.reason = Reason(code, text)
+
+
+class Session:
+    """An open session; for one thread at a time.
+
+    Parameters
+    ----------
+    file : StitchFile
+    stitcher : Stitcher
+        With the presses of the file.
+
+    Attributes
+    ----------
+    revision : int
+        Counts the presses and the end.
+    """
+
+    def __init__(self, file: StitchFile, stitcher: Stitcher) -> None:
+        self._file = file
+        self._stitcher = stitcher
+        self.revision = stitcher.presses
+
+    @classmethod
+    def begin(cls, folder: Path, name: str, calibration: Calibration) -> Session:
+        """Begin a session in a new folder below `folder`; an empty `name` is the time in UTC.
+
+        Raises
+        ------
+        RefusedError
+            BAD_NAME, NAME_TAKEN.
+        DeviceError
+            The folder cannot be written.
+        """
+        name = name or time.strftime("%Y%m%d-%H%M%S", time.gmtime())
+        if len(name) > _NAME_MAX or name.startswith(".") or not all(map(_is_name_character, name)):
+            text = f"found {name[:80]!r}, expected letters, digits, . _ -, at most {_NAME_MAX}"
+            raise RefusedError(ReasonCode.BAD_NAME, text)
+        with told(folder):
+            exists = (folder / name).exists()
+        if exists:
+            raise RefusedError(ReasonCode.NAME_TAKEN, f"{folder / name} is there already")
+        info = SessionInfo(name, time.time_ns(), calibration.crc32, calibration.geometry.skin_radius_mm)
+        return cls(StitchFile.create(folder / name, info), Stitcher(info.skin_radius_mm))
+
+    @classmethod
+    def resume(cls, folder: Path) -> Session | None:
+        """Go on with the session below `folder` that was not ended; None where there is none.
+
+        Raises
+        ------
+        TacshadeError
+            It cannot be read or written.
+        """
+        with told(folder):
+            path = open_session(folder)
+        if path is None:
+            return None
+        file, presses = StitchFile.resume(path)
+        stitcher = Stitcher(file.info.skin_radius_mm)
+        for points, base_T_sensor in presses:
+            with contextlib.suppress(ValueError):  # refused when it came, too
+                stitcher.add(points, base_T_sensor)
+        return cls(file, stitcher)
+
+    @property
+    def name(self) -> str:
+        """The session's, and its folder's."""
+        return self._file.info.name
+
+    @property
+    def folder(self) -> Path:
+        """Of its files."""
+        return self._file.folder
+
+    @property
+    def presses(self) -> int:
+        """How many the map has."""
+        return self._stitcher.presses
+
+    @property
+    def points(self) -> int:
+        """How many the presses have."""
+        return self._stitcher.points
+
+    def begun(self) -> SessionBegun:
+        """What begins it."""
+        return SessionBegun(self.name)
+
+    def status(self, missed: int) -> SessionStatus:
+        """How it is; `missed` are the contacts at rest that were not added."""
+        tiles = self._stitcher.map.tiles
+        return SessionStatus(self.name, self.presses, self.points, tiles, self.revision, missed)
+
+    def add(self, points: PressPoints, base_T_sensor: Rigid, frame_seq: int) -> PressAdded:
+        """Add a press; it is on the disk when this returns.
+
+        Raises
+        ------
+        RefusedError
+            MAP_FULL.
+        DeviceError
+            The disk failed; nothing was added.
+        """
+        # On the disk first: what is acknowledged is there. A press that the map refuses is refused again on resuming.
+        self._file.append(points, base_T_sensor)
+        try:
+            self._stitcher.add(points, base_T_sensor)
+        except ValueError as error:
+            raise RefusedError(ReasonCode.MAP_FULL, str(error)) from None
+        self.revision += 1
+        return PressAdded(self.presses, frame_seq, len(points.points_mm))
+
+    def map_revision(self) -> MapRevision:
+        """The map of the presses so far."""
+        crc32, raster = self._file.info.calibration_crc32, self._stitcher.map.raster
+        return MapRevision(self.name, self.revision, self.presses, self.presses, crc32, "", raster)
+
+    def finish(self, missed: int) -> tuple[SessionEnded, MapRevision]:
+        """Make the final map and write its files, which takes seconds; the session is over then.
+
+        Raises
+        ------
+        DeviceError
+            The disk failed; the session is open still.
+        """
+        final = self._stitcher.finish()
+        raster, crc32 = final.raster, self._file.info.calibration_crc32
+        rejected = [k + 1 for k, press in enumerate(final.presses) if press.rejected]
+        used = self.presses - len(rejected)
+        self.revision += 1
+        details = {
+            "name": self.name,
+            "revision": self.revision,
+            "presses": self.presses,
+            "used": used,
+            "rejected": rejected,
+            "missed": missed,
+            "refined": final.refined,
+            "disagreement_mm": round(final.disagreement_mm, 4),
+            "calibration_crc32": crc32,
+        }
+        write_map(self.folder, raster, details)
+        self._file.end()
+        area_mm2 = float(np.count_nonzero(np.isfinite(raster.z_mm))) * raster.step_mm**2
+        return (
+            SessionEnded(self.name, self.presses, used, final.refined, final.disagreement_mm, area_mm2),
+            MapRevision(self.name, self.revision, self.presses, used, crc32, str(self.folder), lambda: raster),
+        )
+
+    def abort(self) -> SessionAborted:
+        """Throw it away. Raises DeviceError."""
+        self._file.remove()
+        return SessionAborted(self.name, self.presses)
+
+    def close(self) -> None:
+        """Close the file; the session stays open on the disk."""
+        self._file.close()
+
+
+def _is_name_character(c: str) -> bool:
+    return (c.isascii() and c.isalnum()) or c in "._-"

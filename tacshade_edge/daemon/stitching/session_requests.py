@@ -1,0 +1,109 @@
+"""Stitching in the daemon: its thread, ``req/stitch`` and ``status/stitching``; there only where frames have poses."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tacshade_edge.daemon.pipeline.ledger import Outcome
+from tacshade_edge.daemon.pipeline.workers import Sink
+from tacshade_edge.daemon.publishing.map_publisher import MapPublisher
+from tacshade_edge.daemon.requests import Reply
+from tacshade_edge.daemon.stitching.session_worker import SessionWorker
+from tacshade_edge.protocol.messages import Request, encode_status
+from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.types import Calibration, Frame, Reconstruction
+
+if TYPE_CHECKING:
+    from tacshade_edge.daemon.robot.robot import Robot  # imports pyserial
+
+
+class SessionRequests:
+    """The App's side of `SessionWorker`; used by the main thread, but for the sink.
+
+    Parameters
+    ----------
+    folder : Path
+        For sessions.
+    publish : callable
+        ``publish(topic, payload)``, retained; from any thread.
+    reply : Reply
+        From any thread.
+    robot : Robot or None
+        Gives frames their poses and commands sessions too; without one the source's frames have poses.
+    """
+
+    def __init__(self, folder: Path, publish: Callable[[str, bytes], None], reply: Reply, robot: Robot | None) -> None:
+        publish_map = MapPublisher(publish).publish
+        if robot:
+            self._worker = SessionWorker(folder, publish_map, robot.with_interpolated_pose)
+            robot.commands.sessions = self._worker
+        else:
+            self._worker = SessionWorker(folder, publish_map)
+        self._publish = publish
+        self._reply = reply
+        self._robot = robot
+        self._published = b""
+        # A daemon thread: the end of a session, or a disk that hangs, must not keep the process.
+        self._thread = threading.Thread(target=self._worker.run, name="stitch", daemon=True)
+
+    def start(self) -> None:
+        """Go on with a session that was open, and serve commands."""
+        self._thread.start()
+
+    def stop(self, timeout_s: float) -> None:
+        """Add what waits; an open session, or one whose end takes longer, stays open on the disk."""
+        self._worker.stop()
+        self._thread.join(timeout_s)
+
+    def observing(self, sink: Sink) -> Sink:
+        """`sink`, whose results may be presses."""
+        return _ObservingSink(sink, self._worker)
+
+    def handle(self, request: Request) -> None:
+        """Begin to do what ``req/stitch`` wants; its one reply comes when that is done."""
+        self._worker.submit(request.action.upper(), request.name, lambda outcome: self._reply(request, outcome))
+
+    def poll(self) -> None:
+        """Refuse what waits in vain; publish ``status/stitching`` when it changed."""
+        self._worker.poll()
+        session = self._worker.state
+        state: str = "idle"
+        reason: Reason | None = None
+        if session.name:
+            state, reason = "ending" if session.ending else "open", session.missed_reason
+            if self._robot and not self._robot.knows_pose():
+                reason = Reason(ReasonCode.NO_POSE, "the robot's pose is not known: nothing can be added")
+        details: dict[str, str | int | float] = {
+            "name": session.name,
+            "presses": session.presses,
+            "points": session.points,
+            "revision": session.revision,
+            "missed": session.missed,
+            "folder": session.folder,
+        }
+        status = encode_status(state, reason.text if reason else "", details)
+        if status != self._published:
+            self._published = status
+            self._publish("status/stitching", status)
+
+    def as_dict(self) -> dict[str, int]:
+        """For ``health``."""
+        return self._worker.as_dict()
+
+
+class _ObservingSink:
+    def __init__(self, sink: Sink, worker: SessionWorker) -> None:
+        self._sink = sink
+        self._worker = worker
+
+    def asked(self) -> bool:
+        return self._worker.open or self._sink.asked()
+
+    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> Outcome | None:
+        outcome = self._sink.deliver(frame, result, calibration)
+        if result is not None:
+            self._worker.observe(frame, result, calibration)
+        return outcome

@@ -1,0 +1,329 @@
+"""The thread `stitch`, and what other threads hand to it: commands of sessions, and frames that may be presses.
+
+Everything that touches a session runs there: the map, the disk, the end that takes seconds. The reconstruct thread only
+decides whether a frame is a press, and hands its points over.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Literal
+
+import numpy as np
+
+from tacshade_edge.core.stitching.press_points import PressPoints, press_points
+from tacshade_edge.core.stitching.rest import RestDetector
+from tacshade_edge.daemon.stitching.map_revision import MapRevision
+from tacshade_edge.daemon.stitching.pending_adds import WAITING_MAX, PendingAdds, Reply
+from tacshade_edge.daemon.stitching.session import RefusedError, Session
+from tacshade_edge.errors import TacshadeError
+from tacshade_edge.protocol.results import NoSession, PressAdded, SessionAborted, SessionEnded, SessionResult
+from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.rigid import Rigid, from_seven, of_pose
+from tacshade_edge.types import Calibration, Frame, Reconstruction
+
+_log = logging.getLogger(__name__)
+
+DEFERRED_S = 0.25
+_NO_IMAGE = np.zeros((0, 0), np.uint8)
+
+
+@dataclass(frozen=True, slots=True)
+class SessionState:
+    """The sessions at one instant.
+
+    Attributes
+    ----------
+    name : str
+        Of the open session; empty: none is.
+    ending : bool
+        Its map is being made, which takes seconds.
+    presses, points, revision : int
+    missed : int
+        Contacts at rest that could not be added to the latest session, since the daemon started.
+    missed_reason : Reason or None
+        Why the latest one could not; None once another could.
+    folder : str
+        Files of the latest map that ended; empty before.
+    """
+
+    name: str = ""
+    ending: bool = False
+    presses: int = 0
+    points: int = 0
+    revision: int = 0
+    missed: int = 0
+    missed_reason: Reason | None = None
+    folder: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class _Command:
+    action: str
+    name: str
+    reply: Reply
+
+
+@dataclass(frozen=True, slots=True)
+class _Add:
+    points: PressPoints
+    frame: Frame  # without its image
+    flange_T_sensor: Rigid
+    reply: Reply
+
+
+class SessionWorker:
+    """One sensor's sessions, one at a time.
+
+    Parameters
+    ----------
+    folder : Path
+        Sessions lie below it, each in its own folder. One that was open when the daemon died goes on.
+    publish_map : callable
+        ``publish_map(revision)`` after each press and at the end, in this object's thread; True: it was deferred, and
+        is to be published in a moment, as it is then.
+    with_pose : callable
+        Gives a frame its pose; called in this object's thread, which it may keep waiting for a moment.
+    automatic : bool
+        Every contact that comes to rest while a session is open is added.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        publish_map: Callable[[MapRevision], bool | None],
+        with_pose: Callable[[Frame], Frame] = lambda frame: frame,
+        *,
+        automatic: bool = True,
+    ) -> None:
+        self._folder = folder
+        self._publish_map = publish_map
+        self._with_pose = with_pose
+        self._automatic = automatic
+        self._jobs: SimpleQueue[_Command | _Add | Literal["stop"]] = SimpleQueue()
+        self._pending_adds = PendingAdds()
+        self._lock = threading.Lock()
+        self._rest = RestDetector()
+        self._calibration: Calibration | None = None
+        self._session: Session | None = None
+        self._counts = {"presses": 0, "refused": 0, "missed": 0}
+        self._missed = 0
+        self._missed_reason: Reason | None = None
+        self._map_folder = ""
+        self._deferred = False
+        self._state = SessionState()  # replaced in the thread; the others read it
+
+    @property
+    def state(self) -> SessionState:
+        """As any thread may see it."""
+        with self._lock:
+            return replace(self._state, missed=self._missed, missed_reason=self._missed_reason)
+
+    @property
+    def open(self) -> bool:
+        """Whether a session is open: every frame is then reconstructed in whole."""
+        return bool(self._state.name)
+
+    def as_dict(self) -> dict[str, int]:
+        """For ``health``: presses that were added, refused commands to add one, contacts at rest that were missed."""
+        with self._lock:
+            return {**self._counts, "waiting": len(self._pending_adds) + self._jobs.qsize()}
+
+    # What other threads call: nothing here waits.
+
+    def submit(self, action: str, name: str, reply: Reply) -> None:
+        """Do ``BEGIN``, ``ADD``, ``END``, ``ABORT`` or ``STATUS``; the reply comes later, from any thread."""
+        if action == "ADD":
+            reply = self._counting_refusals(reply)
+        if action == "ADD" and self.open:
+            self._pending_adds.put(time.monotonic_ns(), reply)
+        elif self._jobs.qsize() >= WAITING_MAX:
+            reply(Reason(ReasonCode.BUSY, f"{WAITING_MAX} commands are waiting"))
+        else:
+            self._jobs.put(_Command(action, name, reply))
+
+    def observe(self, frame: Frame, result: Reconstruction, calibration: Calibration) -> None:
+        """Add the frame where an ``ADD`` waits for it, or where its contact has come to rest."""
+        self._calibration = calibration
+        if not self.open:
+            return
+        at_rest = self._rest.update(result.t_ns, result.valid and result.contact, result.depth_max_mm)
+        replies = self._pending_adds.take(frame.t_ns)
+        if not replies and at_rest and self._automatic:
+            replies = [self._automatic_reply]
+        if not replies:
+            return
+        refusal = _refusal(result)
+        if refusal is None and self._jobs.qsize() >= WAITING_MAX:
+            refusal = Reason(ReasonCode.BUSY, f"{WAITING_MAX} presses are being added")
+        if refusal is not None:
+            for reply in replies:
+                reply(refusal)
+            return
+        self._rest.suppress()
+        points = press_points(result.height, calibration.geometry)
+        flange_T_sensor = from_seven(calibration.flange_T_sensor)
+        # The same frame twice would be the same press twice.
+        self._jobs.put(_Add(points, replace(frame, image=_NO_IMAGE), flange_T_sensor, replies[0]))
+        for reply in replies[1:]:
+            reply(Reason(ReasonCode.BUSY, f"frame {result.seq} is being added already"))
+
+    def poll(self) -> None:
+        """Refuse what waits for a frame in vain; called now and then."""
+        self._pending_adds.expire(time.monotonic_ns())
+
+    def stop(self) -> None:
+        """Make `run` return after the jobs that wait; an open session stays open on the disk."""
+        self._jobs.put("stop")
+
+    def _counting_refusals(self, reply: Reply) -> Reply:
+        def counting(outcome: SessionResult | Reason) -> None:
+            if isinstance(outcome, Reason):
+                with self._lock:
+                    self._counts["refused"] += 1
+            reply(outcome)
+
+        return counting
+
+    def _automatic_reply(self, outcome: SessionResult | Reason) -> None:
+        """Of a contact at rest, for which no one waits."""
+        if not isinstance(outcome, Reason):
+            with self._lock:
+                self._missed_reason = None
+            return
+        _log.warning("a settled contact was not added: %s", outcome)
+        with self._lock:
+            self._missed_reason = Reason(outcome.code, f"the latest contact was not added: {outcome}")
+            self._missed += 1
+            self._counts["missed"] += 1
+
+    # The thread.
+
+    def run(self) -> None:
+        """Go on with an open session, then do one job after another until `stop`."""
+        self._resume()
+        while (job := self._next_job()) != "stop":
+            if job is None:
+                if self._session is not None:
+                    self._publish(self._session.map_revision())
+                continue
+            outcome: SessionResult | Reason
+            try:
+                outcome = self._add(job) if isinstance(job, _Add) else self._command(job)
+            except RefusedError as refused:
+                outcome = refused.reason
+            except TacshadeError as error:
+                outcome = Reason(ReasonCode.DEVICE_FAILED, str(error))
+            self._state = self._current_state()
+            job.reply(outcome)
+        if self._session is not None:
+            self._session.close()
+
+    def _next_job(self) -> _Command | _Add | Literal["stop"] | None:
+        """None when it is time to publish a map that was deferred."""
+        try:
+            return self._jobs.get(timeout=DEFERRED_S if self._deferred else None)
+        except Empty:
+            return None
+
+    def _publish(self, revision: MapRevision) -> None:
+        self._deferred = bool(self._publish_map(revision))
+
+    def _resume(self) -> None:
+        try:
+            session = Session.resume(self._folder)
+        except TacshadeError as error:
+            _log.warning("session not resumed: %s", error)
+            return
+        if session is None:
+            return
+        self._session = session
+        self._state = self._current_state()
+        if session.presses:
+            self._publish(session.map_revision())
+        _log.info("session %s goes on with %d presses", session.name, session.presses)
+
+    def _command(self, command: _Command) -> SessionResult:
+        session = self._session
+        if command.action == "BEGIN":
+            return self._begin(command.name)
+        if command.action == "STATUS":
+            return NoSession() if session is None else session.status(self._missed)
+        if session is None:
+            raise RefusedError(ReasonCode.NO_SESSION, "no session is open, begin one first")
+        if command.action == "END":
+            return self._end(session)
+        if command.action == "ABORT":
+            return self._abort(session)
+        raise RefusedError(ReasonCode.NO_SESSION, "the session has just begun, add again")
+
+    def _begin(self, name: str) -> SessionResult:
+        if self._session is not None:
+            text = f"session {self._session.name} is open, end or abort it first"
+            raise RefusedError(ReasonCode.BUSY, text)
+        if self._calibration is None:
+            raise RefusedError(ReasonCode.NO_FRAME, "no frame was reconstructed yet")
+        session = Session.begin(self._folder, name, self._calibration)
+        self._session, self._rest = session, RestDetector()
+        with self._lock:
+            self._missed, self._missed_reason = 0, None
+        self._state = self._current_state()
+        _log.info("stitching session %s begins", session.name)
+        return session.begun()
+
+    def _add(self, add: _Add) -> PressAdded:
+        session, seq = self._session, add.frame.seq
+        if session is None:
+            raise RefusedError(ReasonCode.NO_SESSION, "the session has ended")
+        if len(add.points.points_mm) == 0:
+            raise RefusedError(ReasonCode.NO_CONTACT, f"frame {seq}: nothing touches")
+        if (pose := self._with_pose(add.frame).pose) is None:
+            raise RefusedError(ReasonCode.NO_POSE, f"frame {seq}: the robot's pose is not known at its time")
+        added = session.add(add.points, of_pose(pose) @ add.flange_T_sensor, seq)
+        with self._lock:
+            self._counts["presses"] += 1
+        self._publish(session.map_revision())
+        return added
+
+    def _end(self, session: Session) -> SessionEnded:
+        if session.presses == 0:
+            raise RefusedError(ReasonCode.NO_PRESS, "no press was added; ABORT ends the session")
+        self._state = replace(self._current_state(), ending=True)
+        ended, final_map = session.finish(self._missed)
+        self._map_folder = str(session.folder)
+        self._clear_session()
+        self._publish(final_map)
+        return ended
+
+    def _abort(self, session: Session) -> SessionAborted:
+        aborted = session.abort()
+        self._clear_session()
+        return aborted
+
+    def _clear_session(self) -> None:
+        self._session = None
+        self._deferred = False
+        self._state = self._current_state()
+        self._pending_adds.refuse_all(Reason(ReasonCode.NO_SESSION, "the session has ended"))
+
+    def _current_state(self) -> SessionState:
+        session, folder = self._session, self._map_folder
+        if session is None:
+            return SessionState(folder=folder)
+        return SessionState(
+            session.name, presses=session.presses, points=session.points, revision=session.revision, folder=folder
+        )
+
+
+def _refusal(result: Reconstruction) -> Reason | None:
+    if not result.valid:
+        return Reason(ReasonCode.FRAME_INVALID, f"frame {result.seq}: {result.reason}")
+    if not result.contact:
+        return Reason(ReasonCode.NO_CONTACT, f"frame {result.seq}: nothing touches")
+    return None

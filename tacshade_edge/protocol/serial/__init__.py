@@ -1,0 +1,1 @@
+"""The robot's serial channel: bytes to values and back."""

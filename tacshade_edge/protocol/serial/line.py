@@ -1,0 +1,80 @@
+"""One line of the robot's serial channel: bytes to a value and back.
+
+A line is ``[#seq] VERB args[*CCCC]`` in printable ASCII, at most 256 bytes with its LF; CCCC is CRC-16/XMODEM of
+all before the ``*``. docs/serial.md has the whole grammar.
+"""
+
+from __future__ import annotations
+
+import binascii
+import re
+from dataclasses import dataclass
+from typing import Final
+
+from tacshade_edge.reasons import Reason, ReasonCode
+
+LINE_BYTES_MAX: Final = 256
+SEQ_MODULO: Final = 1 << 16
+
+_HEAD = re.compile(r"(?:#(\S*) +)?(\S+) *(.*)")
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A line that was understood.
+
+    Attributes
+    ----------
+    seq : int or None
+        0 to 65535.
+    verb : str
+        In capitals.
+    args : tuple of str
+    text : str
+        All before the ``*``: two lines with the same number and text are one line, sent twice.
+    checked : bool
+        It had a checksum, and the right one.
+    """
+
+    seq: int | None
+    verb: str
+    args: tuple[str, ...]
+    text: str
+    checked: bool
+
+
+def crc16(data: bytes) -> int:
+    """CRC-16/XMODEM: polynomial 0x1021, from 0, not reflected."""
+    return binascii.crc_hqx(data, 0)
+
+
+def seal(text: str) -> bytes:
+    """The bytes of a line: its checksum and LF added."""
+    raw = text.encode("ascii")
+    return b"%s*%04X\n" % (raw, crc16(raw))
+
+
+def parse_line(raw: bytes) -> Line | Reason:
+    """Understand a line without its end.
+
+    Returns
+    -------
+    Line or Reason
+        Why it is none: NOT_A_LINE (not printable, too long), BAD_CHECKSUM (damaged) or BAD_SYNTAX.
+    """
+    if len(raw) >= LINE_BYTES_MAX or not all(32 <= byte < 127 for byte in raw):
+        return Reason(ReasonCode.NOT_A_LINE, f"expected at most {LINE_BYTES_MAX - 1} printable ASCII characters")
+    text, star, digits = raw.decode("ascii").rpartition("*")
+    if not star:
+        text = digits
+    elif not re.fullmatch("[0-9A-Fa-f]{4}", digits):
+        return Reason(ReasonCode.BAD_CHECKSUM, f"found {digits[:16]!r} after the star, expected four hex digits")
+    elif int(digits, 16) != (crc := crc16(raw[: len(text)])):
+        return Reason(ReasonCode.BAD_CHECKSUM, f"found {digits.upper()}, expected {crc:04X}")
+    head = _HEAD.fullmatch(text.strip(" "))
+    if head is None or (head[1] is None and head[2].startswith("#")):
+        return Reason(ReasonCode.BAD_SYNTAX, "expected [#seq] VERB args, and a star with the CRC where wanted")
+    seq = head[1]
+    if seq is not None and not (re.fullmatch(r"\d{1,5}", seq) and int(seq) < SEQ_MODULO):
+        return Reason(ReasonCode.BAD_SYNTAX, f"found #{seq[:16]}, expected # and 0 to {SEQ_MODULO - 1}")
+    return Line(None if seq is None else int(seq), head[2].upper(), tuple(head[3].split()), text, bool(star))

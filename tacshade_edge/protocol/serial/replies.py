@@ -1,0 +1,65 @@
+"""Commands that come again: each number is done once, and its reply is kept for who asks again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from tacshade_edge.protocol.serial.line import SEQ_MODULO
+from tacshade_edge.protocol.serial.verbs import Command
+from tacshade_edge.reasons import Reason, ReasonCode
+
+REPLIES_KEPT: Final = 64
+
+
+@dataclass(frozen=True, slots=True)
+class Repeat:
+    """A line that came before; `reply` is None while it is still being done."""
+
+    reply: str | None
+
+
+@dataclass(slots=True)
+class _Entry:
+    text: str
+    command: Command | None
+    reply: str | None = None
+
+
+class ReplyCache:
+    """The newest numbers of one session, from one ``HELLO`` to the next.
+
+    Parameters
+    ----------
+    newest : int or None
+        The number of the ``HELLO``.
+    """
+
+    def __init__(self, newest: int | None = None) -> None:
+        self._newest = newest
+        self._entries: dict[int, _Entry] = {}
+
+    def admit(self, seq: int, text: str, command: Command | None) -> Repeat | Reason | None:
+        """Take note of a numbered line: None when it is new and must be done; `Repeat`, or why it must not."""
+        known = self._entries.get(seq)
+        if known is not None:
+            if known.text != text:
+                return Reason(ReasonCode.NUMBER_REUSED, "another line had this number, expected a new one")
+            return Repeat(known.reply)
+        behind = 0 if self._newest is None else (self._newest - seq) % SEQ_MODULO
+        if REPLIES_KEPT <= behind < SEQ_MODULO // 2:  # its reply may be forgotten: to do it could be a second time
+            return Reason(ReasonCode.NUMBER_STALE, f"expected a number after #{self._newest}, or HELLO")
+        if self._newest is None or behind >= SEQ_MODULO // 2:
+            self._newest = seq
+            for old in [s for s in self._entries if (seq - s) % SEQ_MODULO >= REPLIES_KEPT]:
+                del self._entries[old]
+        self._entries[seq] = _Entry(text, command)
+        return None
+
+    def keep(self, seq: int, command: Command | None, reply: str) -> bool:
+        """Keep the reply to a line that was admitted with `command`; False where the number is not its own any more."""
+        entry = self._entries.get(seq)
+        if entry is None or entry.command is not command:
+            return False
+        entry.reply = reply
+        return True
