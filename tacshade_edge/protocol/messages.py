@@ -166,9 +166,10 @@ def encode_reply(request: Request, outcome: RequestResult | Mapping[str, Any] | 
     """The reply to a request; the error of ``stitch`` begins with the serial line's word for its code."""
     if not isinstance(outcome, Reason):
         return encode_result(request.transaction, outcome)
-    if request.verb == "stitch":
-        outcome = Reason(outcome.code, f"{error_word(outcome.code)}: {outcome.text}")
-    return encode_error(request.transaction, outcome)
+    if request.verb != "stitch":
+        return encode_error(request.transaction, outcome)
+    error = f"{error_word(outcome.code)}: {outcome.text}"
+    return _encode({"transaction": request.transaction, "ok": False, "error": error, "reason_code": outcome.code})
 
 
 def encode_contact(result: Reconstruction, *, fps: float) -> bytes:

@@ -11,9 +11,9 @@ TRUE = grid_poses()
 PRESSES = [press_of(pose, k) for k, pose in enumerate(TRUE)]
 
 
-def stitched(poses: list[Rigid], touches: list[PressPoints] = PRESSES) -> Stitcher:
+def stitched(poses: list[Rigid], presses: list[PressPoints] = PRESSES) -> Stitcher:
     stitcher = Stitcher(APEX_MM)
-    for points, pose in zip(touches, poses, strict=True):
+    for points, pose in zip(presses, poses, strict=True):
         stitcher.add(points, pose)
     return stitcher
 
@@ -32,7 +32,7 @@ def test_exact_poses_are_taken_as_exact() -> None:
     assert finished.presses[3].base_T_sensor is TRUE[3]
 
 
-def test_noisy_poses_are_refine_poses() -> None:
+def test_noisy_poses_are_refined() -> None:
     stitcher = stitched(misreported(TRUE, 0))
     plain, finished = stitcher.finish(None), stitcher.finish()
     assert finished.refined
@@ -53,9 +53,9 @@ def test_a_press_that_fits_nowhere_is_left_out() -> None:
 def test_a_point_that_fits_nowhere_counts_little() -> None:
     wild = PRESSES[24].points_mm.copy()
     wild[::50, 2] -= 3.0
-    touches = list(PRESSES)
-    touches[24] = PressPoints(wild, PRESSES[24].normals, PRESSES[24].confidence)
-    clean, finished = rms_mm(stitched(TRUE).finish()), rms_mm(stitched(TRUE, touches).finish())
+    presses = list(PRESSES)
+    presses[24] = PressPoints(wild, PRESSES[24].normals, PRESSES[24].confidence)
+    clean, finished = rms_mm(stitched(TRUE).finish()), rms_mm(stitched(TRUE, presses).finish())
     assert finished < 1.5 * clean
 
 
