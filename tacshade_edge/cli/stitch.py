@@ -16,6 +16,7 @@ from tacshade_edge.devices.files.map_files import write_map
 from tacshade_edge.devices.files.poses_table import read_poses
 from tacshade_edge.devices.files.recording import Recording
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.reasons import text_of
 from tacshade_edge.studies.stitch.average import radius_average
 from tacshade_edge.studies.stitch.picture import write_comparison
 from tacshade_edge.studies.stitch.score import KnownSurface, read_known, score
@@ -82,13 +83,13 @@ def _details(presses: list[Press], finished: StitchedMap) -> dict[str, Any]:
         record: dict[str, Any] = {
             "image": press.name,
             "used": False,
-            "reason": press.skipped.text if press.skipped else "",
+            "reason": text_of(press.skipped),
         }
         if not press.skipped:
             one = next(placed)
             record |= {
                 "used": one.rejected is None,
-                "reason": one.rejected.text if one.rejected else "",
+                "reason": text_of(one.rejected),
                 "points": len(press.points.points_mm),
                 "moved_mm": round(one.correction_mm, 4),
                 "turned_deg": round(one.correction_deg, 4),

@@ -149,7 +149,7 @@ class Daemon:
 def commands(folder: Path, ball: Reconstruction, free: Reconstruction) -> Record:
     """Every refusal of a session and of the line, and a session between them."""
     daemon = Daemon(folder)
-    invalid = replace(free, valid=False, reason="black")
+    invalid = replace(free, valid=False, reason=Reason(ReasonCode.BLACK, "black"))
     try:
         daemon.send("#1 STITCH ADD")
         daemon.request("end")

@@ -15,7 +15,7 @@ from tacshade_edge.daemon.robot.serial_channel import SILENT_NS, SerialChannel
 from tacshade_edge.daemon.robot.serial_commands import SerialCommands
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.protocol.messages import Request, encode_status
-from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.reasons import Reason, ReasonCode, text_of
 from tacshade_edge.types import Calibration, Frame, Reconstruction
 
 # A frame waits so long for the pose after it: that of a robot that sends ten a second is there then.
@@ -83,7 +83,7 @@ class Robot:
             elif reason is None and (latency_ms := int(port.details.get("latency_ms", 0))) > LATENCY_MAX_MS:
                 text = f"the port's chip holds bytes back for {latency_ms} ms; doctor tells the mend"
                 reason = Reason(ReasonCode.PORT_LATENCY, text)
-        status = encode_status(state, reason.text if reason else "", details)
+        status = encode_status(state, text_of(reason), details)
         if status != self._published:
             self._published = status
             self._publish_status(status)

@@ -13,7 +13,7 @@ from tacshade_edge.daemon.publishing.map_publisher import MapPublisher
 from tacshade_edge.daemon.requests import Reply
 from tacshade_edge.daemon.stitching.session_worker import SessionWorker
 from tacshade_edge.protocol.messages import Request, encode_status
-from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.reasons import Reason, ReasonCode, text_of
 from tacshade_edge.types import Calibration, Frame, Reconstruction
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ class SessionRequests:
             "missed": session.missed,
             "folder": session.folder,
         }
-        status = encode_status(state, reason.text if reason else "", details)
+        status = encode_status(state, text_of(reason), details)
         if status != self._published:
             self._published = status
             self._publish("status/stitching", status)

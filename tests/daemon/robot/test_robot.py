@@ -69,7 +69,7 @@ def frame(t_ns: int, calibration: Calibration, valid: bool = True) -> tuple[Fram
     image = np.zeros((2, 2), np.uint8)
     height = HeightMap(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.bool_), 0, 0, 1)
     cloud = ObjectCloud(np.zeros((0, 3), np.float32), np.zeros(0, np.uint16))
-    reason = "" if valid else "black"
+    reason = None if valid else Reason(ReasonCode.BLACK, "black")
     return (
         Frame(5, t_ns, 0, image),
         Reconstruction(5, t_ns, 0, "fast", valid, reason, False, False, "", height, cloud),
