@@ -10,18 +10,49 @@
 Anything else that is raised is a defect: it ends the process, and systemd restarts it.
 """
 
+from __future__ import annotations
+
+from typing import ClassVar
+
+from tacshade_edge.reasons import Reason, ReasonCode
+
 
 class TacshadeError(Exception):
-    """Base of the three. Its text is one line: what, where, and what was expected."""
+    """Base of the three; only those are raised.
+
+    Parameters
+    ----------
+    text : str
+        One line: what, where, and what was expected.
+    code : ReasonCode, optional
+        For programs; by default the one of the class.
+    """
+
+    _code: ClassVar[ReasonCode]
+
+    def __init__(self, text: str, *, code: ReasonCode | None = None) -> None:
+        super().__init__(text)
+        self.code = code or self._code
+
+    @property
+    def reason(self) -> Reason:
+        """Code and text."""
+        return Reason(self.code, str(self))
 
 
 class ConfigError(TacshadeError):
     """Settings, calibration or arguments that cannot work as they are (exit 78)."""
 
+    _code = ReasonCode.CONFIG
+
 
 class DeviceError(TacshadeError):
     """A camera, line, broker or disk that failed; it may come back."""
 
+    _code = ReasonCode.DEVICE
+
 
 class DecodeError(TacshadeError):
     """Bytes or a file that do not follow their format."""
+
+    _code = ReasonCode.DECODE

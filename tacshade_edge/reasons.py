@@ -26,20 +26,46 @@ class ReasonCode(StrEnum):
     LIGHT_DRIFT = "light_drift"
     CAMERA_SHIFT = "camera_shift"
     NO_USABLE_FRAME = "no_usable_frame"
-
-    # A command, over MQTT or on the serial line.
-    BAD_REQUEST = "bad_request"
-    UNKNOWN_PROFILE = "unknown_profile"
+    # An error that has no code of its own below.
+    CONFIG = "config"
+    DEVICE = "device"
+    DECODE = "decode"
+    # A camera, a serial port, the broker.
+    STARTING = "starting"
+    ABSENT = "absent"
+    WRONG_KIND = "wrong_kind"
+    PERMISSION = "permission"
+    IN_USE = "in_use"
+    REFUSED = "refused"
+    UNREACHABLE = "unreachable"
+    NO_ANSWER = "no_answer"
+    LOST = "lost"
+    STALLED = "stalled"
+    NOT_OFFERED = "not_offered"
+    REPLAY = "replay"
+    # A request.
     BUSY = "busy"
-    TIMEOUT = "timeout"
+    BAD_REQUEST = "bad_request"
+    NAME_TAKEN = "name_taken"
+    NO_RECORDING = "no_recording"
     UNAVAILABLE = "unavailable"
-    DEVICE_FAILED = "device_failed"
-    IMAGE_UNREADABLE = "image_unreadable"
+    UNKNOWN_PROFILE = "unknown_profile"
+    TIMEOUT = "timeout"
     FRAME_INVALID = "frame_invalid"
     FRAME_IN_CONTACT = "frame_in_contact"
     REFERENCE_INVALID = "reference_invalid"
-    NO_RECORDING = "no_recording"
-
+    # The end of a recording or of the daemon.
+    TIME = "time"
+    STOPPED = "stopped"
+    SOURCE_ENDED = "source_ended"
+    DAEMON_STOPPED = "daemon_stopped"
+    CALIBRATION_CHANGED = "calibration_changed"
+    DISK = "disk"
+    DISK_FULL = "disk_full"
+    # A step of the profile `auto`, and a reload.
+    OVER_BUDGET = "over_budget"
+    WITHIN_BUDGET = "within_budget"
+    RESTART = "restart"
     # A line of the robot.
     NOT_A_LINE = "not_a_line"
     UNKNOWN_VERB = "unknown_verb"
@@ -49,11 +75,9 @@ class ReasonCode(StrEnum):
     OTHER_VERSION = "other_version"
     NUMBER_REUSED = "number_reused"
     NUMBER_STALE = "number_stale"
-
     # A stitching session, and a press of it.
     NO_SESSION = "no_session"
     BAD_NAME = "bad_name"
-    NAME_TAKEN = "name_taken"
     NO_FRAME = "no_frame"
     NO_CONTACT = "no_contact"
     NO_POSE = "no_pose"
@@ -61,11 +85,7 @@ class ReasonCode(StrEnum):
     NO_PRESS = "no_press"
     PRESS_DEVIATES = "press_deviates"
     PRESS_DISPLACED = "press_displaced"
-
     # The robot's line and its clock.
-    STARTING = "starting"
-    PORT_AWAY = "port_away"
-    PORT_SILENT = "port_silent"
     PORT_LATENCY = "port_latency"
     NOTHING_RECEIVED = "nothing_received"
     ROBOT_RESTARTED = "robot_restarted"
@@ -101,3 +121,8 @@ def text_of(reason: Reason | None) -> str:
 def code_of(reason: Reason | None) -> str:
     """Its code; empty without one."""
     return "" if reason is None else reason.code.value
+
+
+def reason_fields(reason: Reason | None, key: str = "reason") -> dict[str, str]:
+    """A reason as messages have it: ``{"reason": text, "reason_code": code}``, both empty without one."""
+    return {key: text_of(reason), f"{key}_code": code_of(reason)}

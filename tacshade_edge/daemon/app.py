@@ -18,7 +18,7 @@ import numpy as np
 
 from tacshade_edge import __version__
 from tacshade_edge.core.profiles import LADDER, PROFILES
-from tacshade_edge.daemon.pipeline.ledger import FrameLedger, Outcome
+from tacshade_edge.daemon.pipeline.ledger import FrameLedger
 from tacshade_edge.daemon.pipeline.pipeline import Crash, Pipeline, crashes_to
 from tacshade_edge.daemon.pipeline.workers import Sink, SourceState
 from tacshade_edge.daemon.profiles.active_profile import ActiveProfile, Stepped
@@ -31,12 +31,13 @@ from tacshade_edge.daemon.requests import Requests
 from tacshade_edge.daemon.systemd import Progress, Service
 from tacshade_edge.devices import registry
 from tacshade_edge.devices.base import FrameSource
+from tacshade_edge.devices.mqtt.outlet import PayloadOutcome
 from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.protocol import messages
 from tacshade_edge.protocol.messages import Request
 from tacshade_edge.protocol.results import RequestResult
-from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
 from tacshade_edge.settings import Document, digest
 from tacshade_edge.types import Calibration
 
@@ -92,7 +93,7 @@ class App:
         self._source = source
         self.ledger = FrameLedger()
         self.link = registry.make_link(document, on_request=self._on_request, on_outcome=self._on_outcome)
-        self._publisher = Publisher(self.link.offer, self.link.wanted)
+        self._publisher = Publisher(self.link.offer, self.link.has_listener)
         self._robot = self._make_robot()
         self._sessions = self._make_sessions()
         sink: Sink = self._sessions.observing(self._publisher) if self._sessions else self._publisher
@@ -119,10 +120,10 @@ class App:
             self._on_record,
             self._on_stitch,
         )
-        self._camera = SourceState("away", "starting")
-        self._told = SourceState("ended")
+        self._camera = SourceState("away", Reason(ReasonCode.STARTING, "starting"))
+        self._published_camera: SourceState | None = None
         self._latest_health: dict[str, Any] = {}
-        self._previewed = -1
+        self._preview_seq = -1
 
     def stop(self) -> None:
         """Ask `run` to end; may be called from any thread and from a signal handler."""
@@ -145,8 +146,8 @@ class App:
         # OpenCV's other threads spin between a frame's small images: a third of what it costs, for no time won.
         cv2.setNumThreads(1)
         with crashes_to(self._events.put):
-            self._tell_info()
-            self._tell_camera()
+            self._publish_info()
+            self._publish_camera()
             self.link.start()
             self._pipeline.start()
             if self._robot:
@@ -163,12 +164,12 @@ class App:
             now_s = time.monotonic()
             if now_s >= next_health_s:
                 next_health_s = now_s + HEALTH_PERIOD_S
-                self._tell_health()
-                self._service.tick(self._told, self._latest_health["delivered_fps"])
+                self._publish_health()
+                self._service.tick(self._published_camera or self._camera, self._latest_health["delivered_fps"])
             if now_s >= next_preview_s:
                 next_preview_s = now_s + PREVIEW_PERIOD_S
-                self._tell_preview()
-            self._tell_camera()
+                self._publish_preview()
+            self._publish_camera()
             self._requests.poll()
             self._record.poll()
             if self._robot:
@@ -204,7 +205,7 @@ class App:
         try:
             new = reload(self._document)
         except ConfigError as error:
-            note = f"reload refused, the running settings stay: {error}"
+            note: Reason | None = Reason(error.code, f"reload refused, the running settings stay: {error}")
             _log.warning("%s", note)
         else:
             self._document = new.document
@@ -212,7 +213,7 @@ class App:
             self._active.reload(settings.profile, settings.latency_budget_ms, new.calibration)
             self._recorder.event("reload", waiting=list(new.waiting))
             self._changed()
-            note = f"restart to use the new {' and '.join(new.waiting)}" if new.waiting else ""
+            note = new.reason
             _log.info("reloaded%s", f"; {note}" if note else "")
         self._service.reloaded(note)
 
@@ -231,8 +232,8 @@ class App:
             self._sessions.stop(STOP_STITCH_S)
             self._sessions.poll()
         self._record.poll()
-        self._tell_health()
-        self._tell_camera(replace(self._camera, state="ended", reason="stopped"))
+        self._publish_health()
+        self._publish_camera(replace(self._camera, state="ended", reason=Reason(ReasonCode.STOPPED, "stopped")))
         self.link.stop(STOP_LINK_S)
         _log.info("stopped: %s", self.ledger.counts().as_dict())
 
@@ -249,7 +250,7 @@ class App:
         if self._robot is None or not self._robot.commands.complete(request, outcome):
             self.link.reply(request, messages.encode_reply(request, outcome))
 
-    def _on_outcome(self, stream: str, seq: int, outcome: Outcome) -> None:
+    def _on_outcome(self, stream: str, seq: int, outcome: PayloadOutcome) -> None:
         if stream == "height":
             self.ledger.settle(seq, outcome)
 
@@ -276,7 +277,7 @@ class App:
         """The reconstructor was replaced."""
         reconstructor = self._active.reconstructor
         self._recorder.reconstructs_with(reconstructor.profile.name, reconstructor.calibration.crc32)
-        self._tell_info()
+        self._publish_info()
 
     def _on_record(self, request: Request) -> None:
         self._record.handle(request, self._document.settings, self._active.reconstructor, self._camera_now())
@@ -288,29 +289,30 @@ class App:
             text = "found no poses, expected `serial` in the settings, or a folder with poses as source"
             self._reply(request, Reason(ReasonCode.UNAVAILABLE, text))
 
-    # What is told.
+    # What is published.
 
     def _camera_now(self) -> SourceState:
         """The source's state, with what only the clock and the reconstruction show: a stall, unusable frames."""
         silent_s = (time.monotonic_ns() - self._pipeline.grab.last_frame_ns) / 1e9
         if self._camera.state == "streaming" and silent_s > STALL_S:
-            return SourceState("away", f"no frame for more than {STALL_S:.0f} s", self._camera.details)
+            stalled = Reason(ReasonCode.STALLED, f"no frame for more than {STALL_S:.0f} s")
+            return SourceState("away", stalled, self._camera.details)
         if self._camera.state == "streaming" and self._health.unusable:
-            return SourceState("unusable", str(self._health.unusable), self._camera.details)
+            return SourceState("unusable", self._health.unusable, self._camera.details)
         return self._camera
 
-    def _tell_camera(self, state: SourceState | None = None) -> None:
+    def _publish_camera(self, state: SourceState | None = None) -> None:
         camera = state or self._camera_now()
-        if camera == self._told:
+        if camera == self._published_camera:
             return
-        self._told = camera
-        self._recorder.event("source", state=camera.state, reason=camera.reason)
+        self._published_camera = camera
+        self._recorder.event("source", state=camera.state, **reason_fields(camera.reason))
         _log.info("source %s%s", camera.state, f": {camera.reason}" if camera.reason else "")
         self.link.set_retained("status/camera", messages.encode_status(camera.state, camera.reason, camera.details))
         if camera.state != "ended":
             self.link.set_retained("state", b"online" if camera.state == "streaming" else b"degraded")
 
-    def _tell_info(self) -> None:
+    def _publish_info(self) -> None:
         reconstructor = self._active.reconstructor
         info = messages.encode_info(
             version=__version__,
@@ -325,9 +327,9 @@ class App:
     def _status(self) -> dict[str, Any]:
         """The latest ``health`` and the state, for ``req/status``."""
         camera = self._camera_now()
-        return {"source": camera.state, "reason": camera.reason, "health": self._latest_health}
+        return {"source": camera.state, **reason_fields(camera.reason), "health": self._latest_health}
 
-    def _tell_health(self) -> None:
+    def _publish_health(self) -> None:
         latest = self._publisher.latest
         self._latest_health = self._health.snapshot(
             latest[1] if latest else None,
@@ -336,7 +338,7 @@ class App:
             self._recorder.counts(),
             self._active.budget(),
         )
-        self._active.tell_late()
+        self._active.log_late()
         if self._robot:
             self._latest_health["serial"] = self._robot.as_dict()
         if self._sessions:
@@ -344,14 +346,14 @@ class App:
         self._publisher.fps = self._latest_health["delivered_fps"]
         self.link.set_retained("health", messages.encode_health(self._latest_health), qos=0)
 
-    def _tell_preview(self) -> None:
+    def _publish_preview(self) -> None:
         latest = self._publisher.latest
-        if latest is None or not self.link.connected or latest[0].seq == self._previewed:
+        if latest is None or not self.link.connected or latest[0].seq == self._preview_seq:
             return
-        if not self.link.wanted("preview"):
+        if not self.link.has_listener("preview"):
             return
         image = latest[0].image
-        self._previewed = latest[0].seq
+        self._preview_seq = latest[0].seq
         size = (PREVIEW_WIDTH_PX, round(PREVIEW_WIDTH_PX * image.shape[0] / image.shape[1]))
         _, jpeg = cv2.imencode(".jpg", cv2.resize(np.asarray(image), size, interpolation=cv2.INTER_AREA))
         self.link.offer("preview", jpeg.tobytes(), latest[0].seq)

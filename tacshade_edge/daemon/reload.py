@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import msgspec
 
 from tacshade_edge.devices import registry
+from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.settings import Document, load
 from tacshade_edge.types import Calibration
 
@@ -30,6 +31,13 @@ class Reloaded:
     document: Document
     calibration: Calibration
     waiting: tuple[str, ...]
+
+    @property
+    def reason(self) -> Reason | None:
+        """Why not all of it is in use; None when it is."""
+        if not self.waiting:
+            return None
+        return Reason(ReasonCode.RESTART, f"restart to use the new {' and '.join(self.waiting)}")
 
 
 def reload(running: Document) -> Reloaded:

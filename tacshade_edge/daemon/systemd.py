@@ -1,4 +1,4 @@
-"""What the service manager is told, through systemd-python; without a service manager nothing happens here.
+"""Messages to the service manager, through systemd-python; without a service manager nothing happens here.
 
 The messages are those of sd_notify(3); docs/service.md lists when each is sent.
 """
@@ -10,6 +10,7 @@ import os
 import time
 
 from tacshade_edge.daemon.pipeline.workers import Grab, Reconstruct, SourceState
+from tacshade_edge.reasons import Reason
 
 try:
     from systemd import daemon
@@ -37,12 +38,12 @@ class Progress:
         self._processed = self._attempts = 0
 
     def made(self, degraded: bool) -> bool:
-        """Frames were processed; or, in a state told as degraded, attempts to get some were made and no frame hangs.
+        """Frames were processed; or, where `degraded`, attempts to get some were made and no frame hangs.
 
         Parameters
         ----------
         degraded : bool
-            Whether the daemon has told that no usable frames come.
+            Whether the daemon has published that no usable frames come.
         """
         # Before `taken`, so that a frame that comes in between cannot look like one that is done.
         processed, attempts = self._reconstruct.processed, self._grab.attempts
@@ -62,7 +63,7 @@ class Service:
 
     def __init__(self, progress: Progress) -> None:
         self._progress = progress
-        self._note = ""
+        self._note: Reason | None = None
         if daemon is None and "NOTIFY_SOCKET" in os.environ:
             _log.warning("a service manager waits for a sign, expected the package systemd-python (extra systemd)")
 
@@ -70,28 +71,29 @@ class Service:
         """Settings and calibration are loaded, and the threads run."""
         _notify("READY=1")
 
-    def tick(self, told: SourceState, fps: float) -> None:
+    def tick(self, source: SourceState, fps: float) -> None:
         """Tell the status; feed the watchdog if there was progress. At least twice per ``WatchdogSec``.
 
         Parameters
         ----------
-        told : SourceState
-            The state that was told over MQTT.
+        source : SourceState
+            As it was published.
         fps : float
             Frames delivered per second.
         """
-        reason = f" ({told.reason})" if told.reason else ""
-        _notify(f"STATUS={told.state}{reason}, {fps:.1f} frames/s{self._note}")
-        if self._progress.made(degraded=told.state != "streaming"):
+        reason = f" ({source.reason})" if source.reason else ""
+        note = f"; {self._note}" if self._note else ""
+        _notify(f"STATUS={source.state}{reason}, {fps:.1f} frames/s{note}")
+        if self._progress.made(degraded=source.state != "streaming"):
             _notify("WATCHDOG=1")
 
     def reloading(self) -> None:
         """A reload begins; `reloaded` must follow."""
         _notify("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
 
-    def reloaded(self, note: str) -> None:
+    def reloaded(self, note: Reason | None) -> None:
         """A reload is over; `note` stays in the status until the next."""
-        self._note = f"; {note}" if note else ""
+        self._note = note
         _notify("READY=1", f"STATUS={note or 'reloaded'}")
 
     def stopping(self) -> None:

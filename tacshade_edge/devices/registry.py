@@ -12,7 +12,7 @@ from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.devices.files.frame_table import table_in
 from tacshade_edge.devices.mqtt.client import BrokerAddress
 from tacshade_edge.devices.mqtt.link import MqttLink
-from tacshade_edge.devices.mqtt.outlet import Outcome
+from tacshade_edge.devices.mqtt.outlet import PayloadOutcome
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.protocol.messages import Request
 from tacshade_edge.settings import Document, Files, Serial, Settings, Simulated, Source, V4l2
@@ -165,7 +165,7 @@ def check_broker_files(document: Document) -> None:
 
 
 def make_link(
-    document: Document, on_request: Callable[[Request], None], on_outcome: Callable[[str, int, Outcome], None]
+    document: Document, on_request: Callable[[Request], None], on_outcome: Callable[[str, int, PayloadOutcome], None]
 ) -> MqttLink:
     """The link to the broker that the settings name, not started. Raises ConfigError."""
     sensor_id = document.settings.sensor_id

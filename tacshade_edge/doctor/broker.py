@@ -13,7 +13,7 @@ from typing import Any
 
 from paho.mqtt.client import Client
 from paho.mqtt.enums import MQTTErrorCode
-from paho.mqtt.reasoncodes import ReasonCode
+from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from tacshade_edge.devices.mqtt.client import make_client
@@ -28,11 +28,13 @@ _MESSAGE_BYTES = 38_000  # more than a height map (25 KB), or a cloud of 2700 po
 _SLOW_MS = 20.0
 _NOT_AUTHORISED = (0x86, 0x87)  # bad user name or password, not authorised
 _BAD_VERSION = 0x84
+# X509_V_ERR_* of OpenSSL: not yet valid, expired; another host name, another address.
+_OUT_OF_TIME, _OTHER_NAME = (9, 10), (62, 64)
 _ACL = "in the broker's ACL file: user {user}, then: topic readwrite tacshade/# (see systemd/mosquitto-tacshade.acl)"
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
+class DaemonState:
     """What the broker holds of a daemon with this sensor's name.
 
     Attributes
@@ -62,9 +64,9 @@ class Heard:
 class _Session:
     """What has come back so far."""
 
-    greeting: ReasonCode | None = None
-    subscribed: list[ReasonCode] = field(default_factory=list)
-    published: ReasonCode | None = None
+    greeting: MqttCode | None = None
+    subscribed: list[MqttCode] = field(default_factory=list)
+    published: MqttCode | None = None
     messages: dict[str, bytes] = field(default_factory=dict)
     echoed: bool = False
 
@@ -76,7 +78,7 @@ class _Session:
 
 def check_broker(
     *, host: str, port: int, sensor_id: str, username: str | None, password: str | None, tls_ca: str | None
-) -> tuple[tuple[Finding, ...], Heard]:
+) -> tuple[tuple[Finding, ...], DaemonState]:
     """Connect as the daemon does under a name of its own, and send height-sized messages to itself.
 
     They go to ``tacshade/<sensor-id>/doctor``, which the daemon's access rules allow; nothing is retained.
@@ -100,37 +102,37 @@ def check_broker(
         first = ok("broker", found)
         second = _round_trip(client, session, base, username)
         client.disconnect()
-        return (first, second), _heard(session, base)
+        return (first, second), _daemon_state(session, base)
     client.disconnect()
-    return (trouble,), Heard()
+    return (trouble,), DaemonState()
 
 
-def judge_daemon(heard: Heard, local: Process | None, sensor_id: str) -> Finding:
+def judge_daemon(daemon: DaemonState, process: Process | None, sensor_id: str) -> Finding:
     """Is a daemon running, and is it this machine's?"""
-    if heard.alive and local is None:
+    if daemon.alive and process is None:
         mend = "stop that other daemon, or give this sensor another sensor_id"
-        return warning("daemon", f"none runs here, yet {sensor_id} is {heard.state} on this broker", mend)
-    if local is None:
+        return warning("daemon", f"none runs here, yet {sensor_id} is {daemon.state} on this broker", mend)
+    if process is None:
         return ok("daemon", "not running")
-    if heard.state == "online":
-        return ok("daemon", f"running, {local}: {heard}")
+    if daemon.state == "online":
+        return ok("daemon", f"running, {process}: {daemon}")
     mend = "journalctl -u tacshade-edge tells more"
-    if heard.state == "degraded":
-        return warning("daemon", f"running, {local}: {heard}", mend)
+    if daemon.state == "degraded":
+        return warning("daemon", f"running, {process}: {daemon}", mend)
     mend = f"was it started with these settings? {mend}"
-    return warning("daemon", f"{local} runs, but the broker knows no {sensor_id} online", mend)
+    return warning("daemon", f"{process} runs, but the broker knows no {sensor_id} online", mend)
 
 
 def _listen(client: Client, topic: str) -> _Session:
     session = _Session()
 
-    def on_connect(_client: Client, _userdata: Any, _flags: Any, code: ReasonCode, _properties: Any) -> None:
+    def on_connect(_client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
         session.greeting = code
 
-    def on_subscribe(_client: Client, _userdata: Any, _mid: int, codes: list[ReasonCode], _properties: Any) -> None:
+    def on_subscribe(_client: Client, _userdata: Any, _mid: int, codes: list[MqttCode], _properties: Any) -> None:
         session.subscribed = codes
 
-    def on_publish(_client: Client, _userdata: Any, _mid: int, code: ReasonCode, _properties: Any) -> None:
+    def on_publish(_client: Client, _userdata: Any, _mid: int, code: MqttCode, _properties: Any) -> None:
         session.published = code
 
     def on_message(_client: Client, _userdata: Any, message: Any) -> None:
@@ -158,7 +160,7 @@ def _connect(client: Client, host: str, port: int, tls_ca: str | None) -> Findin
         return fault("broker", f"{host}: the name has no address ({error.strerror})", mend)
     except ssl.SSLCertVerificationError as error:
         return fault(
-            "broker", f"{where}: its certificate is refused: {error.verify_message}", _certificate_mend(error, host)
+            "broker", f"{where}: its certificate is refused: {error.verify_message}", certificate_mend(error, host)
         )
     except ssl.SSLError as error:
         mend = "is mqtt.port the broker's TLS port (often 8883)? Without TLS leave mqtt.ca_file out"
@@ -189,11 +191,11 @@ def _reach(host: str, port: int, tls_ca: str | None) -> None:
             context.wrap_socket(plain, server_hostname=host).close()
 
 
-def _certificate_mend(error: ssl.SSLCertVerificationError, host: str) -> str:
-    text = error.verify_message
-    if "expired" in text or "not yet valid" in text:
+def certificate_mend(error: ssl.SSLCertVerificationError, host: str) -> str:
+    """What to do about a certificate that was refused."""
+    if error.verify_code in _OUT_OF_TIME:
         return "renew the broker's certificate; is this machine's clock right?"
-    if "match" in text:
+    if error.verify_code in _OTHER_NAME:
         return f"set mqtt.host to a name in the certificate, or make one for {host} (subjectAltName)"
     return "set mqtt.ca_file to the PEM file of the authority that signed the broker's certificate"
 
@@ -268,12 +270,12 @@ def _pump(client: Client, done: Callable[[], object]) -> bool:
     return True
 
 
-def _heard(session: _Session, base: str) -> Heard:
+def _daemon_state(session: _Session, base: str) -> DaemonState:
     health, camera = (_json(session.messages.get(f"{base}/{name}", b"")) for name in ("health", "status/camera"))
     state = session.messages.get(f"{base}/state", b"").decode(errors="replace")[:20]
     fps = health.get("delivered_fps", 0.0)
     reason = camera.get("reason") or health.get("degraded_reason") or ""
-    return Heard(state, str(reason)[:200], float(fps) if isinstance(fps, int | float) else 0.0)
+    return DaemonState(state, str(reason)[:200], float(fps) if isinstance(fps, int | float) else 0.0)
 
 
 def _json(payload: bytes) -> dict[str, Any]:

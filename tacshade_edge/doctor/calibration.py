@@ -115,11 +115,11 @@ def _check_place(calibration: Calibration, found: registration.Drift) -> tuple[F
     """Whether the visible circle is where it was; nothing when that cannot be seen (a contact may hide it)."""
     if found.still_part == 0:
         return ()
-    said = f"visible circle {found.shift_px:.1f} px from where it was calibrated, size {100 * (found.zoom - 1):+.1f} %"
+    place = f"visible circle {found.shift_px:.1f} px from where it was calibrated, size {100 * (found.zoom - 1):+.1f} %"
     if registration.shifted_too_far(found, calibration.geometry.disc):
         mend = "the camera moved in the sensor: fix it where it was, or calibrate again (docs/calibration.md)"
-        return (warning("camera place", said, mend),)
-    return (ok("camera place", said),)
+        return (warning("camera place", place, mend),)
+    return (ok("camera place", place),)
 
 
 def _check_noise(calibration: Calibration, images: Sequence[U8]) -> Finding:

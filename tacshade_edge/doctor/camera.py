@@ -9,6 +9,7 @@ from tacshade_edge.core.frame_check.validity import frame_check, invalid_reason
 from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.devices.camera import v4l2_node
+from tacshade_edge.devices.camera.v4l2_controls import Lock
 from tacshade_edge.doctor.cameras import CSI_MEND, card_name, found_cameras, has_csi_receiver, is_csi, stable_name
 from tacshade_edge.doctor.capture import Captured
 from tacshade_edge.doctor.finding import Finding, fault, ok, warning
@@ -87,7 +88,7 @@ def _check_offer(source: V4l2, node: str) -> tuple[Finding, ...]:
     return (ok("camera format", f"{source.fourcc} {size}" + (f" at {listed} frames/s" if listed else "")),)
 
 
-def check_frames(source: V4l2, captured: Captured, machine: Machine, daemon_says: str) -> tuple[Finding, ...]:
+def check_frames(source: V4l2, captured: Captured, machine: Machine, daemon_state: str) -> tuple[Finding, ...]:
     """What a camera delivered, or why it did not.
 
     Parameters
@@ -95,15 +96,15 @@ def check_frames(source: V4l2, captured: Captured, machine: Machine, daemon_says
     source : V4l2
     captured : Captured
     machine : Machine
-    daemon_says : str
-        What the running daemon says of itself; empty when none runs here.
+    daemon_state : str
+        What the running daemon publishes of itself; empty when none runs here.
     """
-    if captured.error and (busy := _busy(source.device, machine, daemon_says)):
+    if captured.error and (busy := _busy(source.device, machine, daemon_state)):
         return (busy,)
     findings: list[Finding] = []
     if captured.error:
         mend = "plug it in again, into another USB port or a powered hub; sudo dmesg tells what the kernel saw"
-        findings.append(fault("camera frames", captured.error.removeprefix(f"camera {source.device}: "), mend))
+        findings.append(fault("camera frames", str(captured.error).removeprefix(f"camera {source.device}: "), mend))
     if not captured.t_ns:
         return tuple(findings)
     findings += [_check_rate(source.fps, captured), _check_stamps(captured)]
@@ -114,7 +115,7 @@ def check_frames(source: V4l2, captured: Captured, machine: Machine, daemon_says
 def check_other_source(captured: Captured, fps: float) -> tuple[Finding, ...]:
     """What a source that is no camera delivered: files, or the simulated sensor."""
     if captured.error:
-        return (fault("source", captured.error, "mend source.path, or what is there"),)
+        return (fault("source", str(captured.error), "mend source.path, or what is there"),)
     what = captured.described.get("path", captured.described.get("device", "source"))
     if not captured.images:
         return (fault("source", f"{what}: gave no image", "choose another source.path"),)
@@ -134,15 +135,15 @@ def check_picture(image: U8) -> Finding:
     return fault("picture", reason.text, _PICTURE_MENDS.get(reason.code, _PICTURE_MENDS[ReasonCode.NO_CONTRAST]))
 
 
-def _busy(device: str, machine: Machine, daemon_says: str) -> Finding | None:
+def _busy(device: str, machine: Machine, daemon_state: str) -> Finding | None:
     """Who holds the camera; None when nobody does."""
     with contextlib.suppress(TacshadeError):
         if not v4l2_node.is_busy(str(machine.at(device))):
             return None
         daemon, holders = machine.daemon(), machine.holders(device)
-        if daemon_says and (daemon in holders or not holders):
+        if daemon_state and (daemon in holders or not holders):
             mend = "to look at the camera itself: sudo systemctl stop tacshade-edge, and start it again afterwards"
-            return warning("camera frames", f"the running daemon holds the camera; it says: {daemon_says}", mend)
+            return warning("camera frames", f"the running daemon holds the camera; it says: {daemon_state}", mend)
         if not holders:
             mend = "run this with sudo to see which, and end it"
             return fault("camera frames", "another program holds the camera", mend)
@@ -151,10 +152,10 @@ def _busy(device: str, machine: Machine, daemon_says: str) -> Finding | None:
     return None
 
 
-def _check_rate(asked_fps: float, captured: Captured, check: str = "camera frames", what: str = "") -> Finding:
+def _check_rate(set_fps: float, captured: Captured, check: str = "camera frames", what: str = "") -> Finding:
     lost = f", {captured.dropped} lost" if captured.dropped else ""
-    found = f"{what}{captured.fps:.1f} frames/s, {asked_fps:g} asked{lost}"
-    if captured.fps < _RATE_PART * asked_fps:
+    found = f"{what}{captured.fps:.1f} frames/s, {set_fps:g} asked{lost}"
+    if captured.fps < _RATE_PART * set_fps:
         mend = (
             "shorten source.exposure below the frame's period, choose a rate that the camera has, or a smaller size"
             if check == "camera frames"
@@ -182,9 +183,11 @@ def _check_stamps(captured: Captured) -> Finding:
 def _check_locks(captured: Captured) -> list[Finding]:
     findings = []
     for key, label in (("exposure", "exposure"), ("white_balance", "white balance")):
-        held = str(captured.described.get(key, "not known"))
-        found = f"{label}: {held}" + (" in this driver" if held == "no control" else "")
-        if held.startswith("automatic"):
+        lock = captured.described.get(f"{key}_lock")
+        found = f"{label}: {captured.described.get(key, 'not known')}"
+        if lock == Lock.NO_CONTROL:
+            found += " in this driver"
+        if lock == Lock.AUTOMATIC:
             mend = (
                 f"its changes look like touch: try `v4l2-ctl -d DEVICE -L` for a control of {label}, or another camera"
             )

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 from tacshade_edge.devices.base import FrameSource
 from tacshade_edge.errors import TacshadeError
+from tacshade_edge.reasons import Reason
 from tacshade_edge.types import U8
 
 FRAMES = 30
@@ -30,8 +31,8 @@ class Captured:
         As the source counts them.
     described : dict
         What was negotiated, as in ``status/camera``.
-    error : str
-        Why it did not open, or ended early; empty when it did neither.
+    error : Reason or None
+        Why it did not open, or ended early; None when it did neither.
     """
 
     images: tuple[U8, ...] = ()
@@ -39,7 +40,7 @@ class Captured:
     arrived_ns: tuple[int, ...] = ()
     dropped: int = 0
     described: dict[str, str | int | float] = field(default_factory=dict)
-    error: str = ""
+    error: Reason | None = None
 
     @property
     def fps(self) -> float:
@@ -54,7 +55,7 @@ def capture(source: FrameSource) -> Captured:
     t_ns: list[int] = []
     arrived_ns: list[int] = []
     described: dict[str, str | int | float] = {}
-    error = ""
+    error: Reason | None = None
     try:
         source.open()
         deadline_s = time.monotonic() + LIMIT_S
@@ -63,8 +64,8 @@ def capture(source: FrameSource) -> Captured:
             t_ns.append(frame.t_ns)
             arrived_ns.append(time.monotonic_ns())
         described = source.describe()
-    except TacshadeError as problem:
-        error = str(problem)
+    except TacshadeError as failure:
+        error = failure.reason
     finally:
         source.close()
     return Captured(tuple(images), tuple(t_ns), tuple(arrived_ns), source.dropped, described, error)

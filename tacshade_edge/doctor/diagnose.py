@@ -15,13 +15,13 @@ from typing import TypeVar
 from tacshade_edge.devices import registry
 from tacshade_edge.doctor import calibration
 from tacshade_edge.doctor.board import check_board
-from tacshade_edge.doctor.broker import Heard, check_broker, judge_daemon
+from tacshade_edge.doctor.broker import DaemonState, check_broker, judge_daemon
 from tacshade_edge.doctor.camera import check_device, check_frames, check_other_source, list_cameras
 from tacshade_edge.doctor.capture import Captured, capture
 from tacshade_edge.doctor.clock import check_clock
 from tacshade_edge.doctor.disk import check_disk
 from tacshade_edge.doctor.finding import Finding, fault
-from tacshade_edge.doctor.limits import outcome, start
+from tacshade_edge.doctor.limits import start, wait_for
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.doctor.serial import check_serial
 from tacshade_edge.doctor.settings import check_settings
@@ -55,19 +55,19 @@ def diagnose(config: Path, machine: Machine) -> Iterator[Finding]:
     }
     broker = start(lambda: _ask_broker(document, machine)) if document and broker_usable else None
     running = {name: start(check) for name, check in parts.items()}
-    heard = Heard()
+    daemon = DaemonState()
     if broker:
-        findings, heard = outcome(broker, deadline_s, _no_broker)
+        findings, daemon = wait_for(broker, deadline_s, _no_broker)
         yield from findings
     for name, check in running.items():
-        yield from outcome(check, deadline_s, _failed(name, _AGAIN))
+        yield from wait_for(check, deadline_s, _failed(name, _AGAIN))
     if document is None:
         yield from _limited(lambda: (list_cameras(machine),), NODE_S, _failed("camera", _AGAIN))
     else:
-        yield from _sensor(document, heard, machine)
+        yield from _sensor(document, daemon, machine)
 
 
-def _sensor(document: Document, heard: Heard, machine: Machine) -> Iterator[Finding]:
+def _sensor(document: Document, daemon: DaemonState, machine: Machine) -> Iterator[Finding]:
     """The source, and its frames against the calibration."""
     source = document.settings.source
     found: Findings = ()
@@ -76,17 +76,17 @@ def _sensor(document: Document, heard: Heard, machine: Machine) -> Iterator[Find
         yield from found
     captured = Captured()
     if not any(finding.state == "fault" for finding in found):
-        captured, found = _limited(lambda: _watch(source, heard, machine), CAPTURE_S, _no_frames)
+        captured, found = _limited(lambda: _watch(source, daemon, machine), CAPTURE_S, _no_frames)
         yield from found
     yield from _limited(lambda: _judge(document, captured), JUDGE_S, _failed("calibration", _AGAIN))
 
 
-def _watch(source: Source, heard: Heard, machine: Machine) -> tuple[Captured, Findings]:
+def _watch(source: Source, daemon: DaemonState, machine: Machine) -> tuple[Captured, Findings]:
     captured = capture(registry.make_source(source))
     if not isinstance(source, V4l2):
         return captured, check_other_source(captured, source.fps)
-    daemon_says = "nothing, it is not on this broker" if machine.daemon() else ""
-    return captured, check_frames(source, captured, machine, str(heard) if heard.alive else daemon_says)
+    silent = "nothing, it is not on this broker" if machine.daemon() else ""
+    return captured, check_frames(source, captured, machine, str(daemon) if daemon.alive else silent)
 
 
 def _judge(document: Document, captured: Captured) -> Findings:
@@ -96,9 +96,9 @@ def _judge(document: Document, captured: Captured) -> Findings:
     return (*findings, *calibration.check_images(known, captured.images, isinstance(document.settings.source, V4l2)))
 
 
-def _ask_broker(document: Document, machine: Machine) -> tuple[Findings, Heard]:
+def _ask_broker(document: Document, machine: Machine) -> tuple[Findings, DaemonState]:
     mqtt, sensor_id = document.settings.mqtt, document.settings.sensor_id
-    findings, heard = check_broker(
+    findings, daemon = check_broker(
         host=mqtt.host,
         port=mqtt.port,
         sensor_id=sensor_id,
@@ -107,13 +107,13 @@ def _ask_broker(document: Document, machine: Machine) -> tuple[Findings, Heard]:
         tls_ca=mqtt.ca_file,
     )
     if any(finding.state == "fault" for finding in findings):
-        return findings, heard
-    return (*findings, judge_daemon(heard, machine.daemon(), sensor_id)), heard
+        return findings, daemon
+    return (*findings, judge_daemon(daemon, machine.daemon(), sensor_id)), daemon
 
 
-def _no_broker(why: str) -> tuple[Findings, Heard]:
+def _no_broker(why: str) -> tuple[Findings, DaemonState]:
     mend = "is mqtt.host right, does the network work, and is the name server reachable?"
-    return (fault("broker", why, mend),), Heard()
+    return (fault("broker", why, mend),), DaemonState()
 
 
 def _no_frames(why: str) -> tuple[Captured, Findings]:
@@ -125,4 +125,4 @@ def _failed(check: str, mend: str) -> Callable[[str], Findings]:
 
 
 def _limited(job: Callable[[], T], limit_s: float, failed: Callable[[str], T]) -> T:
-    return outcome(start(job), time.monotonic() + limit_s, failed)
+    return wait_for(start(job), time.monotonic() + limit_s, failed)

@@ -1,4 +1,4 @@
-"""Jobs side by side, each with an end: what hangs is left behind, what breaks is told."""
+"""Jobs side by side, each with an end: what hangs is left behind, what breaks is reported."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def start(job: Callable[[], T]) -> Future[T]:
     return future
 
 
-def outcome(future: Future[T], deadline_s: float, failed: Callable[[str], T]) -> T:
+def wait_for(future: Future[T], deadline_s: float, failed: Callable[[str], T]) -> T:
     """The job's result; ``failed(why)`` for one that broke, or did not end by `deadline_s` (``time.monotonic``)."""
     try:
         error = future.exception(max(0.0, deadline_s - time.monotonic()))

@@ -14,13 +14,13 @@ _LATENCY_MS = 1
 _FTDI_RULE = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'
 
 
-def check_serial(machine: Machine, wanted: str = "") -> tuple[Finding, ...]:
-    """One line for each port that is well, one for each thing that is not; `wanted` is the robot's in the settings."""
+def check_serial(machine: Machine, device: str = "") -> tuple[Finding, ...]:
+    """One line for each port that is well, one for each thing that is not; `device` is the robot's in the settings."""
     found = _check_ports(machine)
-    if not wanted.startswith("/dev/") or machine.at(wanted).exists():
+    if not device.startswith("/dev/") or machine.at(device).exists():
         return found
     mend = "plug the robot in; the names that there are: ls /dev/serial/by-id /dev/tty[AU]*"
-    return (fault("serial", f"{wanted}: no such device, and serial.device names it", mend), *found)
+    return (fault("serial", f"{device}: no such device, and serial.device names it", mend), *found)
 
 
 def _check_ports(machine: Machine) -> tuple[Finding, ...]:

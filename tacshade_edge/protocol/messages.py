@@ -16,7 +16,7 @@ from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol.results import NoSession, RequestResult, SessionEnded, SessionStatus
 from tacshade_edge.protocol.serial.answers import error_word
 from tacshade_edge.protocol.wire import WIRE_VERSION
-from tacshade_edge.reasons import Reason, code_of
+from tacshade_edge.reasons import Reason, ReasonCode, code_of, reason_fields
 from tacshade_edge.types import Calibration, Reconstruction
 
 Verb = Literal["reference", "profile", "status", "record", "stitch"]
@@ -124,13 +124,16 @@ def parse_request(
     """
     known = next((v for v in _BODIES if v == verb), None)
     if known is None:
-        raise DecodeError(f"req/{_one_line(verb)}: unknown verb, expected one of {', '.join(_BODIES)}")
+        found = f"req/{_one_line(verb)}: unknown verb, expected one of {', '.join(_BODIES)}"
+        raise DecodeError(found, code=ReasonCode.BAD_REQUEST)
     if len(payload) > REQUEST_BYTES_MAX:
-        raise DecodeError(f"req/{verb}: {len(payload)} bytes, expected at most {REQUEST_BYTES_MAX}")
+        found = f"req/{verb}: {len(payload)} bytes, expected at most {REQUEST_BYTES_MAX}"
+        raise DecodeError(found, code=ReasonCode.BAD_REQUEST)
     try:
         body = msgspec.json.decode(payload or b"{}", type=_BODIES[known])
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise DecodeError(f"req/{verb}: {_one_line(str(error))}; expected {_expected(known)}") from error
+        found = f"req/{verb}: {_one_line(str(error))}; expected {_expected(known)}"
+        raise DecodeError(found, code=ReasonCode.BAD_REQUEST) from error
     request = Request(known, body.transaction, response_topic=response_topic, correlation=correlation)
     if isinstance(body, _Profile):
         return replace(request, profile=body.profile)
@@ -238,9 +241,11 @@ def encode_info(
     )
 
 
-def encode_status(state: str, reason: str = "", details: Mapping[str, str | int | float] | None = None) -> bytes:
-    """The ``status/<part>`` payload: ``state``, ``reason`` (empty when all is well), and the part's own details."""
-    return _encode({**(details or {}), "state": state, "reason": reason})
+def encode_status(
+    state: str, reason: Reason | None = None, details: Mapping[str, str | int | float] | None = None
+) -> bytes:
+    """The ``status/<part>`` payload: ``state``, ``reason`` with its code, and the part's own details."""
+    return _encode({**(details or {}), "state": state, **reason_fields(reason)})
 
 
 def encode_map(about: Mapping[str, str | int | float | None]) -> bytes:

@@ -31,6 +31,7 @@ from tacshade_edge.types import U8, Calibration
 
 pytestmark = [pytest.mark.broker, pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")]
 BASE = "tacshade/hand-1"
+NO_REASON = {"reason": "", "reason_code": ""}
 GONE = DeviceError("camera /dev/video9: gone")
 STOP_S = 2.0
 
@@ -199,8 +200,8 @@ def test_a_lost_camera_degrades_and_a_new_one_brings_the_stream_back(
     wait_until(lambda: states(seen)[-1:] == ["stopped"], 5, "stopped")
     assert states(seen)[-3:-1] == ["degraded", "online"]
     cameras = [json.loads(p) for p in seen.of(f"{BASE}/status/camera")]
-    assert {"state": "away", "reason": str(GONE)} in cameras
-    assert {"state": "streaming", "reason": "", "script": "test"} in cameras
+    assert {"state": "away", "reason": str(GONE), "reason_code": "device"} in cameras
+    assert {"state": "streaming", **NO_REASON, "script": "test"} in cameras
     assert_accounted(last(seen, "health")["frames"])
 
 
@@ -227,7 +228,7 @@ def test_a_silent_camera_degrades_after_the_stall_time(
     script = [pictures.free, release.wait, *paced(pictures.free, 20), None]
     app = Running(document(tmp_path, broker.port), scripted(script), calibration)
     wait_until(lambda: last(seen, "status/camera").get("state") == "streaming", 10, "streaming")
-    wait_until(lambda: last(seen, "status/camera")["reason"].startswith("no frame for more than"), 10, "stalled")
+    wait_until(lambda: last(seen, "status/camera")["reason_code"] == "stalled", 10, "stalled")
     assert states(seen)[-1] == "degraded"
     release.set()
     app.join()
@@ -459,7 +460,7 @@ def test_a_recording_goes_on_while_the_camera_is_lost_and_ends_with_its_referenc
     app = Running(document(tmp_path, broker.port), scripted(first(), GONE, paced(pictures.free)), calibration)
     try:
         wait_until(lambda: last(seen, "status/camera").get("state") == "streaming", 10, "streaming")
-        wait_until(lambda: last(seen, "status/recorder") == {"state": "idle", "reason": ""}, 5, "idle")
+        wait_until(lambda: last(seen, "status/recorder") == {"state": "idle", **NO_REASON}, 5, "idle")
         assert ask(seen, "record", action="stop") == {
             "ok": False,
             "error": "found no recording to stop",
@@ -483,6 +484,7 @@ def test_a_recording_goes_on_while_the_camera_is_lost_and_ends_with_its_referenc
         wait_until(lambda: last(seen, "status/recorder")["state"] == "stopped", 10, "stopped")
         status = last(seen, "status/recorder")
         assert status["reason"] == status["ending"] == "another reference or calibration came into use"
+        assert status["reason_code"] == status["ending_code"] == "calibration_changed"
         wait_until(lambda: last(seen, "health")["recorder"]["written"] == status["frames"], 5, "health has them")
         assert last(seen, "health")["recorder"] == {"written": status["frames"], "dropped": 0, "waiting": 0}
 
@@ -490,7 +492,7 @@ def test_a_recording_goes_on_while_the_camera_is_lost_and_ends_with_its_referenc
         ask(seen, "record", action="start", seconds=600, name="two")
         wait_until(lambda: last(seen, "status/recorder")["frames"] > 5, 10, "frames")
         stopped = ask(seen, "record", action="stop")["result"]
-        assert stopped["ending"] == "stopped"
+        assert (stopped["ending"], stopped["ending_code"]) == ("stopped", "stopped")
         assert len(read_table(tmp_path / "recs" / "two" / "frames.csv")) == stopped["frames"]
         assert calibration_file.load(tmp_path / "recs" / "two" / "calibration.npz").crc32 == crc
         wait_until(lambda: last(seen, "status/recorder")["state"] == "idle", 5, "idle")
@@ -499,7 +501,7 @@ def test_a_recording_goes_on_while_the_camera_is_lost_and_ends_with_its_referenc
     events = [json.loads(line) for line in (folder / "events.jsonl").read_text().splitlines()]
     assert [event["kind"] for event in events] == ["start", "source", "source", *["reconstruction"] * 3]
     assert [event["data"]["state"] for event in events[:3]] == ["streaming", "away", "streaming"]
-    assert events[1]["data"]["reason"] == str(GONE)
+    assert (events[1]["data"]["reason"], events[1]["data"]["reason_code"]) == (str(GONE), "device")
     assert [event["data"]["profile"] for event in events[3:]] == ["paper", "fast", "fast"]
     crcs = [event["data"]["calibration_crc32"] for event in events[3:]]
     assert crcs == [calibration.crc32, calibration.crc32, crc]

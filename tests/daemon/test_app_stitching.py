@@ -156,7 +156,7 @@ def cell(tmp_path: Path, scripted: Any) -> Iterator[Cell]:
 
 def test_the_live_map_is_that_of_the_recording(cell: Cell, tmp_path: Path) -> None:
     assert cell.status() == {
-        **{"state": "idle", "reason": "", "name": "", "presses": 0},
+        **{"state": "idle", "reason": "", "reason_code": "", "name": "", "presses": 0},
         **{"points": 0, "revision": 0, "missed": 0, "folder": ""},
     }
     assert cell.ask("stitch", action="add") == "NOSESSION: no session is open, begin one first"

@@ -14,6 +14,7 @@ import pytest
 from support.bumpy_surface import APEX_MM, grid_poses, press_of
 from support.calibrated_sensor import calibrated, pressed, step, unloaded
 from support.patience import wait_until
+from support.reworded import NONSENSE, reword
 
 from tacshade_edge.core.stitching.stitcher import Stitcher
 from tacshade_edge.daemon.pipeline.workers import Sink
@@ -35,7 +36,7 @@ S = 10**9
 class Nobody:
     """A sink that no one listens to."""
 
-    def asked(self) -> bool:
+    def needs_depth(self) -> bool:
         return False
 
     def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> Any:
@@ -214,15 +215,11 @@ def test_rewording_changes_no_behaviour(tmp_path: Path, monkeypatch: pytest.Monk
     ball, free = step("fast", pressed("ball", 3.0).image), step("fast", unloaded())
     first, first_clock, first_map = commands(tmp_path / "1", ball, free), clock(), stitched()
 
-    def reworded(reason: Reason, code: ReasonCode, text: str) -> None:
-        construct(reason, code, "something else")
-
-    construct = Reason.__init__
-    monkeypatch.setattr(Reason, "__init__", reworded)
+    reword(monkeypatch)
     again = commands(tmp_path / "2", ball, free)
     assert again.decisions == first.decisions
     assert (clock(), stitched()) == (first_clock, first_map)
     changed = [text for text in first.texts if text]
     assert len(set(changed)) > 15
-    assert set(again.texts) <= {"", "something else"}
+    assert set(again.texts) <= {"", NONSENSE}
     assert sum(code is not None for code in first_map[0]) == 1

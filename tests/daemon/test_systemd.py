@@ -225,7 +225,7 @@ class Steps:
         self.held.set()
         assert self.go.wait(patience(10))
 
-    def asked(self) -> bool:
+    def needs_depth(self) -> bool:
         return True
 
     def deliver(self, *_: Any) -> Any:

@@ -12,7 +12,7 @@ import pytest
 from support.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
 from support.patience import wait_until
 
-from tacshade_edge.doctor.broker import Heard, check_broker, judge_daemon, judge_round_trip
+from tacshade_edge.doctor.broker import DaemonState, check_broker, judge_daemon, judge_round_trip
 from tacshade_edge.doctor.finding import Finding, ok
 from tacshade_edge.doctor.machine import Process
 
@@ -21,17 +21,17 @@ broker_test = pytest.mark.broker
 needs_mosquitto = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
 
 
-def ask(port: int, **options: Any) -> tuple[dict[str, Finding], Heard]:
+def ask(port: int, **options: Any) -> tuple[dict[str, Finding], DaemonState]:
     asked: dict[str, Any] = {"host": "127.0.0.1", "username": None, "password": None, "tls_ca": None} | options
-    findings, heard = check_broker(port=port, sensor_id="left", **asked)
+    findings, daemon = check_broker(port=port, sensor_id="left", **asked)
     assert all(bool(finding.mend) == (finding.state != "ok") for finding in findings)
-    return {finding.check: finding for finding in findings}, heard
+    return {finding.check: finding for finding in findings}, daemon
 
 
 def trouble(port: int, **options: Any) -> Finding:
     """The one fault of a broker that cannot be used."""
-    findings, heard = ask(port, **options)
-    assert heard == Heard()
+    findings, daemon = ask(port, **options)
+    assert daemon == DaemonState()
     assert [finding.state for finding in findings.values()] == ["fault"]
     return findings["broker"]
 
@@ -76,10 +76,10 @@ def test_a_port_that_says_nothing_where_tls_is_expected(listener: socket.socket,
 @needs_mosquitto
 def test_a_good_broker_and_nobody_on_it(tmp_path: Path) -> None:
     with Broker(tmp_path) as broker, Subscriber(broker.port, f"{BASE}/#") as seen:
-        findings, heard = ask(broker.port)
+        findings, daemon = ask(broker.port)
         assert findings["broker"].state == "ok"
         assert findings["broker round trip"].found.startswith("38 KB there and back in ")
-        assert heard == Heard()
+        assert daemon == DaemonState()
         wait_until(lambda: len(seen.of(f"{BASE}/doctor")) >= 6, 5, "the messages that it sent to itself")
     assert {message.topic for message in seen.messages} == {f"{BASE}/doctor"}, "no last will, no state"
     with Broker(tmp_path) as broker, Subscriber(broker.port, f"{BASE}/#") as seen:
@@ -98,10 +98,10 @@ def test_a_daemon_on_it(tmp_path: Path) -> None:
         ):
             other.publish(f"{BASE}/{name}", payload, retain=True)
             other.wait_for(f"{BASE}/{name}")
-        assert ask(broker.port)[1] == Heard("degraded", "no such device", 12.5)
+        assert ask(broker.port)[1] == DaemonState("degraded", "no such device", 12.5)
         other.publish(f"{BASE}/health", b"\xff{", retain=True)
         other.wait_for(f"{BASE}/health", 2)
-        assert ask(broker.port)[1] == Heard("degraded", "no such device", 0.0)
+        assert ask(broker.port)[1] == DaemonState("degraded", "no such device", 0.0)
 
 
 @broker_test
@@ -176,20 +176,20 @@ def test_a_broker_that_hangs(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("heard", "local", "state", "said"),
+    ("daemon", "running", "state", "found"),
     [
-        (Heard(), False, "ok", "not running"),
-        (Heard("stopped"), False, "ok", "not running"),
-        (Heard("online", fps=29.9), True, "ok", "process 5 (tacshade-edge run): online, 29.9 frames/s"),
-        (Heard("degraded", "no device", 0.0), True, "warning", "degraded, 0.0 frames/s, no device"),
-        (Heard("online"), False, "warning", "none runs here, yet left is online on this broker"),
-        (Heard("offline"), True, "warning", "the broker knows no left online"),
+        (DaemonState(), False, "ok", "not running"),
+        (DaemonState("stopped"), False, "ok", "not running"),
+        (DaemonState("online", fps=29.9), True, "ok", "process 5 (tacshade-edge run): online, 29.9 frames/s"),
+        (DaemonState("degraded", "no device", 0.0), True, "warning", "degraded, 0.0 frames/s, no device"),
+        (DaemonState("online"), False, "warning", "none runs here, yet left is online on this broker"),
+        (DaemonState("offline"), True, "warning", "the broker knows no left online"),
     ],
 )
-def test_the_daemon(heard: Heard, local: bool, state: str, said: str) -> None:
-    finding = judge_daemon(heard, Process(5, ("tacshade-edge", "run")) if local else None, "left")
+def test_the_daemon(daemon: DaemonState, running: bool, state: str, found: str) -> None:
+    finding = judge_daemon(daemon, Process(5, ("tacshade-edge", "run")) if running else None, "left")
     assert finding.state == state
-    assert said in finding.found
+    assert found in finding.found
     assert bool(finding.mend) == (state != "ok")
 
 

@@ -11,9 +11,14 @@ from support.painted_sensor import BLACK, FREE
 from tacshade_edge.doctor.camera import check_frames, check_other_source, check_picture
 from tacshade_edge.doctor.capture import Captured
 from tacshade_edge.doctor.finding import Finding
+from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.settings import V4l2
 
-LOCKED = {"time_stamps": "kernel", "exposure": "locked at 157", "white_balance": "locked"}
+LOCKED = {
+    "time_stamps": "kernel",
+    **{"exposure": "locked at 157", "exposure_lock": "locked"},
+    **{"white_balance": "locked", "white_balance_lock": "locked"},
+}
 
 
 def frames(fps: float = 30, **changes: Any) -> Captured:
@@ -51,13 +56,13 @@ def test_a_good_camera(machine: Any) -> None:
         (frames(t_ns=(1_000_000_000,) * 30), "camera time", "not in order"),
         (frames(arrived_ns=(4_000_000_000,) * 30), "camera time", "frames up to 3000 ms old"),
         (
-            frames(described=LOCKED | {"exposure": "automatic, the driver does not lock it (157)"}),
+            frames(described=LOCKED | {"exposure": "automatic, not locked (157)", "exposure_lock": "automatic"}),
             "camera control",
             "exposure: automatic",
         ),
         (frames(images=(BLACK,)), "picture", "black: mean grey 0"),
         (
-            Captured(error="camera /dev/video0: no frame after 2.0 s, the camera stalls"),
+            Captured(error=Reason(ReasonCode.STALLED, "camera /dev/video0: no frame after 2.0 s, the camera stalls")),
             "camera frames",
             "no frame after",
         ),
@@ -85,7 +90,7 @@ def test_a_picture_that_shows_nothing(image: Any, reason: str, mend: str) -> Non
 def test_other_sources() -> None:
     assert [f.state for f in check_other_source(frames(), 30.0)] == ["ok", "ok"]
     assert check_other_source(frames(fps=5), 30.0)[0].state == "warning"
-    (gone,) = check_other_source(Captured(error="x: found nothing"), 30.0)
+    (gone,) = check_other_source(Captured(error=Reason(ReasonCode.CONFIG, "x: found nothing")), 30.0)
     assert (gone.state, gone.found) == ("fault", "x: found nothing")
     (empty,) = check_other_source(Captured(), 30.0)
     assert empty.state == "fault"

@@ -9,12 +9,13 @@ from support.painted_sensor import FREE
 
 from tacshade_edge.devices.files.image_source import FilesSource
 from tacshade_edge.doctor.capture import FRAMES, Captured, capture
+from tacshade_edge.reasons import ReasonCode
 
 
 def test_frames_of_a_looping_image(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "a.png"), FREE)
     captured = capture(FilesSource(path=tmp_path, fps=240, loop=True))
-    assert captured.error == ""
+    assert captured.error is None
     assert len(captured.t_ns) == len(captured.arrived_ns) == FRAMES
     assert len(captured.images) == 10, "memory is bounded"
     assert all(later > earlier for earlier, later in itertools.pairwise(captured.t_ns))
@@ -28,8 +29,11 @@ def test_a_source_that_ends_early_or_breaks(tmp_path: Path) -> None:
     (tmp_path / "b.png").write_bytes(b"")
     broken = capture(FilesSource(path=tmp_path, fps=240, loop=False))
     assert len(broken.t_ns) == 1
-    assert "b.png" in broken.error
-    assert "found nothing" in capture(FilesSource(path=tmp_path / "none", fps=30, loop=False)).error
+    assert "b.png" in str(broken.error)
+    error = capture(FilesSource(path=tmp_path / "none", fps=30, loop=False)).error
+    assert error is not None
+    assert error.code is ReasonCode.CONFIG
+    assert "found nothing" in error.text
 
 
 def test_the_rate_leaves_out_the_first_frames() -> None:

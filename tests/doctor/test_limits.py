@@ -5,11 +5,11 @@ import time
 
 from support.patience import patience
 
-from tacshade_edge.doctor.limits import outcome, start
+from tacshade_edge.doctor.limits import start, wait_for
 
 
 def test_a_result() -> None:
-    assert outcome(start(lambda: 5), time.monotonic() + 10, lambda why: -1) == 5
+    assert wait_for(start(lambda: 5), time.monotonic() + 10, lambda why: -1) == 5
 
 
 def test_a_job_that_hangs_is_left_behind() -> None:
@@ -18,13 +18,13 @@ def test_a_job_that_hangs_is_left_behind() -> None:
     hung = start(lambda: str(release.wait(60)))
     quick = start(lambda: "quick")
     deadline_s = began_s + 0.05
-    assert outcome(hung, deadline_s, lambda why: why) == "no answer in time"
-    assert outcome(quick, deadline_s, lambda why: why) == "quick", "though the limit has passed"
+    assert wait_for(hung, deadline_s, lambda why: why) == "no answer in time"
+    assert wait_for(quick, deadline_s, lambda why: why) == "quick", "though the limit has passed"
     assert time.monotonic() - began_s < patience(10)
     release.set()
 
 
-def test_a_job_that_breaks_is_told() -> None:
+def test_a_job_that_breaks_is_failure() -> None:
     broken = start(lambda: str(1 // 0))
-    told = outcome(broken, time.monotonic() + 10, lambda why: why)
-    assert told == "the check itself failed: ZeroDivisionError: integer division or modulo by zero"
+    failure = wait_for(broken, time.monotonic() + 10, lambda why: why)
+    assert failure == "the check itself failed: ZeroDivisionError: integer division or modulo by zero"

@@ -108,8 +108,11 @@ def test_info_places_a_pixel_in_mm() -> None:
 
 
 def test_status_and_health() -> None:
-    status = messages.encode_status("failed", "no such device", {"rate_hz": 60.0, "state": "details do not win"})
-    assert json.loads(status) == {"rate_hz": 60.0, "state": "failed", "reason": "no such device"}
+    absent = Reason(ReasonCode.ABSENT, "no such device")
+    status = messages.encode_status("failed", absent, {"rate_hz": 60.0, "state": "details do not win"})
+    expected = {"rate_hz": 60.0, "state": "failed", "reason": "no such device", "reason_code": "absent"}
+    assert json.loads(status) == expected
+    assert json.loads(messages.encode_status("idle")) == {"state": "idle", "reason": "", "reason_code": ""}
     assert json.loads(messages.encode_health({"captured": np.int64(3), "p99_ms": np.float32(1.5)})) == {
         "captured": 3,
         "p99_ms": 1.5,

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Literal
 
-Outcome = Literal["published", "superseded", "without_contact", "unasked", "invalid", "failed"]
+FrameOutcome = Literal["published", "superseded", "without_contact", "unasked", "invalid", "failed"]
 
 # Figures are over the latest this many frames: some seconds at camera rates.
 WINDOW_FRAMES = 512
@@ -78,7 +78,7 @@ class FrameLedger:
                 self._counts.captured += 1
                 self._counts.failed += 1
 
-    def settle(self, seq: int, outcome: Outcome) -> None:
+    def settle(self, seq: int, outcome: FrameOutcome) -> None:
         """A frame met its end."""
         with self._changed:
             if not self._closed:

@@ -10,10 +10,11 @@ from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.daemon.pipeline.ledger import FrameLedger, Outcome, Timings
+from tacshade_edge.daemon.pipeline.ledger import FrameLedger, FrameOutcome, Timings
 from tacshade_edge.daemon.pipeline.mailbox import Mailbox
 from tacshade_edge.devices.base import FrameSource
 from tacshade_edge.errors import DecodeError, DeviceError
+from tacshade_edge.reasons import Reason
 from tacshade_edge.types import Calibration, Frame, Reconstruction
 
 _log = logging.getLogger(__name__)
@@ -23,10 +24,10 @@ FIRST_RETRY_S, LONGEST_RETRY_S = 0.1, 1.0
 
 @dataclass(frozen=True, slots=True)
 class SourceState:
-    """How the frame source is; `reason` is empty when all is well."""
+    """How the frame source is; `reason` is None when all is well."""
 
     state: Literal["streaming", "away", "unusable", "ended"]
-    reason: str = ""
+    reason: Reason | None = None
     details: dict[str, str | int | float] = field(default_factory=dict)
 
 
@@ -72,10 +73,10 @@ class Grab:
             try:
                 self._source.open()
                 if self._read_all():
-                    self._tell(SourceState("ended"))
+                    self._change_state(SourceState("ended"))
                     return
             except DeviceError as error:
-                self._tell(SourceState("away", str(error)))
+                self._change_state(SourceState("away", error.reason))
             finally:
                 self._source.close()
             self._stop.wait(self.retry_s)
@@ -91,7 +92,7 @@ class Grab:
                 self.attempts += 1
                 self._ledger.undecodable()
                 if self._reported is None:  # nothing to see from the start; in a stream it is one counted frame
-                    self._tell(SourceState("away", str(error)))
+                    self._change_state(SourceState("away", error.reason))
                 continue
             if frame is None:
                 return True
@@ -103,10 +104,10 @@ class Grab:
                 self._ledger.settle(superseded.seq, "superseded")
             if self._reported is None or self._reported.state != "streaming":
                 self.retry_s = FIRST_RETRY_S
-                self._tell(SourceState("streaming", "", self._source.describe()))
+                self._change_state(SourceState("streaming", None, self._source.describe()))
         return False
 
-    def _tell(self, state: SourceState) -> None:
+    def _change_state(self, state: SourceState) -> None:
         if state != self._reported:
             self._reported = state
             self._report(state)
@@ -115,12 +116,12 @@ class Grab:
 class Sink(Protocol):
     """Where reconstructions go."""
 
-    def asked(self) -> bool:
-        """Whether anyone wants to know more of a contact than that it is there."""
+    def needs_depth(self) -> bool:
+        """Whether more of a contact is needed than that it is there."""
         ...
 
-    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> Outcome | None:
-        """Pass a result on without waiting (None: a contact that was not asked for); None: it will be settled later."""
+    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> FrameOutcome | None:
+        """Pass a result on without waiting (None: a contact without its depth); None: it will be settled later."""
         ...
 
 
@@ -173,7 +174,7 @@ class Reconstruct:
 
         reconstructor = self.reconstructor
         began_ns = last_ns
-        whole = self.watch is not None or self._sink.asked()
+        whole = self.watch is not None or self._sink.needs_depth()
         result = (reconstructor.step if whole else reconstructor.glance)(frame, mark)
         step_ms = (time.monotonic_ns() - began_ns) / 1e6
         outcome = self._sink.deliver(frame, result, reconstructor.calibration)

@@ -23,7 +23,7 @@ CALM_S = 60
 
 @dataclass(frozen=True, slots=True)
 class Stepped:
-    """A chooser wants another profile; one that is asked no more is not listened to."""
+    """A step of a chooser, which may have been replaced meanwhile."""
 
     chooser: ProfileChooser
     step: Step
@@ -57,7 +57,7 @@ class ActiveProfile:
         self._kept: dict[str, Reconstructor] = {}
         self._chooser: ProfileChooser | None = None
         self._steps = {"steps_down": 0, "steps_up": 0}
-        self._told_late, self._calm_s = False, 0
+        self._late_logged, self._calm_s = False, 0
         self.budget_ms = budget_ms
         self.choice = ""
         idle = worker.reconstructor  # before the start no thread uses it
@@ -96,7 +96,7 @@ class ActiveProfile:
             self._install(choice, calibration, {})
 
     def step(self, stepped: Stepped) -> bool:
-        """Do a step; False when its chooser is asked no more."""
+        """Do a step; False when its chooser was replaced."""
         if stepped.chooser is not self._chooser:
             return False
         step, before = stepped.step, self._worker.reconstructor.profile.name
@@ -121,16 +121,16 @@ class ActiveProfile:
             **self._steps,
         }
 
-    def tell_late(self) -> None:
+    def log_late(self) -> None:
         """To be called once a second: log that not even the fastest keeps the budget, again only after `CALM_S`."""
         if self._chooser is None or (within_ms := self._chooser.standing.within_ms) is None:
             return
         budget_ms, late = self._chooser.budget_ms, self._chooser.standing.kept is False
         self._calm_s = 0 if late else self._calm_s + 1
         if self._calm_s >= CALM_S:
-            self._told_late = False
-        if late and self._chooser.lowest and not self._told_late:
-            self._told_late = True
+            self._late_logged = False
+        if late and self._chooser.lowest and not self._late_logged:
+            self._late_logged = True
             profile = self._chooser.profile
             _log.warning(
                 "%s, the fastest, does not keep %g ms: 90 %% took up to %.1f ms", profile, budget_ms, within_ms
@@ -138,7 +138,7 @@ class ActiveProfile:
 
     def _install(self, choice: str, calibration: Calibration, ready: dict[str, Reconstructor]) -> None:
         """Use `choice`, and of the reconstructors those that are `ready`: rehearsed here, so no other thread's."""
-        self.choice, self._told_late, self._calm_s = choice, False, 0
+        self.choice, self._late_logged, self._calm_s = choice, False, 0
         self._worker.observe = self._chooser = None
         if choice != AUTO or self.budget_ms is None:
             self._kept = {}

@@ -1,4 +1,4 @@
-"""Which profile keeps a latency budget: no clock, no thread; what a frame took is told to it.
+"""Which profile keeps a latency budget: no clock, no thread; it is given what each frame took.
 
 Down is quick: as soon as more than a tenth of a window of frames is late. Up is slow: a full window must leave room for
 the better profile, and after a try that failed the next waits twice as long. So whatever the noise, there are at most
@@ -12,6 +12,8 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 from statistics import median
+
+from tacshade_edge.reasons import Reason, ReasonCode
 
 WINDOW_FRAMES = 60
 LATE_FRAMES = WINDOW_FRAMES // 10  # the budget is one for 90 % of the frames
@@ -32,13 +34,13 @@ class Step:
         The one to change to.
     up : bool
         To a dearer one.
-    reason : str
-        Why, for a person.
+    reason : Reason
+        ``OVER_BUDGET`` down, ``WITHIN_BUDGET`` up.
     """
 
     profile: str
     up: bool
-    reason: str
+    reason: Reason
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +121,7 @@ class ProfileChooser:
             return None
         if self._since_s is None:
             self._since_s = now_s
-        self._seen += 1
+        self._frames += 1
         self._latency_ms.append(latency_ms)
         self._own_ms.append(own_ms)
         late = sum(ms > self.budget_ms for ms in self._latency_ms)
@@ -130,8 +132,8 @@ class ProfileChooser:
         self.standing = Standing(profile, frames, within_ms, kept)
         at = self._ladder.index(profile)
         if kept is False and not self.lowest:
-            reason = f"{late} of the latest {frames} frames in contact took over {self.budget_ms:g} ms"
-            return self._step(self._ladder[at + 1], now_s, up=False, reason=reason)
+            text = f"{late} of the latest {frames} frames in contact took over {self.budget_ms:g} ms"
+            return self._step(self._ladder[at + 1], now_s, Reason(ReasonCode.OVER_BUDGET, text))
         if not full:
             return None
         if at == 0 or now_s - self._since_s < self._patience_s[self._ladder[at - 1]]:
@@ -139,28 +141,29 @@ class ProfileChooser:
         expected_ms = self._expected_ms(self._ladder[at - 1], within_ms)
         if expected_ms > MARGIN * self.budget_ms:
             return None
-        reason = f"90 % of {frames} frames took up to {within_ms:.1f} ms, expected now {expected_ms:.1f} ms"
-        return self._step(self._ladder[at - 1], now_s, up=True, reason=reason)
+        text = f"90 % of {frames} frames took up to {within_ms:.1f} ms, expected now {expected_ms:.1f} ms"
+        return self._step(self._ladder[at - 1], now_s, Reason(ReasonCode.WITHIN_BUDGET, text))
 
     def _expected_ms(self, better: str, within_ms: float) -> float:
         """What 90 % of the frames would take with a better profile: a load that slows this one slows that one too."""
         times = self._costs_ms[better] / self._costs_ms[self.profile]
         return within_ms + (times - 1) * median(self._own_ms)
 
-    def _step(self, to: str, now_s: float, *, up: bool, reason: str) -> Step:
+    def _step(self, profile: str, now_s: float, reason: Reason) -> Step:
+        up = reason.code is ReasonCode.WITHIN_BUDGET
         if not up:
-            failed = self._trial and self._seen < TRIAL_FRAMES
+            failed = self._trial and self._frames < TRIAL_FRAMES
             doubled_s = min(2 * self._patience_s[self.profile], LONGEST_PATIENCE_S)
             self._patience_s[self.profile] = doubled_s if failed else PATIENCE_S
-        self.profile = to
+        self.profile = profile
         self._trial = up
         self._since_s = now_s
         self._begin()
-        return Step(to, up, reason)
+        return Step(profile, up, reason)
 
     def _begin(self) -> None:
         """Know nothing of the chosen profile yet."""
-        self._seen = 0
+        self._frames = 0
         self._latency_ms: deque[float] = deque(maxlen=WINDOW_FRAMES)
         self._own_ms: deque[float] = deque(maxlen=WINDOW_FRAMES)
         self.standing = Standing(self.profile)

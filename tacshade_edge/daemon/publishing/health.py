@@ -6,7 +6,7 @@ import time
 from typing import Any
 
 from tacshade_edge.daemon.pipeline.ledger import Counts, FrameLedger, Timings
-from tacshade_edge.reasons import Reason, ReasonCode, code_of, text_of
+from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
 from tacshade_edge.types import Reconstruction
 
 # So many periods without one good frame are a state, not an event.
@@ -64,10 +64,8 @@ class Health:
             "published_fps": round((counts.published - before.published) / seconds, 2),
             "latency_ms": stages.pop("capture_to_offer", None),
             "stages_ms": stages,
-            "invalid_reason": text_of(reason),
-            "invalid_reason_code": code_of(reason),
-            "degraded_reason": text_of(degraded),
-            "degraded_reason_code": code_of(degraded),
+            **reason_fields(reason, "invalid_reason"),
+            **reason_fields(degraded, "degraded_reason"),
             "mqtt": mqtt,
             "recorder": recorder,
             "budget": budget,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from tacshade_edge.daemon.pipeline.ledger import Outcome
+from tacshade_edge.daemon.pipeline.ledger import FrameOutcome
 from tacshade_edge.protocol import messages, wire
 from tacshade_edge.types import Calibration, Frame, Reconstruction
 
@@ -16,58 +16,58 @@ class Publisher:
 
     With contact: ``height``, ``cloud`` and ``contact`` of every frame. Without: one zero ``height`` when the
     contact ends (flagged when an invalid frame ended it), then only ``contact`` at 10 Hz. A frame whose
-    height is offered is settled by what becomes of that offer. What nobody wants is left out, but never the
-    begin or end of a contact that is or was told: nobody is left with an older truth.
+    height is offered is settled by what becomes of that offer. What nobody listens to is left out, but never the
+    begin or end of a contact that is or was published: nobody is left with an older truth.
 
     Parameters
     ----------
     offer : callable
         ``offer(stream, payload, seq)``; must not wait.
-    wanted : callable
-        ``wanted(stream)``; by default everything is.
+    has_listener : callable
+        ``has_listener(stream)``; by default every stream has one.
 
     Attributes
     ----------
     fps : float
         For ``contact``.
     latest : (Frame, Reconstruction) or None
-        The newest of each; they belong together unless nobody asked for the frame's.
+        The newest of each; they belong together unless the frame's depth was not needed.
     """
 
     def __init__(
-        self, offer: Callable[[str, bytes, int], None], wanted: Callable[[str], bool] = lambda stream: True
+        self, offer: Callable[[str, bytes, int], None], has_listener: Callable[[str], bool] = lambda stream: True
     ) -> None:
         self._offer = offer
-        self._wanted = wanted
-        self._touching = False
-        self._told_contact_ns: int | None = None
+        self._has_listener = has_listener
+        self._contact = False
+        self._contact_sent_ns: int | None = None
         self.fps = 0.0
         self.latest: tuple[Frame, Reconstruction] | None = None
 
-    def asked(self) -> bool:
-        """Whether anyone listens to what only a reconstruction tells."""
-        return any(map(self._wanted, ("height", "cloud", "contact")))
+    def needs_depth(self) -> bool:
+        """Whether anyone listens to what is made from depth."""
+        return any(map(self._has_listener, ("height", "cloud", "contact")))
 
-    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> Outcome | None:
-        """Offer what this result has to say; None is a contact of which nobody asked for more."""
+    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> FrameOutcome | None:
+        """Offer what is in this result; None is a contact without its depth."""
         if result is None:
             self.latest = self.latest and (frame, self.latest[1])
             return "unasked"
         self.latest = frame, result
-        changed = result.contact != self._touching
-        self._touching = result.contact
+        changed = result.contact != self._contact
+        self._contact = result.contact
         crc32, pose, error_us = calibration.crc32, frame.pose, frame.pose_error_us
-        height_goes = changed or (result.contact and self._wanted("height"))
+        height_goes = changed or (result.contact and self._has_listener("height"))
         if height_goes:
             height = wire.encode_height(result, calibration_crc32=crc32, pose=pose, pose_error_us=error_us)
             self._offer("height", height, result.seq)
-        if result.contact and (changed or self._wanted("cloud")):
+        if result.contact and (changed or self._has_listener("cloud")):
             cloud = wire.encode_cloud(result, calibration_crc32=crc32, pose=pose, pose_error_us=error_us)
             self._offer("cloud", cloud, result.seq)
-        told_ns = self._told_contact_ns
-        due = result.contact or told_ns is None or result.t_ns - told_ns >= CONTACT_PERIOD_NS
-        if changed or (due and self._wanted("contact")):
-            self._told_contact_ns = result.t_ns
+        sent_ns = self._contact_sent_ns
+        due = result.contact or sent_ns is None or result.t_ns - sent_ns >= CONTACT_PERIOD_NS
+        if changed or (due and self._has_listener("contact")):
+            self._contact_sent_ns = result.t_ns
             self._offer("contact", messages.encode_contact(result, fps=self.fps), result.seq)
         if height_goes:
             return None

@@ -15,6 +15,7 @@ from tacshade_edge.daemon.pipeline.workers import Grab
 from tacshade_edge.daemon.recording.byte_queue import ByteQueue
 from tacshade_edge.devices.files.recorder import FREE_FLOOR_BYTES, Recorder
 from tacshade_edge.errors import DeviceError
+from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
 from tacshade_edge.types import Calibration, Frame
 
 # 54 grey frames of 640x480: almost a second at 60 per second. Of the 150 MB that the service may use.
@@ -22,13 +23,11 @@ QUEUE_BYTES = 16 * 2**20
 EVENT_BYTES, EVENTS_RESERVE_BYTES = 1024, 256 * 1024  # an event counts for a KiB, and fits where no frame does
 SYNC_S = 1.0
 Posed = Callable[[Frame], Frame]
+TIME, STOPPED = Reason(ReasonCode.TIME, "time"), Reason(ReasonCode.STOPPED, "stopped")
+SOURCE_ENDED = Reason(ReasonCode.SOURCE_ENDED, "source ended")
+DAEMON_STOPPED = Reason(ReasonCode.DAEMON_STOPPED, "daemon stopped")
 # As they should: these leave the recorder idle, anything else is a reason that it stopped.
-TIME, STOPPED, SOURCE_ENDED, DAEMON_STOPPED = "time", "stopped", "source ended", "daemon stopped"
-GOOD_ENDINGS = (TIME, STOPPED, SOURCE_ENDED, DAEMON_STOPPED)
-
-
-class RecorderBusyError(DeviceError):
-    """A recording goes on."""
+GOOD_ENDINGS = (ReasonCode.TIME, ReasonCode.STOPPED, ReasonCode.SOURCE_ENDED, ReasonCode.DAEMON_STOPPED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,20 +51,20 @@ class Recorded:
     folder : Path
     frames, bytes, dropped : int
         Written frames and their size, and frames that were captured meanwhile and are not in it.
-    ending : str
-        Empty while it goes on; one of `GOOD_ENDINGS`, or what went wrong.
+    ending : Reason or None
+        None while it goes on; one of `GOOD_ENDINGS`, or what went wrong.
     """
 
     folder: Path
     frames: int
     bytes: int
     dropped: int
-    ending: str
+    ending: Reason | None
 
     @property
     def failed(self) -> bool:
         """Whether it ended otherwise than asked."""
-        return bool(self.ending) and self.ending not in GOOD_ENDINGS
+        return self.ending is not None and self.ending.code not in GOOD_ENDINGS
 
     def as_dict(self) -> dict[str, str | int | float]:
         """For ``status/recorder``, ``res/record`` and ``recording.json``."""
@@ -74,7 +73,7 @@ class Recorded:
             "frames": self.frames,
             "bytes": self.bytes,
             "dropped": self.dropped,
-            "ending": self.ending,
+            **reason_fields(self.ending, "ending"),
         }
 
 
@@ -88,7 +87,7 @@ class _Job:
         self.calibration_crc32 = calibration.crc32
         self.end_ns = time.monotonic_ns() + round(seconds * 1e9)
         self.waiting: ByteQueue[Frame | _Event] = ByteQueue(QUEUE_BYTES)
-        self.ending = ""
+        self.ending: Reason | None = None
         self.done = False
         self._recorder = recorder
         self._begin = settings_yaml, calibration
@@ -100,7 +99,7 @@ class _Job:
         if frame.t_ns <= self.end_ns:
             self.waiting.put(frame, frame.image.nbytes)
 
-    def end(self, ending: str) -> None:
+    def end(self, ending: Reason) -> None:
         """Take nothing more; the thread writes what waits."""
         self.ending = self.ending or ending
         self.waiting.close()
@@ -117,14 +116,14 @@ class _Job:
             self._recorder.begin(*self._begin)
             self._write_all()
         except DeviceError as error:
-            self.end(str(error))
+            self.end(error.reason)
         self._lost += sum(isinstance(self.waiting.take(0), Frame) for _ in range(len(self.waiting)))
         times = dict(zip(("first_t_ns", "first_wall_ns"), self._first or (None, None), strict=True))
         try:
             self._recorder.finish({**self.now().as_dict(), **times, **about})
         except DeviceError as error:
             if not self.now().failed:
-                self.ending = str(error)
+                self.ending = error.reason
             self._recorder.close()
         self.done = True
 
@@ -145,7 +144,8 @@ class _Job:
             frame = self._posed(frame)
         try:
             if not self._recorder.add(frame):
-                raise DeviceError(f"less than {FREE_FLOOR_BYTES // 2**20} MiB free on the disk")
+                found = f"less than {FREE_FLOOR_BYTES // 2**20} MiB free on the disk"
+                raise DeviceError(found, code=ReasonCode.DISK_FULL)
         except DeviceError:
             self._lost += 1
             raise
@@ -193,14 +193,12 @@ class LiveRecorder:
         ------
         ConfigError
             The folder is there already.
-        RecorderBusyError
-            One goes on.
         DeviceError
-            The folder cannot be made; the disk is down to the floor.
+            One goes on; the folder cannot be made; the disk is down to the floor.
         """
         if (now := self.now()) is not None:
             doing = "the latest is still being written to" if now.ending else "recording to"
-            raise RecorderBusyError(f"busy: {doing} {now.folder}")
+            raise DeviceError(f"busy: {doing} {now.folder}", code=ReasonCode.BUSY)
         recorder = Recorder(folder, free_floor_bytes=FREE_FLOOR_BYTES)
         job = _Job(recorder, seconds, settings_yaml, calibration, self._posed)
 
@@ -212,7 +210,7 @@ class LiveRecorder:
         self._thread.start()
         self._grab.tap = job.tap
 
-    def end(self, ending: str) -> None:
+    def end(self, ending: Reason) -> None:
         """End the recording that goes on, if one does; `poll` tells when it is written."""
         self._grab.tap = None
         if self._job is not None:
@@ -230,7 +228,8 @@ class LiveRecorder:
             return
         self.event("reconstruction", profile=profile, calibration_crc32=calibration_crc32)
         if calibration_crc32 != job.calibration_crc32:
-            self.end("another reference or calibration came into use")
+            text = "another reference or calibration came into use"
+            self.end(Reason(ReasonCode.CALIBRATION_CHANGED, text))
 
     def poll(self) -> Recorded | None:
         """End what is over; the recording that was finished since the last call."""

@@ -11,7 +11,7 @@ from tacshade_edge.daemon.publishing.publisher import Publisher
 from tacshade_edge.devices.files.recording import RecordedFrame
 from tacshade_edge.devices.mqtt.client import BrokerAddress
 from tacshade_edge.devices.mqtt.link import MqttLink
-from tacshade_edge.devices.mqtt.outlet import Outcome
+from tacshade_edge.devices.mqtt.outlet import PayloadOutcome
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.protocol import messages
 from tacshade_edge.protocol.messages import Request
@@ -19,6 +19,7 @@ from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Reconstruction
 
 CONNECT_S, HAND_OVER_S, STOP_S = 2.0, 5.0, 2.0
+REPLAY = Reason(ReasonCode.REPLAY, "replay")
 
 
 class ReplayLink:
@@ -62,13 +63,15 @@ class ReplayLink:
             version=__version__, config_digest="replay", profile=self._profile, calibration=self._calibration
         )
         self._link.set_retained("info", info)
-        self._link.set_retained("status/camera", messages.encode_status("streaming", "replay"))
+        self._link.set_retained("status/camera", messages.encode_status("streaming", REPLAY))
         self._link.start()
         deadline_s = time.monotonic() + CONNECT_S
         pause = threading.Event()
         while not self._link.connected:
             if time.monotonic() > deadline_s:
-                raise DeviceError(f"{self._link.reason}; expected a broker at {self._where} within {CONNECT_S:.0f} s")
+                reason = self._link.reason or Reason(ReasonCode.NO_ANSWER, "no answer")
+                expected = f"expected a broker at {self._where} within {CONNECT_S:.0f} s"
+                raise DeviceError(f"{reason}; {expected}", code=reason.code)
             pause.wait(0.02)
         self._began_s = time.monotonic()
 
@@ -80,7 +83,8 @@ class ReplayLink:
         if self._wait:
             with self._changed:
                 if not self._changed.wait_for(lambda: self._open == 0, HAND_OVER_S):
-                    raise DeviceError(f"{self._where}: the broker took nothing for {HAND_OVER_S:.0f} s")
+                    found = f"{self._where}: the broker took nothing for {HAND_OVER_S:.0f} s"
+                    raise DeviceError(found, code=ReasonCode.STALLED)
 
     def counters(self) -> dict[str, int]:
         """Payloads so far: published, superseded, failed, and the link's others."""
@@ -88,7 +92,7 @@ class ReplayLink:
 
     def stop(self) -> None:
         """Say goodbye and disconnect."""
-        self._link.set_retained("status/camera", messages.encode_status("ended", "replay"))
+        self._link.set_retained("status/camera", messages.encode_status("ended", REPLAY))
         self._link.stop(STOP_S)
 
     def _offer(self, stream: str, payload: bytes, seq: int) -> None:
@@ -96,7 +100,7 @@ class ReplayLink:
             self._open += 1
         self._link.offer(stream, payload, seq)
 
-    def _on_outcome(self, stream: str, seq: int, outcome: Outcome) -> None:
+    def _on_outcome(self, stream: str, seq: int, outcome: PayloadOutcome) -> None:
         with self._changed:
             self._open -= 1
             self._changed.notify_all()

@@ -8,14 +8,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from tacshade_edge.daemon.pipeline.ledger import Outcome
+from tacshade_edge.daemon.pipeline.ledger import FrameOutcome
 from tacshade_edge.daemon.pipeline.workers import Sink
 from tacshade_edge.daemon.robot.motion import RobotMotion
 from tacshade_edge.daemon.robot.serial_channel import SILENT_NS, SerialChannel
 from tacshade_edge.daemon.robot.serial_commands import SerialCommands
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.protocol.messages import Request, encode_status
-from tacshade_edge.reasons import Reason, ReasonCode, text_of
+from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Calibration, Frame, Reconstruction
 
 # A frame waits so long for the pose after it: that of a robot that sends ten a second is there then.
@@ -79,11 +79,11 @@ class Robot:
             state, reason = "silent" if silent else "connected", sync.reason
             details = {**port.details, "mode": self._channel.mode, "sync": sync.mode}
             if silent:
-                reason = Reason(ReasonCode.PORT_SILENT, f"nothing for more than {SILENT_NS / 1e9:.0f} s")
+                reason = Reason(ReasonCode.STALLED, f"nothing for more than {SILENT_NS / 1e9:.0f} s")
             elif reason is None and (latency_ms := int(port.details.get("latency_ms", 0))) > LATENCY_MAX_MS:
                 text = f"the port's chip holds bytes back for {latency_ms} ms; doctor tells the mend"
                 reason = Reason(ReasonCode.PORT_LATENCY, text)
-        status = encode_status(state, text_of(reason), details)
+        status = encode_status(state, reason, details)
         if status != self._published:
             self._published = status
             self._publish_status(status)
@@ -122,10 +122,10 @@ class _PoseSink:
         self._sink = sink
         self._robot = robot
 
-    def asked(self) -> bool:
-        return self._robot.commands.capture_pending or self._sink.asked()
+    def needs_depth(self) -> bool:
+        return self._robot.commands.capture_pending or self._sink.needs_depth()
 
-    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> Outcome | None:
+    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> FrameOutcome | None:
         frame = self._robot.with_pose(frame)
         outcome = self._sink.deliver(frame, result, calibration)
         if result is not None:

@@ -87,7 +87,7 @@ class SerialChannel:
                     if self._turn():
                         retry_s = FIRST_RETRY_S
             except DeviceError as error:
-                self._set_state(PortState("away", Reason(ReasonCode.PORT_AWAY, str(error))))
+                self._set_state(PortState("away", error.reason))
                 if self._lost_ns is None and self._opened:
                     self._lost_ns = time.monotonic_ns()
             finally:

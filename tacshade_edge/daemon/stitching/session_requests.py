@@ -7,13 +7,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tacshade_edge.daemon.pipeline.ledger import Outcome
+from tacshade_edge.daemon.pipeline.ledger import FrameOutcome
 from tacshade_edge.daemon.pipeline.workers import Sink
 from tacshade_edge.daemon.publishing.map_publisher import MapPublisher
 from tacshade_edge.daemon.requests import Reply
 from tacshade_edge.daemon.stitching.session_worker import SessionWorker
 from tacshade_edge.protocol.messages import Request, encode_status
-from tacshade_edge.reasons import Reason, ReasonCode, text_of
+from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Calibration, Frame, Reconstruction
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ class SessionRequests:
             "missed": session.missed,
             "folder": session.folder,
         }
-        status = encode_status(state, text_of(reason), details)
+        status = encode_status(state, reason, details)
         if status != self._published:
             self._published = status
             self._publish("status/stitching", status)
@@ -99,10 +99,10 @@ class _ObservingSink:
         self._sink = sink
         self._worker = worker
 
-    def asked(self) -> bool:
-        return self._worker.open or self._sink.asked()
+    def needs_depth(self) -> bool:
+        return self._worker.open or self._sink.needs_depth()
 
-    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> Outcome | None:
+    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> FrameOutcome | None:
         outcome = self._sink.deliver(frame, result, calibration)
         if result is not None:
             self._worker.observe(frame, result, calibration)

@@ -219,7 +219,7 @@ class SessionWorker:
             except RefusedError as refused:
                 outcome = refused.reason
             except TacshadeError as error:
-                outcome = Reason(ReasonCode.DEVICE_FAILED, str(error))
+                outcome = error.reason
             self._state = self._current_state()
             job.reply(outcome)
         if self._session is not None:

@@ -50,12 +50,12 @@ export function showState(state, parts, health, connected) {
   line.replaceChildren(element("b", { textContent: state ?? "unknown" }), reasons.length ? ` ${reasons.join("; ")}` : "");
 }
 
-/** One line per `status/<part>`: its state, its reason, then its own details. */
+/** One line per `status/<part>`: its state, its reason, then its own details; codes are for programs. */
 export function showParts(parts) {
   const lines = [...parts].sort().map(([name, { state, reason, ...details }]) => {
     const badge = element("span", { className: "badge", textContent: state });
     badge.dataset.level = levelOf(state);
-    const rest = Object.entries(details).map(([key, value]) => `${key} ${short(value)}`).join(", ");
+    const rest = Object.entries(details).filter(([key]) => !key.endsWith("_code")).map(([key, value]) => `${key} ${short(value)}`).join(", ");
     return element("p", {}, element("b", { textContent: `${name} ` }), badge, reason ? ` ${reason}` : "", rest ? element("small", { textContent: ` ${rest}` }) : "");
   });
   document.getElementById("parts").replaceChildren(...lines);

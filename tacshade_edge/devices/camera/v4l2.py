@@ -25,6 +25,7 @@ import numpy as np
 from tacshade_edge.devices.camera import v4l2_controls, v4l2_node
 from tacshade_edge.devices.camera.frame_gaps import FrameGaps
 from tacshade_edge.errors import ConfigError, DeviceError, TacshadeError
+from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.types import U8, Frame
 
 _log = logging.getLogger(__name__)
@@ -104,7 +105,7 @@ class V4l2Source:
             card = v4l2_node.check_node(self._device)
         except ConfigError as error:
             if self._proven:
-                raise DeviceError(str(error)) from None
+                raise DeviceError(str(error), code=error.code) from None
             raise
         # OpenCV reads this when it first waits; its warnings would double our one line.
         os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", str(_STALL_S))
@@ -112,8 +113,9 @@ class V4l2Source:
         capture = cv2.VideoCapture(self._device, cv2.CAP_V4L2)
         try:
             if not capture.isOpened():
-                why = "in use by another program" if v4l2_node.is_busy(self._device) else "cannot be set up for capture"
-                raise DeviceError(f"camera {self._device}: {why}")
+                if v4l2_node.is_busy(self._device):
+                    raise DeviceError(f"camera {self._device}: in use by another program", code=ReasonCode.IN_USE)
+                raise DeviceError(f"camera {self._device}: cannot be set up for capture")
             self._negotiated = {"card": card, **self._negotiate(capture)}
             self._gaps = FrameGaps()
             self._check_stamps(capture)
@@ -164,25 +166,29 @@ class V4l2Source:
                 f"asked {width_px}x{height_px} {self._fourcc}, got {width_got}x{height_got} {fourcc}"
                 f" (it offers {usable})"
             )
+        exposure, white_balance = self._lock_exposure(capture), v4l2_controls.lock_white_balance(capture)
         return {
             "format": fourcc,
             "width_px": width_got,
             "height_px": height_got,
             "fps_asked": self._fps,
             "fps_stated": round(capture.get(cv2.CAP_PROP_FPS), 2),
-            "exposure": self._lock_exposure(capture),
-            "white_balance": v4l2_controls.lock_white_balance(capture),
+            "exposure": str(exposure),
+            "exposure_lock": exposure.lock,
+            "white_balance": str(white_balance),
+            "white_balance_lock": white_balance.lock,
         }
 
-    def _lock_exposure(self, capture: cv2.VideoCapture) -> str:
-        value, text = v4l2_controls.lock_exposure(capture, self._exposure)
-        if self._exposure is not None and value != self._exposure:
-            got = "the driver has no such control" if value is None else f"got {value:g}"
+    def _lock_exposure(self, capture: cv2.VideoCapture) -> v4l2_controls.Control:
+        control = v4l2_controls.lock_exposure(capture, self._exposure)
+        if self._exposure is not None and control.value != self._exposure:
+            got = "the driver has no such control" if control.value is None else f"got {control.value:g}"
             raise self._refused(f"asked exposure {self._exposure}, {got}")
-        return text
+        return control
 
     def _refused(self, what: str) -> TacshadeError:
-        return (DeviceError if self._proven else ConfigError)(f"camera {self._device}: {what}")
+        error = DeviceError if self._proven else ConfigError
+        return error(f"camera {self._device}: {what}", code=ReasonCode.NOT_OFFERED)
 
     def _check_stamps(self, capture: cv2.VideoCapture) -> None:
         """Grab the first frame and decide whether the driver's time stamps are CLOCK_MONOTONIC."""
@@ -200,8 +206,12 @@ class V4l2Source:
         if not capture.grab():
             waited_s = (time.monotonic_ns() - began_ns) / 1e9
             # A read of a device that is gone fails at once, though OpenCV goes on calling it open.
-            why = "the device is gone or its driver stopped" if waited_s < 0.5 * _STALL_S else "the camera stalls"
-            raise DeviceError(f"camera {self._device}: no frame after {waited_s:.1f} s, {why}")
+            gone = waited_s < 0.5 * _STALL_S
+            why = "the device is gone or its driver stopped" if gone else "the camera stalls"
+            raise DeviceError(
+                f"camera {self._device}: no frame after {waited_s:.1f} s, {why}",
+                code=ReasonCode.LOST if gone else ReasonCode.STALLED,
+            )
 
     def _decoded(self, capture: cv2.VideoCapture, grabbed: bool = False) -> Frame:
         """The next frame that can be decoded; those passed over count as dropped."""
@@ -228,7 +238,8 @@ class V4l2Source:
             self._dropped += 1
         raise DeviceError(
             f"camera {self._device}: {_UNDECODABLE_MAX} frames in a row were no {self._fourcc} of"
-            f" {self._shape[1]}x{self._shape[0]} (the last had {size} bytes)"
+            f" {self._shape[1]}x{self._shape[0]} (the last had {size} bytes)",
+            code=ReasonCode.DECODE,
         )
 
 

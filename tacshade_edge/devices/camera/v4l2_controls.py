@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from enum import StrEnum
 from typing import Protocol
 
 import cv2
 
 _MANUAL_EXPOSURE = 1  # V4L2_EXPOSURE_MANUAL, the value of USB cameras
 _NOT_OFFERED = -1.0  # what OpenCV reads of a control that a driver has not
-_NOT_LOCKED = "automatic, the driver does not lock it"
 
 
 class Properties(Protocol):
@@ -19,32 +20,53 @@ class Properties(Protocol):
     def set(self, propId: int, value: float, /) -> bool: ...
 
 
-def lock_exposure(capture: Properties, exposure: int | None) -> tuple[float | None, str]:
-    """Switch automatic exposure off, then set `exposure` (the driver's unit; None keeps its value).
+class Lock(StrEnum):
+    """Whether a control keeps its value; ``exposure_lock`` and ``white_balance_lock`` in ``status/camera``."""
 
-    Returns
-    -------
+    LOCKED = "locked"
+    AUTOMATIC = "automatic"
+    NO_CONTROL = "no_control"
+
+
+@dataclass(frozen=True, slots=True)
+class Control:
+    """A control as it was read back.
+
+    Attributes
+    ----------
+    lock : Lock
     value : float or None
-        What the driver holds now; None when it has no such control.
-    text : str
-        The same for a person.
+        What the driver holds, in its unit; None when it has no such control, or does not tell.
     """
+
+    lock: Lock
+    value: float | None = None
+
+    def __str__(self) -> str:
+        if self.lock is Lock.NO_CONTROL:
+            return "no control"
+        if self.lock is Lock.LOCKED:
+            return "locked" if self.value is None else f"locked at {self.value:g}"
+        return "automatic, the driver does not lock it" + ("" if self.value is None else f" ({self.value:g})")
+
+
+def lock_exposure(capture: Properties, exposure: int | None) -> Control:
+    """Switch automatic exposure off, then set `exposure` (the driver's unit; None keeps its value)."""
     automatic = _set_if_offered(capture, cv2.CAP_PROP_AUTO_EXPOSURE, _MANUAL_EXPOSURE)
     if exposure is not None:
         capture.set(cv2.CAP_PROP_EXPOSURE, exposure)
     value = capture.get(cv2.CAP_PROP_EXPOSURE)
     if value == _NOT_OFFERED:
-        return None, "no control"
-    locked = automatic in (None, _MANUAL_EXPOSURE)
-    return value, f"locked at {value:g}" if locked else f"{_NOT_LOCKED} ({value:g})"
+        return Control(Lock.NO_CONTROL)
+    return Control(Lock.LOCKED if automatic in (None, _MANUAL_EXPOSURE) else Lock.AUTOMATIC, value)
 
 
-def lock_white_balance(capture: Properties) -> str:
-    """Switch automatic white balance off; return what holds, for a person."""
+def lock_white_balance(capture: Properties) -> Control:
+    """Switch automatic white balance off."""
     automatic = _set_if_offered(capture, cv2.CAP_PROP_AUTO_WB, 0)
     if automatic is None:
-        return "no control"
-    return "locked" if automatic == 0 else _NOT_LOCKED
+        return Control(Lock.NO_CONTROL)
+    return Control(Lock.LOCKED if automatic == 0 else Lock.AUTOMATIC)
 
 
 def _set_if_offered(capture: Properties, control: int, value: int) -> float | None:

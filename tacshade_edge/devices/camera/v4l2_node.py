@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.reasons import ReasonCode
 
 # linux/videodev2.h
 _VIDIOC_QUERYCAP = 0x80685600
@@ -41,12 +42,14 @@ def check_kind(device: str) -> None:
         return
     if not stat.S_ISCHR(status.st_mode):
         kind = "directory" if stat.S_ISDIR(status.st_mode) else "file"
-        raise ConfigError(f"camera {device}: is a {kind}, {_EXPECTED}")
+        raise ConfigError(f"camera {device}: is a {kind}, {_EXPECTED}", code=ReasonCode.WRONG_KIND)
     number = f"{os.major(status.st_rdev)}:{os.minor(status.st_rdev)}"
     subsystem = Path("/sys/dev/char", number, "subsystem")
     # A node without an entry there is one that is being plugged or unplugged: opening it tells.
     if subsystem.exists() and subsystem.resolve().name != "video4linux":
-        raise ConfigError(f"camera {device}: is a device but not a video device, {_EXPECTED}")
+        raise ConfigError(
+            f"camera {device}: is a device but not a video device, {_EXPECTED}", code=ReasonCode.WRONG_KIND
+        )
 
 
 def check_node(device: str) -> str:
@@ -64,11 +67,14 @@ def check_node(device: str) -> str:
         try:
             fcntl.ioctl(fd, _VIDIOC_QUERYCAP, capability)
         except OSError as error:
-            raise DeviceError(f"camera {device}: its driver does not answer ({error.strerror})") from None
+            raise DeviceError(
+                f"camera {device}: its driver does not answer ({error.strerror})", code=ReasonCode.NO_ANSWER
+            ) from None
     if not int.from_bytes(capability[88:92], "little") & _CAPTURE:
         raise DeviceError(
             f"camera {device}: this node of the device does not capture video (output or metadata);"
-            " v4l2-ctl --list-devices shows the others"
+            " v4l2-ctl --list-devices shows the others",
+            code=ReasonCode.WRONG_KIND,
         )
     return capability[16:48].split(b"\0")[0].decode(errors="replace")
 
@@ -181,11 +187,13 @@ def _opened(device: str) -> Iterator[int]:
     try:
         fd = os.open(device, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
     except (FileNotFoundError, NotADirectoryError):
-        raise DeviceError(f"camera {device}: no such device, {_EXPECTED}") from None
+        raise DeviceError(f"camera {device}: no such device, {_EXPECTED}", code=ReasonCode.ABSENT) from None
     except PermissionError:
-        raise DeviceError(f"camera {device}: no permission to open it (is the user in the group video?)") from None
+        raise DeviceError(
+            f"camera {device}: no permission to open it (is the user in the group video?)", code=ReasonCode.PERMISSION
+        ) from None
     except ValueError:
-        raise DeviceError(f"camera {device!r}: not a path, {_EXPECTED}") from None
+        raise DeviceError(f"camera {device!r}: not a path, {_EXPECTED}", code=ReasonCode.ABSENT) from None
     except OSError as error:
         raise DeviceError(f"camera {device}: cannot be opened ({error.strerror})") from None
     try:

@@ -15,6 +15,7 @@ from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.devices.files.frame_table import ERROR_COLUMN, HEADER, TABLE_NAME
 from tacshade_edge.devices.files.whole_files import part, sync, told, write_whole
 from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.types import Calibration, Frame
 
 CALIBRATION_NAME, SETTINGS_NAME, EVENTS_NAME = "calibration.npz", "settings.yaml", "events.jsonl"
@@ -61,11 +62,16 @@ class Recorder:
             free = shutil.disk_usage(folder.parent).free
             if free < free_floor_bytes:
                 found, expected = free // 2**20, free_floor_bytes // 2**20
-                raise DeviceError(f"{folder.parent}: found {found} MiB free on the disk, expected {expected} at least")
+                raise DeviceError(
+                    f"{folder.parent}: found {found} MiB free on the disk, expected {expected} at least",
+                    code=ReasonCode.DISK_FULL,
+                )
             try:
                 folder.mkdir()
             except FileExistsError:
-                raise ConfigError(f"{folder}: found it there already, expected the name of a new folder") from None
+                raise ConfigError(
+                    f"{folder}: found it there already, expected the name of a new folder", code=ReasonCode.NAME_TAKEN
+                ) from None
 
     def begin(self, settings_yaml: str, calibration: Calibration) -> None:
         """Write what a replay needs beside the frames."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from tacshade_edge.reasons import code_of, text_of
+from tacshade_edge.reasons import reason_fields
 from tacshade_edge.types import Reconstruction
 
 
@@ -13,12 +13,10 @@ def summary(result: Reconstruction) -> dict[str, Any]:
     return {
         "profile": result.profile,
         "valid": result.valid,
-        "reason": text_of(result.reason),
-        "reason_code": code_of(result.reason),
+        **reason_fields(result.reason),
         "contact": result.contact,
         "saturated": result.saturated,
-        "degraded": text_of(result.degraded),
-        "degraded_code": code_of(result.degraded),
+        **reason_fields(result.degraded, "degraded"),
         "depth_max_mm": round(result.depth_max_mm, 4),
         "volume_mm3": round(result.volume_mm3, 4),
         "repaired_px": result.repaired_px,

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from tacshade_edge.errors import DeviceError
+from tacshade_edge.reasons import ReasonCode
 
 
 @contextlib.contextmanager
@@ -17,7 +18,7 @@ def told(folder: Path) -> Iterator[None]:
         yield
     except OSError as error:
         where = error.filename or folder
-        raise DeviceError(f"{where}: cannot be written: {error.strerror or error}") from None
+        raise DeviceError(f"{where}: cannot be written: {error.strerror or error}", code=ReasonCode.DISK) from None
 
 
 def part(path: Path) -> Path:

@@ -11,10 +11,11 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from paho.mqtt.client import Client, MQTTMessage
-from paho.mqtt.reasoncodes import ReasonCode
+from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 
 from tacshade_edge.devices.mqtt.client import BrokerAddress, connect, make_client
 from tacshade_edge.errors import DeviceError
+from tacshade_edge.reasons import Reason, ReasonCode
 
 CONNECT_S = 5.0
 
@@ -44,7 +45,7 @@ class MqttCaller:
         self._address = broker["host"], broker["port"]
         self._changed = threading.Condition()
         self._ready = False
-        self._refused = ""
+        self._failure: Reason | None = None
         self._latest: dict[str, bytes] = {}
         self._replies: dict[str, dict[str, Any]] = {}
         self._client = make_client(
@@ -63,9 +64,10 @@ class MqttCaller:
     def start(self) -> None:
         """Connect. Raises DeviceError when there is no broker that lets us in."""
         connect(self._client, *self._address)
-        if not self.wait_for(lambda: self._ready or bool(self._refused), CONNECT_S) or not self._ready:
-            reason = self._refused or f"no answer within {CONNECT_S:.0f} s"
-            raise DeviceError(f"{self._where}: {reason}; expected a broker")
+        self.wait_for(lambda: self._ready or self._failure is not None, CONNECT_S)
+        if not self._ready:
+            reason = self._failure or Reason(ReasonCode.NO_ANSWER, f"no answer within {CONNECT_S:.0f} s")
+            raise DeviceError(f"{self._where}: {reason}; expected a broker", code=reason.code)
 
     def ask(self, body: Mapping[str, object], timeout_s: float) -> dict[str, Any]:
         """The result of a request.
@@ -80,7 +82,7 @@ class MqttCaller:
         self._client.publish(f"{self._base}/req/{self._verb}", payload, qos=1)
         if not self.wait_for(lambda: transaction in self._replies, timeout_s):
             found = f"{self._where}: no answer from sensor {self._sensor_id} within {timeout_s:.0f} s"
-            raise DeviceError(f"{found}, expected a running daemon")
+            raise DeviceError(f"{found}, expected a running daemon", code=ReasonCode.NO_ANSWER)
         reply = self._replies[transaction]
         if reply.get("ok") is not True:
             raise DeviceError(str(reply.get("error")))
@@ -107,25 +109,28 @@ class MqttCaller:
 
     # -- called by paho, in its thread ----------------------------------------------------------------------------
 
-    def _note(self, refused: str) -> None:
+    def _set_failure(self, code: ReasonCode, text: str) -> None:
         with self._changed:
-            self._refused = refused
+            self._failure = Reason(code, text)
             self._changed.notify_all()
 
-    def _on_connect(self, client: Client, _userdata: Any, _flags: Any, code: ReasonCode, _properties: Any) -> None:
+    def _on_connect(self, client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
         if code.is_failure:
-            self._note(f"refused: {code}")
+            self._set_failure(ReasonCode.REFUSED, f"refused: {code}")
         else:
             client.subscribe([(topic, 1) for topic in self._topics])
 
     def _on_connect_fail(self, _client: Client, _userdata: Any) -> None:
         error = sys.exception()  # paho calls this while it handles the error, and does not pass it on
-        self._note(str(getattr(error, "strerror", None) or error or "no connection"))
+        text = str(getattr(error, "strerror", None) or error or "no connection")
+        self._set_failure(ReasonCode.UNREACHABLE, text)
 
-    def _on_subscribe(self, _client: Client, _userdata: Any, _mid: int, codes: list[ReasonCode], _p: Any) -> None:
-        refused = next((str(code) for code in codes if code.is_failure), "")
+    def _on_subscribe(self, _client: Client, _userdata: Any, _mid: int, codes: list[MqttCode], _p: Any) -> None:
+        if refused := next((code for code in codes if code.is_failure), None):
+            self._set_failure(ReasonCode.REFUSED, f"subscription refused: {refused}")
+            return
         with self._changed:
-            self._ready, self._refused = not refused, refused and f"subscription refused: {refused}"
+            self._ready, self._failure = True, None
             self._changed.notify_all()
 
     def _on_message(self, _client: Client, _userdata: Any, message: MQTTMessage) -> None:

@@ -20,14 +20,14 @@ from typing import Any, Final, Literal
 
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import MQTTErrorCode
-from paho.mqtt.reasoncodes import ReasonCode
+from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
-from tacshade_edge import reasons
 from tacshade_edge.devices.mqtt.client import connect, make_client, publish_properties
-from tacshade_edge.devices.mqtt.outlet import Item, Outcome, Outlet
+from tacshade_edge.devices.mqtt.outlet import Item, Outlet, PayloadOutcome
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol.messages import Request, encode_error, parse_request, parse_transaction
+from tacshade_edge.reasons import Reason, ReasonCode
 
 _log = logging.getLogger(__name__)
 
@@ -83,7 +83,7 @@ class MqttLink:
         password: str | None = None,
         tls_ca: str | None = None,
         on_request: Callable[[Request], None],
-        on_outcome: Callable[[str, int, Outcome], None],
+        on_outcome: Callable[[str, int, PayloadOutcome], None],
     ) -> None:
         self._where = f"{host}:{port}"
         self._host, self._port, self._base = host, port, base_topic
@@ -91,7 +91,7 @@ class MqttLink:
         self._lock = threading.Lock()
         self._changed = threading.Condition(self._lock)
         self._connected, self._refused, self._stopping = False, False, False
-        self._reason = f"{self._where}: not started"
+        self._reason: Reason | None = self._with_address(ReasonCode.STARTING, "not started")
         self._epoch = 0  # counts lost connections: what was handed over in an older one is settled already
         self._outlets: dict[str, Outlet] = {}
         self._by_mid: dict[int, tuple[Outlet, Item, int] | None] = {}  # with its QoS; None: a reply
@@ -122,8 +122,8 @@ class MqttLink:
         return self._connected
 
     @property
-    def reason(self) -> str:
-        """Why not connected, in one line; empty when connected."""
+    def reason(self) -> Reason | None:
+        """Why not connected; None when connected."""
         return self._reason
 
     def counters(self) -> dict[str, int]:
@@ -133,7 +133,7 @@ class MqttLink:
 
     def start(self) -> None:
         """Begin to connect, and go on for ever; an absent broker is no error. Call once."""
-        self._note(f"{self._where}: connecting")
+        self._set_reason(self._with_address(ReasonCode.STARTING, "connecting"))
         connect(self._client, self._host, self._port)
 
     def stop(self, timeout_s: float) -> None:
@@ -159,7 +159,7 @@ class MqttLink:
             self._changed.wait_for(lambda: not self._connected, begin + 0.8 * timeout_s - time.monotonic())
         self._end_thread(begin + timeout_s)
         with self._lock:
-            left = self._lose("") + [(o.topic, i) for o in streams for i in o.drain()]
+            left = self._lose(None) + [(o.topic, i) for o in streams for i in o.drain()]
         self._settle("failed", left)
 
     def set_retained(self, topic: str, payload: bytes, *, qos: Literal[0, 1] = 1) -> None:
@@ -169,20 +169,20 @@ class MqttLink:
             outlet.put(Item(payload, 0))
         self._pump(outlet)
 
-    def wanted(self, stream: str) -> bool:
-        """Whether a payload of a stream may have a listener: False while the broker's latest answer was that none has.
+    def has_listener(self, stream: str) -> bool:
+        """Whether a stream may have a subscriber: False while the broker's latest answer was that it has none.
 
         True once a second all the same, so that the next payload asks again; and with a broker that is away, or that
         never says so (MQTT 5 leaves it to the broker).
         """
         with self._lock:
             outlet = self._outlets.get(stream)
-            return outlet is None or not outlet.unheard or outlet.probe_due(time.monotonic_ns())
+            return outlet is None or not outlet.no_listener or outlet.probe_due(time.monotonic_ns())
 
     def offer(self, stream: str, payload: bytes, seq: int) -> None:
         """Send a payload of a stream (not retained) once the peer takes it, unless a newer one comes first.
 
-        With QoS 0, but one payload a second with QoS 1: its answer tells whether anyone listens (`wanted`).
+        With QoS 0, but one payload a second with QoS 1: its answer tells whether anyone listens (`has_listener`).
 
         Its one outcome: ``published`` (handed to the operating system), ``superseded`` (a newer one displaced it),
         or ``failed`` (displaced or lost while the broker was away). While the broker is away the newest is kept,
@@ -192,7 +192,7 @@ class MqttLink:
             outlet = self._outlet(stream, 0, False)
             item = Item(payload, seq)
             displaced = item if self._stopping else outlet.put(item)
-            outcome: Outcome = "superseded" if self._connected and not self._stopping else "failed"
+            outcome: PayloadOutcome = "superseded" if self._connected and not self._stopping else "failed"
         if displaced is not None:
             self._settle(outcome, [(stream, displaced)])
         self._pump(outlet)
@@ -224,7 +224,7 @@ class MqttLink:
             info = self._client.publish(
                 f"{self._base}/{outlet.topic}", item.payload, qos, outlet.retain, outlet.properties
             )
-            settled: tuple[Outcome, Item] | None = None
+            settled: tuple[PayloadOutcome, Item] | None = None
             with self._lock:
                 outlet.busy = False
                 if epoch != self._epoch:
@@ -265,21 +265,21 @@ class MqttLink:
         """Paho has sent an item (QoS 0), or the broker has answered it with a reason code. Lock held."""
         outlet.done(item)
         if qos == 1:
-            outlet.unheard = code == _NO_LISTENER
+            outlet.no_listener = code == _NO_LISTENER
         self._changed.notify_all()
 
-    def _settle(self, outcome: Outcome, items: list[tuple[str, Item]]) -> None:
+    def _settle(self, outcome: PayloadOutcome, items: list[tuple[str, Item]]) -> None:
         """Tell the outcome of stream items. Lock not held."""
         with self._lock:
             self._counters[outcome] += len(items)
         for stream, item in items:
             self._on_outcome(stream, item.seq, outcome)
 
-    def _lose(self, reason: str) -> list[tuple[str, Item]]:
+    def _lose(self, reason: Reason | None) -> list[tuple[str, Item]]:
         """Forget the connection; what failed with it. Lock held."""
         self._counters["losses"] += self._connected and not self._stopping
         self._connected = False
-        self._note(f"{self._where}: stopped" if self._stopping else reason)
+        self._set_reason(self._with_address(ReasonCode.STOPPED, "stopped") if self._stopping else reason)
         self._epoch += 1
         self._by_mid.clear()
         self._early.clear()
@@ -287,7 +287,10 @@ class MqttLink:
         self._changed.notify_all()
         return [(o.topic, item) for o in self._outlets.values() for item in o.give_back()]
 
-    def _note(self, reason: str) -> None:
+    def _with_address(self, code: ReasonCode, text: str) -> Reason:
+        return Reason(code, f"{self._where}: {text}")
+
+    def _set_reason(self, reason: Reason | None) -> None:
         """Keep why we are not connected; a change is logged, a repetition is not."""
         if reason != self._reason:
             self._reason = reason
@@ -309,20 +312,20 @@ class MqttLink:
     def _on_pre_connect(self, _client: Client, _userdata: Any) -> None:
         self._thread, self._refused = threading.current_thread(), False
         if self._connected:  # paho can lose a connection without on_disconnect
-            self._drop(f"{self._where}: connection lost")
+            self._drop(self._with_address(ReasonCode.LOST, "connection lost"))
 
-    def _on_connect(self, client: Client, _userdata: Any, _flags: Any, code: ReasonCode, _properties: Any) -> None:
+    def _on_connect(self, client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
         if code.is_failure:
             with self._lock:
                 self._refused = True
-                self._note(f"{self._where}: refused: {code}")
+                self._set_reason(self._with_address(ReasonCode.REFUSED, f"refused: {code}"))
             return
         client.drop_out_messages()  # or paho would send old retained values after the new ones
         client.subscribe(f"{self._base}/req/+", options=SubscribeOptions(1, noLocal=True, retainHandling=2))
         with self._lock:
             self._connected = not self._stopping
             self._counters["connects"] += 1
-            self._note("")
+            self._set_reason(None)
             outlets = sorted(self._outlets.values(), key=lambda o: not o.retain)
         for outlet in outlets:
             self._pump(outlet)
@@ -331,22 +334,24 @@ class MqttLink:
 
     def _on_connect_fail(self, _client: Client, _userdata: Any) -> None:
         error = sys.exception()  # paho calls this while it handles the error, and does not pass it on
+        text = str(getattr(error, "strerror", None) or error or "no connection")
         with self._lock:
-            self._note(f"{self._where}: {getattr(error, 'strerror', None) or error or 'no connection'}")
+            self._set_reason(self._with_address(ReasonCode.UNREACHABLE, text))
 
-    def _on_disconnect(self, _client: Client, _userdata: Any, _flags: Any, code: ReasonCode, _properties: Any) -> None:
+    def _on_disconnect(self, _client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
         if self._connected:
-            self._drop(f"{self._where}: connection lost ({code})")
+            self._drop(self._with_address(ReasonCode.LOST, f"connection lost ({code})"))
         elif not self._refused and not self._stopping:  # else that reason stays, and our own end is none
+            text = f"accepts connections but does not answer as an MQTT 5 broker ({code})"
             with self._lock:
-                self._note(f"{self._where}: accepts connections but does not answer as an MQTT 5 broker ({code})")
+                self._set_reason(self._with_address(ReasonCode.NO_ANSWER, text))
 
-    def _drop(self, reason: str) -> None:
+    def _drop(self, reason: Reason) -> None:
         with self._lock:
             failed = self._lose(reason)
         self._settle("failed", failed)
 
-    def _on_publish(self, _client: Client, _userdata: Any, mid: int, code: ReasonCode, _properties: Any) -> None:
+    def _on_publish(self, _client: Client, _userdata: Any, mid: int, code: MqttCode, _properties: Any) -> None:
         with self._lock:
             if code.is_failure:
                 self._counters["refused"] += 1
@@ -375,8 +380,7 @@ class MqttLink:
         except DecodeError as error:
             with self._lock:
                 self._counters["bad_requests"] += 1
-            refusal = reasons.Reason(reasons.ReasonCode.BAD_REQUEST, str(error))
-            answer = encode_error(parse_transaction(payload), refusal)
+            answer = encode_error(parse_transaction(payload), error.reason)
             self._answer(response_topic or f"{self._base}/res/{verb}", answer, correlation)
             return
         with self._lock:

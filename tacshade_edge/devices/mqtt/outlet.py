@@ -10,7 +10,7 @@ from typing import Literal
 
 from paho.mqtt.properties import Properties
 
-Outcome = Literal["published", "superseded", "failed"]
+PayloadOutcome = Literal["published", "superseded", "failed"]
 
 PROBE_PERIOD_NS = 1_000_000_000
 """So often a message of a stream asks whether anyone listens; a new subscriber is noticed as soon."""
@@ -45,7 +45,7 @@ class Outlet:
         A thread is between `take` and the end of its publish; only it may take next, which keeps the order.
     probed_ns : int or None
         When the latest message that asks for its listeners was sent, CLOCK_MONOTONIC; None for none.
-    unheard : bool
+    no_listener : bool
         The broker's answer to it was that there are none.
     """
 
@@ -58,7 +58,7 @@ class Outlet:
     handed: list[Item] = field(default_factory=list)
     busy: bool = False
     probed_ns: int | None = None
-    unheard: bool = False
+    no_listener: bool = False
     _newest: Item | None = None
 
     @property
@@ -74,7 +74,7 @@ class Outlet:
         """QoS of the message that is sent now: 1 where it asks. Until the answer comes there may be listeners."""
         if self.retain or not self.probe_due(now_ns):
             return self.qos
-        self.probed_ns, self.unheard = now_ns, False
+        self.probed_ns, self.no_listener = now_ns, False
         return 1
 
     def put(self, item: Item) -> Item | None:
@@ -105,7 +105,7 @@ class Outlet:
     def give_back(self) -> list[Item]:
         """Paho holds nothing any more. The newest item waits again unless a newer one does; the others have failed."""
         lost, self.handed = self.handed, []
-        self.probed_ns, self.unheard = None, False
+        self.probed_ns, self.no_listener = None, False
         if self.retain:
             self.waiting = self._newest
             return []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import stat
 import termios
 import threading
@@ -11,10 +12,19 @@ from pathlib import Path
 import serial
 
 from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.reasons import ReasonCode
 
 READ_S = 0.05
 WRITE_S = 0.1
 _CHUNK = 4096
+_NO_DATA = "readiness to read but returned no data"  # of pyserial, without a number
+_CAUSES = {
+    errno.ENOENT: (ReasonCode.ABSENT, "no such device"),
+    errno.EAGAIN: (ReasonCode.IN_USE, "in use by another program"),
+    errno.EACCES: (ReasonCode.PERMISSION, "no permission"),
+    errno.EIO: (ReasonCode.LOST, "unplugged"),
+    errno.ENXIO: (ReasonCode.LOST, "unplugged"),
+}
 
 
 class SerialPort:
@@ -51,7 +61,7 @@ class SerialPort:
             check_kind(self.device)
         except ConfigError as error:
             if self._proven:  # it worked before: it is the place under /dev that changed, and may change back
-                raise DeviceError(str(error)) from None
+                raise DeviceError(str(error), code=error.code) from None
             raise
         try:
             port = serial.serial_for_url(self.device, do_not_open=True)
@@ -62,7 +72,7 @@ class SerialPort:
         except ValueError as error:  # of pyserial: a rate that this port does not know
             raise ConfigError(f"serial {self.device}: {error}, expected a rate that the port can have") from None
         except (OSError, termios.error) as error:
-            raise DeviceError(f"serial {self.device}: {_why(error)}") from error
+            raise self._failed(error) from error
         self._port, self._proven = port, True
         self._low_latency = _set_low_latency(port)
 
@@ -73,7 +83,7 @@ class SerialPort:
             first = bytes(port.read(1))
             return first + bytes(port.read(min(port.in_waiting, _CHUNK))) if first else first
         except (OSError, termios.error) as error:
-            raise DeviceError(f"serial {self.device}: {_why(error)}") from error
+            raise self._failed(error) from error
 
     def write(self, data: bytes) -> bool:
         """Give bytes to the port; False when it took not all within `WRITE_S`: nobody reads at the other end."""
@@ -83,7 +93,7 @@ class SerialPort:
         except serial.SerialTimeoutException:
             return False
         except (OSError, termios.error) as error:
-            raise DeviceError(f"serial {self.device}: {_why(error)}") from error
+            raise self._failed(error) from error
         return True
 
     def wake(self) -> None:
@@ -110,6 +120,14 @@ class SerialPort:
             details["latency_ms"] = int(timer.read_text())
         return details
 
+    def _failed(self, error: BaseException) -> DeviceError:
+        """On one line, and in the place of pyserial's words ours where the cause is known."""
+        number = error.errno if isinstance(error, OSError) else None
+        code, text = _CAUSES.get(number or 0, (ReasonCode.DEVICE, " ".join(str(error).split())))
+        if code is ReasonCode.DEVICE and _NO_DATA in text:
+            code, text = ReasonCode.LOST, "unplugged, or a second program reads from it"
+        return DeviceError(f"serial {self.device}: {text}", code=code)
+
     def _opened(self) -> serial.Serial:
         if self._port is None:
             raise DeviceError(f"serial {self.device}: is not open")
@@ -124,7 +142,8 @@ def check_kind(device: str) -> None:
         except ValueError as error:
             raise ConfigError(f"serial {device}: {error}, expected a device or a pyserial URL") from None
     elif (path := Path(device)).exists() and not stat.S_ISCHR(path.stat().st_mode):
-        raise ConfigError(f"serial {device}: found no character device, expected a serial port")
+        found = "found no character device, expected a serial port"
+        raise ConfigError(f"serial {device}: {found}", code=ReasonCode.WRONG_KIND)
 
 
 def _set_low_latency(port: serial.Serial) -> str:
@@ -133,16 +152,3 @@ def _set_low_latency(port: serial.Serial) -> str:
     except (AttributeError, NotImplementedError, ValueError):
         return ""  # a port without the setting: USB CDC, a pty, a URL
     return "yes"
-
-
-def _why(error: BaseException) -> str:
-    """The words of pyserial on one line, without what is said already."""
-    if isinstance(error, OSError) and error.errno is not None and error.errno in _WHY:
-        return _WHY[error.errno]
-    text = " ".join(str(error).split())
-    if "readiness to read but returned no data" in text:
-        return "unplugged, or a second program reads from it"
-    return text
-
-
-_WHY = {2: "no such device", 11: "in use by another program", 13: "no permission", 5: "unplugged", 6: "unplugged"}

@@ -67,8 +67,7 @@ def read_presses(
         try:
             image = read_image(one.path)
         except DecodeError as error:
-            unreadable = Reason(ReasonCode.IMAGE_UNREADABLE, str(error))
-            presses.append(Press(one.path.name, one.where, base_T_sensor, NO_POINTS, unreadable, failed=True))
+            presses.append(Press(one.path.name, one.where, base_T_sensor, NO_POINTS, error.reason, failed=True))
             continue
         result = reconstructor.step(Frame(seq=k, t_ns=0, wall_ns=0, image=image))
         points = press_points(result.height, calibration.geometry) if result.contact else NO_POINTS
@@ -90,8 +89,7 @@ def read_recording(calibration: Calibration, profile: Profile, recording: Record
         try:
             recorded = recording.read()
         except DecodeError as error:
-            unreadable = Reason(ReasonCode.IMAGE_UNREADABLE, str(error))
-            presses.append(Press("", where, flange_T_sensor, NO_POINTS, unreadable, failed=True))
+            presses.append(Press("", where, flange_T_sensor, NO_POINTS, error.reason, failed=True))
             continue
         if recorded is None:
             return presses

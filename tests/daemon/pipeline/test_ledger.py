@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tacshade_edge.daemon.pipeline.ledger import WINDOW_FRAMES, FrameLedger, Outcome, Timings
+from tacshade_edge.daemon.pipeline.ledger import WINDOW_FRAMES, FrameLedger, FrameOutcome, Timings
 
-OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
+OUTCOMES: tuple[FrameOutcome, ...] = get_args(FrameOutcome)
 
 
 @given(st.lists(st.sampled_from([*OUTCOMES, None, "undecodable"]), max_size=40))
-def test_captured_is_the_sum_of_the_outcomes_and_of_what_is_pending(ends: list[Outcome | str | None]) -> None:
+def test_captured_is_the_sum_of_the_outcomes_and_of_what_is_pending(ends: list[FrameOutcome | str | None]) -> None:
     ledger = FrameLedger()
     for seq, end in enumerate(ends):
         if end == "undecodable":

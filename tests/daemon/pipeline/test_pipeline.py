@@ -8,7 +8,7 @@ import pytest
 from support.patience import stretched
 
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.daemon.pipeline.ledger import FrameLedger, Outcome
+from tacshade_edge.daemon.pipeline.ledger import FrameLedger, FrameOutcome
 from tacshade_edge.daemon.pipeline.pipeline import Crash, Pipeline, crashes_to
 from tacshade_edge.daemon.pipeline.workers import SourceState
 from tacshade_edge.devices.weights.network import make_reconstructor
@@ -17,10 +17,10 @@ from tacshade_edge.types import Calibration, Frame, Reconstruction
 
 
 class Published:
-    def asked(self) -> bool:
+    def needs_depth(self) -> bool:
         return True
 
-    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> Outcome | None:
+    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> FrameOutcome | None:
         return "published"
 
 
@@ -74,7 +74,7 @@ def test_a_defect_in_a_step_is_reported(calibration: Calibration, scripted: Any,
     crashes: list[Crash] = []
 
     class Broken(Published):
-        def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> Outcome | None:
+        def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> FrameOutcome | None:
             raise ZeroDivisionError("a defect")
 
     with crashes_to(crashes.append):

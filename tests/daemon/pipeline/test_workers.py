@@ -9,29 +9,30 @@ from support.patience import patience
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.daemon.pipeline.ledger import FrameLedger, Outcome, Timings
+from tacshade_edge.daemon.pipeline.ledger import FrameLedger, FrameOutcome, Timings
 from tacshade_edge.daemon.pipeline.mailbox import Mailbox
 from tacshade_edge.daemon.pipeline.workers import Grab, Reconstruct, SourceState
 from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
+from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Calibration, Frame, Reconstruction
 
 GONE = DeviceError("camera /dev/video9: gone")
 
 
 class Rig:
-    """A grab worker on a scripted source, and what it told."""
+    """A grab worker on a scripted source, and what it reported."""
 
     def __init__(self, source: Any) -> None:
         self.mailbox: Mailbox[Frame] = Mailbox()
         self.ledger = FrameLedger()
-        self.told: list[SourceState] = []
+        self.reported: list[SourceState] = []
         self.source = source
-        self.grab = Grab(source, self.mailbox, self.ledger, self.told.append)
+        self.grab = Grab(source, self.mailbox, self.ledger, self.reported.append)
         self.thread = threading.Thread(target=self.grab.run)
 
     def states(self) -> list[tuple[str, str]]:
-        return [(t.state, t.reason) for t in self.told]
+        return [(state.state, str(state.reason or "")) for state in self.reported]
 
 
 @pytest.fixture
@@ -55,7 +56,7 @@ def test_a_finite_source_is_read_to_its_end(rig: Any, scripted: Any, pictures: A
     r = rig(scripted([pictures.free, pictures.free, DecodeError("torn.png: cut"), pictures.free, None]))
     r.thread.join(patience(10))
     assert r.states() == [("streaming", ""), ("ended", "")]
-    assert r.told[0].details == {"script": "test"}
+    assert r.reported[0].details == {"script": "test"}
     counts = r.ledger.counts()
     assert (counts.captured, counts.failed, counts.superseded, counts.pending) == (4, 1, 2, 1)
     newest = r.mailbox.take()
@@ -67,6 +68,7 @@ def test_a_source_that_begins_with_what_is_no_image_says_so_once(rig: Any, scrip
     r = rig(scripted([DecodeError("0.png: cut"), DecodeError("1.png: cut"), pictures.free, DecodeError("3.png"), None]))
     r.thread.join(patience(10))
     assert r.states() == [("away", "0.png: cut"), ("streaming", ""), ("ended", "")]
+    assert r.reported[0].reason == Reason(ReasonCode.DECODE, "0.png: cut")
     assert r.ledger.counts().failed == 3
 
 
@@ -74,7 +76,7 @@ def test_a_lost_source_is_opened_again_and_each_state_is_told_once(
     rig: Any, scripted: Any, pictures: Any, wait_until: Any
 ) -> None:
     free = pictures.free
-    other = DeviceError("camera /dev/video9: busy")
+    other = DeviceError("camera /dev/video9: busy", code=ReasonCode.IN_USE)
     r = rig(scripted([free, GONE], GONE, GONE, other, [free, free, None]))
     wait_until(lambda: ("ended", "") in r.states())
     assert r.states() == [
@@ -84,6 +86,7 @@ def test_a_lost_source_is_opened_again_and_each_state_is_told_once(
         ("streaming", ""),
         ("ended", ""),
     ]
+    assert [state.reason and state.reason.code for state in r.reported[1:3]] == [ReasonCode.DEVICE, ReasonCode.IN_USE]
     assert r.ledger.counts().captured == 3
 
 
@@ -122,10 +125,10 @@ class Collected:
         self.asks = asks
         self.results: list[Reconstruction] = []
 
-    def asked(self) -> bool:
+    def needs_depth(self) -> bool:
         return self.asks
 
-    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> Outcome | None:
+    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> FrameOutcome | None:
         if result is None:
             return "unasked"
         assert frame.seq == result.seq

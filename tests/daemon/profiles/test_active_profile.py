@@ -141,7 +141,7 @@ def test_a_budget_that_the_fastest_does_not_keep_is_told_once(
     daemon.fall()
 
     def warnings() -> list[str]:
-        daemon.active.tell_late()
+        daemon.active.log_late()
         return [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
 
     assert warnings() == []

@@ -19,6 +19,7 @@ from tacshade_edge.daemon.profiles.profile_chooser import (
     ProfileChooser,
     Step,
 )
+from tacshade_edge.reasons import Reason, ReasonCode
 
 COSTS_MS = {"accurate": 10.0, "balanced": 5.0, "fast": 2.0}
 WAIT_MS, FPS = 3.0, 30.0
@@ -72,14 +73,16 @@ def test_a_load_steps_down_quickly_and_its_end_steps_up_again() -> None:
     machine.run(5, load=2.2)
     assert machine.path() == ["balanced"]  # 25 ms became 14
     assert machine.steps[0][0] - 10 <= (LATE_FRAMES + 2) / FPS
-    assert machine.steps[0][1].reason == "7 of the latest 60 frames in contact took over 20 ms"
+    text = "7 of the latest 60 frames in contact took over 20 ms"
+    assert machine.steps[0][1].reason == Reason(ReasonCode.OVER_BUDGET, text)
     machine.run(5, load=3.5)
     assert machine.path() == ["balanced", "fast"]  # 20.5 ms became 10
     machine.run(120, load=3.5)
     assert machine.path() == ["balanced", "fast"]  # nothing better is expected to keep it, so nothing is tried
     machine.run(3 * PATIENCE_S)
     assert machine.path() == ["balanced", "fast", "balanced", "accurate"]
-    assert machine.steps[3][1].reason == "90 % of 60 frames took up to 8.0 ms, expected now 13.0 ms"
+    text = "90 % of 60 frames took up to 8.0 ms, expected now 13.0 ms"
+    assert machine.steps[3][1].reason == Reason(ReasonCode.WITHIN_BUDGET, text)
 
 
 def test_a_budget_that_nothing_keeps_ends_at_the_cheapest_and_says_so() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tacshade_edge.daemon.pipeline.ledger import FrameLedger, Outcome, Timings
+from tacshade_edge.daemon.pipeline.ledger import FrameLedger, FrameOutcome, Timings
 from tacshade_edge.daemon.publishing.health import Health
 from tacshade_edge.protocol.messages import encode_health
 
@@ -17,7 +17,7 @@ DOCUMENT = Path(__file__).parents[3] / "docs" / "mqtt.md"
 def test_rates_are_between_two_snapshots() -> None:
     ledger = FrameLedger()
     health = Health(ledger, Timings())
-    ends: list[Outcome] = ["published", "published", "without_contact", "unasked", "invalid"]
+    ends: list[FrameOutcome] = ["published", "published", "without_contact", "unasked", "invalid"]
     for seq, end in enumerate(ends):
         ledger.captured(seq)
         ledger.settle(seq, end)
@@ -54,7 +54,7 @@ def test_captured_is_the_sum_of_the_others_in_every_snapshot(steps: list[int]) -
     ledger = FrameLedger()
     health = Health(ledger, Timings())
     waiting: list[int] = []
-    ends: list[Outcome] = ["published", "superseded", "failed"]
+    ends: list[FrameOutcome] = ["published", "superseded", "failed"]
     for seq, step in enumerate(steps):
         if step < 3 and waiting:
             ledger.settle(waiting.pop(), ends[step])

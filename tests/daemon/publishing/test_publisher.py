@@ -32,7 +32,7 @@ class Played:
         self.outcomes = []
         for seq, image in enumerate(images):
             frame = Frame(seq, seq * PERIOD_NS, 0, image)
-            result = reconstructor.step(frame) if publisher.asked() else reconstructor.glance(frame)
+            result = reconstructor.step(frame) if publisher.needs_depth() else reconstructor.glance(frame)
             self.outcomes.append(publisher.deliver(frame, result, calibration))
         self.latest = publisher.latest
 

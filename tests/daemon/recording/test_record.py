@@ -19,10 +19,11 @@ from tacshade_edge.daemon.pipeline.ledger import FrameLedger
 from tacshade_edge.daemon.pipeline.mailbox import Mailbox
 from tacshade_edge.daemon.pipeline.workers import Grab
 from tacshade_edge.daemon.recording import record
-from tacshade_edge.daemon.recording.record import LiveRecorder, Recorded, RecordingEnded
+from tacshade_edge.daemon.recording.record import STOPPED, TIME, LiveRecorder, Recorded, RecordingEnded
 from tacshade_edge.devices.files.frame_table import read_table
 from tacshade_edge.devices.files.recording import Recording
 from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Calibration, Frame
 
 
@@ -31,8 +32,8 @@ class Live:
 
     def __init__(self, calibration: Calibration, folder: Path) -> None:
         self.grab = Grab(None, Mailbox[Frame](), FrameLedger(), lambda _: None)  # type: ignore[arg-type]
-        self.told: list[RecordingEnded] = []
-        self.recorder = LiveRecorder(self.grab, self.told.append)
+        self.reports: list[RecordingEnded] = []
+        self.recorder = LiveRecorder(self.grab, self.reports.append)
         self.folder = folder / "recs" / "one"
         self._calibration = calibration
 
@@ -77,10 +78,10 @@ def test_what_was_captured_between_start_and_end_is_there(live: Live) -> None:
     live.start()
     live.give(*frames(5, 1))
     live.recorder.event("source", state="away")
-    live.recorder.end("stopped")
+    live.recorder.end(STOPPED)
     live.give(*frames(1, 6))
     recorded = live.ended()
-    assert (recorded.frames, recorded.dropped, recorded.ending, recorded.failed) == (5, 0, "stopped", False)
+    assert (recorded.frames, recorded.dropped, recorded.ending, recorded.failed) == (5, 0, STOPPED, False)
     rows = read_table(live.folder / "frames.csv")
     assert [row.t_ns for row in rows] == [1001, 1002, 1003, 1004, 1005]
     assert recorded.bytes == sum((live.folder / row.image).stat().st_size for row in rows)
@@ -94,10 +95,10 @@ def test_what_was_captured_between_start_and_end_is_there(live: Live) -> None:
     about = live.about()
     assert (about["ending"], about["first_t_ns"], about["first_wall_ns"], about["version"]) == ("stopped", 1001, 6, "1")
     assert live.recorder.counts() == {"written": 5, "dropped": 0, "waiting": 0}
-    assert live.told == [RecordingEnded()]
+    assert live.reports == [RecordingEnded()]
     live.give(*frames(1))
     live.recorder.event("late")
-    live.recorder.end("late")
+    live.recorder.end(STOPPED)
     assert live.recorder.poll() is None
 
 
@@ -105,7 +106,7 @@ def test_the_time_ends_it_and_a_later_frame_is_not_in_it(live: Live) -> None:
     live.start(0.05)
     live.give(*frames(2), Frame(2, 2**61, 0, FREE))
     recorded = live.ended()
-    assert (recorded.frames, recorded.ending) == (2, "time")
+    assert (recorded.frames, recorded.ending) == (2, TIME)
 
 
 def test_a_disk_that_is_too_slow_loses_frames_and_counts_them(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -126,7 +127,7 @@ def test_a_disk_that_is_too_slow_loses_frames_and_counts_them(live: Live, monkey
     assert live.recorder.counts() == {"written": 0, "dropped": 4, "waiting": 3}
     live.recorder.event("still there")
     go_on.set()
-    live.recorder.end("stopped")
+    live.recorder.end(STOPPED)
     recorded = live.ended()
     assert (recorded.frames, recorded.dropped) == (4, 4)
     assert live.about()["dropped"] == 4
@@ -142,7 +143,7 @@ def test_another_reference_ends_it_another_profile_does_not(live: Live, calibrat
     live.give(*frames(2, 4))
     recorded = live.ended()
     assert (recorded.frames, recorded.failed) == (4, True)
-    assert recorded.ending == "another reference or calibration came into use"
+    assert str(recorded.ending) == "another reference or calibration came into use"
     events = [json.loads(line) for line in (live.folder / "events.jsonl").read_text().splitlines()]
     assert [event["data"]["calibration_crc32"] for event in events] == [calibration.crc32, 77]
 
@@ -151,12 +152,12 @@ def test_one_at_a_time_and_no_folder_twice(live: Live) -> None:
     live.start()
     with pytest.raises(DeviceError, match=r"busy: recording to .*one"):
         live.start(name="two")
-    live.recorder.end("stopped")
+    live.recorder.end(STOPPED)
     live.ended()
     with pytest.raises(ConfigError, match=r"one: found it there already, expected the name of a new folder"):
         live.start()
     live.start(name="two")
-    live.recorder.end("stopped")
+    live.recorder.end(STOPPED)
     assert live.ended().folder.name == "two"
 
 
@@ -178,11 +179,11 @@ def test_a_disk_that_comes_to_its_floor_ends_it(live: Live, monkeypatch: pytest.
     full.set()
     live.give(*frames(3, 2))
     recorded = live.ended()
-    assert recorded.ending == "less than 256 MiB free on the disk"
+    assert recorded.ending == Reason(ReasonCode.DISK_FULL, "less than 256 MiB free on the disk")
     assert recorded.frames == len(read_table(live.folder / "frames.csv")) == 2
     assert recorded.frames + recorded.dropped <= 5  # what came after the end is not its own
     assert recorded.dropped >= 1
-    assert live.about()["ending"] == recorded.ending
+    assert (live.about()["ending"], live.about()["ending_code"]) == (str(recorded.ending), "disk_full")
 
 
 def _folder_gone(folder: Path) -> None:
@@ -203,7 +204,9 @@ def test_a_folder_that_goes_away_ends_it_with_its_error(live: Live, happen: Call
     live.give(*frames(1, 1))
     recorded = live.ended()
     assert recorded.failed
-    assert re.search(r"/one.*: cannot be written: ", recorded.ending)
+    assert recorded.ending is not None
+    assert recorded.ending.code is ReasonCode.DISK
+    assert re.search(r"/one.*: cannot be written: ", str(recorded.ending))
     assert (recorded.frames, recorded.dropped) == (1, 1)
     left = Recording(live.folder.with_name("moved"))
     assert left.cut_off

@@ -80,7 +80,7 @@ class Sink:
     def __init__(self) -> None:
         self.frames: list[Frame] = []
 
-    def asked(self) -> bool:
+    def needs_depth(self) -> bool:
         return False
 
     def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> Any:
@@ -200,7 +200,7 @@ def test_captures_and_references(link: Path, calibration: Calibration) -> None:
         old = frame(time.monotonic_ns(), calibration)
         robot.ask("CAPTURE")
         wait_until(lambda: side.robot.commands.capture_pending, 10, "CAPTURE")
-        assert posed.asked()
+        assert posed.needs_depth()
         posed.deliver(*old, calibration)
         assert side.robot.commands.capture_pending  # that one was from before
         posed.deliver(*frame(time.monotonic_ns(), calibration), calibration)
@@ -224,7 +224,7 @@ def test_captures_and_references(link: Path, calibration: Calibration) -> None:
         )
         wait_until(lambda: any(r.endswith("REFUSED shows contact") for r in robot.replies.values()), 10, "ERR")
 
-        assert not posed.asked()
+        assert not posed.needs_depth()
         robot.ask("STITCH BEGIN pad")
         wait_until(lambda: any("UNAVAILABLE" in r for r in robot.replies.values()), 10, "no stitching")
 

@@ -29,7 +29,7 @@ class Nobody:
     def __init__(self) -> None:
         self.delivered = 0
 
-    def asked(self) -> bool:
+    def needs_depth(self) -> bool:
         return False
 
     def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> Any:
@@ -82,15 +82,15 @@ def test_a_session_over_mqtt(daemon: Daemon, tmp_path: Path) -> None:
     ball = step("fast", pressed("ball", 3.0).image)
     assert daemon.ask(BEGIN)["reason_code"] == "no_frame"
     daemon.show(step("fast", unloaded()))
-    assert not daemon.sink.asked()
+    assert not daemon.sink.needs_depth()
     assert daemon.ask(replace(BEGIN, name="7", transaction="t")) == {
         "transaction": "t",
         "ok": True,
         "result": {"name": "7"},
     }
-    assert daemon.sink.asked()  # every frame, whoever listens
+    assert daemon.sink.needs_depth()  # every frame, whoever listens
     assert daemon.status() == {
-        **{"state": "open", "reason": "", "name": "7", "presses": 0, "points": 0, "revision": 0},
+        **{"state": "open", "reason": "", "reason_code": "", "name": "7", "presses": 0, "points": 0, "revision": 0},
         **{"missed": 0, "folder": ""},
     }
     added = daemon.ask(ADD, ball)["result"]
@@ -99,10 +99,10 @@ def test_a_session_over_mqtt(daemon: Daemon, tmp_path: Path) -> None:
     ended = daemon.ask(END)["result"]
     assert (ended["name"], ended["presses"], ended["disagreement_mm"]) == ("7", 1, 0.0)
     assert daemon.status() == {
-        **{"state": "idle", "reason": "", "name": "", "presses": 0, "points": 0, "revision": 0},
+        **{"state": "idle", "reason": "", "reason_code": "", "name": "", "presses": 0, "points": 0, "revision": 0},
         **{"missed": 0, "folder": str(tmp_path / "7")},
     }
-    assert not daemon.sink.asked()
+    assert not daemon.sink.needs_depth()
     assert {"map/cloud", "map/revision", "map/final"} <= set(daemon.published)
     assert daemon.sessions.as_dict() == {"presses": 1, "refused": 0, "missed": 0, "waiting": 0}
 

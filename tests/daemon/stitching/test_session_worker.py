@@ -239,7 +239,7 @@ def test_a_disk_that_fails_adds_nothing(robot: Robot, ball: Reconstruction, tmp_
     robot.ask("BEGIN", "x")
     (tmp_path / "sessions" / "x" / "presses.bin").unlink()
     failed = robot.add(ball)
-    assert code(failed) == ReasonCode.DEVICE_FAILED
+    assert code(failed) == ReasonCode.DISK
     assert "cannot be written" in str(failed)
     assert status(robot).presses == 0
 
@@ -317,7 +317,7 @@ def test_a_folder_that_cannot_be_is_told(tmp_path: Path, ball: Reconstruction) -
     robot = Robot(tmp_path / ("x" * 300))
     robot.show(ball)
     failed = robot.ask("BEGIN", "pad")
-    assert (code(failed), "File name too long" in str(failed)) == (ReasonCode.DEVICE_FAILED, True)
+    assert (code(failed), "File name too long" in str(failed)) == (ReasonCode.DISK, True)
     assert robot.ask("STATUS") == NoSession()
     robot.end()
 

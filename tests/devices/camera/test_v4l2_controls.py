@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import cv2
 
-from tacshade_edge.devices.camera.v4l2_controls import lock_exposure, lock_white_balance
+from tacshade_edge.devices.camera.v4l2_controls import Control, Lock, lock_exposure, lock_white_balance
 
 AUTO, VALUE, BALANCE = cv2.CAP_PROP_AUTO_EXPOSURE, cv2.CAP_PROP_EXPOSURE, cv2.CAP_PROP_AUTO_WB
 
@@ -32,37 +32,40 @@ class Driver:
 
 def test_exposure_is_made_manual_before_it_is_set() -> None:
     driver = Driver({AUTO: 3, VALUE: 250})
-    assert lock_exposure(driver, 157) == (157, "locked at 157")
+    control = lock_exposure(driver, 157)
+    assert (control, str(control)) == (Control(Lock.LOCKED, 157), "locked at 157")
     assert driver.values == {AUTO: 1, VALUE: 157}
 
 
 def test_no_wish_keeps_the_value_but_locks_it() -> None:
     driver = Driver({AUTO: 3, VALUE: 250})
-    assert lock_exposure(driver, None) == (250, "locked at 250")
+    assert lock_exposure(driver, None) == Control(Lock.LOCKED, 250)
     assert driver.values[AUTO] == 1
 
 
 def test_a_value_out_of_range_is_told_as_it_is() -> None:
-    assert lock_exposure(Driver({AUTO: 3, VALUE: 250}), 9999) == (2047, "locked at 2047")
+    assert lock_exposure(Driver({AUTO: 3, VALUE: 250}), 9999) == Control(Lock.LOCKED, 2047)
 
 
 def test_a_driver_that_stays_automatic_is_told() -> None:
-    value, text = lock_exposure(Driver({AUTO: 3, VALUE: 250}, frozen=(AUTO,)), 100)
-    assert value == 250
-    assert text == "automatic, the driver does not lock it (250)"
+    control = lock_exposure(Driver({AUTO: 3, VALUE: 250}, frozen=(AUTO,)), 100)
+    assert control == Control(Lock.AUTOMATIC, 250)
+    assert str(control) == "automatic, the driver does not lock it (250)"
 
 
 def test_exposure_without_an_automatic() -> None:
-    assert lock_exposure(Driver({VALUE: 250}), 100) == (100, "locked at 100")
+    assert lock_exposure(Driver({VALUE: 250}), 100) == Control(Lock.LOCKED, 100)
 
 
 def test_no_such_controls() -> None:
-    assert lock_exposure(Driver({}), 100) == (None, "no control")
-    assert lock_white_balance(Driver({})) == "no control"
+    for control in (lock_exposure(Driver({}), 100), lock_white_balance(Driver({}))):
+        assert control == Control(Lock.NO_CONTROL)
+        assert str(control) == "no control"
 
 
 def test_white_balance() -> None:
     driver = Driver({BALANCE: 1})
-    assert lock_white_balance(driver) == "locked"
+    assert lock_white_balance(driver) == Control(Lock.LOCKED)
     assert driver.values[BALANCE] == 0
-    assert lock_white_balance(Driver({BALANCE: 1}, frozen=(BALANCE,))) == "automatic, the driver does not lock it"
+    stays = lock_white_balance(Driver({BALANCE: 1}, frozen=(BALANCE,)))
+    assert (stays, str(stays)) == (Control(Lock.AUTOMATIC), "automatic, the driver does not lock it")

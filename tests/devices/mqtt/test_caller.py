@@ -12,6 +12,7 @@ from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from tacshade_edge.devices.mqtt.caller import MqttCaller
 from tacshade_edge.devices.mqtt.client import BrokerAddress
 from tacshade_edge.errors import DeviceError
+from tacshade_edge.reasons import ReasonCode
 
 pytestmark = [pytest.mark.broker, pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")]
 BASE = "tacshade/left"
@@ -55,8 +56,9 @@ def test_a_broker_that_does_not_let_us_in_is_told(tmp_path: Path) -> None:
         refused = caller(broker.port, "hand", "wrong")
         with pytest.raises(
             DeviceError, match=rf"127\.0\.0\.1:{broker.port}: refused: Not authorized; expected a broker"
-        ):
+        ) as caught:
             refused.start()
+        assert caught.value.code is ReasonCode.REFUSED
         refused.stop()
         let_in = caller(broker.port, "hand", "secret")
         let_in.start()

@@ -28,6 +28,7 @@ from tacshade_edge.devices.mqtt.link import MqttLink
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.protocol import messages, wire
 from tacshade_edge.protocol.messages import Request
+from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import HeightMap, ObjectCloud, Reconstruction
 
 BASE = "tacshade/test"
@@ -59,6 +60,11 @@ class Rig:
 
     def counts(self, stream: str) -> Counter[str]:
         return Counter(outcome for _, outcome in list(self.outcomes[stream]))
+
+
+def code(rig: Rig) -> ReasonCode | None:
+    reason = rig.link.reason
+    return reason.code if reason else None
 
 
 @pytest.fixture
@@ -134,41 +140,42 @@ class TestUp:
         assert not subscriber.messages[-1].retain
 
     def test_late_subscriber_finds_the_newest_retained_values(self, rig: Rig, broker: Broker) -> None:
-        for reason in ("opening", "capturing"):
-            rig.link.set_retained("status/camera", messages.encode_status("online", reason))
+        for text in ("opening", "capturing"):
+            status = messages.encode_status("online", Reason(ReasonCode.STARTING, text))
+            rig.link.set_retained("status/camera", status)
         rig.link.set_retained("health", b'{"captured":1}', qos=0)
         rig.link.set_retained("state", b"degraded")
         with Subscriber(broker.port, f"{BASE}/#") as late:
             for topic, newest in (("state", b"degraded"), ("health", b'{"captured":1}')):
                 wait_until(lambda t=topic, n=newest: late.of(f"{BASE}/{t}")[-1:] == [n], 3, topic)
-            status = late.wait_for(f"{BASE}/status/camera")
-            assert json.loads(status[-1]) == {"state": "online", "reason": "capturing"}
+            newest_status = late.wait_for(f"{BASE}/status/camera")[-1]
+            assert json.loads(newest_status) == {"state": "online", "reason": "capturing", "reason_code": "starting"}
 
     def test_a_stream_is_wanted_while_someone_listens_and_once_a_second_else(self, rig: Rig, broker: Broker) -> None:
-        assert rig.link.wanted("height")  # nothing is known yet
+        assert rig.link.has_listener("height")  # nothing is known yet
         rig.link.offer("height", b"0", 0)
-        wait_until(lambda: not rig.link.wanted("height"), 3, "the broker told that nobody listens")
-        assert rig.link.wanted("cloud")
-        wait_until(lambda: rig.link.wanted("height"), 3, "time to ask again")
+        wait_until(lambda: not rig.link.has_listener("height"), 3, "the broker told that nobody listens")
+        assert rig.link.has_listener("cloud")
+        wait_until(lambda: rig.link.has_listener("height"), 3, "time to ask again")
         with Subscriber(broker.port, f"{BASE}/height", v5=True) as subscriber:
             began, answers = time.monotonic(), 0
             for seq in range(1, 150):
                 rig.link.offer("height", bytes([seq]), seq)
                 wait_until(lambda seq=seq: len(rig.outcomes["height"]) == seq + 1, 3, "sent")
-                answers += rig.link.wanted("height")
+                answers += rig.link.has_listener("height")
             subscriber.wait_for(f"{BASE}/height", 149)
             assert answers == 149
             qos1 = sum(m.qos == 1 for m in subscriber.messages)
             assert 1 <= qos1 <= time.monotonic() - began + 1
         assert [m.payload[0] for m in subscriber.messages] == list(range(1, 150))
         rig.link.offer("cloud", b"", 0)
-        wait_until(lambda: not rig.link.wanted("cloud"), 3, "each stream has its own listeners")
+        wait_until(lambda: not rig.link.has_listener("cloud"), 3, "each stream has its own listeners")
 
     def test_a_broker_that_comes_back_may_have_listeners(self, rig: Rig, broker: Broker) -> None:
         rig.link.offer("height", b"0", 0)
-        wait_until(lambda: not rig.link.wanted("height"), 3, "the broker told that nobody listens")
+        wait_until(lambda: not rig.link.has_listener("height"), 3, "the broker told that nobody listens")
         broker.kill()
-        wait_until(lambda: rig.link.wanted("height"), 3, "wanted")
+        wait_until(lambda: rig.link.has_listener("height"), 3, "wanted")
         broker.start()
 
     def test_stop_says_stopped_after_the_last_frame(self, broker: Broker, subscriber: Subscriber) -> None:
@@ -224,17 +231,18 @@ class TestAway:
         rig.link.set_retained("info", b"{}")
         rig.link.start()
         offered = offer_for(rig, 0.5)
-        wait_until(lambda: "refused" in rig.link.reason, 3, "a reason")
+        wait_until(lambda: code(rig) is ReasonCode.UNREACHABLE, 3, "a reason")
         assert not rig.link.connected
         assert rig.counts("height") == {"failed": offered - 1}  # the newest waits
         for seq in (1_000, 2_000):
             with broker, Subscriber(broker.port, f"{BASE}/#") as subscriber:
                 come_back(rig, subscriber, seq)
-                assert rig.link.reason == ""
+                assert rig.link.reason is None
                 assert subscriber.wait_for(f"{BASE}/state")[-1] == b"online"
                 assert subscriber.wait_for(f"{BASE}/info")[-1] == b"{}"
             wait_until(lambda: not rig.link.connected, 3, "the loss is seen")
-            assert str(broker.port) in rig.link.reason
+            assert str(broker.port) in str(rig.link.reason)
+            assert code(rig) in (ReasonCode.LOST, ReasonCode.UNREACHABLE)
         assert rig.link.counters()["connects"] == rig.link.counters()["losses"] == 2
         rig.link.stop(2)
 
@@ -402,7 +410,8 @@ class TestRefused:
         with Broker(tmp_path, users={"sensor": "right"}) as broker:
             wrong = Rig(broker.port, username="sensor", password="wrong")
             wrong.link.start()
-            wait_until(lambda: "refused: Not authorized" in wrong.link.reason, 5, "the reason")
+            wait_until(lambda: code(wrong) is ReasonCode.REFUSED, 5, "the reason")
+            assert str(wrong.link.reason) == f"127.0.0.1:{broker.port}: refused: Not authorized"
             assert not wrong.link.connected
             wrong.link.stop(2)
             Rig(broker.port, username="sensor", password="right").connect().link.stop(2)
@@ -414,7 +423,7 @@ class TestRefused:
             peer, _ = server.accept()
             peer.sendall(b"HTTP/1.1 400 Bad Request\r\n\r\n")
             peer.close()
-            wait_until(lambda: "does not answer as an MQTT 5 broker" in rig.link.reason, 5, "the reason")
+            wait_until(lambda: code(rig) is ReasonCode.NO_ANSWER, 5, "the reason")
             rig.link.stop(2)
         assert not rig.link.connected
 
@@ -430,7 +439,7 @@ class TestRefused:
             other = Broker(tmp_path / "other", tls=True)
             stranger = Rig(broker.port, tls_ca=str(other.ca))
             stranger.link.start()
-            wait_until(lambda: "certificate verify failed" in stranger.link.reason, 5, "the reason")
+            wait_until(lambda: "certificate verify failed" in str(stranger.link.reason), 5, "the reason")
             stranger.link.stop(2)
 
 

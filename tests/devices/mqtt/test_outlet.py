@@ -79,14 +79,14 @@ def test_a_stream_asks_for_listeners_once_a_period_and_after_every_loss() -> Non
     outlet = make_outlet()
     asked = [outlet.next_qos(t_ns) for t_ns in (5, 6, PROBE_PERIOD_NS, PROBE_PERIOD_NS + 5, PROBE_PERIOD_NS + 6)]
     assert asked == [1, 0, 0, 1, 0]
-    outlet.unheard = True
+    outlet.no_listener = True
     assert outlet.next_qos(PROBE_PERIOD_NS + 7) == 0
-    assert outlet.unheard
+    assert outlet.no_listener
     assert outlet.next_qos(2 * PROBE_PERIOD_NS + 5) == 1
-    assert not outlet.unheard  # until the answer comes there may be listeners
-    outlet.unheard = True
+    assert not outlet.no_listener  # until the answer comes there may be listeners
+    outlet.no_listener = True
     outlet.give_back()
-    assert (outlet.unheard, outlet.next_qos(2 * PROBE_PERIOD_NS + 6)) == (False, 1)
+    assert (outlet.no_listener, outlet.next_qos(2 * PROBE_PERIOD_NS + 6)) == (False, 1)
 
 
 def test_a_retained_value_keeps_its_qos() -> None:
