@@ -5,7 +5,7 @@
 
     .venv/bin/python tools/bench_iterations.py
 
-Three sensors, the paper's five objects near the middle at three depths. Prints a table for docs/accuracy-and-speed.md.
+Three sensors, the paper's five objects near the middle at three depths. docs/results/iterations.md is what it prints.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ SENSORS = ("default", "5", "11")
 def without_iterations(calibration: Calibration) -> Reconstructor:
     """`paper` without its iterations: α g_hn."""
     profile = replace(PROFILES["paper"], name="paper_0")
-    return Reconstructor(calibration, profile, make_solver=partial(HybridSfs, solve=scaled_grey))
+    return Reconstructor(calibration, profile, make_solver=partial(HybridSfs, depth=scaled_grey))
 
 
 def main() -> None:
@@ -48,8 +48,8 @@ def main() -> None:
     correlations = []
     for name in map(SensorName.parse, SENSORS):
         sensor, calibration = name.make(), calibrated(name, 8, 40).calibration
-        preprocess = Preprocessor(calibration, PROFILES["paper"])
-        grey_maps = GreyMapper(preprocess)
+        preprocessor = Preprocessor(calibration, PROFILES["paper"])
+        grey_mapper = GreyMapper(preprocessor)
         methods = (reconstructor(calibration, "paper"), without_iterations(calibration))
         for object_name in PAPER_OBJECTS:
             for scene in scenes(sensor.model, name.seed, object_name)[: len(DEPTHS_MM)]:
@@ -61,7 +61,7 @@ def main() -> None:
                     taken[result.profile].append(1e3 * (time.process_time() - start))
                     rows.append(score(Label(str(name), object_name), truth, result))
                     if result.profile == "paper":
-                        maps = grey_maps(preprocess(to_grey(frame.image)))
+                        maps = grey_mapper.maps(preprocessor.preprocess(to_grey(frame.image)))
                         g_hn = shape_grey(maps.g_d, maps.g0, maps.inside)[maps.inside]
                         height = result.height.height_mm[maps.inside]
                         correlations.append(float(np.corrcoef(height, g_hn)[0, 1]))

@@ -47,7 +47,7 @@ SAME = 1e-3
 
 def plain(calibration: Calibration) -> Reconstructor:
     """Profile `paper` with the transcription's denoising and solver."""
-    method = partial(HybridSfs, denoise=plain_paper.denoise, solve=plain_paper.solve)
+    method = partial(HybridSfs, denoise=plain_paper.denoise, depth=plain_paper.solve)
     return Reconstructor(calibration, replace(PROFILES[PAPER], name=PLAIN), make_solver=method)
 
 

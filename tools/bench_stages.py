@@ -7,7 +7,8 @@
 
 Grey 640x480 in memory, one thread, nothing else running. The floor is `cv2.threshold` and `cv2.boxFilter` uint8 to
 uint16 over the whole frame. Rounds of the floor, of frames without contact and of frames in contact take turns; each
-figure is the median over the rounds of a round's median (p50) or 99th percentile (p99).
+figure is the median over the rounds of a round's median (p50) or 99th percentile (p99). A stage's is of the frames that
+ran it.
 """
 
 from __future__ import annotations
@@ -52,9 +53,10 @@ def timed_ms(step: Callable[[], object], count: int) -> tuple[float, float]:
 
 
 def median_stages_ms(made: Reconstructor, image: U8, count: int) -> dict[str, float]:
-    """Median of each stage over so many steps."""
+    """Median of each stage over those of so many steps that ran it."""
     taken = [stages_ms(made, next_frame(image)) for _ in range(count)]
-    return {stage: float(np.median([each[stage] for each in taken])) for stage in taken[0]}
+    ran = {stage: [each[stage] for each in taken if stage in each] for stage in STAGES}
+    return {stage: float(np.median(values)) for stage, values in ran.items() if values}
 
 
 def main() -> None:

@@ -3,26 +3,22 @@
 from __future__ import annotations
 
 import argparse
-import json
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 from tacshade_edge.cli import study
 from tacshade_edge.core.calibration.calibrate import MIN_PRESSES
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator.objects import OBJECTS, PAPER_OBJECTS
 from tacshade_edge.studies.ablation.work import AblationRow, ablate, object_rows
 from tacshade_edge.studies.ablation.work import Plan as AblationPlan
 from tacshade_edge.studies.ablation.work import text as ablation_text
 from tacshade_edge.studies.evaluate import picture, report
-from tacshade_edge.studies.evaluate.own_images import evaluate_images, images_in
+from tacshade_edge.studies.evaluate.own_images import evaluate_images
 from tacshade_edge.studies.evaluate.score import Row
-from tacshade_edge.studies.evaluate.sensors import FAMILIES, FINAL_SEED, SensorName
+from tacshade_edge.studies.evaluate.sensors import FINAL_SEED, PRESSES, REFERENCES, SensorName
 from tacshade_edge.studies.evaluate.summary import figures
 from tacshade_edge.studies.evaluate.work import Evaluation, Plan, Timing, evaluate, time_profiles
 from tacshade_edge.studies.limits import picture as limits_picture
@@ -42,15 +38,11 @@ SIMULATED = ("sensors", "final", "objects", "presses", "references")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument(
-        "--profile",
-        nargs="+",
-        choices=list(PROFILES),
-        metavar="NAME",
-        help=f"some of {', '.join(PROFILES)} (all but paper, which takes a second for each frame)",
+    study.add_arguments(
+        parser,
+        profiles="all but paper, which takes a second for each frame",
+        files="evaluation.md, evaluation.csv, evaluation.json, figure6.png",
     )
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write evaluation.csv, evaluation.json, figure6.png")
-    parser.add_argument("--json", action="store_true", help="print the summary as JSON")
     instead = parser.add_mutually_exclusive_group()
     instead.add_argument(
         "--ablation",
@@ -62,45 +54,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help=f"where it ends instead: phantoms, least and greatest depth, finest shape ({LIMITS_SENSORS})",
     )
-    simulated = parser.add_argument_group("simulated sensors")
-    which = simulated.add_mutually_exclusive_group()
-    which.add_argument(
-        "--sensors",
-        type=study.sensors,
-        metavar="SEED,...",
-        help=f"[FAMILY:]SEED below {FINAL_SEED} or default ({WORKING_SENSORS}); families: {', '.join(FAMILIES)}",
-    )
+    simulated, which = study.add_simulated(parser, WORKING_SENSORS, "all")
     which.add_argument(
         "--final",
         action="store_true",
         default=None,
         help=f"sensors from seed {FINAL_SEED} on, for the figures of a release: not to be looked at while working",
     )
-    simulated.add_argument("--objects", type=study.objects, metavar="NAME,...", help=f"of {', '.join(OBJECTS)} (all)")
     simulated.add_argument("--presses", type=_count, metavar="N", help="ball presses in each calibration; 0: none (40)")
     simulated.add_argument("--references", type=_count, metavar="N", help="reference images in each calibration (8)")
-    study.add_own_images(parser)
-    parser.set_defaults(usage_error=parser.error)
 
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate; print the tables, write the files."""
-    study.check_own_images(args)
     if args.limits:
         return _limits(args)
     if args.ablation:
         return _ablation(args)
-    if args.images is None:
-        return _simulated(args)
-    given = [name for name in SIMULATED if getattr(args, name) is not None]
-    if given:
-        args.usage_error(f"--{given[0]} is for simulated sensors, not for your own images")
-    return _own(args)
+    return _own(args) if study.is_own(args, SIMULATED) else _simulated(args)
 
 
 def _alone(args: argparse.Namespace, option: str) -> None:
     """Refuse what a study of its own would not heed."""
-    unfit = [name for name in ("images", "objects", "presses", "references") if getattr(args, name) is not None]
+    others = ("images", "calibration", "objects", "presses", "references")
+    unfit = [name for name in others if getattr(args, name) is not None]
     if unfit or args.json:
         args.usage_error(f"--{unfit[0] if unfit else 'json'} does not go with --{option}")
 
@@ -114,59 +91,47 @@ def _ablation(args: argparse.Namespace) -> int:
     profile, *more = dict.fromkeys(args.profile or ["accurate"])
     if more or PROFILES[profile].network is None:
         args.usage_error(f"--profile: found {' '.join((profile, *more))}, expected one that runs a network")
-    sensors = args.sensors or tuple(SensorName.parse(word) for word in ABLATION_SENSORS.split(","))
+    sensors = args.sensors or study.sensors(ABLATION_SENSORS)
     study.make_folder(args.out)
     found = ablate(AblationPlan(FINAL_SENSORS if args.final else sensors, profile), usable_cores(), study.progress)
-    words = ablation_text(found)
-    print(words)
-    if args.out:
-        study.write(args.out / "ablation.md", words.encode() + b"\n")
-        study.write(args.out / "ablation.csv", csv_text(AblationRow, object_rows(found)).encode())
+    study.publish(args, "ablation", ablation_text(found), {"": csv_text(AblationRow, object_rows(found))})
     return 0
 
 
 def _limits(args: argparse.Namespace) -> int:
     _alone(args, "limits")
-    sensors = args.sensors or tuple(SensorName.parse(word) for word in LIMITS_SENSORS.split(","))
+    sensors = args.sensors or study.sensors(LIMITS_SENSORS)
     plan = LimitsPlan(FINAL_SENSORS if args.final else sensors, _profiles(args))
     study.make_folder(args.out)
-    drawn = args.out is not None and limits_picture.can_draw()
-    if args.out and not drawn:
-        print(f"tacshade-edge: the plots will be missing: {limits_picture.INSTALL}", file=sys.stderr)
+    drawn = study.will_draw(args, "the plots")
     found = limits(plan, usable_cores(), study.progress)
-    text = limits_text(found, plan)
-    print(text)
-    if args.out:
-        study.write(args.out / "limits.md", text.encode() + b"\n")
-        for kind, rows in found.tables():
-            study.write(args.out / f"limits_{kind}.csv", csv_text(type(rows[0]), rows).encode())
-    if drawn:
-        for name, content in limits_picture.draw(found).items():
-            study.write(args.out / name, content)
+    rows = {f"_{kind}": csv_text(type(some[0]), some) for kind, some in found.tables()}
+    study.publish(args, "limits", limits_text(found, plan), rows)
+    for name, content in (limits_picture.draw(found) if drawn else {}).items():
+        study.write(args.out / name, content)
     return 0
 
 
 def _simulated(args: argparse.Namespace) -> int:
-    presses = 40 if args.presses is None else args.presses
+    presses = PRESSES if args.presses is None else args.presses
     if 0 < presses < MIN_PRESSES:
         args.usage_error(f"--presses: found {presses}, expected 0, or {MIN_PRESSES} or more")
     if args.references == 0:
         args.usage_error("--references: found 0, expected 1 or more")
-    sensors = args.sensors or tuple(SensorName.parse(word) for word in WORKING_SENSORS.split(","))
+    sensors = args.sensors or study.sensors(WORKING_SENSORS)
     plan = Plan(
         sensors=FINAL_SENSORS if args.final else sensors,
         profiles=_profiles(args),
         objects=args.objects or tuple(OBJECTS),
-        references=args.references or 8,
+        references=args.references or REFERENCES,
         presses=presses,
     )
     study.make_folder(args.out)
-    if args.out and not picture.can_draw():
-        print(f"tacshade-edge: figure6.png will be missing: {picture.INSTALL}", file=sys.stderr)
+    drawn = study.will_draw(args, "figure6.png", picture.PACKAGES)
     found = evaluate(plan, usable_cores(), study.progress)
     timings = time_profiles(plan, found.calibrations[0].calibration, study.progress)
     _publish(args, found.rows, timings, _settings(plan, found))
-    if args.out and picture.can_draw():
+    if drawn:
         profile = _best(found.rows)
         names = [name for name in plan.objects if name in PAPER_OBJECTS] or plan.objects
         calibration = found.calibrations[0].calibration
@@ -176,18 +141,8 @@ def _simulated(args: argparse.Namespace) -> int:
 
 
 def _own(args: argparse.Namespace) -> int:
-    calibration = calibration_file.load(args.calibration)
-    images = images_in(args.images)
-    study.make_folder(args.out)
-    mistakes: list[str] = []
-
-    def mistake(text: str) -> None:
-        mistakes.append(text)
-        study.mistake(text)
-
-    profiles = _profiles(args)
-    name = args.calibration.name
-    rows, timings = evaluate_images(calibration, name, profiles, images, study.progress, mistake)
+    calibration, cases, mistakes = study.own_images(args)
+    rows, timings = evaluate_images(calibration, _profiles(args), cases)
     if not rows:
         raise ConfigError(f"{args.images}: found no image that can be scored, expected one with its truth")
     settings = {"calibration": str(args.calibration), "crc32": f"{calibration.crc32:08x}", "images": str(args.images)}
@@ -218,11 +173,8 @@ def _best(rows: Sequence[Row]) -> str:
 def _publish(
     args: argparse.Namespace, rows: Sequence[Row], timings: Mapping[str, Timing], settings: Mapping[str, Any]
 ) -> None:
-    summary = json.dumps(report.document(rows, timings, settings), indent=1)
-    print(summary if args.json else report.table(rows, timings))
-    if args.out:
-        study.write(args.out / "evaluation.csv", report.csv_text(rows).encode())
-        study.write(args.out / "evaluation.json", summary.encode() + b"\n")
+    document = report.document(rows, timings, settings)
+    study.publish(args, "evaluation", report.table(rows, timings), {"": csv_text(Row, rows)}, document)
 
 
 def _count(text: str) -> int:

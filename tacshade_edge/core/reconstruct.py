@@ -62,19 +62,19 @@ class Reconstructor:
         self.calibration = calibration
         self.profile = profile
         self._shape = (calibration.image_height_px, calibration.image_width_px)
-        self._preprocess = Preprocessor(calibration, profile)
-        self._frame_check = sensor_check(self._preprocess.calibration, self._preprocess.camera_px)
-        self._gate = ContactGate(self._preprocess)
-        self._camera_shift = CameraShiftCheck(self._preprocess)
-        self._solve = (make_solver or SOLVERS[profile.solver])(self._preprocess, network)
+        self._preprocessor = Preprocessor(calibration, profile)
+        self._frame_check = sensor_check(self._preprocessor.calibration, self._preprocessor.camera_px)
+        self._gate = ContactGate(self._preprocessor)
+        self._camera_shift = CameraShiftCheck(self._preprocessor)
+        self._solver = (make_solver or SOLVERS[profile.solver])(self._preprocessor, network)
         self._find_objects = find_objects
-        self.grid = self._solve.grid
+        self.grid = self._solver.grid
         self.rays = rays_in_image(self.grid, calibration)
         self._zero_mm = np.where(self.rays.inside, np.float32(0), np.float32(np.nan)).astype(np.float32)
         self._empty_map = self._map(self._zero_mm, np.zeros(self._zero_mm.shape, dtype=bool))
         self._empty_cloud = ObjectCloud(np.zeros((0, 3), dtype=np.float32), np.zeros(0, dtype=np.uint16))
         self._grey_space: U8 = np.empty(self._shape, np.uint8)
-        self._white_space = self._preprocess.integrator.space()
+        self._white_space = self._preprocessor.integrator.space()
 
     @overload
     def step(self, frame: Frame, mark: Mark = ...) -> Reconstruction: ...
@@ -93,33 +93,33 @@ class Reconstructor:
         to_gate : bool
             End where a frame in contact would get its depth: None for that one.
         """
-        grey = self._preprocess.grey(frame.image, self._grey_space)
+        grey = self._preprocessor.grey(frame.image, self._grey_space)
         reason = size_reason(frame.image, self._shape) or invalid_reason(grey, self._frame_check)
         mark("check")
         if reason:
             return self._empty(frame, reason=reason)
 
-        preprocessed = self._preprocess(grey, self._white_space)
+        preprocessed = self._preprocessor.preprocess(grey, self._white_space)
         reason = refusal(preprocessed.unseen, preprocessed.drift_grey)
         degraded = doubt(preprocessed.unseen, preprocessed.drift_grey)
         mark("grey")
         if reason:
             return self._empty(frame, reason=reason)
 
-        in_contact = self._gate(preprocessed)
+        in_contact = self._gate.opens(preprocessed)
         mark("gate")
         if not in_contact:
             return self._empty(frame, degraded=degraded)
 
         if self._camera_shift.due(frame.t_ns):
-            reason = self._camera_shift(preprocessed.white, frame.t_ns)
+            reason = self._camera_shift.check(preprocessed.white, frame.t_ns)
             mark("moved")
             if reason:
                 return self._empty(frame, reason=reason)
         if to_gate:
             return None
 
-        depth = self._solve(preprocessed, mark)
+        depth = self._solver.solve(preprocessed, mark)
         mark("depth")
 
         # Adding the map of no contact, 0 or NaN, puts NaN outside the disc.
@@ -137,7 +137,7 @@ class Reconstructor:
 
     def depth(self, image: U8) -> Depth:
         """What the solver makes of an image, without frame check and gate."""
-        return self._solve(self._preprocess(self._preprocess.grey(image)), no_mark)
+        return self._solver.solve(self._preprocessor.preprocess(self._preprocessor.grey(image)), no_mark)
 
     def _whole(
         self, frame: Frame, degraded: Reason | None, depth: Depth, height_mm: F32, objects: Objects

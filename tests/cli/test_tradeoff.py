@@ -64,7 +64,7 @@ def test_a_budget_that_none_keeps_and_a_missing_truth_exit_1(
     printed = capsys.readouterr()
     alone, missing, busy, over = printed.err.splitlines()
     assert "alone.npz: found no such file" in alone
-    assert missing.startswith("tacshade-edge: tradeoff.png will be missing: matplotlib draws it")
+    assert missing.startswith("tacshade-edge: tradeoff.png will be missing without matplotlib")
     assert "the machine was busy: frames took" in busy
     assert "no shipped profile keeps 0.001 ms" in over
     assert json.loads(printed.out) == json.loads((own / "out" / "tradeoff.json").read_text())

@@ -65,8 +65,8 @@ def test_the_cameras_own_noise_and_other_light_are_no_contact(profile: str, name
 def test_the_noise_of_g_is_far_below_the_gate(name: str) -> None:
     calibration = calibrated(MODELS[name], 0)
     for profile in PROFILES.values():
-        preprocess = Preprocessor(calibration, profile)
-        change = np.abs([preprocess(preprocess.grey(image)).g_d for image in untouched(name)])
+        preprocessor = Preprocessor(calibration, profile)
+        change = np.abs([preprocessor.preprocess(preprocessor.grey(image)).g_d for image in untouched(name)])
         assert change.max() < min(profile.gate_levels, profile.gate_dark_levels)
         at = f"figure: g without contact, {name}, {profile.name}"
         print(f"{at}: {change.max():.1f} levels at most, the gate at {profile.gate_levels:g}")

@@ -23,8 +23,8 @@ CELLS = 64
 @cache
 def maps(touched: bool = True) -> GreyMaps:
     image = pressed("ball", 3.0).image if touched else unloaded()
-    preprocess = Preprocessor(calibrated(HALF, 0), PROFILES["paper"])
-    return GreyMapper(preprocess)(preprocess(preprocess.grey(image)))
+    preprocessor = Preprocessor(calibrated(HALF, 0), PROFILES["paper"])
+    return GreyMapper(preprocessor).maps(preprocessor.preprocess(preprocessor.grey(image)))
 
 
 @cache

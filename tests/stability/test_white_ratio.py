@@ -56,10 +56,10 @@ def test_every_period_has_its_ratio(side_px: int, radius_px: float) -> None:
     window = Window(0, 0, ROWS, COLS)
     grid, integrator = Grid.of_window(window, 3), Integrator(window, side_px // 2 + 1)
     box_sums = BoxSums(integrator, grid, side_px)
-    total = box_sums(integrator(mask))
+    total = box_sums.sums(integrator.integrate(mask))
     for period in range(2, 130):
         white = checkerboard(period)(ROWS, COLS) // 255 * mask
-        g = white_ratio(box_sums(integrator(white)), total)
+        g = white_ratio(box_sums.sums(integrator.integrate(white)), total)
         np.testing.assert_allclose(g, plain_ratio(white, mask, grid, side_px), atol=BOUND)
         assert (g >= 0).all()
         assert (g <= 255).all()
@@ -82,11 +82,11 @@ def test_any_image_is_black_and_white_inside_the_disc_and_black_outside(
 
 @pytest.mark.parametrize("profile", PROFILES)
 def test_every_extreme_image_has_ratios(profile: str) -> None:
-    preprocess = Preprocessor(built_calibration(ROWS, COLS, disc=DISC, pitch_px=8.0), PROFILES[profile])
-    means = CellMeans(preprocess.integrator, disc_map.map_grid(DISC))
+    preprocessor = Preprocessor(built_calibration(ROWS, COLS, disc=DISC, pitch_px=8.0), PROFILES[profile])
+    cells_of = CellMeans(preprocessor.integrator, disc_map.map_grid(DISC))
     for image in EXTREME_IMAGES.values():
-        found = preprocess(np.ascontiguousarray(image(ROWS, COLS)))
-        g, cells = found.g, means(found.white)
+        found = preprocessor.preprocess(np.ascontiguousarray(image(ROWS, COLS)))
+        g, cells = found.g, cells_of.means(found.white)
         assert 0 <= found.unseen <= 1
         assert np.isfinite(g).all()
         assert (g >= 0).all()
@@ -103,7 +103,7 @@ def test_the_largest_image_has_exact_means(level: int) -> None:
     rng = np.random.default_rng(1)
     values = rng.integers(0, level + 1, (3072, 4096), np.uint8)
     grid, integrator = disc_map.map_grid(disc), Integrator(Window(0, 0, 3072, 4096), 0)
-    found = CellMeans(integrator, grid)(integrator(values))
+    found = CellMeans(integrator, grid).means(integrator.integrate(values))
     step = grid.step_px
     total = np.pad(values.astype(np.float64).cumsum(0).cumsum(1), ((1, 0), (1, 0)))
 

@@ -24,7 +24,7 @@ def test_it_is_what_the_profile_computes() -> None:
     g_d = (80 * np.exp(-((rows - 20) ** 2 + (cols - 25) ** 2) / 60)).astype(np.float32)
     g0 = np.full(g_d.shape, 120, np.float32)
     maps = GreyMaps(g=g0 + g_d, g0=g0, g_d=g_d, inside=np.hypot(rows - 20, cols - 25) < 19)
-    plain, ours = (solve(maps, 3.0) for solve in (plain_paper.solve, hybrid_sfs.solve))
+    plain, ours = (solve(maps, 3.0) for solve in (plain_paper.solve, hybrid_sfs.hybrid_depth))
     np.testing.assert_allclose(plain.height_mm, ours.height_mm, atol=3e-3)
     assert ours.height_mm.max() == pytest.approx(3, rel=1e-6)
     assert plain.repaired_px == ours.repaired_px == 0

@@ -219,7 +219,7 @@ def white_map(image: U8, mask: U8, disc: Disc, pitch_px: float) -> F32:
     """Part of white in each cell, 0 to 1."""
     integrator = Integrator(Window(0, 0, *mask.shape), 0)
     white = binarise(greyscale.to_grey(image), mask, "adaptive", pitch_px)
-    return CellMeans(integrator, disc_map.map_grid(disc))(integrator(white))
+    return CellMeans(integrator, disc_map.map_grid(disc)).means(integrator.integrate(white))
 
 
 def true_maps(skin: Skin, presses: Sequence[Press], geometry: Geometry, seen: Disc) -> tuple[F32, Bool]:

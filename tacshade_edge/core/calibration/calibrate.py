@@ -203,14 +203,14 @@ def _with_reference(calibration: Calibration, greys: Sequence[U8]) -> Calibratio
     side = odd(PROFILE.window_pitches * calibration.pitch_px)
     grid, integrator = Grid.of_window(window, PROFILE.stride_px), Integrator(window, side // 2 + 1)
     box_sums = BoxSums(integrator, grid, side)
-    total, inside = box_sums(integrator(mask)), disc_rays(grid, geometry).inside
+    total, inside = box_sums.sums(integrator.integrate(mask)), disc_rays(grid, geometry).inside
     binariser = Binariser(mask, calibration.binarisation, calibration.pitch_px)
     white_sum: F32 = np.zeros((height, width), dtype=np.float32)
     ratios = []
     for grey in greys:
         white = binariser(window.cut(grey))
         window.cut(white_sum)[...] += white
-        ratios.append(greyscale.white_ratio(box_sums(integrator(white)), total)[inside])
+        ratios.append(greyscale.white_ratio(box_sums.sums(integrator.integrate(white)), total)[inside])
     noise = calibration.noise_grey
     if len(greys) >= 3:
         noise = float(np.sqrt(np.mean(np.var(np.stack(ratios), axis=0, ddof=1))))
@@ -233,9 +233,9 @@ def _check_references(calibration: Calibration, greys: Sequence[U8], allow_loade
         if change := shifted or registration.light_drift_reason(found):
             warnings.append(f"reference {number}: {change} against reference 1")
     # A pressed reference raises the measured noise, and would hide behind it.
-    preprocess = Preprocessor(replace(calibration, noise_grey=ASSUMED_NOISE_GREY), PROFILE)
-    gate = ContactGate(preprocess)
-    pressed = [str(number) for number, grey in enumerate(greys, start=1) if gate(preprocess(grey))]
+    preprocessor = Preprocessor(replace(calibration, noise_grey=ASSUMED_NOISE_GREY), PROFILE)
+    gate = ContactGate(preprocessor)
+    pressed = [str(number) for number, grey in enumerate(greys, start=1) if gate.opens(preprocessor.preprocess(grey))]
     if pressed:
         reason = f"reference {', '.join(pressed)}: seems pressed, it differs from the mean of all references"
         if not allow_loaded:
@@ -255,8 +255,8 @@ def _usable_presses(
     if len(presses) < MIN_PRESSES:
         raise ConfigError(f"{len(presses)} presses: at least {MIN_PRESSES} are needed (20 are better)")
     geometry = unloaded.geometry
-    preprocess = Preprocessor(unloaded, PROFILE)
-    grey_maps, gate, check = GreyMapper(preprocess), ContactGate(preprocess), sensor_check(unloaded)
+    preprocessor = Preprocessor(unloaded, PROFILE)
+    grey_mapper, gate, check = GreyMapper(preprocessor), ContactGate(preprocessor), sensor_check(unloaded)
     reference = registration.look(unloaded.reference_grey, geometry.disc, unloaded.pitch_px)
     kept: list[BallPress] = []
     left_out: list[str] = []
@@ -267,7 +267,7 @@ def _usable_presses(
         shifted = registration.shift_reason(found, geometry.disc)
         if registration.shifted_too_far(found, geometry.disc):
             left_out.append(f"{press.name}: {shifted} since the references")
-        elif not gate(preprocess(greyscale.to_grey(press.image))):
+        elif not gate.opens(preprocessor.preprocess(greyscale.to_grey(press.image))):
             left_out.append(f"{press.name}: no contact to be seen, {press.depth_mm} mm is stated")
         else:
             kept.append(press)
@@ -275,9 +275,9 @@ def _usable_presses(
                 warnings.append(f"{press.name}: {reason} since the references")
     rows = [
         press_checks.gather_evidence(
-            preprocess,
+            preprocessor,
             p.name,
-            grey_maps(preprocess(greyscale.to_grey(p.image))),
+            grey_mapper.maps(preprocessor.preprocess(greyscale.to_grey(p.image))),
             (p.radius_mm, p.depth_mm, p.x_mm, p.y_mm),
         )
         for p in kept
@@ -300,11 +300,11 @@ def _refit(
     And how far off (mm) the greatest h of each press is with weights that were fitted without it.
     """
     geometry = calibration.geometry
-    preprocess = Preprocessor(calibration, profile)
-    solver = LearnedSolver(preprocess, network)
+    preprocessor = Preprocessor(calibration, profile)
+    solver = LearnedSolver(preprocessor, network)
     rows, tops, names = [], [], []
     for press in presses:
-        inverse = solver.inverse(preprocess(preprocess.grey(press.image)))
+        inverse = solver.inverse(preprocessor.preprocess(preprocessor.grey(press.image)))
         if press.x_mm is not None and press.y_mm is not None:
             ball: gain.Ball | None = gain.stated_ball(geometry, press.x_mm, press.y_mm, press.depth_mm, press.radius_mm)
         else:

@@ -30,8 +30,8 @@ class ContactGate:
         self._levels = preprocessor.profile.gate_levels
         self._dark_levels = preprocessor.profile.gate_dark_levels
 
-    def __call__(self, preprocessed: Preprocessed) -> bool:
-        """Whether anything touches."""
+    def opens(self, preprocessed: Preprocessed) -> bool:
+        """Whether anything touches in an image."""
         return gate(
             preprocessed.g_d,
             preprocessed.drift_grey,

@@ -71,7 +71,7 @@ class Solver(Protocol):
         """Where its cells lie, in the camera's pixels."""
         ...
 
-    def __call__(self, preprocessed: Preprocessed, mark: Mark) -> Depth:
+    def solve(self, preprocessed: Preprocessed, mark: Mark) -> Depth:
         """Solve for one image in contact; `mark` is for stages before the last, ``depth``, which the caller marks."""
         ...
 

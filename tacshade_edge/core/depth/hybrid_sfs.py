@@ -102,7 +102,7 @@ def _median3(values: F64) -> F64:
     return median
 
 
-def solve(maps: GreyMaps, alpha_mm: float) -> Depth:
+def hybrid_depth(maps: GreyMaps, alpha_mm: float) -> Depth:
     """Height by the paper: g_hn (eq. 10), eq. 11, then α. Grey levels beyond their range count as its end.
 
     Parameters
@@ -135,7 +135,7 @@ def scaled(unit: F64, alpha_mm: float, repaired_px: int) -> Depth:
 
 
 class HybridSfs:
-    """Denoising, eq. 9, and `solve`.
+    """Denoising, eq. 9, and `hybrid_depth`.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ class HybridSfs:
         Not used.
     denoise : callable
         The total-variation denoising.
-    solve : callable
+    depth : callable
         From the maps and α in mm to depth.
     """
 
@@ -153,16 +153,16 @@ class HybridSfs:
         preprocessor: Preprocessor,
         network: Network | None = None,
         denoise: Denoiser = chambolle,
-        solve: Callable[[GreyMaps, float], Depth] = solve,
+        depth: Callable[[GreyMaps, float], Depth] = hybrid_depth,
     ) -> None:
         self.grid = preprocessor.camera_grid
-        self._grey_maps = GreyMapper(preprocessor, denoise)
-        self._solve = solve
+        self._grey_mapper = GreyMapper(preprocessor, denoise)
+        self._depth = depth
         # α is per pixel of the image (the paper ties it to the image's resolution).
         self._alpha_mm = preprocessor.camera.alpha * preprocessor.camera.geometry.mm_per_px
 
-    def __call__(self, preprocessed: Preprocessed, mark: Mark) -> Depth:
+    def solve(self, preprocessed: Preprocessed, mark: Mark) -> Depth:
         """See `Solver`."""
-        maps = self._grey_maps(preprocessed)
+        maps = self._grey_mapper.maps(preprocessed)
         mark("denoise")
-        return self._solve(maps, self._alpha_mm)
+        return self._depth(maps, self._alpha_mm)

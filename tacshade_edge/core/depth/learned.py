@@ -90,16 +90,16 @@ class LearnedSolver:
         self.grid = disc_map.map_grid(camera.geometry.disc, profile.cells)
         self._inside = rays_in_image(self.grid, camera).inside
         self._cells = CellMeans(preprocessor.integrator, disc_map.map_grid(calibration.geometry.disc, profile.cells))
-        reference: F32 = self._cells(preprocessor.reference_white) / np.float32(255)
+        reference: F32 = self._cells.means(preprocessor.reference_white) / np.float32(255)
         self._inverse = LearnedInverse(network, calibration.geometry, calibration.pitch_px, reference)
         self._factor = np.float32(camera.factors.get(profile.name, 1.0))
         self._deepest_mm = np.float32(DEEPEST_RADII * camera.geometry.skin_radius_mm)
 
     def inverse(self, preprocessed: Preprocessed) -> Inverse:
         """What the network makes of an image, not refitted: for calibration."""
-        return self._inverse(self._cells(preprocessed.white))
+        return self._inverse(self._cells.means(preprocessed.white))
 
-    def __call__(self, preprocessed: Preprocessed, mark: Mark) -> Depth:
+    def solve(self, preprocessed: Preprocessed, mark: Mark) -> Depth:
         """See `Solver`."""
         inverse = self.inverse(preprocessed)
         height = inverse.height_mm * self._factor

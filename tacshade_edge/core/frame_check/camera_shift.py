@@ -67,7 +67,7 @@ class CameraShiftCheck:
     def __init__(self, preprocessor: Preprocessor) -> None:
         grid = disc_map.map_grid(preprocessor.calibration.geometry.disc)
         self._cells = CellMeans(preprocessor.integrator, grid)
-        reference: F32 = self._cells(preprocessor.reference_white) / np.float32(255)
+        reference: F32 = self._cells.means(preprocessor.reference_white) / np.float32(255)
         camera_px = preprocessor.camera_px
         self._shift = CameraShift(reference, camera_px * grid.step_px, camera_px * preprocessor.calibration.pitch_px)
         self._checked_ns = -PERIOD_NS
@@ -76,8 +76,8 @@ class CameraShiftCheck:
         """Whether a frame of this time is to be checked; one of an earlier time belongs to a new stream."""
         return not 0 < t_ns - self._checked_ns < PERIOD_NS
 
-    def __call__(self, white: IntegralImage, t_ns: int) -> Reason | None:
+    def check(self, white: IntegralImage, t_ns: int) -> Reason | None:
         """Check a frame: `CameraShift.reason` of its white."""
-        reason = self._shift.reason(self._cells(white))
+        reason = self._shift.reason(self._cells.means(white))
         self._checked_ns = -PERIOD_NS if reason else t_ns
         return reason

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from tacshade_edge.core.image.median import median
+from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import F32, U8, Bool, freeze
 
 # A row that differs from the next by this much more than its neighbours do, in medians of all rows, and more than the
@@ -71,6 +72,14 @@ def tear_check(reference_grey: U8, mask: Bool) -> TearCheck | None:
     width_px = np.maximum(np.stack([*widths, sum(widths)]), 1).astype(np.float32)
     rows = _Rows(first, last, edges, opaque, width_px, np.empty_like(opaque))
     return TearCheck(rows, _spikes(reference_grey, rows, 0.0))
+
+
+def torn_reason(grey: U8, check: TearCheck | None, camera_px: int) -> Reason | None:
+    """Why a frame is torn, in rows of the camera, of which a pixel here is so many; None for one that is not."""
+    row = torn_row(grey, check) if check else None
+    if row is None:
+        return None
+    return Reason(ReasonCode.TORN, f"torn: row {row * camera_px} does not continue the rows above")
 
 
 def torn_row(grey: U8, check: TearCheck) -> int | None:

@@ -20,7 +20,7 @@ from tacshade_edge.core.frame_check.blocks import (
     block_reasons,
     light_reason,
 )
-from tacshade_edge.core.frame_check.torn import TearCheck, tear_check, torn_row
+from tacshade_edge.core.frame_check.torn import TearCheck, tear_check, torn_reason
 from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import U8, Bool, Calibration, Disc, freeze
@@ -196,22 +196,15 @@ def _bright(sample: U8, sampled: U8) -> float:
 
 def _compared_reason(grey: U8, disc: U8, blocks: BlockCheck, check: FrameCheck) -> Reason | None:
     """What the reference tells: torn, shifted, other light."""
-    torn = _torn_reason(grey, check)
+    dark = _dark_reason(disc, check)
+    torn = torn_reason(grey, check.tear, check.camera_px)
     if not blocks.textured_at.size:
         return torn
-    dark = _dark_reason(disc, check)
     for rounded in (ROUNDED, 0):
         lost, changed = block_reasons(grey, blocks, rounded)
         if not lost and not changed:
             break
     return lost or torn or dark or changed
-
-
-def _torn_reason(grey: U8, check: FrameCheck) -> Reason | None:
-    row = torn_row(grey, check.tear) if check.tear else None
-    if row is None:
-        return None
-    return Reason(ReasonCode.TORN, f"torn: row {row * check.camera_px} does not continue the rows above")
 
 
 def _dark_reason(disc: U8, check: FrameCheck) -> Reason | None:

@@ -51,7 +51,7 @@ class GreyMapper:
         self._weight, self._denoise = preprocessor.profile.tv_weight, denoise
         self._g0 = self._smooth(preprocessor.reference_g)
 
-    def __call__(self, preprocessed: Preprocessed) -> GreyMaps:
+    def maps(self, preprocessed: Preprocessed) -> GreyMaps:
         """The maps of an image."""
         g = self._smooth(preprocessed.g - np.float32(self._sign * preprocessed.drift_grey))
         g_d = greyscale.grey_difference(g, self._g0, self._inside, self._sign)

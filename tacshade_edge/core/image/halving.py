@@ -27,8 +27,7 @@ def can_be_halved(calibration: Calibration) -> bool:
 
 def halved_image(grey: U8) -> U8:
     """Means over 2x2 px, rounded half up; of an odd side the last row or column is left out."""
-    rows, cols = (side // 2 * 2 for side in grey.shape)
-    return halved(grey[:rows, :cols])
+    return halved(grey[: grey.shape[0] // 2 * 2, : grey.shape[1] // 2 * 2])
 
 
 def grid_of_whole(grid: Grid) -> Grid:

@@ -55,7 +55,7 @@ class Integrator:
         rows, cols = self._values.shape
         return np.empty((rows + 1, cols + 1), np.int32)
 
-    def __call__(self, values: U8, space: I32 | None = None) -> IntegralImage:
+    def integrate(self, values: U8, space: I32 | None = None) -> IntegralImage:
         """Integrate an image of the window.
 
         Parameters
@@ -91,7 +91,7 @@ class BoxSums:
         self._left, self._right = col - half, col + half + 1
         self._bands: Total = np.empty((0, 0), np.int32)  # space to work in
 
-    def __call__(self, integral: IntegralImage) -> F32:
+    def sums(self, integral: IntegralImage) -> F32:
         """The sums, float32 (grid.rows, grid.cols), exact below 2**24."""
         total, step = integral.total, self._step
         if self._bands.shape[1] != total.shape[1] or self._bands.dtype != total.dtype:
@@ -119,7 +119,7 @@ class CellMeans:
         self._cols = _edges(grid.col0 - window.col0, grid.step_px, grid.cols, window.cols, m)
         self._per_area = np.float32(1 / grid.step_px**2)
 
-    def __call__(self, integral: IntegralImage) -> F32:
+    def means(self, integral: IntegralImage) -> F32:
         """The means, float32 (grid.rows, grid.cols).
 
         Exact to 1e-4 of the greatest value. What lies beyond the window is 0.

@@ -105,15 +105,15 @@ class Preprocessor:
         self.grid = Grid.of_window(self._window, profile.stride_px)
         self.rays: DiscRays = disc_rays(self.grid, geometry)
         self._box_sums = BoxSums(self.integrator, self.grid, side_px)
-        self._total = self._box_sums(self.integrator(self._mask))
+        self._total = self._box_sums.sums(self.integrator.integrate(self._mask))
         self._per_total: F32 = np.divide(np.float32(255), np.maximum(self._total, np.float32(1)))
         self.voting: Bool = self.rays.inside & (
             self._total >= VOTING_WINDOW_PART * min(side_px**2, int(self._mask.sum()))
         )
         self._voters = np.flatnonzero(self.voting)
         reference = self._window.cut(calibration.reference_white)
-        self.reference_white = self.integrator(reference)
-        self.reference_g = greyscale.white_ratio(self._box_sums(self.reference_white), self._total, full_scale=1.0)
+        self.reference_white = self.integrator.integrate(reference)
+        self.reference_g = greyscale.white_ratio(self._box_sums.sums(self.reference_white), self._total, full_scale=1.0)
         self._reference_voted: F32 = self.reference_g.take(self._voters)
         self._reference_binary: U8 = (reference > 127).astype(np.uint8)
         self.cell_mm2 = (profile.stride_px * geometry.mm_per_px) ** 2
@@ -135,7 +135,7 @@ class Preprocessor:
         grey = greyscale.to_grey(image, space)
         return halved_image(grey) if self._halve else grey
 
-    def __call__(self, grey: U8, space: I32 | None = None) -> Preprocessed:
+    def preprocess(self, grey: U8, space: I32 | None = None) -> Preprocessed:
         """Binarise, then eqs. 1 and 9, without what is under glare.
 
         Parameters
@@ -149,12 +149,12 @@ class Preprocessor:
         glare = glare_mask(window, self._glare_check)
         white = self._binarise(window)
         if glare is None:
-            integral = self.integrator(white, space)
-            g, unseen = self._box_sums(integral) * self._per_total, 0.0
+            integral = self.integrator.integrate(white, space)
+            g, unseen = self._box_sums.sums(integral) * self._per_total, 0.0
         else:
             g, unseen = self._ratio_beside(glare, white)
             # A network that sees black under glare would see pins; what stood there without contact says nothing.
-            integral = self.integrator(np.where(glare > 0, self._reference_binary, white), space)
+            integral = self.integrator.integrate(np.where(glare > 0, self._reference_binary, white), space)
         g_d = g.take(self._voters) - self._reference_voted
         g_d = g_d if self.sign > 0 else -g_d
         return Preprocessed(g, g_d, median(g_d) if g_d.size else 0.0, integral, unseen)
@@ -162,7 +162,8 @@ class Preprocessor:
     def _ratio_beside(self, glare: U8, white: U8) -> tuple[F32, float]:
         """Eq. 1 of what is not under glare, and the part of the disc that is."""
         clear = cv2.bitwise_and(self._mask, 1 - glare)
-        total = self._box_sums(self.integrator(clear))
-        g = greyscale.white_ratio(self._box_sums(self.integrator(cv2.bitwise_and(white, clear))), total)
+        total = self._box_sums.sums(self.integrator.integrate(clear))
+        white_clear = self.integrator.integrate(cv2.bitwise_and(white, clear))
+        g = greyscale.white_ratio(self._box_sums.sums(white_clear), total)
         g = np.where(total < CLEAR_WINDOW_PART * self._total, self.reference_g, g).astype(np.float32)
         return g, 1 - cv2.countNonZero(clear) / cv2.countNonZero(self._mask)

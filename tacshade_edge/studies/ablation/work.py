@@ -18,9 +18,10 @@ from tacshade_edge.simulator.objects import PAPER_OBJECTS
 from tacshade_edge.simulator.scene import SimulatedFrame
 from tacshade_edge.studies import tables
 from tacshade_edge.studies.ablation.perfected import PerfectedNetwork, true_answer
+from tacshade_edge.studies.cases import press_label
 from tacshade_edge.studies.evaluate.scenes import DEPTHS_MM, scenes
 from tacshade_edge.studies.evaluate.score import KnownTruth, Label, Row, score
-from tacshade_edge.studies.evaluate.sensors import PressedSensor, SensorName, calibrated
+from tacshade_edge.studies.evaluate.sensors import PRESSES, REFERENCES, PressedSensor, SensorName, calibrated
 from tacshade_edge.studies.evaluate.summary import by_object, figures, worst
 from tacshade_edge.studies.parallel import Report, reported_map
 from tacshade_edge.types import F32, Bool, Calibration, Frame, Geometry
@@ -67,8 +68,8 @@ class Plan:
     sensors: tuple[SensorName, ...]
     profile: str = "accurate"
     objects: tuple[str, ...] = PAPER_OBJECTS
-    references: int = 8
-    presses: int = 40
+    references: int = REFERENCES
+    presses: int = PRESSES
     depths_mm: tuple[float, ...] = DEPTHS_MM
 
 
@@ -143,11 +144,12 @@ def _presses(plan: Plan, name: SensorName, sensor: PressedSensor, object_name: s
     quiet = sensor.noiseless()
     made = []
     for scene in scenes(sensor.model, name.seed, object_name, plan.depths_mm):
-        frame, press = sensor.frame((scene.press,), scene.noise_seed), scene.press
-        label = Label(str(name), object_name, "", press.depth_mm, press.x_mm, press.y_mm, press.rotation_deg)
+        frame = sensor.frame((scene.press,), scene.noise_seed)
         clean = quiet.frame((scene.press,), scene.noise_seed).image
         truth = KnownTruth.of(frame.truth())
-        made.append(_Pressed(label, Frame(0, 0, 0, frame.image), Frame(0, 0, 0, clean), frame, truth))
+        made.append(
+            _Pressed(press_label(name, scene), Frame(0, 0, 0, frame.image), Frame(0, 0, 0, clean), frame, truth)
+        )
     return made
 
 
@@ -155,11 +157,11 @@ def _perfectly_calibrated(
     plan: Plan, calibration: Calibration, geometry: Geometry, pressed: Sequence[_Pressed]
 ) -> Calibration:
     true = replace(calibration, geometry=geometry)
-    preprocess = Preprocessor(true, PROFILES[plan.profile])
-    solver = LearnedSolver(preprocess, load_network(plan.profile))
+    preprocessor = Preprocessor(true, PROFILES[plan.profile])
+    solver = LearnedSolver(preprocessor, load_network(plan.profile))
     rows = []
     for each in pressed:
-        inverse = solver.inverse(preprocess(preprocess.grey(each.noisy.image)))
+        inverse = solver.inverse(preprocessor.preprocess(preprocessor.grey(each.noisy.image)))
         height, contact = true_answer(each.simulated, geometry, PROFILES[plan.profile].cells)
         if (made := _rows_of(inverse.height_mm, height, contact, geometry)) is not None:
             rows.append(made)

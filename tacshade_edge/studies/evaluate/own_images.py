@@ -7,7 +7,7 @@ import time
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +17,12 @@ from tacshade_edge.core.geometry.back_projection import skin_points
 from tacshade_edge.core.geometry.disc import Grid, disc_rays
 from tacshade_edge.devices.files.images import SUFFIXES, read_image
 from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.studies.cases import Case
 from tacshade_edge.studies.evaluate.score import KnownTruth, Label, Row, between_pixels, score
 from tacshade_edge.studies.evaluate.sensors import reconstructor
 from tacshade_edge.studies.evaluate.work import Timing
 from tacshade_edge.studies.parallel import Report
-from tacshade_edge.types import U8, Calibration, Frame, Geometry
+from tacshade_edge.types import Calibration, Frame, Geometry
 
 EXPECTED = "points_mm, or height_mm and contact"
 # What numpy and zipfile raise on damaged bytes.
@@ -145,8 +146,8 @@ def _check_covers(
 
 def read_images(
     calibration: Calibration, sensor: str, images: Sequence[Path], report: Report, mistake: Callable[[str], None]
-) -> Iterator[tuple[Label, KnownTruth, U8]]:
-    """Read images and what is known of them; one that cannot be used is told to `mistake` in a line."""
+) -> Iterator[Case]:
+    """Read images and what is known of them; one that cannot be used is told to `mistake` in a line, others go on."""
     size = (calibration.image_height_px, calibration.image_width_px)
     for k, path in enumerate(images):
         report("images", k, len(images))
@@ -159,33 +160,25 @@ def read_images(
         except DecodeError as error:
             mistake(str(error))
             continue
-        yield Label(sensor, name if len(truth.points_mm) else "none", path.name), truth, image
+        yield Case(Label(sensor, name if len(truth.points_mm) else "none", path.name), truth, image)
     report("images", len(images), len(images))
 
 
 def evaluate_images(
-    calibration: Calibration,
-    sensor: str,
-    profiles: Sequence[str],
-    images: Sequence[Path],
-    report: Report,
-    mistake: Callable[[str], None],
+    calibration: Calibration, profiles: Sequence[str], cases: Iterable[Case]
 ) -> tuple[list[Row], dict[str, Timing]]:
-    """Score images; one that cannot be is told to `mistake` in a line, and the others go on.
-
-    Every step is timed, one after the other in this process.
-    """
+    """Score images; every step is timed, one after the other in this process."""
     made = {profile: reconstructor(calibration, profile) for profile in profiles}
     taken: dict[str, list[float]] = {profile: [] for profile in profiles}
     rows = []
-    for label, truth, image in read_images(calibration, sensor, images, report, mistake):
-        frame = Frame(0, 0, 0, image)
+    for case in cases:
+        frame = Frame(0, 0, 0, case.image)
         for profile, each in made.items():
             if not taken[profile]:
                 each.step(frame)  # the first step imports and allocates
             start = time.perf_counter_ns()
             result = each.step(frame)
             taken[profile].append((time.perf_counter_ns() - start) / 1e6)
-            rows.append(score(label, truth, result))
+            rows.append(score(case.label, case.truth, result))
     timings = {p: Timing(float(np.median(ms)), len(ms)) for p, ms in taken.items() if ms}
     return rows, timings

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,17 +29,11 @@ if TYPE_CHECKING:
 COLUMNS = 5
 DEPTH_MM = 3.0
 PACKAGES = ("matplotlib", "skimage")
-INSTALL = "matplotlib and scikit-image draw it: pip install 'tacshade-edge[studies]'"
 HEIGHT_COLOURS = "YlGnBu"  # pale where nothing is pressed, so that the skin's shading shows
 FOUND_COLOUR, TRUE_COLOUR = "#e4572e", "#3d6fb4"
 # Enough of each that their shape shows, few enough that a page stays small.
 _CLOUD_POINTS, _SKIN_CELLS = 900, 100
 _OBJECT_HEIGHT_MM, _GAP_MM = 8.0, 4.0  # how much of an object is drawn, and how far above the skin
-
-
-def can_draw() -> bool:
-    """Whether what draws it is installed (without importing it)."""
-    return all(importlib.util.find_spec(name) is not None for name in PACKAGES)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,15 +53,15 @@ def columns(name: SensorName, calibration: Calibration, profile: str, objects: S
     """Press the first `COLUMNS` objects `DEPTH_MM` deep near the middle of a sensor."""
     sensor = name.make()
     solve = reconstructor(calibration, profile)
-    preprocess = Preprocessor(calibration, PROFILES["paper"])  # its maps are as fine as the image
-    grey_maps = GreyMapper(preprocess)
+    preprocessor = Preprocessor(calibration, PROFILES["paper"])  # its maps are as fine as the image
+    grey_mapper = GreyMapper(preprocessor)
     made = []
     for object_name in objects[:COLUMNS]:
         scene = scenes(sensor.model, name.seed, object_name, (DEPTH_MM,))[0]
         frame = sensor.frame((scene.press,), scene.noise_seed)
         result, truth = solve.step(Frame(0, 0, 0, frame.image)), frame.truth()
         score = score_cloud(result.cloud.points_mm, KnownTruth.of(truth).points_mm, truth.depth_max_mm)
-        maps = grey_maps(preprocess(to_grey(frame.image)))
+        maps = grey_mapper.maps(preprocessor.preprocess(to_grey(frame.image)))
         made.append(Column(object_name.replace("_", " "), scene.press, frame.image, maps, result, truth, score))
     return made
 
@@ -79,7 +72,7 @@ def draw(made: Sequence[Column], calibration: Calibration, profile: str, dpi: in
     Raises
     ------
     ImportError
-        What draws it is not installed (`can_draw`).
+        What draws it is not installed.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

@@ -131,11 +131,6 @@ def _worst_of_paper(known: Sequence[tuple[float, float]]) -> tuple[float, float]
     return max(me for me, _ in known), min(sd for _, sd in known)
 
 
-def csv_text(rows: Sequence[Row]) -> str:
-    """One line for each frame and profile, a column for each field of `Row`; NaN is empty."""
-    return tables.csv_text(Row, rows)
-
-
 def document(rows: Sequence[Row], timings: Mapping[str, Timing], settings: Mapping[str, Any]) -> dict[str, Any]:
     """Everything but the rows: settings, versions, Table I, and the summary of each profile; for JSON."""
     summaries = {}

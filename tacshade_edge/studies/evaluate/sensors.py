@@ -21,6 +21,9 @@ from tacshade_edge.types import Calibration
 FINAL_SEED = 9000
 """Sensors from this seed on are for final figures; nobody looks at them while working on what is measured."""
 
+REFERENCES, PRESSES = 8, 40
+"""Images that each sensor is calibrated on, unless something else is asked for."""
+
 # Each image of a sensor has a noise seed of its own: references, presses, scenes, frames without contact.
 REFERENCE_NOISE, PRESS_NOISE, SCENE_NOISE, NULL_NOISE = 1000, 2000, 3000, 4000
 

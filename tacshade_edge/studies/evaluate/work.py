@@ -10,9 +10,10 @@ import numpy as np
 
 from tacshade_edge.core.calibration.calibrate import Calibrated
 from tacshade_edge.simulator.objects import OBJECTS
-from tacshade_edge.studies.evaluate.scenes import DEPTHS_MM, NULL_FRAMES, null_images, scenes
-from tacshade_edge.studies.evaluate.score import NOTHING, KnownTruth, Label, Row, score
-from tacshade_edge.studies.evaluate.sensors import SensorName, calibrated, reconstructor
+from tacshade_edge.studies.cases import calibrate_sensors, null_cases, press_cases
+from tacshade_edge.studies.evaluate.scenes import DEPTHS_MM, NULL_FRAMES, scenes
+from tacshade_edge.studies.evaluate.score import Row, score
+from tacshade_edge.studies.evaluate.sensors import PRESSES, REFERENCES, SensorName, reconstructor
 from tacshade_edge.studies.parallel import Report, reported_map
 from tacshade_edge.studies.stage_times import one_thread
 from tacshade_edge.types import Calibration, Frame
@@ -40,8 +41,8 @@ class Plan:
     sensors: tuple[SensorName, ...]
     profiles: tuple[str, ...]
     objects: tuple[str, ...] = tuple(OBJECTS)
-    references: int = 8
-    presses: int = 40
+    references: int = REFERENCES
+    presses: int = PRESSES
     depths_mm: tuple[float, ...] = DEPTHS_MM
     null_frames: int = NULL_FRAMES
 
@@ -72,18 +73,11 @@ def evaluate(plan: Plan, cores: int, report: Report) -> Evaluation:
     DeviceError
         A worker process was killed.
     """
-    found = tuple(
-        reported_map(_calibrate, [(plan, name) for name in plan.sensors], cores, report, "sensors calibrated")
-    )
+    found = tuple(calibrate_sensors(plan.sensors, plan.references, plan.presses, cores, report))
     known = [(plan, name, made.calibration) for name, made in zip(plan.sensors, found, strict=True)]
     tasks = [(*each, what) for each in known for what in (*plan.objects, None)]
     rows = chain.from_iterable(reported_map(_rows, tasks, cores, report, "objects pressed"))
     return Evaluation(tuple(rows), found)
-
-
-def _calibrate(task: tuple[Plan, SensorName]) -> Calibrated:
-    plan, name = task
-    return calibrated(name, plan.references, plan.presses)
 
 
 def _rows(task: tuple[Plan, SensorName, Calibration, str | None]) -> list[Row]:
@@ -91,19 +85,12 @@ def _rows(task: tuple[Plan, SensorName, Calibration, str | None]) -> list[Row]:
     plan, name, calibration, object_name = task
     sensor = name.make()
     made = [reconstructor(calibration, profile) for profile in plan.profiles]
-    rows = []
-    if object_name is None:
-        for what, image in null_images(sensor, plan.null_frames):
-            label, truth = Label(str(name), "none", what), KnownTruth(NOTHING, 0.0, None)
-            rows += [score(label, truth, each.step(Frame(0, 0, 0, image))) for each in made]
-        return rows
-    for scene in scenes(sensor.model, name.seed, object_name, plan.depths_mm):
-        frame = sensor.frame((scene.press,), scene.noise_seed)
-        truth = KnownTruth.of(frame.truth())
-        press = scene.press
-        label = Label(str(name), object_name, "", press.depth_mm, press.x_mm, press.y_mm, press.rotation_deg)
-        rows += [score(label, truth, each.step(Frame(0, 0, 0, frame.image))) for each in made]
-    return rows
+    cases = (
+        null_cases(name, sensor, plan.null_frames)
+        if object_name is None
+        else press_cases(name, sensor, scenes(sensor.model, name.seed, object_name, plan.depths_mm))
+    )
+    return [score(case.label, case.truth, each.step(Frame(0, 0, 0, case.image))) for case in cases for each in made]
 
 
 def time_profiles(plan: Plan, calibration: Calibration, report: Report) -> dict[str, Timing]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import io
 from collections.abc import Sequence
 from typing import Any
@@ -22,14 +21,8 @@ from tacshade_edge.studies.limits.summary import (
 )
 from tacshade_edge.studies.limits.work import Limits
 
-INSTALL = "matplotlib draws them: pip install 'tacshade-edge[studies]'"
 _COLOURS = ("#3d6fb4", "#e4572e", "#4a9c5d", "#8a5fb0")
 _STYLES, _MARKERS = ("-", "--", ":"), ("o", "s", "^")
-
-
-def can_draw() -> bool:
-    """Whether matplotlib is installed (without importing it)."""
-    return importlib.util.find_spec("matplotlib") is not None
 
 
 def draw(found: Limits) -> dict[str, bytes]:

@@ -15,12 +15,14 @@ from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.objects import OBJECTS, ball, bars, ridge
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedSensor
+from tacshade_edge.studies.cases import calibrate_sensors
 from tacshade_edge.studies.evaluate.sensors import (
     NULL_NOISE,
+    PRESSES,
+    REFERENCES,
     SCENE_NOISE,
     PressedSensor,
     SensorName,
-    calibrated,
     calibrated_sensor,
     reconstructor,
 )
@@ -63,8 +65,8 @@ class Plan:
 
     sensors: tuple[SensorName, ...]
     profiles: tuple[str, ...]
-    references: int = 8
-    presses: int = 40
+    references: int = REFERENCES
+    presses: int = PRESSES
     null_frames: int = 1000
     beyond_frames: int = 300
     ball_radii_mm: tuple[float, ...] = (3.0, 6.0, 9.0)
@@ -98,9 +100,8 @@ class Limits:
 
 def limits(plan: Plan, cores: int, report: Report) -> Limits:
     """Run a plan. Raises ConfigError (a sensor cannot be calibrated) and DeviceError (a worker was killed)."""
-    names = [(plan, name) for name in plan.sensors]
-    calibrations = list(reported_map(_calibrate, names, cores, report, "sensors calibrated"))
-    known = [(*each, calibration) for each, calibration in zip(names, calibrations, strict=True)]
+    calibrations = calibrate_sensors(plan.sensors, plan.references, plan.presses, cores, report)
+    known = [(plan, name, made.calibration) for name, made in zip(plan.sensors, calibrations, strict=True)]
     # The longest first, so that no core waits at the end.
     jobs: list[_Job] = [
         *((_fine, (plan, pitch)) for pitch in plan.pitches_mm),
@@ -119,11 +120,6 @@ def limits(plan: Plan, cores: int, report: Report) -> Limits:
 def _run(job: _Job) -> Sequence[Found]:
     function, task = job
     return function(task)
-
-
-def _calibrate(task: tuple[Plan, SensorName]) -> Calibration:
-    plan, name = task
-    return calibrated(name, plan.references, plan.presses).calibration
 
 
 def _reconstructors(plan: Plan, calibration: Calibration) -> list[Reconstructor]:

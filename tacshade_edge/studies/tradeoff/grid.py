@@ -11,7 +11,7 @@ import numpy as np
 
 from tacshade_edge.core.contact.objects import Objects, find_objects, objects_in
 from tacshade_edge.core.depth import MakeSolver
-from tacshade_edge.core.depth.hybrid_sfs import HybridSfs, solve
+from tacshade_edge.core.depth.hybrid_sfs import HybridSfs, hybrid_depth
 from tacshade_edge.core.geometry.disc import DiscRays
 from tacshade_edge.core.image.total_variation import ITERATIONS_MAX, chambolle
 from tacshade_edge.core.profiles import PROFILES, Profile
@@ -156,7 +156,7 @@ def _hybrid_sfs(setting: Setting) -> MakeSolver:
     def denoise(image: F32, weight: float) -> F32:
         return DENOISERS[setting.tv_precision](image, weight, setting.tv_iterations)
 
-    return partial(HybridSfs, denoise=denoise, solve=scaled_grey if setting.scaled_grey else solve)
+    return partial(HybridSfs, denoise=denoise, depth=scaled_grey if setting.scaled_grey else hybrid_depth)
 
 
 def _find_everywhere(contact: Bool, height_mm: F32, rays: DiscRays, geometry: Geometry) -> Objects | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import io
 import math
 from collections.abc import Mapping, Sequence
@@ -11,16 +10,10 @@ from typing import Any
 
 from tacshade_edge.studies.tradeoff.summary import Estimate, Point
 
-INSTALL = "matplotlib draws it: pip install 'tacshade-edge[studies]'"
 NEAR = 1.5
 """The second panel ends at so many times the slowest and the least accurate setting on the front."""
 
 _COLOURS = ("#8a5fb0", "#e4572e", "#4a9c5d", "#3d6fb4")
-
-
-def can_draw() -> bool:
-    """Whether matplotlib is installed (without importing it)."""
-    return importlib.util.find_spec("matplotlib") is not None
 
 
 def draw(points: Sequence[Point], budget_ms: float | None) -> bytes:

@@ -13,7 +13,7 @@ from tacshade_edge.studies.scaled_grey import scaled_grey
 from tacshade_edge.types import F32, F64
 
 ALPHA_MM = 3.0
-METHODS: dict[str, Callable[[GreyMaps, float], Depth]] = {"paper": hybrid_sfs.solve, "grey": scaled_grey}
+METHODS: dict[str, Callable[[GreyMaps, float], Depth]] = {"paper": hybrid_sfs.hybrid_depth, "grey": scaled_grey}
 """From grey maps to depth: with eq. 11 and without."""
 
 

@@ -16,9 +16,9 @@ from tacshade_edge.types import F32, U8, Frame
 
 def cells(image: U8, model: SensorModel) -> F32:
     calibration = calibrated(model, 0)
-    preprocess = Preprocessor(calibration, PROFILES["accurate"])
-    means = CellMeans(preprocess.integrator, disc_map.map_grid(calibration.geometry.disc))
-    return means(preprocess(preprocess.grey(image)).white)
+    preprocessor = Preprocessor(calibration, PROFILES["accurate"])
+    cells_of = CellMeans(preprocessor.integrator, disc_map.map_grid(calibration.geometry.disc))
+    return cells_of.means(preprocessor.preprocess(preprocessor.grey(image)).white)
 
 
 def check(model: SensorModel) -> CameraShift:

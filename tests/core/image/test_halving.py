@@ -64,21 +64,21 @@ def test_the_halved_sensor_is_the_same_one() -> None:
 @pytest.mark.parametrize(("rows", "cols"), [(97, 129), (192, 256), (240, 320)])
 def test_nothing_has_changed_in_a_reference_that_is_halved(rows: int, cols: int) -> None:
     whole = built_calibration(rows, cols, disc=Disc(rows / 2 - 1.3, cols / 2 + 3.8, 0.43 * rows), pitch_px=15.0)
-    preprocess = Preprocessor(whole, PROFILES["balanced"])
-    means = CellMeans(preprocess.integrator, disc_map.map_grid(preprocess.calibration.geometry.disc))
-    reference_cells = means(preprocess.reference_white) / 255
-    found = preprocess(preprocess.grey(whole.reference_grey))
+    preprocessor = Preprocessor(whole, PROFILES["balanced"])
+    cells_of = CellMeans(preprocessor.integrator, disc_map.map_grid(preprocessor.calibration.geometry.disc))
+    reference_cells = cells_of.means(preprocessor.reference_white) / 255
+    found = preprocessor.preprocess(preprocessor.grey(whole.reference_grey))
     # The reference is the mean of itself moved by a pixel, to a grey level of its white.
     around = np.pad(whole.reference_grey, 1, mode="edge")
     mixed = np.zeros_like(reference_cells)
     for (row, down), (col, across) in product(enumerate(MOVED_PARTS), repeat=2):
         moved = around[row : row + whole.image_height_px, col : col + whole.image_width_px]
-        mixed += down * across * means(preprocess(preprocess.grey(moved)).white)
+        mixed += down * across * cells_of.means(preprocessor.preprocess(preprocessor.grey(moved)).white)
     np.testing.assert_allclose(reference_cells, mixed, atol=0.5 / 255 + 1e-4)
     assert np.abs(found.g_d).max() < 4
     assert abs(found.g_d.mean()) < 0.5
-    assert not ContactGate(preprocess)(found)
-    cells = means(found.white) - reference_cells
+    assert not ContactGate(preprocessor).opens(found)
+    cells = cells_of.means(found.white) - reference_cells
     assert abs(cells.mean()) < 0.002
     assert np.abs(cells).max() < 0.5
 

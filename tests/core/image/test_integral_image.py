@@ -34,9 +34,9 @@ def test_box_sums_are_exact(height: int, width: int, half: int, step: int, top: 
     window = Window(3, 5, height, width)
     grid, integrator = Grid.of_window(window, step), Integrator(window, half + 1)
     box_sums = BoxSums(integrator, grid, 2 * half + 1)
-    first = integrator(values)
-    box_sums(integrator(255 - values))  # what comes between does not matter
-    found = box_sums(first)
+    first = integrator.integrate(values)
+    box_sums.sums(integrator.integrate(255 - values))  # what comes between does not matter
+    found = box_sums.sums(first)
     assert found.dtype == np.float32
     np.testing.assert_array_equal(found, slow_box(values, 2 * half + 1, grid))
 
@@ -51,7 +51,7 @@ def test_means_are_those_of_square_pixels(
 ) -> None:
     values = np.random.default_rng(seed).integers(0, 256, (height, width), dtype=np.uint8)
     grid, integrator = Grid(4, 6, row0, col0, step), Integrator(Window(3, 5, height, width), 2)
-    found = CellMeans(integrator, grid)(integrator(values))
+    found = CellMeans(integrator, grid).means(integrator.integrate(values))
 
     def overlap(first: float, count: int, start: int, size: int) -> F64:
         """How much of each pixel (columns) each cell (rows) covers."""
@@ -69,15 +69,15 @@ def test_an_integral_beyond_int32_is_exact_too(monkeypatch: pytest.MonkeyPatch) 
     grid, integrator = Grid.of_window(Window(3, 5, 20, 24), 3), Integrator(Window(3, 5, 20, 24), 5)
     box_sums, space = BoxSums(integrator, grid, 7), integrator.space()
     for each in (values, values // 255, values):
-        np.testing.assert_array_equal(box_sums(integrator(each, space)), slow_box(each, 7, grid))
+        np.testing.assert_array_equal(box_sums.sums(integrator.integrate(each, space)), slow_box(each, 7, grid))
 
 
 def test_an_integral_image_stays_and_one_in_space_lasts_until_the_next() -> None:
     integrator = Integrator(Window(3, 5, 20, 24), 5)
     one, two = np.zeros((20, 24), np.uint8), np.ones((20, 24), np.uint8)
-    kept, space = integrator(one), integrator.space()
-    before, lent = kept.total.tobytes(), integrator(one, space)
-    assert integrator(two, space).total.base is lent.total.base
+    kept, space = integrator.integrate(one), integrator.space()
+    before, lent = kept.total.tobytes(), integrator.integrate(one, space)
+    assert integrator.integrate(two, space).total.base is lent.total.base
     assert kept.total.tobytes() == before != lent.total.tobytes()
     with pytest.raises(ValueError, match="read-only"):
         kept.total[0, 0] = 1
@@ -86,7 +86,7 @@ def test_an_integral_image_stays_and_one_in_space_lasts_until_the_next() -> None
 def disc_means(image: U8, disc: Disc) -> F32:
     """Over the cells of the disc's map."""
     integrator = Integrator(Window(0, 0, *image.shape), 0)
-    return CellMeans(integrator, disc_map.map_grid(disc))(integrator(image))
+    return CellMeans(integrator, disc_map.map_grid(disc)).means(integrator.integrate(image))
 
 
 def test_averages_keep_the_total_and_say_where_it_is() -> None:

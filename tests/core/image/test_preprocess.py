@@ -16,34 +16,34 @@ from tacshade_edge.types import F32
 CHANGE = np.float32(60)
 
 
-def of_ratio(preprocess: Preprocessor, g: F32) -> Preprocessed:
+def of_ratio(preprocessor: Preprocessor, g: F32) -> Preprocessed:
     """An image of this white ratio."""
-    g_d = np.float32(preprocess.sign) * (g - preprocess.reference_g)[preprocess.voting]
-    return Preprocessed(g, g_d, median(g_d), preprocess.reference_white, 0.0)
+    g_d = np.float32(preprocessor.sign) * (g - preprocessor.reference_g)[preprocessor.voting]
+    return Preprocessed(g, g_d, median(g_d), preprocessor.reference_white, 0.0)
 
 
 @pytest.mark.parametrize("polarity", ["bright", "dark"])
 def test_only_cells_with_a_vote_open_the_gate(polarity: str) -> None:
-    preprocess = Preprocessor(replace(calibrated(HALF, 0), polarity=polarity), PROFILES["accurate"])
-    gate, reference = ContactGate(preprocess), preprocess.reference_g
+    preprocessor = Preprocessor(replace(calibrated(HALF, 0), polarity=polarity), PROFILES["accurate"])
+    gate, reference = ContactGate(preprocessor), preprocessor.reference_g
     change = CHANGE if polarity == "bright" else -CHANGE
-    assert (preprocess.rays.inside & ~preprocess.voting).sum() > 100  # at the rim
-    assert not gate(of_ratio(preprocess, reference))
-    assert not gate(of_ratio(preprocess, np.where(preprocess.voting, reference, reference + change)))
+    assert (preprocessor.rays.inside & ~preprocessor.voting).sum() > 100  # at the rim
+    assert not gate.opens(of_ratio(preprocessor, reference))
+    assert not gate.opens(of_ratio(preprocessor, np.where(preprocessor.voting, reference, reference + change)))
     raised = reference.copy()
-    raised.flat[np.flatnonzero(preprocess.voting)[1000:1080]] += change
-    assert gate(of_ratio(preprocess, raised))
-    everywhere = of_ratio(preprocess, reference + change)
-    assert not gate(everywhere)
+    raised.flat[np.flatnonzero(preprocessor.voting)[1000:1080]] += change
+    assert gate.opens(of_ratio(preprocessor, raised))
+    everywhere = of_ratio(preprocessor, reference + change)
+    assert not gate.opens(everywhere)
     assert everywhere.drift_grey == pytest.approx(CHANGE, abs=1e-3)
 
 
 @pytest.mark.parametrize("polarity", ["bright", "dark"])
 @pytest.mark.parametrize("profile", ["paper", "balanced"])
 def test_the_change_is_eq_9_of_the_ratio(profile: str, polarity: str) -> None:
-    preprocess = Preprocessor(replace(calibrated(HALF, 0), polarity=polarity), PROFILES[profile])
-    found = preprocess(preprocess.grey(pressed("ball", 3.0).image))
-    expected = of_ratio(preprocess, found.g)
+    preprocessor = Preprocessor(replace(calibrated(HALF, 0), polarity=polarity), PROFILES[profile])
+    found = preprocessor.preprocess(preprocessor.grey(pressed("ball", 3.0).image))
+    expected = of_ratio(preprocessor, found.g)
     np.testing.assert_array_equal(found.g_d, expected.g_d)
     assert found.drift_grey == expected.drift_grey
     assert found.unseen == 0
@@ -51,7 +51,7 @@ def test_the_change_is_eq_9_of_the_ratio(profile: str, polarity: str) -> None:
 
 @pytest.mark.parametrize("profile", PROFILES)
 def test_a_value_is_of_its_image_whatever_came_after_it(profile: str) -> None:
-    preprocess = Preprocessor(calibrated(HALF, 0), PROFILES[profile])
+    preprocessor = Preprocessor(calibrated(HALF, 0), PROFILES[profile])
     images = [pressed("ball", 3.0).image, nuisance.glare(unloaded(), 110, 190, 12), unloaded() * 0]
 
     def everything(found: Preprocessed) -> tuple[object, ...]:
@@ -59,8 +59,8 @@ def test_a_value_is_of_its_image_whatever_came_after_it(profile: str) -> None:
         assert not any(array.flags.writeable for array in arrays)
         return (found.drift_grey, found.unseen, *(array.tobytes() for array in arrays))
 
-    found = [preprocess(preprocess.grey(image)) for image in images]
+    found = [preprocessor.preprocess(preprocessor.grey(image)) for image in images]
     before = [everything(each) for each in found]
     assert len(set(before)) == len(images)
-    assert [everything(preprocess(preprocess.grey(image))) for image in reversed(images)] == before[::-1]
+    assert [everything(preprocessor.preprocess(preprocessor.grey(image))) for image in reversed(images)] == before[::-1]
     assert [everything(each) for each in found] == before

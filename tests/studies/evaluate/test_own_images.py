@@ -8,7 +8,7 @@ import pytest
 from support.painted_sensor import DISC, FREE, HEIGHT, TOUCHED, WIDTH, painted_calibration
 
 from tacshade_edge.errors import ConfigError, DecodeError
-from tacshade_edge.studies.evaluate.own_images import evaluate_images, images_in, read_truth
+from tacshade_edge.studies.evaluate.own_images import evaluate_images, images_in, read_images, read_truth
 from tacshade_edge.studies.evaluate.score import Row
 from tacshade_edge.studies.evaluate.sensors import reconstructor
 from tacshade_edge.studies.metrics import contact_iou, score_cloud
@@ -55,7 +55,8 @@ class Heard:
 
 def scored(folder: Path) -> tuple[list[Row], list[str]]:
     heard = Heard([])
-    rows, timings = evaluate_images(CALIBRATION, "mine", ("fast",), images_in(folder), heard.progress, heard.mistake)
+    cases = read_images(CALIBRATION, "mine", images_in(folder), heard.progress, heard.mistake)
+    rows, timings = evaluate_images(CALIBRATION, ("fast",), cases)
     assert not rows or timings["fast"].p50_ms > 0
     return rows, heard.lines
 

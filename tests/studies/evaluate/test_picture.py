@@ -1,4 +1,3 @@
-import sys
 from collections.abc import Iterator
 
 import cv2
@@ -53,10 +52,3 @@ def test_the_mesh_of_an_object_is_that_object() -> None:
     vertices, faces = picture._object_mesh(made[0].press)
     assert len(faces) > 500
     np.testing.assert_allclose(np.linalg.norm(vertices - (0, 0, 6), axis=1)[vertices[:, 2] < 6], 6, atol=0.05)
-
-
-@pytest.mark.parametrize("package", picture.PACKAGES)
-def test_without_a_package_it_says_so(package: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert picture.can_draw()
-    monkeypatch.setitem(sys.modules, package, None)
-    assert not picture.can_draw()

@@ -7,9 +7,10 @@ from dataclasses import fields, replace
 from support.evaluation_rows import ROW
 
 from tacshade_edge.simulator.objects import PAPER_OBJECTS
-from tacshade_edge.studies.evaluate.report import csv_text, document, table
+from tacshade_edge.studies.evaluate.report import document, table
 from tacshade_edge.studies.evaluate.score import Row
 from tacshade_edge.studies.evaluate.work import Timing
+from tacshade_edge.studies.tables import csv_text
 
 NULL = replace(
     ROW, object="none", contact=False, true_points=0, me_mm=math.nan, sd_pct=math.nan, iou=math.nan, found_depth_mm=0.0
@@ -63,7 +64,7 @@ def test_frames_without_contact_alone_make_a_table() -> None:
 
 
 def test_a_line_and_a_column_for_everything() -> None:
-    lines = list(csv.DictReader(io.StringIO(csv_text([ROW, NULL]))))
+    lines = list(csv.DictReader(io.StringIO(csv_text(Row, [ROW, NULL]))))
     assert list(lines[0]) == [field.name for field in fields(Row)]
     assert (lines[0]["me_mm"], lines[0]["valid"], lines[0]["points"]) == ("0.2", "1", "100")
     assert (lines[1]["object"], lines[1]["me_mm"], lines[1]["contact"]) == ("none", "", "0")

@@ -6,12 +6,12 @@ import pytest
 from support.half_family import HALF_SENSOR, half_family
 
 from tacshade_edge.simulator.objects import OBJECTS
-from tacshade_edge.studies.evaluate.report import csv_text
 from tacshade_edge.studies.evaluate.scenes import scenes
-from tacshade_edge.studies.evaluate.score import KnownTruth
+from tacshade_edge.studies.evaluate.score import KnownTruth, Row
 from tacshade_edge.studies.evaluate.sensors import reconstructor
 from tacshade_edge.studies.evaluate.work import Evaluation, Plan, evaluate, time_profiles
 from tacshade_edge.studies.metrics import contact_iou, score_cloud
+from tacshade_edge.studies.tables import csv_text
 from tacshade_edge.types import Frame
 
 pytestmark = pytest.mark.slow  # it renders and measures truths
@@ -45,7 +45,7 @@ def test_a_row_for_every_press_and_frame_without_contact(found: Evaluation) -> N
 
 
 def test_the_same_plan_gives_the_same_bytes(found: Evaluation) -> None:
-    assert csv_text(evaluate(PLAN, 1, quiet).rows) == csv_text(found.rows)
+    assert csv_text(Row, evaluate(PLAN, 1, quiet).rows) == csv_text(Row, found.rows)
 
 
 def test_a_row_is_what_the_metrics_say_of_that_press(found: Evaluation) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from support.half_family import HALF_SENSOR, half_family
 
+from tacshade_edge.studies.evaluate.own_images import read_images
 from tacshade_edge.studies.evaluate.scenes import DEPTHS_MM
 from tacshade_edge.studies.tradeoff import cases
 from tacshade_edge.studies.tradeoff.accuracy import score_settings
@@ -64,6 +65,6 @@ def test_the_same_images_give_the_same_rows_and_those_of_a_user_too(sensor: Sens
             tmp_path / f"{k}.npz", points_mm=truth.points_mm, contact=truth.contact, depth_max_mm=truth.depth_max_mm
         )
     images = sorted(tmp_path.glob("*.png"))
-    own = cases.own(sensor.calibration, "mine", images, quiet, lambda text: pytest.fail(text))
-    ((read,),) = score_settings(settings, (own,), 1, quiet)
+    own = tuple(read_images(sensor.calibration, "mine", images, quiet, lambda text: pytest.fail(text)))
+    ((read,),) = score_settings(settings, (SensorCases(sensor.calibration, own),), 1, quiet)
     assert [(r.me_mm, r.iou) for r in read] == [(r.me_mm, r.iou) for r in first[:3]]

@@ -1,0 +1,55 @@
+"""README.md: short, and its listener prints what a daemon publishes."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from support.patience import patience, wait_until
+
+from tacshade_edge.protocol import wire
+from tacshade_edge.types import HeightMap, ObjectCloud, Reconstruction
+
+TEXT = (Path(__file__).parents[2] / "README.md").read_text()
+
+
+def test_it_has_at_most_700_words() -> None:
+    assert len(TEXT.split()) <= 700
+
+
+@pytest.mark.broker
+@pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
+def test_the_listener_prints_each_height_map(tmp_path: Path) -> None:
+    (code,) = re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL)
+    assert len([line for line in code.splitlines() if line and not line.startswith(("import", "from"))]) <= 10
+    (tmp_path / "listen.py").write_text(code)
+    height = np.full((5, 7), np.nan, np.float32)
+    height[1:4, 2:6] = 0.25
+    height[2, 3] = 2.5
+    grid = HeightMap(height, height > 0, 0.0, 0.0, 4.0)
+    nothing = ObjectCloud(np.zeros((0, 3), np.float32), np.zeros(0, np.uint16))
+    payload = wire.encode_height(
+        Reconstruction(1, 1, 1, "fast", True, None, True, False, None, grid, nothing), calibration_crc32=1
+    )
+    topic = "tacshade/hand/height"
+    printed = tmp_path / "printed"
+    with Broker(tmp_path) as broker, Subscriber(broker.port, "none") as publisher, printed.open("w") as out:
+        command = [sys.executable, str(tmp_path / "listen.py"), "127.0.0.1", str(broker.port), "tacshade/+/height"]
+        listener = subprocess.Popen(command, stdout=out)
+        try:
+
+            def has_printed() -> bool:
+                assert listener.poll() is None, "the listener ended"
+                publisher.publish(topic, payload)
+                return "\n" in printed.read_text()
+
+            wait_until(has_printed, 20, "the listener prints a line")
+        finally:
+            listener.terminate()
+            listener.wait(patience(10))
+    assert printed.read_text().splitlines()[0] == f"{topic}: 5 x 7, deepest 2.50 mm"

@@ -1,0 +1,53 @@
+"""The program that writes docs/results, with a command that only prints its help."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import results
+from results import PAGES, Page
+
+HELP = Page("Help", "What it prints.", ("tacshade-edge", "--help"))
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(results, "FOLDER", tmp_path)
+    return tmp_path
+
+
+def test_a_page_says_its_command_the_code_and_the_machine(folder: Path) -> None:
+    assert not results.is_current("help")
+    assert results.write("help", HELP, busy=False) == ""
+    text = (folder / "help.md").read_text()
+    for part in (
+        "# Help",
+        "`tools/results.py help`",
+        "| command | `tacshade-edge --help` |",
+        "| machine | ",
+        "usage: ",
+    ):
+        assert part in text
+    assert f"| code | {results.commit()} |" in text
+    assert results.is_current("help")
+
+
+def test_a_command_that_fails_leaves_no_page(folder: Path) -> None:
+    problem = results.write("wrong", Page("", "", ("tacshade-edge", "wrong")), busy=False)
+    assert problem == "tacshade-edge wrong: exit code 2"
+    assert list(folder.iterdir()) == []
+
+
+def test_a_page_of_speed_wants_a_machine_to_itself(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(results, "OTHER_LOAD", -1.0)
+    speed = Page("Speed", "", HELP.command, idle=True)
+    assert "not written" in results.write("speed", speed, busy=False)
+    assert list(folder.iterdir()) == []
+    assert results.write("speed", speed, busy=True) == ""
+
+
+def test_every_program_is_there() -> None:
+    for page in PAGES.values():
+        program = page.command[0]
+        assert program == "tacshade-edge" or (results.ROOT / "tools" / program).is_file()

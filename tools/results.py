@@ -1,0 +1,302 @@
+#!/usr/bin/env python3
+"""Write docs/results: every table by one command, with the commit and the machine at its top.
+
+::
+
+    .venv/bin/python tools/results.py                 # those that are missing or of other code
+    .venv/bin/python tools/results.py objects limits  # these
+    .venv/bin/python tools/results.py --list
+
+A page is written when its command has ended, so what was interrupted goes on where it was. Pages of speed want a
+machine with nothing beside: one that had other work is refused (`OTHER_LOAD`), unless ``--busy`` allows it; the page
+says how much there was.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+import re
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from tacshade_edge.simulator.objects import OBJECTS, PAPER_OBJECTS
+from tacshade_edge.studies.evaluate.report import versions
+
+ROOT = Path(__file__).parents[1]
+FOLDER = ROOT / "docs" / "results"
+OTHER_LOAD = 0.1
+"""Most that anything else may have worked meanwhile, in cores, for a page of speed."""
+
+FIVE = ",".join(PAPER_OBJECTS)
+OTHERS = ",".join(name for name in OBJECTS if name not in PAPER_OBJECTS)
+EVALUATE = ("tacshade-edge", "evaluate")
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """A page of docs/results.
+
+    Attributes
+    ----------
+    title, text : str
+        What it is; what its columns mean.
+    command : tuple of str
+        ``tacshade-edge`` and its arguments, or a program of tools and its own.
+    idle : bool
+        It measures speed.
+    drawn : tuple of str
+        Pictures that the command writes with ``--out``.
+    """
+
+    title: str
+    text: str
+    command: tuple[str, ...]
+    idle: bool = False
+    drawn: tuple[str, ...] = ()
+
+
+COLUMNS = """\
+ME is eq. 13, the mean distance from a found point to the nearest true one; back, the mean distance from a true point to
+the nearest found one; SD, eq. 14 with the half sum of both ("sum": with their sum), never clamped. IoU is of the
+contact's outline, against skin within 0.02 mm of the object. Depth off is the error of the greatest depth, mean and
+worst. A missed contact counts as a skin left alone: SD 0, the true depth for ME and back. Milliseconds here are of a
+machine that did other work; [stages](../speed.md) has those that count."""
+
+PAGES: dict[str, Page] = {
+    "objects": Page(
+        "The paper's five objects",
+        f"""\
+Experiment 1 of the paper on six simulated sensors that were kept for final figures: three of the family that the
+networks were trained on and three of another (square lattice, mushroom pins, a skin with two decay lengths). Each is
+calibrated on 8 references and 40 ball presses, then pressed by every object at 3 places, 1.5, 3 and 4.5 mm deep.
+
+{COLUMNS}""",
+        (*EVALUATE, "--final", "--profile", "paper", "fast", "balanced", "accurate", "--objects", FIVE),
+        drawn=("figure6.png",),
+    ),
+    "other-objects": Page(
+        "Eight other objects",
+        f"The sensors, places and depths of [the paper's five objects](objects.md).\n\n{COLUMNS}",
+        (*EVALUATE, "--final", "--objects", OTHERS),
+    ),
+    "no-presses": Page(
+        "One reference, no press",
+        f"The sensors and presses of [the paper's five objects](objects.md), each sensor with one reference and no "
+        f"ball press.\n\n{COLUMNS}",
+        (*EVALUATE, "--final", "--presses", "0", "--references", "1", "--objects", FIVE),
+    ),
+    "limits": Page(
+        "Limits",
+        """\
+Three simulated sensors, each calibrated on 8 references and 40 ball presses. Lengths are mm whatever the skin's radius
+(20.0, 25.9, 22.5 mm); depth is the greatest h of the skin. A phantom is a frame taken for a contact; a silent one has
+no `degraded` beside it. What is beyond use is refused or said, at best.""",
+        (*EVALUATE, "--limits"),
+        drawn=("limits_detection.png", "limits_depth.png", "limits_resolution.png", "limits_disturbed.png"),
+    ),
+    "ablation": Page(
+        "Where the error comes from",
+        """\
+Profile `accurate`, 8 references and 40 presses, the paper's five objects, one cause of error taken away at a time.
+"Perfect calibration" is the true geometry and the best factor that the scored presses themselves allow; "true gradient"
+is what a true gradient integrates to from h = 0 at the rim.""",
+        (*EVALUATE, "--ablation"),
+    ),
+    "iterations": Page(
+        "What the paper's 25 iterations buy",
+        """\
+Three sensors, the five objects near the tip, three depths. `paper_0` is the profile `paper` without eq. 11: α times
+g_hn, on the same maps.""",
+        ("bench_iterations.py",),
+    ),
+    "calibration": Page(
+        "What `calibrate` finds wrong",
+        """\
+Simulated sensors drawn at random, 5 references and 24 presses each: what is said of good sets, and of sets in which one
+thing was made wrong. Of a re-zero, "said" is the right answer, taken or refused.""",
+        ("bench_calibration.py", "--sensors", "30", "--detect", "8"),
+    ),
+    "stages": Page(
+        "A frame, stage by stage",
+        """\
+Grey 640x480 in memory, one thread, a contact that covers a fifth of the disc; the floor is `cv2.threshold` and
+`cv2.boxFilter` over the whole frame. Rounds take turns; milliseconds, medians of five rounds.""",
+        ("bench_stages.py",),
+        idle=True,
+    ),
+    "as-printed": Page(
+        "The paper's method as printed",
+        """\
+`plain` is the method as a reader of the paper would write it down with NumPy, scikit-image and SciPy
+(`tools/plain_paper.py`); its heights are those of `paper`. The frame of [stages](stages.md). ME and SD are of one
+sensor, near its tip: they say that `plain` and `paper` find the same, not how good a profile is
+([the paper's five objects](objects.md) does).""",
+        ("bench_paper.py",),
+        idle=True,
+    ),
+    "tradeoff": Page(
+        "Speed against accuracy, setting by setting",
+        """\
+Every profile, and what differs from it in a thing or two, on the same presses: two sensors, the paper's five objects at
+one of three places each, three depths. In brackets the 95 % interval that the choice of presses or rounds leaves
+(bootstrap). p50 and p99 are of a frame in contact, processor time of one thread; idle is a frame without contact; MiB
+is memory beyond a process with the libraries; front: no other setting is clearly better in one of ME and p50 and not
+clearly worse in the other. ME is of these few presses, to compare settings; how good a profile is says
+[the paper's five objects](objects.md).""",
+        ("tacshade-edge", "tradeoff"),
+        idle=True,
+        drawn=("tradeoff.png",),
+    ),
+    "cost": Page(
+        "What the cost of a frame grows with",
+        """\
+Balls in the middle of the default sensor, 4 mm deep, for the contact area; one ball through cameras of 320x240 to
+1280x960 for the image size; small balls around the tip for the number of objects. A line fitted to each.""",
+        ("bench_cost.py",),
+        idle=True,
+        drawn=("cost.png",),
+    ),
+    "daemon": Page(
+        "The daemon",
+        """\
+640x480 at 60 frames a second from a ring of images in memory, a real mosquitto and a subscriber in processes of their
+own; beside it a null daemon that publishes ready bytes. Latency is from the frame's time stamp to the decoded height
+map. `contact`: a ball goes in and out, all topics have a subscriber; `free`: nothing touches; `unasked`: none has.""",
+        ("bench_daemon.py", "--seconds", "60", "--runs", "2"),
+        idle=True,
+    ),
+    "memory": Page(
+        "Memory of the daemon",
+        "The command `run` as a service runs it, with images in a camera's place; MB, from /proc.",
+        ("bench_memory.py",),
+        idle=True,
+    ),
+    "runtime": Page(
+        "ONNX Runtime beside OpenCV's DNN module",
+        "The shipped networks, one thread, in turns.",
+        ("bench_runtime.py",),
+        idle=True,
+    ),
+}
+
+
+def shown(command: Sequence[str]) -> str:
+    """The command as a person types it."""
+    program, *arguments = command
+    return " ".join((program if program == "tacshade-edge" else f".venv/bin/python tools/{program}", *arguments))
+
+
+def git(*words: str) -> str:
+    """What git prints."""
+    return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
+
+
+def commit() -> str:
+    """The last commit that changed code, and whether there is more that is not committed."""
+    code = ("--", ".", ":!docs", ":!*.md")
+    changed = " and uncommitted changes" if git("status", "--porcelain", *code) else ""
+    return git("log", "-1", "--format=%h of %cs", *code) + changed
+
+
+def machine() -> str:
+    """Processor, cores, kernel."""
+    names = re.findall(r"^model name\s*:\s*(.+)$", Path("/proc/cpuinfo").read_text(), re.MULTILINE)
+    name = names[0] if names else "unnamed processor"
+    return f"{name}, {len(os.sched_getaffinity(0))} cores, {platform.machine()}, Linux {platform.release()}"
+
+
+def worked_s() -> tuple[float, float]:
+    """Processor seconds of the whole machine, and those of this process's ended children."""
+    user, nice, system, _idle, _wait, irq, softirq, *_ = map(int, Path("/proc/stat").read_text().split()[1:9])
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    ticks = user + nice + system + irq + softirq
+    return ticks / os.sysconf("SC_CLK_TCK"), children.ru_utime + children.ru_stime
+
+
+def write(name: str, page: Page, *, busy: bool) -> str:
+    """Run a page's command and write the page; what is wrong, or nothing."""
+    with tempfile.TemporaryDirectory() as out:
+        program, *arguments = page.command
+        run = ["-m", "tacshade_edge"] if program == "tacshade-edge" else [str(ROOT / "tools" / program)]
+        drawing = ["--out", out] if page.drawn else []
+        code, before, start = commit(), worked_s(), time.monotonic()
+        done = subprocess.run(
+            [sys.executable, *run, *arguments, *drawing], cwd=ROOT, stdout=subprocess.PIPE, text=True, check=False
+        )
+        took_s = time.monotonic() - start
+        after = worked_s()
+        if done.returncode:
+            return f"{shown(page.command)}: exit code {done.returncode}"
+        other = max(0.0, (after[0] - before[0]) - (after[1] - before[1])) / took_s
+        if page.idle and other > OTHER_LOAD and not busy:
+            return f"{name}: something else took {other:.2f} cores meanwhile; not written (--busy writes it)"
+        top = (
+            ("command", f"`{shown(page.command)}`"),
+            ("code", code),
+            ("machine", machine()),
+            ("versions", ", ".join(f"{package} {number}" for package, number in versions().items())),
+            ("took", f"{took_s:.0f} s, beside other work of {other:.2f} cores"),
+        )
+        lines = [f"# {page.title}", f"Written by `tools/results.py {name}`.", page.text]
+        lines += ["\n".join(("| | |", "|---|---|", *(f"| {key} | {value} |" for key, value in top)))]
+        lines += [done.stdout.strip() if "|" in done.stdout else f"```\n{done.stdout.strip()}\n```"]
+        FOLDER.mkdir(exist_ok=True)
+        for picture in page.drawn:
+            shutil.copy(Path(out) / picture, FOLDER / picture)
+            lines.append(f"![{picture.removesuffix('.png').replace('_', ' ')}]({picture})")
+        (FOLDER / f"{name}.md").write_text("\n\n".join(lines) + "\n", encoding="utf-8")
+        return ""
+
+
+def index() -> None:
+    """Write the list of the pages that are there."""
+    rows = []
+    for name, page in PAGES.items():
+        title = f"[{page.title}]({name}.md)" if (FOLDER / f"{name}.md").exists() else f"{page.title} (not yet written)"
+        rows.append(f"| {title} | `{name}` | `{shown(page.command)}` |")
+    head = "# Results\n\nWritten by `tools/results.py`, which says the commit and the machine at the top of each page."
+    text = "\n".join((head, "", "| page | name | command |", "|---|---|---|", *rows))
+    (FOLDER / "README.md").write_text(f"{text}\n", encoding="utf-8")
+
+
+def is_current(name: str) -> bool:
+    """Whether a page is there and of this code."""
+    path = FOLDER / f"{name}.md"
+    return path.exists() and f"| code | {commit()} |" in path.read_text(encoding="utf-8")
+
+
+def main() -> int:
+    """Write pages."""
+    parser = argparse.ArgumentParser(description="Write the pages of docs/results.")
+    parser.add_argument("pages", nargs="*", metavar="PAGE", help="only these, also where they are of this code")
+    parser.add_argument("--busy", action="store_true", help="write pages of speed also beside other work")
+    parser.add_argument("--list", action="store_true", help="list the pages and their commands")
+    args = parser.parse_args()
+    if unknown := [name for name in args.pages if name not in PAGES]:
+        parser.error(f"{unknown[0]!r} is none of {', '.join(PAGES)}")
+    failed = False
+    for name in args.pages or PAGES:
+        if args.list:
+            print(f"{name:14} {'' if is_current(name) else 'not '}current  {shown(PAGES[name].command)}")
+            continue
+        if not args.pages and is_current(name):
+            continue
+        print(f"{name} ...", flush=True)
+        problem = write(name, PAGES[name], busy=args.busy)
+        print(problem or f"{name} written", flush=True)
+        failed |= bool(problem)
+    index()
+    return int(failed)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
