@@ -10,7 +10,7 @@ from enum import StrEnum
 
 
 class ReasonCode(StrEnum):
-    """Every reason that is told: in ``summary.json``, over MQTT and on the serial line."""
+    """Every reason in ``summary.json``, over MQTT and on the serial line; docs/mqtt.md has what each means."""
 
     # A frame.
     SIZE = "size"
@@ -26,35 +26,28 @@ class ReasonCode(StrEnum):
     LIGHT_DRIFT = "light_drift"
     CAMERA_SHIFT = "camera_shift"
     NO_USABLE_FRAME = "no_usable_frame"
-    # An error that has no code of its own below.
+
+    # An error without a code of its own below.
     CONFIG = "config"
     DEVICE = "device"
     DECODE = "decode"
+
     # A camera, a serial port, the broker.
     STARTING = "starting"
     ABSENT = "absent"
     WRONG_KIND = "wrong_kind"
     PERMISSION = "permission"
     IN_USE = "in_use"
-    REFUSED = "refused"
+    NOT_OFFERED = "not_offered"
     UNREACHABLE = "unreachable"
+    REFUSED = "refused"
     NO_ANSWER = "no_answer"
     LOST = "lost"
     STALLED = "stalled"
-    NOT_OFFERED = "not_offered"
     REPLAY = "replay"
-    # A request.
-    BUSY = "busy"
-    BAD_REQUEST = "bad_request"
-    NAME_TAKEN = "name_taken"
+
+    # A recording and its end.
     NO_RECORDING = "no_recording"
-    UNAVAILABLE = "unavailable"
-    UNKNOWN_PROFILE = "unknown_profile"
-    TIMEOUT = "timeout"
-    FRAME_INVALID = "frame_invalid"
-    FRAME_IN_CONTACT = "frame_in_contact"
-    REFERENCE_INVALID = "reference_invalid"
-    # The end of a recording or of the daemon.
     TIME = "time"
     STOPPED = "stopped"
     SOURCE_ENDED = "source_ended"
@@ -62,10 +55,22 @@ class ReasonCode(StrEnum):
     CALIBRATION_CHANGED = "calibration_changed"
     DISK = "disk"
     DISK_FULL = "disk_full"
+
     # A step of the profile `auto`, and a reload.
     OVER_BUDGET = "over_budget"
     WITHIN_BUDGET = "within_budget"
     RESTART = "restart"
+
+    # A command, over MQTT or on the serial line.
+    BAD_REQUEST = "bad_request"
+    UNKNOWN_PROFILE = "unknown_profile"
+    BUSY = "busy"
+    TIMEOUT = "timeout"
+    UNAVAILABLE = "unavailable"
+    FRAME_INVALID = "frame_invalid"
+    FRAME_IN_CONTACT = "frame_in_contact"
+    REFERENCE_INVALID = "reference_invalid"
+
     # A line of the robot.
     NOT_A_LINE = "not_a_line"
     UNKNOWN_VERB = "unknown_verb"
@@ -75,9 +80,11 @@ class ReasonCode(StrEnum):
     OTHER_VERSION = "other_version"
     NUMBER_REUSED = "number_reused"
     NUMBER_STALE = "number_stale"
+
     # A stitching session, and a press of it.
     NO_SESSION = "no_session"
     BAD_NAME = "bad_name"
+    NAME_TAKEN = "name_taken"
     NO_FRAME = "no_frame"
     NO_CONTACT = "no_contact"
     NO_POSE = "no_pose"
@@ -85,6 +92,7 @@ class ReasonCode(StrEnum):
     NO_PRESS = "no_press"
     PRESS_DEVIATES = "press_deviates"
     PRESS_DISPLACED = "press_displaced"
+
     # The robot's line and its clock.
     PORT_LATENCY = "port_latency"
     NOTHING_RECEIVED = "nothing_received"

@@ -18,6 +18,7 @@ from tacshade_edge.core.stitching.surface_map import Raster
 from tacshade_edge.daemon.publishing.map_publisher import MapPublisher
 from tacshade_edge.daemon.stitching.map_revision import MapRevision
 from tacshade_edge.protocol import wire
+from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.types import HeightMap, ObjectCloud, Pose, Reconstruction
 
 ROOT = Path(__file__).parents[2]
@@ -168,6 +169,15 @@ def test_what_is_told_of_a_map_is_what_the_text_shows() -> None:
 
 def test_vector_in_the_text_is_one_of_the_file() -> None:
     assert "".join(code("text").split()) == VECTORS[0]["hex"]
+
+
+def test_every_reason_has_its_row() -> None:
+    """Each code of the enumeration once, and no other."""
+    section = TEXT.partition("\n## Reasons\n")[2].partition("\n## ")[0]
+    rows = re.findall(r"^\| `([a-z_]+)` \|", section, re.MULTILINE)
+    codes = [code.value for code in ReasonCode]
+    assert sorted(set(codes) - set(rows)) == [], "reasons without a row"
+    assert sorted(rows) == sorted(codes)
 
 
 def test_header_table_is_without_a_gap() -> None:

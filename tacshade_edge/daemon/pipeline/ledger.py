@@ -29,7 +29,7 @@ class Counts:
     without_contact : int
         Reconstructed, nothing touched, nothing to send.
     unasked : int
-        In contact, but nobody subscribes to the height map: not sent, and no further reconstructed than is asked for.
+        In contact, but nobody subscribes to the height map: not sent, and no further reconstructed than is needed.
     invalid : int
         Could not be used (black, torn, wrong size...).
     failed : int

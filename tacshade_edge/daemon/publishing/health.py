@@ -72,7 +72,7 @@ class Health:
         }
 
     def _judge(self, before: Counts, counts: Counts, reason: Reason | None) -> None:
-        """Whether frames come but none can be used; the first reason stays, so that it is told once."""
+        """Whether frames come but none can be used; the first reason stays, so that it is published once."""
         if delivered(counts) > delivered(before):
             self._unusable_periods, self.unusable = 0, None
         elif counts.invalid > before.invalid:

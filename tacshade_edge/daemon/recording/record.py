@@ -63,7 +63,7 @@ class Recorded:
 
     @property
     def failed(self) -> bool:
-        """Whether it ended otherwise than asked."""
+        """Whether something went wrong."""
         return self.ending is not None and self.ending.code not in GOOD_ENDINGS
 
     def as_dict(self) -> dict[str, str | int | float]:
@@ -78,7 +78,7 @@ class Recorded:
 
 
 class _Job:
-    """One recording. The first ending that is told counts."""
+    """One recording. Its first ending counts."""
 
     def __init__(
         self, recorder: Recorder, seconds: float, settings_yaml: str, calibration: Calibration, posed: Posed | None
@@ -194,7 +194,7 @@ class LiveRecorder:
         ConfigError
             The folder is there already.
         DeviceError
-            One goes on; the folder cannot be made; the disk is down to the floor.
+            One goes on (``BUSY``); the folder cannot be made; the disk is down to the floor.
         """
         if (now := self.now()) is not None:
             doing = "the latest is still being written to" if now.ending else "recording to"

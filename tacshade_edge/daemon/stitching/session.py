@@ -13,7 +13,7 @@ from tacshade_edge.core.stitching.stitcher import Stitcher
 from tacshade_edge.daemon.stitching.map_revision import MapRevision
 from tacshade_edge.devices.files.map_files import write_map
 from tacshade_edge.devices.files.stitch_file import SessionInfo, StitchFile, open_session
-from tacshade_edge.devices.files.whole_files import told
+from tacshade_edge.devices.files.whole_files import disk_errors
 from tacshade_edge.protocol.results import PressAdded, SessionAborted, SessionBegun, SessionEnded, SessionStatus
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.rigid import Rigid
@@ -65,7 +65,7 @@ class Session:
         if len(name) > _NAME_MAX or name.startswith(".") or not all(map(_is_name_character, name)):
             text = f"found {name[:80]!r}, expected letters, digits, . _ -, at most {_NAME_MAX}"
             raise RefusedError(ReasonCode.BAD_NAME, text)
-        with told(folder):
+        with disk_errors(folder):
             exists = (folder / name).exists()
         if exists:
             raise RefusedError(ReasonCode.NAME_TAKEN, f"{folder / name} is there already")
@@ -81,7 +81,7 @@ class Session:
         TacshadeError
             It cannot be read or written.
         """
-        with told(folder):
+        with disk_errors(folder):
             path = open_session(folder)
         if path is None:
             return None

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from tacshade_edge.core.stitching.surface_map import Raster
-from tacshade_edge.devices.files.whole_files import told, write_whole
+from tacshade_edge.devices.files.whole_files import disk_errors, write_whole
 from tacshade_edge.types import F32, U8
 
 _PNG_SCALE_MM = 0.001
@@ -52,7 +52,7 @@ def write_map(folder: Path, raster: Raster, details: Mapping[str, Any]) -> None:
     }
     buffer = io.BytesIO()
     np.savez_compressed(buffer, z_mm=raster.z_mm, x0_mm=raster.x0_mm, y0_mm=raster.y0_mm, step_mm=raster.step_mm)
-    with told(folder):
+    with disk_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
         write_whole(folder / "map.npz", buffer.getvalue())
         write_whole(folder / "map.ply", ply(raster))

@@ -13,7 +13,7 @@ import cv2
 
 from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.devices.files.frame_table import ERROR_COLUMN, HEADER, TABLE_NAME
-from tacshade_edge.devices.files.whole_files import part, sync, told, write_whole
+from tacshade_edge.devices.files.whole_files import disk_errors, part, sync, write_whole
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.types import Calibration, Frame
@@ -57,7 +57,7 @@ class Recorder:
         self._floor = free_floor_bytes
         self._unsynced: list[Path] = []
         self._lines: dict[str, BinaryIO] = {}
-        with told(folder):
+        with disk_errors(folder):
             folder.parent.mkdir(parents=True, exist_ok=True)
             free = shutil.disk_usage(folder.parent).free
             if free < free_floor_bytes:
@@ -76,7 +76,7 @@ class Recorder:
     def begin(self, settings_yaml: str, calibration: Calibration) -> None:
         """Write what a replay needs beside the frames."""
         calibration_file.save(self.folder / CALIBRATION_NAME, calibration)
-        with told(self.folder):
+        with disk_errors(self.folder):
             write_whole(self.folder / SETTINGS_NAME, settings_yaml.encode())
             for name in (TABLE_NAME, EVENTS_NAME):
                 self._lines[name] = part(self.folder / name).open("wb", buffering=0)
@@ -85,7 +85,7 @@ class Recorder:
 
     def add(self, frame: Frame) -> bool:
         """Write a frame; False, and nothing written, when the disk is down to the floor."""
-        with told(self.folder):
+        with disk_errors(self.folder):
             if shutil.disk_usage(self.folder).free < self._floor:
                 return False
             name = f"{self.frames:06d}.png"
@@ -100,12 +100,12 @@ class Recorder:
     def event(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
         """Write what happened, on the clock of the frames."""
         line = json.dumps({"t_ns": t_ns, "kind": kind, "data": data}) + "\n"
-        with told(self.folder):
+        with disk_errors(self.folder):
             self._lines[EVENTS_NAME].write(line.encode())
 
     def sync(self) -> None:
         """Wait until the disk has all that was written: many frames at once, as each alone would cost too much."""
-        with told(self.folder):
+        with disk_errors(self.folder):
             for path in self._unsynced:
                 sync(path)
             self._unsynced.clear()
@@ -116,7 +116,7 @@ class Recorder:
     def finish(self, about: Mapping[str, object]) -> None:
         """Make the recording whole, with ``recording.json``."""
         self.sync()
-        with told(self.folder):
+        with disk_errors(self.folder):
             for name, stream in self._lines.items():
                 stream.close()
                 os.replace(part(self.folder / name), self.folder / name)

@@ -16,7 +16,7 @@ from typing import Any, BinaryIO
 
 from tacshade_edge.devices.files.recording import RecordedFrame
 from tacshade_edge.devices.files.summary import summary
-from tacshade_edge.devices.files.whole_files import part, sync, told, write_whole
+from tacshade_edge.devices.files.whole_files import disk_errors, part, sync, write_whole
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.protocol import wire
 from tacshade_edge.types import Reconstruction
@@ -46,7 +46,7 @@ class RunWriter:
         self._records: list[dict[str, Any]] = []
         self._streams: dict[str, BinaryIO] = {}
         self._whole = False
-        with told(folder):
+        with disk_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
             for name in (SUMMARY, TIMINGS, HEIGHTS, CLOUDS):
                 (folder / name).unlink(missing_ok=True)
@@ -56,7 +56,7 @@ class RunWriter:
     def add(self, recorded: RecordedFrame, result: Reconstruction) -> None:
         """Write a frame."""
         frame = recorded.frame
-        with told(self._folder):
+        with disk_errors(self._folder):
             for name, encode in ((HEIGHTS, wire.encode_height), (CLOUDS, wire.encode_cloud)):
                 payload = encode(
                     result, calibration_crc32=self._crc32, pose=frame.pose, pose_error_us=frame.pose_error_us
@@ -66,7 +66,7 @@ class RunWriter:
 
     def finish(self, timings: Mapping[str, Any]) -> None:
         """Make the run whole."""
-        with told(self._folder):
+        with disk_errors(self._folder):
             for stream in self._streams.values():
                 stream.flush()
                 os.fsync(stream.fileno())

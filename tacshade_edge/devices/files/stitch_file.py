@@ -18,7 +18,7 @@ from typing import BinaryIO, Literal
 import numpy as np
 
 from tacshade_edge.core.stitching.press_points import PressPoints
-from tacshade_edge.devices.files.whole_files import sync, told, write_whole
+from tacshade_edge.devices.files.whole_files import disk_errors, sync, write_whole
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.rigid import Rigid
 
@@ -78,7 +78,7 @@ class StitchFile:
     @classmethod
     def create(cls, folder: Path, info: SessionInfo) -> StitchFile:
         """Begin a session in a folder that has none."""
-        with told(folder):
+        with disk_errors(folder):
             folder.mkdir(parents=True)
             (folder / PRESSES).touch(exist_ok=False)
             write_whole(folder / SESSION, _json(info))
@@ -97,7 +97,7 @@ class StitchFile:
         """
         info = read_info(folder)
         presses: list[tuple[PressPoints, Rigid]] = []
-        with told(folder), (folder / PRESSES).open("r+b") as stream:
+        with disk_errors(folder), (folder / PRESSES).open("r+b") as stream:
             end = 0
             for points, pose, end in _presses(stream):  # noqa: B007 (the last one counts)
                 presses.append((points, pose))
@@ -113,7 +113,7 @@ class StitchFile:
         columns = np.column_stack((points.points_mm, points.normals, points.confidence)).astype("<f4")
         body = pose.astype("<f8").tobytes() + columns.tobytes()
         record = _HEAD.pack(_MAGIC, len(body), zlib.crc32(body)) + body
-        with told(self.folder):
+        with disk_errors(self.folder):
             if self._stream is None:
                 self._stream = (self.folder / PRESSES).open("r+b", buffering=0)
             # Over what a write that failed left behind.
@@ -127,13 +127,13 @@ class StitchFile:
         """Mark the session as ended; its presses stay."""
         self.close()
         self.info = replace(self.info, state="ended")
-        with told(self.folder):
+        with disk_errors(self.folder):
             write_whole(self.folder / SESSION, _json(self.info))
 
     def remove(self) -> None:
         """Delete the session's files, and the folder if nothing else is in it."""
         self.close()
-        with told(self.folder):
+        with disk_errors(self.folder):
             # Without session.json it is no session, whatever a crash leaves of the rest.
             (self.folder / SESSION).unlink(missing_ok=True)
             (self.folder / PRESSES).unlink(missing_ok=True)
@@ -143,7 +143,7 @@ class StitchFile:
     def close(self) -> None:
         """Close the file; `append` opens it again."""
         if self._stream is not None:
-            with told(self.folder):
+            with disk_errors(self.folder):
                 self._stream.close()
             self._stream = None
 

@@ -12,7 +12,7 @@ from tacshade_edge.reasons import ReasonCode
 
 
 @contextlib.contextmanager
-def told(folder: Path) -> Iterator[None]:
+def disk_errors(folder: Path) -> Iterator[None]:
     """Turn an OSError into a DeviceError that names the file, or the folder where no file is known."""
     try:
         yield

@@ -90,7 +90,7 @@ class MqttCaller:
         return result
 
     def latest(self, topic: str) -> bytes:
-        """What the daemon told last on a watched topic; empty when nothing."""
+        """The latest payload of a watched topic; empty before the first."""
         return self._latest.get(f"{self._base}/{topic}", b"")
 
     def wait_for(self, condition: Callable[[], bool], timeout_s: float) -> bool:

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from tacshade_edge.core.stitching.surface_map import Raster
-from tacshade_edge.devices.files.whole_files import told, write_whole
+from tacshade_edge.devices.files.whole_files import disk_errors, write_whole
 from tacshade_edge.studies.stitch.score import at_cells_of
 from tacshade_edge.types import F32, U8
 
@@ -27,7 +27,7 @@ def write_comparison(path: Path, known: Raster, found: Raster, average: Raster) 
     DeviceError
         The file cannot be written.
     """
-    with told(path.parent):
+    with disk_errors(path.parent):
         write_whole(path, cv2.imencode(".png", comparison(known, found, average))[1].tobytes())
 
 

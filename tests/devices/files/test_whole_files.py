@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tacshade_edge.devices.files.whole_files import part, sync, told, write_whole
+from tacshade_edge.devices.files.whole_files import disk_errors, part, sync, write_whole
 from tacshade_edge.errors import DeviceError
 
 
@@ -21,10 +21,10 @@ def test_a_file_is_replaced_whole(tmp_path: Path, wait: bool) -> None:
 
 def test_a_file_that_cannot_be_written_leaves_nothing_and_is_named(tmp_path: Path) -> None:
     (tmp_path / "a").mkdir()
-    with pytest.raises(DeviceError, match=r"a.*: cannot be written: Is a directory"), told(tmp_path):
+    with pytest.raises(DeviceError, match=r"a.*: cannot be written: Is a directory"), disk_errors(tmp_path):
         write_whole(tmp_path / "a", b"data")  # written beside, and then not to be renamed
     assert not part(tmp_path / "a").exists()
-    with pytest.raises(DeviceError, match=r"none: cannot be written: No such file"), told(tmp_path):
+    with pytest.raises(DeviceError, match=r"none: cannot be written: No such file"), disk_errors(tmp_path):
         sync(tmp_path / "none")
-    with pytest.raises(DeviceError, match=rf"^{tmp_path}: cannot be written: no name"), told(tmp_path):
+    with pytest.raises(DeviceError, match=rf"^{tmp_path}: cannot be written: no name"), disk_errors(tmp_path):
         raise OSError("no name")
