@@ -176,7 +176,7 @@ def test_one_nan_takes_the_whole_image_unless_it_is_replaced_first() -> None:
 def test_without_a_gate_noise_becomes_a_full_height_object() -> None:
     """Eq. 10's normalisation stretches whatever there is to 0 to 1."""
     seen = maps(touched=False)
-    height = hybrid_sfs.solve(seen, 3.0).height_mm
+    height = hybrid_sfs.hybrid_depth(seen, 3.0).height_mm
     change, true_change = (float(np.abs(m.g_d[m.inside]).max()) for m in (seen, maps()))
     print(
         f"figure: no contact, g_d within {change:.1f} levels (a press: {true_change:.0f}): {height.max():.1f} mm of 3"
