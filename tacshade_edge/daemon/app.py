@@ -52,9 +52,15 @@ PREVIEW_PERIOD_S = 0.25
 PREVIEW_WIDTH_PX = 320
 STALL_S = 3.0
 EVENTS_MAX = 16
-# Together under 2 s, whatever hangs.
-STOP_SERIAL_S, STOP_THREADS_S, STOP_FRAMES_S, STOP_RECORD_S, STOP_LINK_S = 0.1, 0.8, 0.2, 0.2, 0.5
-STOP_STITCH_S = 0.1
+# After the beginning of a stop, whatever hangs: what is done early leaves its time to the next.
+SERIAL_STOPPED_S, THREADS_STOPPED_S, FRAMES_SENT_S, RECORDED_S, STITCHED_S, LINK_STOPPED_S = (
+    0.1,
+    0.9,
+    1.1,
+    1.3,
+    1.4,
+    1.9,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,22 +225,27 @@ class App:
 
     def _shut_down(self) -> None:
         """Finish what is on its way, account for the rest, say goodbye."""
+        began_s = time.monotonic()
+
+        def left_s(due_s: float) -> float:
+            return max(0.0, began_s + due_s - time.monotonic())
+
         self._service.stopping()
         self._recorder.end(DAEMON_STOPPED)
         if self._robot:
-            self._robot.stop(STOP_SERIAL_S)
-        self._pipeline.stop(STOP_THREADS_S)
-        given_up = self.ledger.close(STOP_FRAMES_S)
+            self._robot.stop(left_s(SERIAL_STOPPED_S))
+        self._pipeline.stop(left_s(THREADS_STOPPED_S))
+        given_up = self.ledger.close(left_s(FRAMES_SENT_S))
         if given_up:
             _log.warning("%d frames could not be sent before the stop", given_up)
-        self._recorder.join(STOP_RECORD_S)
+        self._recorder.join(left_s(RECORDED_S))
         if self._sessions:
-            self._sessions.stop(STOP_STITCH_S)
+            self._sessions.stop(left_s(STITCHED_S))
             self._sessions.poll()
         self._record.poll()
         self._publish_health()
         self._publish_camera(replace(self._camera, state="ended", reason=Reason(ReasonCode.STOPPED, "stopped")))
-        self.link.stop(STOP_LINK_S)
+        self.link.stop(left_s(LINK_STOPPED_S))
         _log.info("stopped: %s", self.ledger.counts().as_dict())
 
     # What other threads call: count or enqueue, nothing else.

@@ -25,7 +25,7 @@ COMMANDS, ON_DEMAND, POSES = (
     "simulator studies dashboard doctor daemon.recording.replay",
     "core.calibration.calibrate devices.camera.v4l2 devices.camera.simulated",
     "core.stitching.stitcher core.stitching.press_points daemon.stitching.session daemon.stitching.session_worker "
-    "daemon.stitching.session_requests daemon.publishing.map_publisher devices.files.stitch_file",
+    "daemon.stitching.session_requests daemon.stitching.map_publisher devices.files.stitch_file",
 )
 OWN = {f"tacshade_edge.{part}" for part in [*COMMANDS.split(), *ON_DEMAND.split()]}
 STITCHING = {f"tacshade_edge.{part}" for part in POSES.split()}

@@ -15,7 +15,7 @@ import pytest
 from support.patience import patience
 
 from tacshade_edge.core.stitching.surface_map import Raster
-from tacshade_edge.daemon.publishing.map_publisher import MapPublisher
+from tacshade_edge.daemon.stitching.map_publisher import MapPublisher
 from tacshade_edge.daemon.stitching.map_revision import MapRevision
 from tacshade_edge.protocol import wire
 from tacshade_edge.reasons import ReasonCode

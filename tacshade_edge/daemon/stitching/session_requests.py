@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 from tacshade_edge.daemon.pipeline.ledger import FrameOutcome
 from tacshade_edge.daemon.pipeline.workers import Sink
-from tacshade_edge.daemon.publishing.map_publisher import MapPublisher
 from tacshade_edge.daemon.requests import Reply
+from tacshade_edge.daemon.stitching.map_publisher import MapPublisher
 from tacshade_edge.daemon.stitching.session_worker import SessionWorker
 from tacshade_edge.protocol.messages import Request, encode_status
 from tacshade_edge.reasons import Reason, ReasonCode

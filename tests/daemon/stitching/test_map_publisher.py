@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from tacshade_edge.core.stitching.surface_map import Raster
-from tacshade_edge.daemon.publishing import map_publisher
-from tacshade_edge.daemon.publishing.map_publisher import MapPublisher, thinned_points
+from tacshade_edge.daemon.stitching import map_publisher
+from tacshade_edge.daemon.stitching.map_publisher import MapPublisher, thinned_points
 from tacshade_edge.daemon.stitching.map_revision import MapRevision
 from tacshade_edge.protocol.wire import CloudMessage, decode
 
