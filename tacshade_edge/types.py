@@ -230,6 +230,45 @@ class Reconstruction:
         return max((o.depth_max_mm for o in self.objects), default=0.0)
 
 
+@dataclass(frozen=True, slots=True)
+class ProfileFit:
+    """How well a refitted profile finds the depth of the presses, each by a refit to all the others.
+
+    Attributes
+    ----------
+    presses : int
+        Those whose contact the profile found.
+    depth_mae_mm, depth_worst_mm : float
+        Mean and greatest error of the greatest h, mm.
+    """
+
+    presses: int
+    depth_mae_mm: float
+    depth_worst_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """How well the ball presses of a calibration agree, with each other and with the refitted profiles.
+
+    Attributes
+    ----------
+    presses : int
+        Those that were used.
+    agreement_mae_mm : float
+        Mean error of a press's depth predicted from all the others, ball and place being known.
+    position_mae_mm : float
+        Mean distance of the located from the stated places; 0 where none was stated.
+    profiles : mapping of str to ProfileFit
+        Of each profile that was refitted.
+    """
+
+    presses: int
+    agreement_mae_mm: float
+    position_mae_mm: float
+    profiles: Mapping[str, ProfileFit] = field(default_factory=dict)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
     """Everything that is known of one sensor; stored as one ``.npz`` by ``devices.files.calibration_file``.
@@ -256,8 +295,8 @@ class Calibration:
         The paper's α: depth of a normalised height of 1, in pixels.
     factors : mapping of str to float
         On h, of each profile that was refitted to presses (`core.calibration.gain`).
-    fit : dict of str to float
-        Fitted figures to show a person (cross-validated error and so on), all in mm or px as named.
+    fit : Fit or None
+        How good the fit to ball presses is; None without presses.
     flange_T_sensor : 7 floats
         x, y, z in mm, quaternion w, x, y, z.
     crc32 : int
@@ -280,7 +319,7 @@ class Calibration:
     noise_grey: float
     alpha: float
     factors: Mapping[str, float] = field(default_factory=dict)
-    fit: dict[str, float] = field(default_factory=dict)
+    fit: Fit | None = None
     flange_T_sensor: tuple[float, ...] = IDENTITY_POSE
     crc32: int = 0
 

@@ -3,10 +3,11 @@
 
 ::
 
-    .venv/bin/python tools/bench_calibration.py [--sensors 30] [--detect 30] [--first 8100] [--jobs 1]
+    .venv/bin/python tools/bench_calibration.py [--sensors 30] [--detect 30] [--first 8100] [--height 480] [--jobs 1]
 
-Every sensor is drawn at random (640x480), with 5 references and 24 ball presses. A good set must pass without a word;
-then one thing at a time is made wrong in it, and what is said (or refused) is counted.
+Every sensor is drawn at random, with 5 references and 24 ball presses. A good set must pass without a warning; then one
+thing at a time is made wrong in it, and the right warnings (or refusals) are counted. What is wrong at one press is
+made wrong at each of them in turn.
 """
 
 from __future__ import annotations
@@ -15,14 +16,22 @@ import argparse
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 
 import cv2
 import numpy as np
 
-from tacshade_edge.core.calibration.calibrate import BallPress, Calibrated, Sensor, calibrate, rezero
-from tacshade_edge.core.calibration.press_checks import Evidence, first_touch_mm
+from tacshade_edge.core.calibration.calibrate import CalibrationResult, calibrate
+from tacshade_edge.core.calibration.inputs import BallPress, Sensor
+from tacshade_edge.core.calibration.press_observation import PressObservation, first_touch_mm, observe_press
+from tacshade_edge.core.calibration.press_outliers import outliers
+from tacshade_edge.core.calibration.quality import GRADED_PROFILE
+from tacshade_edge.core.calibration.references import PROFILE, rezero
+from tacshade_edge.core.calibration.skin_scale import skin_scale
 from tacshade_edge.core.frame_check import registration
+from tacshade_edge.core.image.grey_maps import GreyMapper
 from tacshade_edge.core.image.greyscale import to_grey
+from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.devices.weights.network import load_networks
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator import nuisance
@@ -46,15 +55,27 @@ class Set:
     references: list[U8]
     presses: list[BallPress]
 
-    def calibrate(self, references: list[U8] | None = None, presses: list[BallPress] | None = None) -> Calibrated:
+    @property
+    def scale(self) -> float:
+        """What lengths on the nominal skin are multiplied by."""
+        return skin_scale(self.model.geometry)
+
+    def loaded(self, depth_mm: float, x_mm: float, y_mm: float, noise_seed: int) -> U8:
+        """An image of the skin under a ball; mm on the nominal skin."""
+        press = Press(ball(6.0 * self.scale), x_mm * self.scale, y_mm * self.scale, depth_mm * self.scale)
+        return to_grey(self.simulated.frame((press,), noise_seed).image)
+
+    def calibrate(
+        self, references: list[U8] | None = None, presses: list[BallPress] | None = None
+    ) -> CalibrationResult:
         """Calibrate on this set, or on one of which something was changed."""
         taken = self.presses if presses is None else presses
         return calibrate(self.sensor, references or self.references, taken, networks=load_networks())
 
 
-def good_set(seed: int) -> Set:
+def good_set(seed: int, height_px: int) -> Set:
     """A good set of a random sensor."""
-    model = random_model(seed)
+    model = random_model(seed, height_px, height_px * 4 // 3)
     simulated = SimulatedSensor(model)
     sensor = Sensor(model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, "bright")
     presses = [
@@ -65,20 +86,13 @@ def good_set(seed: int) -> Set:
     return Set(model, simulated, sensor, references, presses)
 
 
-def answer(made: Callable[[], Calibrated]) -> str:
-    """All that is said of a set."""
+def answer(made: Callable[[], CalibrationResult]) -> str:
+    """All warnings and advice for a set."""
     try:
         result = made()
     except ConfigError as error:
         return f"refused: {error}"
-    return "\n".join((*result.warnings, result.verdict.line, *result.verdict.advice))
-
-
-def one_press(given: Set, k: int, **changed: float) -> list[BallPress]:
-    """The presses with one of them stated otherwise."""
-    presses = list(given.presses)
-    presses[k] = replace(presses[k], **changed)
-    return presses
+    return "\n".join((*result.warnings, result.quality.line, *result.quality.advice))
 
 
 def shifted(image: U8, px: float) -> U8:
@@ -94,27 +108,40 @@ def uneven(image: U8, part: float) -> U8:
     return np.asarray(np.rint(image * ramp), np.uint8)
 
 
-def wrong_things(given: Set, rng: np.random.Generator) -> Iterator[tuple[str, str, str]]:
+def wrong_presses(given: Set) -> Iterator[tuple[str, bool]]:
+    """What is wrong with one press, and whether it is found; each press in turn."""
+    unloaded, scale = given.calibrate(presses=[]).calibration, given.scale
+    preprocessor = Preprocessor(unloaded, PROFILE)
+    mapper = GreyMapper(preprocessor)
+    observed = [observe_press(preprocessor, mapper, press) for press in given.presses]
+    changes: dict[str, Callable[[PressObservation], PressObservation]] = {
+        f"one depth {off:+.1f} mm off": lambda o, off=off: replace(o, depth_mm=o.depth_mm + off * scale)
+        for off in (-1.5, 1.0, 1.5, 2.0, 2.5)
+    }
+    changes |= {
+        f"one ball radius times {factor}": lambda o, factor=factor: replace(o, radius_mm=o.radius_mm * factor)
+        for factor in (0.5, 2.0)
+    }
+    changes |= {
+        f"one place {off} mm off": lambda o, off=off: replace(o, x_mm=(o.x_mm or 0.0) + off * scale) for off in (5, 6)
+    }
+    for label, change in changes.items():
+        for k, press in enumerate(observed):
+            wrong = change(press)
+            if wrong.depth_mm > 0.2 * scale:
+                found = outliers([*observed[:k], wrong, *observed[k + 1 :]], unloaded.geometry)
+                yield label, any(outlier.index == k for outlier in found)
+
+
+def wrong_sets(given: Set, rng: np.random.Generator) -> Iterator[tuple[str, str, str]]:
     """What is wrong, what must be in the answer, and the answer."""
-    presses, references, scale = given.presses, given.references, given.model.skin_radius_mm / 20
-    chosen = int(rng.integers(4, len(presses) - 2))
-    press = presses[chosen]
+    presses, references, scale = given.presses, given.references, given.scale
+    press = presses[int(rng.integers(4, len(presses) - 2))]
     name = f"{press.name}:"
 
     def told(made: list[BallPress]) -> str:
         return answer(lambda: given.calibrate(presses=made))
 
-    for off in (-1.5, 1.0, 1.5, 2.0):
-        if press.depth_mm + off * scale > 0.3:
-            stated = one_press(given, chosen, depth_mm=press.depth_mm + off * scale)
-            yield f"one depth {off:+.1f} mm off", f"{name} depth", told(stated)
-    for factor in (0.5, 2.0):
-        yield (
-            f"one ball radius times {factor}",
-            name,
-            told(one_press(given, chosen, radius_mm=press.radius_mm * factor)),
-        )
-    yield "one place 5 mm off", name, told(one_press(given, chosen, x_mm=(press.x_mm or 0) + 5 * scale))
     shuffled = rng.permutation([p.depth_mm for p in presses])
     yield (
         "all depths shuffled", "refused|poor",
@@ -127,13 +154,14 @@ def wrong_things(given: Set, rng: np.random.Generator) -> Iterator[tuple[str, st
             told([replace(p, depth_mm=p.depth_mm * factor) for p in presses]),
         )
     touch = first_touch_mm(
-        [Evidence("", 1, 1, 1, 0, 0, p.radius_mm, 0, p.x_mm, p.y_mm) for p in presses], given.model.geometry
+        [PressObservation("", 1, 1, 1, 0, 0, p.radius_mm, 0, p.x_mm, p.y_mm) for p in presses], given.model.geometry
     )
     travel = [replace(p, depth_mm=p.depth_mm - float(t)) for p, t in zip(presses, touch, strict=True)]
     yield "depths are travel from first touch", "travel from first touch", told(travel)
-    for off in (0.5, 1.0):
+    for off in (-0.5, 0.5, 1.0):
         made = [replace(p, depth_mm=p.depth_mm + off * scale) for p in presses]
-        yield f"all depths {off} mm too great", "if all are", told(made)
+        size, wanted = ("small", "mm more: check") if off < 0 else ("great", "mm less: check")
+        yield f"all depths {abs(off)} mm too {size}", wanted, told([p for p in made if p.depth_mm > 0])
     yield "x and y swapped", "swapped", told([replace(p, x_mm=p.y_mm, y_mm=p.x_mm) for p in presses])
     yield "y with the other sign", "other sign", told([replace(p, y_mm=-(p.y_mm or 0)) for p in presses])
     near = sorted(presses, key=lambda p: (p.x_mm or 0) ** 2 + (p.y_mm or 0) ** 2)[:8]
@@ -165,16 +193,22 @@ def wrong_things(given: Set, rng: np.random.Generator) -> Iterator[tuple[str, st
         made = [replace(p, image=change(p.image)) if p is press else p for p in presses]
         yield f"{label} at one press", f"{name}", told(made)
     for depth in (1.0, 2.0):
-        image = to_grey(given.simulated.frame((Press(ball(6.0 * scale), 3, 2, depth * scale),), 5).image)
+        image = given.loaded(depth, 3, 2, 5)
         yield (
             f"one reference of 5 under {depth} mm", "pressed|load",
             answer(lambda image=image: given.calibrate([*references[1:], image], [])),
         )  # fmt: skip
+    for depth in (1.0, 2.0, 3.0):
+        for place, x_mm in (("in the middle", 0.0), ("5 mm beside", 5.0)):
+            images = [given.loaded(depth, x_mm, 0, k) for k in range(3)]
+            yield (
+                f"all references under {depth} mm {place}", "under load",
+                answer(lambda images=images: given.calibrate(images, [])),
+            )  # fmt: skip
 
 
-def rezeros(given: Set, result: Calibrated) -> Iterator[tuple[str, str, str]]:
+def rezeros(given: Set, result: CalibrationResult) -> Iterator[tuple[str, str, str]]:
     """New references that must be taken, and some that must not."""
-    scale = given.model.skin_radius_mm / 20
 
     def said(images: list[U8]) -> str:
         try:
@@ -191,8 +225,7 @@ def rezeros(given: Set, result: Calibrated) -> Iterator[tuple[str, str, str]]:
     yield "rezero: light x 0.4", "refused", said([nuisance.gain(image, 0.4) for image in free])
     yield "rezero: blurred by 3 px", "refused", said([nuisance.defocus(image, 3) for image in free])
     for depth in (1.0, 2.0, 3.0):
-        image = to_grey(given.simulated.frame((Press(ball(6.0 * scale), 3, 2, depth * scale),), 5).image)
-        yield f"rezero: under {depth} mm", "refused", said([image] * 3)
+        yield f"rezero: under {depth} mm", "refused", said([given.loaded(depth, 3, 2, 5)] * 3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,22 +238,21 @@ class Measured:
     drifts: list[registration.Drift]
 
 
-def measure(seed: int, detect: bool) -> Measured:
+def measure(seed: int, detect: bool, height_px: int) -> Measured:
     """One sensor: as a good set, and, with `detect`, with everything that can be wrong."""
     cv2.setNumThreads(1)
     rng = np.random.default_rng(seed)
-    given = good_set(seed)
+    given = good_set(seed, height_px)
     try:
         result = given.calibrate()
     except ConfigError as error:
         return Measured([f"sensor {seed}: refused: {error}"], [], [], [])
     calibration = result.calibration
     look = registration.look(calibration.reference_grey, calibration.geometry.disc, calibration.pitch_px)
-    scale = given.model.skin_radius_mm / 20
     quality = []
     for sigma in (0.0, 0.3, 0.6):
         label = f"depths stated {sigma} mm off (standard deviation)" if sigma else "good sets"
-        jitter = sigma * scale * rng.standard_normal(PRESSES)
+        jitter = sigma * given.scale * rng.standard_normal(PRESSES)
         presses = [replace(p, depth_mm=max(p.depth_mm + e, 0.2)) for p, e in zip(given.presses, jitter, strict=True)]
         try:
             made = given.calibrate(presses=presses)
@@ -228,14 +260,15 @@ def measure(seed: int, detect: bool) -> Measured:
             quality.append((label, np.nan, np.nan, "refused"))
             continue
         fit = made.calibration.fit
-        quality.append(
-            (label, fit["accurate_depth_mae_mm"] / scale, fit["agreement_mae_mm"] / scale, made.verdict.grade)
-        )
-    found = [
+        depth_mm = fit.profiles[GRADED_PROFILE].depth_mae_mm if fit and GRADED_PROFILE in fit.profiles else np.nan
+        agreement_mm = fit.agreement_mae_mm if fit else np.nan
+        quality.append((label, depth_mm / given.scale, agreement_mm / given.scale, made.quality.grade))
+    found = list(wrong_presses(given)) if detect else []
+    found += [
         (label, any(part in said for part in wanted.split("|")))
-        for label, wanted, said in ((*wrong_things(given, rng), *rezeros(given, result)) if detect else ())
+        for label, wanted, said in ((*wrong_sets(given, rng), *rezeros(given, result)) if detect else ())
     ]
-    alarms = [f"sensor {seed}: {said}" for said in (*result.warnings, *result.verdict.advice)]
+    alarms = [f"sensor {seed}: {said}" for said in (*result.warnings, *result.quality.advice)]
     return Measured(alarms, found, quality, [registration.drift(look, press.image) for press in given.presses])
 
 
@@ -282,11 +315,13 @@ def main() -> None:
     parser.add_argument("--sensors", type=int, default=30)
     parser.add_argument("--detect", type=int, default=30, help="so many of them are also made wrong (30)")
     parser.add_argument("--first", type=int, default=8100, help="seed of the first sensor")
+    parser.add_argument("--height", type=int, default=480, help="of the images, px")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     args = parser.parse_args()
     with ProcessPoolExecutor(args.jobs) as pool:
         wanted = [k < args.detect for k in range(args.sensors)]
-        print(report(list(pool.map(measure, range(args.first, args.first + args.sensors), wanted))))
+        seeds = range(args.first, args.first + args.sensors)
+        print(report(list(pool.map(partial(measure, height_px=args.height), seeds, wanted))))
 
 
 if __name__ == "__main__":

@@ -123,7 +123,7 @@ g_hn, on the same maps.""",
         """\
 Simulated sensors drawn at random, 5 references and 24 presses each: what is said of good sets, and of sets in which one
 thing was made wrong. Of a re-zero, "said" is the right answer, taken or refused.""",
-        ("bench_calibration.py", "--sensors", "30", "--detect", "8"),
+        ("bench_calibration.py", "--sensors", "30", "--detect", "16", "--first", "8400"),
     ),
     "stages": Page(
         "A frame, stage by stage",

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from tacshade_edge.core.calibration.calibrate import Calibrated, calibrate, rezero
+from tacshade_edge.core.calibration.calibrate import calibrate
+from tacshade_edge.core.calibration.quality import Quality
+from tacshade_edge.core.calibration.references import rezero
 from tacshade_edge.core.frame_check import registration
 from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.devices.files.images import read_image
@@ -41,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Fit or re-zero, write, and say how good it is."""
+    """Fit or re-zero, write, and print how good it is."""
     if args.rezero is not None:
         if args.presses:
             args.usage_error("--presses has no meaning with --rezero, which keeps what was fitted to presses")
@@ -53,10 +54,10 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"{args.presses}: found no press, expected a row for each")
     result = calibrate(sensor, references, presses, args.allow_loaded_reference, load_networks())
     stored = calibration_file.save(args.out, result.calibration)
-    _tell(args, stored, result.warnings, _judged(result))
+    _print(args, stored, result.warnings, _quality(result.quality))
     if not args.json:
-        print(result.verdict.line)
-        for advice in result.verdict.advice:
+        print(result.quality.line)
+        for advice in result.quality.advice:
             print(f"  to do: {advice}")
     return 0
 
@@ -77,7 +78,7 @@ def _rezero(args: argparse.Namespace) -> int:
         "light": round(found.light, 3),
         "contrast": round(found.contrast, 3),
     }
-    _tell(args, calibration_file.save(args.out, renewed), warnings, changed)
+    _print(args, calibration_file.save(args.out, renewed), warnings, changed)
     return 0
 
 
@@ -94,7 +95,7 @@ def _read_references(paths: Sequence[Path]) -> list[U8]:
     return references
 
 
-def _tell(args: argparse.Namespace, stored: Calibration, warnings: Sequence[str], more: dict[str, Any]) -> None:
+def _print(args: argparse.Namespace, stored: Calibration, warnings: Sequence[str], more: dict[str, Any]) -> None:
     report = _report(stored)
     if args.json:
         print(json.dumps(report | more | {"warnings": list(warnings)}, indent=2))
@@ -108,9 +109,9 @@ def _tell(args: argparse.Namespace, stored: Calibration, warnings: Sequence[str]
             print(f"  {key}: {value:.4g}" if isinstance(value, float) else f"  {key}: {value}")
 
 
-def _judged(result: Calibrated) -> dict[str, Any]:
-    """The verdict for ``--json``."""
-    return {"verdict": result.verdict.grade, "verdict_line": result.verdict.line, "to_do": list(result.verdict.advice)}
+def _quality(quality: Quality) -> dict[str, Any]:
+    """For ``--json``."""
+    return {"verdict": quality.grade, "verdict_line": quality.line, "to_do": list(quality.advice)}
 
 
 def _report(calibration: Calibration) -> dict[str, Any]:
@@ -125,5 +126,5 @@ def _report(calibration: Calibration) -> dict[str, Any]:
         "pitch_px": round(calibration.pitch_px, 3),
         "noise_grey": round(calibration.noise_grey, 3),
         "alpha": round(calibration.alpha, 3),
-        **{key: round(value, 4) for key, value in calibration.fit.items() if math.isfinite(value)},
+        **{key: round(value, 4) for key, value in calibration_file.fit_figures(calibration.fit).items()},
     }

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from tacshade_edge.core.calibration.calibrate import BallPress, Sensor, calibrate
+from tacshade_edge.core.calibration.calibrate import calibrate
+from tacshade_edge.core.calibration.inputs import BallPress, Sensor
 from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.scene import SimulatedSensor

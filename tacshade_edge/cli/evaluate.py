@@ -8,8 +8,9 @@ from dataclasses import asdict
 from typing import Any
 
 from tacshade_edge.cli import study
-from tacshade_edge.core.calibration.calibrate import MIN_PRESSES
+from tacshade_edge.core.calibration.press_selection import MIN_PRESSES
 from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator.objects import OBJECTS, PAPER_OBJECTS
 from tacshade_edge.studies.ablation.work import AblationRow, ablate, object_rows
@@ -156,7 +157,7 @@ def _settings(plan: Plan, found: Evaluation) -> dict[str, Any]:
         {
             "name": str(name),
             "model": asdict(name.make().model),
-            "fit": made.calibration.fit,
+            "fit": calibration_file.fit_figures(made.calibration.fit),
             "warnings": list(made.warnings),
         }
         for name, made in zip(plan.sensors, found.calibrations, strict=True)

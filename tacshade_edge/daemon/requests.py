@@ -116,7 +116,7 @@ class Requests:
         self._taken = outcome
 
     def _set_reference(self, request: Request, images: list[U8]) -> None:
-        from tacshade_edge.core.calibration.calibrate import rezero  # on demand: few daemons ever calibrate
+        from tacshade_edge.core.calibration.references import rezero  # on demand: few daemons ever calibrate
 
         try:
             calibration = with_crc(rezero(self._active.reconstructor.calibration, images))

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import os
 import time
 from collections.abc import Sequence
 
 from tacshade_edge.core.calibration import pattern
-from tacshade_edge.core.calibration.calibrate import rezero
+from tacshade_edge.core.calibration.references import rezero
 from tacshade_edge.core.frame_check import registration
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.core.profiles import PROFILES
@@ -69,9 +68,9 @@ def load(document: Document) -> tuple[Calibration | None, tuple[Finding, ...]]:
     if not calibration.factors:
         mend = "take ball presses and calibrate with --presses PRESSES.csv (docs/calibration.md)"
         return calibration, (warning("calibration", f"{found}; depth is not in true millimetres", mend),)
-    return calibration, (
-        ok("calibration", f"{found}, depth error {calibration.fit.get('accurate_depth_mae_mm', math.nan):.2f} mm"),
-    )
+    accurate = calibration.fit.profiles.get("accurate") if calibration.fit else None
+    depth_error = f", depth error {accurate.depth_mae_mm:.2f} mm" if accurate else ""
+    return calibration, (ok("calibration", found + depth_error),)
 
 
 def check_images(calibration: Calibration, images: Sequence[U8], live: bool) -> tuple[Finding, ...]:

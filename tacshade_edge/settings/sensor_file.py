@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
-from tacshade_edge.core.calibration.calibrate import Sensor
+from tacshade_edge.core.calibration.inputs import Sensor
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.settings.load import read_struct
 from tacshade_edge.types import IDENTITY_POSE

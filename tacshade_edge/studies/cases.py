@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
-from tacshade_edge.core.calibration.calibrate import Calibrated
+from tacshade_edge.core.calibration.calibrate import CalibrationResult
 from tacshade_edge.studies.evaluate.scenes import Scene, null_images
 from tacshade_edge.studies.evaluate.score import NOTHING, KnownTruth, Label
 from tacshade_edge.studies.evaluate.sensors import PressedSensor, SensorName, calibrated
@@ -29,13 +29,13 @@ class Case:
 
 def calibrate_sensors(
     sensors: Sequence[SensorName], references: int, presses: int, cores: int, report: Report
-) -> list[Calibrated]:
+) -> list[CalibrationResult]:
     """Calibrate every sensor. Raises ConfigError (one cannot be calibrated) and DeviceError (a worker was killed)."""
     tasks = [(name, references, presses) for name in sensors]
     return list(reported_map(_calibrated, tasks, cores, report, "sensors calibrated"))
 
 
-def _calibrated(task: tuple[SensorName, int, int]) -> Calibrated:
+def _calibrated(task: tuple[SensorName, int, int]) -> CalibrationResult:
     return calibrated(*task)
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tacshade_edge.core.calibration.calibrate import Sensor
+from tacshade_edge.core.calibration.inputs import Sensor
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.settings.sensor_file import read_sensor
 

@@ -11,7 +11,8 @@ from support.built_sensor import built_calibration, marked
 from support.extreme_images import EXTREME_IMAGES, noise
 from support.soundness import sound_step
 
-from tacshade_edge.core.calibration.calibrate import Sensor, calibrate
+from tacshade_edge.core.calibration.calibrate import calibrate
+from tacshade_edge.core.calibration.inputs import Sensor
 from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.devices.weights.network import make_reconstructor

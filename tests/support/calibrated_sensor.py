@@ -7,14 +7,16 @@ from functools import cache
 
 import numpy as np
 
-from tacshade_edge.core.calibration.calibrate import BallPress, Sensor, calibrate
+from tacshade_edge.core.calibration.calibrate import calibrate
+from tacshade_edge.core.calibration.inputs import BallPress, Sensor
+from tacshade_edge.core.calibration.skin_scale import skin_scale
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.devices.files.calibration_file import with_crc
 from tacshade_edge.devices.weights.network import load_networks, make_reconstructor
 from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.simulator.model import SensorModel, random_model, tactip
-from tacshade_edge.simulator.objects import OBJECTS
+from tacshade_edge.simulator.objects import OBJECTS, ball
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedFrame, SimulatedSensor
 from tacshade_edge.types import U8, Calibration, Frame, Reconstruction
@@ -83,6 +85,13 @@ def pressed(
 ) -> SimulatedFrame:
     """A frame that no calibration saw."""
     return simulated(model).frame((Press(OBJECTS[name](), x_mm, y_mm, depth_mm),), 7)
+
+
+def loaded(depth_mm: float, x_mm: float, model: SensorModel = HALF) -> list[U8]:
+    """Three frames of the skin under a ball, mm on the nominal skin."""
+    scale = skin_scale(model.geometry)
+    press = Press(ball(6.0 * scale), x_mm * scale, 0.0, depth_mm * scale)
+    return [simulated(model).frame((press,), seed).image for seed in range(3)]
 
 
 def unloaded(model: SensorModel = HALF, noise_seed: int = 50) -> U8:

@@ -11,7 +11,7 @@ from tacshade_edge.core.image.binarise import binarise
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
 from tacshade_edge.devices.files.calibration_file import with_crc
 from tacshade_edge.devices.weights.network import make_reconstructor
-from tacshade_edge.types import U8, Calibration, Disc, Frame, Geometry
+from tacshade_edge.types import U8, Calibration, Disc, Fit, Frame, Geometry, ProfileFit
 
 HEIGHT, WIDTH, PITCH_PX = 120, 160, 8.0
 SCALE = 4  # of `enlarged`
@@ -45,7 +45,7 @@ def painted_calibration() -> Calibration:
             noise_grey=0.5,
             alpha=15.0,
             factors={"accurate": 1.0},
-            fit={"accurate_depth_mae_mm": 0.2},
+            fit=Fit(20, 0.1, 0.5, {"accurate": ProfileFit(20, 0.2, 0.6)}),
         )
     )
 

@@ -1,8 +1,9 @@
 """The closed-form refit of the learned inverse to ball presses.
 
-A network trained on every sensor is off on a given one by a nearly constant factor. It is fitted where the ball's
-surface is known and the network sees contact. Balls tell little more: corrections that also depend on depth and place
-fit the balls better, and other shapes no better (tools/train/README.md).
+A network trained on every sensor is off on a given one by a nearly constant factor. It is fitted by ridge regression
+(Hoerl & Kennard, Technometrics 12, 1970) where the ball's surface is known and the network sees contact. Balls tell
+little more: corrections that also depend on depth and place fit the balls better, and other shapes no better
+(tools/train/README.md).
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tacshade_edge.core.calibration.skin_scale import skin_scale
 from tacshade_edge.core.depth.learned import Inverse
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.back_projection import skin_points
@@ -23,6 +25,10 @@ from tacshade_edge.types import F32, F64, Geometry
 RIDGE = 0.1
 # A contact of fewer cells says nothing; fewer presses neither.
 LEAST_CELLS, LEAST_PRESSES = 12, 5
+# Where the network and the ball are less deep than this, a cell says nothing (mm on the nominal skin).
+LEAST_FOUND_MM, LEAST_TRUE_MM = 0.05, 0.1
+# Error of h grows with depth; from this depth on it is mostly proportional (mm on the nominal skin).
+PROPORTIONAL_MM = 0.5
 # No sensor is farther from the network's idea of it.
 FACTOR_RANGE = (0.3, 3.0)
 
@@ -58,11 +64,11 @@ def stated_ball(geometry: Geometry, x_mm: float, y_mm: float, depth_mm: float, r
 def located_ball(geometry: Geometry, inverse: Inverse, depth_mm: float, radius_mm: float) -> Ball | None:
     """The same where x and y were not stated: the contact's middle lies on the line from O to the ball's centre."""
     rays = disc_rays(disc_map.map_grid(geometry.disc, len(inverse.height_mm)), geometry)
-    touched = (inverse.contact_logit > 0) & rays.inside
-    if np.count_nonzero(touched) < LEAST_CELLS:
+    contact = (inverse.contact_logit > 0) & rays.inside
+    if np.count_nonzero(contact) < LEAST_CELLS:
         return None
     points = skin_points(np.maximum(inverse.height_mm, 0), rays, geometry)
-    middle = points[touched].astype(np.float64).mean(axis=0)
+    middle = points[contact].astype(np.float64).mean(axis=0)
     along = middle / np.linalg.norm(middle)
     reach = geometry.skin_radius_mm - depth_mm + radius_mm
     for _ in range(8):
@@ -93,12 +99,15 @@ def ball_height(geometry: Geometry, ball: Ball, cells: int = disc_map.CELLS) -> 
 def press_rows(inverse: Inverse, geometry: Geometry, ball: Ball) -> PressRows | None:
     """One press for `fit_factor`; None where the network's contact and the ball hardly meet."""
     height, truth = inverse.height_mm, ball_height(geometry, ball, len(inverse.height_mm))
-    use = (inverse.contact_logit > 0) & np.isfinite(height) & (height > 0.05) & (np.nan_to_num(truth) > 0.1)
+    scale = skin_scale(geometry)
+    use = (inverse.contact_logit > 0) & np.isfinite(height)
+    use &= (height > LEAST_FOUND_MM * scale) & (np.nan_to_num(truth) > LEAST_TRUE_MM * scale)
     cells = int(np.count_nonzero(use))
     if cells < LEAST_CELLS:
         return None
     # Every press counts alike, a deep one a little less: its error in mm is larger.
-    weight = 1 / math.sqrt(cells * (0.5 + ball.depth_max_mm(geometry.skin_radius_mm)))
+    depth_mm = ball.depth_max_mm(geometry.skin_radius_mm) / scale
+    weight = 1 / math.sqrt(cells * (PROPORTIONAL_MM + depth_mm))
     return PressRows(height[use].astype(np.float64) * weight, truth[use].astype(np.float64) * weight)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -36,7 +37,9 @@ def find_disc(grey: U8) -> Disc:
     """Find the visible circle in a reference image.
 
     The disc is where the marker pattern is, so its rim is where the pattern's variation along the angle ends:
-    a step in brightness alone would find the LED ring instead. A coarse circle comes from the textured region.
+    a step in brightness alone would find the LED ring instead. A coarse circle comes from the textured region; centre
+    and radius are then searched for the sharpest end, as J. Daugman's integro-differential operator finds an iris (IEEE
+    Trans. PAMI 15, 1993).
 
     Parameters
     ----------
@@ -134,7 +137,7 @@ class _Region:
 
 
 def _textured_region(grey: U8, part: float) -> _Region:
-    """The hull of the largest region with more than `part` of Otsu's texture."""
+    """The hull of the largest region with more than `part` of the texture at Otsu's threshold (N. Otsu, 1979)."""
     scale = max(min(grey.shape) / _SEARCH_ROWS, 1.0)
     small = cv2.resize(grey, None, fx=1 / scale, fy=1 / scale, interpolation=cv2.INTER_AREA).astype(np.float32)
     fine = cv2.absdiff(small, cv2.blur(small, (9, 9)))
@@ -163,7 +166,7 @@ def _textured_region(grey: U8, part: float) -> _Region:
 
 
 def _circle_through_rim(hull: F64, shape: tuple[int, ...], scale: float) -> Disc | None:
-    """Least-squares circle (Kåsa) through the hull's corners (row, col) off the border; None where nothing is cut."""
+    """Circle by least squares (I. Kåsa, 1976) through the hull's corners (row, col) off the border; None: not cut."""
     from_border = np.minimum(hull, np.array(shape) - 1 - hull).min(axis=1)
     rim = hull[from_border > _BORDER_PX]
     if from_border.min() > 0 or len(rim) < _RIM_CORNERS:
@@ -189,12 +192,11 @@ def _pattern_strength(grey: U8, disc: Disc, radii: F64) -> tuple[F64, Bool]:
     seen : bool (rays, radii)
         Inside the image.
     """
-    rays = _RAYS
-    angles = 2 * np.pi * np.arange(rays) / rays
+    angles = 2 * np.pi * np.arange(_RAYS) / _RAYS
     cols = (disc.col_c + radii[None, :] * np.cos(angles)[:, None]).astype(np.float32)
     rows = (disc.row_c + radii[None, :] * np.sin(angles)[:, None]).astype(np.float32)
     polar = cv2.remap(grey, cols, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(np.float32)
-    n = max(int(rays * _SLOW_TURN), 1)
+    n = max(int(_RAYS * _SLOW_TURN), 1)
     slow = cv2.blur(np.vstack([polar[-n:], polar, polar[:n]]), (1, 2 * (n // 2) + 1))[n:-n]
     strength: F64 = ((polar - slow) ** 2).astype(np.float64)
     seen: Bool = (rows >= 0) & (rows <= grey.shape[0] - 1) & (cols >= 0) & (cols <= grey.shape[1] - 1)
@@ -269,7 +271,7 @@ def marker_pitch_px(grey: U8, disc: Disc) -> float:
     return float(2 / np.sqrt(3) * size / peak)
 
 
-def mean_image(images: list[U8]) -> U8:
+def mean_image(images: Sequence[U8]) -> U8:
     """Rounded mean of equally sized grey images."""
     total: F32 = np.zeros(images[0].shape, dtype=np.float32)
     for image in images:

@@ -4,36 +4,37 @@ from __future__ import annotations
 
 import numpy as np
 
+from tacshade_edge.core.calibration.skin_scale import skin_scale
 from tacshade_edge.core.geometry.disc import Grid, radius_squared
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.types import F32, Bool, Disc
 
-# A patch that differs this much from its ring is a load (grey levels, mm²), where a fine pattern does not make every
-# ring uneven (in deviations of the disc), and where it is alone: a square lattice makes four of them, a quarter turn
-# apart.
-LOADED_GREY = 22.0
-LOADED_DEVIATIONS = 3.5
-LOADED_MM2 = 9.0
-# A load in the middle is alike all around too, but bends the radial profile. Second difference over two rings, measured
-# on 60 sensors: at most 19 unloaded, a centred ball 3 mm deep 30 or more.
+# A patch that differs this much from its ring is a load (grey levels, mm² on the nominal skin), where a fine pattern
+# does not make every ring uneven (in deviations of the disc), and where it is alone: a square lattice makes four of
+# them, a quarter turn apart. What this finds, and finds wrongly: tools/bench_calibration.py.
+LOAD_GREY = 22.0
+LOAD_DEVIATIONS = 3.5
+LOAD_MM2 = 9.0
+# A load in the middle is alike all around too, but bends the radial profile: second difference over two rings.
 RINGS = 12
-LOADED_BEND_GREY = 22.0
+LOAD_BEND_GREY = 22.0
 
 
-def loaded_reason(front: Preprocessor) -> str:
-    """Why the reference seems to have been taken under load; empty when it does not."""
-    g0, voting, disc = front.reference_g, front.voting, front.calibration.geometry.disc
-    rho2 = radius_squared(front.grid, disc)
+def reference_load_reason(preprocessor: Preprocessor) -> str:
+    """Why the reference seems to have been taken under load, for a person; empty when it does not."""
+    g0, voting, geometry = preprocessor.reference_g, preprocessor.voting, preprocessor.calibration.geometry
+    grid, disc = preprocessor.grid, geometry.disc
+    rho2 = radius_squared(grid, disc)
     residual = ring_residual(g0, rho2, voting)
     deviation = 1.4826 * float(np.median(np.abs(residual[voting]))) if voting.any() else 0.0
-    threshold = max(LOADED_GREY, LOADED_DEVIATIONS * deviation)
-    elsewhere = np.median([quarter_turned(residual, front.grid, disc, turns) for turns in (1, 2, 3)], axis=0)
+    threshold = max(LOAD_GREY, LOAD_DEVIATIONS * deviation)
+    elsewhere = np.median([quarter_turned(residual, grid, disc, turns) for turns in (1, 2, 3)], axis=0)
     lone = (np.abs(residual) > threshold) & (np.abs(residual - elsewhere) > threshold)
-    area = float(np.count_nonzero(lone)) * front.cell_mm2
-    if area >= LOADED_MM2:
-        return f"the reference seems taken under load: {area:.0f} mm² of it differ from the skin around the centre"
+    area_mm2 = float(np.count_nonzero(lone)) * preprocessor.cell_mm2
+    if area_mm2 >= LOAD_MM2 * skin_scale(geometry) ** 2:
+        return f"the reference seems taken under load: {area_mm2:.0f} mm² of it differ from the skin around the centre"
     bend = radial_bend(g0, rho2, voting)
-    if bend > LOADED_BEND_GREY:
+    if bend > LOAD_BEND_GREY:
         return f"the reference seems taken under load in the middle: its profile bends by {bend:.0f} grey levels"
     return ""
 

@@ -16,10 +16,10 @@ import numpy as np
 
 from tacshade_edge.devices.files.whole_files import write_whole
 from tacshade_edge.errors import ConfigError, DeviceError
-from tacshade_edge.types import Calibration, Disc, Geometry
+from tacshade_edge.types import Calibration, Disc, Fit, Geometry, ProfileFit
 
 VERSION = 6
-"""Also of the networks: factors are fitted to the weights that were shipped then (tests/devices/test_network.py)."""
+"""Also of the networks: factors are fitted to the weights shipped then (tests/devices/weights/test_network.py)."""
 # What numpy and zipfile raise on damaged bytes (TypeError: a .npy; RuntimeError: a flag or method zipfile lacks).
 _DAMAGE = (
     KeyError,
@@ -33,6 +33,41 @@ _DAMAGE = (
     zlib.error,
 )
 _ARRAYS = ("reference_white", "reference_grey")
+
+
+def fit_figures(fit: Fit | None) -> dict[str, float]:
+    """A fit under flat keys, as the file and the commands' JSON have it; a profile's begin with its name."""
+    if fit is None:
+        return {}
+    figures: dict[str, float] = {
+        "presses": float(fit.presses),
+        "agreement_mae_mm": fit.agreement_mae_mm,
+        "position_mae_mm": fit.position_mae_mm,
+    }
+    for name, profile in fit.profiles.items():
+        figures[f"{name}_presses"] = float(profile.presses)
+        figures[f"{name}_depth_mae_mm"] = profile.depth_mae_mm
+        figures[f"{name}_depth_worst_mm"] = profile.depth_worst_mm
+    return figures
+
+
+def _fit(figures: dict[str, float]) -> Fit | None:
+    """What `fit_figures` made flat."""
+    if not figures:
+        return None
+    suffix = "_depth_mae_mm"
+    names = [key.removesuffix(suffix) for key in figures if key.endswith(suffix)]
+    return Fit(
+        presses=int(figures["presses"]),
+        agreement_mae_mm=figures["agreement_mae_mm"],
+        position_mae_mm=figures["position_mae_mm"],
+        profiles={
+            name: ProfileFit(
+                int(figures[f"{name}_presses"]), figures[f"{name}_depth_mae_mm"], figures[f"{name}_depth_worst_mm"]
+            )
+            for name in names
+        },
+    )
 
 
 def _content(calibration: Calibration) -> tuple[bytes, dict[str, Any]]:
@@ -52,7 +87,7 @@ def _content(calibration: Calibration) -> tuple[bytes, dict[str, Any]]:
         "noise_grey": calibration.noise_grey,
         "alpha": calibration.alpha,
         "factors": dict(calibration.factors),
-        "fit": calibration.fit,
+        "fit": fit_figures(calibration.fit),
         "flange_T_sensor": list(calibration.flange_T_sensor),
     }
     return json.dumps(meta, sort_keys=True).encode(), {name: getattr(calibration, name) for name in _ARRAYS}
@@ -148,7 +183,7 @@ def _from_content(name: str, meta: dict[str, Any], arrays: dict[str, Any], crc: 
         pitch_px=meta["pitch_px"],
         noise_grey=meta["noise_grey"],
         alpha=meta["alpha"],
-        fit=meta["fit"],
+        fit=_fit(meta["fit"]),
         flange_T_sensor=tuple(meta["flange_T_sensor"]),
         crc32=crc,
         factors=meta["factors"],

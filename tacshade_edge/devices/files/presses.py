@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tacshade_edge.core.calibration.calibrate import BallPress
+from tacshade_edge.core.calibration.inputs import BallPress
 from tacshade_edge.devices.files.images import read_image
 from tacshade_edge.devices.files.tables import number, read_rows
 from tacshade_edge.errors import ConfigError, DecodeError

@@ -6,7 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from tacshade_edge.core.calibration.calibrate import BallPress, Calibrated, Sensor, calibrate
+from tacshade_edge.core.calibration.calibrate import CalibrationResult, calibrate
+from tacshade_edge.core.calibration.inputs import BallPress, Sensor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.devices.weights.network import load_networks, make_reconstructor
@@ -91,7 +92,7 @@ class SensorName:
         return FAMILIES[self.family](self.seed)
 
 
-def calibrated(name: SensorName, references: int, presses: int) -> Calibrated:
+def calibrated(name: SensorName, references: int, presses: int) -> CalibrationResult:
     """Calibrate on references and known ball presses, without looking at the model beyond its SENSOR.yaml.
 
     Raises
@@ -105,7 +106,7 @@ def calibrated(name: SensorName, references: int, presses: int) -> Calibrated:
         raise ConfigError(f"sensor {name}: {error}") from None
 
 
-def calibrated_sensor(sensor: PressedSensor, seed: int, references: int, presses: int) -> Calibrated:
+def calibrated_sensor(sensor: PressedSensor, seed: int, references: int, presses: int) -> CalibrationResult:
     """Calibrate a sensor that has no name; the seed draws its presses. Raises ConfigError."""
     model = sensor.model
     stated = Sensor(model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, "bright")

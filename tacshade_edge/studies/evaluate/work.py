@@ -8,7 +8,7 @@ from itertools import chain
 
 import numpy as np
 
-from tacshade_edge.core.calibration.calibrate import Calibrated
+from tacshade_edge.core.calibration.calibrate import CalibrationResult
 from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.studies.cases import calibrate_sensors, null_cases, press_cases
 from tacshade_edge.studies.evaluate.scenes import DEPTHS_MM, NULL_FRAMES, scenes
@@ -52,7 +52,7 @@ class Evaluation:
     """What came of a plan: a row for each frame and profile, and each sensor's calibration."""
 
     rows: tuple[Row, ...]
-    calibrations: tuple[Calibrated, ...]
+    calibrations: tuple[CalibrationResult, ...]
 
 
 @dataclass(frozen=True, slots=True)

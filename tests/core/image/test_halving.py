@@ -4,7 +4,7 @@ from itertools import product
 import numpy as np
 import pytest
 from support.built_sensor import built_calibration
-from support.calibrated_sensor import FULL, HALF, calibrated, pressed, unloaded
+from support.calibrated_sensor import FULL, HALF, calibrated, pressed, random_sensor, unloaded
 
 from tacshade_edge.core.calibration.pattern import marker_pitch_px
 from tacshade_edge.core.contact.gate import ContactGate
@@ -83,18 +83,24 @@ def test_nothing_has_changed_in_a_reference_that_is_halved(rows: int, cols: int)
     assert np.abs(cells).max() < 0.5
 
 
-@pytest.mark.parametrize("profile", ["fast", "balanced"])
-def test_a_camera_that_moved_by_a_pixel_costs_a_tenth_of_the_depth_at_most(profile: str) -> None:
-    """Pixels are paired another way then."""
-    calibration = calibrated(FULL, 0)
-    image = pressed("ball", 3.0, FULL).image
+def test_a_camera_that_moved_by_a_pixel_costs_a_fifth_of_the_depth_at_most() -> None:
+    """Pixels are paired another way then.
 
-    def depth_mm(rows: int, cols: int) -> float:
-        made = make_reconstructor(calibration, PROFILES[profile])
-        return made.step(Frame(0, 0, 0, nuisance.shift(image, rows, cols))).depth_max_mm
-
-    moved = [depth_mm(*by) for by in ((1, 0), (-1, 0), (0, 1), (0, -1))]
-    assert 0.9 < np.mean(moved) / depth_mm(0, 0) < 1.1
+    The bounds are what this computes with `MOVED_PARTS` as they are, 0.185 at worst and 0.074 on average, and what it
+    computes with a reference that is not mixed, (0, 1, 0): 0.243 and 0.106.
+    """
+    errors = {}
+    for model in (FULL, random_sensor(2), random_sensor(5)):
+        calibration, scale = calibrated(model, 0), model.skin_radius_mm / FULL.skin_radius_mm
+        for profile, (depth_mm, x_mm) in product(("fast", "balanced"), ((3.0, 0.0), (1.5, 4.0))):
+            made = make_reconstructor(calibration, PROFILES[profile])
+            image = pressed("ball", depth_mm * scale, model, x_mm=x_mm * scale).image
+            still_mm = made.step(Frame(0, 0, 0, image)).depth_max_mm
+            for by in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+                found_mm = made.step(Frame(0, 0, 0, nuisance.shift(image, *by))).depth_max_mm
+                errors[model.skin_radius_mm, profile, depth_mm, by] = abs(found_mm / still_mm - 1)
+    assert {case: error for case, error in errors.items() if error > 0.21} == {}
+    assert np.mean(list(errors.values())) < 0.09
 
 
 def test_a_fine_pattern_is_left_as_it_is() -> None:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import math
 import os
 from dataclasses import fields, replace
@@ -14,7 +15,7 @@ from support.painted_sensor import painted_calibration
 
 from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.errors import ConfigError, DeviceError
-from tacshade_edge.types import Calibration
+from tacshade_edge.types import Calibration, Fit, ProfileFit
 
 
 def assert_same(one: Calibration, other: Calibration) -> None:
@@ -50,6 +51,26 @@ def test_what_is_stored_comes_back(tmp_path: Path) -> None:
         assert_same(loaded, saved)
         assert_same(replace(loaded, crc32=0), replace(calibration, crc32=0))
         assert not loaded.reference_white.flags.writeable
+
+
+def test_the_fit_is_stored_under_flat_keys(tmp_path: Path) -> None:
+    """As in every file of this version, so that old files load and keep their checksum."""
+    flat = {
+        "presses": 20.0,
+        "agreement_mae_mm": 0.1,
+        "position_mae_mm": 0.5,
+        "accurate_presses": 19.0,
+        "accurate_depth_mae_mm": 0.2,
+        "accurate_depth_worst_mm": 0.6,
+    }
+    fit = Fit(20, 0.1, 0.5, {"accurate": ProfileFit(19, 0.2, 0.6)})
+    for stored, expected in ((fit, flat), (None, {})):
+        path = tmp_path / "cal.npz"
+        saved = calibration_file.save(path, replace(painted_calibration(), fit=stored))
+        with np.load(path) as npz:
+            assert json.loads(npz["meta"].tobytes())["fit"] == expected
+        assert calibration_file.load(path).fit == stored
+        assert calibration_file.load(path).crc32 == saved.crc32
 
 
 def test_the_checksum_is_of_the_content_alone(tmp_path: Path) -> None:

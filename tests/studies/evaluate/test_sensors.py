@@ -28,7 +28,8 @@ def test_the_same_name_is_the_same_sensor() -> None:
 def test_a_sensor_is_calibrated_on_what_its_images_show() -> None:
     made = calibrated(SensorName.parse("default"), references=3, presses=8)
     model, disc = SensorModel(), made.calibration.geometry.disc
-    assert made.calibration.fit["presses"] == 8
+    assert made.calibration.fit is not None
+    assert made.calibration.fit.presses == 8
     assert np.hypot(disc.row_c - model.row_c, disc.col_c - model.col_c) < 3
     assert (disc.row_c, disc.col_c) != (model.row_c, model.col_c)
 

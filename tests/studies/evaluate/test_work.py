@@ -41,7 +41,9 @@ def test_a_row_for_every_press_and_frame_without_contact(found: Evaluation) -> N
     assert all(r.valid and r.contact and r.iou > 0.3 and r.me_mm < 2 for r in found.rows if r.object == "ball")
     assert not any(r.contact for r in found.rows if r.object == "none")
     assert [r.image for r in found.rows[-5:-3]] == ["", "light x0.8"]
-    assert found.calibrations[0].calibration.fit["presses"] == 8
+    fit = found.calibrations[0].calibration.fit
+    assert fit is not None
+    assert fit.presses == 8
 
 
 def test_the_same_plan_gives_the_same_bytes(found: Evaluation) -> None:
@@ -68,7 +70,7 @@ def test_a_row_is_what_the_metrics_say_of_that_press(found: Evaluation) -> None:
 def test_references_alone(found: Evaluation) -> None:
     one = replace(PLAN, objects=("ball",), references=1, presses=0, null_frames=0)
     made = evaluate(one, 1, quiet)
-    assert made.calibrations[0].calibration.fit == {}
+    assert made.calibrations[0].calibration.fit is None
     assert "1 reference" in made.calibrations[0].warnings[0]
     assert [r.depth_error_pct for r in made.rows] != [r.depth_error_pct for r in found.rows[:3]]
 

@@ -1,0 +1,81 @@
+"""Do the presses cover what a calibration must cover: the disc, depths, ball radii?"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from tacshade_edge.core.calibration.press_observation import PressObservation
+from tacshade_edge.types import F64, Geometry
+
+# As docs/calibration.md advises.
+_FEW_PRESSES = 16
+# Of the visible circle's radius: how far presses should reach, their least RMS distance from their middle, and how far
+# one must lie on each side.
+_REACH_RHO, _LEAST_RMS_RHO, _SIDE_RHO = 0.66, 0.35, 0.25
+# Of the skin's radius: depths and ball radii to advise, and the depth that one press should reach at least.
+_DEPTHS, _BALL_RADII, _LEAST_DEEPEST = (1 / 40, 1 / 5), (0.15, 0.45), 0.12
+# The greatest over the least.
+_DEPTH_RATIO, _BALL_RADIUS_RATIO = 2.0, 1.5
+
+
+def missing_coverage(observations: Sequence[PressObservation], geometry: Geometry) -> tuple[str, ...]:
+    """What is missing in the presses, a line each."""
+    places = np.array([o.place_mm for o in observations])
+    depths = np.array([o.depth_mm for o in observations])
+    ball_radii = np.array([o.radius_mm for o in observations])
+    few = len(observations) < _FEW_PRESSES
+    lines = (
+        f"{len(observations)} presses: 20 to 40 make the depth and its error more certain" if few else "",
+        _missing_places(places, geometry),
+        _missing_depths(float(depths.min()), float(depths.max()), geometry),
+        _missing_ball_radii(float(ball_radii.min()), float(ball_radii.max()), geometry),
+    )
+    return tuple(line for line in lines if line)
+
+
+def _missing_places(places: F64, geometry: Geometry) -> str:
+    visible_mm = geometry.skin_radius_mm * math.sin(math.radians(geometry.visible_half_angle_deg))
+    middle = places.mean(axis=0)
+    rms_mm = math.sqrt(float(((places - middle) ** 2).sum(axis=1).mean()))
+    reach = f"up to {_REACH_RHO * visible_mm:.0f} mm from the middle"
+    if rms_mm < _LEAST_RMS_RHO * visible_mm:
+        x_mm, y_mm = (round(float(v)) for v in middle)
+        return (
+            f"the presses lie close together, around x {x_mm}, y {y_mm} mm: "
+            f"depth elsewhere is a guess; add presses {reach}"
+        )
+    side_mm = _SIDE_RHO * visible_mm
+    empty = {
+        "at x < 0": places[:, 0].min() > -side_mm,
+        "at x > 0": places[:, 0].max() < side_mm,
+        "at y < 0": places[:, 1].min() > -side_mm,
+        "at y > 0": places[:, 1].max() < side_mm,
+    }
+    sides = " or ".join(side for side, is_empty in empty.items() if is_empty)
+    return f"no press lies {sides}: add some {reach}" if sides else ""
+
+
+def _missing_depths(low_mm: float, high_mm: float, geometry: Geometry) -> str:
+    shallow_mm, deep_mm = (part * geometry.skin_radius_mm for part in _DEPTHS)
+    if high_mm < _DEPTH_RATIO * low_mm:
+        return (
+            f"the presses are all {low_mm:.1f} to {high_mm:.1f} mm deep: other depths are a guess; "
+            f"add some from {shallow_mm:.1f} to {deep_mm:.1f} mm"
+        )
+    if high_mm < _LEAST_DEEPEST * geometry.skin_radius_mm:
+        return f"no press is deeper than {high_mm:.1f} mm: what is deeper is saturated; add some to {deep_mm:.1f} mm"
+    return ""
+
+
+def _missing_ball_radii(small_mm: float, large_mm: float, geometry: Geometry) -> str:
+    if large_mm >= _BALL_RADIUS_RATIO * small_mm:
+        return ""
+    if small_mm == large_mm:
+        radii = f"one ball radius, {small_mm:g} mm"
+    else:
+        radii = f"ball radii of {small_mm:g} to {large_mm:g} mm only"
+    low_mm, high_mm = (part * geometry.skin_radius_mm for part in _BALL_RADII)
+    return f"{radii}: smaller and larger things are less certain; add balls from {low_mm:.0f} to {high_mm:.0f} mm"

@@ -1,0 +1,100 @@
+"""The presses that a calibration is fitted to, and why the others are left out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from tacshade_edge.core.calibration.inputs import BallPress
+from tacshade_edge.core.calibration.press_observation import PressObservation, observe_press
+from tacshade_edge.core.calibration.press_outliers import outliers
+from tacshade_edge.core.calibration.references import PROFILE
+from tacshade_edge.core.calibration.table_hints import table_hints
+from tacshade_edge.core.contact.gate import ContactGate
+from tacshade_edge.core.frame_check import registration
+from tacshade_edge.core.frame_check.validity import FrameCheck, invalid_reason, sensor_check
+from tacshade_edge.core.image import greyscale
+from tacshade_edge.core.image.grey_maps import GreyMapper
+from tacshade_edge.core.image.preprocess import Preprocessor
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.types import Calibration
+
+MIN_PRESSES = 8
+# With a greater part of the presses left out, what is stated of them is wrong as a whole.
+_MAX_LEFT_OUT = 0.25
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Selection:
+    """The presses to fit, what their images show, and warnings about all of them."""
+
+    presses: tuple[BallPress, ...]
+    observations: tuple[PressObservation, ...]
+    warnings: tuple[str, ...]
+
+
+def select_presses(unloaded: Calibration, presses: Sequence[BallPress]) -> Selection:
+    """Leave out presses without contact, of a camera that moved, or that disagree with what is stated of them.
+
+    Parameters
+    ----------
+    unloaded : Calibration
+        From the references.
+    presses : sequence of BallPress
+
+    Raises
+    ------
+    ConfigError
+        Too few presses, too many to leave out, or one that cannot be a press of this sensor.
+    """
+    if len(presses) < MIN_PRESSES:
+        raise ConfigError(f"{len(presses)} presses: at least {MIN_PRESSES} are needed (20 are better)")
+    geometry = unloaded.geometry
+    preprocessor = Preprocessor(unloaded, PROFILE)
+    mapper, gate, check = GreyMapper(preprocessor), ContactGate(preprocessor), sensor_check(unloaded)
+    reference = registration.look(unloaded.reference_grey, geometry.disc, unloaded.pitch_px)
+    pressed: list[BallPress] = []
+    left_out: list[str] = []
+    warnings: list[str] = []
+    for press in presses:
+        _check_press(unloaded, check, press)
+        grey = preprocessor.grey(press.image)
+        drift = registration.drift(reference, grey)
+        shift = registration.shift_reason(drift, geometry.disc)
+        if registration.shifted_too_far(drift, geometry.disc):
+            left_out.append(f"{press.name}: {shift} since the references")
+        elif not gate.opens(preprocessor.preprocess(grey)):
+            left_out.append(f"{press.name}: no contact to be seen, {press.depth_mm} mm is stated")
+        else:
+            pressed.append(press)
+            if change := shift or registration.light_drift_reason(drift):
+                warnings.append(f"{press.name}: {change} since the references")
+    observations = [observe_press(preprocessor, mapper, press) for press in pressed]
+    hints = table_hints(observations, geometry) if len(observations) >= MIN_PRESSES else ()
+    disagreeing = {outlier.index: outlier.reason for outlier in outliers(observations, geometry)}
+    left_out += disagreeing.values()
+    usable = [k for k in range(len(pressed)) if k not in disagreeing]
+    if len(left_out) > _MAX_LEFT_OUT * len(presses) or len(usable) < MIN_PRESSES:
+        raise ConfigError("; ".join([f"{len(left_out)} of {len(presses)} presses cannot be used", *hints, left_out[0]]))
+    return Selection(
+        tuple(pressed[k] for k in usable),
+        tuple(observations[k] for k in usable),
+        (*hints, *warnings, *(f"{reason}; left out" for reason in left_out)),
+    )
+
+
+def _check_press(calibration: Calibration, check: FrameCheck, press: BallPress) -> None:
+    """Refuse what cannot be a press of this sensor."""
+    r = calibration.geometry.skin_radius_mm
+    if press.image.shape[:2] != (calibration.image_height_px, calibration.image_width_px):
+        raise ConfigError(
+            f"{press.name}: {press.image.shape[1]}x{press.image.shape[0]} px, "
+            f"the reference is {calibration.image_width_px}x{calibration.image_height_px}"
+        )
+    if not 0 < press.depth_mm < r or not press.radius_mm > 0:
+        raise ConfigError(
+            f"{press.name}: depth {press.depth_mm} mm, ball radius {press.radius_mm} mm; "
+            f"expected 0 < depth < {r} and a radius above 0"
+        )
+    if reason := invalid_reason(greyscale.to_grey(press.image), check):
+        raise ConfigError(f"{press.name}: not usable: {reason}")

@@ -1,0 +1,85 @@
+"""How good a calibration is, in a line, and what to do when it is not good."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from tacshade_edge.core.calibration.skin_scale import skin_scale
+from tacshade_edge.types import Fit, Geometry
+
+Grade = Literal["good", "fair", "poor", "uncalibrated"]
+
+GRADED_PROFILE = "accurate"
+"""The profile whose error grades a calibration."""
+# On the nominal skin: its mean depth error, and how well the presses agree with each other. What good presses give, and
+# presses stated 0.3 and 0.6 mm off, `tools/bench_calibration.py` measures (docs/calibration.md has its table).
+_DEPTH_GOOD_MM, _DEPTH_FAIR_MM = 0.30, 0.50
+_AGREEMENT_GOOD_MM, _AGREEMENT_FAIR_MM = 0.25, 0.45
+_TO_REPEAT = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Quality:
+    """How good, one line, and what to do, most useful first (empty when good)."""
+
+    grade: Grade
+    line: str
+    advice: tuple[str, ...]
+
+
+UNCALIBRATED = Quality(
+    "uncalibrated",
+    "depth is what sensors of this kind give on average: no --presses to measure how good that is for this one",
+    ("take 20 to 40 ball presses and pass --presses PRESSES.csv (docs/calibration.md)",),
+)
+"""Without presses."""
+
+
+def assess(fit: Fit, geometry: Geometry, missing: Sequence[str], errors_mm: Sequence[tuple[str, float]]) -> Quality:
+    """Grade a fit to presses.
+
+    Parameters
+    ----------
+    fit : Fit
+    geometry : Geometry
+    missing : sequence of str
+        What the presses do not cover.
+    errors_mm : sequence of (name, error in mm)
+        Of the presses, with the graded profile.
+    """
+    if GRADED_PROFILE not in fit.profiles:
+        return Quality(
+            "poor",
+            "poor: the learned profiles see a contact where the ball is in fewer presses than a fit needs",
+            ("look at the presses' images, places and depths, and at SENSOR.yaml",),
+        )
+    profile, scale = fit.profiles[GRADED_PROFILE], skin_scale(geometry)
+    depth, agreement = profile.depth_mae_mm / scale, fit.agreement_mae_mm / scale
+    grade: Grade = "good"
+    if depth > _DEPTH_GOOD_MM or agreement > _AGREEMENT_GOOD_MM or missing:
+        grade = "fair"
+    if depth > _DEPTH_FAIR_MM or agreement > _AGREEMENT_FAIR_MM:
+        grade = "poor"
+    line = (
+        f"{grade}: ball depth within {_rounded_up(profile.depth_mae_mm)} mm of what was stated on average, "
+        f"{_rounded_up(profile.depth_worst_mm)} mm at worst, on presses it had not seen"
+    )
+    advice = list(missing)
+    if agreement > _AGREEMENT_GOOD_MM:
+        advice.append(
+            f"the presses agree with each other only within {_rounded_up(fit.agreement_mae_mm)} mm: "
+            "measure their depths and places more exactly"
+        )
+    if depth > _DEPTH_GOOD_MM:
+        worst = sorted(errors_mm, key=lambda press: -abs(press[1]))[:_TO_REPEAT]
+        names = ", ".join(f"{name} ({error:.1f} mm off)" for name, error in worst)
+        advice.append(f"repeat these presses, or more like them: {names}")
+    return Quality(grade, line, tuple(advice))
+
+
+def _rounded_up(value_mm: float) -> str:
+    """To 0.05 mm: "within" must not be too little."""
+    return f"{math.ceil(value_mm / 0.05 - 1e-9) * 0.05:.2f}"

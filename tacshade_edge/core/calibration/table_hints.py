@@ -1,0 +1,63 @@
+"""Likely mistakes of a whole table of presses: another unit, other axes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from tacshade_edge.core.calibration.press_observation import PressObservation, with_stated_place
+from tacshade_edge.core.calibration.skin_scale import skin_scale
+from tacshade_edge.types import Geometry
+
+# log(depth) of any sensor from log χ alone, on the nominal skin: coarse, and enough for a wrong unit.
+_DEPTH_OF_CHANGE = -1.61, 1.3
+_UNIT_FACTOR = 4.0
+_UNITS = {"cm": 10.0, "inches": 25.4, "m": 1000.0}
+# Other axes are hinted at when they leave less than this part of an error of so many mm on the nominal skin.
+_AXES_PART, _AXES_LEAST_MM = 0.5, 1.75
+_AXES_LEAST_PRESSES = 4
+# x and y as they would be read: x is a·x + b·y, y is c·x + d·y.
+_AXES = {
+    "x and y are swapped": (0, 1, 1, 0),
+    "x has the other sign": (-1, 0, 0, 1),
+    "y has the other sign": (1, 0, 0, -1),
+    "x and y have the other sign": (-1, 0, 0, -1),
+    "the axes are turned by 90 degrees": (0, -1, 1, 0),
+    "the axes are turned by -90 degrees": (0, 1, -1, 0),
+    "x and y are in cm": (10, 0, 0, 10),
+    "x and y are in m": (1000, 0, 0, 1000),
+}
+
+
+def table_hints(observations: Sequence[PressObservation], geometry: Geometry) -> tuple[str, ...]:
+    """Other readings of the whole table that fit clearly better than the stated one."""
+    return tuple(hint for hint in (_unit_hint(observations, geometry), _axes_hint(observations, geometry)) if hint)
+
+
+def _unit_hint(observations: Sequence[PressObservation], geometry: Geometry) -> str:
+    log_change = np.log([o.change_grey for o in observations])
+    usual_mm = np.exp(_DEPTH_OF_CHANGE[0] + _DEPTH_OF_CHANGE[1] * log_change) * skin_scale(geometry)
+    factor = float(np.median(usual_mm / np.array([o.depth_mm for o in observations])))
+    if factor < _UNIT_FACTOR:
+        return ""
+    unit = min(_UNITS, key=lambda name: abs(math.log(_UNITS[name] / factor)))
+    return f"the images show presses about {factor:.0f} times as deep as stated: are the depths in {unit}?"
+
+
+def _axes_hint(observations: Sequence[PressObservation], geometry: Geometry) -> str:
+    stated = with_stated_place(observations)
+    if len(stated) < _AXES_LEAST_PRESSES:
+        return ""
+
+    def error_mm(a: float, b: float, c: float, d: float) -> float:
+        places = [(a * o.place_mm[0] + b * o.place_mm[1], c * o.place_mm[0] + d * o.place_mm[1]) for o in stated]
+        return float(np.median([o.place_error_mm(*place) for o, place in zip(stated, places, strict=True)]))
+
+    as_stated = error_mm(1, 0, 0, 1)
+    best = min(_AXES, key=lambda name: error_mm(*_AXES[name]))
+    error = error_mm(*_AXES[best])
+    if error > _AXES_PART * as_stated or as_stated < _AXES_LEAST_MM * skin_scale(geometry):
+        return ""
+    return f"the places fit within {error:.1f} mm, not {as_stated:.1f} mm, if {best}"

@@ -1,0 +1,68 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from tacshade_edge.core.calibration.quality import UNCALIBRATED, assess
+from tacshade_edge.types import Disc, Fit, Geometry, ProfileFit
+
+GEOMETRY = Geometry(20.0, 14.0, 50.0, Disc(100, 100, 80))
+ERRORS_MM = (("press 9", 0.1), ("press 3", -0.7), ("press 1", 0.5), ("press 2", 0.4))
+
+
+def fit(depth_mae_mm: float = 0.201, agreement_mae_mm: float = 0.1) -> Fit:
+    return Fit(20, agreement_mae_mm, 0.5, {"accurate": ProfileFit(20, depth_mae_mm, 0.7)})
+
+
+def test_a_good_one_needs_nothing() -> None:
+    quality = assess(fit(), GEOMETRY, (), ERRORS_MM)
+    assert quality.grade == "good"
+    assert quality.line == (
+        "good: ball depth within 0.25 mm of what was stated on average, 0.70 mm at worst, on presses it had not seen"
+    )
+    assert quality.advice == ()
+
+
+@pytest.mark.parametrize(
+    ("found", "grade", "advice"),
+    [
+        (fit(depth_mae_mm=0.5), "fair", "repeat these presses, or more like them: press 3 (-0.7 mm off), press 1"),
+        (fit(depth_mae_mm=0.9), "poor", "repeat these presses"),
+        (fit(agreement_mae_mm=0.3), "fair", "the presses agree with each other only within 0.30 mm"),
+        (fit(agreement_mae_mm=0.5), "poor", "measure their depths and places more exactly"),
+    ],
+)
+def test_what_is_not_good_has_an_advice(found: Fit, grade: str, advice: str) -> None:
+    quality = assess(found, GEOMETRY, (), ERRORS_MM)
+    assert quality.grade == grade
+    assert quality.line.startswith(f"{grade}: ")
+    (only,) = quality.advice
+    assert advice in only
+    assert "press 9" not in only
+
+
+def test_what_is_missing_comes_first() -> None:
+    quality = assess(fit(depth_mae_mm=0.4), GEOMETRY, ("no press lies at x < 0",), ERRORS_MM)
+    assert quality.grade == "fair"
+    assert quality.advice[0] == "no press lies at x < 0"
+    assert len(quality.advice) == 2
+
+
+@pytest.mark.parametrize("radius_mm", [12.0, 30.0])
+def test_lengths_scale_with_the_skin(radius_mm: float) -> None:
+    geometry = replace(GEOMETRY, skin_radius_mm=radius_mm)
+    for depth_mm, agreement_mm, grade in ((0.29, 0.24, "good"), (0.31, 0.1, "fair"), (0.2, 0.26, "fair")):
+        scaled = fit(depth_mm * radius_mm / 20, agreement_mm * radius_mm / 20)
+        assert assess(scaled, geometry, (), ERRORS_MM).grade == grade
+
+
+def test_without_presses() -> None:
+    assert UNCALIBRATED.grade == "uncalibrated"
+    assert "--presses PRESSES.csv" in UNCALIBRATED.advice[0]
+
+
+def test_presses_in_which_the_networks_saw_nothing_are_not_called_missing() -> None:
+    quality = assess(Fit(9, 0.1, 0.5), GEOMETRY, (), ())
+    assert quality.grade == "poor"
+    assert "SENSOR.yaml" in quality.advice[0]

@@ -1,0 +1,39 @@
+"""Ball presses on simulated sensors as calibration observes them, made once per test session."""
+
+from __future__ import annotations
+
+from functools import cache
+
+from support.calibrated_sensor import references, sensor_of, simulated
+from tacshade_edge.core.calibration.calibrate import calibrate
+from tacshade_edge.core.calibration.inputs import BallPress
+from tacshade_edge.core.calibration.press_observation import PressObservation, observe_press
+from tacshade_edge.core.calibration.references import PROFILE
+from tacshade_edge.core.image.grey_maps import GreyMapper
+from tacshade_edge.core.image.preprocess import Preprocessor
+from tacshade_edge.simulator.calibration_set import ball_presses
+from tacshade_edge.simulator.model import SensorModel, random_model
+from tacshade_edge.types import Geometry
+
+PRESSES = 24
+SEEDS = (0, 5, 11)
+"""Sensors of different pattern, radius and camera."""
+
+
+@cache
+def observed_model(seed: int) -> SensorModel:
+    return random_model(seed)
+
+
+@cache
+def observed(seed: int) -> tuple[tuple[PressObservation, ...], Geometry]:
+    """24 ball presses on the sensor of a seed, stated as they are, and its geometry."""
+    model = observed_model(seed)
+    unloaded = calibrate(sensor_of(model), references(model)).calibration
+    preprocessor = Preprocessor(unloaded, PROFILE)
+    mapper = GreyMapper(preprocessor)
+    presses = [
+        BallPress(f"press {k}", simulated(model).frame((p,), 100 + k).image, radius, p.depth_mm, p.x_mm, p.y_mm)
+        for k, (p, radius) in enumerate(ball_presses(model, PRESSES, seed))
+    ]
+    return tuple(observe_press(preprocessor, mapper, press) for press in presses), unloaded.geometry
