@@ -491,7 +491,7 @@ def test_a_map_that_was_told_before_is_there_at_once(page: Chrome, tmp_path: Pat
 def test_a_stitching_session_is_commanded_through_requests(page: Chrome, tmp_path: Path) -> None:
     def status(state: str, name: str, presses: int) -> None:
         hand.tell(
-            "status/stitching", messages.encode_status(state, "", {"name": name, "presses": presses}), retain=True
+            "status/stitching", messages.encode_status(state, None, {"name": name, "presses": presses}), retain=True
         )
 
     def asked(count: int, result: dict[str, object], error: str = "") -> dict[str, object]:

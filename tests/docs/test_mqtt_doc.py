@@ -18,7 +18,7 @@ from tacshade_edge.core.stitching.surface_map import Raster
 from tacshade_edge.daemon.stitching.map_publisher import MapPublisher
 from tacshade_edge.daemon.stitching.map_revision import MapRevision
 from tacshade_edge.protocol import wire
-from tacshade_edge.reasons import ReasonCode
+from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import HeightMap, ObjectCloud, Pose, Reconstruction
 
 ROOT = Path(__file__).parents[2]
@@ -132,7 +132,8 @@ def test_decoder_understands_what_the_encoder_writes_now(decode: Decoder) -> Non
     height[rng.random(height.shape) < 0.2] = np.nan
     cloud = ObjectCloud(rng.normal(0, 20, (999, 3)).astype(np.float32), rng.integers(1, 2**16, 999, np.uint16))
     grid = HeightMap(height, np.zeros(height.shape, np.bool_), 1.5, 2.5, 4.0)
-    result = Reconstruction(77, 2**60, 5, "fast", True, "", True, True, "glare", grid, cloud)
+    glare = Reason(ReasonCode.GLARE, "glare")
+    result = Reconstruction(77, 2**60, 5, "fast", True, None, True, True, glare, grid, cloud)
     pose = Pose(2**60, 1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0)
     decoded = decode(
         [

@@ -42,7 +42,21 @@ def bump(seq: int, depth_mm: float, row: float, col: float, step_px: int = 1, wi
     grid = HeightMap(height, height > 0.3 * depth_mm, 0.0, 0.0, float(step_px))
     contact = depth_mm > 0
     return Reconstruction(
-        *(seq, time.monotonic_ns(), time.time_ns(), "fast", True, "", contact, False, "", grid, cloud, objects, 60.0)
+        *(
+            seq,
+            time.monotonic_ns(),
+            time.time_ns(),
+            "fast",
+            True,
+            None,
+            contact,
+            False,
+            None,
+            grid,
+            cloud,
+            objects,
+            60.0,
+        )
     )
 
 
@@ -63,7 +77,7 @@ class PublishedHand:
         self.client.loop_start()
         self.tell_info("fast", profiles=("fast", "paper"))
         self.tell("state", b"online", retain=True)
-        self.tell("status/camera", messages.encode_status("streaming", "", {"device": "drawn"}), retain=True)
+        self.tell("status/camera", messages.encode_status("streaming", None, {"device": "drawn"}), retain=True)
         return self
 
     def __exit__(

@@ -72,7 +72,7 @@ def frame(t_ns: int, calibration: Calibration, valid: bool = True) -> tuple[Fram
     reason = None if valid else Reason(ReasonCode.BLACK, "black")
     return (
         Frame(5, t_ns, 0, image),
-        Reconstruction(5, t_ns, 0, "fast", valid, reason, False, False, "", height, cloud),
+        Reconstruction(5, t_ns, 0, "fast", valid, reason, False, False, None, height, cloud),
     )
 
 

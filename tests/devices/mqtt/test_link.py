@@ -92,7 +92,7 @@ def reconstruction(seq: int) -> Reconstruction:
     height = np.where(np.hypot(rows - 60, cols - 80) < 55, 0.01 * rows, np.nan).astype(np.float32)
     cloud = ObjectCloud(np.arange(30, dtype=np.float32).reshape(10, 3), np.full(10, 1, np.uint16))
     grid = HeightMap(height, height > 1, 0.0, 0.0, 4.0)
-    return Reconstruction(seq, 10, 20, "fast", True, "", True, False, "", grid, cloud)
+    return Reconstruction(seq, 10, 20, "fast", True, None, True, False, None, grid, cloud)
 
 
 def offer_for(rig: Rig, seconds: float, fps: int = 60, size: int = 38_000, first: int = 0) -> int:
