@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import tempfile
@@ -22,14 +23,16 @@ from xml.etree import ElementTree
 
 TREE = Path(__file__).resolve().parents[1]
 PYTEST = (sys.executable, "-m", "pytest")
+WORKERS = str((os.cpu_count() or 1) + 1)
+"""One more than there are cores: every third test waits, for a broker, a second, a page."""
+QUICK = "not guest and not broker and not slow and not browser"
 SLOW = "(slow or broker or browser) and not guest"
 LINT = "lint"
 """Runs beside the stage after it, whose tests wait now and then."""
 STAGES: dict[str, tuple[str, ...]] = {
     LINT: ("make", "--no-print-directory", "lint"),
-    "quick": (*PYTEST, "-n", "auto", "-m", "not guest and not broker and not slow and not browser"),
-    # One more than there are cores of ours: every third of these waits, for a broker, a minute, a page.
-    "slow": (*PYTEST, "-n", "3", "--dist", "loadfile", "-m", SLOW),
+    "quick": (*PYTEST, "-n", WORKERS, "--dist", "worksteal", "-m", QUICK),
+    "slow": (*PYTEST, "-n", WORKERS, "--dist", "loadfile", "-m", SLOW),
     "guest": (*PYTEST, "-m", "guest"),
 }
 

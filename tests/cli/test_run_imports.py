@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import cv2
+import pytest
 from support.mqtt_rig import free_port
 from support.painted_sensor import FREE, TOUCHED, painted_calibration
 
@@ -43,6 +44,7 @@ def imported(folder: Path, profile: str) -> set[str]:
     return set(modules)
 
 
+@pytest.mark.slow
 def test_imports_follow_the_settings(tmp_path: Path) -> None:
     calibration_file.save(tmp_path / "c.npz", painted_calibration())
     (tmp_path / "images").mkdir()

@@ -71,6 +71,7 @@ def presses() -> list[BallPress]:
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("read_as", "wanted"),
     [

@@ -34,6 +34,7 @@ def test_the_place_is_the_stated_one_or_the_located_one() -> None:
     assert position_mae_mm([unstated, located]) == pytest.approx(5.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_simulated_press_is_located_and_a_deeper_one_changes_more(seed: int) -> None:
     presses, geometry = observed(seed)

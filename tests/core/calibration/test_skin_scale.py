@@ -98,6 +98,7 @@ def calibrated_at(radius_mm: float, off_mm: float) -> CalibrationResult:
     return calibrate(stated, references(), table, networks={"accurate": load_networks()["accurate"]})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("off_mm", [0.0, 1.0])
 @pytest.mark.parametrize("radius_mm", RADII_MM)
 def test_a_calibration_is_the_same(radius_mm: float, off_mm: float) -> None:
