@@ -1,7 +1,9 @@
 """How far a sensor has drifted from its reference image: a moved camera, other light, a blurred lens.
 
 One measure for references, presses, a new reference and `doctor`. It is taken where the pattern moves as one piece, so
-a press, which moves only some of it, does not count as drift.
+a press, which moves only some of it, does not count as drift: a coarse shift by phase correlation (Kuglin and Hines
+1975), points tracked from there (Lucas and Kanade 1981), and the similarity that most of them follow (RANSAC, Fischler
+and Bolles 1981).
 """
 
 from __future__ import annotations
