@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from support.patience import patience
+from support.patience import patience, slowness
 
 TREE = Path(__file__).resolve().parents[2]
 GUEST = TREE / "tools/rig/guest.py"
@@ -31,6 +31,8 @@ SILENT_S = 30.0
 """A guest gives a sign of life each second."""
 TEST_S = 20.0
 """The longest test takes so long where nothing is emulated."""
+CROWDED = 2.0
+"""A machine so many times slower boots one guest at a time: neither would keep up with its camera."""
 ATTEMPTS = 2
 """The emulator itself hangs now and then, whatever runs in it."""
 EXIT_CANNOT, EXIT_UNFINISHED = 77, 125  # of tools/rig/guest.py
@@ -153,7 +155,7 @@ def _start(session: pytest.Session) -> dict[str, Future[_Reports]]:
     command = [sys.executable, "-m", "support.handed_in"]
     made = subprocess.run(command, cwd=TREE / "tests", stdout=subprocess.DEVNULL, check=False)
     assert made.returncode == 0, "what the guests are handed could not be made"
-    pool = ThreadPoolExecutor(len(kinds))
+    pool = ThreadPoolExecutor(len(kinds) if slowness() < CROWDED else 1)
     boots = {kind: pool.submit(_run, kind, items) for kind, items in kinds.items()}
     pool.shutdown(wait=False)
     return boots

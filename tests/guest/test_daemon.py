@@ -19,7 +19,7 @@ import pytest
 from support.handed_in import PAINTED, facts
 from support.mqtt_rig import Broker, Subscriber
 from support.patience import patience, stretched, wait_until
-from support.vivid import NODE, WEBCAM, control, load_driver, unload_driver
+from support.vivid import FPS, NODE, WEBCAM, control, kept_fps, load_driver, unload_driver
 
 from tacshade_edge.protocol import wire
 
@@ -29,13 +29,13 @@ START_S = 10
 
 
 @contextmanager
-def running(folder: Path) -> Iterator[tuple[subprocess.Popen[str], Subscriber]]:
+def running(folder: Path, fps: int = FPS) -> Iterator[tuple[subprocess.Popen[str], Subscriber]]:
     """`tacshade-edge run` on the camera, until SIGTERM ends it well."""
     config = folder / "settings.yaml"
     with Broker(folder) as broker, Subscriber(broker.port) as seen:
         config.write_text(
             f"calibration: {PAINTED}/calibration.npz\n"
-            f"source: {{kind: v4l2, device: {NODE}, width_px: 640, height_px: 480, fps: 25, fourcc: YUYV}}\n"
+            f"source: {{kind: v4l2, device: {NODE}, width_px: 640, height_px: 480, fps: {fps}, fourcc: YUYV}}\n"
             f"mqtt: {{host: 127.0.0.1, port: {broker.port}}}\n"
         )
         command = [sys.executable, "-m", "tacshade_edge", "run", "--config", str(config)]
@@ -68,7 +68,7 @@ def no_driver_left() -> Iterator[None]:
 
 def test_replugged_camera_streams_within_two_seconds(tmp_path: Path) -> None:
     load_driver(*WEBCAM)
-    with running(tmp_path) as (child, seen):
+    with running(tmp_path, kept_fps()) as (child, seen):
         keeper = os.open(NODE, os.O_RDWR)  # the driver takes a disconnect back when its last user has gone
         control("disconnect=1")
         wait_until(lambda: camera(seen)["state"] == "away", 5, "the daemon says that the camera is away")

@@ -4,10 +4,22 @@ from __future__ import annotations
 
 import subprocess
 
-from support.patience import wait_until
+from support.patience import slowness, wait_until
 
 NODE = "/dev/video0"
 WEBCAM = ("node_types=0x1", "num_inputs=1", "input_types=0")
+FPS = 25
+"""What the driver gives at 640x480 when asked for more; it also has the lower ones of `kept_fps`."""
+KEPT = ((35, FPS), (90, 10), (180, 5))
+"""Up to so much slowness an emulated machine keeps up with so many frames a second."""
+
+
+def kept_fps() -> int:
+    """The greatest of the driver's rates that this machine keeps up with; says which."""
+    slow = slowness()
+    fps = next((fps for limit, fps in KEPT if slow < limit), 2)
+    print(f"camera at {fps} frames a second, {slow:.0f} times slower than where nothing is emulated")
+    return fps
 
 
 def load_driver(*options: str) -> None:
