@@ -51,10 +51,12 @@ def camera(webcam: None) -> Iterator[V4l2Source]:
 def test_frames_flow_with_the_kernels_time_stamps(webcam: None) -> None:
     fps = kept_fps()
     camera = source(fps=30 if fps == FPS else fps)
-    camera.open()
-    frames = [camera.read() for _ in range(50)]
-    described = camera.describe()
-    camera.close()
+    with handed_over() as handed:
+        camera.open()
+        frames = [camera.read() for _ in range(50)]
+        described = camera.describe()
+        camera.close()
+    skip_unless_even(handed)
     assert described["time_stamps"] == "kernel"
     assert (described["format"], described["width_px"], described["height_px"]) == ("YUYV", 640, 480)
     assert described["fps_stated"] == fps, "asked 30, the driver has 25 at this size and says so"
@@ -86,6 +88,17 @@ def handed_over() -> Iterator[list[tuple[int, int]]]:
         handed.append((int(fields["sequence"]), int(fields["timestamp"])))
 
 
+def skip_unless_even(handed: list[tuple[int, int]]) -> None:
+    """What is inferred from time stamps holds while they are off by less than 15 % of the period (`FrameGaps`)."""
+    (first, first_ns), (last, last_ns) = handed[0], handed[-1]
+    period_ns = (last_ns - first_ns) / (last - first)
+    off = max(
+        abs((later[1] - sooner[1]) / period_ns - (later[0] - sooner[0])) for sooner, later in itertools.pairwise(handed)
+    )
+    if off > 0.15:
+        pytest.skip(f"the emulated camera is starved: its stamps are off by {100 * off:.0f} % of a period")
+
+
 def test_a_frames_time_is_the_kernels(webcam: None) -> None:
     control("timestamp_source=1")  # start of exposure; by default the driver stamps the end, which is yet to come
     camera = source()
@@ -107,6 +120,7 @@ def test_inferred_drops_are_the_kernels(webcam: None, percent: int) -> None:
         camera.close()
     numbers = [number for number, _ in handed]
     assert len(numbers) == len(frames) == 300
+    skip_unless_even(handed)
     truth = numbers[-1] - numbers[0] + 1 - len(numbers)
     print(f"{percent} %: {truth} lost by the kernel's numbers, {camera.dropped} inferred")
     assert percent == 0 or 10 <= truth <= 60, "the driver drops at random"
