@@ -215,6 +215,8 @@ def _boot(kind: str, out: Path, chosen: list[pytest.Item]) -> _Boot:
     reports: _Reports = {}
     for line in _lines(names["reports.jsonl"]):
         report = pytest.TestReport._from_json(json.loads(line))
+        if report.skipped:  # pytest wants a tuple, which JSON has not
+            report.longrepr = tuple(report.longrepr)  # type: ignore[arg-type]
         reports.setdefault(report.nodeid, []).append(report)
     notes: dict[str, str] = {}
     for nodeid, text in map(json.loads, _lines(names["notes.jsonl"])):

@@ -56,11 +56,13 @@ def test_frames_flow_with_the_kernels_time_stamps(webcam: None) -> None:
         frames = [camera.read() for _ in range(50)]
         described = camera.describe()
         camera.close()
-    skip_unless_even(handed)
     assert described["time_stamps"] == "kernel"
     assert (described["format"], described["width_px"], described["height_px"]) == ("YUYV", 640, 480)
     assert described["fps_stated"] == fps, "asked 30, the driver has 25 at this size and says so"
-    assert described["fps_measured"] == pytest.approx(fps, rel=0.1)
+    (first, first_ns), (last, last_ns) = handed[0], handed[-1]
+    true_fps = 1e9 * (last - first) / (last_ns - first_ns)
+    print(f"{true_fps:.1f} frames a second by the kernel's numbers and stamps")
+    assert described["fps_measured"] == pytest.approx(true_fps, rel=0.1)
     assert described["exposure"] == described["white_balance"] == "no control"
     for frame in frames:
         assert frame is not None
@@ -92,11 +94,12 @@ def skip_unless_even(handed: list[tuple[int, int]]) -> None:
     """What is inferred from time stamps holds while they are off by less than 15 % of the period (`FrameGaps`)."""
     (first, first_ns), (last, last_ns) = handed[0], handed[-1]
     period_ns = (last_ns - first_ns) / (last - first)
-    off = max(
-        abs((later[1] - sooner[1]) / period_ns - (later[0] - sooner[0])) for sooner, later in itertools.pairwise(handed)
-    )
-    if off > 0.15:
-        pytest.skip(f"the emulated camera is starved: its stamps are off by {100 * off:.0f} % of a period")
+    off = [
+        abs((later[1] - sooner[1]) / period_ns - (later[0] - sooner[0])) > 0.15
+        for sooner, later in itertools.pairwise(handed)
+    ]
+    if 10 * sum(off) > len(off):
+        pytest.skip(f"the emulated camera is starved: {sum(off)} of {len(off)} of its intervals are off by over 15 %")
 
 
 def test_a_frames_time_is_the_kernels(webcam: None) -> None:
