@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from support.patience import patience, slowness
+from support.patience import patience, slowness_of_all_cores
 
 TREE = Path(__file__).resolve().parents[2]
 GUEST = TREE / "tools/rig/guest.py"
@@ -155,7 +155,7 @@ def _start(session: pytest.Session) -> dict[str, Future[_Reports]]:
     command = [sys.executable, "-m", "support.handed_in"]
     made = subprocess.run(command, cwd=TREE / "tests", stdout=subprocess.DEVNULL, check=False)
     assert made.returncode == 0, "what the guests are handed could not be made"
-    pool = ThreadPoolExecutor(len(kinds) if slowness() < CROWDED else 1)
+    pool = ThreadPoolExecutor(len(kinds) if slowness_of_all_cores() < CROWDED else 1)
     boots = {kind: pool.submit(_run, kind, items) for kind, items in kinds.items()}
     pool.shutdown(wait=False)
     return boots
