@@ -40,6 +40,16 @@ class SensorModel:
         λ, the length over which the skin's skirt decays outside a contact.
     friction : float
         1: the skin sticks to what presses it and goes along -z with it; 0: it slides and moves along its radius.
+    drag_decay_mm : float
+        λt, the length over which a displacement along the skin decays beside a contact that drags it.
+    coulomb : float
+        μ kn / kt: Coulomb's coefficient times the foundation's stiffness along the radius over that along the skin.
+    sway : float
+        Part of a drag that the whole dome takes as long as the skin sticks: 0 to below 1.
+    bulge : float
+        Part of the volume that objects displace which comes out at the dome's sides: 1 for a gel that fills it.
+    pin_lag : float
+        Part of the skin's displacement by drag that the tips of its pins stay behind.
     light : float
         Grey level of a white marker in the middle of the disc, 0 to 255.
     vignetting : float
@@ -78,6 +88,11 @@ class SensorModel:
     size_tolerance: float = 0.03
     skin_decay_mm: float = 2.2
     friction: float = 1.0
+    drag_decay_mm: float = 4.0
+    coulomb: float = 1.5
+    sway: float = 0.2
+    bulge: float = 0.0
+    pin_lag: float = 0.1
     light: float = 205.0
     vignetting: float = 0.35
     marker_reflectance: float = 0.95
@@ -96,6 +111,7 @@ class SensorModel:
         """Refuse what cannot be simulated, with the parameter's name."""
         positive = (
             "skin_radius_mm", "image_height_px", "image_width_px", "disc_radius_px", "pitch_mm", "skin_decay_mm",
+            "drag_decay_mm",
             "pin_length_pitches", "pin_tip_radius_pitches", "pin_base_radius_pitches", "marker_radius_pitches",
         )  # fmt: skip
         for name in positive:
@@ -118,8 +134,9 @@ class SensorModel:
             )
         if self.camera_distance_mm is not None and not 0 < self.camera_distance_mm < math.inf:
             raise ValueError(f"camera_distance_mm is {self.camera_distance_mm}, expected a positive number or None")
-        if self.friction > 1:
-            raise ValueError(f"friction is {self.friction}, expected 0 to 1")
+        for name, most in (("friction", 1.0), ("sway", 0.9), ("bulge", 1.0), ("pin_lag", 1.0)):
+            if getattr(self, name) > most:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected 0 to {most:g}")
         if self.surround not in ("bright", "dark"):
             raise ValueError(f"surround is {self.surround!r}, expected bright or dark")
 
@@ -146,6 +163,7 @@ def random_model(seed: int, image_height_px: int = 480, image_width_px: int = 64
         return float(rng.uniform(low, high))
 
     side_px = min(image_height_px, image_width_px)
+    drag_rng = np.random.default_rng((seed, 4))  # of its own: sensors that were drawn before there was drag stay
     disc_radius_px = side_px * draw(0.36, 0.45)
     slack_px = 0.5 * side_px - disc_radius_px
     return SensorModel(
@@ -167,6 +185,10 @@ def random_model(seed: int, image_height_px: int = 480, image_width_px: int = 64
         size_tolerance=draw(0.01, 0.05),
         skin_decay_mm=draw(1.5, 3.5),
         friction=draw(0.8, 1.0),
+        drag_decay_mm=float(drag_rng.uniform(2.5, 8.0)),
+        coulomb=float(drag_rng.uniform(0.8, 4.0)),
+        sway=float(drag_rng.uniform(0.0, 0.5)),
+        pin_lag=float(drag_rng.uniform(0.0, 0.3)),
         light=draw(140.0, 235.0),
         vignetting=draw(0.1, 0.5),
         marker_reflectance=draw(0.85, 1.0),

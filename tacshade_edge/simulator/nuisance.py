@@ -43,6 +43,15 @@ def glare(image: U8, row: float, col: float, radius_px: float, grey: float = 220
     return np.asarray(np.clip(image + spot + 0.5, 0, 255), np.uint8)
 
 
+def speck(image: U8, row: float, col: float, radius_px: float, grey: float = 20.0) -> U8:
+    """Lay a grain of dust before the camera, or take a marker off: a dark spot with a soft edge."""
+    rows, cols = np.ogrid[: image.shape[0], : image.shape[1]]
+    cover = np.clip(radius_px + 0.5 - np.hypot(rows - row, cols - col), 0, 1)
+    if image.ndim == 3:
+        cover = cover[..., None]
+    return np.asarray(np.clip(image * (1 - cover) + grey * cover + 0.5, 0, 255), np.uint8)
+
+
 def torn(image: U8, other: U8, row: int, shift_px: int = 0) -> U8:
     """Show `other` from a row on, sideways by `shift_px`: two frames in one, or one that lost its line sync."""
     result = image.copy()

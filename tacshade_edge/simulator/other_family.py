@@ -1,23 +1,29 @@
-"""Sensors of another model, never trained on: square lattice, mushroom pins, a skin with two decay lengths."""
+"""Sensors of another model, never trained on: square lattice, mushroom pins, another skin, dragged in another way."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
+import cv2
 import numpy as np
 
-from tacshade_edge.simulator.model import SensorModel, random_model
+from tacshade_edge.simulator.drag import Contacts, Mechanics, drag_skin
+from tacshade_edge.simulator.model import RIM_HALF_ANGLE_DEG, SensorModel, random_model
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedFrame
 from tacshade_edge.simulator.skin import Skin, left_over, press_skin
 from tacshade_edge.simulator.varied_print import PinProfile, VariedRenderer, lattice_print
+from tacshade_edge.types import F32, F64
 
 CAPS = PinProfile(((1.0, 0.7, 0.0),))
 """A stem that tapers, under a flat cap."""
 
 
 FRUSTUM = PinProfile(())
+
+_RIM = math.cos(math.radians(RIM_HALF_ANGLE_DEG))
 
 
 class OtherSensor:
@@ -53,9 +59,51 @@ class OtherSensor:
         return SimulatedFrame(self._renderer.expose(self._renderer.draw(skin), noise_seed), (), skin, self.model)
 
     def _pressed(self, presses: Sequence[Press]) -> Skin:
-        if self._differences[2]:
-            return two_scale_skin(self.model, tuple(presses))
-        return press_skin(self.model.skin_radius_mm, self.model.skin_decay_mm, tuple(presses))
+        model, presses = self.model, tuple(presses)
+
+        def shape(leaning_mm: F32 | None) -> Skin:
+            if self._differences[2]:
+                return two_scale_skin(model, presses, leaning_mm)
+            return press_skin(model.skin_radius_mm, model.skin_decay_mm, presses, leaning_mm)
+
+        return drag_skin(shape, model, presses, TURNING if self._differences[2] else None)
+
+
+def turned_mm(direction: F64, sway_mm: F64) -> F64:
+    """`Mechanics.lean` of a stiff tip on a soft base: it turns as a whole about O's height, down to a soft ring."""
+    angle = np.clip((direction[..., 2] - _RIM) / (0.3 * (1 - _RIM)), 0, 1)
+    along = direction[..., 2:] * sway_mm
+    return np.asarray(angle[..., None] * np.concatenate((along, -(direction[..., :2] @ sway_mm)[..., None]), axis=-1))
+
+
+def carry_far(contacts: Contacts, weight: F32, step_mm: float, model: SensorModel) -> F32:
+    """`Mechanics.carry` of a contact that sticks or slides as a whole, and drags its surroundings by two decays.
+
+    What is beside a contact goes with its nearest point; the far decay is no exponential.
+    """
+    carried = np.zeros((2, *weight.shape), np.float32)
+    for owner in np.unique(contacts.owner):
+        mine = contacts.owner == owner
+        held, mean_mm = contacts.held_mm[mine], float(contacts.pressure_mm[mine].mean())
+        most = min(model.coulomb * mean_mm, 0.6 * model.drag_decay_mm) / max(
+            float(np.linalg.norm(held, axis=1).mean()), 1e-9
+        )
+        beside = np.ones(weight.shape, np.uint8)
+        beside[contacts.rows[mine], contacts.cols[mine]] = 0
+        distance, label = cv2.distanceTransformWithLabels(beside, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+        of_label = np.zeros((label.max() + 1, 2))
+        of_label[label[contacts.rows[mine], contacts.cols[mine]]] = held * min(most, 1)
+        decays = distance * (step_mm / model.drag_decay_mm)
+        part = 0.5 * np.exp(-2 * decays) + 0.5 / (1 + decays * decays)
+        spread = cv2.blur(of_label[label], (5, 5)) * part[..., None]
+        carried += np.asarray(np.moveaxis(spread, 2, 0), np.float32)
+    beyond = weight**-0.5 - 1  # of the apex: tan² of half the angle from it
+    rim = math.tan(math.radians(RIM_HALF_ANGLE_DEG / 2)) ** 2
+    return np.asarray(carried * np.where(weight < 2, np.clip(1 - (beyond / rim) ** 3, 0, 1), 0), np.float32)
+
+
+TURNING = Mechanics(turned_mm, carry_far)
+"""How the other model's skin is dragged."""
 
 
 def other_model(seed: int) -> SensorModel:
@@ -69,9 +117,9 @@ def other_model(seed: int) -> SensorModel:
     )
 
 
-def two_scale_skin(model: SensorModel, presses: Sequence[Press]) -> Skin:
+def two_scale_skin(model: SensorModel, presses: Sequence[Press], leaning_mm: F32 | None = None) -> Skin:
     """The mean of two skins: a stiff surface over a soft depth, whose skirt is no exponential."""
-    near = press_skin(model.skin_radius_mm, 0.5 * model.skin_decay_mm, presses)
-    far = press_skin(model.skin_radius_mm, 1.8 * model.skin_decay_mm, presses)
+    near = press_skin(model.skin_radius_mm, 0.5 * model.skin_decay_mm, presses, leaning_mm)
+    far = press_skin(model.skin_radius_mm, 1.8 * model.skin_decay_mm, presses, leaning_mm)
     mixed = np.asarray(0.55 * near.height_mm + 0.45 * far.height_mm, np.float32)
-    return Skin(near.radius_mm, near.step_mm, mixed, near.obstacle_mm)
+    return replace(near, height_mm=mixed)

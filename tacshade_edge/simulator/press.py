@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -14,13 +15,13 @@ from tacshade_edge.types import F64
 
 @dataclass(frozen=True, slots=True)
 class Press:
-    """An indenter that came along -z.
+    """An indenter that came along -z and was then moved along the skin.
 
     Attributes
     ----------
     shape : Shape
     x_mm, y_mm : float
-        Where its lowest point is.
+        Where its own origin is; without a tilt that is its lowest point. As pictured, after the drag.
     depth_mm : float
         The undeformed skin's z at (x, y) less the z of the lowest point. It is not travel from first touch: a wide
         object off the axis touches earlier, nearer to the apex. Negative: above the skin there.
@@ -28,6 +29,12 @@ class Press:
         About its own z axis, from x towards y.
     scale : float
         Enlarges the shape about its lowest point.
+    tilt_x_deg, tilt_y_deg : float
+        About the sensor's x, then its y, through the origin.
+    drag_x_mm, drag_y_mm : float
+        How far it was moved after it had touched.
+    twist_deg : float
+        How far it was turned about z through (x, y) after it had touched, from x towards y.
     """
 
     shape: Shape
@@ -36,12 +43,18 @@ class Press:
     depth_mm: float = 3.0
     rotation_deg: float = 0.0
     scale: float = 1.0
+    tilt_x_deg: float = 0.0
+    tilt_y_deg: float = 0.0
+    drag_x_mm: float = 0.0
+    drag_y_mm: float = 0.0
+    twist_deg: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse what is not a number."""
-        for name in ("x_mm", "y_mm", "depth_mm", "rotation_deg", "scale"):
-            if not math.isfinite(getattr(self, name)):
-                raise ValueError(f"{name} is {getattr(self, name)}, expected a finite number")
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, int | float) and not math.isfinite(value):
+                raise ValueError(f"{field.name} is {value}, expected a finite number")
         if self.scale <= 0:
             raise ValueError(f"scale is {self.scale}, expected a positive number")
 
@@ -54,9 +67,73 @@ class Press:
             )
         return math.sqrt(beside) - self.depth_mm
 
+    @property
+    def is_tilted(self) -> bool:
+        """Whether its own z axis is not the sensor's."""
+        return bool(self.tilt_x_deg or self.tilt_y_deg)
 
-def distance_mm(presses: Sequence[Press], skin_radius_mm: float, points_mm: F64) -> F64:
-    """Signed distance to the nearest pressed object.
+    @property
+    def is_dragged(self) -> bool:
+        """Whether it was moved along the skin after it had touched."""
+        return bool(self.drag_x_mm or self.drag_y_mm or self.twist_deg)
+
+    def tilt(self) -> F64:
+        """Rotation (3, 3) about x, then y."""
+        b, c = math.radians(self.tilt_x_deg), math.radians(self.tilt_y_deg)
+        about_x = np.array(((1, 0, 0), (0, math.cos(b), -math.sin(b)), (0, math.sin(b), math.cos(b))))
+        about_y = np.array(((math.cos(c), 0, math.sin(c)), (0, 1, 0), (-math.sin(c), 0, math.cos(c))))
+        return np.asarray(about_y @ about_x)
+
+    def distance_mm(self, skin_radius_mm: float, points_mm: F64) -> F64:
+        """Signed distance (N,) of points (N, 3) in the sensor frame; of their dtype."""
+        a = math.radians(self.rotation_deg)
+        c, s = math.cos(a) / self.scale, math.sin(a) / self.scale
+        x, y = points_mm[:, 0] - self.x_mm, points_mm[:, 1] - self.y_mm
+        z = points_mm[:, 2] - self.origin_z_mm(skin_radius_mm)
+        if self.is_tilted:
+            x, y, z = (np.stack((x, y, z), axis=1) @ self.tilt().astype(points_mm.dtype)).T
+        return self.shape.sdf(np.stack((c * x + s * y, c * y - s * x, z / self.scale), axis=1)) * self.scale
+
+    def origin_z_mm(self, skin_radius_mm: float) -> float:
+        """Find z of its origin in the sensor frame. Raises ValueError when (x, y) is not over the skin."""
+        lowest = self.lowest_z_mm(skin_radius_mm)
+        if not self.is_tilted:
+            return lowest
+        return lowest - self.scale * _lowest_mm(self.shape, self.rotation_deg, self.tilt_x_deg, self.tilt_y_deg)
+
+    def before_drag(self, x_y_mm: F64) -> F64:
+        """Where its points (..., 2), now at x and y, were when it touched; mm."""
+        a = math.radians(self.twist_deg)
+        back = np.array(((math.cos(a), -math.sin(a)), (math.sin(a), math.cos(a))))  # its transpose turns forward
+        origin = np.array((self.x_mm, self.y_mm))
+        return np.asarray((x_y_mm - origin) @ back + origin - np.array((self.drag_x_mm, self.drag_y_mm)))
+
+
+@functools.lru_cache(maxsize=256)
+def _lowest_mm(shape: Shape, rotation_deg: float, tilt_x_deg: float, tilt_y_deg: float) -> float:
+    """Find z of a tilted shape's lowest point over its origin; within 2 µm on what is 40 mm wide or less."""
+    upright = Press(shape, rotation_deg=rotation_deg)
+    tilt = Press(shape, tilt_x_deg=tilt_x_deg, tilt_y_deg=tilt_y_deg).tilt()
+    up = np.array((0.0, 0.0, upright.lowest_z_mm(100.0)))
+    centre, half, lowest = np.zeros(2), 24.0, 0.0
+    for _ in range(4):
+        axis = np.linspace(-half, half, 61)
+        x, y = (v.ravel() + c for v, c in zip(np.meshgrid(axis, axis), centre, strict=True))
+        z = np.full(x.shape, -60.0)
+        for _ in range(80):
+            low = z < float(z.min()) + half  # only what may still be the lowest
+            d = upright.distance_mm(100.0, np.stack((x[low], y[low], z[low]), axis=1) @ tilt + up)
+            z[low] += np.maximum(d, 0)
+            if float(d.max()) < 1e-4:
+                break
+            z[low & (z > 60)] = 60.0
+        best = int(np.argmin(z))
+        centre, lowest, half = np.array((x[best], y[best])), float(z[best]), half / 20
+    return lowest
+
+
+def distances_mm(presses: Sequence[Press], skin_radius_mm: float, points_mm: F64) -> F64:
+    """Signed distance to each pressed object.
 
     Parameters
     ----------
@@ -68,16 +145,12 @@ def distance_mm(presses: Sequence[Press], skin_radius_mm: float, points_mm: F64)
 
     Returns
     -------
-    float (N,)
+    float (presses, N)
         mm, negative inside; of the points' dtype.
     """
-    nearest: F64 | None = None
-    for press in presses:
-        a = math.radians(press.rotation_deg)
-        c, s = math.cos(a) / press.scale, math.sin(a) / press.scale
-        x, y = points_mm[:, 0] - press.x_mm, points_mm[:, 1] - press.y_mm
-        z = (points_mm[:, 2] - press.lowest_z_mm(skin_radius_mm)) / press.scale
-        d = press.shape.sdf(np.stack((c * x + s * y, c * y - s * x, z), axis=1)) * press.scale
-        nearest = d if nearest is None else np.minimum(nearest, d)
-    assert nearest is not None
-    return nearest
+    return np.stack([press.distance_mm(skin_radius_mm, points_mm) for press in presses])
+
+
+def distance_mm(presses: Sequence[Press], skin_radius_mm: float, points_mm: F64) -> F64:
+    """Signed distance to the nearest pressed object: the least of `distances_mm`."""
+    return np.asarray(distances_mm(presses, skin_radius_mm, points_mm).min(axis=0))

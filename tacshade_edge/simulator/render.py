@@ -7,19 +7,21 @@ the sphere there is nothing to hide.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from tacshade_edge.simulator.model import MAX_VISIBLE_HALF_ANGLE_DEG, SensorModel
-from tacshade_edge.simulator.skin import Skin, chart_to_direction, direction_to_chart
+from tacshade_edge.simulator.skin import Skin, direction_to_chart
 from tacshade_edge.types import F32, F64, U8, Geometry
 
 _SUPERSAMPLING = 2
 _SHIFT = 4  # fractional bits of drawn coordinates
 _MARKER_CORNERS = 12
 _PIN_CORNERS = 10
+_DRAG_STEPS = 40
+_DRAG_TOLERANCE_MM = 2e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,7 +146,7 @@ class Renderer:
         outline = _on_skin(skin, *_carried(smooth, marks.marker_chart_mm, model.friction))
         for polygon in _to_canvas(project(model.geometry, outline)):
             cv2.fillConvexPoly(canvas, polygon, white, cv2.LINE_8, _SHIFT)
-        base, tip = (_to_canvas(project(model.geometry, c)) for c in _pin_corners(skin, smooth, marks, model.friction))
+        base, tip = (_to_canvas(project(model.geometry, c)) for c in _pin_corners(skin, smooth, marks, model))
         for polygon in np.concatenate((base, tip), axis=1):
             cv2.fillConvexPoly(canvas, cv2.convexHull(polygon), black, cv2.LINE_8, _SHIFT)
         if tip_level != black:
@@ -155,15 +157,18 @@ class Renderer:
         )
 
 
-def _pin_corners(skin: Skin, smooth: Skin, marks: Print, friction: float) -> tuple[F64, F64]:
+def _pin_corners(skin: Skin, smooth: Skin, marks: Print, model: SensorModel) -> tuple[F64, F64]:
     """Corners of the base and of the tip of every pin, each (P, corners, 3) mm."""
-    direction, chart = _carried(smooth, marks.pin_chart_mm, friction)
+    direction, chart = _carried(smooth, marks.pin_chart_mm, model.friction)
     base = _on_skin(skin, direction, chart)
     normal = _outward_normals(smooth, chart)
     east, north = _tangents(normal)
     angles = np.arange(_PIN_CORNERS) * (2 * math.pi / _PIN_CORNERS)
     circle = np.cos(angles)[None, :, None] * east[:, None, :] + np.sin(angles)[None, :, None] * north[:, None, :]
     tip = base - normal * marks.pin_length_mm[:, None]
+    if skin.origin_mm is not None:
+        dragged = -skin.sample_origin(chart[:, 0], chart[:, 1])
+        tip -= model.pin_lag * np.column_stack((dragged, np.zeros(len(dragged))))
     return (
         base[:, None, :] + circle * marks.pin_base_mm[:, None, None],
         tip[:, None, :] + circle * marks.pin_tip_mm[:, None, None],
@@ -171,17 +176,16 @@ def _pin_corners(skin: Skin, smooth: Skin, marks: Print, friction: float) -> tup
 
 
 def _carried(skin: Skin, chart_mm: F64, friction: float) -> tuple[F64, F64]:
-    """Where the deformation carries material points: their new directions (..., 3) and chart coordinates (..., 2).
-
-    The object moves along -z. Skin that sticks to it goes along; skin that slides without friction moves along its
-    normal. To first order in h the first is a displacement by h / cosθ along -z, the second by h along the radius.
-    """
-    direction = chart_to_direction(chart_mm[..., 0], chart_mm[..., 1], skin.radius_mm)
-    height = skin.sample(chart_mm[..., 0], chart_mm[..., 1])
-    moved = direction * (skin.radius_mm - (1 - friction) * height)[..., None]
-    moved[..., 2] -= friction * height / direction[..., 2]
-    moved /= np.linalg.norm(moved, axis=-1, keepdims=True)
-    return moved, np.stack(direction_to_chart(moved, skin.radius_mm), axis=-1)
+    """Where the deformation carries material points: their new directions (..., 3) and chart coordinates (..., 2)."""
+    direction, now = skin.carried_inwards(chart_mm, friction)
+    if skin.origin_mm is None:
+        return direction, now
+    for _ in range(_DRAG_STEPS):  # a contraction: `drag` lets no skin fold
+        before = now
+        direction, now = skin.carried_inwards(chart_mm - skin.sample_origin(now[..., 0], now[..., 1]), friction)
+        if np.abs(now - before).max(initial=0) < _DRAG_TOLERANCE_MM:
+            break
+    return direction, now
 
 
 def _on_skin(skin: Skin, direction: F64, chart_mm: F64) -> F64:
@@ -192,8 +196,7 @@ def _on_skin(skin: Skin, direction: F64, chart_mm: F64) -> F64:
 def _smoothed(skin: Skin, patch_mm: float) -> Skin:
     """The skin with h averaged over a patch of the given radius: what a stiff printed feature feels."""
     side = 2 * max(1, round(patch_mm / skin.step_mm)) + 1
-    smooth = np.asarray(cv2.blur(skin.height_mm, (side, side)), np.float32)
-    return Skin(skin.radius_mm, skin.step_mm, smooth, skin.obstacle_mm)
+    return replace(skin, height_mm=np.asarray(cv2.blur(skin.height_mm, (side, side)), np.float32))
 
 
 def _outward_normals(flat: Skin, chart_mm: F64) -> F64:

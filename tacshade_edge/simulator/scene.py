@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from tacshade_edge.simulator.drag import drag_skin
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.render import Renderer
 from tacshade_edge.simulator.skin import Skin, left_over, press_skin
-from tacshade_edge.simulator.truth import Truth, measure
-from tacshade_edge.types import F32, U8
+from tacshade_edge.simulator.truth import Truth, measure, shear_mm, skin_points
+from tacshade_edge.types import F32, F64, U8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,6 +37,10 @@ class SimulatedFrame:
         shape = (self.model.image_height_px, self.model.image_width_px)
         return measure(self.skin, self.presses, self.model.geometry, shape)
 
+    def shear_mm(self, row: F64, col: F64) -> F64:
+        """Displacement (N, 2) of the material that the rays of pixels inside the disc meet: x, y in mm."""
+        return shear_mm(self.skin, skin_points(self.skin, self.model.geometry, row, col), self.model.friction)
+
 
 class SimulatedSensor:
     """One sensor. The same presses and the same noise seed give the same frame, bit for bit."""
@@ -59,12 +64,16 @@ class SimulatedSensor:
         """
         key = tuple(presses)
         if self._last is None or self._last[0] != key:
-            skin = press_skin(self.model.skin_radius_mm, self.model.skin_decay_mm, key)
+            skin = self._skin(key)
             self._last = (key, skin, self._renderer.draw(skin))
         _, skin, clean = self._last
         return SimulatedFrame(self._renderer.expose(clean, noise_seed), key, skin, self.model)
 
     def released(self, presses: Sequence[Press], part: float, noise_seed: int = 0) -> SimulatedFrame:
         """Take a picture after the presses are gone, while the skin still keeps a part of its deformation."""
-        skin = left_over(press_skin(self.model.skin_radius_mm, self.model.skin_decay_mm, tuple(presses)), part)
+        skin = left_over(self._skin(tuple(presses)), part)
         return SimulatedFrame(self._renderer.expose(self._renderer.draw(skin), noise_seed), (), skin, self.model)
+
+    def _skin(self, presses: tuple[Press, ...]) -> Skin:
+        radius_mm, decay_mm = self.model.skin_radius_mm, self.model.skin_decay_mm
+        return drag_skin(lambda leaning_mm: press_skin(radius_mm, decay_mm, presses, leaning_mm), self.model, presses)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -40,17 +40,65 @@ class Skin:
     height_mm : float32 (2n+1, 2n+1)
         h at the nodes, mm.
     obstacle_mm : float32 (2n+1, 2n+1)
-        The least h that keeps the skin outside the objects; 0 where the node's ray meets none.
+        The least `pressed_mm` that keeps the skin outside the objects; 0 where the node's ray meets none.
+    leaning_mm : float32 (2n+1, 2n+1) or None
+        Part of h that the leaning dome makes, below 0 where it moves outwards.
+    origin_mm : float32 (2n+1, 2n+1, 2) or None
+        Chart coordinates of the material that is at a node now, less those that it had without drag and sway.
+    stuck : tuple of float
+        Of each press that dragged it: part of its contact in which the skin goes with it.
     """
 
     radius_mm: float
     step_mm: float
     height_mm: F32
     obstacle_mm: F32
+    leaning_mm: F32 | None = None
+    origin_mm: F32 | None = None
+    stuck: tuple[float, ...] = ()
 
     def sample(self, x: F64, y: F64) -> F64:
         """Sample h at chart coordinates in mm (bilinear; 0 outside the grid)."""
-        return _bilinear(self.height_mm, x / self.step_mm, y / self.step_mm)
+        return bilinear(self.height_mm, x / self.step_mm, y / self.step_mm)
+
+    def leaning(self, leaning_mm: F32 | None) -> Skin:
+        """The same skin on a dome that leans: what was h is added to that of the lean."""
+        if leaning_mm is None:
+            return self
+        return replace(self, height_mm=self.height_mm + leaning_mm, leaning_mm=leaning_mm)
+
+    @property
+    def pressed_mm(self) -> F32:
+        """The part of h that objects make, without the dome's lean, float32 (2n+1, 2n+1)."""
+        return self.height_mm if self.leaning_mm is None else self.height_mm - self.leaning_mm
+
+    def sample_pressed(self, x: F64, y: F64) -> F64:
+        """As `sample`, of h without the dome's lean."""
+        height = self.sample(x, y)
+        if self.leaning_mm is None:
+            return height
+        return height - bilinear(self.leaning_mm, x / self.step_mm, y / self.step_mm)
+
+    def sample_origin(self, x: F64, y: F64) -> F64:
+        """Sample `origin_mm` at chart coordinates in mm, (..., 2)."""
+        if self.origin_mm is None:
+            return np.zeros((*x.shape, 2))
+        return np.stack(
+            [bilinear(each, x / self.step_mm, y / self.step_mm) for each in np.moveaxis(self.origin_mm, 2, 0)], axis=-1
+        )
+
+    def carried_inwards(self, chart_mm: F64, friction: float) -> tuple[F64, F64]:
+        """Where objects that come along -z carry material points: directions (..., 3), chart coordinates (..., 2).
+
+        Skin that sticks to an object (`friction` 1) goes along; skin that slides without friction moves along its
+        normal. To first order in h the first is a displacement by h / cosθ along -z, the second by h along the radius.
+        """
+        direction = chart_to_direction(chart_mm[..., 0], chart_mm[..., 1], self.radius_mm)
+        height = self.sample_pressed(chart_mm[..., 0], chart_mm[..., 1])
+        moved = direction * (self.radius_mm - (1 - friction) * height)[..., None]
+        moved[..., 2] -= friction * height / direction[..., 2]
+        moved /= np.linalg.norm(moved, axis=-1, keepdims=True)
+        return moved, np.stack(direction_to_chart(moved, self.radius_mm), axis=-1)
 
 
 def undeformed(radius_mm: float) -> Skin:
@@ -61,13 +109,20 @@ def undeformed(radius_mm: float) -> Skin:
 
 
 def left_over(skin: Skin, part: float) -> Skin:
-    """What a skin that creeps keeps of its shape for a while after a release: the same dent, shallower, no object."""
-    height = np.asarray(skin.height_mm * np.float32(part), np.float32)
-    return Skin(skin.radius_mm, skin.step_mm, height, np.zeros_like(skin.obstacle_mm))
+    """What a skin that creeps keeps of its shape for a while after a release: the same dent, weaker, no object."""
+    weaker = np.float32(part)
+    return replace(
+        skin,
+        height_mm=skin.height_mm * weaker,
+        obstacle_mm=np.zeros_like(skin.obstacle_mm),
+        leaning_mm=None if skin.leaning_mm is None else skin.leaning_mm * weaker,
+        origin_mm=None if skin.origin_mm is None else skin.origin_mm * weaker,
+        stuck=(),
+    )
 
 
-def press_skin(radius_mm: float, decay_mm: float, presses: Sequence[Press]) -> Skin:
-    """Find the skin's shape under the given objects.
+def press_skin(radius_mm: float, decay_mm: float, presses: Sequence[Press], leaning_mm: F32 | None = None) -> Skin:
+    """Find the skin's shape under the given objects, of a dome that leans by `Skin.leaning_mm` or not at all.
 
     Raises
     ------
@@ -77,20 +132,30 @@ def press_skin(radius_mm: float, decay_mm: float, presses: Sequence[Press]) -> S
     flat = undeformed(radius_mm)
     if not presses:
         return flat
-    obstacle = _obstacle(radius_mm, flat.step_mm, presses)
+    obstacle = obstacle_of(radius_mm, presses, leaning_mm)
     if not obstacle.any():
         return flat
-    weight = _mass_weight(radius_mm, flat.step_mm, obstacle.shape[0] // 2)
-    window = _window(obstacle > 0, 2 + math.ceil(9 * decay_mm / flat.step_mm))
-    height = np.zeros_like(obstacle)
-    height[window] = _solve(obstacle[window], weight[window] * (flat.step_mm / decay_mm) ** 2)
-    return Skin(radius_mm, flat.step_mm, height, obstacle)
+    weight = mass_weight(radius_mm, flat.step_mm, obstacle.shape[0] // 2)
+    window = window_of(obstacle > 0, 2 + math.ceil(9 * decay_mm / flat.step_mm))
+    pressed = np.zeros_like(obstacle)
+    pressed[window] = solve(obstacle[window], weight[window] * (flat.step_mm / decay_mm) ** 2)
+    return Skin(radius_mm, flat.step_mm, pressed, obstacle).leaning(leaning_mm)
+
+
+def net_pull(skin: Skin, decay_mm: float) -> F32:
+    """What the skin's nodes press on: (4 + m) h less the sum of the neighbours, 0 on the border; mm."""
+    h = skin.pressed_mm
+    mass = mass_weight(skin.radius_mm, skin.step_mm, len(h) // 2) * np.float32((skin.step_mm / decay_mm) ** 2)
+    pull = np.zeros_like(h)
+    neighbours = h[:-2, 1:-1] + h[2:, 1:-1] + h[1:-1, :-2] + h[1:-1, 2:]
+    pull[1:-1, 1:-1] = (4 + mass[1:-1, 1:-1]) * h[1:-1, 1:-1] - neighbours
+    return pull
 
 
 def complementarity_residual_mm(skin: Skin, decay_mm: float) -> F64:
     """min(h - obstacle, net pull / diagonal) at the inner nodes: 0 everywhere at the exact solution."""
     h = skin.height_mm.astype(np.float64)
-    mass = _mass_weight(skin.radius_mm, skin.step_mm, h.shape[0] // 2)[1:-1, 1:-1] * (skin.step_mm / decay_mm) ** 2
+    mass = mass_weight(skin.radius_mm, skin.step_mm, h.shape[0] // 2)[1:-1, 1:-1] * (skin.step_mm / decay_mm) ** 2
     neighbours = h[:-2, 1:-1] + h[2:, 1:-1] + h[1:-1, :-2] + h[1:-1, 2:]
     pull = h[1:-1, 1:-1] - neighbours / (4 + mass)
     return np.asarray(np.minimum(h[1:-1, 1:-1] - skin.obstacle_mm[1:-1, 1:-1], pull))
@@ -114,7 +179,7 @@ def _grid(radius_mm: float) -> tuple[int, float]:
     return math.ceil(2 * radius_mm * math.tan(math.radians(RIM_HALF_ANGLE_DEG / 2)) / step), step
 
 
-def _mass_weight(radius_mm: float, step_mm: float, n: int) -> F32:
+def mass_weight(radius_mm: float, step_mm: float, n: int) -> F32:
     """The chart's factor of the mass term; so large beyond the rim that the skin cannot move there."""
     axis = (np.arange(-n, n + 1) * (step_mm / radius_mm)) ** 2 / 4
     q = axis[:, None] + axis[None, :]
@@ -122,33 +187,41 @@ def _mass_weight(radius_mm: float, step_mm: float, n: int) -> F32:
     return np.asarray(np.where(clamped, 1e6, 1 / (1 + q) ** 2), np.float32)
 
 
-def _obstacle(radius_mm: float, step_mm: float, presses: Sequence[Press]) -> F32:
-    """Take r less the distance from O at which each node's ray enters an object; 0 where it does not before r."""
-    n = _grid(radius_mm)[0]
+def node_directions(radius_mm: float) -> F64:
+    """Unit vectors of the grid's nodes, (2n+1, 2n+1, 3); single precision serves."""
+    n, step_mm = _grid(radius_mm)
     axis = np.arange(-n, n + 1, dtype=np.float32) * np.float32(step_mm)
     x, y = np.meshgrid(axis, axis)
-    rays = chart_to_direction(x, y, radius_mm)
+    return chart_to_direction(x, y, radius_mm)
+
+
+def obstacle_of(radius_mm: float, presses: Sequence[Press], leaning_mm: F32 | None = None) -> F32:
+    """Take the skin's distance from O less that at which each node's ray enters an object; 0 where it does not."""
+    rays = node_directions(radius_mm)
+    surface = np.full(rays.shape[:2], radius_mm, np.float32)
+    if leaning_mm is not None:
+        surface -= leaning_mm
     rim = math.cos(math.radians(RIM_HALF_ANGLE_DEG))
     start = float(distance_mm(presses, radius_mm, np.zeros((1, 3)))[0])
     if start < 0.1 * radius_mm:
         raise ValueError(f"the press reaches the middle of the sensor (skin radius {radius_mm} mm)")
     obstacle = np.zeros(rays.shape[:2], np.float32)
     index = np.flatnonzero(rays[..., 2] > rim)
-    ray = rays.reshape(-1, 3)[index]
+    ray, end = rays.reshape(-1, 3)[index], surface.flat[index]
     t: F32 = np.full(len(index), start, np.float32)
     for _ in range(_TRACE_STEPS):
         d = distance_mm(presses, radius_mm, ray * t[:, None])
         hit = d < _TRACE_TOLERANCE_MM
-        obstacle.flat[index[hit]] = np.maximum(radius_mm - t[hit], 0)
+        obstacle.flat[index[hit]] = np.maximum(end[hit] - t[hit], 0)
         t = (t + d).astype(np.float32)
-        on = ~hit & (t < radius_mm)
-        index, ray, t = index[on], ray[on], t[on]
+        on = ~hit & (t < end)
+        index, ray, end, t = index[on], ray[on], end[on], t[on]
         if not len(index):
             break
     return obstacle
 
 
-def _window(where: np.typing.NDArray[np.bool_], margin: int) -> tuple[slice, slice]:
+def window_of(where: np.typing.NDArray[np.bool_], margin: int) -> tuple[slice, slice]:
     """The bounding box of the True cells with a margin, clipped to the grid."""
     sides = []
     for axis in (1, 0):
@@ -157,11 +230,11 @@ def _window(where: np.typing.NDArray[np.bool_], margin: int) -> tuple[slice, sli
     return sides[0], sides[1]
 
 
-def _solve(obstacle: F32, mass: F32) -> F32:
+def solve(obstacle: F32, mass: F32) -> F32:
     """Projected red-black over-relaxation, begun on a grid of a quarter of the nodes. h = 0 on the border."""
     height = obstacle.copy()
     if min(obstacle.shape) >= 24:
-        coarse = _solve(np.ascontiguousarray(obstacle[::2, ::2]), np.ascontiguousarray(mass[::2, ::2]) * 4)
+        coarse = solve(np.ascontiguousarray(obstacle[::2, ::2]), np.ascontiguousarray(mass[::2, ::2]) * 4)
         rows, cols = obstacle.shape
         # Node (2i, 2j) of the fine grid is node (i, j) of the coarse one.
         to_coarse = np.array(((0.5, 0, 0), (0, 0.5, 0)))
@@ -208,7 +281,7 @@ def _solve(obstacle: F32, mass: F32) -> F32:
     return height
 
 
-def _bilinear(grid: F32, x: F64, y: F64) -> F64:
+def bilinear(grid: F32, x: F64, y: F64) -> F64:
     """Sample at (x, y) steps from the middle node; 0 outside. cv2.remap would round to 1/32 step."""
     n = grid.shape[0] // 2
     col, row = np.clip(x + n, 0, 2 * n), np.clip(y + n, 0, 2 * n)

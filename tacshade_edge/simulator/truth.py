@@ -16,6 +16,8 @@ CONTACT_TOLERANCE_MM = 0.02
 
 _MARCH_STEPS = 16
 _REFINE_STEPS = 8
+_INVERSE_STEPS = 60
+_INVERSE_TOLERANCE_MM = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +68,8 @@ def measure(skin: Skin, presses: Sequence[Press], geometry: Geometry, shape: tup
     h = np.maximum(skin.radius_mm - np.linalg.norm(points, axis=1), 0)
     h[h < 1e-6] = 0
     height[inside] = h
-    touching = h > 0
+    # A dome that leans may be touched where it bulges outwards.
+    touching = np.ones(len(h), bool) if skin.leaning_mm is not None else h > 0
     touching[touching] = (
         np.abs(distance_mm(presses, skin.radius_mm, points[touching])) <= CONTACT_TOLERANCE_MM
         if len(presses)
@@ -93,7 +96,7 @@ def skin_points(skin: Skin, geometry: Geometry, row: F64, col: F64) -> F64:
         p = origin[which] + s[:, None] * along[which]
         return np.asarray(np.linalg.norm(p, axis=1) - r + skin.sample(*direction_to_chart(p, r)))
 
-    low, high = root(r - float(skin.height_mm.max())), root(r)
+    low, high = root(r - float(skin.height_mm.max())), root(r - min(float(skin.height_mm.min()), 0))
     # Most of the skin is undeformed, or deformed so gently that there is one crossing; march all the same.
     everything = slice(None)
     start, step = low.copy(), (high - low) / _MARCH_STEPS
@@ -120,6 +123,34 @@ def skin_points(skin: Skin, geometry: Geometry, row: F64, col: F64) -> F64:
     return origin + best[:, None] * along
 
 
+def shear_mm(skin: Skin, points_mm: F64, friction: float) -> F64:
+    """Displacement along x and y, from every cause, of the material that is at points of a deformed skin.
+
+    Parameters
+    ----------
+    skin : Skin
+    points_mm : float64 (N, 3)
+        Of the skin (`skin_points`).
+    friction : float
+        `SensorModel.friction`.
+
+    Returns
+    -------
+    float64 (N, 2)
+        x, y now less x, y in the undeformed skin.
+    """
+    now = np.stack(direction_to_chart(points_mm, skin.radius_mm), axis=-1)
+    before = now.copy()
+    for _ in range(_INVERSE_STEPS):  # undo what came along -z, by a fixed point
+        off = now - skin.carried_inwards(before, friction)[1]
+        before += off
+        if np.abs(off).max(initial=0) < _INVERSE_TOLERANCE_MM:
+            break
+    before += skin.sample_origin(now[:, 0], now[:, 1])
+    reference = skin.radius_mm * chart_to_direction(before[:, 0], before[:, 1], skin.radius_mm)
+    return np.asarray(points_mm[:, :2] - reference[:, :2])
+
+
 def pixel_rays(geometry: Geometry, row: F64, col: F64) -> tuple[F64, F64]:
     """Origins and unit directions of pixels' rays, each (N, 3): the pinhole or the orthographic camera."""
     u, v = col - geometry.disc.col_c, row - geometry.disc.row_c
@@ -136,4 +167,5 @@ def _object_points(skin: Skin) -> F32:
     i, j = np.nonzero(skin.obstacle_mm > 0)
     n = skin.height_mm.shape[0] // 2
     direction = chart_to_direction((j - n) * skin.step_mm, (i - n) * skin.step_mm, skin.radius_mm)
-    return np.asarray(direction * (skin.radius_mm - skin.obstacle_mm[i, j])[:, None], np.float32)
+    depth = skin.obstacle_mm if skin.leaning_mm is None else skin.obstacle_mm + skin.leaning_mm
+    return np.asarray(direction * (skin.radius_mm - depth[i, j])[:, None], np.float32)

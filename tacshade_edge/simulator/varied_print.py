@@ -63,7 +63,7 @@ class VariedRenderer(render.Renderer):
                 cv2.fillConvexPoly(canvas, cv2.convexHull(polygon), level, cv2.LINE_8, 4)
 
         def pins(at: render.Print) -> tuple[np.ndarray, np.ndarray]:
-            corners = render._pin_corners(skin, smooth, at, model.friction)
+            corners = render._pin_corners(skin, smooth, at, model)
             base, tip = (render._to_canvas(render.project(model.geometry, c)) for c in corners)
             return base, tip
 

@@ -1,3 +1,5 @@
+import math
+
 import numpy as np
 import pytest
 
@@ -63,3 +65,13 @@ def test_warming_up_lifts_black_dims_white_and_enlarges() -> None:
     assert result[4, 0] == 6
     assert result[4, -1] == 190
     assert 6 < result[4, 180] < 190  # the edge at 179.5 moved to 180.04
+
+
+def test_a_speck_is_dark_round_and_local() -> None:
+    image = np.full((60, 80), 200, np.uint8)
+    dusty = nuisance.speck(image, 30.0, 40.0, 5.0)
+    changed = dusty != image
+    assert dusty[30, 40] == 20
+    assert np.count_nonzero(changed) == pytest.approx(math.pi * 25, rel=0.3)
+    assert not changed[:23].any()
+    assert not changed[:, 48:].any()

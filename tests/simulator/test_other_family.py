@@ -1,3 +1,4 @@
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -5,7 +6,7 @@ import pytest
 
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.simulator.objects import ball
-from tacshade_edge.simulator.other_family import OtherSensor, other_model, two_scale_skin
+from tacshade_edge.simulator.other_family import OtherSensor, other_model, turned_mm, two_scale_skin
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.simulator.skin import press_skin
@@ -85,3 +86,18 @@ def test_without_noise_two_exposures_are_one(sensor: OtherSensor) -> None:
     np.testing.assert_array_equal(quiet.frame((PRESS,), 5).image, quiet.frame((PRESS,), 6).image)
     off = quiet.frame((PRESS,), 5).image.astype(int) - sensor.frame((PRESS,), 5).image
     assert 0 < np.abs(off).mean() < 5
+
+
+def test_its_skin_is_dragged_in_another_way(sensor: OtherSensor) -> None:
+    press = replace(PRESS, drag_x_mm=1.5)
+    frame = sensor.frame((press,), 5)
+    here = frame.truth().contact.nonzero()
+    in_contact = frame.shear_mm(here[0].astype(float), here[1].astype(float))
+    assert np.median(in_contact[:, 0]) == pytest.approx(1.5, abs=0.15)
+    beside = np.array([MODEL.row_c]), np.array([MODEL.col_c - 70])
+    usual = OtherSensor(MODEL, two_scales=False).frame((press,), 5)
+    assert frame.shear_mm(*beside)[0, 0] - usual.shear_mm(*beside)[0, 0] > 0.05  # it reaches further
+    direction = np.array([[0.0, 0.0, 1.0], [0.5, 0.0, math.sqrt(0.75)]])
+    turned = turned_mm(direction, np.array([1.0, 0.0]))
+    np.testing.assert_allclose(turned[0], (1.0, 0.0, 0.0))
+    assert np.abs(np.sum(turned * direction, axis=1)).max() < 1e-12, "a turn about O moves no skin inwards"

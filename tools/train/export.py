@@ -6,8 +6,9 @@
     .venv-train/bin/python tools/train/export.py --run RUN --out accurate.onnx
 
 The first layer is cut in two: what the sensor's reference and geometry add to it goes to ``accurate.sensor.onnx``,
-which is run once for a sensor; the rest, which takes a frame's white and that, is run for every frame. Beside them goes
-a JSON file of the same name: command, seed, commit, data, figures, SHA-256.
+which is run once for a sensor; the rest, which takes a frame's white and that, is run for every frame. Its features go
+through ``accurate.shear.onnx`` where displacement is asked for. Beside them goes a JSON file of the same name: command,
+seed, commit, data, figures, SHA-256.
 """
 
 from __future__ import annotations
@@ -57,9 +58,23 @@ class PerFrame(nn.Module):
         self.rest.down[0] = self.rest.down[0][3:]
         self.register_buffer("weight", first_layer(net)[0][:, : net.fold**2])
 
-    def forward(self, white: Tensor, sensor: Tensor) -> Tensor:
+    def forward(self, white: Tensor, sensor: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Run it."""
-        return self.rest(functional.relu(functional.conv2d(white, self.weight, padding=1) + sensor))
+        first = functional.relu(functional.conv2d(white, self.weight, padding=1) + sensor)
+        of_depth, of_shear = self.rest.features(first)
+        return self.rest.head(of_depth), self.rest.foreign(of_shear), of_shear
+
+
+class Shear(nn.Module):
+    """The head of displacement, from the features that `PerFrame` gave."""
+
+    def __init__(self, net: Net) -> None:
+        super().__init__()
+        self.net = copy.deepcopy(net)
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Run it."""
+        return self.net.shear(features)
 
 
 def first_layer(net: Net) -> tuple[Tensor, Tensor]:
@@ -83,18 +98,21 @@ def main() -> None:
     shape = (1, net.down[0][0].in_channels, cells // fold, cells // fold)
     x = torch.rand(shape, generator=torch.Generator().manual_seed(1))
     white, known = x[:, : fold**2], x[:, fold**2 :]
-    once = args.out.with_suffix(".sensor.onnx")
+    once, shear = args.out.with_suffix(".sensor.onnx"), args.out.with_suffix(".shear.onnx")
     with torch.no_grad():
-        expected = net(x).numpy()
+        expected = [y.numpy() for y in net(x)]
         sensor = PerSensor(net)(known)
-    write(PerSensor(net), {"known": known}, "sensor", once)
-    write(PerFrame(net), {"white": white, "sensor": sensor}, "depth_and_contact", args.out)
-    found = run(args.out, {"white": white.numpy(), "sensor": run(once, {"known": known.numpy()})})
-    off = float(np.abs(found - expected).max())
+        features = PerFrame(net)(white, sensor)[2]
+    write(PerSensor(net), {"known": known}, ["sensor"], once)
+    write(PerFrame(net), {"white": white, "sensor": sensor}, ["depth_and_contact", "foreign", "features"], args.out)
+    write(Shear(net), {"features": features}, ["shear"], shear)
+    maps, foreign, made = run(args.out, {"white": white.numpy(), "sensor": run(once, {"known": known.numpy()})[0]})
+    found = maps, run(shear, {"features": made})[0], foreign
+    off = max(float(np.abs(f - e).max()) for f, e in zip(found, expected, strict=True))
     commit = subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=True).stdout.strip()
     rows = [json.loads(line) for line in (args.run / "figures.jsonl").read_text().splitlines()]
     about = {
-        "sha256": {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in (args.out, once)},
+        "sha256": {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in (args.out, once, shear)},
         "cells": cells,
         "fold": fold,
         "parameters": sum(p.numel() for p in net.parameters()),
@@ -111,17 +129,17 @@ def main() -> None:
         raise SystemExit(f"its result differs by {off}, at most {TOLERANCE} was expected")
 
 
-def write(part: nn.Module, inputs: dict[str, Tensor], output: str, path: Path) -> None:
+def write(part: nn.Module, inputs: dict[str, Tensor], outputs: list[str], path: Path) -> None:
     """Write a part of the network."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # the exporter that needs nothing beside torch
         torch.onnx.export(part.eval(), tuple(inputs.values()), str(path), dynamo=False, opset_version=OPSET,
-                          input_names=list(inputs), output_names=[output])  # fmt: skip
+                          input_names=list(inputs), output_names=outputs)  # fmt: skip
 
 
-def run(path: Path, inputs: dict[str, np.ndarray]) -> np.ndarray:
+def run(path: Path, inputs: dict[str, np.ndarray]) -> list[np.ndarray]:
     """Run a part as the project does."""
-    return onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"]).run(None, inputs)[0]
+    return onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"]).run(None, inputs)
 
 
 if __name__ == "__main__":

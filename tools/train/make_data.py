@@ -40,6 +40,7 @@ def make_shard(job: tuple[Path, int, int]) -> str:
             frame=np.stack([s.frame for s in made]),
             height=np.stack([s.height for s in made]),
             contact=np.packbits(np.stack([s.contact for s in made]), axis=-1),
+            shear=np.stack([s.shear for s in made]),
         )
     os.replace(part, path)
     seconds = time.perf_counter() - start

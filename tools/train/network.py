@@ -1,4 +1,8 @@
-"""The network: a small U; square maps go in and out folded: 112x112 as 4 channels of 56x56 (fold 2), and so on."""
+"""The network: a small U; square maps go in and out folded: 112x112 as 4 channels of 56x56 (fold 2), and so on.
+
+Displacement along the skin has a head of its own on a coarser level, because it is smooth, and because it is asked for
+less often than depth. On the same level a third one says which cells show no skin of this sensor.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +18,10 @@ HEIGHT_SCALE = 10.0
 """The network's h is in tenths of the disc's radius: about 0 to 4."""
 
 KNOWN = 6
-"""Maps of `discmap.geometry_maps`."""
+"""Maps of `disc_map.geometry_maps`."""
+
+SHEAR_CELLS, SHEAR_WIDTH = 28, 32
+"""Along a side of the map of displacement, in tenths of the disc's radius too; channels of its head."""
 
 
 def block(inputs: int, outputs: int) -> nn.Sequential:
@@ -32,12 +39,16 @@ def block(inputs: int, outputs: int) -> nn.Sequential:
 class Net(nn.Module):
     """Folded maps (B, 2 fold² + 6, N, N) to (B, 2 fold², N, N), N = cells / fold.
 
-    In: white of frame and reference, then what is known of the sensor. Out: 10 h / disc radius, then contact logits.
+    In: white of frame and reference, then what is known of the sensor. Out: 10 h / disc radius, then contact logits;
+    10 times the displacement along x, y / disc radius, (B, 2, SHEAR_CELLS, SHEAR_CELLS); and the log odds that a cell
+    shows something else than this sensor's skin, (B, 1, SHEAR_CELLS, SHEAR_CELLS).
     What comes up from a level is joined to what was skipped, or (`added`, Chaurasia and Culurciello 2017) brought to
     its width where it is small, and added: a quarter to a third less to compute.
     """
 
-    def __init__(self, fold: int = 2, widths: tuple[int, ...] = (16, 32, 48, 64), added: bool = False) -> None:
+    def __init__(
+        self, fold: int = 2, widths: tuple[int, ...] = (16, 32, 48, 64), added: bool = False, cells: int = 112
+    ) -> None:
         super().__init__()
         inputs = 2 * fold * fold + KNOWN
         self.fold = fold
@@ -45,24 +56,48 @@ class Net(nn.Module):
         self.up = nn.ModuleList(block(a if added else a + b, a) for a, b in pairwise(widths))
         self.narrow = nn.ModuleList(nn.Conv2d(b, a, 1, bias=False) for a, b in pairwise(widths) if added)
         self.head = nn.Conv2d(widths[0], 2 * fold * fold, 1)
+        cells //= fold
+        self.shear_level = max(0, (cells // SHEAR_CELLS).bit_length() - 1)
+        self.shear_fold = SHEAR_CELLS // (cells >> self.shear_level)
+        self.shear_head = nn.Sequential(
+            nn.Conv2d(widths[self.shear_level], SHEAR_WIDTH, 3, padding=1),
+            nn.ReLU(inplace=True),
+            nn.Conv2d(SHEAR_WIDTH, 2 * self.shear_fold**2, 1),
+        )
+        self.foreign_head = nn.Conv2d(widths[self.shear_level], self.shear_fold**2, 1)
 
-    def forward(self, x: Tensor) -> Tensor:
-        """Run it."""
-        skips = []
+    def features(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """What the heads of depth and of displacement take."""
+        skips, of_shear = [], x
         for k, layer in enumerate(self.down):
             x = layer(x if k == 0 else functional.max_pool2d(x, 2))
             skips.append(x)
         for k in reversed(range(len(self.up))):
             x = functional.interpolate(self.narrow[k](x) if self.narrow else x, scale_factor=2.0, mode="nearest")
             x = self.up[k](skips[k] + x if self.narrow else torch.cat((skips[k], x), 1))
-        return self.head(x)
+            of_shear = x if k == self.shear_level else of_shear
+        return x, of_shear
+
+    def shear(self, features: Tensor) -> Tensor:
+        """Run the head of displacement."""
+        return functional.pixel_shuffle(self.shear_head(features), self.shear_fold)
+
+    def foreign(self, features: Tensor) -> Tensor:
+        """Run the head of what is not this sensor's skin."""
+        return functional.pixel_shuffle(self.foreign_head(features), self.shear_fold)
+
+    def forward(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Run it."""
+        of_depth, of_shear = self.features(x)
+        return self.head(of_depth), self.shear(of_shear), self.foreign(of_shear)
 
 
 def trained(run: Path) -> tuple[Net, dict[str, Any]]:
     """The averaged network of a run's checkpoint, to be used and not to be trained, and the checkpoint."""
     state = torch.load(run / "checkpoint.pt", weights_only=True)
     widths = tuple(int(width) for width in state["arguments"]["widths"].strip("()[]").split(","))
-    net = Net(int(state["arguments"]["fold"]), widths, state["arguments"].get("added") == "True")
+    arguments = state["arguments"]
+    net = Net(int(arguments["fold"]), widths, arguments.get("added") == "True", int(arguments.get("cells", 112)))
     net.load_state_dict({k.removeprefix("module."): v for k, v in state["mean"].items() if k.startswith("module.")})
     return net.eval(), state
 

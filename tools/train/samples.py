@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+import obstacle
 from shapes import random_shape
 from varied import pin_outline, varied_model, varied_print, with_skirt
 
@@ -19,19 +21,19 @@ from tacshade_edge.core.image.binarise import binarise
 from tacshade_edge.core.image.integral_image import CellMeans, Integrator
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator import nuisance
-from tacshade_edge.simulator import skin as skin_module
+from tacshade_edge.simulator.drag import drag_skin
 from tacshade_edge.simulator.model import SensorModel, random_model, tactip
 from tacshade_edge.simulator.other_family import CAPS, other_model, two_scale_skin
 from tacshade_edge.simulator.press import Press, distance_mm
 from tacshade_edge.simulator.render import Renderer, print_features
-from tacshade_edge.simulator.skin import Skin, press_skin
-from tacshade_edge.simulator.truth import CONTACT_TOLERANCE_MM, skin_points
+from tacshade_edge.simulator.skin import Skin, left_over, mass_weight, obstacle_of, undeformed, window_of
+from tacshade_edge.simulator.truth import CONTACT_TOLERANCE_MM, shear_mm, skin_points
 from tacshade_edge.simulator.varied_print import PinProfile, VariedRenderer, lattice_print
 from tacshade_edge.types import F32, U8, Bool, Disc, Geometry
 
 N = disc_map.CELLS
-TACTIP_PART, SMALL_PART, ORTHOGRAPHIC_PART = 0.05, 0.15, 0.06
-UNLOADED_PART, NUISANCE_PART = 0.05, 0.5
+TACTIP_PART, SMALL_PART, ORTHOGRAPHIC_PART, BULGING_PART = 0.12, 0.15, 0.06, 0.4
+UNLOADED_PART, RELEASED_PART, UNDRAGGED_PART, NUISANCE_PART = 0.04, 0.04, 0.3, 0.5
 
 UNEVEN_FROM = 200_000
 """Sensors of seeds from here on also have skins of uneven stiffness, pins with a waist or a belly, and stretched
@@ -61,6 +63,8 @@ class Samples:
     height : float16 (F, N, N)
         h in disc radii; 0 outside the disc.
     contact : bool (F, N, N)
+    shear : float16 (F, N / 2, N / 2, 2)
+        Displacement along x and y in disc radii, at the middles of squares of 2x2 cells; 0 outside the disc.
     """
 
     reference: U8
@@ -68,6 +72,7 @@ class Samples:
     frame: U8
     height: np.typing.NDArray[np.float16]
     contact: Bool
+    shear: np.typing.NDArray[np.float16]
 
 
 def training_model(seed: int) -> SensorModel:
@@ -90,8 +95,18 @@ def training_model(seed: int) -> SensorModel:
         skin_decay_mm=draw(1.3, 4.0),
         friction=draw(0.6, 1.0),
         vignetting=draw(0.05, 0.55),
+        drag_decay_mm=draw(2.0, 12.0),
+        coulomb=math.exp(draw(math.log(0.8), math.log(10.0))),
+        sway=draw(0.0, 0.6),
+        bulge=draw(0.0, 0.9) if rng.random() < BULGING_PART else 0.0,
+        pin_lag=draw(0.0, 0.4),
     )
-    return tactip(model) if rng.random() < TACTIP_PART else model
+    if rng.random() >= TACTIP_PART:
+        return model
+    tip = draw(0.18, 0.32)
+    return replace(
+        tactip(model), pin_length_pitches=draw(0.6, 1.4), pin_tip_radius_pitches=tip, pin_base_radius_pitches=tip
+    )
 
 
 def random_presses(model: SensorModel, rng: np.random.Generator) -> tuple[Press, ...]:
@@ -107,6 +122,20 @@ def random_presses(model: SensorModel, rng: np.random.Generator) -> tuple[Press,
         depth = target - (0.0 if not presses else float(rng.uniform(0, 2)))
         presses.append(Press(random_shape(rng), x, y, depth, float(rng.uniform(0, 360)), size))
     return tuple(presses)
+
+
+def random_drag(presses: Sequence[Press], model: SensorModel, rng: np.random.Generator) -> tuple[Press, ...]:
+    """Drag by up to 5 mm (on a skin of 20 mm) and twist, all alike or each its own way."""
+    scale, alike = model.skin_radius_mm / 20, rng.random() < 0.6
+    dragged = []
+    for k, press in enumerate(presses):
+        if k == 0 or not alike:
+            size, angle = float(rng.uniform(0, 5.0)) * scale, rng.uniform(0, 2 * math.pi)
+            twist = float(np.clip(rng.normal(0, 6), -20, 20)) if rng.random() < 0.6 else 0.0
+        dragged.append(
+            replace(press, drag_x_mm=size * math.cos(angle), drag_y_mm=size * math.sin(angle), twist_deg=twist)
+        )
+    return tuple(dragged)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,7 +160,7 @@ def draw_unevenness(model: SensorModel, rng: np.random.Generator, wide: bool, va
         model = varied_model(model, rng)
     elif wide:
         model = replace(model, position_tolerance_mm=float(rng.uniform(0, 0.1)) * model.pitch_mm)
-    n = press_skin(model.skin_radius_mm, model.skin_decay_mm, ()).height_mm.shape[0]
+    n = undeformed(model.skin_radius_mm).height_mm.shape[0]
     coarse = rng.normal(0, 0.45, (7, 7)).astype(np.float32)
     stiffness = np.exp(cv2.resize(coarse, (n, n), interpolation=cv2.INTER_CUBIC)).astype(np.float32)
     if varied:
@@ -156,54 +185,66 @@ def draw_unevenness(model: SensorModel, rng: np.random.Generator, wide: bool, va
     return Unevenness(stiffness, hardening, (0.0, 1.0), VariedRenderer(model, marks, profile))
 
 
-def uneven_skin(model: SensorModel, presses: Sequence[Press], unevenness: Unevenness | None) -> Skin:
+def uneven_skin(
+    model: SensorModel, presses: Sequence[Press], unevenness: Unevenness, leaning_mm: F32 | None = None
+) -> Skin:
     """`press_skin` on a foundation of uneven stiffness."""
-    if unevenness is None:
-        return press_skin(model.skin_radius_mm, model.skin_decay_mm, presses)
     if unevenness.two_scales:
-        return two_scale_skin(model, presses)
-    flat = press_skin(model.skin_radius_mm, model.skin_decay_mm, ())
-    obstacle = skin_module._obstacle(model.skin_radius_mm, flat.step_mm, presses)
-    if not obstacle.any():
+        return two_scale_skin(model, presses, leaning_mm)
+    flat = undeformed(model.skin_radius_mm)
+    floor = obstacle_of(model.skin_radius_mm, presses, leaning_mm)
+    if not floor.any():
         return flat
-    weight = skin_module._mass_weight(model.skin_radius_mm, flat.step_mm, obstacle.shape[0] // 2)
+    weight = mass_weight(model.skin_radius_mm, flat.step_mm, floor.shape[0] // 2)
     weight = weight * unevenness.stiffness * np.float32((flat.step_mm / model.skin_decay_mm) ** 2)
-    window = skin_module._window(obstacle > 0, 2 + math.ceil(12 * model.skin_decay_mm / flat.step_mm))
-    height = np.zeros_like(obstacle)
-    height[window] = skin_module._solve(obstacle[window], np.ascontiguousarray(weight[window]))
+    window = window_of(floor > 0, 2 + math.ceil(9 * model.skin_decay_mm / flat.step_mm))
+    inside, weight = np.ascontiguousarray(floor[window]), np.ascontiguousarray(weight[window])
+    height = np.zeros_like(floor)
+    height[window] = obstacle.solve(inside, weight)
     if unevenness.hardening:
         # One step of the fixed point: any skirt between is a skin as good.
-        weight[window] *= 1 + unevenness.hardening * np.minimum(height[window] / (0.15 * model.skin_radius_mm), 2)
-        height[window] = skin_module._solve(obstacle[window], np.ascontiguousarray(np.maximum(weight[window], 1e-4)))
-    return with_skirt(Skin(model.skin_radius_mm, flat.step_mm, height, obstacle), *unevenness.skirt)
+        weight *= 1 + unevenness.hardening * np.minimum(height[window] / (0.15 * model.skin_radius_mm), 2)
+        height[window] = obstacle.solve(inside, np.maximum(weight, np.float32(1e-4)))
+    skin = with_skirt(Skin(model.skin_radius_mm, flat.step_mm, height, floor), *unevenness.skirt)
+    return skin.leaning(leaning_mm)
 
 
 def pressed_skin(
-    model: SensorModel, unevenness: Unevenness | None, rng: np.random.Generator
+    model: SensorModel, unevenness: Unevenness, rng: np.random.Generator
 ) -> tuple[Skin, tuple[Press, ...]]:
-    """A skin under random objects, moved along z so that the deepest point is what was asked for."""
+    """A skin under random objects, moved along z so that the deepest point is what was asked for, and dragged."""
     while True:
         presses = random_presses(model, rng)
         target = max(p.depth_mm for p in presses)
         try:
             depth = 0.0
             for _ in range(2):
-                first = uneven_skin(model, presses, unevenness)
-                found = float(first.obstacle_mm.max())
+                found = float(obstacle_of(model.skin_radius_mm, presses).max())
                 if abs(found - target) < 0.3 * target or found == 0:
                     depth = found
                     break
                 presses = tuple(replace(p, depth_mm=p.depth_mm + target - found) for p in presses)
+            if not 0 < depth < 7.5 * model.skin_radius_mm / 20:
+                continue
+            if rng.random() > UNDRAGGED_PART:
+                presses = random_drag(presses, model, rng)
+            return drag_skin(functools.partial(uneven_skin, model, presses, unevenness), model, presses), presses
         except ValueError:
             continue
-        if 0 < depth < 7.5 * model.skin_radius_mm / 20:
-            return first, presses
 
 
 def spoil(image: U8, disc: Disc, rng: np.random.Generator) -> U8:
-    """Nuisances that the daemon lets pass: other light, a pixel of shift, noise, a small glare."""
+    """Nuisances that the daemon lets pass: other light, an aged LED, a pixel of shift, noise, small glare, dust."""
     if rng.random() < 0.6:
         image = nuisance.gain(image, float(rng.uniform(0.8, 1.2)))
+    if rng.random() < 0.2:
+        loss, angle = float(rng.uniform(0, 0.3)), float(rng.uniform(0, 360))
+        image = nuisance.uneven(image, disc.row_c, disc.col_c, disc.radius_px, loss, angle)
+    if rng.random() < 0.15:
+        for _ in range(int(rng.integers(1, 4))):
+            rho, angle = disc.radius_px * math.sqrt(rng.uniform(0, 0.9)), rng.uniform(0, 2 * math.pi)
+            row, col = disc.row_c + rho * math.sin(angle), disc.col_c + rho * math.cos(angle)
+            image = nuisance.speck(image, row, col, disc.radius_px * float(rng.uniform(0.008, 0.05)))
     if rng.random() < 0.3:
         image = nuisance.shift(image, int(rng.integers(-1, 2)), int(rng.integers(-1, 2)))
     if rng.random() < 0.2:
@@ -222,6 +263,19 @@ def white_map(image: U8, mask: U8, disc: Disc, pitch_px: float) -> F32:
     return CellMeans(integrator, disc_map.map_grid(disc)).means(integrator.integrate(white))
 
 
+def true_shear(skin: Skin, model: SensorModel, seen: Disc) -> F32:
+    """Displacement in disc radii at the middles of squares of 2x2 cells of the disc that was `seen`."""
+    grid, geometry = disc_map.map_grid(seen, N // 2), model.geometry
+    rows = np.repeat(grid.row0 + grid.step_px * np.arange(N // 2), N // 2)
+    cols = np.tile(grid.col0 + grid.step_px * np.arange(N // 2), N // 2)
+    inside = np.hypot(rows - geometry.disc.row_c, cols - geometry.disc.col_c) <= geometry.disc.radius_px
+    shear = np.zeros((N * N // 4, 2), np.float32)
+    if skin.height_mm.any():
+        shear[inside] = shear_mm(skin, skin_points(skin, geometry, rows[inside], cols[inside]), model.friction)
+    unit_mm = geometry.skin_radius_mm * math.sin(math.radians(geometry.visible_half_angle_deg))
+    return (shear / np.float32(unit_mm)).reshape(N // 2, N // 2, 2)
+
+
 def true_maps(skin: Skin, presses: Sequence[Press], geometry: Geometry, seen: Disc) -> tuple[F32, Bool]:
     """H in disc radii (mm over r sinθ) and contact at the middles of the cells of the disc that was `seen`."""
     grid = disc_map.map_grid(seen)
@@ -233,9 +287,9 @@ def true_maps(skin: Skin, presses: Sequence[Press], geometry: Geometry, seen: Di
     if skin.height_mm.any():
         points = skin_points(skin, geometry, rows[inside], cols[inside])
         h = np.maximum(skin.radius_mm - np.linalg.norm(points, axis=1), 0)
-        touching = h > 1e-6
-        touching[touching] = np.abs(distance_mm(presses, skin.radius_mm, points[touching])) <= CONTACT_TOLERANCE_MM
-        height[inside], contact[inside] = h, touching
+        height[inside] = h
+        if presses:
+            contact[inside] = np.abs(distance_mm(presses, skin.radius_mm, points)) <= CONTACT_TOLERANCE_MM
     unit_mm = geometry.skin_radius_mm * math.sin(math.radians(geometry.visible_half_angle_deg))
     return (height / unit_mm).reshape(N, N), contact.reshape(N, N)
 
@@ -244,14 +298,14 @@ def sensor_samples(seed: int, frames: int) -> Samples | None:
     """Everything of one sensor; None where its reference shows no pattern to calibrate on."""
     rng = np.random.default_rng((seed, 12))
     model = other_model(seed) if seed >= OTHER_FROM else training_model(seed)
-    unevenness: Unevenness | None = None
     if seed >= OTHER_FROM:
         renderer = VariedRenderer(model, lattice_print(model, 90.0), CAPS)
         unevenness = Unevenness(np.ones((1, 1), np.float32), 0.0, (0.0, 1.0), renderer, two_scales=True)
     elif seed >= UNEVEN_FROM:
         unevenness = draw_unevenness(model, rng, seed >= WIDE_FROM, seed >= VARIED_FROM)
-    renderer = Renderer(model) if unevenness is None else unevenness.renderer
-    flat = press_skin(model.skin_radius_mm, model.skin_decay_mm, ())
+    else:
+        unevenness = Unevenness(np.ones((1, 1), np.float32), 0.0, (0.0, 1.0), Renderer(model))
+    renderer, flat = unevenness.renderer, undeformed(model.skin_radius_mm)
     clean = renderer.draw(flat)
     images = [renderer.expose(clean, int(rng.integers(1 << 30))) for _ in range(int(rng.choice((1, 3, 6))))]
     disc = replace(
@@ -267,9 +321,12 @@ def sensor_samples(seed: int, frames: int) -> Samples | None:
     mask = disc_mask(model.image_height_px, model.image_width_px, disc).astype(np.uint8)
     reference = np.mean([white_map(i, mask, disc, pitch_px) for i in images], axis=0)
     seen = replace(model.geometry, disc=disc)
-    maps, heights, contacts = [], [], []
+    maps, heights, contacts, shears = [], [], [], []
     for _ in range(frames):
-        skin, presses = (flat, ()) if rng.random() < UNLOADED_PART else pressed_skin(model, unevenness, rng)
+        kind = rng.random()
+        skin, presses = (flat, ()) if kind < UNLOADED_PART else pressed_skin(model, unevenness, rng)
+        if kind > 1 - RELEASED_PART:
+            skin, presses = left_over(skin, float(rng.uniform(0, 0.1))), ()
         image = renderer.expose(renderer.draw(skin), int(rng.integers(1 << 30)))
         if rng.random() < NUISANCE_PART:
             image = spoil(image, disc, rng)
@@ -277,12 +334,14 @@ def sensor_samples(seed: int, frames: int) -> Samples | None:
         maps.append(np.rint(255 * white_map(image, mask, disc, pitch_px)).astype(np.uint8))
         heights.append(height.astype(np.float16))
         contacts.append(contact)
+        shears.append(true_shear(skin, model, disc).astype(np.float16))
     return Samples(
         reference=np.rint(255 * reference).astype(np.uint8),
         known=disc_map.geometry_maps(seen, pitch_px),
         frame=np.stack(maps),
         height=np.stack(heights),
         contact=np.stack(contacts),
+        shear=np.stack(shears),
     )
 
 

@@ -22,15 +22,21 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from network import HEIGHT_SCALE, Net, add_in_place_of_joining, grow
+from network import HEIGHT_SCALE, SHEAR_CELLS, Net, add_in_place_of_joining, grow
+from shipped import shipped
 from torch import Tensor
 from torch.nn import functional
+
+from tacshade_edge.core.geometry import disc_map
 
 VALIDATION_SHARDS = 2
 NEW_SHARDS = 12
 """Shards made meanwhile are taken in when they are so many."""
 KINDS = ("plain", "uneven", "wide", "varied", "other")
 """Of sensors: shards from 0, 5000, 10000, 15000 and 20000 on."""
+TORN_PART, FOREIGN_WEIGHT = 0.1, 0.5
+FOREIGN_CELLS = 0.05
+"""A frame with so many foreign cells counts as torn in the figures."""
 DISC_MM = 15.0
 """A typical disc radius, to print figures in mm."""
 
@@ -44,6 +50,7 @@ class Data:
     frame: np.ndarray
     height: np.ndarray
     contact: np.ndarray
+    shear: np.ndarray
     sensor: np.ndarray
     fold: int
 
@@ -58,7 +65,7 @@ def shards_in(folder: Path) -> dict[str, list[Path]]:
 
 def load(paths: list[Path], fold: int, cells: int) -> Data:
     """Read shards, whose maps are of 112x112 cells."""
-    parts: dict[str, list[np.ndarray]] = {k: [] for k in ("reference", "known", "frame", "height", "contact")}
+    parts: dict[str, list[np.ndarray]] = {k: [] for k in ("reference", "known", "frame", "height", "contact", "shear")}
     for path in paths:
         with np.load(path) as shard:
             for name, values in parts.items():
@@ -66,13 +73,17 @@ def load(paths: list[Path], fold: int, cells: int) -> Data:
                 values.append(array[..., ::fold, ::fold] if name == "known" else array)
     joined = {name: np.concatenate(values) for name, values in parts.items()}
     sensors, frames = joined["frame"].shape[:2]
-    for name in ("frame", "height", "contact"):
+    for name in ("frame", "height", "contact", "shear"):
         joined[name] = joined[name].reshape(sensors * frames, *joined[name].shape[2:])
     return Data(**joined, sensor=np.repeat(np.arange(sensors), frames), fold=fold)
 
 
 def pooled(name: str, array: np.ndarray, by: int) -> np.ndarray:
     """Means over by x by cells; contact where half of them touch."""
+    if name == "shear":  # stored at 56x56 cells
+        *first, rows, cols, two = array.shape
+        by = rows // SHEAR_CELLS
+        return array.reshape(*first, rows // by, by, cols // by, by, two).mean(axis=(-4, -2), dtype=np.float32)
     if by == 1:
         return array
     values = np.unpackbits(array, axis=-1) if name == "contact" else array
@@ -83,8 +94,11 @@ def pooled(name: str, array: np.ndarray, by: int) -> np.ndarray:
     return (np.rint(means) if array.dtype == np.uint8 else means).astype(array.dtype)
 
 
-def batch(data: Data, index: np.ndarray, turn: int = 0) -> tuple[Tensor, Tensor, Tensor]:
-    """Inputs of `Net`; 10 h and contact (B, cells, cells). `turn`: which of the square's 8 symmetries."""
+def batch(data: Data, index: np.ndarray, turn: int = 0) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Inputs of `Net`; 10 h and contact (B, cells, cells); 10 times the displacement (B, 2, SHEAR_CELLS, SHEAR_CELLS).
+
+    `turn`: which of the square's 8 symmetries.
+    """
 
     def turned(array: np.ndarray) -> np.ndarray:
         array = np.rot90(array, turn % 4, axes=(1, 2))
@@ -98,7 +112,55 @@ def batch(data: Data, index: np.ndarray, turn: int = 0) -> tuple[Tensor, Tensor,
     x = torch.cat((functional.pixel_unshuffle(maps, data.fold), known), 1)
     height = torch.from_numpy(turned(data.height[index]).astype(np.float32) * HEIGHT_SCALE)
     contact = np.unpackbits(data.contact[index], axis=-1)
-    return x.contiguous(memory_format=torch.channels_last), height, torch.from_numpy(turned(contact)).float()
+    x_y = turned(data.shear[index].astype(np.float32) * HEIGHT_SCALE)
+    for _ in range(turn % 4):  # a quarter turn of the rows and columns takes x to -y and y to x
+        x_y = np.stack((x_y[..., 1], -x_y[..., 0]), axis=-1)
+    if turn >= 4:
+        x_y = x_y * np.array((-1, 1), np.float32)
+    shear = torch.from_numpy(np.ascontiguousarray(np.moveaxis(x_y, 3, 1)))
+    return x.contiguous(memory_format=torch.channels_last), height, torch.from_numpy(turned(contact)).float(), shear
+
+
+def spoil(maps: Tensor, height: Tensor, contact: Tensor, part: float, rng: np.random.Generator) -> Tensor:
+    """Spoil part of a batch in place, as frames are torn; what shows no skin any more has no depth and no contact.
+
+    Parameters
+    ----------
+    maps, height, contact : Tensor (B, cells, cells)
+        White of the frames, and what is true of them.
+    part : float
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    Tensor (B, cells, cells)
+        1 where a cell shows something else than the sensor's skin.
+    """
+    cells = maps.shape[-1]
+    axis = (torch.arange(cells) + 0.5 - cells / 2) * (2 * disc_map.REACH / cells)
+    inside = (axis[:, None] ** 2 + axis[None, :] ** 2) <= 1
+    foreign = torch.zeros_like(maps)
+    others = maps.clone()
+    for k in np.flatnonzero(rng.random(len(maps)) < part):
+        row, size = int(rng.integers(-cells // 4, 0.85 * cells)), int(rng.integers(3, cells // 2))
+        row, kind = max(row, 0), int(rng.integers(4))
+        end = cells if rng.random() < 0.7 else min(cells, row + int(rng.integers(6, cells)))
+        frame, spoiled = maps[k], maps[k].clone()
+        if kind == 0:  # the rest of the rows sideways
+            spoiled[row:end] = torch.roll(frame[row:end], size * int(rng.choice((-1, 1))), 1)
+        elif kind == 1:  # one row again and again
+            spoiled[row:end] = frame[row]
+        elif kind == 2:  # the rest of the rows further down
+            spoiled[row:end] = torch.roll(frame, size, 0)[row:end]
+        else:  # the rest of another sensor's
+            spoiled[row:end] = others[int(rng.integers(len(maps)))][row:end]
+        spoiled *= inside
+        maps[k] = spoiled
+        foreign[k, row:end] = 1
+        foreign[k] *= inside
+        height[k] *= 1 - foreign[k]
+        contact[k] *= 1 - foreign[k]
+    return foreign
 
 
 def split_output(y: Tensor, fold: int) -> tuple[Tensor, Tensor]:
@@ -107,8 +169,11 @@ def split_output(y: Tensor, fold: int) -> tuple[Tensor, Tensor]:
     return y[:, 0], y[:, 1]
 
 
-def loss_of(y: Tensor, fold: int, height: Tensor, contact: Tensor) -> Tensor:
-    """Height and its slope, heavier in contact; the contact's outline."""
+def loss_of(
+    outputs: tuple[Tensor, Tensor, Tensor], fold: int, height: Tensor, contact: Tensor, shear: Tensor, foreign: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Of height and its slope and the contact's outline; of displacement; of what is foreign. Heavier in contact."""
+    y, moved, odds = outputs
     found, logit = split_output(y, fold)
     top = height.amax((1, 2), keepdim=True)
     weight = (0.5 + 5 * contact) * (1.5 / (top + 0.7))
@@ -119,30 +184,53 @@ def loss_of(y: Tensor, fold: int, height: Tensor, contact: Tensor) -> Tensor:
     edge = functional.binary_cross_entropy_with_logits(logit, contact)
     p = torch.sigmoid(logit)
     dice = 1 - (2 * (p * contact).sum((1, 2)) + 20) / ((p + contact).sum((1, 2)) + 20)
-    return level + 1.5 * slope + edge + 0.15 * dice.mean()
+    touching = functional.adaptive_avg_pool2d(contact[:, None], SHEAR_CELLS)
+    seen = functional.adaptive_avg_pool2d(1 - foreign[:, None], SHEAR_CELLS)
+    off = (moved.float() - shear).abs().sum(1, keepdim=True) * (seen > 0.99)
+    strange = functional.binary_cross_entropy_with_logits(odds.float(), 1 - seen)
+    return level + 1.5 * slope + edge + 0.15 * dice.mean(), ((0.3 + 4 * touching) * off).mean(), strange
 
 
 def figures(net: Net, data: Data) -> dict[str, float]:
     """Errors on sensors that were not trained on, as if their disc's radius were 15 mm."""
     net.eval()
-    errors, relative, ious, shapes = [], [], [], []
+    errors, relative, ious, shapes, shears = [], [], [], [], []
+    strange, torn, rng = [], [], np.random.default_rng(0)
     with torch.no_grad():
         for start in range(0, len(data.frame), 32):
-            x, height, contact = batch(data, np.arange(start, min(start + 32, len(data.frame))))
+            x, height, contact, shear = batch(data, np.arange(start, min(start + 32, len(data.frame))))
+            white = functional.pixel_shuffle(x[:, : data.fold**2], data.fold)[:, 0]
+            spoil(white, height.clone(), contact.clone(), 1.0, rng)
+            spoiled = torch.cat((functional.pixel_unshuffle(white[:, None], data.fold), x[:, data.fold**2 :]), 1)
             with torch.autocast("cpu", torch.bfloat16):
-                y = net(x)
+                torn += list((net(spoiled)[2].float() > 0).float().mean((1, 2, 3)))
+                y, moved, odds = net(x)
+            strange += list((odds.float() > 0).float().mean((1, 2, 3)))
             found, logit = split_output(y, data.fold)
-            for f, h, p, c in zip(found, height, logit > 0, contact > 0, strict=True):
+            touching = functional.adaptive_avg_pool2d(contact[:, None], SHEAR_CELLS)
+            means = [
+                (touching * each.float()).sum((2, 3)) / touching.sum((2, 3)).clamp(min=1e-3) for each in (moved, shear)
+            ]
+            moved_off = torch.linalg.vector_norm(means[0] - means[1], dim=1) * (DISC_MM / HEIGHT_SCALE)
+            for f, h, p, c, m in zip(found, height, logit > 0, contact > 0, moved_off, strict=True):
                 if c.sum() < 20:
                     continue
+                shears.append(float(m))
                 off = (f - h)[c] * (DISC_MM / HEIGHT_SCALE)
                 errors.append(float(off.abs().mean()))
                 shapes.append(float((off - off.median()).abs().mean()))
                 relative.append(float(abs(f.max() / h.max() - 1)))
                 ious.append(float((p & c).sum() / (p | c).sum()))
     net.train()
-    names = ("error_mm", "shape_error_mm", "depth_error", "iou")
-    return {n: round(float(np.mean(v)), 4) for n, v in zip(names, (errors, shapes, relative, ious), strict=True)}
+    names = ("error_mm", "shape_error_mm", "depth_error", "iou", "shear_error_mm")
+    values = (errors, shapes, relative, ious, shears)
+    row = {n: round(float(np.mean(v)), 4) for n, v in zip(names, values, strict=True)}
+    return row | {"called_torn": share_over(strange, FOREIGN_CELLS), "torn": share_over(torn, FOREIGN_CELLS)}
+
+
+def share_over(values: list[Tensor], limit: float) -> float:
+    """The part of values over a limit."""
+    return round(float(np.mean(np.array(values) > limit)), 4)
 
 
 def main() -> None:
@@ -161,6 +249,8 @@ def main() -> None:
     parser.add_argument(
         "--start", type=Path, metavar="CHECKPOINT", help="its averaged weights begin, of the same or lesser widths"
     )
+    parser.add_argument("--shipped", metavar="NAME", help="weights that are shipped begin; of depth, not displacement")
+    parser.add_argument("--shear", type=float, default=1.0, help="weight of displacement in the loss")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--report", type=int, default=1000, metavar="STEPS")
@@ -168,7 +258,7 @@ def main() -> None:
     torch.set_num_threads(args.threads)
     torch.manual_seed(args.seed)
     args.out.mkdir(parents=True, exist_ok=True)
-    net = Net(args.fold, tuple(args.widths), args.added).to(memory_format=torch.channels_last)
+    net = Net(args.fold, tuple(args.widths), args.added, args.cells).to(memory_format=torch.channels_last)
     if args.start is not None:
         averaged = torch.load(args.start, weights_only=True)["mean"]
         begun = {k.removeprefix("module."): v for k, v in averaged.items() if k.startswith("module.")}
@@ -190,6 +280,9 @@ def main() -> None:
     shards = shards_in(args.data)
     check = {kind: load(paths[:VALIDATION_SHARDS], args.fold, args.cells) for kind, paths in shards.items()}
     data = {kind: load(paths[VALIDATION_SHARDS:], args.fold, args.cells) for kind, paths in shards.items()}
+    if args.shipped and step == 0:
+        shipped(net, args.shipped, [batch(frames, np.arange(0, len(frames.frame), 7))[0] for frames in check.values()])
+        mean.module.load_state_dict(net.state_dict())
     start, total = time.perf_counter(), 0.0
     print(f"step {step}: frames { ({kind: len(d.frame) for kind, d in data.items()}) }", flush=True)
     while step < args.steps:
@@ -205,10 +298,14 @@ def main() -> None:
             for frames, count in zip(data.values(), counts, strict=True)
             if count
         ]
-        x, height, contact = (torch.cat(tensors) for tensors in zip(*parts, strict=True))
+        x, height, contact, shear = (torch.cat(tensors) for tensors in zip(*parts, strict=True))
+        white = functional.pixel_shuffle(x[:, : args.fold**2], args.fold)[:, 0]
+        foreign = spoil(white, height, contact, TORN_PART, rng)
+        x[:, : args.fold**2] = functional.pixel_unshuffle(white[:, None], args.fold)
         with torch.autocast("cpu", torch.bfloat16):
-            y = net(x)
-        loss = loss_of(y, args.fold, height, contact)
+            outputs = net(x)
+        of_depth, of_shear, of_foreign = loss_of(outputs, args.fold, height, contact, shear, foreign)
+        loss = of_depth + args.shear * of_shear + FOREIGN_WEIGHT * of_foreign
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         torch.nn.utils.clip_grad_norm_(net.parameters(), 2.0)

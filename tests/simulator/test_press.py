@@ -1,0 +1,60 @@
+import math
+
+import numpy as np
+import pytest
+
+from tacshade_edge.simulator.objects import OBJECTS, ball
+from tacshade_edge.simulator.press import Press, distance_mm, distances_mm
+
+R_MM = 20.0
+
+
+def test_a_press_that_is_no_number_is_refused_by_name() -> None:
+    with pytest.raises(ValueError, match="drag_x_mm is nan"):
+        Press(ball(), drag_x_mm=math.nan)
+
+
+@pytest.mark.parametrize(("tilt_x_deg", "tilt_y_deg"), [(15.0, 0.0), (0.0, -25.0), (10.0, 10.0)])
+def test_the_lowest_point_of_a_tilted_cylinder_is_its_rounded_rim(tilt_x_deg: float, tilt_y_deg: float) -> None:
+    press = Press(OBJECTS["cylinder"](), 1.0, 2.0, 3.0, 0.0, 1.1, tilt_x_deg, tilt_y_deg)
+    tilt = math.acos(math.cos(math.radians(tilt_x_deg)) * math.cos(math.radians(tilt_y_deg)))
+    lowest = 1.1 * (-(5.0 - 0.2) * math.sin(tilt) - 0.2 + 0.2 * math.cos(tilt))
+    assert press.lowest_z_mm(R_MM) - press.origin_z_mm(R_MM) == pytest.approx(lowest, abs=5e-3)
+    axis = np.linspace(-8, 8, 161)
+    x, y = (v.ravel() for v in np.meshgrid(axis + 1.0, axis + 2.0))
+    below = np.column_stack((x, y, np.full(x.shape, press.lowest_z_mm(R_MM))))
+    assert distance_mm((press,), R_MM, below).min() == pytest.approx(0, abs=0.01)
+
+
+def test_a_tilted_ball_is_a_ball() -> None:
+    press = Press(ball(5.0), 1.0, 2.0, 3.0, 30.0, 1.0, 20.0, -10.0)
+    assert press.lowest_z_mm(R_MM) == Press(ball(5.0), 1.0, 2.0, 3.0).lowest_z_mm(R_MM)
+    # Its centre leans over its origin; what is lowest of it is as low as before.
+    centre = np.array((1.0, 2.0, press.origin_z_mm(R_MM))) + press.tilt() @ (0.0, 0.0, 5.0)
+    assert centre[2] - 5.0 == pytest.approx(press.lowest_z_mm(R_MM), abs=2e-3)
+    assert distance_mm((press,), R_MM, centre[None])[0] == pytest.approx(-5.0, abs=1e-6)
+
+
+def test_tilt_is_about_x_then_y() -> None:
+    np.testing.assert_allclose(Press(ball(), tilt_x_deg=90.0).tilt() @ (0, 1, 0), (0, 0, 1), atol=1e-12)
+    np.testing.assert_allclose(Press(ball(), tilt_y_deg=90.0).tilt() @ (1, 0, 0), (0, 0, -1), atol=1e-12)
+    np.testing.assert_allclose(
+        Press(ball(), tilt_x_deg=90.0, tilt_y_deg=90.0).tilt() @ (0, 1, 0), (1, 0, 0), atol=1e-12
+    )
+
+
+def test_where_a_point_was_before_it_was_dragged_and_turned() -> None:
+    press = Press(ball(), 3.0, 1.0, 2.0, drag_x_mm=0.5, drag_y_mm=-0.25, twist_deg=90.0)
+    assert press.is_dragged
+    assert not Press(ball()).is_dragged
+    np.testing.assert_allclose(press.before_drag(np.array([[3.0, 1.0]])), [[2.5, 1.25]])
+    # From x towards y: what is now along y was along x.
+    np.testing.assert_allclose(press.before_drag(np.array([[3.0, 2.0]])), [[3.5, 1.25]], atol=1e-12)
+
+
+def test_the_distance_to_several_is_that_to_the_nearest() -> None:
+    presses = (Press(ball(3.0), -4.0), Press(ball(2.0), 4.0))
+    points = np.random.default_rng(1).uniform(-9, 20, (50, 3))
+    each = distances_mm(presses, R_MM, points)
+    assert each.shape == (2, 50)
+    np.testing.assert_array_equal(distance_mm(presses, R_MM, points), each.min(axis=0))
