@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from tacshade_edge.core.geometry.disc import Grid, radius_squared
+from tacshade_edge.core.image.median import median
 from tacshade_edge.types import F32, U8, Disc
 
 CELL_PX = 4
@@ -61,18 +62,19 @@ class HousingShift:
         # Moved, grown as it warms up, and lit otherwise, from another side too.
         grown, light = across * col + down * row, (shown, shown * row, shown * col, np.ones_like(shown))
         self._model = np.stack((across, down, grown, *light)).astype(np.float32)
+        self._space = np.empty_like(self._model)
         texture = self._model[:2] @ self._model[:2].T / len(self._at)
         self.tells = float(np.linalg.eigvalsh(texture)[0]) >= TEXTURE_LEVELS**2
 
     def measure_px(self, grey: U8) -> float:
         """How far the surround moved, in pixels of the image."""
         found = self._cells(grey).take(self._at)
-        weight, both = np.ones_like(found), np.vstack((self._model, found)).T
+        weight, weighted = np.ones_like(found), self._space
         for _ in range(3):
-            normal = np.array([(each * weight) @ both for each in self._model], np.float64)
-            fit = np.linalg.lstsq(normal[:, :-1], normal[:, -1], rcond=None)[0].astype(np.float32)
+            np.multiply(self._model, weight, out=weighted)
+            fit = np.linalg.lstsq(weighted @ self._model.T, weighted @ found, rcond=None)[0].astype(np.float32)
             off = np.abs(found - fit @ self._model)
-            most = 1.5 * float(np.median(off)) + 0.5
+            most = 1.5 * median(off) + 0.5
             weight = np.asarray(most / np.maximum(off, most), np.float32)
         return math.hypot(fit[0], fit[1]) / max(float(fit[3]), 0.05) * self._cell_px
 
