@@ -8,6 +8,7 @@ import signal
 import socket
 import sys
 import tempfile
+import threading
 import time
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -41,8 +42,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run until Ctrl-C, SIGTERM, the terminal's end, or ``--seconds``."""
+    asked = threading.Event()
+
+    def stop(*_: object) -> None:
+        """Leave what is being done and stop the children; a second Ctrl-C does not interrupt that."""
+        for number in STOP_SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
+        asked.set()
+        raise KeyboardInterrupt
+
+    def end_if_asked() -> None:
+        """Leave now where the exception was lost: what a destructor or a library's callback raises goes nowhere."""
+        if asked.is_set():
+            raise KeyboardInterrupt
+
     for number in STOP_SIGNALS:
-        signal.signal(number, _stop)
+        signal.signal(number, stop)
     me = [sys.executable, "-m", "tacshade_edge"]
     http = _free(PORT) if args.http is None else args.http
     with suppress(KeyboardInterrupt), ExitStack() as stack:
@@ -60,6 +75,7 @@ def run(args: argparse.Namespace) -> int:
         dashboard = start("dashboard", [*me, "dashboard", "--broker", f"127.0.0.1:{mqtt}", "--http", str(http)])
         print("Calibrating a simulated sensor on simulated ball presses ...", flush=True)
         calibration_file.save(folder / "calibration.npz", make_calibration())
+        end_if_asked()
         settings = folder / "settings.yaml"
         settings.write_text(_SETTINGS.format(fps=FPS, port=mqtt), encoding="utf-8")
         wait_for_port(broker, mqtt, START_S)
@@ -70,16 +86,10 @@ def run(args: argparse.Namespace) -> int:
         deadline_s = time.monotonic() + args.seconds
         while (left_s := deadline_s - time.monotonic()) > 0:
             time.sleep(min(CHECK_PERIOD_S, left_s))
+            end_if_asked()
             for child in children:
                 child.check()
     return 0
-
-
-def _stop(*_: object) -> None:
-    """Leave what is being done and stop the children; a second Ctrl-C does not interrupt that."""
-    for number in STOP_SIGNALS:
-        signal.signal(number, signal.SIG_IGN)
-    raise KeyboardInterrupt
 
 
 def _free(port: int) -> int:

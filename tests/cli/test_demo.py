@@ -102,6 +102,39 @@ def test_a_signal_while_it_starts_leaves_nothing(number: signal.Signals, tmp_pat
     assert list(tmp_path.iterdir()) == []
 
 
+LOSES_IT = """
+import os, signal, sys
+from tacshade_edge.cli import demo, main
+calibration = demo.make_calibration
+class Destroyed:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGTERM)
+def make_calibration():
+    Destroyed()
+    return calibration()
+demo.make_calibration = make_calibration
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.slow
+def test_a_signal_whose_exception_is_lost_ends_it_all_the_same(tmp_path: Path) -> None:
+    # The first signal comes while a destructor runs, out of which nothing is raised.
+    done = subprocess.run(
+        [sys.executable, "-c", LOSES_IT, "demo"],
+        capture_output=True,
+        text=True,
+        timeout=patience(60),
+        check=False,
+        env={**os.environ, "TMPDIR": str(tmp_path)},
+    )
+    assert done.returncode == 0
+    assert "Exception ignored in" in done.stderr
+    assert "A simulated hand" not in done.stdout
+    assert running(tmp_path) == []
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.slow
 def test_it_ends_by_itself_and_two_fit_on_one_machine(tmp_path: Path) -> None:
     with demo([*COMMANDS["embedded"], "--seconds", "2"], tmp_path) as (first, port):
