@@ -112,7 +112,7 @@ class Reconstructor:
             return self._empty(frame, degraded=degraded)
 
         if self._camera_shift.due(frame.t_ns):
-            reason = self._camera_shift.check(grey, preprocessed.white, frame.t_ns)
+            reason = self._camera_shift.check(preprocessed.white, frame.t_ns)
             mark("moved")
             if reason:
                 return self._empty(frame, reason=reason)
