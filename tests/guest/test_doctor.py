@@ -89,9 +89,9 @@ def test_slower_than_asked() -> None:
 
 
 def test_lost_frames() -> None:
-    control("percentage_of_dropped_buffers=20")
+    control("percentage_of_dropped_buffers=50")  # by chance: of 20 % it once lost one frame, which is no warning
     captured, found = frames(GOOD)
-    assert captured.dropped > 0
+    assert captured.dropped > 1
     assert found[0].state == "warning"
     assert f"{captured.dropped} lost" in found[0].found
 
