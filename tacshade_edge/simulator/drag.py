@@ -10,6 +10,9 @@ Mindlin found for balls on a half space.
 The dome gives way as a whole, too: it leans like a short beam that the housing clamps at the rim (`leant_mm`). Skin and
 dome are springs in series, so what slides loads neither further. And a dome full of gel, which keeps its volume, bulges
 beside what is pressed into it (`bulged_mm`).
+
+The problem is static: it knows how far an object has gone since it touched, not on which way, so a contact that slid
+sticks again at once where the object turns back.
 """
 
 from __future__ import annotations
@@ -21,10 +24,12 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from tacshade_edge.simulator.friction import finer, slid
 from tacshade_edge.simulator.model import RIM_HALF_ANGLE_DEG, SensorModel
 from tacshade_edge.simulator.press import Press, distances_mm
 from tacshade_edge.simulator.skin import (
     Skin,
+    chart_to_direction,
     direction_to_chart,
     mass_weight,
     net_pull,
@@ -35,9 +40,6 @@ from tacshade_edge.simulator.skin import (
 from tacshade_edge.types import F32, F64, I64
 
 _EVERY = 2  # nodes of the skin's grid to one of this one's: w is smooth
-_SWEEPS = 400
-_TOLERANCE_MM = 1e-3
-_RELAXATION = 1.7
 _TOUCHING_MM = 1e-3
 _STUCK_MM = 0.02
 _STEEPEST = 0.75  # of w over λt, and of any change of the origin: skin that would fold slides
@@ -58,6 +60,8 @@ class Contacts:
         Which press.
     held_mm : float (N, 2)
         w that sticks, in mm of the chart.
+    touched_mm : float (N, 2)
+        Chart coordinates of the undeformed skin at x and y where the object touched it, before it was moved.
     pressure_mm : float (N,)
         p / kn.
     """
@@ -66,6 +70,7 @@ class Contacts:
     cols: I64
     owner: I64
     held_mm: F64
+    touched_mm: F64
     pressure_mm: F64
 
 
@@ -86,7 +91,13 @@ class Mechanics:
     carry: Callable[[Contacts, F32, float, SensorModel], F32]
 
 
-def drag_skin(shape: Shape, model: SensorModel, presses: Sequence[Press], mechanics: Mechanics | None = None) -> Skin:
+def drag_skin(
+    shape: Shape,
+    model: SensorModel,
+    presses: Sequence[Press],
+    mechanics: Mechanics | None = None,
+    rest: Skin | None = None,
+) -> Skin:
     """Shape a skin under presses, some of which drag it.
 
     Parameters
@@ -97,15 +108,19 @@ def drag_skin(shape: Shape, model: SensorModel, presses: Sequence[Press], mechan
     presses : sequence of Press
     mechanics : Mechanics, optional
         Other ones than `MEMBRANE`.
+    rest : Skin, optional
+        What nothing holds of the lean and of the displacement along the skin, of one that crept; `shape` knows the
+        rest of it.
     """
     mechanics = mechanics or MEMBRANE
     if not presses or not (model.bulge or any(press.is_dragged for press in presses)):
-        return shape(None)
+        skin = shape(None if rest is None else rest.leaning_mm)
+        return skin if rest is None else replace(skin, origin_mm=rest.origin_mm)
     sway_mm = model.sway * np.mean([(press.drag_x_mm, press.drag_y_mm) for press in presses], axis=0)
-    skin, carried_mm = _swaying(shape, model, presses, mechanics, sway_mm)
+    skin, carried_mm = _swaying(shape, model, presses, mechanics, rest, sway_mm)
     loaded_mm = carried_mm * (model.sway / (1 - model.sway))
     if np.abs(loaded_mm - sway_mm).max() > _SWAY_TOLERANCE_MM:  # something slid
-        skin, _ = _swaying(shape, model, presses, mechanics, loaded_mm)
+        skin, _ = _swaying(shape, model, presses, mechanics, rest, loaded_mm)
     return skin
 
 
@@ -138,7 +153,7 @@ def _displaced_mm3(radius_mm: float, presses: Sequence[Press]) -> float:
 
 
 def _swaying(
-    shape: Shape, model: SensorModel, presses: Sequence[Press], mechanics: Mechanics, sway_mm: F64
+    shape: Shape, model: SensorModel, presses: Sequence[Press], mechanics: Mechanics, rest: Skin | None, sway_mm: F64
 ) -> tuple[Skin, F64]:
     """The skin of a dome that leans by `sway_mm`, and how far contacts carry it beyond that, in the mean: (2,) mm."""
     radius_mm = model.skin_radius_mm
@@ -146,45 +161,72 @@ def _swaying(
     moved = mechanics.lean(direction, sway_mm)
     if model.bulge:
         moved += bulged_mm(direction, model.bulge * _displaced_mm3(radius_mm, presses), radius_mm)
-    skin = shape(np.asarray(-np.sum(moved * direction, axis=-1), np.float32) if moved.any() else None)
+    leaning = np.asarray(-np.sum(moved * direction, axis=-1), np.float32) if moved.any() else None
+    if rest is not None and rest.leaning_mm is not None:
+        leaning = rest.leaning_mm if leaning is None else leaning + rest.leaning_mm
+    skin = shape(leaning)
     node, before = (
         np.stack(direction_to_chart(at, radius_mm), axis=-1) for at in (direction, radius_mm * direction - moved)
     )
+    if rest is not None and rest.origin_mm is not None:
+        before += rest.origin_mm
     contacts = _contacts(skin, direction, node - before, model, presses)
     weight = mass_weight(radius_mm, skin.step_mm, len(node) // 2)[::_EVERY, ::_EVERY]
     carried = mechanics.carry(contacts, weight, skin.step_mm * _EVERY, model)
     at_contacts = carried[:, contacts.rows, contacts.cols].T
-    sticks = np.linalg.norm(at_contacts - contacts.held_mm, axis=1) < _STUCK_MM
-    counts, stuck = (np.bincount(contacts.owner[which], minlength=len(presses)) for which in (slice(None), sticks))
-    origin = np.asarray(before - node - np.moveaxis(_finer(carried, node.shape[:2]), 0, 2), np.float32)
+    ahead = contacts.held_mm - at_contacts
+    sticks = np.linalg.norm(ahead, axis=1) < _STUCK_MM
+    owners = [contacts.owner == k for k in range(len(presses))]
+    origin = np.asarray(before - node - np.moveaxis(finer(carried, node.shape[:2]), 0, 2), np.float32)
+    part = _unfolded_part(origin, skin.step_mm)
+    ahead -= (1 - part) * origin[::_EVERY, ::_EVERY][contacts.rows, contacts.cols]
+    touched, now = (
+        radius_mm * chart_to_direction(at[:, 0], at[:, 1], radius_mm)[:, :2]
+        for at in (contacts.touched_mm, contacts.touched_mm + ahead)
+    )
     dragged = replace(
         skin,
-        origin_mm=_unfolded(origin, skin.step_mm),
-        stuck=tuple(float(s / c) if c else 1.0 for s, c in zip(stuck, counts, strict=True)),
+        origin_mm=origin * np.float32(part),
+        stuck=tuple(float(sticks[mine].mean()) if mine.any() else 1.0 for mine in owners),
+        slid_mm=tuple(_mean(now[mine] - touched[mine]) for mine in owners),
     )
     return dragged, at_contacts.mean(axis=0) if len(at_contacts) else np.zeros(2)
 
 
-def _contacts(skin: Skin, direction: F64, leant: F64, model: SensorModel, presses: Sequence[Press]) -> Contacts:
+def _mean(vectors: F64) -> tuple[float, float]:
+    x, y = vectors.mean(axis=0) if len(vectors) else (0.0, 0.0)
+    return float(x), float(y)
+
+
+def contact_nodes(skin: Skin, direction: F64, presses: Sequence[Press]) -> tuple[I64, I64, I64, F64]:
+    """Every other node that touches: rows and columns among those, which press, and the point (N, 3) in mm."""
     every = slice(None, None, _EVERY)
     pressed, obstacle = skin.pressed_mm, skin.obstacle_mm
     rows, cols = np.nonzero(((obstacle > 0) & (pressed <= obstacle + _TOUCHING_MM))[every, every])
     points = (direction * (skin.radius_mm - skin.height_mm)[..., None])[every, every][rows, cols]
     if not len(points):
-        return Contacts(rows, cols, np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros(0))
-    owner = np.argmin(distances_mm(presses, skin.radius_mm, points), axis=0)
-    touched = points[:, :2].copy()
+        return rows, cols, np.zeros(0, np.int64), points
+    return rows, cols, np.argmin(distances_mm(presses, skin.radius_mm, points), axis=0), points
+
+
+def _contacts(skin: Skin, direction: F64, leant: F64, model: SensorModel, presses: Sequence[Press]) -> Contacts:
+    every = slice(None, None, _EVERY)
+    rows, cols, owner, points = contact_nodes(skin, direction, presses)
+    if not len(points):
+        return Contacts(rows, cols, owner, np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
+    before = points[:, :2].copy()
     for k, press in enumerate(presses):
-        touched[owner == k] = press.before_drag(points[owner == k, :2])
+        before[owner == k] = press.before_drag(points[owner == k, :2])
     # What goes along -z with an object keeps its x and y, so these say where on the skin it was.
-    held = _chart_over(points[:, :2], skin.radius_mm) - _chart_over(touched, skin.radius_mm)
+    touched = _chart_over(before, skin.radius_mm)
+    held = _chart_over(points[:, :2], skin.radius_mm) - touched
     held -= leant[every, every][rows, cols]
     pressure_mm = np.maximum(net_pull(skin, model.skin_decay_mm), 0) * np.float32(
         (model.skin_decay_mm / skin.step_mm) ** 2
     )
     # Edges press along lines, which the coarse grid's nodes share.
     pressure_mm = cv2.sepFilter2D(pressure_mm, -1, np.array((0.25, 0.5, 0.25)), np.array((0.25, 0.5, 0.25)))
-    return Contacts(rows, cols, owner, held, pressure_mm[every, every][rows, cols])
+    return Contacts(rows, cols, owner, held, touched, pressure_mm[every, every][rows, cols])
 
 
 def carry(contacts: Contacts, weight: F32, step_mm: float, model: SensorModel) -> F32:
@@ -200,84 +242,17 @@ def carry(contacts: Contacts, weight: F32, step_mm: float, model: SensorModel) -
 MEMBRANE = Mechanics(leant_mm, carry)
 
 
-def slid(held: F32, limit: F32, mass: F32) -> F32:
-    """Solve (4 + m) w - sum of the neighbours = r where |r| is at most a limit, w as held where that is enough.
+def _unfolded_part(origin_mm: F32, step_mm: float) -> float:
+    """To which part displacements must be weakened lest they fold the skin over itself, as between contacts that meet.
 
-    Parameters
-    ----------
-    held : float32 (2, rows, cols)
-        w that sticks.
-    limit : float32 (rows, cols)
-        Above 0 where something touches.
-    mass : float32 (rows, cols)
-
-    Returns
-    -------
-    float32 (2, rows, cols)
-        w; 0 on the border. Projected red-black over-relaxation, begun on a grid of a quarter of the nodes.
+    It is continuous, so that what is dragged on and on does not jump.
     """
-    rows, cols = mass.shape
-    if min(mass.shape) >= 24:
-        coarse = slid(*(np.ascontiguousarray(a[..., ::2, ::2]) for a in (held, limit * 4, mass * 4)))
-        w = np.where(limit > 0, held, _finer(coarse, mass.shape))
-    else:
-        w = held.copy()
-    w[:, 0] = w[:, -1] = 0
-    w[:, :, 0] = w[:, :, -1] = 0
-    planes = []
-    for i, j in ((1, 1), (2, 2), (1, 2), (2, 1)):
-        r, c = slice(i, rows - 1, 2), slice(j, cols - 1, 2)
-        near = (
-            (slice(i - 1, rows - 2, 2), c),
-            (slice(i + 1, rows, 2), c),
-            (r, slice(j - 1, cols - 2, 2)),
-            (r, slice(j + 1, cols, 2)),
-        )
-        diagonal = np.ascontiguousarray(4 + mass[r, c])
-        planes.append(
-            (
-                w[:, r, c],
-                [w[:, *n] for n in near],
-                held[:, r, c] * diagonal,
-                np.ascontiguousarray(limit[r, c]),
-                1 / diagonal,
-            )
-        )
-    for _ in range(_SWEEPS):
-        change = 0.0
-        for centre, neighbours, stuck, most, gain in planes:
-            total = neighbours[0] + neighbours[1]
-            total += neighbours[2]
-            total += neighbours[3]
-            traction = stuck - total
-            size = np.sqrt(traction[0] ** 2 + traction[1] ** 2)
-            traction *= np.minimum(most / np.maximum(size, 1e-12), 1)
-            total += traction
-            total *= gain
-            total -= centre
-            change = max(change, float(np.abs(total).max(initial=0)))
-            centre += np.float32(_RELAXATION) * total
-        if change < _TOLERANCE_MM * (2 - _RELAXATION):
-            break
-    return w
-
-
-def _finer(coarse: F32, shape: tuple[int, int]) -> F32:
-    """(2, rows, cols) on a grid of twice the step to one of a shape: its node (2i, 2j) is (i, j) of the coarse one."""
-    to_coarse = np.array(((0.5, 0, 0), (0, 0.5, 0)))
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    return np.stack(
-        [cv2.warpAffine(c, to_coarse, shape[::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE) for c in coarse]
-    )
-
-
-def _unfolded(origin_mm: F32, step_mm: float) -> F32:
-    """Weaken displacements that would fold the skin over itself, as between two contacts that meet."""
-    while True:
-        (xx, yx), (xy, yy) = ([np.gradient(origin_mm[..., k], step_mm, axis=axis) for k in (0, 1)] for axis in (1, 0))
-        if float(((1 + xx) * (1 + yy) - xy * yx).min()) > 1 - _STEEPEST:
-            return origin_mm
-        origin_mm = origin_mm * np.float32(0.9)
+    (xx, yx), (xy, yy) = ([np.gradient(origin_mm[..., k], step_mm, axis=axis) for k in (0, 1)] for axis in (1, 0))
+    # The area of a node's cell is 1 + part * trace + part² * determinant, and must be 1 - _STEEPEST at least.
+    trace, determinant = xx + yy, xx * yy - xy * yx
+    under = trace * trace - 4 * _STEEPEST * determinant
+    steepest = float((np.sqrt(np.maximum(under, 0)) - trace)[under >= 0].max(initial=0))
+    return min(1.0, 2 * _STEEPEST / max(steepest, 1e-9))
 
 
 def _chart_over(x_y_mm: F64, radius_mm: float) -> F64:

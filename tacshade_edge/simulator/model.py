@@ -50,6 +50,10 @@ class SensorModel:
         Part of the volume that objects displace which comes out at the dome's sides: 1 for a gel that fills it.
     pin_lag : float
         Part of the skin's displacement by drag that the tips of its pins stay behind.
+    creep_part, creep_s : float
+        Part of its deformation by which the skin grows under a load that is held, and the time in s over which it
+        does and over which the dent of a release recovers (`creep`): up to a ninth, so that the dent is at most a
+        tenth of the depth; 0.1 to 3 s. Only what moves in time (`moving_scene`) creeps.
     light : float
         Grey level of a white marker in the middle of the disc, 0 to 255.
     vignetting : float
@@ -93,6 +97,8 @@ class SensorModel:
     sway: float = 0.2
     bulge: float = 0.0
     pin_lag: float = 0.1
+    creep_part: float = 0.08
+    creep_s: float = 0.7
     light: float = 205.0
     vignetting: float = 0.35
     marker_reflectance: float = 0.95
@@ -111,7 +117,7 @@ class SensorModel:
         """Refuse what cannot be simulated, with the parameter's name."""
         positive = (
             "skin_radius_mm", "image_height_px", "image_width_px", "disc_radius_px", "pitch_mm", "skin_decay_mm",
-            "drag_decay_mm",
+            "drag_decay_mm", "creep_s",
             "pin_length_pitches", "pin_tip_radius_pitches", "pin_base_radius_pitches", "marker_radius_pitches",
         )  # fmt: skip
         for name in positive:
@@ -134,7 +140,7 @@ class SensorModel:
             )
         if self.camera_distance_mm is not None and not 0 < self.camera_distance_mm < math.inf:
             raise ValueError(f"camera_distance_mm is {self.camera_distance_mm}, expected a positive number or None")
-        for name, most in (("friction", 1.0), ("sway", 0.9), ("bulge", 1.0), ("pin_lag", 1.0)):
+        for name, most in (("friction", 1.0), ("sway", 0.9), ("bulge", 1.0), ("pin_lag", 1.0), ("creep_part", 1 / 9)):
             if getattr(self, name) > most:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected 0 to {most:g}")
         if self.surround not in ("bright", "dark"):
@@ -164,6 +170,7 @@ def random_model(seed: int, image_height_px: int = 480, image_width_px: int = 64
 
     side_px = min(image_height_px, image_width_px)
     drag_rng = np.random.default_rng((seed, 4))  # of its own: sensors that were drawn before there was drag stay
+    creep_rng = np.random.default_rng((seed, 6))
     disc_radius_px = side_px * draw(0.36, 0.45)
     slack_px = 0.5 * side_px - disc_radius_px
     return SensorModel(
@@ -189,6 +196,8 @@ def random_model(seed: int, image_height_px: int = 480, image_width_px: int = 64
         coulomb=float(drag_rng.uniform(0.8, 4.0)),
         sway=float(drag_rng.uniform(0.0, 0.5)),
         pin_lag=float(drag_rng.uniform(0.0, 0.3)),
+        creep_part=float(creep_rng.uniform(0.0, 0.11)),
+        creep_s=float(np.exp(creep_rng.uniform(math.log(0.1), math.log(3.0)))),
         light=draw(140.0, 235.0),
         vignetting=draw(0.1, 0.5),
         marker_reflectance=draw(0.85, 1.0),

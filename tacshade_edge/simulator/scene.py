@@ -64,16 +64,35 @@ class SimulatedSensor:
         """
         key = tuple(presses)
         if self._last is None or self._last[0] != key:
-            skin = self._skin(key)
+            skin = skin_under(self.model, key)
             self._last = (key, skin, self._renderer.draw(skin))
         _, skin, clean = self._last
         return SimulatedFrame(self._renderer.expose(clean, noise_seed), key, skin, self.model)
 
     def released(self, presses: Sequence[Press], part: float, noise_seed: int = 0) -> SimulatedFrame:
         """Take a picture after the presses are gone, while the skin still keeps a part of its deformation."""
-        skin = left_over(self._skin(tuple(presses)), part)
+        skin = left_over(skin_under(self.model, tuple(presses)), part)
         return SimulatedFrame(self._renderer.expose(self._renderer.draw(skin), noise_seed), (), skin, self.model)
 
-    def _skin(self, presses: tuple[Press, ...]) -> Skin:
-        radius_mm, decay_mm = self.model.skin_radius_mm, self.model.skin_decay_mm
-        return drag_skin(lambda leaning_mm: press_skin(radius_mm, decay_mm, presses, leaning_mm), self.model, presses)
+
+def skin_under(model: SensorModel, presses: Sequence[Press], rest: Skin | None = None) -> Skin:
+    """Shape a sensor's skin.
+
+    Parameters
+    ----------
+    model : SensorModel
+    presses : sequence of Press
+    rest : Skin, optional
+        Its shape where nothing touches it, of a skin that crept.
+
+    Raises
+    ------
+    ValueError
+        As `SimulatedSensor.frame`.
+    """
+    rest_mm = None if rest is None else rest.pressed_mm
+
+    def shape(leaning_mm: F32 | None) -> Skin:
+        return press_skin(model.skin_radius_mm, model.skin_decay_mm, presses, leaning_mm, rest_mm)
+
+    return drag_skin(shape, model, presses, rest=rest)

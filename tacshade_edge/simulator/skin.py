@@ -12,9 +12,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 
+from tacshade_edge.simulator.membrane import solve
 from tacshade_edge.simulator.model import RIM_HALF_ANGLE_DEG
 from tacshade_edge.simulator.press import Press, distance_mm
 from tacshade_edge.types import F32, F64
@@ -24,7 +24,6 @@ GRID_STEPS_PER_RADIUS = 80
 
 _TRACE_TOLERANCE_MM = 1e-4
 _TRACE_STEPS = 400  # a ray that runs along a wall needs many; few rays do
-_SOLVE_TOLERANCE_MM = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,6 +46,11 @@ class Skin:
         Chart coordinates of the material that is at a node now, less those that it had without drag and sway.
     stuck : tuple of float
         Of each press that dragged it: part of its contact in which the skin goes with it.
+    slid_mm : tuple of (float, float)
+        Of each press that dragged it: how far it has gone ahead of the skin that it touches, along x and y, in the
+        mean over its contact.
+    rest_mm : float32 (2n+1, 2n+1) or None
+        Part of `pressed_mm` that nothing holds, of a skin that creeps.
     """
 
     radius_mm: float
@@ -56,6 +60,8 @@ class Skin:
     leaning_mm: F32 | None = None
     origin_mm: F32 | None = None
     stuck: tuple[float, ...] = ()
+    slid_mm: tuple[tuple[float, float], ...] = ()
+    rest_mm: F32 | None = None
 
     def sample(self, x: F64, y: F64) -> F64:
         """Sample h at chart coordinates in mm (bilinear; 0 outside the grid)."""
@@ -118,11 +124,27 @@ def left_over(skin: Skin, part: float) -> Skin:
         leaning_mm=None if skin.leaning_mm is None else skin.leaning_mm * weaker,
         origin_mm=None if skin.origin_mm is None else skin.origin_mm * weaker,
         stuck=(),
+        slid_mm=(),
     )
 
 
-def press_skin(radius_mm: float, decay_mm: float, presses: Sequence[Press], leaning_mm: F32 | None = None) -> Skin:
-    """Find the skin's shape under the given objects, of a dome that leans by `Skin.leaning_mm` or not at all.
+def press_skin(
+    radius_mm: float,
+    decay_mm: float,
+    presses: Sequence[Press],
+    leaning_mm: F32 | None = None,
+    rest_mm: F32 | None = None,
+) -> Skin:
+    """Find the skin's shape under the given objects.
+
+    Parameters
+    ----------
+    radius_mm, decay_mm : float
+    presses : sequence of Press
+    leaning_mm : float32 (2n+1, 2n+1), optional
+        `Skin.leaning_mm` of a dome that leans.
+    rest_mm : float32 (2n+1, 2n+1), optional
+        `Skin.rest_mm` of a skin that crept: its shape where nothing touches.
 
     Raises
     ------
@@ -130,21 +152,25 @@ def press_skin(radius_mm: float, decay_mm: float, presses: Sequence[Press], lean
         When an object would reach the middle of the sensor, or is not over the skin.
     """
     flat = undeformed(radius_mm)
+    free = flat if rest_mm is None else replace(flat, height_mm=rest_mm, rest_mm=rest_mm)
     if not presses:
-        return flat
+        return free.leaning(leaning_mm)
     obstacle = obstacle_of(radius_mm, presses, leaning_mm)
-    if not obstacle.any():
-        return flat
+    beyond = obstacle if rest_mm is None else np.maximum(obstacle - rest_mm, 0)
+    if not beyond.any():
+        return flat if rest_mm is None else free.leaning(leaning_mm)
     weight = mass_weight(radius_mm, flat.step_mm, obstacle.shape[0] // 2)
-    window = window_of(obstacle > 0, 2 + math.ceil(9 * decay_mm / flat.step_mm))
+    window = window_of(beyond > 0, 2 + math.ceil(9 * decay_mm / flat.step_mm))
     pressed = np.zeros_like(obstacle)
-    pressed[window] = solve(obstacle[window], weight[window] * (flat.step_mm / decay_mm) ** 2)
-    return Skin(radius_mm, flat.step_mm, pressed, obstacle).leaning(leaning_mm)
+    pressed[window] = solve(beyond[window], weight[window] * (flat.step_mm / decay_mm) ** 2)
+    if rest_mm is not None:
+        pressed += rest_mm
+    return replace(free, height_mm=pressed, obstacle_mm=obstacle).leaning(leaning_mm)
 
 
 def net_pull(skin: Skin, decay_mm: float) -> F32:
     """What the skin's nodes press on: (4 + m) h less the sum of the neighbours, 0 on the border; mm."""
-    h = skin.pressed_mm
+    h = skin.pressed_mm if skin.rest_mm is None else skin.pressed_mm - skin.rest_mm
     mass = mass_weight(skin.radius_mm, skin.step_mm, len(h) // 2) * np.float32((skin.step_mm / decay_mm) ** 2)
     pull = np.zeros_like(h)
     neighbours = h[:-2, 1:-1] + h[2:, 1:-1] + h[1:-1, :-2] + h[1:-1, 2:]
@@ -228,57 +254,6 @@ def window_of(where: np.typing.NDArray[np.bool_], margin: int) -> tuple[slice, s
         hit = np.flatnonzero(where.any(axis=axis))
         sides.append(slice(max(int(hit[0]) - margin, 0), int(hit[-1]) + margin + 1))
     return sides[0], sides[1]
-
-
-def solve(obstacle: F32, mass: F32) -> F32:
-    """Projected red-black over-relaxation, begun on a grid of a quarter of the nodes. h = 0 on the border."""
-    height = obstacle.copy()
-    if min(obstacle.shape) >= 24:
-        coarse = solve(np.ascontiguousarray(obstacle[::2, ::2]), np.ascontiguousarray(mass[::2, ::2]) * 4)
-        rows, cols = obstacle.shape
-        # Node (2i, 2j) of the fine grid is node (i, j) of the coarse one.
-        to_coarse = np.array(((0.5, 0, 0), (0, 0.5, 0)))
-        fine = cv2.warpAffine(
-            coarse,
-            to_coarse,
-            (cols, rows),
-            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-            borderMode=cv2.BORDER_CONSTANT,
-        )
-        height = np.maximum(obstacle, fine)
-    height[0] = height[-1] = 0
-    height[:, 0] = height[:, -1] = 0
-    jacobi = 4 / (4 + float(mass.min()))
-    omega = np.float32(2 / (1 + math.sqrt(1 - jacobi * jacobi)))
-    gain = omega / (4 + mass)
-    keep = np.float32(1) - omega
-    rows, cols = height.shape
-    planes = []
-    for i, j in ((1, 1), (2, 2), (1, 2), (2, 1)):
-        r, c = slice(i, rows - 1, 2), slice(j, cols - 1, 2)
-        up, down = slice(i - 1, rows - 2, 2), slice(i + 1, rows, 2)
-        left, right = slice(j - 1, cols - 2, 2), slice(j + 1, cols, 2)
-        centre = height[r, c]
-        planes.append(
-            (centre, height[up, c], height[down, c], height[r, left], height[r, right],
-             np.ascontiguousarray(gain[r, c]), np.ascontiguousarray(obstacle[r, c]), np.empty_like(centre, order="C"))
-        )  # fmt: skip
-    for sweep in range(600):
-        check = sweep % 8 == 7
-        change = 0.0
-        for centre, north, south, west, east, g, floor, new in planes:
-            np.add(north, south, out=new)
-            new += west
-            new += east
-            new *= g
-            new += keep * centre
-            np.maximum(new, floor, out=new)
-            if check and new.size:
-                change = max(change, float(np.max(np.abs(new - centre))))
-            centre[...] = new
-        if check and change < _SOLVE_TOLERANCE_MM * (2 - omega):
-            break
-    return height
 
 
 def bilinear(grid: F32, x: F64, y: F64) -> F64:

@@ -6,13 +6,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tacshade_edge.simulator.drag import drag_skin, leant_mm, slid
+from tacshade_edge.simulator.drag import drag_skin, leant_mm
+from tacshade_edge.simulator.friction import slid
+from tacshade_edge.simulator.membrane import solve
 from tacshade_edge.simulator.model import RIM_HALF_ANGLE_DEG, SensorModel
 from tacshade_edge.simulator.objects import OBJECTS, ball
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.render import _carried
 from tacshade_edge.simulator.scene import SimulatedSensor
-from tacshade_edge.simulator.skin import Skin, chart_to_direction, press_skin, solve
+from tacshade_edge.simulator.skin import Skin, chart_to_direction, press_skin
 from tacshade_edge.simulator.truth import shear_mm
 from tacshade_edge.types import F32, F64
 

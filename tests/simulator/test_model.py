@@ -21,6 +21,8 @@ from tacshade_edge.simulator.model import SensorModel, random_model
         {"surround": "grey"},
         {"camera_distance_mm": -14.0},
         {"friction": 1.5},
+        {"creep_part": 0.2},
+        {"creep_s": 0.0},
         {"image_width_px": 0},
     ],
 )
