@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import IntEnum
 from typing import Literal
 
 import numpy as np
@@ -167,6 +168,14 @@ class ObjectCloud:
 
     def __post_init__(self) -> None:
         freeze(self, "points_mm", "labels")
+
+
+class Slip(IntEnum):
+    """How an object holds the skin that it touches."""
+
+    STICK = 0
+    PARTIAL = 1
+    FULL = 2
 
 
 @dataclass(frozen=True, slots=True)
