@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 from itertools import pairwise
 
-from tacshade_edge.core.frame_check.validity import frame_check, invalid_reason
+from tacshade_edge.core.frame_check.validity import SATURATED_PART, frame_check, invalid_reason
 from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.devices.camera import v4l2_node
@@ -129,7 +130,8 @@ def check_picture(image: U8) -> Finding:
     grey = to_grey(image)
     height, width = grey.shape
     disc = Disc((height - 1) / 2, (width - 1) / 2, min(height, width) / 2)
-    reason = invalid_reason(grey, frame_check(grey, disc_mask(height, width, disc), disc))
+    check = replace(frame_check(grey, disc_mask(height, width, disc), disc), saturated_part=SATURATED_PART)
+    reason = invalid_reason(grey, check)
     if not reason:
         return ok("picture", f"{width}x{height} px, mean grey {grey.mean():.0f}, deviation {grey.std():.0f}")
     return fault("picture", reason.text, _PICTURE_MENDS.get(reason.code, _PICTURE_MENDS[ReasonCode.NO_CONTRAST]))

@@ -56,6 +56,9 @@ class FrameCheck:
         Of the mask, what `_steps` and `_sample` take of a frame; `pairs_px` and `sampled_px` is how many pixels.
     step : float
         Median difference of the reference's neighbouring pixels.
+    saturated_part : float
+        Part of the disc that may be saturated: more than the reference's by `SATURATED_PART`, for pictures that come
+        thresholded.
     bright : float
         Grey that a tenth of its disc exceeds, at least 1.
     tear : TearCheck or None
@@ -74,6 +77,7 @@ class FrameCheck:
     sampled: U8
     sampled_px: int
     step: float
+    saturated_part: float
     bright: float
     tear: TearCheck | None
     blocks: BlockCheck | None
@@ -98,6 +102,7 @@ def frame_check(reference_grey: U8, mask: Bool, disc: Disc, camera_px: int = 1) 
         sampled_px=int(np.count_nonzero(sampled)),
         pairs_px=int(np.count_nonzero(pairs)),
         step=_noise_step(reference, pairs),
+        saturated_part=SATURATED_PART + (float(np.mean(reference[inside > 0] >= SATURATED_LEVEL)) if mask.any() else 0),
         bright=max(_bright(_sample(reference), sampled), 1.0),
         tear=tear_check(reference_grey, mask),
         blocks=block_check(reference_grey, disc, camera_px),
@@ -148,9 +153,9 @@ def _camera_reason(disc: U8, check: FrameCheck) -> Reason | None:
     """What the disc's own pixels tell: saturated, black, flat, noise."""
     pixels = check.inside_px
     mean, square = (cv2.norm(disc, kind, check.mask) / pixels for kind in (cv2.NORM_L1, cv2.NORM_L2SQR))
-    if square > SATURATED_PART * SATURATED_LEVEL**2:  # so many pixels so bright alone make it more
+    if square > check.saturated_part * SATURATED_LEVEL**2:  # so many pixels so bright alone make it more
         bright = _count_from(disc, check.mask, SATURATED_LEVEL)
-        if bright > SATURATED_PART * pixels:
+        if bright > check.saturated_part * pixels:
             text = f"saturated: {100 * bright / pixels:.0f} % of the disc at {SATURATED_LEVEL} or above"
             return Reason(ReasonCode.SATURATED, text)
     std = math.sqrt(max(square - mean * mean, 0))

@@ -109,7 +109,18 @@ def test_pixels_at_the_very_level_count_as_saturated_also_in_black(percent: int,
     mask = disc_mask(120, 120, disc)
     grey = np.zeros((120, 120), np.uint8)
     grey[mask] = np.where(np.arange(np.count_nonzero(mask)) % 100 < percent, 250, 0)
-    assert text_of(invalid_reason(grey, frame_check(grey, mask, disc))).startswith("saturated") == said
+    assert text_of(invalid_reason(grey, frame_check(grey * 0, mask, disc))).startswith("saturated") == said
+
+
+def test_pictures_that_come_thresholded_are_not_saturated() -> None:
+    good = unloaded(HALF)
+    thresholded = np.where(to_grey(good) > 90, np.uint8(255), np.uint8(0))
+    disc = calibrated(HALF, 0).geometry.disc
+    check = frame_check(thresholded, disc_mask(*thresholded.shape, disc), disc)
+    assert invalid_reason(thresholded, check) is None
+    brighter = thresholded.copy()
+    brighter[int(disc.row_c - 0.7 * disc.radius_px) : int(disc.row_c + 0.7 * disc.radius_px)] = 255
+    assert text_of(invalid_reason(brighter, check)).startswith("saturated")
 
 
 def test_a_disc_outside_the_image_is_said() -> None:
@@ -130,7 +141,8 @@ def test_tiny_images_have_an_answer(size: tuple[int, int]) -> None:
 def test_a_small_tear_is_seen_where_two_frames_meet(row: int, shift_px: int) -> None:
     torn = nuisance.torn(unloaded(FULL), unloaded(FULL, noise_seed=51), row, shift_px)
     assert re.match(
-        rf"torn: row {row - 1} |torn or moved", text_of(invalid_reason(to_grey(torn), sensor_check(calibrated(FULL))))
+        rf"torn: row {row - 1} |torn or moved",
+        text_of(invalid_reason(to_grey(torn), sensor_check(calibrated(FULL)))),
     )
 
 
@@ -161,7 +173,8 @@ def plain_reason(grey: U8, reference: U8, mask: Bool, disc: Disc) -> tuple[str, 
     if not mask.any():
         return "disc", 0
     inside = grey[mask].astype(np.float64)
-    if (bright := np.mean(inside >= validity.SATURATED_LEVEL)) > validity.SATURATED_PART:
+    bright, usual = (np.mean(i[mask] >= validity.SATURATED_LEVEL) for i in (grey, reference))
+    if bright > validity.SATURATED_PART + usual:
         return "saturated", 100 * bright
     if inside.std() < validity.FLAT_STD:
         return "black" if inside.mean() < validity.BLACK_LEVEL else "no contrast", inside.mean()
