@@ -20,8 +20,11 @@ HEIGHT_SCALE = 10.0
 KNOWN = 6
 """Maps of `disc_map.geometry_maps`."""
 
-SHEAR_CELLS, SHEAR_WIDTH = 28, 32
-"""Along a side of the map of displacement, in tenths of the disc's radius too; channels of its head."""
+SHEAR_CELLS = 28
+"""Along a side of the map of displacement, in tenths of the disc's radius too."""
+
+SHEAR_WIDTHS = {28: (40, 56, 64), 14: (56, 64)}
+"""Channels of the levels of its head, which is given so many cells along a side."""
 
 
 def block(inputs: int, outputs: int) -> nn.Sequential:
@@ -36,47 +39,71 @@ def block(inputs: int, outputs: int) -> nn.Sequential:
     return nn.Sequential(*layers)
 
 
-class Net(nn.Module):
+class U(nn.Module):
+    """Levels down, each of half the cells, and up again.
+
+    What comes up from a level is joined to what was skipped, or (`added`, Chaurasia and Culurciello 2017) brought to
+    its width where it is small, and added: a quarter to a third less to compute.
+    """
+
+    def __init__(self, inputs: int, widths: tuple[int, ...], added: bool) -> None:
+        super().__init__()
+        self.down = nn.ModuleList(block(i, o) for i, o in zip((inputs, *widths[:-1]), widths, strict=True))
+        self.up = nn.ModuleList(block(a if added else a + b, a) for a, b in pairwise(widths))
+        self.narrow = nn.ModuleList(nn.Conv2d(b, a, 1, bias=False) for a, b in pairwise(widths) if added)
+
+    def levels(self, x: Tensor) -> tuple[list[Tensor], list[Tensor]]:
+        """What each level has on the way down and on the way up."""
+        skips: list[Tensor] = []
+        for k, layer in enumerate(self.down):
+            x = layer(x if k == 0 else functional.max_pool2d(x, 2))
+            skips.append(x)
+        risen = [x]
+        for k in reversed(range(len(self.up))):
+            x = functional.interpolate(self.narrow[k](x) if self.narrow else x, scale_factor=2.0, mode="nearest")
+            x = self.up[k](skips[k] + x if self.narrow else torch.cat((skips[k], x), 1))
+            risen.append(x)
+        return skips, risen[::-1]
+
+
+class ShearHead(U):
+    """A small U of its own: an imprint tells its displacement up to whole pitches, its surroundings how many."""
+
+    def __init__(self, inputs: int, widths: tuple[int, ...], outputs: int) -> None:
+        super().__init__(inputs, widths, added=True)
+        self.head = nn.Conv2d(widths[0], outputs, 1)
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Run it."""
+        return self.head(self.levels(features)[1][0])
+
+
+class Net(U):
     """Folded maps (B, 2 fold² + 6, N, N) to (B, 2 fold², N, N), N = cells / fold.
 
     In: white of frame and reference, then what is known of the sensor. Out: 10 h / disc radius, then contact logits;
     10 times the displacement along x, y / disc radius, (B, 2, SHEAR_CELLS, SHEAR_CELLS); and the log odds that a cell
     shows something else than this sensor's skin, (B, 1, SHEAR_CELLS, SHEAR_CELLS).
-    What comes up from a level is joined to what was skipped, or (`added`, Chaurasia and Culurciello 2017) brought to
-    its width where it is small, and added: a quarter to a third less to compute.
     """
 
     def __init__(
         self, fold: int = 2, widths: tuple[int, ...] = (16, 32, 48, 64), added: bool = False, cells: int = 112
     ) -> None:
-        super().__init__()
-        inputs = 2 * fold * fold + KNOWN
+        super().__init__(2 * fold * fold + KNOWN, widths, added)
         self.fold = fold
-        self.down = nn.ModuleList(block(i, o) for i, o in zip((inputs, *widths[:-1]), widths, strict=True))
-        self.up = nn.ModuleList(block(a if added else a + b, a) for a, b in pairwise(widths))
-        self.narrow = nn.ModuleList(nn.Conv2d(b, a, 1, bias=False) for a, b in pairwise(widths) if added)
         self.head = nn.Conv2d(widths[0], 2 * fold * fold, 1)
         cells //= fold
         self.shear_level = max(0, (cells // SHEAR_CELLS).bit_length() - 1)
-        self.shear_fold = SHEAR_CELLS // (cells >> self.shear_level)
-        self.shear_head = nn.Sequential(
-            nn.Conv2d(widths[self.shear_level], SHEAR_WIDTH, 3, padding=1),
-            nn.ReLU(inplace=True),
-            nn.Conv2d(SHEAR_WIDTH, 2 * self.shear_fold**2, 1),
-        )
-        self.foreign_head = nn.Conv2d(widths[self.shear_level], self.shear_fold**2, 1)
+        cells >>= self.shear_level
+        self.shear_fold = SHEAR_CELLS // cells
+        features = 2 * widths[self.shear_level]
+        self.shear_head = ShearHead(features, SHEAR_WIDTHS[cells], 2 * self.shear_fold**2)
+        self.foreign_head = nn.Conv2d(features, self.shear_fold**2, 1)
 
     def features(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """What the heads of depth and of displacement take."""
-        skips, of_shear = [], x
-        for k, layer in enumerate(self.down):
-            x = layer(x if k == 0 else functional.max_pool2d(x, 2))
-            skips.append(x)
-        for k in reversed(range(len(self.up))):
-            x = functional.interpolate(self.narrow[k](x) if self.narrow else x, scale_factor=2.0, mode="nearest")
-            x = self.up[k](skips[k] + x if self.narrow else torch.cat((skips[k], x), 1))
-            of_shear = x if k == self.shear_level else of_shear
-        return x, of_shear
+        """What the head of depth takes, and those of displacement and of what is foreign."""
+        skips, risen = self.levels(x)
+        return risen[0], torch.cat((risen[self.shear_level], skips[self.shear_level]), 1)
 
     def shear(self, features: Tensor) -> Tensor:
         """Run the head of displacement."""
