@@ -2,36 +2,18 @@
 
 from __future__ import annotations
 
-import io
-import json
 import os
-import tokenize
-import zipfile
-import zlib
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
+from tacshade_edge.devices.files import checked_npz
+from tacshade_edge.devices.files.checked_npz import Content
 from tacshade_edge.devices.files.whole_files import write_whole
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.types import Calibration, Disc, Fit, Geometry, ProfileFit
 
 VERSION = 6
 """Also of the networks: factors are fitted to the weights shipped then (tests/devices/weights/test_network.py)."""
-# What numpy and zipfile raise on damaged bytes (TypeError: a .npy; RuntimeError: a flag or method zipfile lacks).
-_DAMAGE = (
-    KeyError,
-    ValueError,
-    TypeError,
-    EOFError,
-    RuntimeError,
-    MemoryError,
-    tokenize.TokenError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
 _ARRAYS = ("reference_white", "reference_grey")
 
 
@@ -70,8 +52,8 @@ def _fit(figures: dict[str, float]) -> Fit | None:
     )
 
 
-def _content(calibration: Calibration) -> tuple[bytes, dict[str, Any]]:
-    """Canonical JSON of the scalars, and the arrays."""
+def _content(calibration: Calibration) -> Content:
+    """Its scalars and its arrays."""
     geometry, disc = calibration.geometry, calibration.geometry.disc
     meta = {
         "version": VERSION,
@@ -90,21 +72,12 @@ def _content(calibration: Calibration) -> tuple[bytes, dict[str, Any]]:
         "fit": fit_figures(calibration.fit),
         "flange_T_sensor": list(calibration.flange_T_sensor),
     }
-    return json.dumps(meta, sort_keys=True).encode(), {name: getattr(calibration, name) for name in _ARRAYS}
-
-
-def _crc32(meta: bytes, arrays: dict[str, Any]) -> int:
-    crc = zlib.crc32(meta)
-    for name in arrays:
-        array = np.ascontiguousarray(arrays[name])
-        crc = zlib.crc32(f"{name}{array.dtype.str}{array.shape}".encode(), crc)
-        crc = zlib.crc32(array.tobytes(), crc)
-    return crc
+    return Content(meta, {name: getattr(calibration, name) for name in _ARRAYS})
 
 
 def with_crc(calibration: Calibration) -> Calibration:
     """The same calibration with the checksum of its content."""
-    return replace(calibration, crc32=_crc32(*_content(calibration)))
+    return replace(calibration, crc32=_content(calibration).crc32)
 
 
 def save(path: str | os.PathLike[str], calibration: Calibration) -> Calibration:
@@ -121,11 +94,8 @@ def save(path: str | os.PathLike[str], calibration: Calibration) -> Calibration:
         The file cannot be written.
     """
     stored = with_crc(calibration)
-    meta, arrays = _content(stored)
-    stream = io.BytesIO()
-    np.savez_compressed(stream, meta=np.frombuffer(meta, dtype=np.uint8), crc32=np.uint32(stored.crc32), **arrays)
     try:
-        write_whole(Path(path), stream.getvalue())
+        write_whole(Path(path), _content(stored).packed())
     except OSError as error:
         raise DeviceError(f"{path}: cannot write the calibration: {error.strerror or error}") from None
     return stored
@@ -140,30 +110,15 @@ def load(path: str | os.PathLike[str]) -> Calibration:
         Absent, not a calibration, another version, damaged, or of a sensor that cannot be.
     """
     name = os.fspath(path)
+    content, crc = checked_npz.read(name, "calibration", "`tacshade-edge calibrate`")
     try:
-        with open(name, "rb") as stream, np.load(stream, allow_pickle=False) as npz:
-            meta = npz["meta"].tobytes()
-            # In the file's order; another version has other arrays, and its checksum is of those.
-            arrays = {key: npz[key] for key in npz.files if key not in ("meta", "crc32")}
-            crc = int(npz["crc32"])
-    except OSError as error:
-        raise ConfigError(
-            f"{name}: cannot read the calibration: {error.strerror or 'not an .npz file'}; "
-            "expected a file written by `tacshade-edge calibrate`"
-        ) from None
-    except _DAMAGE:
-        raise ConfigError(
-            f"{name}: not a calibration, or damaged; expected a file written by `tacshade-edge calibrate`"
-        ) from None
-    if _crc32(meta, arrays) != crc:
-        raise ConfigError(f"{name}: damaged: its checksum is {_crc32(meta, arrays):08x}, {crc:08x} is stored in it")
-    try:
-        return _from_content(name, json.loads(meta), arrays, crc)
+        return _from_content(name, content, crc)
     except ValueError as error:
         raise ConfigError(f"{name}: {error}: calibrate again") from None
 
 
-def _from_content(name: str, meta: dict[str, Any], arrays: dict[str, Any], crc: int) -> Calibration:
+def _from_content(name: str, content: Content, crc: int) -> Calibration:
+    meta, arrays = content.meta, content.arrays
     if meta.get("version") != VERSION:
         raise ConfigError(f"{name}: calibration version {meta.get('version')}, expected {VERSION}: calibrate again")
     if set(arrays) != set(_ARRAYS):

@@ -1,0 +1,98 @@
+"""The reference that a running daemon was asked to take: one ``.npz`` beside the calibration, which it belongs to."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from tacshade_edge.devices.files import checked_npz
+from tacshade_edge.devices.files.calibration_file import with_crc
+from tacshade_edge.devices.files.checked_npz import Content
+from tacshade_edge.devices.files.whole_files import disk_errors, sync, write_whole
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.reasons import ReasonCode
+from tacshade_edge.types import Calibration
+
+VERSION = 1
+_ARRAYS = ("reference_white", "reference_grey")
+
+
+@dataclass(frozen=True, slots=True)
+class StoredReference:
+    """A reference that was taken.
+
+    Attributes
+    ----------
+    calibration : Calibration
+        With this reference.
+    wall_ns : int
+        When it was taken.
+    """
+
+    calibration: Calibration
+    wall_ns: int
+
+
+def path_beside(calibration_path: str | os.PathLike[str]) -> Path:
+    """Where the reference of a calibration's file lies: two sensors' files in one folder have two."""
+    return Path(calibration_path).with_suffix(".reference.npz")
+
+
+def save(path: Path, calibrated_crc32: int, reference: StoredReference) -> None:
+    """Write a reference whole, so that a loss of power does not lose it.
+
+    Parameters
+    ----------
+    path : Path
+    calibrated_crc32 : int
+        Of the calibration that it belongs to, as in its file.
+    reference : StoredReference
+
+    Raises
+    ------
+    DeviceError
+        It cannot be written.
+    """
+    calibration = reference.calibration
+    meta = {
+        "version": VERSION,
+        "calibration_crc32": calibrated_crc32,
+        "wall_ns": reference.wall_ns,
+        "noise_grey": calibration.noise_grey,
+    }
+    content = Content(meta, {name: getattr(calibration, name) for name in _ARRAYS})
+    with disk_errors(path.parent):
+        write_whole(path, content.packed())
+        sync(path.parent)
+
+
+def load(path: Path, calibrated: Calibration) -> StoredReference | None:
+    """Read the reference of a calibration, as its file has it; None where none was stored.
+
+    Raises
+    ------
+    ConfigError
+        Unreadable, damaged, not a reference; with `ReasonCode.CALIBRATION_CHANGED` that of another calibration.
+    """
+    if not os.path.lexists(path):
+        return None
+    content, _ = checked_npz.read(str(path), "stored reference", "the daemon for `req/reference`")
+    meta, arrays = content.meta, content.arrays
+    if meta.get("version") != VERSION or set(arrays) != set(_ARRAYS):
+        raise ConfigError(f"{path}: not a stored reference of version {VERSION}; take it again")
+    if meta.get("calibration_crc32") != calibrated.crc32:
+        text = f"{path}: the stored reference belongs to another calibration; take it again"
+        raise ConfigError(text, code=ReasonCode.CALIBRATION_CHANGED)
+    shape = (calibrated.image_height_px, calibrated.image_width_px)
+    noise_grey, wall_ns = meta.get("noise_grey"), meta.get("wall_ns")
+    fits = all(array.shape == shape and array.dtype == np.uint8 for array in arrays.values())
+    if not fits or not isinstance(noise_grey, float) or not isinstance(wall_ns, int):
+        raise ConfigError(f"{path}: not a stored reference; take it again")
+    try:
+        calibration = replace(calibrated, noise_grey=noise_grey, **arrays)
+    except ValueError as error:
+        raise ConfigError(f"{path}: {error}: take it again") from None
+    return StoredReference(with_crc(calibration), wall_ns)
