@@ -70,6 +70,7 @@ class ReasonCode(StrEnum):
     FRAME_INVALID = "frame_invalid"
     FRAME_IN_CONTACT = "frame_in_contact"
     REFERENCE_INVALID = "reference_invalid"
+    PATCH_CHANGED = "patch_changed"
 
     # A line of the robot.
     NOT_A_LINE = "not_a_line"

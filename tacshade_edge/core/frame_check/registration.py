@@ -26,9 +26,9 @@ _LEAST_POINTS, _LEAST_PART = 20, 0.2
 # Beyond so much of the disc's radius the geometry is wrong; below, a shift of the centre, and what turn and zoom move
 # besides (a deep press alone looks like 1 px of them), are worth a word.
 SHIFTED_PART = 0.02
-_SHIFT_PART, _RIM_PART = 0.0035, 0.012
+SHIFT_PART, RIM_PART = 0.0035, 0.012
 # Light that is compensated, its unevenness and a blur that are not seen in good presses (docs/calibration.md).
-_LIGHT_LOW, _LIGHT_HIGH, _UNEVEN, _CONTRAST = 0.8, 1.25, 0.08, 0.8
+LIGHT_LOW, LIGHT_HIGH, UNEVEN, CONTRAST = 0.8, 1.25, 0.08, 0.8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -171,7 +171,7 @@ def drift(reference: Look, grey: U8) -> Drift:
 
 def shift_reason(found: Drift, disc: Disc) -> Reason | None:
     """How the camera moved against the skin; None when it did not, as far as can be measured."""
-    if found.shift_px <= _SHIFT_PART * disc.radius_px and found.moved_px <= _RIM_PART * disc.radius_px:
+    if found.shift_px <= SHIFT_PART * disc.radius_px and found.moved_px <= RIM_PART * disc.radius_px:
         return None
     turned = f", turned by {found.turn_deg:.2f} degrees" if abs(found.turn_deg) > 0.2 else ""
     zoomed = f", {100 * (found.zoom - 1):+.1f} % in size" if abs(found.zoom - 1) > 0.005 else ""
@@ -186,11 +186,11 @@ def shifted_too_far(found: Drift, disc: Disc) -> bool:
 def light_drift_reason(found: Drift) -> Reason | None:
     """How light or focus changed; None when they did not, or so little that it is compensated."""
     changes = []
-    if not _LIGHT_LOW <= found.light <= _LIGHT_HIGH:
+    if not LIGHT_LOW <= found.light <= LIGHT_HIGH:
         changes.append(f"{found.light:.2f} times the light")
-    if found.uneven > _UNEVEN:
+    if found.uneven > UNEVEN:
         changes.append(f"the light falls otherwise (it varies by {100 * found.uneven:.0f} % over the disc)")
-    if found.contrast < _CONTRAST:
+    if found.contrast < CONTRAST:
         changes.append(f"blurred or dirty ({found.contrast:.2f} times the contrast)")
     return Reason(ReasonCode.LIGHT_DRIFT, ", ".join(changes)) if changes else None
 
