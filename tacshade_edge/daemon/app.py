@@ -26,11 +26,13 @@ from tacshade_edge.daemon.publishing.health import Health
 from tacshade_edge.daemon.publishing.publisher import Publisher
 from tacshade_edge.daemon.recording.record import DAEMON_STOPPED, SOURCE_ENDED, LiveRecorder, RecordingEnded
 from tacshade_edge.daemon.recording.record_requests import RecordRequests
+from tacshade_edge.daemon.reference.references import References
 from tacshade_edge.daemon.reload import reload
 from tacshade_edge.daemon.requests import Requests
 from tacshade_edge.daemon.systemd import Progress, Service
 from tacshade_edge.devices import registry
 from tacshade_edge.devices.base import FrameSource
+from tacshade_edge.devices.files import reference_file
 from tacshade_edge.devices.mqtt.outlet import PayloadOutcome
 from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.errors import ConfigError
@@ -102,10 +104,12 @@ class App:
         self._publisher = Publisher(self.link.offer, self.link.has_listener)
         self._robot = self._make_robot()
         self._sessions = self._make_sessions()
-        sink: Sink = self._sessions.observing(self._publisher) if self._sessions else self._publisher
+        self._references = References(calibration, reference_file.path_beside(settings.calibration))
+        sink: Sink = self._references.frames.observing(self._publisher)
+        sink = self._sessions.observing(sink) if self._sessions else sink
         self._pipeline = Pipeline(
             source,
-            make_reconstructor(calibration, PROFILES.get(settings.profile, PROFILES[LADDER[-1]])),
+            make_reconstructor(self._references.calibration, PROFILES.get(settings.profile, PROFILES[LADDER[-1]])),
             self._robot.adding_poses(sink) if self._robot else sink,
             self.ledger,
             self._events.put,
@@ -122,7 +126,8 @@ class App:
             self._recorder, self._reply, lambda status: self.link.set_retained("status/recorder", status)
         )
         self._requests = Requests(
-            *(self._pipeline.reconstruct, self._active, self._reply, self._status, self._changed),
+            *(self._pipeline.reconstruct, self._active, self._references),
+            *(self._reply, self._status, self._changed),
             self._on_record,
             self._on_stitch,
         )
@@ -178,6 +183,8 @@ class App:
             self._publish_camera()
             self._requests.poll()
             self._record.poll()
+            if self._references.poll(held=self._recorder.now() is not None):
+                self._follow()
             if self._robot:
                 self._robot.poll()
             if self._sessions:
@@ -216,7 +223,8 @@ class App:
         else:
             self._document = new.document
             settings = new.document.settings
-            self._active.reload(settings.profile, settings.latency_budget_ms, new.calibration)
+            self._references.reload(new.calibration, reference_file.path_beside(settings.calibration))
+            self._active.reload(settings.profile, settings.latency_budget_ms, self._references.calibration)
             self._recorder.event("reload", waiting=list(new.waiting))
             self._changed()
             note = new.reason
@@ -290,6 +298,15 @@ class App:
         self._recorder.reconstructs_with(reconstructor.profile.name, reconstructor.calibration.crc32)
         self._publish_info()
 
+    def _follow(self) -> None:
+        """Use the reference as far as it followed; tell why when it does not."""
+        calibration = self._references.calibration
+        if calibration.crc32 == self._active.reconstructor.calibration.crc32:
+            self._publish_info()
+        else:
+            self._active.use(calibration)
+            self._changed()
+
     def _on_record(self, request: Request) -> None:
         self._record.handle(request, self._document.settings, self._active.reconstructor, self._camera_now())
 
@@ -332,6 +349,7 @@ class App:
             calibration=reconstructor.calibration,
             profiles=self._active.choices,
             choice=self._active.choice,
+            reference=self._references.info(),
         )
         self.link.set_retained("info", info)
 
@@ -349,6 +367,7 @@ class App:
             self._recorder.counts(),
             self._active.budget(),
         )
+        self._latest_health["reference"] = self._references.health()
         self._active.log_late()
         if self._robot:
             self._latest_health["serial"] = self._robot.as_dict()

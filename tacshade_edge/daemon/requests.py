@@ -10,11 +10,11 @@ from typing import Any
 from tacshade_edge.core.profiles import AUTO
 from tacshade_edge.daemon.pipeline.workers import Reconstruct
 from tacshade_edge.daemon.profiles.active_profile import ActiveProfile
-from tacshade_edge.daemon.reference import REFERENCE_FRAMES, ReferenceCollector
-from tacshade_edge.devices.files.calibration_file import with_crc
+from tacshade_edge.daemon.reference.collector import REFERENCE_FRAMES, ReferenceCollector
+from tacshade_edge.daemon.reference.references import References
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.protocol.messages import Request
-from tacshade_edge.protocol.results import ProfileChosen, ReferenceTaken, RequestResult
+from tacshade_edge.protocol.results import ProfileChosen, RequestResult
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import U8
 
@@ -35,6 +35,8 @@ class Requests:
         Gives the frames for a new reference.
     active : ActiveProfile
         Changed by `profile` and `reference`.
+    references : References
+        Changed by `reference`.
     reply : Reply
     status : callable
         The answer to ``status``.
@@ -48,6 +50,7 @@ class Requests:
         self,
         worker: Reconstruct,
         active: ActiveProfile,
+        references: References,
         reply: Reply,
         status: Callable[[], dict[str, Any]],
         changed: Callable[[], None],
@@ -56,6 +59,7 @@ class Requests:
     ) -> None:
         self._worker = worker
         self._active = active
+        self._references = references
         self._reply = reply
         self._status = status
         self._changed = changed
@@ -116,17 +120,14 @@ class Requests:
         self._taken = outcome
 
     def _set_reference(self, request: Request, images: list[U8]) -> None:
-        from tacshade_edge.core.calibration.references import rezero  # on demand: few daemons ever calibrate
-
         try:
-            calibration = with_crc(rezero(self._active.reconstructor.calibration, images))
+            taken = self._references.take(images)
         except ConfigError as error:
             self._refuse(request, Reason(ReasonCode.REFERENCE_INVALID, str(error)))
             return
-        self._active.use(calibration)
+        self._active.use(self._references.calibration)
         self._changed()
-        _log.info("new reference from %d frames, until the next start", len(images))
-        self._reply(request, ReferenceTaken(len(images), calibration.crc32, calibration.noise_grey))
+        self._reply(request, taken)
 
     def _refuse(self, request: Request, reason: Reason) -> None:
         _log.info("req/%s refused: %s", request.verb, reason)

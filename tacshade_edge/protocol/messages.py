@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from tacshade_edge.errors import DecodeError
-from tacshade_edge.protocol.results import NoSession, RequestResult, SessionEnded, SessionStatus
+from tacshade_edge.protocol.results import NoSession, ReferenceTaken, RequestResult, SessionEnded, SessionStatus
 from tacshade_edge.protocol.serial.answers import error_word
 from tacshade_edge.protocol.wire import WIRE_VERSION
 from tacshade_edge.reasons import Reason, ReasonCode, code_of, reason_fields
@@ -208,11 +208,13 @@ def encode_info(
     calibration: Calibration,
     profiles: Sequence[str] = (),
     choice: str | None = None,
+    reference: Mapping[str, Any] | None = None,
 ) -> bytes:
     """The ``info`` payload: what a subscriber needs to place every pixel of ``height`` in mm.
 
     `profiles` are the names that ``req/profile`` takes; empty where it takes none. `choice` is that of them which was
-    chosen: `profile` where it is None.
+    chosen: `profile` where it is None. `reference` is where the reference began and how far it may follow from there;
+    None where it does not follow.
     """
     geometry = calibration.geometry
     return _encode(
@@ -223,6 +225,7 @@ def encode_info(
             "profile": profile,
             "profiles": profiles,
             "choice": choice or profile,
+            "reference": reference,
             "geometry": {
                 "skin_radius_mm": geometry.skin_radius_mm,
                 "camera_distance_mm": geometry.camera_distance_mm,
@@ -268,6 +271,9 @@ def _result_json(result: RequestResult | Mapping[str, Any]) -> object:
             return {"open": 1, **asdict(result)}
         case NoSession():
             return {"open": 0}
+        case ReferenceTaken():
+            figures = {key: value for key, value in asdict(result).items() if key != "unstored"}
+            return {**figures, "stored": result.unstored is None, **reason_fields(result.unstored)}
         case _:
             return result
 

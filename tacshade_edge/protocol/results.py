@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from tacshade_edge.reasons import Reason
+
 
 @dataclass(frozen=True, slots=True)
 class ProfileChosen:
@@ -14,11 +16,15 @@ class ProfileChosen:
 
 @dataclass(frozen=True, slots=True)
 class ReferenceTaken:
-    """Of ``req/reference`` and ``REFERENCE``: the mean of `frames` images, RMS of g between them in grey levels."""
+    """Of ``req/reference`` and ``REFERENCE``: the mean of `frames` images, RMS of g between them in grey levels.
+
+    `unstored` is why it will not outlive a restart; None when it does.
+    """
 
     frames: int
     calibration_crc32: int
     noise_grey: float
+    unstored: Reason | None = None
 
 
 @dataclass(frozen=True, slots=True)

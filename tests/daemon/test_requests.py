@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -11,7 +12,8 @@ from tacshade_edge.daemon.pipeline.ledger import FrameLedger, Timings
 from tacshade_edge.daemon.pipeline.mailbox import Mailbox
 from tacshade_edge.daemon.pipeline.workers import Reconstruct
 from tacshade_edge.daemon.profiles.active_profile import ActiveProfile
-from tacshade_edge.daemon.reference import REFERENCE_FRAMES
+from tacshade_edge.daemon.reference.collector import REFERENCE_FRAMES
+from tacshade_edge.daemon.reference.references import References
 from tacshade_edge.daemon.requests import Requests
 from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.protocol.messages import Request, encode_reply
@@ -21,7 +23,7 @@ from tacshade_edge.types import Calibration, Frame
 class Asked:
     """`Requests` on a worker whose frames the test gives by hand."""
 
-    def __init__(self, calibration: Calibration) -> None:
+    def __init__(self, calibration: Calibration, folder: Path) -> None:
         reconstructor = make_reconstructor(calibration, PROFILES["fast"])
         self.worker = Reconstruct(reconstructor, Mailbox[Frame](), FrameLedger(), Timings(), None)  # type: ignore[arg-type]
         self.replies: list[dict[str, Any]] = []
@@ -31,6 +33,7 @@ class Asked:
         self.requests = Requests(
             self.worker,
             self.active,
+            References(calibration, folder / "c.reference.npz"),
             lambda request, outcome: self.replies.append(json.loads(encode_reply(request, outcome))),
             lambda: {"up": 1},
             self._changed,
@@ -49,8 +52,8 @@ class Asked:
 
 
 @pytest.fixture
-def asked(calibration: Calibration) -> Asked:
-    return Asked(calibration)
+def asked(calibration: Calibration, tmp_path: Path) -> Asked:
+    return Asked(calibration, tmp_path)
 
 
 def test_status_and_profile(asked: Asked) -> None:
@@ -101,6 +104,7 @@ def test_a_reference_is_taken_from_the_next_frames_and_used(asked: Asked, pictur
     asked.frames(pictures.free, 1)
     asked.requests.poll()
     assert asked.replies[1]["ok"] is True
+    assert asked.replies[1]["result"]["stored"] is True
     assert asked.replies[1]["result"]["calibration_crc32"] == asked.worker.reconstructor.calibration.crc32
     assert asked.worker.reconstructor is not before
     assert (asked.changes, asked.worker.watch) == (1, None)

@@ -97,7 +97,8 @@ def result_text(result: SerialResult) -> str:
             )
         case ReferenceTaken():
             crc32, noise_grey = result.calibration_crc32, result.noise_grey
-            return f"frames={result.frames} calibration_crc32={crc32} noise_grey={noise_grey}"
+            stored = int(result.unstored is None)
+            return f"frames={result.frames} calibration_crc32={crc32} noise_grey={noise_grey} stored={stored}"
         case SessionBegun():
             return f"name={result.name}"
         case PressAdded():

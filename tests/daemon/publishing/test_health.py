@@ -42,7 +42,8 @@ def test_every_key_is_documented() -> None:
     timings = Timings()
     timings.add({"wait": 1.0, "capture_to_offer": 2.0})
     message = json.loads(encode_health(Health(FrameLedger(), timings).snapshot(None, 0, {}, {}, None)))
-    assert set(message) | {"serial", "stitching"} == documented  # with a robot, where frames have poses
+    # The app adds these: with a robot, where frames have poses, and how the reference follows.
+    assert set(message) | {"serial", "stitching", "reference"} == documented
     assert message["latency_ms"] == {"p50": 2.0, "p99": 2.0}
     assert message["stages_ms"] == {"wait": {"p50": 1.0, "p99": 1.0}}
     for name in message["frames"]:

@@ -218,7 +218,9 @@ def test_captures_and_references(link: Path, calibration: Calibration) -> None:
             assert not side.robot.commands.complete(Request("reference"), outcome)  # MQTT's
             assert side.robot.commands.complete(request, outcome)
         wait_until(
-            lambda: any(r.endswith("frames=10 calibration_crc32=7 noise_grey=0.5") for r in robot.replies.values()),
+            lambda: any(
+                r.endswith("frames=10 calibration_crc32=7 noise_grey=0.5 stored=1") for r in robot.replies.values()
+            ),
             10,
             "OK",
         )

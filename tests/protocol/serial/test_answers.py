@@ -49,7 +49,11 @@ DOCS = Path(__file__).parents[3] / "docs"
             LineStatus("streaming", 30.0, "two-way", 500, 1.25, 100, 1, 2, 3),
             "camera=streaming fps=30.0 sync=two-way error_us=500 drift_ppm=1.25 poses=100 lost=1 damaged=2 garbage=3",
         ),
-        (ReferenceTaken(10, 7, 0.5), "frames=10 calibration_crc32=7 noise_grey=0.5"),
+        (ReferenceTaken(10, 7, 0.5), "frames=10 calibration_crc32=7 noise_grey=0.5 stored=1"),
+        (
+            ReferenceTaken(10, 7, 0.5, Reason(ReasonCode.DISK, "full")),
+            "frames=10 calibration_crc32=7 noise_grey=0.5 stored=0",
+        ),
         (SessionBegun("pad-1"), "name=pad-1"),
         (PressAdded(3, 812, 1290), "press=3 frame=812 points=1290"),
         (

@@ -1,0 +1,92 @@
+"""Where the reference comes from: the calibration's file, or a request that outlives a restart."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from tacshade_edge.core.calibration.references import rezero
+from tacshade_edge.devices.files import reference_file
+from tacshade_edge.devices.files.calibration_file import with_crc
+from tacshade_edge.devices.files.reference_file import StoredReference
+from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
+from tacshade_edge.types import U8, Calibration
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Origin:
+    """The reference that following begins from.
+
+    Attributes
+    ----------
+    calibrated : Calibration
+        As its file has it; requests are measured by it, so that no number of them leads away from the geometry.
+    calibration : Calibration
+        With the reference.
+    source : str
+    wall_ns : int or None
+        When a request took it.
+    reason : Reason or None
+        Why a stored reference is not used, or why this one will not outlive a restart.
+    """
+
+    calibrated: Calibration
+    calibration: Calibration
+    source: Literal["calibration", "request"] = "calibration"
+    wall_ns: int | None = None
+    reason: Reason | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """For ``info``."""
+        return {
+            "origin": self.source,
+            "wall_ns": self.wall_ns,
+            "calibration_crc32": self.calibration.crc32,
+            **reason_fields(self.reason),
+        }
+
+
+def restored(calibrated: Calibration, path: Path) -> Origin:
+    """The reference that was stored for a calibration, or the calibration's own.
+
+    That of another calibration is deleted: it is told once, and no later file can meet it again.
+    """
+    try:
+        stored = reference_file.load(path, calibrated)
+    except ConfigError as error:
+        _log.warning("%s; the calibration's own reference is used", error)
+        if error.code is ReasonCode.CALIBRATION_CHANGED:
+            with contextlib.suppress(OSError):
+                path.unlink()
+        return Origin(calibrated, calibrated, reason=error.reason)
+    if stored is None:
+        return Origin(calibrated, calibrated)
+    taken = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime(stored.wall_ns / 1e9))
+    _log.info("reference of %s from %s", taken, path)
+    return Origin(calibrated, stored.calibration, "request", stored.wall_ns)
+
+
+def requested(calibrated: Calibration, images: Sequence[U8], path: Path) -> Origin:
+    """A new reference, stored where that can be done.
+
+    Raises
+    ------
+    ConfigError
+        The images cannot be used.
+    """
+    taken = StoredReference(with_crc(rezero(calibrated, images)), time.time_ns())
+    reason = None
+    try:
+        reference_file.save(path, calibrated.crc32, taken)
+    except DeviceError as error:
+        reason = Reason(error.code, f"{error}; the reference lasts until the next start or reload")
+    _log.info("new reference from %d frames%s", len(images), f": {reason}" if reason else "")
+    return Origin(calibrated, taken.calibration, "request", taken.wall_ns, reason)

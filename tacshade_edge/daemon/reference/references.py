@@ -1,0 +1,138 @@
+"""The reference in use. All of it is the main thread's, but for the frames' being seen."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+from tacshade_edge.core.calibration import following
+from tacshade_edge.core.calibration.following import Distance
+from tacshade_edge.daemon.reference.origin import Origin, requested, restored
+from tacshade_edge.daemon.reference.untouched import UntouchedFrames
+from tacshade_edge.devices.files.calibration_file import with_crc
+from tacshade_edge.protocol.results import ReferenceTaken
+from tacshade_edge.reasons import Reason, code_of, reason_fields
+from tacshade_edge.types import U8, Calibration
+
+_log = logging.getLogger(__name__)
+
+State = Literal["waiting", "following", "stopped", "held"]
+
+
+class References:
+    """Where the reference began, and how far it followed from there.
+
+    Parameters
+    ----------
+    calibrated : Calibration
+        As its file has it.
+    path : Path
+        Of the stored reference.
+
+    Attributes
+    ----------
+    calibration : Calibration
+        With the reference in use.
+    frames : UntouchedFrames
+        Must see every frame.
+    """
+
+    def __init__(self, calibrated: Calibration, path: Path) -> None:
+        self.frames = UntouchedFrames()
+        self._path = path
+        self._looks = self._renewals = 0
+        self._state: State
+        self._reason: Reason | None
+        self._distance: Distance | None
+        self.calibration: Calibration
+        self._begin(restored(calibrated, path))
+
+    def reload(self, calibrated: Calibration, path: Path) -> None:
+        """Begin again from what the files say."""
+        self._path = path
+        self._begin(restored(calibrated, path))
+
+    def take(self, images: Sequence[U8]) -> ReferenceTaken:
+        """Begin anew from images of the resting sensor.
+
+        Raises
+        ------
+        ConfigError
+            They cannot be used.
+        """
+        self._begin(requested(self._origin.calibrated, images, self._path))
+        return ReferenceTaken(
+            len(images), self.calibration.crc32, self.calibration.noise_grey, unstored=self._origin.reason
+        )
+
+    def poll(self, held: bool) -> bool:
+        """Follow where frames for it have come; True when `calibration` or what `info` tells changed.
+
+        Parameters
+        ----------
+        held : bool
+            The reference shall stay: a recording has one.
+        """
+        taken = self.frames.take()
+        if taken is None:
+            return False
+        if held:
+            return self._change_state("held", None)
+        self._looks += 1
+        if isinstance(taken, Reason):
+            return self._change_state("stopped", taken)
+        followed = following.follow(self._origin.calibration, self.calibration, taken)
+        self._distance = followed.distance
+        changed = self._change_state("stopped" if followed.reason else "following", followed.reason)
+        # Another reference amid a contact would be a step in its heights; the next frames at rest give it again.
+        if followed.calibration is None or not self.frames.at_rest:
+            return changed
+        self.calibration = with_crc(followed.calibration)
+        self._renewals += 1
+        _log.debug("reference renewed: %s", followed.distance)
+        return True
+
+    def info(self) -> dict[str, Any]:
+        """For ``info``: where the reference began, how far it may go from there, and whether it went so far."""
+        disc = self._origin.calibration.geometry.disc
+        state = {"state": self._state, **reason_fields(self._reason, "stopped")}
+        return {**self._origin.as_dict(), "bounds": following.bounds(disc), **state}
+
+    def health(self) -> dict[str, Any]:
+        """For ``health``: how it follows, and how far the latest frames at rest were from where it began."""
+        return {
+            "state": self._state,
+            **reason_fields(self._reason),
+            "looks": self._looks,
+            "renewals": self._renewals,
+            "spoiled": self.frames.spoiled,
+            **_figures(self._distance),
+        }
+
+    def _begin(self, origin: Origin) -> None:
+        self._origin = origin
+        self.calibration = origin.calibration
+        self._state, self._reason, self._distance = "waiting", None, None
+
+    def _change_state(self, state: State, reason: Reason | None) -> bool:
+        """Whether it is another state; a reason's figures alone are none."""
+        changed = (state, code_of(reason)) != (self._state, code_of(self._reason))
+        if changed:
+            _log.info("reference %s%s", state, f": {reason}" if reason else "")
+        self._state, self._reason = state, reason
+        return changed
+
+
+def _figures(distance: Distance | None) -> dict[str, float | None]:
+    """A distance as ``info.bounds`` has it; null where nothing is known."""
+    keys = ("shift_px", "moved_px", "light", "uneven", "contrast", "common_grey", "patch_grey")
+    if distance is None:
+        return dict.fromkeys(keys)
+    drift = distance.drift
+    values = (drift.shift_px, drift.moved_px, drift.light, drift.uneven, drift.contrast)
+    return {
+        key: round(value, 3)
+        for key, value in zip(keys, (*values, distance.common_grey, distance.patch_grey), strict=True)
+    }
