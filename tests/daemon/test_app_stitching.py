@@ -140,10 +140,17 @@ class Cell:
         return self.last("status/stitching")
 
     def press(self, pose: PoseValues, image: U8, count: int) -> None:
-        """Press and hold until that is added."""
+        """Press and hold until that is added; again, where a starved robot's line told no pose for that instant."""
+        missed = self.status()["missed"]
         self.go(pose)
         self.shown = image
-        self.until(lambda: self.status()["presses"] == count, f"press {count}, {self.status()}")
+        self.until(
+            lambda: self.status()["presses"] == count or self.status()["missed"] > missed,
+            f"press {count}, {self.status()}",
+        )
+        if self.status()["missed"] > missed:
+            assert self.status()["reason_code"] == "no_pose"
+            self.press(pose, image, count)
 
 
 @pytest.fixture
@@ -168,6 +175,7 @@ def test_the_live_map_is_that_of_the_recording(cell: Cell, tmp_path: Path) -> No
     for k, (pose, image) in enumerate(presses()):
         cell.press(pose, image, k + 1)
     cell.go(HOME)
+    missed = cell.status()["missed"]
     status = cell.ask("stitch", action="status")
     assert (status["open"], status["name"], status["presses"], status["revision"]) == (1, "1", 4, 4)
     assert " BUSY session 1 is open" in cell.command("STITCH BEGIN other")
@@ -176,7 +184,7 @@ def test_the_live_map_is_that_of_the_recording(cell: Cell, tmp_path: Path) -> No
     cell.until(lambda: cell.status()["state"] == "idle", "idle")
     final = cell.last("map/final")
     cell.until(lambda: cell.last("health")["stitching"]["presses"] == 4, "health")
-    assert cell.last("health")["stitching"] == {"presses": 4, "refused": 1, "missed": 0, "waiting": 0}
+    assert cell.last("health")["stitching"] == {"presses": 4, "refused": 1, "missed": missed, "waiting": 0}
     cell.ask("record", action="stop")
 
     words = ["stitch", "--calibration", str(folder / "calibration.npz"), "--profile", "fast"]
