@@ -102,6 +102,12 @@ def test_a_signal_while_it_starts_leaves_nothing(number: signal.Signals, tmp_pat
     assert list(tmp_path.iterdir()) == []
 
 
+def ended(command: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
+    """A demo that ends by itself, whose files lie in a folder."""
+    env = {**os.environ, "TMPDIR": str(folder)}
+    return subprocess.run(command, capture_output=True, text=True, timeout=patience(60), check=False, env=env)
+
+
 LOSES_IT = """
 import os, signal, sys
 from tacshade_edge.cli import demo, main
@@ -120,14 +126,7 @@ sys.exit(main(sys.argv[1:]))
 @pytest.mark.slow
 def test_a_signal_whose_exception_is_lost_ends_it_all_the_same(tmp_path: Path) -> None:
     # The first signal comes while a destructor runs, out of which nothing is raised.
-    done = subprocess.run(
-        [sys.executable, "-c", LOSES_IT, "demo"],
-        capture_output=True,
-        text=True,
-        timeout=patience(60),
-        check=False,
-        env={**os.environ, "TMPDIR": str(tmp_path)},
-    )
+    done = ended([sys.executable, "-c", LOSES_IT, "demo"], tmp_path)
     assert done.returncode == 0
     assert "Exception ignored in" in done.stderr
     assert "A simulated hand" not in done.stdout
@@ -148,14 +147,7 @@ def test_it_ends_by_itself_and_two_fit_on_one_machine(tmp_path: Path) -> None:
 def test_a_port_in_use_is_one_line(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        done = subprocess.run(
-            [*COMMANDS["embedded"], "--http", str(port)],
-            capture_output=True,
-            text=True,
-            timeout=patience(60),
-            check=False,
-            env={**os.environ, "TMPDIR": str(tmp_path)},
-        )
+        done = ended([*COMMANDS["embedded"], "--http", str(port)], tmp_path)
     assert done.returncode == 1
     assert done.stderr.count("\n") == 1
     assert re.match(rf"tacshade-edge: demo: the dashboard .*port {port}", done.stderr), done.stderr

@@ -26,9 +26,9 @@ from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import U8, Calibration, Disc
 
-# As much of g as the gate judges by may differ so much from the beginning, beside what all of it has in common. A lost
-# marker is 8 levels, an aged lamp 3, a camera half warm 4. What is laid on slowly is found up to 0.12 mm later for it
-# (with 6 levels 0.3 mm), and far below the gate's least 10 nothing that was followed looks like a contact when it goes.
+# As much of g as the gate judges by may differ so much from the beginning, beside what all of it has in common: more
+# than an aged lamp does, less than a marker that is lost. How much later what is laid on slowly is found for it, the
+# tests state; far below the gate's least 10, nothing that was followed looks like a contact when it goes.
 PATCH_GREY = 4.0
 # And all of it by so much: beyond, frames are in doubt against the reference of the beginning.
 COMMON_GREY = DRIFT_LEVELS

@@ -14,7 +14,7 @@ from tacshade_edge.types import Calibration, Disc, Fit, Geometry, ProfileFit
 
 VERSION = 6
 """Also of the networks: factors are fitted to the weights shipped then (tests/devices/weights/test_network.py)."""
-_ARRAYS = ("reference_white", "reference_grey")
+REFERENCE_ARRAYS = ("reference_white", "reference_grey")
 
 
 def fit_figures(fit: Fit | None) -> dict[str, float]:
@@ -72,7 +72,7 @@ def _content(calibration: Calibration) -> Content:
         "fit": fit_figures(calibration.fit),
         "flange_T_sensor": list(calibration.flange_T_sensor),
     }
-    return Content(meta, {name: getattr(calibration, name) for name in _ARRAYS})
+    return Content(meta, {name: getattr(calibration, name) for name in REFERENCE_ARRAYS})
 
 
 def with_crc(calibration: Calibration) -> Calibration:
@@ -121,7 +121,7 @@ def _from_content(name: str, content: Content, crc: int) -> Calibration:
     meta, arrays = content.meta, content.arrays
     if meta.get("version") != VERSION:
         raise ConfigError(f"{name}: calibration version {meta.get('version')}, expected {VERSION}: calibrate again")
-    if set(arrays) != set(_ARRAYS):
+    if set(arrays) != set(REFERENCE_ARRAYS):
         raise ConfigError(f"{name}: not a calibration; expected a file written by `tacshade-edge calibrate`")
     height, width = arrays["reference_white"].shape
     return Calibration(

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from tacshade_edge.devices.files import checked_npz
-from tacshade_edge.devices.files.calibration_file import with_crc
+from tacshade_edge.devices.files.calibration_file import REFERENCE_ARRAYS, with_crc
 from tacshade_edge.devices.files.checked_npz import Content
 from tacshade_edge.devices.files.whole_files import disk_errors, sync, write_whole
 from tacshade_edge.errors import ConfigError
@@ -17,7 +17,6 @@ from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.types import Calibration
 
 VERSION = 1
-_ARRAYS = ("reference_white", "reference_grey")
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +62,7 @@ def save(path: Path, calibrated_crc32: int, reference: StoredReference) -> None:
         "wall_ns": reference.wall_ns,
         "noise_grey": calibration.noise_grey,
     }
-    content = Content(meta, {name: getattr(calibration, name) for name in _ARRAYS})
+    content = Content(meta, {name: getattr(calibration, name) for name in REFERENCE_ARRAYS})
     with disk_errors(path.parent):
         write_whole(path, content.packed())
         sync(path.parent)
@@ -81,7 +80,7 @@ def load(path: Path, calibrated: Calibration) -> StoredReference | None:
         return None
     content, _ = checked_npz.read(str(path), "stored reference", "the daemon for `req/reference`")
     meta, arrays = content.meta, content.arrays
-    if meta.get("version") != VERSION or set(arrays) != set(_ARRAYS):
+    if meta.get("version") != VERSION or set(arrays) != set(REFERENCE_ARRAYS):
         raise ConfigError(f"{path}: not a stored reference of version {VERSION}; take it again")
     if meta.get("calibration_crc32") != calibrated.crc32:
         text = f"{path}: the stored reference belongs to another calibration; take it again"
