@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 
 from tacshade_edge.core.calibration.calibrate import CalibrationResult, calibrate
-from tacshade_edge.core.calibration.inputs import BallPress, Sensor
+from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
 from tacshade_edge.core.calibration.press_observation import PressObservation, first_touch_mm, observe_press
 from tacshade_edge.core.calibration.press_outliers import outliers
 from tacshade_edge.core.calibration.quality import GRADED_PROFILE
@@ -53,7 +53,7 @@ class Set:
     simulated: SimulatedSensor
     sensor: Sensor
     references: list[U8]
-    presses: list[BallPress]
+    presses: list[KnownPress]
 
     @property
     def scale(self) -> float:
@@ -66,7 +66,7 @@ class Set:
         return to_grey(self.simulated.frame((press,), noise_seed).image)
 
     def calibrate(
-        self, references: list[U8] | None = None, presses: list[BallPress] | None = None
+        self, references: list[U8] | None = None, presses: list[KnownPress] | None = None
     ) -> CalibrationResult:
         """Calibrate on this set, or on one of which something was changed."""
         taken = self.presses if presses is None else presses
@@ -79,7 +79,7 @@ def good_set(seed: int, height_px: int) -> Set:
     simulated = SimulatedSensor(model)
     sensor = Sensor(model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, "bright")
     presses = [
-        BallPress(f"press {k}", to_grey(simulated.frame([p], 2000 + k).image), r, p.depth_mm, p.x_mm, p.y_mm)
+        KnownPress(f"press {k}", to_grey(simulated.frame([p], 2000 + k).image), r, p.depth_mm, p.x_mm, p.y_mm)
         for k, (p, r) in enumerate(ball_presses(model, PRESSES, seed))
     ]
     references = [to_grey(simulated.frame((), 1000 + k).image) for k in range(REFERENCES)]
@@ -139,7 +139,7 @@ def wrong_sets(given: Set, rng: np.random.Generator) -> Iterator[tuple[str, str,
     press = presses[int(rng.integers(4, len(presses) - 2))]
     name = f"{press.name}:"
 
-    def told(made: list[BallPress]) -> str:
+    def told(made: list[KnownPress]) -> str:
         return answer(lambda: given.calibrate(presses=made))
 
     shuffled = rng.permutation([p.depth_mm for p in presses])

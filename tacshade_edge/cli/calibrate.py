@@ -1,4 +1,4 @@
-"""``tacshade-edge calibrate``: references and ball presses to a calibration file, or a new reference for one."""
+"""``tacshade-edge calibrate``: references and known presses to a calibration file, or a new reference for one."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from tacshade_edge.core.calibration.references import rezero
 from tacshade_edge.core.frame_check import registration
 from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.devices.files.images import read_image
+from tacshade_edge.devices.files.indenters import read_indenters
 from tacshade_edge.devices.files.presses import read_presses
 from tacshade_edge.devices.weights.network import load_networks
 from tacshade_edge.errors import ConfigError, DecodeError
@@ -32,7 +33,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--reference", type=Path, required=True, nargs="+", metavar="IMG", help="images of the unloaded skin, 5 or more"
     )
-    parser.add_argument("--presses", type=Path, metavar="PRESSES.csv", help="known ball presses, for metric depth")
+    parser.add_argument("--presses", type=Path, metavar="PRESSES.csv", help="known presses, for metric depth")
+    parser.add_argument(
+        "--indenters", type=Path, metavar="INDENTERS.yaml", help="the shapes that PRESSES.csv names besides ball"
+    )
     parser.add_argument("--out", type=Path, required=True, metavar="CAL.npz", help="the calibration to write")
     parser.add_argument(
         "--allow-loaded-reference", action="store_true", help="warn only when the reference seems taken under load"
@@ -44,17 +48,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Fit or re-zero, write, and print how good it is."""
     if args.rezero is not None:
-        if args.presses:
-            args.usage_error("--presses has no meaning with --rezero, which keeps what was fitted to presses")
+        if args.presses or args.indenters:
+            given = "--presses" if args.presses else "--indenters"
+            args.usage_error(f"{given} has no meaning with --rezero, which keeps what was fitted to presses")
         return _rezero(args)
     sensor = read_sensor(args.sensor)
     references = _read_references(args.reference)
-    presses = read_presses(args.presses) if args.presses else []
+    if args.indenters and not args.presses:
+        args.usage_error("--indenters has no meaning without --presses, which name them")
+    indenters = read_indenters(args.indenters) if args.indenters else {}
+    presses, notes = read_presses(args.presses, indenters) if args.presses else ([], ())
     if args.presses and not presses:
         raise ConfigError(f"{args.presses}: found no press, expected a row for each")
     result = calibrate(sensor, references, presses, args.allow_loaded_reference, load_networks())
     stored = calibration_file.save(args.out, result.calibration)
-    _print(args, stored, result.warnings, _quality(result.quality))
+    _print(args, stored, (*notes, *result.warnings), _quality(result.quality))
     if not args.json:
         print(result.quality.line)
         for advice in result.quality.advice:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from tacshade_edge.core.calibration.calibrate import calibrate
-from tacshade_edge.core.calibration.inputs import BallPress, Sensor
+from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
 from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.scene import SimulatedSensor
@@ -24,7 +24,7 @@ def make_calibration() -> Calibration:
     )
     references = [simulated.frame(noise_seed=seed).image for seed in range(REFERENCES)]
     presses = [
-        BallPress(
+        KnownPress(
             name=f"press {number}",
             image=simulated.frame([press], noise_seed=REFERENCES + number).image,
             radius_mm=radius_mm,

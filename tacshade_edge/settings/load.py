@@ -85,13 +85,25 @@ def read_struct(path: Path, kind: type[T], schema: dict[str, Any]) -> tuple[T, d
         ``FILE:LINE: path.to.key: found …, expected …``.
     """
     value, found = strict_yaml.read(path)
+    return as_struct(path, value, found, kind, schema), found
+
+
+def as_struct(
+    path: Path, document: Any, found: dict[Key, Found], kind: type[T], schema: dict[str, Any], at: Key = ()
+) -> T:
+    """Convert what stands at a key of a YAML document to a struct. Raises ConfigError as `read_struct`."""
+    value = document
+    for name in at:
+        value = value[name]
     if not isinstance(value, dict):
-        raise ConfigError(f"{path}:{found[()].line}: found {found[()].text}, expected a mapping of settings")
+        named = f"{dotted(at)}: " if at else ""
+        raise ConfigError(f"{path}:{found[at].line}: {named}found {found[at].text}, expected a mapping of settings")
     try:
-        return msgspec.convert(value, kind), found
+        return msgspec.convert(value, kind)
     except msgspec.ValidationError as error:
-        key, problem = _explain(str(error), value, found, schema)
-        raise ConfigError(f"{_where(path, found, key)}: {problem}") from error
+        below = {key[len(at) :]: where for key, where in found.items() if key[: len(at)] == at}
+        key, problem = _explain(str(error), value, below, schema)
+        raise ConfigError(f"{_where(path, found, (*at, *key))}: {problem}") from error
 
 
 def _where(path: Path, found: dict[Key, Found], key: Key) -> str:

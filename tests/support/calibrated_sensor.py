@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 
 from tacshade_edge.core.calibration.calibrate import calibrate
-from tacshade_edge.core.calibration.inputs import BallPress, Sensor
+from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
 from tacshade_edge.core.calibration.skin_scale import skin_scale
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
@@ -53,9 +53,9 @@ def references(model: SensorModel = HALF, count: int = 5) -> tuple[U8, ...]:
 
 
 @cache
-def presses(model: SensorModel = HALF, count: int = 20) -> tuple[BallPress, ...]:
+def presses(model: SensorModel = HALF, count: int = 20) -> tuple[KnownPress, ...]:
     return tuple(
-        BallPress(
+        KnownPress(
             f"press {k}",
             simulated(model).frame((press,), 100 + k).image,
             radius_mm,

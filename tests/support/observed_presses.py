@@ -6,7 +6,7 @@ from functools import cache
 
 from support.calibrated_sensor import references, sensor_of, simulated
 from tacshade_edge.core.calibration.calibrate import calibrate
-from tacshade_edge.core.calibration.inputs import BallPress
+from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.press_observation import PressObservation, observe_press
 from tacshade_edge.core.calibration.references import PROFILE
 from tacshade_edge.core.image.grey_maps import GreyMapper
@@ -33,7 +33,7 @@ def observed(seed: int) -> tuple[tuple[PressObservation, ...], Geometry]:
     preprocessor = Preprocessor(unloaded, PROFILE)
     mapper = GreyMapper(preprocessor)
     presses = [
-        BallPress(f"press {k}", simulated(model).frame((p,), 100 + k).image, radius, p.depth_mm, p.x_mm, p.y_mm)
+        KnownPress(f"press {k}", simulated(model).frame((p,), 100 + k).image, radius, p.depth_mm, p.x_mm, p.y_mm)
         for k, (p, radius) in enumerate(ball_presses(model, PRESSES, seed))
     ]
     return tuple(observe_press(preprocessor, mapper, press) for press in presses), unloaded.geometry

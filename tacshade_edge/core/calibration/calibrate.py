@@ -1,4 +1,4 @@
-"""References and ball presses to a `Calibration`."""
+"""References and known presses to a `Calibration`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from tacshade_edge.core.calibration import pattern
 from tacshade_edge.core.calibration.coverage import missing_coverage
 from tacshade_edge.core.calibration.depth_zero import zero_hint
-from tacshade_edge.core.calibration.inputs import BallPress, Sensor
+from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
 from tacshade_edge.core.calibration.press_observation import position_mae_mm
 from tacshade_edge.core.calibration.press_selection import select_presses
 from tacshade_edge.core.calibration.profile_refit import refit_profile
@@ -36,7 +36,7 @@ class CalibrationResult:
 def calibrate(
     sensor: Sensor,
     references: Sequence[U8],
-    presses: Sequence[BallPress] = (),
+    presses: Sequence[KnownPress] = (),
     allow_loaded_reference: bool = False,
     networks: Mapping[str, Network] | None = None,
 ) -> CalibrationResult:
@@ -47,7 +47,7 @@ def calibrate(
     sensor : Sensor
     references : sequence of uint8 (H, W) or (H, W, 3)
         At least one, of the unloaded skin.
-    presses : sequence of BallPress
+    presses : sequence of KnownPress
         None, or at least `press_selection.MIN_PRESSES`.
     allow_loaded_reference : bool
         Warn instead of refusing.
@@ -82,7 +82,7 @@ def calibrate(
     fitted = replace(fitted, fit=fit, factors={name: refit.factor for name, refit in refits.items()})
     warnings += selection.warnings
     graded = refits.get(GRADED_PROFILE)
-    if graded and (hint := zero_hint(graded.found_mm, graded.balls, geometry)):
+    if graded and (hint := zero_hint(graded.found_mm, graded.placed, geometry)):
         warnings += (hint,)
     missing = missing_coverage(selection.observations, geometry)
     quality = assess(fit, geometry, missing, graded.errors_mm if graded else ())

@@ -25,13 +25,13 @@ def missing_coverage(observations: Sequence[PressObservation], geometry: Geometr
     """What is missing in the presses, a line each."""
     places = np.array([o.place_mm for o in observations])
     depths = np.array([o.depth_mm for o in observations])
-    ball_radii = np.array([o.radius_mm for o in observations])
+    ball_radii = np.array([o.radius_mm for o in observations if not o.indenter])
     few = len(observations) < _FEW_PRESSES
     lines = (
         f"{len(observations)} presses: 20 to 40 make the depth and its error more certain" if few else "",
         _missing_places(places, geometry),
         _missing_depths(float(depths.min()), float(depths.max()), geometry),
-        _missing_ball_radii(float(ball_radii.min()), float(ball_radii.max()), geometry),
+        _missing_sizes({o.indenter for o in observations}, ball_radii, geometry),
     )
     return tuple(line for line in lines if line)
 
@@ -68,6 +68,14 @@ def _missing_depths(low_mm: float, high_mm: float, geometry: Geometry) -> str:
     if high_mm < _LEAST_DEEPEST * geometry.skin_radius_mm:
         return f"no press is deeper than {high_mm:.1f} mm: what is deeper is saturated; add some to {deep_mm:.1f} mm"
     return ""
+
+
+def _missing_sizes(indenters: set[str], ball_radii: F64, geometry: Geometry) -> str:
+    if len(indenters) > 1:
+        return ""
+    if ball_radii.size:
+        return _missing_ball_radii(float(ball_radii.min()), float(ball_radii.max()), geometry)
+    return f"one indenter, {indenters.pop()}: other shapes and sizes are less certain; add balls or another"
 
 
 def _missing_ball_radii(small_mm: float, large_mm: float, geometry: Geometry) -> str:

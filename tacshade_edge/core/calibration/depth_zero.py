@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tacshade_edge.core.calibration.gain import Ball
+from tacshade_edge.core.calibration.gain import Ball, Placed
 from tacshade_edge.core.calibration.skin_scale import skin_scale
 from tacshade_edge.types import F64, Geometry
 
@@ -56,28 +56,28 @@ def theil_sen(x: F64, y: F64) -> Line:
     return Line(slope, y0 - slope * x0, y0 - float(high) * x0, y0 - float(low) * x0)
 
 
-def zero_hint(found_mm: Sequence[float], balls: Sequence[Ball], geometry: Geometry) -> str:
+def zero_hint(found_mm: Sequence[float], placed: Sequence[Placed], geometry: Geometry) -> str:
     """Another zero of the depths that fits clearly better than the stated one, for a person; empty when none does.
 
     Parameters
     ----------
     found_mm : sequence of float
         Of each press the greatest h that a network finds that was not refitted.
-    balls : sequence of Ball
-        Where the balls are by what is stated of them.
+    placed : sequence of Ball or PlacedIndenter
+        Where the indenters are by what is stated of them.
     geometry : Geometry
     """
     r, scale = geometry.skin_radius_mm, skin_scale(geometry)
     found = np.asarray(found_mm) / scale
     if len(found) < _LEAST_PRESSES or np.ptp(found) == 0:
         return ""
-    stated = np.array([ball.depth_max_mm(r) for ball in balls]) / scale
-    travel = np.array([_read_as_travel(ball, r).depth_max_mm(r) for ball in balls]) / scale
+    stated = np.array([at.depth_max_mm(r) for at in placed]) / scale
+    travel = np.array([_read_as_travel(at, r).depth_max_mm(r) for at in placed]) / scale
     line, travel_line = theil_sen(found, stated), theil_sen(found, travel)
     if _error(travel_line, found, travel) < _TRAVEL_PART * _error(line, found, stated):
         return (
             "the stated depths fit better as travel from first touch; depth_mm is the undeformed skin's z at (x, y) "
-            "less the z of the ball's lowest point (docs/calibration.md)"
+            "less the z of the indenter's lowest point (docs/calibration.md)"
         )
     beyond = line.offset_low > _LEAST_OFFSET_MM or line.offset_high < -_LEAST_OFFSET_MM
     if not (beyond and _SLOPES[0] < line.slope < _SLOPES[1]):
@@ -86,8 +86,10 @@ def zero_hint(found_mm: Sequence[float], balls: Sequence[Ball], geometry: Geomet
     return f"the depths fit better if all are {change}: check the zero of the depth"
 
 
-def _read_as_travel(ball: Ball, skin_radius_mm: float) -> Ball:
-    """Where a ball is if its depth was stated as travel from first touch."""
+def _read_as_travel(ball: Placed, skin_radius_mm: float) -> Placed:
+    """Where a ball or another indenter is if its depth was stated as travel from first touch."""
+    if not isinstance(ball, Ball):
+        return ball.deeper(ball.first_touch_mm(skin_radius_mm))
     beside2 = ball.x_mm**2 + ball.y_mm**2
     skin_z = math.sqrt(max(skin_radius_mm**2 - beside2, 0.0))
     touch_z = math.sqrt(max((skin_radius_mm + ball.radius_mm) ** 2 - beside2, 0.0))

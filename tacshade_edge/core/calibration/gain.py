@@ -1,7 +1,7 @@
-"""The closed-form refit of the learned inverse to ball presses.
+"""The closed-form refit of the learned inverse to known presses.
 
 A network trained on every sensor is off on a given one by a nearly constant factor. It is fitted by ridge regression
-(Hoerl & Kennard, Technometrics 12, 1970) where the ball's surface is known and the network sees contact. Balls tell
+(Hoerl & Kennard, Technometrics 12, 1970) where the indenter's surface is known and the network sees contact. Balls tell
 little more: corrections that also depend on depth and place fit the balls better, and other shapes no better
 (tools/train/README.md).
 """
@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tacshade_edge.core.calibration.indenter import PlacedIndenter
 from tacshade_edge.core.calibration.skin_scale import skin_scale
 from tacshade_edge.core.depth.learned import Inverse
 from tacshade_edge.core.geometry import disc_map
@@ -45,6 +46,10 @@ class Ball:
     def depth_max_mm(self, skin_radius_mm: float) -> float:
         """Greatest h of the skin under it."""
         return skin_radius_mm - math.hypot(self.x_mm, self.y_mm, self.z_mm) + self.radius_mm
+
+
+Placed = Ball | PlacedIndenter
+"""What is pressed, where it is."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,9 +101,16 @@ def ball_height(geometry: Geometry, ball: Ball, cells: int = disc_map.CELLS) -> 
     return np.where(rays.inside, height, np.nan).astype(np.float32)
 
 
-def press_rows(inverse: Inverse, geometry: Geometry, ball: Ball) -> PressRows | None:
-    """One press for `fit_factor`; None where the network's contact and the ball hardly meet."""
-    height, truth = inverse.height_mm, ball_height(geometry, ball, len(inverse.height_mm))
+def known_height(geometry: Geometry, placed: Placed, cells: int = disc_map.CELLS) -> F32:
+    """H of what is pressed at the map's cells, mm; NaN or below 0 where it is not inside the undeformed skin."""
+    if isinstance(placed, Ball):
+        return ball_height(geometry, placed, cells)
+    return placed.height_mm(disc_rays(disc_map.map_grid(geometry.disc, cells), geometry), geometry)
+
+
+def press_rows(inverse: Inverse, geometry: Geometry, placed: Placed) -> PressRows | None:
+    """One press for `fit_factor`; None where the network's contact and the indenter hardly meet."""
+    height, truth = inverse.height_mm, known_height(geometry, placed, len(inverse.height_mm))
     scale = skin_scale(geometry)
     use = (inverse.contact_logit > 0) & np.isfinite(height)
     use &= (height > LEAST_FOUND_MM * scale) & (np.nan_to_num(truth) > LEAST_TRUE_MM * scale)
@@ -106,7 +118,7 @@ def press_rows(inverse: Inverse, geometry: Geometry, ball: Ball) -> PressRows | 
     if cells < LEAST_CELLS:
         return None
     # Every press counts alike, a deep one a little less: its error in mm is larger.
-    depth_mm = ball.depth_max_mm(geometry.skin_radius_mm) / scale
+    depth_mm = placed.depth_max_mm(geometry.skin_radius_mm) / scale
     weight = 1 / math.sqrt(cells * (PROPORTIONAL_MM + depth_mm))
     return PressRows(height[use].astype(np.float64) * weight, truth[use].astype(np.float64) * weight)
 

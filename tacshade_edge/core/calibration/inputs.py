@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from tacshade_edge.core.calibration.indenter import Indenter
 from tacshade_edge.types import IDENTITY_POSE, U8, Binarisation, Polarity
 
 
@@ -21,8 +22,23 @@ class Sensor:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BallPress:
-    """A known press of a ball: its image and the row of PRESSES.csv; x and y None where they are to be located."""
+class KnownPress:
+    """A known press: its image and the row of PRESSES.csv.
+
+    Attributes
+    ----------
+    name : str
+    image : uint8 (H, W) or (H, W, 3)
+    radius_mm : float
+        Of the ball; 0 for another indenter.
+    depth_mm : float
+    x_mm, y_mm : float or None
+        None where a ball is to be located.
+    indenter : Indenter or None
+        None is a ball.
+    yaw_deg, tilt_x_deg, tilt_y_deg : float
+        As `place` takes them.
+    """
 
     name: str
     image: U8
@@ -30,3 +46,7 @@ class BallPress:
     depth_mm: float
     x_mm: float | None
     y_mm: float | None
+    indenter: Indenter | None = None
+    yaw_deg: float = 0.0
+    tilt_x_deg: float = 0.0
+    tilt_y_deg: float = 0.0

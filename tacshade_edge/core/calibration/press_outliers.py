@@ -50,7 +50,7 @@ def outliers(observations: Sequence[PressObservation], geometry: Geometry) -> tu
 def _depth_reason(press: PressObservation, error_mm: float) -> str:
     return (
         f"{press.name}: depth {press.depth_mm:.2f} mm is stated, {press.depth_mm + error_mm:.2f} mm is what "
-        f"the other presses say of a ball of {press.radius_mm:g} mm"
+        f"the other presses say of {press.indenter or f'a ball of {press.radius_mm:g} mm'}"
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from tacshade_edge.core.calibration.inputs import BallPress
+from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.press_observation import PressObservation, observe_press
 from tacshade_edge.core.calibration.press_outliers import outliers
 from tacshade_edge.core.calibration.references import PROFILE
@@ -28,19 +28,19 @@ _MAX_LEFT_OUT = 0.25
 class Selection:
     """The presses to fit, what their images show, and warnings about all of them."""
 
-    presses: tuple[BallPress, ...]
+    presses: tuple[KnownPress, ...]
     observations: tuple[PressObservation, ...]
     warnings: tuple[str, ...]
 
 
-def select_presses(unloaded: Calibration, presses: Sequence[BallPress]) -> Selection:
+def select_presses(unloaded: Calibration, presses: Sequence[KnownPress]) -> Selection:
     """Leave out presses without contact, of a camera that moved, or that disagree with what is stated of them.
 
     Parameters
     ----------
     unloaded : Calibration
         From the references.
-    presses : sequence of BallPress
+    presses : sequence of KnownPress
 
     Raises
     ------
@@ -53,7 +53,7 @@ def select_presses(unloaded: Calibration, presses: Sequence[BallPress]) -> Selec
     preprocessor = Preprocessor(unloaded, PROFILE)
     mapper, gate, check = GreyMapper(preprocessor), ContactGate(preprocessor), sensor_check(unloaded)
     reference = registration.look(unloaded.reference_grey, geometry.disc, unloaded.pitch_px)
-    pressed: list[BallPress] = []
+    pressed: list[KnownPress] = []
     left_out: list[str] = []
     warnings: list[str] = []
     for press in presses:
@@ -83,7 +83,7 @@ def select_presses(unloaded: Calibration, presses: Sequence[BallPress]) -> Selec
     )
 
 
-def _check_press(calibration: Calibration, check: FrameCheck, press: BallPress) -> None:
+def _check_press(calibration: Calibration, check: FrameCheck, press: KnownPress) -> None:
     """Refuse what cannot be a press of this sensor."""
     r = calibration.geometry.skin_radius_mm
     if press.image.shape[:2] != (calibration.image_height_px, calibration.image_width_px):
@@ -91,7 +91,7 @@ def _check_press(calibration: Calibration, check: FrameCheck, press: BallPress) 
             f"{press.name}: {press.image.shape[1]}x{press.image.shape[0]} px, "
             f"the reference is {calibration.image_width_px}x{calibration.image_height_px}"
         )
-    if not 0 < press.depth_mm < r or not press.radius_mm > 0:
+    if not 0 < press.depth_mm < r or not (press.indenter or press.radius_mm > 0):
         raise ConfigError(
             f"{press.name}: depth {press.depth_mm} mm, ball radius {press.radius_mm} mm; "
             f"expected 0 < depth < {r} and a radius above 0"

@@ -1,4 +1,4 @@
-"""Refit a learned profile to ball presses, and measure its depth on presses that the refit has not seen."""
+"""Refit a learned profile to known presses, and measure its depth on presses that the refit has not seen."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tacshade_edge.core.calibration import gain
-from tacshade_edge.core.calibration.inputs import BallPress
+from tacshade_edge.core.calibration.inputs import KnownPress
+from tacshade_edge.core.calibration.press_observation import placed_indenter
 from tacshade_edge.core.depth import Network
 from tacshade_edge.core.depth.learned import Inverse, LearnedSolver
 from tacshade_edge.core.image.preprocess import Preprocessor
@@ -29,49 +30,55 @@ class Refit:
         Of each press its name, and the greatest h found less the true one, the press being left out of the refit.
     found_mm : tuple of float
         Of each press the greatest h that the network finds without a refit.
-    balls : tuple of Ball
-        Of each press where the ball is by what is stated.
+    placed : tuple of Ball or PlacedIndenter
+        Of each press where its indenter is by what is stated.
     """
 
     factor: float
     fit: ProfileFit
     errors_mm: tuple[tuple[str, float], ...]
     found_mm: tuple[float, ...]
-    balls: tuple[gain.Ball, ...]
+    placed: tuple[gain.Placed, ...]
 
 
 def refit_profile(
-    calibration: Calibration, profile: Profile, network: Network, presses: Sequence[BallPress]
+    calibration: Calibration, profile: Profile, network: Network, presses: Sequence[KnownPress]
 ) -> Refit | None:
     """Refit a profile; None where its network finds too few of the contacts."""
     geometry = calibration.geometry
     preprocessor = Preprocessor(calibration, profile)
     solver = LearnedSolver(preprocessor, network)
-    rows, found_mm, balls, names = [], [], [], []
+    rows, found_mm, placed, names = [], [], [], []
     for press in presses:
         inverse = solver.inverse(preprocessor.preprocess(preprocessor.grey(press.image)))
-        ball = _ball(geometry, inverse, press)
-        row = gain.press_rows(inverse, geometry, ball) if ball else None
-        if ball and row:
+        at = _placed(geometry, inverse, press)
+        row = gain.press_rows(inverse, geometry, at) if at else None
+        if at and row:
             rows.append(row)
             found_mm.append(inverse.height_mm[inverse.contact_logit > 0].max())
-            balls.append(ball)
+            placed.append(at)
             names.append(press.name)
     factor = gain.fit_factor(rows)
     if factor is None:
         return None
     errors = []
-    for k, (found, ball) in enumerate(zip(found_mm, balls, strict=True)):
+    for k, (found, at) in enumerate(zip(found_mm, placed, strict=True)):
         without = gain.fit_factor(rows[:k] + rows[k + 1 :]) or 1.0
-        errors.append(float(found * np.float32(without)) - ball.depth_max_mm(geometry.skin_radius_mm))
+        errors.append(float(found * np.float32(without)) - at.depth_max_mm(geometry.skin_radius_mm))
     off = np.abs(errors)
     fit = ProfileFit(len(rows), float(off.mean()), float(off.max()))
     return Refit(
-        factor, fit, tuple(zip(names, errors, strict=True)), tuple(float(found) for found in found_mm), tuple(balls)
+        factor,
+        fit,
+        tuple(zip(names, errors, strict=True)),
+        tuple(float(found) for found in found_mm),
+        tuple(placed),
     )
 
 
-def _ball(geometry: Geometry, inverse: Inverse, press: BallPress) -> gain.Ball | None:
+def _placed(geometry: Geometry, inverse: Inverse, press: KnownPress) -> gain.Placed | None:
+    if press.indenter is not None:
+        return placed_indenter(press, press.indenter, geometry)
     if press.x_mm is None or press.y_mm is None:
         return gain.located_ball(geometry, inverse, press.depth_mm, press.radius_mm)
     return gain.stated_ball(geometry, press.x_mm, press.y_mm, press.depth_mm, press.radius_mm)

@@ -1,8 +1,8 @@
-"""How far the ball of each press travelled into the skin, predicted from all the other presses.
+"""How far the indenter of each press travelled into the skin, predicted from all the other presses.
 
-A robust regression, sharper than a reconstruction because here the ball and its place are known: the travel from first
-touch is a power law of what the image shows. (The depth of a press is that travel and how far the ball's lowest point
-lay from the skin at first touch.)
+A robust regression, sharper than a reconstruction because here the indenter and its place are known: the travel from
+first touch is a power law of what the image shows. (The depth of a press is that travel and how far the indenter's
+lowest point lay from the skin at first touch.)
 
 References
 ----------
@@ -28,8 +28,9 @@ from tacshade_edge.types import F64, Geometry, freeze
 OUTLIER_DEVIATIONS = 4.0
 """A press is an outlier beyond so many standard deviations of all of them."""
 
-# log(travel) on 1, log χ, ρ², ρ⁴, log ball radius, log brightened area, log brightening, on the nominal skin: usual
-# weights, which decide where the presses leave a weight open, and how strongly the fit is pulled there.
+# log(travel) on 1, log χ, ρ², ρ⁴, log ball radius, log brightened area, log brightening, and 1 for each
+# other indenter, on the nominal skin: usual weights (0 for those), which decide where the presses leave a weight open,
+# and how strongly the fit is pulled there.
 _USUAL_WEIGHTS = np.array([0.0, 1.2, 0.0, 0.0, -0.3, 0.2, -0.25])
 _RIDGE = 0.01
 # The standard deviation of log(travel) is at least this, and that of the travel these mm on the nominal skin.
@@ -71,12 +72,13 @@ def leave_one_out(observations: Sequence[PressObservation], geometry: Geometry) 
     # An error in mm is a larger ratio of a shallow press.
     trust = 1 / (1 + (least / _USUAL_DEVIATION) ** 2)
     weight = trust
+    usual = np.concatenate((_USUAL_WEIGHTS, np.zeros(features.shape[1] - len(_USUAL_WEIGHTS))))
     pulled = np.diag([0.0] + [1.0] * (features.shape[1] - 1))
     for _ in range(_ITERATIONS):
         ridge = _RIDGE * float(weight.sum()) * pulled
         weighted = features * weight[:, None]
         normal = weighted.T @ features + ridge
-        residual = log_travel - features @ np.linalg.solve(normal, weighted.T @ log_travel + ridge @ _USUAL_WEIGHTS)
+        residual = log_travel - features @ np.linalg.solve(normal, weighted.T @ log_travel + ridge @ usual)
         deviation = np.hypot(max(1.4826 * float(np.median(np.abs(residual))), _LEAST_DEVIATION), least)
         z = np.abs(residual) / deviation
         kept = np.where(z < _HUBER, 1.0, _HUBER / np.maximum(z, _HUBER)) * (z < OUTLIER_DEVIATIONS)
@@ -91,7 +93,7 @@ def leave_one_out(observations: Sequence[PressObservation], geometry: Geometry) 
 
 
 def agreement_mae_mm(observations: Sequence[PressObservation], geometry: Geometry) -> float:
-    """Mean error of each press predicted from all the others, the ball and the place being known."""
+    """Mean error of each press predicted from all the others, the indenter and the place being known."""
     return float(np.mean(np.abs(leave_one_out(observations, geometry).error_mm)))
 
 
@@ -109,4 +111,6 @@ def _features(observations: Sequence[PressObservation], geometry: Geometry) -> F
         np.log([o.bright_mm2 / scale**2 for o in observations]),
         np.log([o.brightening_grey for o in observations]),
     ]
+    others = sorted({o.indenter for o in observations} - {""})
+    columns += [np.array([float(o.indenter == name) for o in observations]) for name in others]
     return np.stack(columns, axis=1)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from tacshade_edge.core.calibration.calibrate import CalibrationResult, calibrate
-from tacshade_edge.core.calibration.inputs import BallPress, Sensor
+from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.devices.weights.network import load_networks, make_reconstructor
@@ -112,7 +112,7 @@ def calibrated_sensor(sensor: PressedSensor, seed: int, references: int, presses
     stated = Sensor(model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, "bright")
     unloaded = [sensor.frame((), REFERENCE_NOISE + k).image for k in range(references)]
     pressed = [
-        BallPress(f"press {k}", sensor.frame((p,), PRESS_NOISE + k).image, radius, p.depth_mm, p.x_mm, p.y_mm)
+        KnownPress(f"press {k}", sensor.frame((p,), PRESS_NOISE + k).image, radius, p.depth_mm, p.x_mm, p.y_mm)
         for k, (p, radius) in enumerate(ball_presses(model, presses, seed))
     ]
     return calibrate(stated, unloaded, pressed, networks=load_networks())

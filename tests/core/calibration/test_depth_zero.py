@@ -12,7 +12,7 @@ from support.calibrated_sensor import FULL, references, sensor_of, simulated
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.depth_zero import theil_sen, zero_hint
 from tacshade_edge.core.calibration.gain import Ball, stated_ball
-from tacshade_edge.core.calibration.inputs import BallPress
+from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.devices.weights.network import load_networks
 from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.types import Disc, Geometry
@@ -64,9 +64,9 @@ def test_what_says_nothing_has_no_hint() -> None:
 
 
 @pytest.fixture(scope="module")
-def presses() -> list[BallPress]:
+def presses() -> list[KnownPress]:
     return [
-        BallPress(f"press {k}", simulated(FULL).frame((p,), 300 + k).image, radius, p.depth_mm, p.x_mm, p.y_mm)
+        KnownPress(f"press {k}", simulated(FULL).frame((p,), 300 + k).image, radius, p.depth_mm, p.x_mm, p.y_mm)
         for k, (p, radius) in enumerate(ball_presses(FULL, 24, 3))
     ]
 
@@ -81,10 +81,10 @@ def presses() -> list[BallPress]:
         ("travel", "fit better as travel from first touch"),
     ],
 )
-def test_a_simulated_sensor(presses: list[BallPress], read_as: str, wanted: str) -> None:
+def test_a_simulated_sensor(presses: list[KnownPress], read_as: str, wanted: str) -> None:
     r = FULL.skin_radius_mm
 
-    def depth_mm(press: BallPress) -> float:
+    def depth_mm(press: KnownPress) -> float:
         beside2 = (press.x_mm or 0.0) ** 2 + (press.y_mm or 0.0) ** 2
         touch = np.sqrt(r * r - beside2) - np.sqrt((r + press.radius_mm) ** 2 - beside2) + press.radius_mm
         off = {"stated": 0.0, "less": -0.7, "more": 0.7, "travel": -float(touch)}[read_as]

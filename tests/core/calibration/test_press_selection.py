@@ -6,14 +6,14 @@ import pytest
 from support.calibrated_sensor import HALF, presses, references, sensor_of, unloaded
 
 from tacshade_edge.core.calibration.calibrate import CalibrationResult, calibrate
-from tacshade_edge.core.calibration.inputs import BallPress
+from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.press_selection import MIN_PRESSES
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.types import U8
 
 
-def fitted(table: tuple[BallPress, ...] | list[BallPress]) -> CalibrationResult:
+def fitted(table: tuple[KnownPress, ...] | list[KnownPress]) -> CalibrationResult:
     return calibrate(sensor_of(HALF), references(), table)
 
 

@@ -8,7 +8,7 @@ from support.calibrated_sensor import HALF, calibrated, pressed, presses, refere
 
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.gain import stated_ball
-from tacshade_edge.core.calibration.inputs import BallPress
+from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.press_selection import MIN_PRESSES
 from tacshade_edge.core.calibration.profile_refit import Refit, refit_profile
 from tacshade_edge.core.profiles import PROFILES
@@ -18,7 +18,7 @@ from tacshade_edge.simulator.press import Press
 from tacshade_edge.types import Frame
 
 
-def refitted(table: list[BallPress], profile: str = "fast") -> Refit:
+def refitted(table: list[KnownPress], profile: str = "fast") -> Refit:
     unloaded = calibrated(count=0)
     refit = refit_profile(unloaded, PROFILES[profile], load_networks()[profile], table)
     assert refit is not None
@@ -64,7 +64,7 @@ def test_the_error_is_that_on_presses_of_which_the_refit_knows_nothing() -> None
 def test_presses_that_do_not_vary_still_calibrate() -> None:
     one = simulated(HALF)
     same = [
-        BallPress(str(k), one.frame((Press(ball(6.0), 0, 0, 2.0),), k).image, 6.0, 2.0, 0.0, 0.0)
+        KnownPress(str(k), one.frame((Press(ball(6.0), 0, 0, 2.0),), k).image, 6.0, 2.0, 0.0, 0.0)
         for k in range(MIN_PRESSES)
     ]
     fitted = calibrate(sensor_of(HALF), references(), same, networks=load_networks()).calibration

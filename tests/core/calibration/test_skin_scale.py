@@ -13,7 +13,7 @@ from support.observed_presses import SEEDS, observed
 
 from tacshade_edge.core.calibration.calibrate import CalibrationResult, calibrate
 from tacshade_edge.core.calibration.coverage import missing_coverage
-from tacshade_edge.core.calibration.inputs import BallPress
+from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.press_observation import PressObservation
 from tacshade_edge.core.calibration.press_outliers import outliers
 from tacshade_edge.core.calibration.skin_scale import skin_scale
@@ -85,7 +85,7 @@ def calibrated_at(radius_mm: float, off_mm: float) -> CalibrationResult:
     by = radius_mm / HALF.skin_radius_mm
     stated = sensor_of(replace(HALF, skin_radius_mm=radius_mm, camera_distance_mm=by * (HALF.camera_distance_mm or 0)))
 
-    def press(k: int, p: BallPress) -> BallPress:
+    def press(k: int, p: KnownPress) -> KnownPress:
         return replace(
             p,
             radius_mm=by * p.radius_mm,

@@ -1,0 +1,252 @@
+"""Indenters of known shape that are no balls: where their surface lies under a press.
+
+Every shape is a closed surface of triangles. Round sides have `_SIDES` flats that lie on the circle at their corners,
+so the surface is at most 3e-4 radii inside the true one.
+
+References
+----------
+M. Botsch, L. Kobbelt, M. Pauly, P. Alliez, B. Lévy, "Polygon Mesh Processing", 2010, section 1.3: triangle meshes and
+barycentric coordinates.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from tacshade_edge.core.geometry.disc import DiscRays
+from tacshade_edge.types import F32, F64, Geometry, freeze
+
+I64 = npt.NDArray[np.int64]
+
+_SIDES = 128
+# Corners of what stands upright, above its foot, mm: none but the near ones matter, and the last is beyond any skin.
+_LEVELS_MM = (0.0, 2.0, 8.0, 32.0, 128.0, 512.0)
+# A triangle is looked at where it is nearer to the lens than this part of the skin's radius: no picture shows less.
+_LEAST_RANGE = 1e-3
+# A touch is found when the next step would be smaller, in skin radii; or after so many, each a part of what is left.
+_TOUCH_STEP, _TOUCH_STEPS = 1e-9, 200
+# Rounding leaves no gap between triangles: a cell so far beside one, in its areas, is on it. Pairs are looked at in
+# parts, which bounds the memory.
+_EDGE, _PAIRS = 1e-9, 1 << 20
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Indenter:
+    """A solid in its own frame: its lowest point has z = 0, z points away from the sensor.
+
+    Attributes
+    ----------
+    name : str
+    triangles_mm : float64 (N, 3, 3)
+        Corners x, y, z of its surface.
+    """
+
+    name: str
+    triangles_mm: F64
+
+    def __post_init__(self) -> None:
+        freeze(self, "triangles_mm")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacedIndenter:
+    """An indenter where it is pressed.
+
+    Attributes
+    ----------
+    x_mm, y_mm : float
+        Of its origin, in the sensor frame.
+    depth_mm : float
+        The undeformed skin's z at (x, y) less the z of its lowest point.
+    triangles_mm : float64 (N, 3, 3)
+        In the sensor frame.
+    """
+
+    x_mm: float
+    y_mm: float
+    depth_mm: float
+    triangles_mm: F64
+
+    def __post_init__(self) -> None:
+        freeze(self, "triangles_mm")
+
+    def depth_max_mm(self, skin_radius_mm: float) -> float:
+        """Greatest h of the skin under it; negative above the skin."""
+        return skin_radius_mm - float(np.linalg.norm(_nearest(self.triangles_mm)))
+
+    def first_touch_mm(self, skin_radius_mm: float) -> float:
+        """Find the depth at which it first touched the undeformed skin, coming along -z; its own if it does not."""
+        lifted, travel = self.triangles_mm + 0.0, 0.0
+        for _ in range(_TOUCH_STEPS):
+            x, y, z = _nearest(lifted)[0]
+            # What is deepest must come out at least, so this never lifts too far.
+            step = math.sqrt(max(skin_radius_mm**2 - x * x - y * y, 0.0)) - z
+            if math.hypot(x, y, z) >= skin_radius_mm or step <= _TOUCH_STEP * skin_radius_mm:
+                break
+            lifted[..., 2] += step
+            travel += step
+        return self.depth_mm - travel
+
+    def deeper(self, by_mm: float) -> PlacedIndenter:
+        """The same, so much deeper."""
+        return PlacedIndenter(self.x_mm, self.y_mm, self.depth_mm + by_mm, self.triangles_mm - (0.0, 0.0, by_mm))
+
+    def height_mm(self, rays: DiscRays, geometry: Geometry) -> F32:
+        """Find h = r - |S| where a camera's rays meet its surface S first.
+
+        Returns
+        -------
+        float32 (rows, cols)
+            mm, above 0: NaN where it does not lie inside the undeformed skin, and outside the disc.
+        """
+        r, d = geometry.skin_radius_mm, geometry.camera_distance_mm
+        near = np.linalg.norm(_nearest(self.triangles_mm, of_each=True), axis=1) < r
+        if d is not None:
+            near &= self.triangles_mm[..., 2].min(axis=1) > _LEAST_RANGE * r - d
+        # A map that keeps planes plane, and puts first what a ray meets first.
+        x, y, z = np.moveaxis(self.triangles_mm[near], -1, 0)
+        u, v = rays.u.astype(np.float64), rays.v.astype(np.float64)
+        if d is None:
+            z = -_upper_envelope(np.stack((x, y, -z), axis=-1), u[0], v[:, 0])
+            distance = np.sqrt(u * u + v * v + z * z)
+        else:
+            s = 1 / _upper_envelope(np.stack((x, y, np.ones_like(z)), axis=-1) / (z + d)[..., None], u[0], v[:, 0])
+            distance = np.sqrt(s * s * (u * u + v * v) + (s - d) ** 2)
+        return np.where(rays.inside & (distance < r), r - distance, np.nan).astype(np.float32)
+
+
+def cylinder(name: str, radius_mm: float) -> Indenter:
+    """A cylinder that stands on its flat end."""
+    return Indenter(name, _surface([_ring(_circle(radius_mm), z) for z in _LEVELS_MM]))
+
+
+def box(name: str, length_mm: float, width_mm: float) -> Indenter:
+    """A box, its flat face down, `length_mm` along x by `width_mm` along y."""
+    corners = np.array(((-1, -1), (1, -1), (1, 1), (-1, 1))) * (length_mm / 2, width_mm / 2)
+    return Indenter(name, _surface([_ring(corners, z) for z in _LEVELS_MM]))
+
+
+def bar(name: str, radius_mm: float, length_mm: float) -> Indenter:
+    """A cylinder that lies along x, with flat ends."""
+    x, y, z = np.moveaxis(_surface([_ring(_circle(radius_mm), z) for z in (0.0, length_mm)]), -1, 0)
+    return Indenter(name, np.stack((z - length_mm / 2, y, radius_mm - x), axis=-1))
+
+
+def cone(name: str, angle_deg: float) -> Indenter:
+    """A cone on its tip; `angle_deg` is the full angle there."""
+    slope = math.tan(math.radians(angle_deg) / 2)
+    return Indenter(name, _surface([_ring(_circle(slope * z), z) for z in _LEVELS_MM]))
+
+
+def mesh(name: str, triangles_mm: F64) -> Indenter:
+    """A surface of triangles (float64 (N, 3, 3), N at least 1), moved along z until its lowest point has z = 0."""
+    return Indenter(name, triangles_mm - (0.0, 0.0, float(triangles_mm[..., 2].min())))
+
+
+def place(
+    indenter: Indenter,
+    skin_radius_mm: float,
+    x_mm: float,
+    y_mm: float,
+    depth_mm: float,
+    yaw_deg: float = 0.0,
+    tilt_x_deg: float = 0.0,
+    tilt_y_deg: float = 0.0,
+) -> PlacedIndenter:
+    """Where an indenter is by the row of PRESSES.csv (docs/calibration.md).
+
+    It is turned by yaw about z (from x towards y), then tilted about x, then about y, all through its origin, which is
+    put over (x, y); its lowest point, as it is then, lies `depth_mm` under the undeformed skin at (x, y).
+    """
+    a, b, c = (math.radians(angle) for angle in (yaw_deg, tilt_x_deg, tilt_y_deg))
+    about_z = np.array(((math.cos(a), -math.sin(a), 0), (math.sin(a), math.cos(a), 0), (0, 0, 1)))
+    about_x = np.array(((1, 0, 0), (0, math.cos(b), -math.sin(b)), (0, math.sin(b), math.cos(b))))
+    about_y = np.array(((math.cos(c), 0, math.sin(c)), (0, 1, 0), (-math.sin(c), 0, math.cos(c))))
+    turned = indenter.triangles_mm @ (about_y @ about_x @ about_z).T
+    skin_z = math.sqrt(max(skin_radius_mm**2 - x_mm**2 - y_mm**2, 0.0))
+    z_mm = skin_z - depth_mm - float(turned[..., 2].min())
+    return PlacedIndenter(x_mm, y_mm, depth_mm, turned + np.array((x_mm, y_mm, z_mm)))
+
+
+def _circle(radius_mm: float) -> F64:
+    angle = 2 * math.pi * np.arange(_SIDES) / _SIDES
+    return radius_mm * np.column_stack((np.cos(angle), np.sin(angle)))
+
+
+def _ring(outline: F64, z_mm: float) -> F64:
+    return np.column_stack((outline, np.full(len(outline), z_mm)))
+
+
+def _surface(rings: Sequence[F64]) -> F64:
+    """The triangles between rings of as many corners (N, 3) each, the lowest first, and those that close both ends."""
+    faces = []
+    for low, high in itertools.pairwise(rings):
+        low_after, high_after = np.roll(low, -1, axis=0), np.roll(high, -1, axis=0)
+        faces += [(low, low_after, high), (low_after, high_after, high)]
+    for ring in (rings[0], rings[-1]):
+        faces.append((np.broadcast_to(ring.mean(axis=0), ring.shape), ring, np.roll(ring, -1, axis=0)))
+    return np.concatenate([np.stack(face, axis=1) for face in faces])
+
+
+def _nearest(triangles: F64, *, of_each: bool = False) -> F64:
+    """The point (1, 3) that is nearest to the sensor's centre, or that of each triangle (N, 3)."""
+    a, b, c = np.moveaxis(triangles, 1, 0)
+    normal = np.cross(b - a, c - a)
+    norm2 = np.maximum(np.einsum("ij,ij->i", normal, normal), np.finfo(float).tiny)
+    foot = (np.einsum("ij,ij->i", a, normal) / norm2)[:, None] * normal
+    beside = np.zeros(len(a), bool)
+    candidates = [foot]
+    for p, q in ((a, b), (b, c), (c, a)):
+        beside |= ~(np.einsum("ij,ij->i", np.cross(q - p, foot - p), normal) > 0)
+        candidates.append(p + _share(p, q)[:, None] * (q - p))
+    points = np.stack(candidates)
+    distance2 = np.einsum("kij,kij->ki", points, points)
+    distance2[0, beside] = np.inf
+    each: F64 = points[np.argmin(distance2, axis=0), np.arange(len(a))]
+    return each if of_each else each[[int(np.argmin(distance2.min(axis=0)))]]
+
+
+def _share(p: F64, q: F64) -> F64:
+    """How far along each edge from p to q its point nearest to the origin lies, 0 to 1."""
+    edge = q - p
+    length2 = np.maximum(np.einsum("ij,ij->i", edge, edge), np.finfo(float).tiny)
+    return np.asarray(np.clip(-np.einsum("ij,ij->i", p, edge) / length2, 0, 1))
+
+
+def _upper_envelope(triangles: F64, x: F64, y: F64) -> F64:
+    """The highest z of triangles (N, 3, 3) over each point of a grid with axes x (cols,) and y (rows,); NaN beside."""
+    highest = np.full((len(y), len(x)), -np.inf)
+    low, high = triangles.min(axis=1), triangles.max(axis=1)
+    col0, row0 = np.searchsorted(x, low[:, 0]), np.searchsorted(y, low[:, 1])
+    cols = np.searchsorted(x, high[:, 0], "right") - col0
+    counts = cols * (np.searchsorted(y, high[:, 1], "right") - row0)
+    for some in _in_parts(counts):
+        # Every pair of a triangle and a cell in its bounding box.
+        which = np.repeat(some, counts[some])
+        k = np.arange(len(which)) - np.repeat(np.cumsum(counts[some]) - counts[some], counts[some])
+        row, col = row0[which] + k // cols[which], col0[which] + k % cols[which]
+        point = np.stack((x[col], y[row]), axis=-1)
+        a, b, c = np.moveaxis(triangles[which, :, :2], 1, 0)
+        areas = [_cross(q - p, point - p) for p, q in ((b, c), (c, a), (a, b))]
+        whole = _cross(b - a, c - a)
+        within = (whole != 0) & (np.min(areas * np.sign(whole), axis=0) >= -_EDGE * np.abs(whole))
+        shares = np.stack(areas)[:, within] / whole[within]
+        z = np.einsum("ki,ik->i", shares, triangles[which[within], :, 2])
+        np.maximum.at(highest, (row[within], col[within]), z)
+    return np.where(np.isfinite(highest), highest, np.nan)
+
+
+def _in_parts(counts: I64) -> list[I64]:
+    """Indices of all triangles in runs of about `_PAIRS` pairs."""
+    ends = np.cumsum(counts) // _PAIRS
+    return np.split(np.arange(len(counts)), np.flatnonzero(np.diff(ends)) + 1)
+
+
+def _cross(p: F64, q: F64) -> F64:
+    return np.asarray(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0])

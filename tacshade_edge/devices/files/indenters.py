@@ -1,0 +1,54 @@
+"""INDENTERS.yaml and its meshes to indenters, for ``tacshade-edge calibrate``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tacshade_edge.core.calibration import indenter as shapes
+from tacshade_edge.core.calibration.indenter import Indenter
+from tacshade_edge.devices.files.stl import read_stl
+from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.settings.indenters_file import IndenterEntry, read_indenters_file
+
+# A mesh has one side within these, mm: another size is one in metres or inches, or a mistake.
+_LEAST_MM, _MOST_MM = 0.5, 500.0
+
+
+def read_indenters(path: Path) -> dict[str, Indenter | float]:
+    """Read the file and its meshes (relative to it): name to indenter, or to the radius of a ball in mm.
+
+    Raises
+    ------
+    ConfigError
+        ``FILE:LINE: NAME.key: found …, expected …``.
+    """
+    return {name: _indenter(path, name, *entry) for name, entry in read_indenters_file(path).items()}
+
+
+def _indenter(path: Path, name: str, where: str, entry: IndenterEntry) -> Indenter | float:
+    match entry:
+        case IndenterEntry(shape="ball", radius_mm=float(radius_mm)):
+            return radius_mm
+        case IndenterEntry(shape="cylinder", radius_mm=float(radius_mm)):
+            return shapes.cylinder(name, radius_mm)
+        case IndenterEntry(shape="box", length_mm=float(length_mm), width_mm=float(width_mm)):
+            return shapes.box(name, length_mm, width_mm)
+        case IndenterEntry(shape="bar", radius_mm=float(radius_mm), length_mm=float(length_mm)):
+            return shapes.bar(name, radius_mm, length_mm)
+        case IndenterEntry(shape="cone", angle_deg=float(angle_deg)):
+            return shapes.cone(name, angle_deg)
+        case IndenterEntry(shape="mesh", file=str(file)):
+            return _mesh(path.parent / file, name, where)
+    raise AssertionError(entry)  # what a shape needs was checked
+
+
+def _mesh(path: Path, name: str, where: str) -> Indenter:
+    try:
+        triangles_mm = read_stl(path)
+    except DecodeError as error:
+        raise ConfigError(f"{where}: {name}.file: {error}") from None
+    size_mm = float((triangles_mm.max(axis=(0, 1)) - triangles_mm.min(axis=(0, 1))).max())
+    if not _LEAST_MM <= size_mm <= _MOST_MM:
+        expected = f"expected {_LEAST_MM} to {_MOST_MM:g} mm: an STL file has no unit, mm are read"
+        raise ConfigError(f"{where}: {name}.file: {path}: found a greatest size of {size_mm:.3g}, {expected}")
+    return shapes.mesh(name, triangles_mm)

@@ -1,0 +1,76 @@
+"""STL files, ascii and binary: the triangles of a surface.
+
+References
+----------
+3D Systems, "StereoLithography Interface Specification", 1989; M. Burns, "Automated Fabrication", 1993, section 6.5.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from tacshade_edge.errors import DecodeError
+from tacshade_edge.types import F64
+
+MAX_TRIANGLES = 200_000
+_HEAD_BYTES, _TRIANGLE_BYTES = 84, 50
+# An ascii triangle takes about 270 bytes.
+_MAX_BYTES = MAX_TRIANGLES * 400
+_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+
+
+def read_stl(path: Path) -> F64:
+    """Read the corners of all triangles; normals are not looked at.
+
+    Returns
+    -------
+    float64 (N, 3, 3)
+        N from 1 to `MAX_TRIANGLES`, finite.
+
+    Raises
+    ------
+    DecodeError
+        Not readable, no STL file, no triangle or too many of them, or a corner that is no number.
+    """
+    try:
+        with path.open("rb") as file:
+            data = file.read(_MAX_BYTES + 1)
+    except (OSError, ValueError) as error:
+        raise DecodeError(f"{path}: {getattr(error, 'strerror', None) or error}, expected an STL file") from None
+    if len(data) > _MAX_BYTES:
+        raise DecodeError(f"{path}: found more than {_MAX_BYTES >> 20} MiB, expected at most {MAX_TRIANGLES} triangles")
+    count = int.from_bytes(data[80:84], "little")
+    # A binary file may begin with "solid" too: its length tells.
+    if len(data) >= _HEAD_BYTES and len(data) == _HEAD_BYTES + count * _TRIANGLE_BYTES:
+        corners = np.frombuffer(data, _TRIANGLE, offset=_HEAD_BYTES)["corners"].astype(np.float64)
+    elif data.lstrip()[:5].lower() == b"solid":
+        corners = _ascii(path, data)
+    else:
+        raise DecodeError(f"{path}: found {len(data)} bytes that are no STL file, ascii or binary")
+    if not 0 < len(corners) <= MAX_TRIANGLES:
+        raise DecodeError(f"{path}: found {len(corners)} triangles, expected 1 to {MAX_TRIANGLES}")
+    if not np.isfinite(corners).all():
+        raise DecodeError(f"{path}: found a corner that is not finite")
+    return corners
+
+
+def _ascii(path: Path, data: bytes) -> F64:
+    corners, in_facet = [], 0
+    for number, line in enumerate(data.decode("ascii", "replace").splitlines(), start=1):
+        word, *rest = line.split() or [""]
+        if word.lower() == "vertex":
+            try:
+                x, y, z = map(float, rest)
+            except ValueError:
+                raise DecodeError(f"{path}:{number}: found {line.strip()[:60]!r}, expected vertex x y z") from None
+            corners.append((x, y, z))
+            in_facet += 1
+        elif word.lower() == "endfacet":
+            if in_facet != 3:
+                raise DecodeError(f"{path}:{number}: found a facet of {in_facet} corners, expected 3")
+            in_facet = 0
+    if in_facet:
+        raise DecodeError(f"{path}: found its end within a facet, expected endfacet")
+    return np.array(corners, dtype=np.float64).reshape(-1, 3, 3)
