@@ -9,13 +9,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from support.calibrated_sensor import calibrated, pressed, unloaded
+from support.calibrated_sensor import calibrated, pressed, presses, simulated, unloaded
 from support.patience import patience
 from support.sensor_files import write_files
 
 from tacshade_edge.cli import main
 from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.simulator import nuisance
+from tacshade_edge.simulator.objects import Shape, ridge
+from tacshade_edge.simulator.press import Press
+from tacshade_edge.types import F64
 
 
 @pytest.fixture(scope="module")
@@ -105,6 +108,45 @@ def test_a_result_that_cannot_be_written(words: list[str], tmp_path: Path, capsy
     out = tmp_path / "none" / "cal.npz"
     assert main(["calibrate", *words[:2], *words[4:], "--out", str(out)]) == 1
     assert f"{out}: cannot write the calibration" in one_line(capsys.readouterr().err)
+
+
+def test_named_indenters(words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Half of the presses by a flat end and a tilted square, in a spreadsheet's table."""
+    folder, shapes = Path(words[3]).parent, {"flat": pillar(4.0), "square": ridge(8.0, 6.0)}
+    rows = ["force;image;indenter;radius_mm;depth_mm;x_mm;y_mm;yaw_deg;tilt_x_deg"]
+    for k, press in enumerate(presses()[:12]):
+        name = ("ball", "flat", "square")[k % 3]
+        image, radius, turn = folder / f"press{k}.png", str(press.radius_mm), (0.0, 0.0)
+        if name != "ball":
+            turn, radius = (20.0, 5.0) if name == "square" else (0.0, 0.0), ""
+            at = Press(shapes[name], press.x_mm or 0, press.y_mm or 0, press.depth_mm, turn[0], 1.0, turn[1])
+            image = tmp_path / f"{k}.png"
+            cv2.imwrite(str(image), simulated().frame((at,), 500 + k).image)
+        numbers = ";".join(map(str, (radius, press.depth_mm, press.x_mm, press.y_mm, *turn))).replace(".", ",")
+        rows.append(f"3;{image};{name};{numbers}")
+    table, indenters = tmp_path / "PRESSES.csv", tmp_path / "INDENTERS.yaml"
+    table.write_bytes("\r\n".join(rows).encode("utf-16"))
+    indenters.write_text("flat: {shape: cylinder, radius_mm: 4}\nsquare: {shape: box, length_mm: 8, width_mm: 6}\n")
+    command = ["calibrate", *words[:2], "--presses", str(table), *words[4:], "--out", str(tmp_path / "cal.npz")]
+    assert main([*command, "--indenters", str(indenters)]) == 0
+    assert capsys.readouterr().err == f"warning: {table}: columns that are not known are ignored: force\n"
+    fit = calibration_file.load(tmp_path / "cal.npz").fit
+    assert fit is not None
+    assert fit.presses == 12
+    assert fit.profiles["accurate"].presses == 12
+    assert main(command) == 78
+    line = one_line(capsys.readouterr().err)
+    assert line.endswith("PRESSES.csv:3: indenter: found 'flat', expected ball (others need --indenters)\n")
+
+
+def pillar(radius_mm: float) -> Shape:
+    """A flat end."""
+
+    def sdf(p: F64) -> F64:
+        side, foot = np.hypot(p[:, 0], p[:, 1]) - radius_mm, -p[:, 2]
+        return np.minimum(np.maximum(side, foot), 0) + np.hypot(np.maximum(side, 0), np.maximum(foot, 0))
+
+    return Shape("pillar", sdf)
 
 
 def test_the_quality_is_printed(words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -64,7 +64,7 @@ def calibrate(
     warnings = check_references(unloaded, greys, allow_loaded_reference)
     if not presses:
         return CalibrationResult(unloaded, warnings, UNCALIBRATED)
-    selection = select_presses(unloaded, presses)
+    selection = select_presses(unloaded, presses, (networks or {}).get(GRADED_PROFILE))
     geometry = unloaded.geometry
     # The paper's α for this sensor: what scales a normalised height of 1 to the mean pressed depth.
     alpha = float(np.mean([press.depth_mm for press in selection.presses])) / geometry.mm_per_px

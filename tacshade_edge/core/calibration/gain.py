@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tacshade_edge.core.calibration.indenter import PlacedIndenter
+from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.skin_scale import skin_scale
 from tacshade_edge.core.depth.learned import Inverse
 from tacshade_edge.core.geometry import disc_map
@@ -80,6 +81,13 @@ def located_ball(geometry: Geometry, inverse: Inverse, depth_mm: float, radius_m
         x, y = reach * along[0], reach * along[1]
         reach = stated_ball(geometry, x, y, depth_mm, radius_mm).z_mm / along[2]
     return stated_ball(geometry, float(reach * along[0]), float(reach * along[1]), depth_mm, radius_mm)
+
+
+def placed_ball(geometry: Geometry, inverse: Inverse, press: KnownPress, radius_mm: float) -> Ball | None:
+    """Place the ball of a press where it is stated, or located; None where it cannot be."""
+    if press.x_mm is None or press.y_mm is None:
+        return located_ball(geometry, inverse, press.depth_mm, radius_mm)
+    return stated_ball(geometry, press.x_mm, press.y_mm, press.depth_mm, radius_mm)
 
 
 def ball_height(geometry: Geometry, ball: Ball, cells: int = disc_map.CELLS) -> F32:

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.press_observation import PressObservation, observe_press
 from tacshade_edge.core.calibration.press_outliers import outliers
+from tacshade_edge.core.calibration.quality import GRADED_PROFILE
 from tacshade_edge.core.calibration.references import PROFILE
-from tacshade_edge.core.calibration.table_hints import table_hints
+from tacshade_edge.core.calibration.stated_sizes import shown_sizes, size_mistake
+from tacshade_edge.core.calibration.table_hints import axes_hint, polarity_hint, table_hints
 from tacshade_edge.core.contact.gate import ContactGate
+from tacshade_edge.core.depth import Network
 from tacshade_edge.core.frame_check import registration
 from tacshade_edge.core.frame_check.validity import FrameCheck, invalid_reason, sensor_check
 from tacshade_edge.core.image import greyscale
 from tacshade_edge.core.image.grey_maps import GreyMapper
 from tacshade_edge.core.image.preprocess import Preprocessor
+from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import Calibration
 
@@ -33,7 +37,7 @@ class Selection:
     warnings: tuple[str, ...]
 
 
-def select_presses(unloaded: Calibration, presses: Sequence[KnownPress]) -> Selection:
+def select_presses(unloaded: Calibration, presses: Sequence[KnownPress], network: Network | None = None) -> Selection:
     """Leave out presses without contact, of a camera that moved, or that disagree with what is stated of them.
 
     Parameters
@@ -41,11 +45,14 @@ def select_presses(unloaded: Calibration, presses: Sequence[KnownPress]) -> Sele
     unloaded : Calibration
         From the references.
     presses : sequence of KnownPress
+    network : Network, optional
+        Of `GRADED_PROFILE`: with it, depths, balls and skin of another size than stated are found too.
 
     Raises
     ------
     ConfigError
-        Too few presses, too many to leave out, or one that cannot be a press of this sensor.
+        A gross mistake of the whole table or of what is stated of the sensor; too few presses, too many to leave
+        out, or one that cannot be a press of this sensor.
     """
     if len(presses) < MIN_PRESSES:
         raise ConfigError(f"{len(presses)} presses: at least {MIN_PRESSES} are needed (20 are better)")
@@ -70,17 +77,40 @@ def select_presses(unloaded: Calibration, presses: Sequence[KnownPress]) -> Sele
             if change := shift or registration.light_drift_reason(drift):
                 warnings.append(f"{press.name}: {change} since the references")
     observations = [observe_press(preprocessor, mapper, press) for press in pressed]
-    hints = table_hints(observations, geometry) if len(observations) >= MIN_PRESSES else ()
+    if len(observations) >= MIN_PRESSES and (mistakes := _gross_mistakes(unloaded, network, pressed, observations)):
+        raise ConfigError("; ".join(mistakes))
     disagreeing = {outlier.index: outlier.reason for outlier in outliers(observations, geometry)}
     left_out += disagreeing.values()
     usable = [k for k in range(len(pressed)) if k not in disagreeing]
     if len(left_out) > _MAX_LEFT_OUT * len(presses) or len(usable) < MIN_PRESSES:
-        raise ConfigError("; ".join([f"{len(left_out)} of {len(presses)} presses cannot be used", *hints, left_out[0]]))
+        raise ConfigError(f"{len(left_out)} of {len(presses)} presses cannot be used; {left_out[0]}")
     return Selection(
         tuple(pressed[k] for k in usable),
         tuple(observations[k] for k in usable),
-        (*hints, *warnings, *(f"{reason}; left out" for reason in left_out)),
+        (*warnings, *(f"{reason}; left out" for reason in left_out)),
     )
+
+
+def _gross_mistakes(
+    unloaded: Calibration,
+    network: Network | None,
+    presses: Sequence[KnownPress],
+    observations: Sequence[PressObservation],
+) -> tuple[str, ...]:
+    """What is wrong with all presses alike, or with what is stated of the sensor; empty when nothing is."""
+    other = replace(unloaded, polarity="dark" if unloaded.polarity == "bright" else "bright")
+    preprocessor = Preprocessor(other, PROFILE)
+    mapper = GreyMapper(preprocessor)
+    seen_otherwise = [observe_press(preprocessor, mapper, press) for press in presses]
+    if hint := polarity_hint(observations, seen_otherwise, unloaded.polarity):
+        return (hint,)
+    if network is not None:
+        shown = shown_sizes(unloaded, PROFILES[GRADED_PROFILE], network, presses)
+        if (mistake := size_mistake(shown, observations, unloaded.geometry)) and not axes_hint(
+            observations, unloaded.geometry
+        ):
+            return (mistake,)
+    return table_hints(observations, unloaded.geometry)
 
 
 def _check_press(calibration: Calibration, check: FrameCheck, press: KnownPress) -> None:

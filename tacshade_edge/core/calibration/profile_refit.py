@@ -79,6 +79,4 @@ def refit_profile(
 def _placed(geometry: Geometry, inverse: Inverse, press: KnownPress) -> gain.Placed | None:
     if press.indenter is not None:
         return placed_indenter(press, press.indenter, geometry)
-    if press.x_mm is None or press.y_mm is None:
-        return gain.located_ball(geometry, inverse, press.depth_mm, press.radius_mm)
-    return gain.stated_ball(geometry, press.x_mm, press.y_mm, press.depth_mm, press.radius_mm)
+    return gain.placed_ball(geometry, inverse, press, press.radius_mm)

@@ -1,16 +1,19 @@
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
-from support.calibrated_sensor import HALF, presses, references, sensor_of, unloaded
+from support.calibrated_sensor import HALF, TACTIP, presses, references, sensor_of, unloaded
 
 from tacshade_edge.core.calibration.calibrate import CalibrationResult, calibrate
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.press_selection import MIN_PRESSES
+from tacshade_edge.devices.weights.network import load_networks
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator import nuisance
-from tacshade_edge.types import U8
+from tacshade_edge.simulator.model import SensorModel
+from tacshade_edge.types import U8, Polarity
 
 
 def fitted(table: tuple[KnownPress, ...] | list[KnownPress]) -> CalibrationResult:
@@ -57,15 +60,59 @@ def test_a_press_that_disagrees_is_named_and_left_out() -> None:
     assert result.calibration.fit.presses == 19
 
 
-def test_too_many_that_disagree_are_refused_with_the_likely_reason() -> None:
-    swapped = [replace(press, x_mm=press.y_mm, y_mm=press.x_mm) for press in presses()]
-    with pytest.raises(ConfigError, match=r"of 20 presses cannot be used; .* if x and y are swapped; press \d+: x "):
-        fitted(swapped)
+def test_too_many_that_disagree_are_refused() -> None:
+    far = [replace(p, x_mm=(p.x_mm or 0) + (6 if k % 2 else -6)) if k % 3 else p for k, p in enumerate(presses())]
+    with pytest.raises(ConfigError, match=r"of 20 presses cannot be used; press \d+: x "):
+        fitted(far)
 
 
-def test_a_wrong_unit_is_hinted() -> None:
-    in_cm = fitted([replace(press, depth_mm=press.depth_mm / 10) for press in presses()])
-    assert any(warning.endswith("are the depths in cm?") for warning in in_cm.warnings)
+ACCURATE = {"accurate": load_networks()["accurate"]}
+Change = Callable[[KnownPress], KnownPress]
+GROSS: dict[str, tuple[Change, str]] = {
+    "cm": (lambda p: replace(p, depth_mm=p.depth_mm / 10), r"PRESSES.csv: depth_mm: .* are the depths in cm\?"),
+    "in": (lambda p: replace(p, depth_mm=p.depth_mm / 25.4), r"depth_mm: .* are the depths in inches\?"),
+    "m": (lambda p: replace(p, depth_mm=p.depth_mm / 1000), r"depth_mm: .* 1?\d\d\d times as deep .* in m\?"),
+    "diameters": (lambda p: replace(p, radius_mm=2 * p.radius_mm), r"radius_mm: .* 0\.[56] times .* diameters\?"),
+    "halved": (lambda p: replace(p, radius_mm=p.radius_mm / 2), r"radius_mm: .* times .* halved\?"),
+    "swapped": (lambda p: replace(p, x_mm=p.y_mm, y_mm=p.x_mm), r"x_mm, y_mm: .* if x and y are swapped"),
+    "-x": (lambda p: replace(p, x_mm=-(p.x_mm or 0)), r"x_mm, y_mm: .* if x has the other sign"),
+    "-y": (lambda p: replace(p, y_mm=-(p.y_mm or 0)), r"x_mm, y_mm: .* if y has the other sign"),
+}
+
+
+@pytest.mark.parametrize("mistake", GROSS)
+def test_a_gross_mistake_of_the_table_is_named(mistake: str) -> None:
+    change, said = GROSS[mistake]
+    with pytest.raises(ConfigError, match=said) as refusal:
+        calibrate(sensor_of(HALF), references(), [change(p) for p in presses()], networks=ACCURATE)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("placed", [True, False])
+@pytest.mark.parametrize(("factor", "said"), [(2.0, "a diameter"), (0.5, "half of the radius")])
+def test_a_skin_radius_off_by_two_is_named(factor: float, said: str, placed: bool) -> None:
+    table = presses() if placed else [replace(p, x_mm=None, y_mm=None) for p in presses()]
+    wrong = replace(sensor_of(HALF), skin_radius_mm=factor * HALF.skin_radius_mm)
+    with pytest.raises(ConfigError, match=rf"SENSOR.yaml: skin_radius_mm: found \S+, .* is it {said}\? expected about"):
+        calibrate(wrong, references(), table, networks=ACCURATE)
+
+
+@pytest.mark.parametrize(("model", "found", "expected"), [(HALF, "dark", "bright"), (TACTIP, "bright", "dark")])
+def test_a_wrong_polarity_is_named(model: SensorModel, found: Polarity, expected: str) -> None:
+    with pytest.raises(ConfigError, match=f"SENSOR.yaml: polarity: found {found}, expected {expected}: the places"):
+        calibrate(replace(sensor_of(model), polarity=found), references(model), presses(model))
+
+
+def test_a_true_table_is_not_refused() -> None:
+    assert calibrate(sensor_of(HALF), references(), presses(), networks=ACCURATE).warnings == ()
+    without_places = [replace(p, x_mm=None, y_mm=None) for p in presses()]
+    assert calibrate(sensor_of(HALF), references(), without_places, networks=ACCURATE).calibration.factors
+    assert calibrate(sensor_of(TACTIP), references(TACTIP), presses(TACTIP)).calibration.fit is not None
+
+
+def test_a_wrong_unit_is_named_without_a_network() -> None:
+    with pytest.raises(ConfigError, match=r"are the depths in cm\?"):
+        fitted([replace(press, depth_mm=press.depth_mm / 10) for press in presses()])
 
 
 def test_a_camera_that_moved_at_a_press_or_for_all_of_them() -> None:

@@ -1,0 +1,133 @@
+"""Are depths, balls and skin as large as they are stated? What a learned profile sees of them, without a refit.
+
+A network is off on a sensor by a factor that hardly changes within it (`gain`), so the greatest height that it finds
+tells a wrong unit, and how the height falls off around that, at any factor, tells the radius of a ball.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tacshade_edge.core.calibration import gain
+from tacshade_edge.core.calibration.inputs import KnownPress
+from tacshade_edge.core.calibration.press_observation import PressObservation
+from tacshade_edge.core.depth import Network
+from tacshade_edge.core.depth.learned import Inverse, LearnedSolver
+from tacshade_edge.core.image.preprocess import Preprocessor
+from tacshade_edge.core.profiles import Profile
+from tacshade_edge.types import Calibration, Geometry
+
+# Fewer presses tell nothing of all of them.
+_LEAST_PRESSES = 4
+# Shown over stated, the median of all presses. On good tables depths are 0.7 to 1.3, balls 0.9 to 1.4 and places 0.8 to
+# 0.95 (a ball beside the middle brightens the skin a little nearer to it).
+_UNIT_FACTOR = 4.0
+_UNITS = {"cm": 10.0, "inches": 25.4, "m": 1000.0}
+_BALL_FACTORS = (0.8, 1.7)
+_PLACE_FACTORS, _USUAL_PLACE = (0.6, 1.4), 0.9
+# Without a place: a skin of twice the radius makes balls look three times as large and more, and depths larger too.
+_SKIN_BALL_FACTORS, _SKIN_DEPTH_FACTORS = (0.45, 2.5), (0.8, 1.3)
+# Radii to try, as parts of the stated one.
+_TRIED = np.exp(np.linspace(math.log(0.25), math.log(4.0), 25))
+
+
+@dataclass(frozen=True, slots=True)
+class ShownSizes:
+    """What the images show over what is stated, the median of all presses; NaN where too few tell.
+
+    Attributes
+    ----------
+    depth : float
+        Of the depths.
+    ball : float
+        Of the balls' radii.
+    """
+
+    depth: float
+    ball: float
+
+
+def shown_sizes(
+    calibration: Calibration, profile: Profile, network: Network, presses: Sequence[KnownPress]
+) -> ShownSizes:
+    """Compare what a network finds in the presses with what is stated of them."""
+    preprocessor = Preprocessor(calibration, profile)
+    solver = LearnedSolver(preprocessor, network)
+    depths, balls = [], []
+    for press in presses:
+        inverse = solver.inverse(preprocessor.preprocess(preprocessor.grey(press.image)))
+        contact = (inverse.contact_logit > 0) & np.isfinite(inverse.height_mm)
+        if np.count_nonzero(contact) < gain.LEAST_CELLS:
+            continue
+        depths.append(float(inverse.height_mm[contact].max()) / press.depth_mm)
+        if press.indenter is None:
+            balls.append(_ball_factor(inverse, calibration.geometry, press))
+    return ShownSizes(_median(depths), _median([ball for ball in balls if math.isfinite(ball)]))
+
+
+def size_mistake(shown: ShownSizes, observations: Sequence[PressObservation], geometry: Geometry) -> str:
+    """A gross mistake of size in SENSOR.yaml or PRESSES.csv, for a person; empty when there is none."""
+    places = _place_factor(observations)
+    skin = math.nan
+    if math.isfinite(places):
+        skin = places / _USUAL_PLACE if not _PLACE_FACTORS[0] < places < _PLACE_FACTORS[1] else math.nan
+    elif _beyond(shown.ball, _SKIN_BALL_FACTORS) and _beyond(shown.depth, _SKIN_DEPTH_FACTORS):
+        skin = math.sqrt(shown.ball * shown.depth)
+    if shown.depth > _UNIT_FACTOR:
+        unit = min(_UNITS, key=lambda name: abs(math.log(_UNITS[name] / shown.depth)))
+        return (
+            f"PRESSES.csv: depth_mm: the images show presses about {shown.depth:.0f} times as deep as stated: "
+            f"are the depths in {unit}? expected mm"
+        )
+    if math.isfinite(skin):
+        radius_mm = geometry.skin_radius_mm
+        asked = "a diameter" if skin > 1 else "half of the radius"
+        return (
+            f"SENSOR.yaml: skin_radius_mm: found {radius_mm:g}, and with it the images show presses about {skin:.1f} "
+            f"times as large as PRESSES.csv: is it {asked}? expected about {radius_mm / skin:.0f}"
+        )
+    if _beyond(shown.ball, _BALL_FACTORS):
+        asked = "are they diameters?" if shown.ball < 1 else "are they halved?"
+        return (
+            f"PRESSES.csv: radius_mm: the images show balls of about {shown.ball:.1f} times the stated radii: "
+            f"{asked} expected radii in mm"
+        )
+    return ""
+
+
+def _ball_factor(inverse: Inverse, geometry: Geometry, press: KnownPress) -> float:
+    """The radius, as a part of the stated one, whose surface is most like the heights in the contact; NaN for none."""
+    height = inverse.height_mm
+    use = (inverse.contact_logit > 0) & np.isfinite(height)
+    found = height[use].astype(np.float64)
+    misfits = []
+    for part in _TRIED:
+        ball = gain.placed_ball(geometry, inverse, press, part * press.radius_mm)
+        if ball is None:
+            return math.nan
+        known = np.maximum(np.nan_to_num(gain.ball_height(geometry, ball, len(height))), 0)[use].astype(np.float64)
+        along = float(found @ known)
+        misfits.append(1 - along * along / max(float(found @ found) * float(known @ known), np.finfo(float).tiny))
+    return float(_TRIED[int(np.argmin(misfits))])
+
+
+def _place_factor(observations: Sequence[PressObservation]) -> float:
+    """How far from the middle the images show balls, over how far is stated; NaN where too few are stated."""
+    balls = [o for o in observations if o.x_mm is not None and not o.indenter]
+    if len(balls) < _LEAST_PRESSES:
+        return math.nan
+    stated = np.array([o.place_mm for o in balls])
+    shown = np.array([(o.located_x_mm, o.located_y_mm) for o in balls])
+    return float((shown * stated).sum() / max(float((stated * stated).sum()), np.finfo(float).tiny))
+
+
+def _median(values: Sequence[float]) -> float:
+    return float(np.median(values)) if len(values) >= _LEAST_PRESSES else math.nan
+
+
+def _beyond(value: float, bounds: tuple[float, float]) -> bool:
+    return value < bounds[0] or value > bounds[1]
