@@ -10,7 +10,7 @@ from tacshade_edge.core.calibration.press_observation import PressObservation, o
 from tacshade_edge.core.calibration.press_outliers import outliers
 from tacshade_edge.core.calibration.quality import GRADED_PROFILE
 from tacshade_edge.core.calibration.references import PROFILE
-from tacshade_edge.core.calibration.stated_sizes import shown_sizes, size_mistake
+from tacshade_edge.core.calibration.stated_sizes import shown_sizes, size_mistake, unit_mistake
 from tacshade_edge.core.calibration.table_hints import axes_hint, polarity_hint, table_hints
 from tacshade_edge.core.contact.gate import ContactGate
 from tacshade_edge.core.depth import Network
@@ -104,13 +104,13 @@ def _gross_mistakes(
     seen_otherwise = [observe_press(preprocessor, mapper, press) for press in presses]
     if hint := polarity_hint(observations, seen_otherwise, unloaded.polarity):
         return (hint,)
-    if network is not None:
-        shown = shown_sizes(unloaded, PROFILES[GRADED_PROFILE], network, presses)
-        if (mistake := size_mistake(shown, observations, unloaded.geometry)) and not axes_hint(
-            observations, unloaded.geometry
-        ):
-            return (mistake,)
-    return table_hints(observations, unloaded.geometry)
+    if network is None:
+        return table_hints(observations, unloaded.geometry)
+    shown = shown_sizes(unloaded, PROFILES[GRADED_PROFILE], network, presses)
+    mistakes = unit_mistake(shown), axes_hint(observations, unloaded.geometry)
+    if not any(mistakes):  # with a wrong unit or place, other sizes mean nothing
+        mistakes = (size_mistake(shown, observations, unloaded.geometry), "")
+    return tuple(mistake for mistake in mistakes if mistake)
 
 
 def _check_press(calibration: Calibration, check: FrameCheck, press: KnownPress) -> None:

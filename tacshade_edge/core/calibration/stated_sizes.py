@@ -69,20 +69,25 @@ def shown_sizes(
     return ShownSizes(_median(depths), _median([ball for ball in balls if math.isfinite(ball)]))
 
 
+def unit_mistake(shown: ShownSizes) -> str:
+    """Another unit of the depths, for a person; empty when there is none."""
+    if not shown.depth > _UNIT_FACTOR:
+        return ""
+    unit = min(_UNITS, key=lambda name: abs(math.log(_UNITS[name] / shown.depth)))
+    return (
+        f"PRESSES.csv: depth_mm: the images show presses about {shown.depth:.0f} times as deep as stated: "
+        f"are the depths in {unit}? expected mm"
+    )
+
+
 def size_mistake(shown: ShownSizes, observations: Sequence[PressObservation], geometry: Geometry) -> str:
-    """A gross mistake of size in SENSOR.yaml or PRESSES.csv, for a person; empty when there is none."""
+    """A wrong size of the skin or of all balls, for a person; empty when there is none."""
     places = _place_factor(observations)
     skin = math.nan
     if math.isfinite(places):
         skin = places / _USUAL_PLACE if not _PLACE_FACTORS[0] < places < _PLACE_FACTORS[1] else math.nan
     elif _beyond(shown.ball, _SKIN_BALL_FACTORS) and _beyond(shown.depth, _SKIN_DEPTH_FACTORS):
         skin = math.sqrt(shown.ball * shown.depth)
-    if shown.depth > _UNIT_FACTOR:
-        unit = min(_UNITS, key=lambda name: abs(math.log(_UNITS[name] / shown.depth)))
-        return (
-            f"PRESSES.csv: depth_mm: the images show presses about {shown.depth:.0f} times as deep as stated: "
-            f"are the depths in {unit}? expected mm"
-        )
     if math.isfinite(skin):
         radius_mm = geometry.skin_radius_mm
         asked = "a diameter" if skin > 1 else "half of the radius"

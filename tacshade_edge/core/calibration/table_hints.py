@@ -31,6 +31,7 @@ _AXES = {
     "the axes are turned by 90 degrees": (0, -1, 1, 0),
     "the axes are turned by -90 degrees": (0, 1, -1, 0),
     "x and y are in cm": (10, 0, 0, 10),
+    "x and y are in inches": (25.4, 0, 0, 25.4),
     "x and y are in m": (1000, 0, 0, 1000),
 }
 
@@ -52,10 +53,12 @@ def polarity_hint(observations: Sequence[PressObservation], other: Sequence[Pres
     found, else_found = (with_stated_place(presses) for presses in (observations, other))
     if len(found) < _AXES_LEAST_PRESSES:
         return ""
-    error, else_error = (float(np.median([o.place_error_mm(*o.place_mm) for o in of])) for of in (found, else_found))
+    error, else_error = _error_mm(found), _error_mm(else_found)
     reach = float(np.median([math.hypot(*o.place_mm) for o in found]))
     if else_error > _POLARITY_PART * error or error < _POLARITY_LEAST_PART * reach:
         return ""
+    if else_error > min(_error_mm(found, axes) for axes in _AXES.values()):
+        return ""  # other axes explain it better
     return (
         f"SENSOR.yaml: polarity: found {stated}, expected {'dark' if stated == 'bright' else 'bright'}: "
         f"the places fit within {else_error:.1f} mm with it, not {error:.1f} mm"
@@ -79,13 +82,16 @@ def axes_hint(observations: Sequence[PressObservation], geometry: Geometry) -> s
     if len(stated) < _AXES_LEAST_PRESSES:
         return ""
 
-    def error_mm(a: float, b: float, c: float, d: float) -> float:
-        places = [(a * o.place_mm[0] + b * o.place_mm[1], c * o.place_mm[0] + d * o.place_mm[1]) for o in stated]
-        return float(np.median([o.place_error_mm(*place) for o, place in zip(stated, places, strict=True)]))
-
-    as_stated = error_mm(1, 0, 0, 1)
-    best = min(_AXES, key=lambda name: error_mm(*_AXES[name]))
-    error = error_mm(*_AXES[best])
+    as_stated = _error_mm(stated)
+    best = min(_AXES, key=lambda name: _error_mm(stated, _AXES[name]))
+    error = _error_mm(stated, _AXES[best])
     if error > _AXES_PART * as_stated or as_stated < _AXES_LEAST_MM * skin_scale(geometry):
         return ""
     return f"PRESSES.csv: x_mm, y_mm: the places fit within {error:.1f} mm, not {as_stated:.1f} mm, if {best}"
+
+
+def _error_mm(stated: Sequence[PressObservation], axes: tuple[float, float, float, float] = (1, 0, 0, 1)) -> float:
+    """Median distance of the located places from the stated ones, those being read by other axes."""
+    a, b, c, d = axes
+    places = [(a * o.place_mm[0] + b * o.place_mm[1], c * o.place_mm[0] + d * o.place_mm[1]) for o in stated]
+    return float(np.median([o.place_error_mm(*place) for o, place in zip(stated, places, strict=True)]))

@@ -72,6 +72,10 @@ GROSS: dict[str, tuple[Change, str]] = {
     "cm": (lambda p: replace(p, depth_mm=p.depth_mm / 10), r"PRESSES.csv: depth_mm: .* are the depths in cm\?"),
     "in": (lambda p: replace(p, depth_mm=p.depth_mm / 25.4), r"depth_mm: .* are the depths in inches\?"),
     "m": (lambda p: replace(p, depth_mm=p.depth_mm / 1000), r"depth_mm: .* 1?\d\d\d times as deep .* in m\?"),
+    "all in m": (
+        lambda p: replace(p, depth_mm=p.depth_mm / 1000, x_mm=(p.x_mm or 0) / 1000, y_mm=(p.y_mm or 0) / 1000),
+        r"are the depths in m\?.*; PRESSES.csv: x_mm, y_mm: .* if x and y are in m",
+    ),
     "diameters": (lambda p: replace(p, radius_mm=2 * p.radius_mm), r"radius_mm: .* 0\.[56] times .* diameters\?"),
     "halved": (lambda p: replace(p, radius_mm=p.radius_mm / 2), r"radius_mm: .* times .* halved\?"),
     "swapped": (lambda p: replace(p, x_mm=p.y_mm, y_mm=p.x_mm), r"x_mm, y_mm: .* if x and y are swapped"),

@@ -33,6 +33,8 @@ def test_another_unit_is_hinted(seed: int, unit: str, factor: float) -> None:
         (-1, 0, 0, -1, "x and y have the other sign"),
         (0.1, 0, 0, 0.1, "x and y are in cm"),
         (0.001, 0, 0, 0.001, "x and y are in m"),
+        (1 / 25.4, 0, 0, 1 / 25.4, "x and y are in inches"),
+        (0, -1, -1, 0, "x and y are swapped and have the other sign"),
         (0, 1, -1, 0, "the axes are turned by 90 degrees"),
         (0, -1, 1, 0, "the axes are turned by -90 degrees"),
     ],
