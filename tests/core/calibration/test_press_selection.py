@@ -12,7 +12,9 @@ from tacshade_edge.core.calibration.press_selection import MIN_PRESSES
 from tacshade_edge.devices.weights.network import load_networks
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator import nuisance
+from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.simulator.model import SensorModel
+from tacshade_edge.studies.evaluate.sensors import SensorName
 from tacshade_edge.types import U8, Polarity
 
 
@@ -112,6 +114,22 @@ def test_a_true_table_is_not_refused() -> None:
     without_places = [replace(p, x_mm=None, y_mm=None) for p in presses()]
     assert calibrate(sensor_of(HALF), references(), without_places, networks=ACCURATE).calibration.factors
     assert calibrate(sensor_of(TACTIP), references(TACTIP), presses(TACTIP)).calibration.fit is not None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["5", "11", "21", "other:31", "other:32"])
+def test_true_tables_of_other_sensors_are_not_refused(name: str) -> None:
+    """And diameters are, on each."""
+    sensor = SensorName.parse(name).make()
+    free = [sensor.frame((), k).image for k in range(3)]
+    table = [
+        KnownPress(f"press {k}", sensor.frame((p,), 100 + k).image, radius_mm, p.depth_mm, p.x_mm, p.y_mm)
+        for k, (p, radius_mm) in enumerate(ball_presses(sensor.model, 14, 3))
+    ]
+    assert calibrate(sensor_of(sensor.model), free, table, networks=ACCURATE).calibration.factors
+    doubled = [replace(p, radius_mm=2 * p.radius_mm) for p in table]
+    with pytest.raises(ConfigError, match=r"are they diameters\?"):
+        calibrate(sensor_of(sensor.model), free, doubled, networks=ACCURATE)
 
 
 def test_a_wrong_unit_is_named_without_a_network() -> None:
