@@ -18,6 +18,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("demo", "a simulated hand, live in a browser; needs nothing else"),
     "check-config": ("check_config", "check a settings file, or export its JSON Schema"),
     "doctor": ("doctor", "what is wrong with camera, broker, serial ports, clock; and what mends it"),
+    "capture": ("capture", "take a sensor's references and presses, step by step; the first thing with a new one"),
     "calibrate": ("calibrate", "references and ball presses to a calibration file"),
     "reconstruct": ("reconstruct", "images to height maps, clouds and a summary"),
     "record": ("record", "ask the running daemon for a recording that `replay` reads"),

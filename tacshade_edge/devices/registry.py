@@ -44,7 +44,11 @@ def _files(source: Files) -> FrameSource:
 def _simulated(source: Simulated) -> FrameSource:
     from tacshade_edge.devices.camera.simulated import SimulatedSource
 
-    return SimulatedSource(fps=source.fps)
+    if source.pressed is None:
+        return SimulatedSource(fps=source.fps)
+    from tacshade_edge.devices.files.pressed_file import PressedFile
+
+    return SimulatedSource(fps=source.fps, script=PressedFile(Path(source.pressed)))
 
 
 # The modules are imported on demand: a camera needs no simulator.

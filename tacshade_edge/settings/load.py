@@ -13,7 +13,7 @@ import yaml
 from tacshade_edge.core.profiles import AUTO
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.settings import strict_yaml
-from tacshade_edge.settings.model import Files, Settings, json_schema
+from tacshade_edge.settings.model import Files, Settings, Simulated, Source, json_schema
 from tacshade_edge.settings.strict_yaml import Found, Key, dotted
 
 T = TypeVar("T")
@@ -52,7 +52,7 @@ def load(path: Path) -> Document:
     settings, found = read_struct(path, Settings, json_schema())
     known = json_schema()["$defs"]["Settings"]["properties"]["profile"]
     if settings.profile not in known["enum"]:  # msgspec cannot express names that are known only at run time
-        problem = f"found {found['profile',].text}, expected {_expected(known)}"
+        problem = f"found {found['profile',].text}, expected {expectation(known)}"
         raise ConfigError(f"{_where(path, found, ('profile',))}: {problem}")
     _check_budget(path, settings, found)
     return Document(path, _absolute(settings, path.absolute().parent), found)
@@ -62,7 +62,7 @@ def _check_budget(path: Path, settings: Settings, found: dict[Key, Found]) -> No
     """A budget with `AUTO`, and with nothing else: it would have no effect."""
     key, budget_ms = ("latency_budget_ms",), settings.latency_budget_ms
     if settings.profile == AUTO and budget_ms is None:
-        expected = _expected(json_schema()["$defs"]["Settings"]["properties"]["latency_budget_ms"]["anyOf"][0])
+        expected = expectation(json_schema()["$defs"]["Settings"]["properties"]["latency_budget_ms"]["anyOf"][0])
         text = found[key].text if key in found else "nothing"
         raise ConfigError(f"{_where(path, found, key)}: found {text} with profile {AUTO}, expected {expected}")
     if settings.profile != AUTO and budget_ms is not None:
@@ -117,16 +117,23 @@ def _absolute(settings: Settings, folder: Path) -> Settings:
         return None if path is None else str(folder / path)
 
     mqtt = settings.mqtt
-    source = settings.source
     replace = msgspec.structs.replace
     return replace(
         settings,
         calibration=at(settings.calibration),
-        source=replace(source, path=at(source.path)) if isinstance(source, Files) else source,
+        source=_source_at(settings.source, folder),
         mqtt=replace(mqtt, password_file=at(mqtt.password_file), ca_file=at(mqtt.ca_file)),
         recorder=replace(settings.recorder, folder=at(settings.recorder.folder)),
         stitching=replace(settings.stitching, folder=at(settings.stitching.folder)),
     )
+
+
+def _source_at(source: Source, folder: Path) -> Source:
+    if isinstance(source, Files):
+        return msgspec.structs.replace(source, path=str(folder / source.path))
+    if isinstance(source, Simulated) and source.pressed is not None:
+        return msgspec.structs.replace(source, pressed=str(folder / source.pressed))
+    return source
 
 
 def _explain(message: str, value: dict[str, Any], found: dict[Key, Found], root: dict[str, Any]) -> tuple[Key, str]:
@@ -138,8 +145,8 @@ def _explain(message: str, value: dict[str, Any], found: dict[Key, Found], root:
         return (*key, unknown[1]), f"found an unknown key, expected one of {', '.join(schema['properties'])}"
     if missing := re.match(r"Object missing required field `(.*?)`", message):
         key = (*key, missing[1])
-        return key, f"found nothing, expected {_expected(_schema_at(key, value, root))}"
-    return key, f"found {found[key].text}, expected {_expected(schema)}"
+        return key, f"found nothing, expected {expectation(_schema_at(key, value, root))}"
+    return key, f"found {found[key].text}, expected {expectation(schema)}"
 
 
 def _schema_at(key: Key, value: Any, root: dict[str, Any]) -> dict[str, Any]:
@@ -164,12 +171,12 @@ def _resolved(schema: dict[str, Any], value: Any, root: dict[str, Any]) -> dict[
     return root["$defs"][reference.rpartition("/")[2]] if reference else schema
 
 
-def _expected(schema: dict[str, Any]) -> str:
+def expectation(schema: dict[str, Any]) -> str:
     """What a person should write there."""
     if "enum" in schema:
         return f"one of {', '.join(map(str, schema['enum']))}"
     if "anyOf" in schema and "discriminator" not in schema:
-        options = [_expected({**option}) for option in schema["anyOf"]]
+        options = [expectation({**option}) for option in schema["anyOf"]]
         return " or ".join(options)
     kind = {"integer": "an integer", "number": "a number", "string": "a string", "boolean": "true or false"}
     text = kind.get(schema.get("type", ""), "null" if schema.get("type") == "null" else "a mapping")

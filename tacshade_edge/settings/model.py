@@ -35,9 +35,10 @@ class Files(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 class Simulated(
     msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="kind", tag="simulated"
 ):
-    """The simulated sensor, pressed again and again."""
+    """The simulated sensor, pressed again and again, or as a file says."""
 
     fps: Annotated[float, Meta(ge=1, le=240, description="frames per second")] = 30.0
+    pressed: Annotated[str, Meta(min_length=1, description="a CSV file of what presses it now")] | None = None
 
 
 Source = V4l2 | Files | Simulated

@@ -11,7 +11,7 @@ from msgspec import Meta
 
 from tacshade_edge.core.calibration.inputs import Sensor
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.settings.load import read_struct
+from tacshade_edge.settings.load import expectation, read_struct
 from tacshade_edge.types import IDENTITY_POSE
 
 _UNIT_TOLERANCE = 1e-3
@@ -29,6 +29,31 @@ class SensorFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     flange_T_sensor: Annotated[
         list[float], Meta(min_length=7, max_length=7, description="x_mm, y_mm, z_mm, qw, qx, qy, qz")
     ] = msgspec.field(default_factory=lambda: list(IDENTITY_POSE))
+
+
+def check_value(key: str, text: str) -> float | str:
+    """The value of a key of SENSOR.yaml that a person typed.
+
+    Raises
+    ------
+    ConfigError
+        ``key: found …, expected …``.
+    """
+    kinds = {field.name: field.type for field in msgspec.structs.fields(SensorFile)}
+    try:
+        value = float(text)
+    except ValueError:
+        return _converted(key, text, text, kinds[key])
+    return _converted(key, text, int(value) if value.is_integer() else value, kinds[key])
+
+
+def _converted(key: str, text: str, value: float | str, kind: Any) -> float | str:
+    try:
+        msgspec.convert(value, kind)
+    except msgspec.ValidationError:
+        properties = msgspec.json.schema(SensorFile)["$defs"]["SensorFile"]["properties"]
+        raise ConfigError(f"{key}: found {text or 'nothing'}, expected {expectation(properties[key])}") from None
+    return value
 
 
 def read_sensor(path: Path) -> Sensor:

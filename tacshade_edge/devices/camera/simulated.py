@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 import time
+from typing import Protocol
 
+from tacshade_edge.errors import DecodeError
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedSensor
-from tacshade_edge.simulator.script import Script, demonstration
+from tacshade_edge.simulator.script import demonstration
 from tacshade_edge.simulator.truth import Truth
 from tacshade_edge.types import U8, Frame
+
+
+class Script(Protocol):
+    """What is pressed: `simulator.script.Script`, or what a file says."""
+
+    def at(self, index: int) -> tuple[Press, ...]:
+        """The presses of a frame."""
+        ...
 
 
 class SimulatedSource:
@@ -33,7 +43,7 @@ class SimulatedSource:
         self, *, fps: float, model: SensorModel | None = None, script: Script | None = None, ring: int = 0
     ) -> None:
         self._period_ns = round(1e9 / fps)
-        self._script = script or demonstration()
+        self._script: Script = script or demonstration()
         self._sensor = SimulatedSensor(model)
         self._ring_size = ring
         self._ring: list[U8] = []
@@ -53,7 +63,7 @@ class SimulatedSource:
         self._zero_ns = time.monotonic_ns() - self._next_seq * self._period_ns
 
     def read(self) -> Frame:
-        """Wait until the next frame is due."""
+        """Wait until the next frame is due. Raises DecodeError when what the script presses cannot be drawn."""
         missed = (time.monotonic_ns() - self._zero_ns) // self._period_ns - self._next_seq
         if missed > 0:
             self._dropped += missed
@@ -91,4 +101,8 @@ class SimulatedSource:
         return self._sensor.frame(self.presses(seq)).truth()
 
     def _draw(self, index: int) -> U8:
-        return self._sensor.frame(self._script.at(index), noise_seed=index).image
+        presses = self._script.at(index)
+        try:
+            return self._sensor.frame(presses, noise_seed=index).image
+        except ValueError as error:
+            raise DecodeError(f"the simulated sensor cannot be pressed so: {error}") from None

@@ -175,6 +175,7 @@ class V4l2Source:
             "fps_stated": round(capture.get(cv2.CAP_PROP_FPS), 2),
             "exposure": str(exposure),
             "exposure_lock": exposure.lock,
+            **({} if exposure.value is None else {"exposure_value": exposure.value}),
             "white_balance": str(white_balance),
             "white_balance_lock": white_balance.lock,
         }

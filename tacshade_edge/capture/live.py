@@ -1,0 +1,198 @@
+"""The camera and the person at once: every wait reads frames on, so that picture and figures stay those of now."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from tacshade_edge.capture.page import Page, Shown
+from tacshade_edge.capture.terminal import Terminal
+from tacshade_edge.core.calibration.stillness import block_means, motion_grey, stands_still
+from tacshade_edge.core.calibration.view import Pattern, find_pattern, view
+from tacshade_edge.core.image.greyscale import to_grey
+from tacshade_edge.devices.base import FrameSource
+from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
+from tacshade_edge.types import F32, U8, Disc, Frame
+
+# A picture stands still when it did for so long; so many frames of that time are compared, and those of rest.
+STILL_S, STILL_FRAMES = 0.8, 10
+_LEAST_FRAMES = 5  # of a slow camera, whose time is longer then
+_RATE_FRAMES = 64
+_FIGURES_S, _PICTURE_S = 0.5, 0.2
+# Looking for the circle takes up to a second on a small board.
+_PATTERN_S = 4.0
+_HINT_S = 5.0
+_UNUSABLE_MAX = 100
+
+
+@dataclass(frozen=True, slots=True)
+class _Past:
+    """What is kept of a frame."""
+
+    seq: int
+    t_ns: int
+    blocks: F32
+
+
+class Live:
+    """An open source that is read on, whatever is waited for.
+
+    Parameters
+    ----------
+    source : FrameSource
+        Open.
+    terminal : Terminal
+    page : Page
+
+    Attributes
+    ----------
+    rest_grey : float
+        `motion_grey` of the references, which are `STILL_FRAMES`; 0 until there are some.
+    """
+
+    def __init__(self, source: FrameSource, terminal: Terminal, page: Page) -> None:
+        self._source = source
+        self._terminal = terminal
+        self._page = page
+        self._past: deque[_Past] = deque(maxlen=_RATE_FRAMES)
+        self._pattern: Pattern | None = None
+        self._no_pattern = "looking for the disc"
+        self._focus_best = 0.0
+        self._text = ""
+        self._pattern_due_s = self._figures_due_s = self._picture_due_s = 0.0
+        self.rest_grey = 0.0
+
+    def frame(self) -> Frame:
+        """The next frame.
+
+        Raises
+        ------
+        DeviceError
+            The camera was lost, gives nothing that can be used, or has ended.
+        """
+        for _ in range(_UNUSABLE_MAX):
+            try:
+                frame = self._source.read()
+            except DecodeError as error:
+                self._terminal.show(str(error))
+                continue
+            if frame is None:
+                raise DeviceError("the source has ended")
+            self._take(frame)
+            return frame
+        raise DeviceError(f"{_UNUSABLE_MAX} pictures in a row could not be used")
+
+    def ask(self, text: str, *, with_figures: bool = False) -> str:
+        """Ask for a line, and read frames until it was typed. Raises InputEnded and as `frame`.
+
+        Parameters
+        ----------
+        text : str
+        with_figures : bool
+            Show the figures live in place of a prompt, where only Enter is waited for.
+        """
+        self._terminal.say(text) if with_figures else self._terminal.ask(text)
+        while True:
+            self.frame()
+            if with_figures:
+                self._terminal.show(self._text)
+            if (line := self._terminal.line()) is not None:
+                return line
+
+    def still_frame(self) -> Frame | None:
+        """The first frame of a picture that stands still from now on; None when a line was typed instead."""
+        self._past.clear()
+        began_s, hinted = time.monotonic(), False
+        while True:
+            frame = self.frame()
+            motion = self._motion_grey()
+            if motion is not None and stands_still(motion, self.rest_grey):
+                return frame
+            if self._terminal.line() is not None:
+                return None
+            if not hinted and motion is not None and time.monotonic() - began_s > _HINT_S:
+                hinted = True
+                figures = f"{motion:.1f} grey levels, {self.rest_grey:.1f} at rest"
+                self._terminal.say(f"  the picture still moves ({figures}): clamp what presses; Enter gives up")
+
+    def frames(self, count: int, seconds: float) -> list[Frame]:
+        """So many frames, spread over a time at least."""
+        taken = [self.frame()]
+        while len(taken) < count:
+            frame = self.frame()
+            if (frame.t_ns - taken[0].t_ns) / 1e9 >= seconds * len(taken) / (count - 1):
+                taken.append(frame)
+        return taken
+
+    def figures(self) -> str:
+        """Disc, focus, light, contrast and rate, in a line."""
+        return self._text
+
+    def _motion_grey(self) -> float | None:
+        """Of the last `STILL_S`; None while there is less."""
+        newest_ns = self._past[-1].t_ns
+        recent = [one.blocks for one in self._past if newest_ns - one.t_ns <= 1e9 * STILL_S]
+        if len(recent) < _LEAST_FRAMES:
+            recent = [one.blocks for one in self._past][-_LEAST_FRAMES - 1 :]
+        if len(recent) == len(self._past) < _RATE_FRAMES:
+            return None  # the past is not that long yet
+        spread = np.linspace(0, len(recent) - 1, STILL_FRAMES).round().astype(int)
+        return motion_grey([recent[k] for k in spread])
+
+    def _take(self, frame: Frame) -> None:
+        grey, now_s = to_grey(frame.image), time.monotonic()
+        if self._past and self._past[-1].blocks.shape != (grey.shape[0] // 8, grey.shape[1] // 8):
+            raise DeviceError(f"the camera gives pictures of another size: {grey.shape[1]}x{grey.shape[0]} px")
+        self._past.append(_Past(frame.seq, frame.t_ns, block_means(grey)))
+        if now_s >= self._pattern_due_s:
+            self._find_pattern(grey)
+            self._pattern_due_s = time.monotonic() + _PATTERN_S
+        if now_s >= self._figures_due_s:
+            self._text = self._figures_of(grey)
+            self._figures_due_s = now_s + _FIGURES_S
+        if now_s >= self._picture_due_s:
+            self._page.shown = Shown(_jpeg(grey, self._pattern.disc if self._pattern else None), self._text)
+            self._picture_due_s = now_s + _PICTURE_S
+
+    def _find_pattern(self, grey: U8) -> None:
+        try:
+            self._pattern = find_pattern(grey)
+        except ConfigError as error:
+            self._pattern, self._no_pattern = None, str(error)
+
+    def _figures_of(self, grey: U8) -> str:
+        rate = f"{self._rate():.1f}/s"
+        if self._pattern is None:
+            return f"no disc: {self._no_pattern} | mean grey {grey.mean():.0f} | {rate}"
+        seen = view(grey, self._pattern)
+        self._focus_best = max(self._focus_best, seen.focus)
+        return " | ".join(
+            (
+                *((seen.advice,) if seen.advice else ()),
+                f"disc {self._pattern.disc.radius_px:.0f} px",
+                f"focus {seen.focus:.3f} (best {self._focus_best:.3f})",
+                f"contrast {seen.contrast_grey:.0f}",
+                f"saturated {100 * seen.saturated_part:.0f} %",
+                rate,
+            )
+        )
+
+    def _rate(self) -> float:
+        """Frames per second that the camera made, those that were not read included."""
+        if len(self._past) < 2 or self._past[-1].t_ns <= self._past[0].t_ns:
+            return 0.0
+        first, last = self._past[0], self._past[-1]
+        return 1e9 * (last.seq - first.seq) / (last.t_ns - first.t_ns)
+
+
+def _jpeg(grey: U8, disc: Disc | None) -> bytes:
+    """The picture, with the circle that was found."""
+    picture = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
+    if disc is not None:
+        centre = (round(disc.col_c), round(disc.row_c))
+        cv2.circle(picture, centre, round(disc.radius_px), (0, 200, 255), 1, cv2.LINE_AA)
+    return bytes(cv2.imencode(".jpg", picture, (cv2.IMWRITE_JPEG_QUALITY, 80))[1].tobytes())

@@ -1,0 +1,239 @@
+"""The dialogue of a capture: look, references, presses. Every answer can be taken back, and a later start goes on."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tacshade_edge.capture.live import STILL_FRAMES, Live
+from tacshade_edge.capture.terminal import Terminal
+from tacshade_edge.core.calibration.calibrate import calibrate
+from tacshade_edge.core.calibration.inputs import Sensor
+from tacshade_edge.core.calibration.press_check import PressCheck
+from tacshade_edge.core.calibration.stillness import REST_MOST_GREY, block_means, motion_grey
+from tacshade_edge.core.image.greyscale import to_grey
+from tacshade_edge.devices.files.capture_folder import BALL, CaptureFolder, Stated, TakenPress, next_number, stated
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.types import U8, Calibration
+
+REFERENCES = STILL_FRAMES
+REFERENCES_S = 3.0
+
+_HELP = """  Set the press and hold it, then type what it is and press Enter; the picture is taken when it stands still:
+    ball RADIUS_MM DEPTH_MM X_MM Y_MM    a ball; without X_MM Y_MM its place is found in the picture
+    NAME DEPTH_MM X_MM Y_MM              an indenter of INDENTERS.yaml
+    DEPTH_MM X_MM Y_MM                   the same indenter as before
+  Enter alone takes the press that is offered in brackets.
+    undo [NUMBER]   take back the last press, or that one, and offer it again
+    skip            leave out the planned press that is offered
+    references      take the references again
+    look            the camera's figures, now
+    done            end"""
+
+
+@dataclass(frozen=True, slots=True)
+class _Offer:
+    """What Enter alone stands for."""
+
+    press: Stated
+    is_planned: bool
+
+
+class Session:
+    """One start of the command, over a folder that may hold an earlier one's work.
+
+    Parameters
+    ----------
+    folder : CaptureFolder
+    sensor : Sensor
+    live : Live
+    terminal : Terminal
+    plan : sequence of Stated
+        Presses to be offered one after the other; none: each is typed.
+    names : collection of str
+        Indenters besides the ball.
+    """
+
+    def __init__(
+        self,
+        folder: CaptureFolder,
+        sensor: Sensor,
+        live: Live,
+        terminal: Terminal,
+        plan: Sequence[Stated],
+        names: Collection[str],
+    ) -> None:
+        self._folder = folder
+        self._sensor = sensor
+        self._live = live
+        self._terminal = terminal
+        self._plan = list(plan)
+        self._names = names
+        self._taken = folder.taken()
+        self._taken_back: Stated | None = None
+
+    @property
+    def taken(self) -> Sequence[TakenPress]:
+        """The presses that are in the table."""
+        return self._taken
+
+    def run(self) -> None:
+        """Take references, where there are none, and presses until the person ends it.
+
+        Raises
+        ------
+        InputEnded, DeviceError, ConfigError
+            What was taken until then is in the folder.
+        """
+        images = self._folder.references()
+        unloaded = self._checked_again(images) if len(images) >= REFERENCES else None
+        check = PressCheck(unloaded or self._take_references())
+        while True:
+            answer = self._live.ask(self._prompt())
+            match answer.split():
+                case ["done"]:
+                    return
+                case ["help" | "?"]:
+                    self._terminal.say(_HELP)
+                case ["look"]:
+                    self._terminal.say(f"  {self._live.figures()}")
+                case ["references"]:
+                    check = PressCheck(self._take_references())
+                case ["undo", *numbers]:
+                    self._undo(numbers)
+                case ["skip"]:
+                    self._skip()
+                case words:
+                    self._press(words, check)
+
+    def _checked_again(self, images: Sequence[U8]) -> Calibration | None:
+        try:
+            unloaded = self._unloaded(images)
+        except ConfigError as error:
+            self._terminal.say(f"the references of this folder cannot be used: {error}")
+            return None
+        self._terminal.say(f"{len(images)} references and {len(self._taken)} presses are here already")
+        return unloaded
+
+    def _take_references(self) -> Calibration:
+        while True:
+            self._live.ask(
+                f"Turn lens and light until disc, focus and contrast are good. Nothing may touch the skin: Enter takes "
+                f"{REFERENCES} references.",
+                with_figures=True,
+            )
+            images = [np.array(frame.image) for frame in self._live.frames(REFERENCES, REFERENCES_S)]
+            try:
+                unloaded = self._unloaded(images)
+            except ConfigError as error:
+                self._terminal.say(f"  refused: {error}")
+                continue
+            self._folder.write_references(images)
+            self._terminal.say(f"  {REFERENCES} references, noise {unloaded.noise_grey:.2f} grey levels")
+            return unloaded
+
+    def _unloaded(self, images: Sequence[U8]) -> Calibration:
+        """What the references tell. Raises ConfigError when they can be none."""
+        rest_grey = motion_grey([block_means(to_grey(image)) for image in images])
+        if rest_grey > REST_MOST_GREY:
+            found = f"found {rest_grey:.1f} grey levels of change, expected {REST_MOST_GREY:g} at most"
+            raise ConfigError(f"the picture moves, or its noise is great: {found}")
+        result = calibrate(self._sensor, images)
+        for warning in result.warnings:
+            self._terminal.say(f"  warning: {warning}")
+        self._live.rest_grey = rest_grey
+        return result.calibration
+
+    def _prompt(self) -> str:
+        number = f"press {next_number(self._taken)}"
+        if offer := self._offer():
+            left = f", {len(self._left())} planned are left" if self._plan else ""
+            return f"{number}{left} [{offer.press}]:"
+        if self._plan:
+            return f"all planned presses are taken; {number}, or done:"
+        return f"{number} (ball RADIUS_MM DEPTH_MM X_MM Y_MM, undo, done, help):"
+
+    def _left(self) -> list[Stated]:
+        """Planned presses that were not taken yet, in their order."""
+        taken = Counter(one.stated for one in self._taken)
+        left = []
+        for press in self._plan:
+            if taken[press]:
+                taken[press] -= 1
+            else:
+                left.append(press)
+        return left
+
+    def _offer(self) -> _Offer | None:
+        if self._taken_back is not None:
+            return _Offer(self._taken_back, is_planned=self._taken_back in self._plan)
+        left = self._left()
+        return _Offer(left[0], is_planned=True) if left else None
+
+    def _skip(self) -> None:
+        offer = self._offer()
+        if offer is None:
+            self._terminal.say("  nothing is offered")
+            return
+        if offer.is_planned:
+            self._plan.remove(offer.press)
+        self._taken_back = None
+
+    def _undo(self, numbers: Sequence[str]) -> None:
+        chosen = [one for one in self._taken if [str(one.number)] == list(numbers)] if numbers else self._taken[-1:]
+        if not chosen:
+            here = ", ".join(str(one.number) for one in self._taken) or "none"
+            self._terminal.say(f"  found no press {' '.join(numbers)}, expected one of those taken: {here}")
+            return
+        self._folder.remove(self._taken, chosen[0])
+        self._taken = [one for one in self._taken if one is not chosen[0]]
+        self._taken_back = chosen[0].stated
+        self._terminal.say(f"  {chosen[0].image} is taken back")
+
+    def _press(self, words: Sequence[str], check: PressCheck) -> None:
+        try:
+            press = self._stated(words)
+        except ConfigError as error:
+            self._terminal.say(f"  {error} (help tells how)")
+            return
+        frame = self._live.still_frame()
+        if frame is None:
+            self._terminal.say("  given up: nothing was taken")
+            return
+        image = np.array(frame.image)
+        if reason := check.refusal(image):
+            self._terminal.say(f"  not taken: {reason}")
+            self._taken_back = press
+            return
+        added = self._folder.add(self._taken, image, press)
+        self._taken = [*self._taken, added]
+        self._taken_back = None
+        warning = check.warning(image)
+        self._terminal.say(f"  {added.image}: {press}{f'; {warning}' if warning else ''}")
+
+    def _stated(self, words: Sequence[str]) -> Stated:
+        """What was typed, with what it leaves out. Raises ConfigError."""
+        if not words:
+            if offer := self._offer():
+                return offer.press
+            raise ConfigError("found nothing, expected what presses")
+        indenter, radius_mm, rest = self._indenter(words)
+        if len(rest) not in (1, 3):
+            raise ConfigError(f"found {len(rest)} numbers after the indenter, expected depth, or depth, x, y in mm")
+        depth_mm, x_mm, y_mm = rest if len(rest) == 3 else (rest[0], "", "")
+        columns = (indenter, radius_mm, depth_mm, x_mm, y_mm)
+        return stated("press", columns, self._names, self._sensor.skin_radius_mm)
+
+    def _indenter(self, words: Sequence[str]) -> tuple[str, str, Sequence[str]]:
+        """Name, radius and the other words."""
+        if words[0] == BALL:
+            return BALL, words[1] if len(words) > 1 else "", words[2:]
+        if words[0] in self._names or not words[0].replace(".", "").replace("-", "").isdigit():
+            return words[0], "", words[1:]
+        if not self._taken:
+            raise ConfigError("found no indenter, expected one before the numbers")
+        indenter, radius_mm, *_ = self._taken[-1].stated.columns
+        return indenter, radius_mm, words

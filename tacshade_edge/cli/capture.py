@@ -1,0 +1,189 @@
+"""``tacshade-edge capture``: a sensor's references and presses, taken with the person who presses."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+
+import msgspec
+import yaml
+
+from tacshade_edge.capture.live import Live
+from tacshade_edge.capture.page import Page
+from tacshade_edge.capture.session import Session
+from tacshade_edge.capture.terminal import InputEnded, Terminal
+from tacshade_edge.core.calibration.inputs import Sensor
+from tacshade_edge.core.calibration.press_selection import MIN_PRESSES
+from tacshade_edge.devices import registry
+from tacshade_edge.devices.camera import v4l2_node
+from tacshade_edge.devices.camera.v4l2 import FOURCCS
+from tacshade_edge.devices.camera.v4l2_controls import Lock
+from tacshade_edge.devices.files.capture_folder import BALL, REFERENCES, CaptureFolder, Stated, read_plan
+from tacshade_edge.doctor.cameras import CSI_MEND, found_cameras, has_csi_receiver
+from tacshade_edge.doctor.machine import Machine
+from tacshade_edge.errors import ConfigError, TacshadeError
+from tacshade_edge.settings import Source, V4l2, load, strict_yaml
+from tacshade_edge.settings.sensor_file import check_value, read_sensor
+
+_CALIBRATION = "calibration.npz"
+_QUESTIONS = {
+    "skin_radius_mm": "Radius of the undeformed skin, mm:",
+    "visible_half_angle_deg": "Half angle of the circle that the camera sees of it, from the skin's centre, degrees:",
+    "camera_distance_mm": "How far the lens lies behind the skin's centre, mm (Enter: not known):",
+    "polarity": "Does a press show more white (bright: TacShade) or less (dark: TacTip)?",
+}
+_MAY_BE_EMPTY = "camera_distance_mm"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument(
+        "folder", type=Path, metavar="DIR", help="where everything is written; an earlier one goes on where it stopped"
+    )
+    camera = parser.add_mutually_exclusive_group()
+    camera.add_argument("--camera", metavar="DEVICE", help="the camera, where the machine has several")
+    camera.add_argument("--config", type=Path, metavar="FILE", help="settings whose source is the camera")
+    parser.add_argument("--plan", type=Path, metavar="PLAN.csv", help="presses to offer: a table like PRESSES.csv")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Take references and presses; say what to do with them."""
+    terminal = Terminal(sys.stdin.fileno(), sys.stdout)
+    folder = CaptureFolder(args.folder)
+    source = _source(args, folder)
+    folder.make()
+    try:
+        sensor = _sensor(folder, terminal)
+        names = _indenters(folder)
+        plan = read_plan(args.plan, names, sensor.skin_radius_mm) if args.plan else ()
+        _run(folder, source, sensor, terminal, plan, names)
+    except InputEnded:
+        terminal.say("")
+    except KeyboardInterrupt:
+        terminal.say("")
+        terminal.say(f"what was taken is kept; go on with: tacshade-edge capture {shlex.quote(str(folder.path))}")
+        raise
+    except TacshadeError as error:
+        raise type(error)(f"{error}; what was taken is kept in {folder.path}", code=error.code) from None
+    _say_next(folder, terminal)
+    return 0
+
+
+def _run(
+    folder: CaptureFolder,
+    chosen: Source,
+    sensor: Sensor,
+    terminal: Terminal,
+    plan: Sequence[Stated],
+    names: Collection[str],
+) -> None:
+    source, page = registry.make_source(chosen), Page()
+    try:
+        source.open()
+        described = source.describe()
+        terminal.say("camera: " + ", ".join(f"{name} {value}" for name, value in described.items()))
+        if described.get("exposure_lock") == Lock.AUTOMATIC:
+            terminal.say("warning: the driver does not lock the exposure, and its changes look like touch")
+        if not folder.settings.exists():
+            folder.write(folder.settings, _settings_text(chosen, described))
+        terminal.say(f"the picture: {page.address}")
+        Session(folder, sensor, Live(source, terminal, page), terminal, plan, names).run()
+    finally:
+        source.close()
+        page.close()
+
+
+def _source(args: argparse.Namespace, folder: CaptureFolder) -> Source:
+    """The camera as an earlier start set it, as settings say, or the machine's only one. Raises ConfigError."""
+    device: str | None = args.camera
+    path = folder.settings if args.config is None and folder.settings.exists() else args.config
+    if path is not None:
+        document = load(path)
+        registry.check_source(document)
+        source = document.settings.source
+        if device is not None and not (isinstance(source, V4l2) and source.device == device):
+            where = document.where("source")
+            raise ConfigError(f"--camera {device}: expected the camera of {where}; change it there, or delete the file")
+        return source
+    if device is None:
+        cameras = found_cameras(Machine())
+        if len(cameras) != 1:
+            raise ConfigError(_which(cameras))
+        device = cameras[0]
+    v4l2_node.check_node(device)
+    offered = v4l2_node.formats(device)
+    known = [code for code in FOURCCS if code in offered]
+    if not known:
+        found = ", ".join(offered) or "none"
+        raise ConfigError(f"--camera {device}: found the formats {found}, expected one of {', '.join(FOURCCS)}")
+    return msgspec.convert({"kind": "v4l2", "device": device, "fourcc": known[0]}, V4l2)
+
+
+def _which(cameras: Sequence[str]) -> str:
+    if cameras:
+        return f"found {len(cameras)} cameras, expected --camera with one of {', '.join(cameras)}"
+    if has_csi_receiver(Machine()):
+        return f"found no USB camera; {CSI_MEND}"
+    return "found no camera, expected one (lsusb shows whether USB sees it), or --config with a source"
+
+
+def _settings_text(chosen: Source, described: Mapping[str, object]) -> str:
+    """Settings of a daemon for this sensor, with the exposure that the camera was locked at."""
+    locked = described.get("exposure_lock") == Lock.LOCKED
+    value = described.get("exposure_value")
+    if isinstance(chosen, V4l2) and locked and isinstance(value, float) and value >= 1:
+        chosen = msgspec.structs.replace(chosen, exposure=round(value))
+    told = "".join(f"#   {name}: {value}\n" for name, value in described.items())
+    keys = {"calibration": _CALIBRATION, "source": msgspec.to_builtins(chosen)}
+    text = yaml.safe_dump(keys, sort_keys=False, allow_unicode=True)
+    return (
+        f"# Settings for `tacshade-edge run`, and for going on with this capture.\n{text}# As the camera told:\n{told}"
+    )
+
+
+def _sensor(folder: CaptureFolder, terminal: Terminal) -> Sensor:
+    """SENSOR.yaml, asked for where there is none. Raises ConfigError, InputEnded."""
+    if not folder.sensor.exists():
+        values: dict[str, float | str] = {}
+        for key, question in _QUESTIONS.items():
+            while key not in values:
+                terminal.ask(question)
+                text = terminal.wait()
+                if not text and key == _MAY_BE_EMPTY:
+                    break
+                try:
+                    values[key] = check_value(key, text)
+                except ConfigError as error:
+                    terminal.say(f"  {error}")
+        folder.write(folder.sensor, yaml.safe_dump(values, sort_keys=False))
+    return read_sensor(folder.sensor)
+
+
+def _indenters(folder: CaptureFolder) -> Collection[str]:
+    """Names of INDENTERS.yaml, where there is one. Raises ConfigError."""
+    if not folder.indenters.exists():
+        return ()
+    entries, _ = strict_yaml.read(folder.indenters)
+    if not isinstance(entries, dict):
+        raise ConfigError(f"{folder.indenters}: expected a mapping of names")
+    return tuple(entries)
+
+
+def _say_next(folder: CaptureFolder, terminal: Terminal) -> None:
+    """The commands that come next, to be copied."""
+    taken, shown = folder.taken(), shlex.quote(str(folder.path))
+    if not list(folder.path.glob(REFERENCES)):
+        terminal.say(f"no reference was taken; go on with: tacshade-edge capture {shown}")
+        return
+    words = f"tacshade-edge calibrate --sensor {shown}/{folder.sensor.name} --reference {shown}/{REFERENCES}"
+    if len(taken) >= MIN_PRESSES:
+        words += f" --presses {shown}/{folder.presses.name}"
+        if any(one.stated.columns[0] != BALL for one in taken):
+            words += f" --indenters {shown}/{folder.indenters.name}"
+    else:
+        terminal.say(f"{len(taken)} presses: a fit needs {MIN_PRESSES}, 20 to 40 are better; the same command goes on")
+    terminal.say(f"next:\n  {words} --out {shown}/{_CALIBRATION}")
+    terminal.say(f"  tacshade-edge run --config {shown}/{folder.settings.name}")
