@@ -61,6 +61,7 @@ class Live:
         self._past: deque[_Past] = deque(maxlen=_RATE_FRAMES)
         self._pattern: Pattern | None = None
         self._no_pattern = "looking for the disc"
+        self._looking = False  # lens and circle may be moved
         self._focus_best = 0.0
         self._text = ""
         self._pattern_due_s = self._figures_due_s = self._picture_due_s = 0.0
@@ -95,12 +96,14 @@ class Live:
         with_figures : bool
             Show the figures live in place of a prompt, where only Enter is waited for.
         """
-        self._terminal.say(text) if with_figures else self._terminal.ask(text)
+        self._looking = with_figures
+        (self._terminal.say if with_figures else self._terminal.ask)(text)
         while True:
             self.frame()
             if with_figures:
                 self._terminal.show(self._text)
             if (line := self._terminal.line()) is not None:
+                self._looking = False
                 return line
 
     def still_frame(self) -> Frame | None:
@@ -148,7 +151,7 @@ class Live:
         if self._past and self._past[-1].blocks.shape != (grey.shape[0] // 8, grey.shape[1] // 8):
             raise DeviceError(f"the camera gives pictures of another size: {grey.shape[1]}x{grey.shape[0]} px")
         self._past.append(_Past(frame.seq, frame.t_ns, block_means(grey)))
-        if now_s >= self._pattern_due_s:
+        if now_s >= self._pattern_due_s and (self._looking or self._pattern is None):
             self._find_pattern(grey)
             self._pattern_due_s = time.monotonic() + _PATTERN_S
         if now_s >= self._figures_due_s:

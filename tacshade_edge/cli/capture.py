@@ -24,7 +24,7 @@ from tacshade_edge.devices.camera.v4l2_controls import Lock
 from tacshade_edge.devices.files.capture_folder import BALL, REFERENCES, CaptureFolder, Stated, read_plan
 from tacshade_edge.doctor.cameras import CSI_MEND, found_cameras, has_csi_receiver
 from tacshade_edge.doctor.machine import Machine
-from tacshade_edge.errors import ConfigError, TacshadeError
+from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.settings import Source, V4l2, load, strict_yaml
 from tacshade_edge.settings.sensor_file import check_value, read_sensor
 
@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Take references and presses; say what to do with them."""
-    terminal = Terminal(sys.stdin.fileno(), sys.stdout)
+    terminal = Terminal(0, sys.stdout)
     folder = CaptureFolder(args.folder)
     source = _source(args, folder)
     folder.make()
@@ -66,8 +66,8 @@ def run(args: argparse.Namespace) -> int:
         terminal.say("")
         terminal.say(f"what was taken is kept; go on with: tacshade-edge capture {shlex.quote(str(folder.path))}")
         raise
-    except TacshadeError as error:
-        raise type(error)(f"{error}; what was taken is kept in {folder.path}", code=error.code) from None
+    except DeviceError as error:
+        raise DeviceError(f"{error}; the same command goes on in {folder.path}", code=error.code) from None
     _say_next(folder, terminal)
     return 0
 

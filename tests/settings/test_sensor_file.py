@@ -6,7 +6,7 @@ import pytest
 
 from tacshade_edge.core.calibration.inputs import Sensor
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.settings.sensor_file import read_sensor
+from tacshade_edge.settings.sensor_file import check_value, read_sensor
 
 LEAST = "skin_radius_mm: 20\nvisible_half_angle_deg: 50\npolarity: bright\n"
 
@@ -62,3 +62,10 @@ def test_a_wrong_sensor_is_told_by_line_and_key(tmp_path: Path, text: str, said:
 def test_no_sensor_file(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"none\.yaml: No such file"):
         read_sensor(tmp_path / "none.yaml")
+
+
+def test_a_typed_value_is_checked_like_the_file(tmp_path: Path) -> None:
+    assert [check_value("skin_radius_mm", "20"), check_value("polarity", "dark")] == [20, "dark"]
+    for key, text in (("skin_radius_mm", "0.02"), ("skin_radius_mm", ""), ("polarity", "1"), ("skin_radius_mm", "nan")):
+        with pytest.raises(ConfigError, match=f"^{key}: found {text or 'nothing'}, expected "):
+            check_value(key, text)

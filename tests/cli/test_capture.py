@@ -1,0 +1,160 @@
+"""A person at a terminal (a pty) who presses the simulated sensor."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pty
+import select
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from support.patience import patience
+
+from tacshade_edge.cli import main
+from tacshade_edge.core.calibration.calibrate import calibrate
+from tacshade_edge.devices.files.capture_folder import CaptureFolder
+from tacshade_edge.devices.files.presses import read_presses
+from tacshade_edge.settings import load
+from tacshade_edge.settings.sensor_file import read_sensor
+from tacshade_edge.simulator.model import SensorModel
+
+SENSOR = "skin_radius_mm: 20\nvisible_half_angle_deg: 50\ncamera_distance_mm: 14\npolarity: bright\n"
+SOURCE = "source: {kind: simulated, fps: 20, pressed: hand.csv}\n"
+
+
+class Person:
+    """Types into a command on a pty, and reads what it says."""
+
+    def __init__(self, words: list[str]) -> None:
+        self._leader, follower = pty.openpty()
+        command = [sys.executable, "-m", "tacshade_edge", "capture", *words]
+        self.process = subprocess.Popen(
+            command, stdin=follower, stdout=follower, stderr=follower, start_new_session=True
+        )
+        os.close(follower)
+        self.heard = ""
+
+    def hears(self, text: str) -> None:
+        """Wait for a text that was not waited for yet."""
+        end_s = time.monotonic() + patience(60)
+        while text not in self.heard:
+            assert time.monotonic() < end_s, f"did not say {text!r} but {self.heard!r}"
+            if select.select([self._leader], [], [], 0.1)[0]:
+                self.heard += self._read()
+        self.heard = self.heard.partition(text)[2]
+
+    def types(self, line: str) -> None:
+        os.write(self._leader, f"{line}\n".encode())
+
+    def ends(self) -> int:
+        """Wait for its end; its exit code."""
+        while data := self._read():
+            self.heard += data
+        return self.process.wait(patience(20))
+
+    def close(self) -> None:
+        self.process.kill()
+        self.process.wait()
+        os.close(self._leader)
+
+    def _read(self) -> str:
+        try:
+            return os.read(self._leader, 65536).decode()
+        except OSError:  # the follower's last end was closed
+            return ""
+
+
+@contextlib.contextmanager
+def person(*words: str) -> Iterator[Person]:
+    started = Person(list(words))
+    try:
+        yield started
+    finally:
+        started.close()
+
+
+def press(folder: Path, row: str = "") -> None:
+    beside = folder / "hand.part"
+    beside.write_text(f"indenter,radius_mm,depth_mm,x_mm,y_mm\n{row}\n")
+    os.replace(beside, folder / "hand.csv")
+
+
+@pytest.mark.slow
+def test_from_an_empty_folder_to_what_calibrate_reads(tmp_path: Path) -> None:
+    config, plan, out = tmp_path / "sim.yaml", tmp_path / "PLAN.csv", tmp_path / "my sensor"
+    config.write_text(SOURCE)
+    plan.write_text("image,indenter,radius_mm,depth_mm,x_mm,y_mm\n,ball,6,2.5,1,-3\n,ball,4,2,-5,2\n")
+    press(tmp_path)
+    with person(str(out), "--config", str(config), "--plan", str(plan)) as one:
+        one.hears("Radius of the undeformed skin")
+        one.types("0.02")
+        one.hears("skin_radius_mm: found 0.02, expected a number from 1 to 200")
+        model = SensorModel()
+        for answer in (model.skin_radius_mm, model.visible_half_angle_deg, model.camera_distance_mm, "bright"):
+            one.types(str(answer))
+        one.hears("the picture: http://127.0.0.1:")
+        one.hears("Enter takes 10 references.")
+        one.hears("focus 0.")
+        press(tmp_path, "ball,6,2.5,9,0")
+        one.types("")
+        one.hears("refused: ")  # by whichever of the checks sees it: moving or loaded
+        press(tmp_path)
+        one.hears("Enter takes 10 references.")
+        one.types("")
+        one.hears("10 references, noise")
+        one.hears("press 1, 2 planned are left [ball of 6 mm, 2.5 mm deep at x 1, y -3 mm]:")
+        one.types("")
+        one.hears("not taken: nothing touches the skin")
+        press(tmp_path, "ball,6,2.5,1,-3")
+        one.types("")
+        one.hears("press_001.png: ball of 6 mm")
+        one.types("undo")
+        one.hears("press_001.png is taken back")
+        one.types("ball 6 2.5 1 15 15")
+        one.hears("found 4 numbers after the indenter")
+        one.types("")
+        one.hears("press_001.png: ball of 6 mm")
+        one.hears("press 2, 1 planned are left [ball of 4 mm")
+        one.process.terminate()
+        one.ends()
+    with person(str(out), "--plan", str(plan)) as one:  # goes on, with the same camera
+        one.hears("10 references and 1 presses are here already")
+        one.hears("press 2, 1 planned are left [ball of 4 mm, 2 mm deep at x -5, y 2 mm]:")
+        one.types("skip")
+        one.hears("all planned presses are taken")
+        one.types("2.5 1 -3")
+        one.hears("press_002.png: ball of 6 mm, 2.5 mm deep at x 1, y -3 mm")
+        one.types("done")
+        assert one.ends() == 0
+        assert f"--sensor '{out}'/SENSOR.yaml --reference '{out}'/reference_*.png --out" in one.heard
+    folder = CaptureFolder(out)
+    presses = read_presses(folder.presses)
+    assert [(one.radius_mm, one.depth_mm, one.x_mm, one.y_mm) for one in presses] == [(6, 2.5, 1, -3)] * 2
+    assert load(folder.settings).settings.calibration == str(out / "calibration.npz")
+    calibrate(read_sensor(folder.sensor), folder.references())
+
+
+def test_what_cannot_work_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    config = tmp_path / "sim.yaml"
+    config.write_text(SOURCE)
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "SENSOR.yaml").write_text(SENSOR)
+    (tmp_path / "PLAN.csv").write_text("image,indenter\n")
+    (tmp_path / "none.yaml").write_text("source: {kind: files, path: nothing}\n")
+    cases = {
+        "PLAN.csv:1: found the header": ["--config", str(config), "--plan", str(tmp_path / "PLAN.csv")],
+        "found nothing, expected a folder of images": ["--config", str(tmp_path / "none.yaml")],
+        "--camera /dev/none: expected the camera of": ["--camera", "/dev/none"],
+    }
+    (out / "config.yaml").write_text(SOURCE)
+    for said, words in cases.items():
+        assert main(["capture", str(out), *words]) == 78
+        error = capfd.readouterr().err
+        assert error.count("\n") == 1
+        assert said in error
