@@ -23,8 +23,8 @@ from tacshade_edge.types import U8, Calibration, Frame
 _NOISIER, _NOISE_LEVELS = 2.0, 2.0
 _DAY_S = 86400
 _CALIBRATE = (
-    "make one (docs/calibration.md): tacshade-edge calibrate --sensor SENSOR.yaml --reference ref_*.png "
-    "--presses PRESSES.csv --out {path}"
+    "make one (docs/calibration.md): tacshade-edge capture DIR takes what it needs; then tacshade-edge calibrate "
+    "--sensor DIR/SENSOR.yaml --reference DIR/reference_*.png --presses DIR/PRESSES.csv --out {path}"
 )
 _REZERO = (
     "with nothing touching the skin, publish {} to tacshade/SENSOR/req/reference while the daemon runs; if that does "
