@@ -12,10 +12,11 @@ from tacshade_edge.capture.live import STILL_FRAMES, Live
 from tacshade_edge.capture.terminal import Terminal
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import Sensor
-from tacshade_edge.core.calibration.press_check import PressCheck
+from tacshade_edge.core.calibration.press_check import Judgement, PressCheck
 from tacshade_edge.core.calibration.stillness import REST_MOST_GREY, block_means, motion_grey
 from tacshade_edge.core.image.greyscale import to_grey
-from tacshade_edge.devices.files.capture_folder import BALL, CaptureFolder, Stated, TakenPress, next_number, stated
+from tacshade_edge.devices.files.capture_folder import CaptureFolder, Stated, TakenPress, next_number, stated
+from tacshade_edge.devices.files.presses import BALL
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import U8, Calibration
 
@@ -204,15 +205,16 @@ class Session:
             self._terminal.say("  given up: nothing was taken")
             return
         image = np.array(frame.image)
-        if reason := check.refusal(image):
+        judged = check.judge(image)
+        if reason := _refusal(judged):
             self._terminal.say(f"  not taken: {reason}")
             self._taken_back = press
             return
         added = self._folder.add(self._taken, image, press)
         self._taken = [*self._taken, added]
         self._taken_back = None
-        warning = check.warning(image)
-        self._terminal.say(f"  {added.image}: {press}{f'; {warning}' if warning else ''}")
+        warning = f"; {judged.changed} since the references" if judged.changed else ""
+        self._terminal.say(f"  {added.image}: {press}{warning}")
 
     def _stated(self, words: Sequence[str]) -> Stated:
         """What was typed, with what it leaves out. Raises ConfigError."""
@@ -237,3 +239,12 @@ class Session:
             raise ConfigError("found no indenter, expected one before the numbers")
         indenter, radius_mm, *_ = self._taken[-1].stated.columns
         return indenter, radius_mm, words
+
+
+def _refusal(judged: Judgement) -> str:
+    """Why `calibrate` would leave a press out; empty when it would not."""
+    if judged.unusable:
+        return f"the picture cannot be used: {judged.unusable}"
+    if judged.moved:
+        return f"{judged.moved} since the references: fix the camera and take the references again"
+    return "" if judged.in_contact else "nothing touches the skin in the picture"

@@ -21,11 +21,13 @@ from tacshade_edge.devices import registry
 from tacshade_edge.devices.camera import v4l2_node
 from tacshade_edge.devices.camera.v4l2 import FOURCCS
 from tacshade_edge.devices.camera.v4l2_controls import Lock
-from tacshade_edge.devices.files.capture_folder import BALL, REFERENCES, CaptureFolder, Stated, read_plan
+from tacshade_edge.devices.files.capture_folder import REFERENCES, CaptureFolder, Stated, read_plan
+from tacshade_edge.devices.files.indenters import read_indenters
+from tacshade_edge.devices.files.presses import BALL
 from tacshade_edge.doctor.cameras import CSI_MEND, found_cameras, has_csi_receiver
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.errors import ConfigError, DeviceError
-from tacshade_edge.settings import Source, V4l2, load, strict_yaml
+from tacshade_edge.settings import Source, V4l2, load
 from tacshade_edge.settings.sensor_file import check_value, read_sensor
 
 _CALIBRATION = "calibration.npz"
@@ -166,10 +168,7 @@ def _indenters(folder: CaptureFolder) -> Collection[str]:
     """Names of INDENTERS.yaml, where there is one. Raises ConfigError."""
     if not folder.indenters.exists():
         return ()
-    entries, _ = strict_yaml.read(folder.indenters)
-    if not isinstance(entries, dict):
-        raise ConfigError(f"{folder.indenters}: expected a mapping of names")
-    return tuple(entries)
+    return tuple(read_indenters(folder.indenters))
 
 
 def _say_next(folder: CaptureFolder, terminal: Terminal) -> None:

@@ -66,7 +66,7 @@ def load(document: Document) -> tuple[Calibration | None, tuple[Finding, ...]]:
     days = (time.time() - os.stat(path).st_mtime) / _DAY_S
     found = f"{path}: {calibration.crc32:08x}, {max(days, 0):.0f} days old"
     if not calibration.factors:
-        mend = "take ball presses and calibrate with --presses PRESSES.csv (docs/calibration.md)"
+        mend = "take presses (tacshade-edge capture) and calibrate with --presses PRESSES.csv (docs/calibration.md)"
         return calibration, (warning("calibration", f"{found}; depth is not in true millimetres", mend),)
     accurate = calibration.fit.profiles.get("accurate") if calibration.fit else None
     depth_error = f", depth error {accurate.depth_mae_mm:.2f} mm" if accurate else ""

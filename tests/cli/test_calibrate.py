@@ -158,7 +158,7 @@ def test_the_quality_is_printed(words: list[str], tmp_path: Path, capsys: pytest
     command = ["calibrate", *words[:2], "--presses", str(table), *words[4:], "--out", str(tmp_path / "cal.npz")]
     assert main(command) == 0
     printed = capsys.readouterr()
-    assert re.search(r"^(fair|poor): ball depth within \d\.\d\d mm", printed.out, re.MULTILINE)
+    assert re.search(r"^(fair|poor): depth within \d\.\d\d mm", printed.out, re.MULTILINE)
     assert "  to do: 10 presses: 20 to 40" in printed.out
     assert main([*command, "--json"]) == 0
     report = json.loads(capsys.readouterr().out)

@@ -133,7 +133,7 @@ def test_from_an_empty_folder_to_what_calibrate_reads(tmp_path: Path) -> None:
         assert one.ends() == 0
         assert f"--sensor '{out}'/SENSOR.yaml --reference '{out}'/reference_*.png --out" in one.heard
     folder = CaptureFolder(out)
-    presses = read_presses(folder.presses)
+    presses, _ = read_presses(folder.presses)
     assert [(one.radius_mm, one.depth_mm, one.x_mm, one.y_mm) for one in presses] == [(6, 2.5, 1, -3)] * 2
     assert load(folder.settings).settings.calibration == str(out / "calibration.npz")
     calibrate(read_sensor(folder.sensor), folder.references())

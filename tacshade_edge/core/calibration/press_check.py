@@ -2,12 +2,36 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from tacshade_edge.core.calibration.references import PROFILE
 from tacshade_edge.core.contact.gate import ContactGate
 from tacshade_edge.core.frame_check import registration
 from tacshade_edge.core.frame_check.validity import invalid_reason, sensor_check
 from tacshade_edge.core.image.preprocess import Preprocessor
+from tacshade_edge.reasons import Reason
 from tacshade_edge.types import U8, Calibration
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """What an image of a press shows.
+
+    Attributes
+    ----------
+    unusable : Reason or None
+        Why no image of the sensor can be judged by it; the others say nothing then.
+    moved : str
+        How the camera moved too far since the references; empty when it did not.
+    changed : str
+        What changed less; empty when nothing did.
+    in_contact : bool
+    """
+
+    unusable: Reason | None
+    moved: str = ""
+    changed: str = ""
+    in_contact: bool = False
 
 
 class PressCheck:
@@ -26,23 +50,14 @@ class PressCheck:
         self._disc = unloaded.geometry.disc
         self._reference = registration.look(unloaded.reference_grey, self._disc, unloaded.pitch_px)
 
-    def in_contact(self, image: U8) -> bool:
-        """Whether anything touches the skin in an image (H, W) or (H, W, 3) that can be used."""
-        return self._gate.opens(self._preprocessor.preprocess(self._preprocessor.grey(image)))
-
-    def refusal(self, image: U8) -> str:
-        """Why `calibrate` would leave the press out; empty when it is one."""
+    def judge(self, image: U8) -> Judgement:
+        """Judge an image (H, W) or (H, W, 3)."""
         grey = self._preprocessor.grey(image)
         if reason := invalid_reason(grey, self._check):
-            return f"the picture cannot be used: {reason}"
+            return Judgement(reason)
         drift = registration.drift(self._reference, grey)
-        if registration.shifted_too_far(drift, self._disc):
-            shift = registration.shift_reason(drift, self._disc)
-            return f"{shift} since the references: fix the camera and take the references again"
-        return "" if self.in_contact(image) else "nothing touches the skin in the picture"
-
-    def warning(self, image: U8) -> str:
-        """What changed since the references, of a press that is one; empty when nothing did."""
-        drift = registration.drift(self._reference, self._preprocessor.grey(image))
-        change = registration.shift_reason(drift, self._disc) or registration.light_drift_reason(drift)
-        return f"{change} since the references" if change else ""
+        shift = registration.shift_reason(drift, self._disc)
+        if shift and registration.shifted_too_far(drift, self._disc):
+            return Judgement(None, moved=str(shift))
+        changed = str(shift or registration.light_drift_reason(drift) or "")
+        return Judgement(None, changed=changed, in_contact=self._gate.opens(self._preprocessor.preprocess(grey)))

@@ -6,17 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from tacshade_edge.core.calibration.inputs import KnownPress
+from tacshade_edge.core.calibration.press_check import PressCheck
 from tacshade_edge.core.calibration.press_observation import PressObservation, observe_press
 from tacshade_edge.core.calibration.press_outliers import outliers
 from tacshade_edge.core.calibration.quality import GRADED_PROFILE
 from tacshade_edge.core.calibration.references import PROFILE
 from tacshade_edge.core.calibration.stated_sizes import shown_sizes, size_mistake, unit_mistake
 from tacshade_edge.core.calibration.table_hints import axes_hint, polarity_hint, table_hints
-from tacshade_edge.core.contact.gate import ContactGate
 from tacshade_edge.core.depth import Network
-from tacshade_edge.core.frame_check import registration
-from tacshade_edge.core.frame_check.validity import FrameCheck, invalid_reason, sensor_check
-from tacshade_edge.core.image import greyscale
 from tacshade_edge.core.image.grey_maps import GreyMapper
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES
@@ -58,24 +55,23 @@ def select_presses(unloaded: Calibration, presses: Sequence[KnownPress], network
         raise ConfigError(f"{len(presses)} presses: at least {MIN_PRESSES} are needed (20 are better)")
     geometry = unloaded.geometry
     preprocessor = Preprocessor(unloaded, PROFILE)
-    mapper, gate, check = GreyMapper(preprocessor), ContactGate(preprocessor), sensor_check(unloaded)
-    reference = registration.look(unloaded.reference_grey, geometry.disc, unloaded.pitch_px)
+    mapper, check = GreyMapper(preprocessor), PressCheck(unloaded)
     pressed: list[KnownPress] = []
     left_out: list[str] = []
     warnings: list[str] = []
     for press in presses:
-        _check_press(unloaded, check, press)
-        grey = preprocessor.grey(press.image)
-        drift = registration.drift(reference, grey)
-        shift = registration.shift_reason(drift, geometry.disc)
-        if registration.shifted_too_far(drift, geometry.disc):
-            left_out.append(f"{press.name}: {shift} since the references")
-        elif not gate.opens(preprocessor.preprocess(grey)):
+        _check_press(unloaded, press)
+        judged = check.judge(press.image)
+        if judged.unusable:
+            raise ConfigError(f"{press.name}: not usable: {judged.unusable}")
+        if judged.moved:
+            left_out.append(f"{press.name}: {judged.moved} since the references")
+        elif not judged.in_contact:
             left_out.append(f"{press.name}: no contact to be seen, {press.depth_mm} mm is stated")
         else:
             pressed.append(press)
-            if change := shift or registration.light_drift_reason(drift):
-                warnings.append(f"{press.name}: {change} since the references")
+            if judged.changed:
+                warnings.append(f"{press.name}: {judged.changed} since the references")
     observations = [observe_press(preprocessor, mapper, press) for press in pressed]
     if len(observations) >= MIN_PRESSES and (mistakes := _gross_mistakes(unloaded, network, pressed, observations)):
         raise ConfigError("; ".join(mistakes))
@@ -113,7 +109,7 @@ def _gross_mistakes(
     return tuple(mistake for mistake in mistakes if mistake)
 
 
-def _check_press(calibration: Calibration, check: FrameCheck, press: KnownPress) -> None:
+def _check_press(calibration: Calibration, press: KnownPress) -> None:
     """Refuse what cannot be a press of this sensor."""
     r = calibration.geometry.skin_radius_mm
     if press.image.shape[:2] != (calibration.image_height_px, calibration.image_width_px):
@@ -126,5 +122,3 @@ def _check_press(calibration: Calibration, check: FrameCheck, press: KnownPress)
             f"{press.name}: depth {press.depth_mm} mm, ball radius {press.radius_mm} mm; "
             f"expected 0 < depth < {r} and a radius above 0"
         )
-    if reason := invalid_reason(greyscale.to_grey(press.image), check):
-        raise ConfigError(f"{press.name}: not usable: {reason}")

@@ -33,7 +33,7 @@ class Quality:
 UNCALIBRATED = Quality(
     "uncalibrated",
     "depth is what sensors of this kind give on average: no --presses to measure how good that is for this one",
-    ("take 20 to 40 ball presses and pass --presses PRESSES.csv (docs/calibration.md)",),
+    ("take 20 to 40 presses and pass --presses PRESSES.csv (docs/calibration.md)",),
 )
 """Without presses."""
 
@@ -53,7 +53,7 @@ def assess(fit: Fit, geometry: Geometry, missing: Sequence[str], errors_mm: Sequ
     if GRADED_PROFILE not in fit.profiles:
         return Quality(
             "poor",
-            "poor: the learned profiles see a contact where the ball is in fewer presses than a fit needs",
+            "poor: the learned profiles see a contact where the indenter is in fewer presses than a fit needs",
             ("look at the presses' images, places and depths, and at SENSOR.yaml",),
         )
     profile, scale = fit.profiles[GRADED_PROFILE], skin_scale(geometry)
@@ -64,7 +64,7 @@ def assess(fit: Fit, geometry: Geometry, missing: Sequence[str], errors_mm: Sequ
     if depth > _DEPTH_FAIR_MM or agreement > _AGREEMENT_FAIR_MM:
         grade = "poor"
     line = (
-        f"{grade}: ball depth within {_rounded_up(profile.depth_mae_mm)} mm of what was stated on average, "
+        f"{grade}: depth within {_rounded_up(profile.depth_mae_mm)} mm of what was stated on average, "
         f"{_rounded_up(profile.depth_worst_mm)} mm at worst, on presses it had not seen"
     )
     advice = list(missing)

@@ -29,6 +29,8 @@ _UNIT_FACTOR = 4.0
 _UNITS = {"cm": 10.0, "inches": 25.4, "m": 1000.0}
 _BALL_FACTORS = (0.8, 1.7)
 _PLACE_FACTORS, _USUAL_PLACE = (0.6, 1.4), 0.9
+# Places that lie nearer to the middle than this, in skin radii (RMS), tell no factor: a place is found within 1 mm.
+_LEAST_REACH_RADII = 0.1
 # Without a place: a skin of twice the radius makes balls look three times as large and more, and depths larger too.
 _SKIN_BALL_FACTORS, _SKIN_DEPTH_FACTORS = (0.45, 2.5), (0.8, 1.3)
 # Radii to try, as parts of the stated one.
@@ -82,7 +84,7 @@ def unit_mistake(shown: ShownSizes) -> str:
 
 def size_mistake(shown: ShownSizes, observations: Sequence[PressObservation], geometry: Geometry) -> str:
     """A wrong size of the skin or of all balls, for a person; empty when there is none."""
-    places = _place_factor(observations)
+    places = _place_factor(observations, geometry.skin_radius_mm)
     skin = math.nan
     if math.isfinite(places):
         skin = places / _USUAL_PLACE if not _PLACE_FACTORS[0] < places < _PLACE_FACTORS[1] else math.nan
@@ -120,14 +122,17 @@ def _ball_factor(inverse: Inverse, geometry: Geometry, press: KnownPress) -> flo
     return float(_TRIED[int(np.argmin(misfits))])
 
 
-def _place_factor(observations: Sequence[PressObservation]) -> float:
-    """How far from the middle the images show balls, over how far is stated; NaN where too few are stated."""
+def _place_factor(observations: Sequence[PressObservation], skin_radius_mm: float) -> float:
+    """How far from the middle the images show balls, over how far is stated; NaN where too little is stated."""
     balls = [o for o in observations if o.x_mm is not None and not o.indenter]
     if len(balls) < _LEAST_PRESSES:
         return math.nan
     stated = np.array([o.place_mm for o in balls])
     shown = np.array([(o.located_x_mm, o.located_y_mm) for o in balls])
-    return float((shown * stated).sum() / max(float((stated * stated).sum()), np.finfo(float).tiny))
+    squares = float((stated * stated).sum())
+    if squares < len(stated) * (_LEAST_REACH_RADII * skin_radius_mm) ** 2:
+        return math.nan
+    return float((shown * stated).sum() / squares)
 
 
 def _median(values: Sequence[float]) -> float:

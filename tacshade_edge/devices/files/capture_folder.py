@@ -11,7 +11,7 @@ from pathlib import Path
 import cv2
 
 from tacshade_edge.devices.files.images import read_image
-from tacshade_edge.devices.files.presses import HEADER
+from tacshade_edge.devices.files.presses import BALL, HEADER, MORE, press_rows
 from tacshade_edge.devices.files.tables import number, read_rows
 from tacshade_edge.devices.files.whole_files import disk_errors, write_whole
 from tacshade_edge.errors import ConfigError, DecodeError
@@ -19,9 +19,6 @@ from tacshade_edge.types import U8
 
 SENSOR, SETTINGS, PRESSES, INDENTERS = "SENSOR.yaml", "config.yaml", "PRESSES.csv", "INDENTERS.yaml"
 REFERENCES = "reference_*.png"
-BALL = "ball"
-MORE = ("yaw_deg", "tilt_x_deg", "tilt_y_deg", "shear_x_mm", "shear_y_mm")
-"""Columns that a plan may have besides; they are copied."""
 
 _PNG_OPTIONS = (cv2.IMWRITE_PNG_COMPRESSION, 3)
 
@@ -101,10 +98,17 @@ def read_plan(path: Path, names: Collection[str], skin_radius_mm: float) -> tupl
     ConfigError
         ``FILE:LINE: column: found …, expected …``.
     """
-    rows = read_rows(path, HEADER, "presses", more=MORE)
+    rows, _ = press_rows(path)
     if not rows:
         raise ConfigError(f"{path}: found no press, expected a row for each")
-    return tuple(stated(where, row[1:], names, skin_radius_mm) for where, row in rows)
+    cells = [(where, [row.get(column, "").strip() for column in (*HEADER, *MORE)]) for where, row in rows]
+    return tuple(stated(where, _columns(row[1:]), names, skin_radius_mm) for where, row in cells)
+
+
+def _columns(cells: Sequence[str]) -> tuple[str, ...]:
+    """Without those of `MORE`, where all are empty."""
+    least = len(HEADER) - 1
+    return tuple(cells) if any(cells[least:]) else tuple(cells[:least])
 
 
 class CaptureFolder:
@@ -177,7 +181,7 @@ class CaptureFolder:
         for where, (image, *columns) in read_rows(self.presses, HEADER, "presses", more=MORE):
             if not (self.path / image).is_file():
                 raise ConfigError(f"{where}: image: found no file {image}, expected it beside the table")
-            taken.append(TakenPress(image, Stated(tuple(columns))))
+            taken.append(TakenPress(image, Stated(_columns(columns))))
         return taken
 
     def add(self, taken: Sequence[TakenPress], image: U8, press: Stated) -> TakenPress:

@@ -43,6 +43,18 @@ def read_presses(
     ConfigError
         ``FILE:LINE: column: found …, expected …``, or an image that cannot be read.
     """
+    rows, notes = press_rows(path)
+    return [_press(path, where, row, indenters or {}) for where, row in rows], notes
+
+
+def press_rows(path: Path) -> tuple[list[tuple[str, dict[str, str]]], tuple[str, ...]]:
+    """Cells of the table's rows by column, numbers with a decimal point, each with ``FILE:LINE``; and notes on them.
+
+    Raises
+    ------
+    ConfigError
+        No such table.
+    """
     table = read_columns(path, HEADER, MORE, "presses")
     notes: tuple[str, ...] = ()
     if table.unknown:
@@ -56,7 +68,7 @@ def read_presses(
         ]
     else:
         rows = list(table.rows)
-    return [_press(path, where, row, indenters or {}) for where, row in rows], notes
+    return rows, notes
 
 
 def _press(path: Path, where: str, row: dict[str, str], indenters: Mapping[str, Indenter | float]) -> KnownPress:

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tacshade_edge.devices.files.capture_folder import BALL, MORE, CaptureFolder, Stated, read_plan, stated
-from tacshade_edge.devices.files.presses import read_presses
+from tacshade_edge.devices.files.capture_folder import CaptureFolder, Stated, read_plan, stated
+from tacshade_edge.devices.files.presses import BALL, MORE, read_presses
 from tacshade_edge.errors import ConfigError, DeviceError
 
 IMAGE = np.zeros((16, 16), np.uint8)
@@ -22,7 +22,7 @@ def test_what_is_added_is_what_calibrate_reads(tmp_path: Path) -> None:
     first = folder.add([], IMAGE, press())
     second = folder.add([first], IMAGE, stated("press", (BALL, "4", "1", "", ""), (), 20.0))
     assert folder.taken() == [first, second]
-    read = read_presses(folder.presses)
+    read, _ = read_presses(folder.presses)
     assert [(one.radius_mm, one.depth_mm, one.x_mm, one.y_mm) for one in read] == [(6, 2.5, 1, -3), (4, 1, None, None)]
 
 
@@ -73,7 +73,7 @@ def test_a_plan_is_a_table_whose_images_do_not_matter(tmp_path: Path) -> None:
     folder = CaptureFolder(tmp_path)
     both = [folder.add([], IMAGE, press())]
     both.append(folder.add(both, IMAGE, tilted))
-    assert [one.stated.columns[5:] for one in folder.taken()] == [("",) * 5, ("30", "0", "0", "0", "0")]
+    assert [one.stated.columns[5:] for one in folder.taken()] == [(), ("30", "0", "0", "0", "0")]
     plan.write_text(f"{HEADER}\n")
     with pytest.raises(ConfigError, match="found no press"):
         read_plan(plan, (), 20.0)
