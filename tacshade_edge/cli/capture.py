@@ -22,7 +22,7 @@ from tacshade_edge.devices.camera import v4l2_node
 from tacshade_edge.devices.camera.v4l2 import FOURCCS
 from tacshade_edge.devices.camera.v4l2_controls import Lock
 from tacshade_edge.devices.files.capture_folder import REFERENCES, CaptureFolder, Stated, read_plan
-from tacshade_edge.devices.files.indenters import read_indenters
+from tacshade_edge.devices.files.indenters import read_indenters, write_printables
 from tacshade_edge.devices.files.presses import BALL
 from tacshade_edge.doctor.cameras import CSI_MEND, found_cameras, has_csi_receiver
 from tacshade_edge.doctor.machine import Machine
@@ -42,8 +42,16 @@ _MAY_BE_EMPTY = "camera_distance_mm"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument(
-        "folder", type=Path, metavar="DIR", help="where everything is written; an earlier one goes on where it stopped"
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument(
+        "folder",
+        type=Path,
+        nargs="?",
+        metavar="DIR",
+        help="where everything is written; an earlier one goes on where it stopped",
+    )
+    what.add_argument(
+        "--indenters", type=Path, metavar="DIR", help="write indenters to print, STL files and INDENTERS.yaml, and end"
     )
     camera = parser.add_mutually_exclusive_group()
     camera.add_argument("--camera", metavar="DEVICE", help="the camera, where the machine has several")
@@ -53,6 +61,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Take references and presses; say what to do with them."""
+    if args.indenters is not None:
+        for path in write_printables(args.indenters):
+            print(path)
+        return 0
     terminal = Terminal(0, sys.stdout)
     folder = CaptureFolder(args.folder)
     source = _source(args, folder)

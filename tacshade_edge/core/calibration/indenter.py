@@ -1,7 +1,7 @@
 """Indenters of known shape that are no balls: where their surface lies under a press.
 
-Every shape is a closed surface of triangles. Round sides have `_SIDES` flats that lie on the circle at their corners,
-so the surface is at most 3e-4 radii inside the true one.
+Every shape is a closed surface of triangles. Round sides have `SIDES` flats that lie on the circle at their corners, so
+the surface is at most 3e-4 radii inside the true one.
 
 References
 ----------
@@ -24,7 +24,8 @@ from tacshade_edge.types import F32, F64, Geometry, freeze
 
 I64 = npt.NDArray[np.int64]
 
-_SIDES = 128
+SIDES = 128
+"""Of what is round."""
 # Corners of what stands upright, above its foot, mm: none but the near ones matter, and the last is beyond any skin.
 _LEVELS_MM = (0.0, 2.0, 8.0, 32.0, 128.0, 512.0)
 # A triangle is looked at where it is nearer to the lens than this part of the skin's radius: no picture shows less.
@@ -123,25 +124,25 @@ class PlacedIndenter:
 
 def cylinder(name: str, radius_mm: float) -> Indenter:
     """A cylinder that stands on its flat end."""
-    return Indenter(name, _surface([_ring(_circle(radius_mm), z) for z in _LEVELS_MM]))
+    return Indenter(name, surface([level(circle(radius_mm), z) for z in _LEVELS_MM]))
 
 
 def box(name: str, length_mm: float, width_mm: float) -> Indenter:
     """A box, its flat face down, `length_mm` along x by `width_mm` along y."""
     corners = np.array(((-1, -1), (1, -1), (1, 1), (-1, 1))) * (length_mm / 2, width_mm / 2)
-    return Indenter(name, _surface([_ring(corners, z) for z in _LEVELS_MM]))
+    return Indenter(name, surface([level(corners, z) for z in _LEVELS_MM]))
 
 
 def bar(name: str, radius_mm: float, length_mm: float) -> Indenter:
     """A cylinder that lies along x, with flat ends."""
-    x, y, z = np.moveaxis(_surface([_ring(_circle(radius_mm), z) for z in (0.0, length_mm)]), -1, 0)
+    x, y, z = np.moveaxis(surface([level(circle(radius_mm), z) for z in (0.0, length_mm)]), -1, 0)
     return Indenter(name, np.stack((z - length_mm / 2, y, radius_mm - x), axis=-1))
 
 
 def cone(name: str, angle_deg: float) -> Indenter:
     """A cone on its tip; `angle_deg` is the full angle there."""
     slope = math.tan(math.radians(angle_deg) / 2)
-    return Indenter(name, _surface([_ring(_circle(slope * z), z) for z in _LEVELS_MM]))
+    return Indenter(name, surface([level(circle(slope * z), z) for z in _LEVELS_MM]))
 
 
 def mesh(name: str, triangles_mm: F64) -> Indenter:
@@ -174,23 +175,32 @@ def place(
     return PlacedIndenter(x_mm, y_mm, depth_mm, turned + np.array((x_mm, y_mm, z_mm)))
 
 
-def _circle(radius_mm: float) -> F64:
-    angle = 2 * math.pi * np.arange(_SIDES) / _SIDES
+def circle(radius_mm: float) -> F64:
+    """Corners (SIDES, 2) on a circle, counter-clockwise from x."""
+    angle = 2 * math.pi * np.arange(SIDES) / SIDES
     return radius_mm * np.column_stack((np.cos(angle), np.sin(angle)))
 
 
-def _ring(outline: F64, z_mm: float) -> F64:
+def level(outline: F64, z_mm: float) -> F64:
+    """Lift an outline (N, 2) to a ring (N, 3)."""
     return np.column_stack((outline, np.full(len(outline), z_mm)))
 
 
-def _surface(rings: Sequence[F64]) -> F64:
-    """The triangles between rings of as many corners (N, 3) each, the lowest first, and those that close both ends."""
+def surface(rings: Sequence[F64]) -> F64:
+    """Join rings of as many corners (N, 3) each, counter-clockwise and the lowest first, and close both ends.
+
+    Returns
+    -------
+    float64 (triangles, 3, 3)
+        Corners counter-clockwise as seen from outside.
+    """
     faces = []
     for low, high in itertools.pairwise(rings):
         low_after, high_after = np.roll(low, -1, axis=0), np.roll(high, -1, axis=0)
         faces += [(low, low_after, high), (low_after, high_after, high)]
-    for ring in (rings[0], rings[-1]):
-        faces.append((np.broadcast_to(ring.mean(axis=0), ring.shape), ring, np.roll(ring, -1, axis=0)))
+    for ring, is_top in ((rings[0], False), (rings[-1], True)):
+        middle, after = np.broadcast_to(ring.mean(axis=0), ring.shape), np.roll(ring, -1, axis=0)
+        faces.append((middle, ring, after) if is_top else (middle, after, ring))
     return np.concatenate([np.stack(face, axis=1) for face in faces])
 
 

@@ -1,12 +1,16 @@
-"""INDENTERS.yaml and its meshes to indenters, for ``tacshade-edge calibrate``."""
+"""INDENTERS.yaml and its meshes to indenters, for ``tacshade-edge calibrate``; and a folder of those to print."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import yaml
+
 from tacshade_edge.core.calibration import indenter as shapes
 from tacshade_edge.core.calibration.indenter import Indenter
-from tacshade_edge.devices.files.stl import read_stl
+from tacshade_edge.core.calibration.printable import printables
+from tacshade_edge.devices.files.stl import read_stl, stl_bytes
+from tacshade_edge.devices.files.whole_files import disk_errors, write_whole
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.settings.indenters_file import IndenterEntry, read_indenters_file
 
@@ -23,6 +27,30 @@ def read_indenters(path: Path) -> dict[str, Indenter | float]:
         ``FILE:LINE: NAME.key: found …, expected …``.
     """
     return {name: _indenter(path, name, *entry) for name, entry in read_indenters_file(path).items()}
+
+
+def write_printables(folder: Path) -> list[Path]:
+    """Write an STL file for each of `printables`, and INDENTERS.yaml, where there is none.
+
+    Raises
+    ------
+    ConfigError
+        There is an INDENTERS.yaml, which may be a person's own.
+    DeviceError
+        The folder cannot be written.
+    """
+    table = folder / "INDENTERS.yaml"
+    if table.exists():
+        raise ConfigError(f"{table}: found one, expected none: it is not replaced")
+    written = []
+    with disk_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        for each in printables():
+            written.append(folder / f"{each.name}.stl")
+            write_whole(written[-1], stl_bytes(each.triangles_mm))
+        entries = {each.name: dict(each.entry) for each in printables()}
+        write_whole(table, yaml.safe_dump(entries, sort_keys=False, default_flow_style=None).encode())
+    return [*written, table]
 
 
 def _indenter(path: Path, name: str, where: str, entry: IndenterEntry) -> Indenter | float:

@@ -56,6 +56,16 @@ def read_stl(path: Path) -> F64:
     return corners
 
 
+def stl_bytes(triangles_mm: F64) -> bytes:
+    """Make a binary file of triangles (N, 3, 3), counter-clockwise as seen from outside."""
+    a, b, c = np.moveaxis(triangles_mm, 1, 0)
+    normal = np.cross(b - a, c - a)
+    rows = np.zeros(len(triangles_mm), _TRIANGLE)
+    rows["normal"] = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.finfo(float).tiny)
+    rows["corners"] = triangles_mm
+    return b"binary STL, mm".ljust(_HEAD_BYTES - 4) + len(rows).to_bytes(4, "little") + rows.tobytes()
+
+
 def _ascii(path: Path, data: bytes) -> F64:
     corners, in_facet = [], 0
     for number, line in enumerate(data.decode("ascii", "replace").splitlines(), start=1):

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from tacshade_edge.core.calibration.indenter import Indenter
-from tacshade_edge.devices.files.indenters import read_indenters
+from tacshade_edge.devices.files.indenters import read_indenters, write_printables
 from tacshade_edge.errors import ConfigError
 
 STL = "solid\nfacet\nvertex 0 0 3\nvertex 4 0 3\nvertex 0 4 5\nendfacet\nendsolid\n"
@@ -71,3 +71,13 @@ def test_a_mesh_in_metres_is_refused(tmp_path: Path) -> None:
     (tmp_path / "own.stl").write_text(STL.replace("4", "0.004").replace("3", "0.003").replace("5", "0.005"))
     with pytest.raises(ConfigError, match=r":1: own\.file: .*a greatest size of 0.004, expected 0.5 to 500 mm"):
         read_indenters(path)
+
+
+def test_those_to_print_come_with_their_table_and_replace_none(tmp_path: Path) -> None:
+    written = write_printables(tmp_path / "print")
+    assert [path.name for path in written if path.suffix != ".stl"] == ["INDENTERS.yaml"]
+    known = read_indenters(written[-1])
+    assert [f"{name}.stl" for name in known] == [path.name for path in written[:-1]]
+    assert known["ball_6"] == 6.0
+    with pytest.raises(ConfigError, match=r"INDENTERS.yaml: found one, expected none"):
+        write_printables(tmp_path / "print")

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tacshade_edge.devices.files.stl import read_stl
+from tacshade_edge.devices.files.stl import read_stl, stl_bytes
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.types import F64
 
@@ -62,3 +62,11 @@ def test_what_is_none(tmp_path: Path, data: bytes, said: str) -> None:
 def test_no_file(tmp_path: Path) -> None:
     with pytest.raises(DecodeError, match="expected an STL file"):
         read_stl(tmp_path / "none.stl")
+
+
+def test_what_is_written_is_read_and_its_faces_point_outwards(tmp_path: Path) -> None:
+    path = tmp_path / "a.stl"
+    path.write_bytes(stl_bytes(TWO))
+    np.testing.assert_array_equal(read_stl(path), TWO)
+    normal = np.frombuffer(path.read_bytes(), "<f4", 3, offset=84)
+    np.testing.assert_allclose(normal, np.array((-0.5, -2, 1)) / np.linalg.norm((-0.5, -2, 1)), rtol=1e-6)
