@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -60,7 +61,10 @@ def run(args: argparse.Namespace) -> int:
     presses, notes = read_presses(args.presses, indenters) if args.presses else ([], ())
     if args.presses and not presses:
         raise ConfigError(f"{args.presses}: found no press, expected a row for each")
-    result = calibrate(sensor, references, presses, args.allow_loaded_reference, load_networks())
+    try:
+        result = calibrate(sensor, references, presses, args.allow_loaded_reference, load_networks())
+    except ConfigError as error:
+        raise ConfigError(_by_path(str(error), args)) from None
     stored = calibration_file.save(args.out, result.calibration)
     _print(args, stored, (*notes, *result.warnings), _quality(result.quality))
     if not args.json:
@@ -68,6 +72,12 @@ def run(args: argparse.Namespace) -> int:
         for advice in result.quality.advice:
             print(f"  to do: {advice}")
     return 0
+
+
+def _by_path(text: str, args: argparse.Namespace) -> str:
+    """What is wrong with a whole file names it as the documents do: put its path there."""
+    paths = {"SENSOR.yaml": str(args.sensor), "PRESSES.csv": str(args.presses)}
+    return re.sub(r"(?<![\w/])(SENSOR\.yaml|PRESSES\.csv)(?=: )", lambda name: paths[name[0]], text)
 
 
 def _rezero(args: argparse.Namespace) -> int:

@@ -221,3 +221,21 @@ def test_the_process_exits_with_78(tmp_path: Path) -> None:
     assert done.returncode == 78
     assert done.stdout == ""
     assert "none.yaml" in one_line(done.stderr)
+
+
+def test_what_is_wrong_with_a_whole_table_names_it(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = Path(words[words.index("--presses") + 1])
+    header, *rows = [line.split(",") for line in given.read_text().splitlines()]
+    depth = header.index("depth_mm")
+    for row in rows:
+        row[depth] = str(float(row[depth]) / 1000)
+    table = given.with_name("in metres.csv")
+    table.write_text("\n".join(",".join(row) for row in [header, *rows]))
+    out = tmp_path / "cal.npz"
+    assert main(["calibrate", *(str(table) if word == str(given) else word for word in words), "--out", str(out)]) == 78
+    line = one_line(capsys.readouterr().err)
+    assert line.startswith(f"tacshade-edge: {table}: depth_mm: the images show presses about ")
+    assert "are the depths in m? expected mm" in line
+    assert not out.exists()
