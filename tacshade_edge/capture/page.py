@@ -11,6 +11,8 @@ PORT: Final = 8081
 """Of the page; a free one where it is taken."""
 
 _TIMEOUT_S = 5.0
+# A site may give its own name this machine's address (DNS rebinding): the browser then tells that name as the host.
+_HOSTS = ("127.0.0.1", "localhost")
 _HTML = b"""<!doctype html>
 <html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">
 <title>tacshade-edge capture</title>
@@ -86,7 +88,10 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = _TIMEOUT_S
 
     def do_GET(self) -> None:
-        """Answer with what there is now."""
+        """Answer with what there is now, to pages of this machine."""
+        if self.headers.get("Host", "").partition(":")[0].lower() not in _HOSTS:
+            self.send_error(403)
+            return
         shown = self.page.shown
         content: dict[str, tuple[str, bytes]] = {
             "/": ("text/html; charset=utf-8", _HTML),

@@ -51,7 +51,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="where everything is written; an earlier one goes on where it stopped",
     )
     what.add_argument(
-        "--indenters", type=Path, metavar="DIR", help="write indenters to print, STL files and INDENTERS.yaml, and end"
+        "--indenters",
+        type=Path,
+        metavar="DIR",
+        help="write indenters to print (STL), INDENTERS.yaml and a PLAN.csv of presses, and end",
     )
     camera = parser.add_mutually_exclusive_group()
     camera.add_argument("--camera", metavar="DEVICE", help="the camera, where the machine has several")

@@ -1,4 +1,4 @@
-"""Indenters to print: known shapes, each on a stem that a press holds, as closed surfaces for STL files."""
+"""Indenters to print, each on a stem that a press holds, as closed surfaces for STL files; and presses of them."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ STEM_RADIUS_MM, LENGTH_MM = 4.0, 45.0
 """Of every indenter, from its lowest point to the stem's end."""
 
 _SHOULDER_MM = 6.0  # the shape goes straight up so far at least: no skin is pressed deeper
+_REACH_MM, _DEPTHS_MM = 9.0, (0.8, 1.6, 2.4, 3.2, 4.0)
 _NECK = 0.6  # of a small ball, in its radii
 _STEPS = 48  # of what is round from below
 
@@ -49,6 +50,33 @@ def printables() -> tuple[Printable, ...]:
         _bar(2.0, 14.0),
         _cone(90.0),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """A press to be taken: of which indenter, where and how deep; mm."""
+
+    name: str
+    x_mm: float
+    y_mm: float
+    depth_mm: float
+
+
+def planned_presses() -> tuple[Planned, ...]:
+    """Plan five presses of each of `printables`, one indenter after the other.
+
+    The places of all are a sunflower out to `_REACH_MM` (Vogel 1979), which each indenter has some of everywhere.
+    """
+    names = [each.name for each in printables()]
+    count, golden = len(names) * len(_DEPTHS_MM), math.pi * (3 - math.sqrt(5))
+    presses = []
+    for which, name in enumerate(names):
+        for turn in range(len(_DEPTHS_MM)):
+            k = which + len(names) * turn
+            rho_mm = _REACH_MM * math.sqrt((k + 0.5) / count)
+            x_mm, y_mm = (round(rho_mm * part, 1) for part in (math.cos(k * golden), math.sin(k * golden)))
+            presses.append(Planned(name, x_mm, y_mm, _DEPTHS_MM[(turn + 2 * which) % len(_DEPTHS_MM)]))
+    return tuple(presses)
 
 
 def _ball(radius_mm: float) -> Printable:

@@ -8,7 +8,8 @@ import yaml
 
 from tacshade_edge.core.calibration import indenter as shapes
 from tacshade_edge.core.calibration.indenter import Indenter
-from tacshade_edge.core.calibration.printable import printables
+from tacshade_edge.core.calibration.printable import planned_presses, printables
+from tacshade_edge.devices.files.presses import HEADER
 from tacshade_edge.devices.files.stl import read_stl, stl_bytes
 from tacshade_edge.devices.files.whole_files import disk_errors, write_whole
 from tacshade_edge.errors import ConfigError, DecodeError
@@ -30,18 +31,19 @@ def read_indenters(path: Path) -> dict[str, Indenter | float]:
 
 
 def write_printables(folder: Path) -> list[Path]:
-    """Write an STL file for each of `printables`, and INDENTERS.yaml, where there is none.
+    """Write an STL file for each of `printables`, their INDENTERS.yaml, and a plan of presses, PLAN.csv.
 
     Raises
     ------
     ConfigError
-        There is an INDENTERS.yaml, which may be a person's own.
+        There is one of the tables, which may be a person's own.
     DeviceError
         The folder cannot be written.
     """
-    table = folder / "INDENTERS.yaml"
-    if table.exists():
-        raise ConfigError(f"{table}: found one, expected none: it is not replaced")
+    table, plan = folder / "INDENTERS.yaml", folder / "PLAN.csv"
+    for path in (table, plan):
+        if path.exists():
+            raise ConfigError(f"{path}: found one, expected none: it is not replaced")
     written = []
     with disk_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
@@ -50,7 +52,9 @@ def write_printables(folder: Path) -> list[Path]:
             write_whole(written[-1], stl_bytes(each.triangles_mm))
         entries = {each.name: dict(each.entry) for each in printables()}
         write_whole(table, yaml.safe_dump(entries, sort_keys=False, default_flow_style=None).encode())
-    return [*written, table]
+        rows = (f",{p.name},,{p.depth_mm},{p.x_mm},{p.y_mm}\n" for p in planned_presses())
+        write_whole(plan, "".join((",".join(HEADER) + "\n", *rows)).encode())
+    return [*written, table, plan]
 
 
 def _indenter(path: Path, name: str, where: str, entry: IndenterEntry) -> Indenter | float:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tacshade_edge.core.calibration.indenter import bar, box, cone, cylinder, mesh, place
-from tacshade_edge.core.calibration.printable import LENGTH_MM, STEM_RADIUS_MM, Printable, printables
+from tacshade_edge.core.calibration.printable import LENGTH_MM, STEM_RADIUS_MM, Printable, planned_presses, printables
 from tacshade_edge.core.geometry.disc import Grid, disc_rays
 from tacshade_edge.types import Disc, Geometry
 
@@ -60,3 +60,16 @@ def test_a_ball_is_round_where_it_presses(name: str) -> None:
     low = printable.triangles_mm.reshape(-1, 3)
     low = low[low[:, 2] < radius_mm]
     np.testing.assert_allclose(np.linalg.norm(low - (0, 0, radius_mm), axis=1), radius_mm, atol=1e-9)
+
+
+def test_the_plan_has_every_indenter_at_every_depth_and_all_over_the_disc() -> None:
+    presses = planned_presses()
+    for name in NAMES:
+        own = [press for press in presses if press.name == name]
+        assert len({press.depth_mm for press in own}) == len(own) == 5
+        assert max(np.hypot(press.x_mm, press.y_mm) for press in own) > 6
+    places = np.array([(press.x_mm, press.y_mm) for press in presses])
+    assert (np.linalg.norm(places, axis=1) <= 9.05).all()
+    apart = np.linalg.norm(places[:, None] - places[None], axis=-1) + 99 * np.eye(len(places))
+    assert apart.min() > 1.5
+    assert np.abs(places.mean(axis=0)).max() < 0.5

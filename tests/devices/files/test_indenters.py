@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from tacshade_edge.core.calibration.indenter import Indenter
+from tacshade_edge.devices.files.capture_folder import read_plan
 from tacshade_edge.devices.files.indenters import read_indenters, write_printables
 from tacshade_edge.errors import ConfigError
 
@@ -75,9 +76,10 @@ def test_a_mesh_in_metres_is_refused(tmp_path: Path) -> None:
 
 def test_those_to_print_come_with_their_table_and_replace_none(tmp_path: Path) -> None:
     written = write_printables(tmp_path / "print")
-    assert [path.name for path in written if path.suffix != ".stl"] == ["INDENTERS.yaml"]
-    known = read_indenters(written[-1])
-    assert [f"{name}.stl" for name in known] == [path.name for path in written[:-1]]
+    *solids, table, plan = written
+    known = read_indenters(table)
+    assert [f"{name}.stl" for name in known] == [path.name for path in solids]
     assert known["ball_6"] == 6.0
+    assert len(read_plan(plan, tuple(known), 20.0)) == 5 * len(known)
     with pytest.raises(ConfigError, match=r"INDENTERS.yaml: found one, expected none"):
         write_printables(tmp_path / "print")
