@@ -74,7 +74,7 @@ import os, time
 from tacshade_edge.studies.parallel import ordered_map
 
 def work(task):
-    print(os.getpid(), flush=True)
+    os.write(1, f"{os.getpid()}\\n".encode())  # at once: the other worker writes too
     time.sleep(600)
 
 if __name__ == "__main__":
