@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from network import HEIGHT_SCALE, SHEAR_CELLS
+from network import COARSE_CELLS, DISC_MM, HEIGHT_SCALE
 from torch import Tensor
 from torch.nn import functional
 
@@ -27,6 +27,31 @@ class Data:
     shear: np.ndarray
     sensor: np.ndarray
     fold: int
+
+    def chances(self) -> np.ndarray:
+        """How much oftener than others each frame is drawn: as users press, not to the ends of what is made."""
+        return np.where(self._usual(), 2.5, 1.0) * np.where(self._pressed_only(), 2.0, 1.0)
+
+    def _usual(self) -> np.ndarray:
+        """At most 4.8 mm deep and 3.2 mm dragged on a skin of 20 mm."""
+        return (self._depth_max_mm() < 4.8) & (self._drag_mm() < 3.2)
+
+    def _pressed_only(self) -> np.ndarray:
+        return (self._depth_max_mm() > 0) & (self._drag_mm() < 0.15)
+
+    def _depth_max_mm(self) -> np.ndarray:
+        return self.height.reshape(len(self.height), -1).max(axis=1).astype(np.float32) * DISC_MM
+
+    def _drag_mm(self) -> np.ndarray:
+        """How far the contact's skin was moved sideways, in the mean."""
+        drag_mm = np.zeros(len(self.frame), np.float32)
+        for k, (packed, shear) in enumerate(zip(self.contact, self.shear, strict=True)):
+            cells, coarse = np.unpackbits(packed, axis=-1), len(shear)
+            by = len(cells) // coarse
+            part = cells.reshape(coarse, by, coarse, by).mean(axis=(1, 3))
+            if part.any():
+                drag_mm[k] = np.linalg.norm(np.einsum("ij,ijk->k", part, shear)) / part.sum() * DISC_MM
+        return drag_mm
 
 
 def shards_in(folder: Path) -> dict[str, list[Path]]:
@@ -56,7 +81,7 @@ def pooled(name: str, array: np.ndarray, by: int) -> np.ndarray:
     """Means over by x by cells; contact where half of them touch."""
     if name == "shear":  # stored at 56x56 cells
         *first, rows, cols, two = array.shape
-        by = rows // SHEAR_CELLS
+        by = rows // COARSE_CELLS
         return array.reshape(*first, rows // by, by, cols // by, by, two).mean(axis=(-4, -2), dtype=np.float32)
     if by == 1:
         return array
@@ -69,7 +94,7 @@ def pooled(name: str, array: np.ndarray, by: int) -> np.ndarray:
 
 
 def batch(data: Data, index: np.ndarray, turn: int = 0) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Inputs of `Net`; 10 h and contact (B, cells, cells); 10 times the displacement (B, 2, SHEAR_CELLS, SHEAR_CELLS).
+    """Inputs of a network; 10 h and contact (B, cells, cells); 10 times the displacement (B, 2, coarse, coarse cells).
 
     `turn`: which of the square's 8 symmetries.
     """

@@ -6,9 +6,8 @@
     .venv-train/bin/python tools/train/export.py --run RUN --out accurate.onnx
 
 The first layer is cut in two: what the sensor's reference and geometry add to it goes to ``accurate.sensor.onnx``,
-which is run once for a sensor; the rest, which takes a frame's white and that, is run for every frame. Its features go
-through ``accurate.shear.onnx`` where displacement is asked for. Beside them goes a JSON file of the same name: command,
-seed, commit, data, figures, SHA-256.
+which is run once for a sensor; the rest, which takes a frame's white and that, is run for every frame. Beside them goes
+a JSON file of the same name: command, seed, commit, data, figures, SHA-256.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from pathlib import Path
 import numpy as np
 import onnxruntime
 import torch
-from network import Net, trained
+from network import DisplacementNet, Net, trained
 from torch import Tensor, nn
 from torch.nn import functional
 from torch.nn.utils.fusion import fuse_conv_bn_weights
@@ -33,12 +32,14 @@ from tacshade_edge.core.geometry import disc_map
 
 OPSET = 13
 TOLERANCE = 1e-4
+OUTPUTS = {"depth": ["depth_and_contact", "foreign"], "displacement": ["displacement"]}
+"""Of `network.NETS`."""
 
 
 class PerSensor(nn.Module):
     """What the maps that are known of a sensor add to the first convolution."""
 
-    def __init__(self, net: Net) -> None:
+    def __init__(self, net: Net | DisplacementNet) -> None:
         super().__init__()
         weight, bias = first_layer(net)
         self.register_buffer("weight", weight[:, net.fold**2 :])
@@ -52,32 +53,19 @@ class PerSensor(nn.Module):
 class PerFrame(nn.Module):
     """The network from a frame's white and what `PerSensor` gave."""
 
-    def __init__(self, net: Net) -> None:
+    def __init__(self, net: Net | DisplacementNet) -> None:
         super().__init__()
         self.rest = copy.deepcopy(net)
         self.rest.down[0] = self.rest.down[0][3:]
         self.register_buffer("weight", first_layer(net)[0][:, : net.fold**2])
 
-    def forward(self, white: Tensor, sensor: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def forward(self, white: Tensor, sensor: Tensor) -> tuple[Tensor, ...]:
         """Run it."""
-        first = functional.relu(functional.conv2d(white, self.weight, padding=1) + sensor)
-        of_depth, of_shear = self.rest.features(first)
-        return self.rest.head(of_depth), self.rest.foreign(of_shear), of_shear
+        made = self.rest(functional.relu(functional.conv2d(white, self.weight, padding=1) + sensor))
+        return made if isinstance(made, tuple) else (made,)
 
 
-class Shear(nn.Module):
-    """The head of displacement, from the features that `PerFrame` gave."""
-
-    def __init__(self, net: Net) -> None:
-        super().__init__()
-        self.net = copy.deepcopy(net)
-
-    def forward(self, features: Tensor) -> Tensor:
-        """Run it."""
-        return self.net.shear(features)
-
-
-def first_layer(net: Net) -> tuple[Tensor, Tensor]:
+def first_layer(net: Net | DisplacementNet) -> tuple[Tensor, Tensor]:
     """Weight and bias of the first convolution with its normalisation."""
     conv, norm = net.down[0][0], net.down[0][1]
     fused = fuse_conv_bn_weights(
@@ -98,21 +86,19 @@ def main() -> None:
     shape = (1, net.down[0][0].in_channels, cells // fold, cells // fold)
     x = torch.rand(shape, generator=torch.Generator().manual_seed(1))
     white, known = x[:, : fold**2], x[:, fold**2 :]
-    once, shear = args.out.with_suffix(".sensor.onnx"), args.out.with_suffix(".shear.onnx")
+    once, outputs = args.out.with_suffix(".sensor.onnx"), OUTPUTS[state["arguments"].get("net", "depth")]
     with torch.no_grad():
-        expected = [y.numpy() for y in net(x)]
+        made = net(x)
         sensor = PerSensor(net)(known)
-        features = PerFrame(net)(white, sensor)[2]
+    expected = [y.numpy() for y in (made if isinstance(made, tuple) else (made,))]
     write(PerSensor(net), {"known": known}, ["sensor"], once)
-    write(PerFrame(net), {"white": white, "sensor": sensor}, ["depth_and_contact", "foreign", "features"], args.out)
-    write(Shear(net), {"features": features}, ["shear"], shear)
-    maps, foreign, made = run(args.out, {"white": white.numpy(), "sensor": run(once, {"known": known.numpy()})[0]})
-    found = maps, run(shear, {"features": made})[0], foreign
+    write(PerFrame(net), {"white": white, "sensor": sensor}, outputs, args.out)
+    found = run(args.out, {"white": white.numpy(), "sensor": run(once, {"known": known.numpy()})[0]})
     off = max(float(np.abs(f - e).max()) for f, e in zip(found, expected, strict=True))
     commit = subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=True).stdout.strip()
     rows = [json.loads(line) for line in (args.run / "figures.jsonl").read_text().splitlines()]
     about = {
-        "sha256": {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in (args.out, once, shear)},
+        "sha256": {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in (args.out, once)},
         "cells": cells,
         "fold": fold,
         "parameters": sum(p.numel() for p in net.parameters()),

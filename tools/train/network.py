@@ -1,8 +1,4 @@
-"""The network: a small U; square maps go in and out folded: 112x112 as 4 channels of 56x56 (fold 2), and so on.
-
-Displacement along the skin has a head of its own on a coarser level, because it is smooth, and because it is asked for
-less often than depth. On the same level a third one says which cells show no skin of this sensor.
-"""
+"""The networks: small Us; square maps go in and out folded: 112x112 as 4 channels of 56x56 (fold 2), and so on."""
 
 from __future__ import annotations
 
@@ -17,14 +13,18 @@ from torch.nn import functional
 HEIGHT_SCALE = 10.0
 """The network's h is in tenths of the disc's radius: about 0 to 4."""
 
+DISC_MM = 15.0
+"""A typical disc's radius, to speak of mm."""
+
 KNOWN = 6
 """Maps of `disc_map.geometry_maps`."""
 
-SHEAR_CELLS = 28
-"""Along a side of the map of displacement, in tenths of the disc's radius too."""
+COARSE_CELLS = 28
+"""Along a side of the maps of displacement and of what is foreign."""
 
-SHEAR_WIDTHS = {28: (40, 56, 64), 14: (56, 64)}
-"""Channels of the levels of its head, which is given so many cells along a side."""
+
+SECOND_WIDTHS = (40, 56, 64)
+"""Channels of the levels of the second U of displacement."""
 
 
 def block(inputs: int, outputs: int) -> nn.Sequential:
@@ -66,24 +66,11 @@ class U(nn.Module):
         return skips, risen[::-1]
 
 
-class ShearHead(U):
-    """A small U of its own: an imprint tells its displacement up to whole pitches, its surroundings how many."""
-
-    def __init__(self, inputs: int, widths: tuple[int, ...], outputs: int) -> None:
-        super().__init__(inputs, widths, added=True)
-        self.head = nn.Conv2d(widths[0], outputs, 1)
-
-    def forward(self, features: Tensor) -> Tensor:
-        """Run it."""
-        return self.head(self.levels(features)[1][0])
-
-
 class Net(U):
-    """Folded maps (B, 2 fold² + 6, N, N) to (B, 2 fold², N, N), N = cells / fold.
+    """Depth: folded maps (B, 2 fold² + 6, N, N) to (B, 2 fold², N, N), N = cells / fold.
 
     In: white of frame and reference, then what is known of the sensor. Out: 10 h / disc radius, then contact logits;
-    10 times the displacement along x, y / disc radius, (B, 2, SHEAR_CELLS, SHEAR_CELLS); and the log odds that a cell
-    shows something else than this sensor's skin, (B, 1, SHEAR_CELLS, SHEAR_CELLS).
+    and the log odds that a cell shows something else than this sensor's skin, (B, 1, COARSE_CELLS, COARSE_CELLS).
     """
 
     def __init__(
@@ -93,38 +80,56 @@ class Net(U):
         self.fold = fold
         self.head = nn.Conv2d(widths[0], 2 * fold * fold, 1)
         cells //= fold
-        self.shear_level = max(0, (cells // SHEAR_CELLS).bit_length() - 1)
-        cells >>= self.shear_level
-        self.shear_fold = SHEAR_CELLS // cells
-        features = 2 * widths[self.shear_level]
-        self.shear_head = ShearHead(features, SHEAR_WIDTHS[cells], 2 * self.shear_fold**2)
-        self.foreign_head = nn.Conv2d(features, self.shear_fold**2, 1)
+        self.coarse_level = max(0, (cells // COARSE_CELLS).bit_length() - 1)
+        cells >>= self.coarse_level
+        self.coarse_fold = COARSE_CELLS // cells
+        self.foreign_head = nn.Conv2d(2 * widths[self.coarse_level], self.coarse_fold**2, 1)
 
-    def features(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """What the head of depth takes, and those of displacement and of what is foreign."""
-        skips, risen = self.levels(x)
-        return risen[0], torch.cat((risen[self.shear_level], skips[self.shear_level]), 1)
-
-    def shear(self, features: Tensor) -> Tensor:
-        """Run the head of displacement."""
-        return functional.pixel_shuffle(self.shear_head(features), self.shear_fold)
-
-    def foreign(self, features: Tensor) -> Tensor:
-        """Run the head of what is not this sensor's skin."""
-        return functional.pixel_shuffle(self.foreign_head(features), self.shear_fold)
-
-    def forward(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Run it."""
-        of_depth, of_shear = self.features(x)
-        return self.head(of_depth), self.shear(of_shear), self.foreign(of_shear)
+        skips, risen = self.levels(x)
+        coarse = torch.cat((risen[self.coarse_level], skips[self.coarse_level]), 1)
+        return self.head(risen[0]), functional.pixel_shuffle(self.foreign_head(coarse), self.coarse_fold)
 
 
-def trained(run: Path) -> tuple[Net, dict[str, Any]]:
+class DisplacementNet(nn.Module):
+    """Displacement: maps of 112x112 cells folded by 2, as `Net` takes them, to what the skin moved along itself.
+
+    Out: 10 times the displacement along x, y / disc radius, (B, 2, COARSE_CELLS, COARSE_CELLS). Two Us one after the
+    other (Newell, Yang and Deng 2016): an imprint tells its displacement up to whole pitches, what is around it how
+    many. One for all profiles: it is run only where somebody asks, and shares nothing with depth, which needs all of
+    its own few channels.
+    """
+
+    def __init__(
+        self, fold: int = 2, widths: tuple[int, ...] = (16, 32, 48, 64), added: bool = False, cells: int = 112
+    ) -> None:
+        super().__init__()
+        self.fold = fold
+        if cells // fold != 2 * COARSE_CELLS:
+            raise ValueError(f"{cells} cells folded by {fold}, expected {2 * COARSE_CELLS} after it")
+        self.down = nn.ModuleList([block(2 * fold * fold + KNOWN, widths[0])])
+        self.first = U(widths[0], widths[1:], added)
+        self.second = U(2 * widths[1], SECOND_WIDTHS, added=True)
+        self.head = nn.Conv2d(SECOND_WIDTHS[0], 2, 1)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Run it."""
+        skips, risen = self.first.levels(functional.max_pool2d(self.down[0](x), 2))
+        return self.head(self.second.levels(torch.cat((risen[0], skips[0]), 1))[1][0])
+
+
+NETS: dict[str, type[Net] | type[DisplacementNet]] = {"depth": Net, "displacement": DisplacementNet}
+"""What can be trained."""
+
+
+def trained(run: Path) -> tuple[Net | DisplacementNet, dict[str, Any]]:
     """The averaged network of a run's checkpoint, to be used and not to be trained, and the checkpoint."""
     state = torch.load(run / "checkpoint.pt", weights_only=True)
     widths = tuple(int(width) for width in state["arguments"]["widths"].strip("()[]").split(","))
     arguments = state["arguments"]
-    net = Net(int(arguments["fold"]), widths, arguments.get("added") == "True", int(arguments.get("cells", 112)))
+    made = NETS[arguments.get("net", "depth")]
+    net = made(int(arguments["fold"]), widths, arguments.get("added") == "True", int(arguments.get("cells", 112)))
     net.load_state_dict({k.removeprefix("module."): v for k, v in state["mean"].items() if k.startswith("module.")})
     return net.eval(), state
 

@@ -25,8 +25,8 @@ from pathlib import Path
 import numpy as np
 import torch
 from data import KINDS, Data, batch, load, shards_in
-from loss import FOREIGN_WEIGHT, figures, loss_of
-from network import Net, add_in_place_of_joining, grow
+from loss import FIGURES, LOSSES
+from network import NETS, DisplacementNet, Net, add_in_place_of_joining, grow
 from quantised import quantise
 from shipped import shipped
 from torch import Tensor
@@ -48,19 +48,19 @@ def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="Train the learned inverse.")
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--net", choices=NETS, default="depth", help="what is trained")
     parser.add_argument("--steps", type=int, default=20_000)
     parser.add_argument("--batch", type=int, default=32)
     parser.add_argument("--rate", type=float, default=4e-3)
     parser.add_argument("--widths", type=int, nargs="+", default=(16, 32, 48, 64))
     parser.add_argument("--fold", type=int, choices=(2, 4), default=2)
     parser.add_argument("--cells", type=int, choices=(56, 112), default=112, help="along a side of its maps")
-    parser.add_argument("--shares", type=float, nargs=len(KINDS), default=(3, 1, 2, 4, 0), help=" ".join(KINDS))
+    parser.add_argument("--shares", type=float, nargs=len(KINDS), default=(10, 1, 1, 2, 0), help=" ".join(KINDS))
     parser.add_argument("--added", action="store_true", help="levels are added, not joined (`Net`)")
     parser.add_argument(
         "--start", type=Path, metavar="CHECKPOINT", help="its averaged weights begin, of the same or lesser widths"
     )
     parser.add_argument("--shipped", metavar="NAME", help="weights that are shipped begin; of depth, not displacement")
-    parser.add_argument("--shear", type=float, default=1.5, help="weight of displacement in the loss")
     parser.add_argument("--quantised", type=int, metavar="STEPS", help="the last steps train 8-bit convolutions")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=1)
@@ -74,10 +74,13 @@ class Run:
 
     def __init__(self, args: argparse.Namespace) -> None:
         self.args = args
-        net = Net(args.fold, tuple(args.widths), args.added, args.cells)
+        net = NETS[args.net](args.fold, tuple(args.widths), args.added, args.cells)
         self.shards = shards_in(args.data)
         self.check = {kind: self._load(paths[:VALIDATION_SHARDS]) for kind, paths in self.shards.items()}
-        self.data = {kind: self._load(paths[VALIDATION_SHARDS:]) for kind, paths in self.shards.items()}
+        self.data: dict[str, Data] = {}
+        self.drawn: dict[str, np.ndarray] = {}
+        for kind in self.shards:
+            self._take(kind)
         self.checkpoint = args.out / "checkpoint.pt"
         self.step = 0
         if not self.checkpoint.exists():
@@ -92,10 +95,16 @@ class Run:
             self.optimiser.load_state_dict(state["optimiser"])
             self.step = state["step"]
 
+    def _take(self, kind: str) -> None:
+        """Load what is trained on of a kind; `drawn` ends at 1."""
+        self.data[kind] = self._load(self.shards[kind][VALIDATION_SHARDS:])
+        total = np.cumsum(self.data[kind].chances())
+        self.drawn[kind] = total / total[-1]
+
     def _load(self, paths: list[Path]) -> Data:
         return load(paths, self.args.fold, self.args.cells)
 
-    def _begin(self, net: Net) -> None:
+    def _begin(self, net: Net | DisplacementNet) -> None:
         """Give the network the weights that it begins with."""
         if self.args.shipped:
             some = [batch(frames, np.arange(0, len(frames.frame), 7))[0] for frames in self.check.values()]
@@ -107,7 +116,7 @@ class Run:
         if self.args.added and "narrow.0.weight" not in begun:
             begun = add_in_place_of_joining(begun)
         fresh = net.state_dict()
-        grow(net, {k: v for k, v in begun.items() if k in fresh and v.dim() == fresh[k].dim()})
+        grow(net, {k: v for k, v in begun.items() if k in fresh and _fits(v, fresh[k])})
 
     def batch(self, step: int) -> Batch:
         """White and what is known, height, contact, displacement, and what is foreign, of a step."""
@@ -115,8 +124,8 @@ class Run:
         share = np.array([args.shares[KINDS.index(kind)] for kind in self.data])
         counts, turn = rng.multinomial(args.batch, share / share.sum()), int(rng.integers(8))
         parts = [
-            batch(frames, rng.integers(len(frames.frame), size=count), turn)
-            for frames, count in zip(self.data.values(), counts, strict=True)
+            batch(self.data[kind], np.searchsorted(self.drawn[kind], rng.random(count)), turn)
+            for kind, count in zip(self.data, counts, strict=True)
             if count
         ]
         x, height, contact, shear = (torch.cat(tensors) for tensors in zip(*parts, strict=True))
@@ -142,11 +151,10 @@ class Run:
         rate = args.rate * warm * (0.5 + 0.5 * math.cos(math.pi * self.step / args.steps)) + 1e-6
         for group in self.optimiser.param_groups:
             group["lr"] = rate
-        x, *true, foreign = made
+        x, *true = made
         with torch.autocast(torch.device(args.device).type, torch.bfloat16):
-            outputs = self.net(x.contiguous(memory_format=torch.channels_last))
-        of_depth, of_shear, of_foreign = loss_of(outputs, args.fold, *true, foreign)
-        loss = of_depth + args.shear * of_shear + FOREIGN_WEIGHT * of_foreign
+            said = self.net(x.contiguous(memory_format=torch.channels_last))
+        loss = LOSSES[args.net](said, args.fold, *true)
         self.optimiser.zero_grad(set_to_none=True)
         loss.backward()
         torch.nn.utils.clip_grad_norm_(self.net.parameters(), 2.0)
@@ -158,8 +166,9 @@ class Run:
     def report(self, loss: float, s_per_step: float) -> None:
         """Print the figures of the averaged network, and keep them."""
         row = {"step": self.step, "loss": round(loss, 4)}
-        averaged = copy.deepcopy(self.mean.module).cpu()
-        row |= {kind: figures(averaged, frames) for kind, frames in self.check.items()}
+        averaged = copy.deepcopy(self.mean.module).cpu().eval()
+        with torch.no_grad():
+            row |= {kind: FIGURES[self.args.net](averaged, frames) for kind, frames in self.check.items()}
         row |= {"frames": sum(len(d.frame) for d in self.data.values()), "s_per_step": round(s_per_step, 4)}
         print(json.dumps(row), flush=True)
         with (self.args.out / "figures.jsonl").open("a") as file:
@@ -182,7 +191,13 @@ class Run:
         """Load shards that were made meanwhile."""
         for kind, paths in shards_in(self.args.data).items():
             if kind in self.data and len(paths) >= len(self.shards[kind]) + NEW_SHARDS:
-                self.shards[kind], self.data[kind] = paths, self._load(paths[VALIDATION_SHARDS:])
+                self.shards[kind] = paths
+                self._take(kind)
+
+
+def _fits(old: Tensor, new: Tensor) -> bool:
+    """Whether weights are of a part of others."""
+    return old.dim() == new.dim() and all(a <= b for a, b in zip(old.shape, new.shape, strict=True))
 
 
 def main() -> None:
