@@ -11,9 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from tacshade_edge.core.calibration.calibrate import calibrate
+from tacshade_edge.core.calibration.making_again import inputs_of, with_new_reference
 from tacshade_edge.core.calibration.quality import Quality
 from tacshade_edge.core.calibration.references import rezero
 from tacshade_edge.core.frame_check import registration
+from tacshade_edge.devices import calibrations
 from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.devices.files.images import read_image
 from tacshade_edge.devices.files.indenters import read_indenters
@@ -65,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
         result = calibrate(sensor, references, presses, args.allow_loaded_reference, load_networks())
     except ConfigError as error:
         raise ConfigError(_by_path(str(error), args)) from None
-    stored = calibration_file.save(args.out, result.calibration)
+    stored = calibration_file.save(args.out, result.calibration, inputs_of(sensor, references, presses))
     _print(args, stored, (*notes, *result.warnings), _quality(result.quality))
     if not args.json:
         print(result.quality.line)
@@ -81,7 +83,7 @@ def _by_path(text: str, args: argparse.Namespace) -> str:
 
 
 def _rezero(args: argparse.Namespace) -> int:
-    old = calibration_file.load(args.rezero)
+    old, inputs = calibrations.load(args.rezero), calibration_file.inputs_in(args.rezero)
     images = _read_references(args.reference)
     try:
         renewed = rezero(old, images, args.allow_loaded_reference)
@@ -96,7 +98,8 @@ def _rezero(args: argparse.Namespace) -> int:
         "light": round(found.light, 3),
         "contrast": round(found.contrast, 3),
     }
-    _print(args, calibration_file.save(args.out, renewed), warnings, changed)
+    stored = calibration_file.save(args.out, renewed, inputs and with_new_reference(inputs, images))
+    _print(args, stored, warnings, changed)
     return 0
 
 

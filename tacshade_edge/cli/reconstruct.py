@@ -7,13 +7,14 @@ import json
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from tacshade_edge.cli.profile_option import add_profile
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.devices import calibrations
 from tacshade_edge.devices.files.images import read_image
 from tacshade_edge.devices.files.panel import write_panel
 from tacshade_edge.devices.files.summary import summary
@@ -40,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(
             f"{twice}: another image is called {twice.stem} too; their results would overwrite each other"
         )
-    calibration = calibration_file.load(args.calibration)
+    calibration = calibrations.load(args.calibration)
     size = (calibration.image_height_px, calibration.image_width_px)
     reconstructor = make_reconstructor(calibration, PROFILES[args.profile])
     records, failed = [], 0
@@ -98,11 +99,15 @@ def _step(reconstructor: Reconstructor, frame: Frame) -> tuple[Reconstruction, d
 
 def _write(path: Path, result: Reconstruction) -> None:
     height = result.height
+    arrays: dict[str, Any] = {} if result.shear_mm is None else {"shear_mm": result.shear_mm}
+    untrusted = np.zeros(height.contact.shape, bool) if result.untrusted is None else result.untrusted
     with path.open("wb") as stream:
         np.savez_compressed(
             stream,
+            **arrays,
             height_mm=height.height_mm,
             contact=height.contact,
+            untrusted=untrusted,
             row0=height.row0,
             col0=height.col0,
             step_px=height.step_px,

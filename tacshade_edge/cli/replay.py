@@ -15,8 +15,7 @@ from tacshade_edge.cli.profile_option import add_profile
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.daemon.recording.replay import Deliver, Progress, replay
 from tacshade_edge.daemon.recording.replay_link import ReplayLink
-from tacshade_edge.devices import registry
-from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.devices import calibrations, registry
 from tacshade_edge.devices.files.recording import Recording
 from tacshade_edge.devices.files.run_compare import first_difference
 from tacshade_edge.devices.files.run_files import RunWriter
@@ -83,7 +82,7 @@ def _replay(args: argparse.Namespace) -> int:
     recording = Recording(args.input, fps=args.fps, times=args.loop)
     if recording.cut_off:
         _tell(f"{args.input}: the recording was cut off, what was written until then is replayed")
-    reconstructor = make_reconstructor(calibration_file.load(args.calibration), PROFILES[args.profile])
+    reconstructor = make_reconstructor(calibrations.load(args.calibration), PROFILES[args.profile])
     for number in (signal.SIGTERM, signal.SIGINT):  # SIGINT too: a shell's background jobs start with it ignored
         signal.signal(number, signal.default_int_handler)
     progress = Progress()

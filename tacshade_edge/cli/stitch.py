@@ -11,7 +11,7 @@ from tacshade_edge.cli.profile_option import add_profile
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.stitching.stitcher import StitchedMap
 from tacshade_edge.core.stitching.surface_map import STEP_MM, Raster
-from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.devices import calibrations
 from tacshade_edge.devices.files.map_files import write_map
 from tacshade_edge.devices.files.poses_table import read_poses
 from tacshade_edge.devices.files.recording import Recording
@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Stitch; a press that cannot be used is named in map.json, an image that cannot be read here too."""
-    calibration = calibration_file.load(args.calibration)
+    calibration = calibrations.load(args.calibration)
     profile, known = PROFILES[args.profile], None if args.truth is None else read_known(args.truth)
     if args.recording is None:
         presses = read_presses(calibration, profile, read_poses(args.poses), _progress)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.devices import calibrations
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.studies.cases import Case
@@ -100,7 +100,7 @@ def own_images(args: argparse.Namespace) -> tuple[Calibration, Iterator[Case], l
     ConfigError, DeviceError
         No calibration, no images, or no room for what is found.
     """
-    calibration, paths = calibration_file.load(args.calibration), images_in(args.images)
+    calibration, paths = calibrations.load(args.calibration), images_in(args.images)
     make_folder(args.out)
     mistakes: list[str] = []
 

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tacshade_edge.devices import calibrations
 from tacshade_edge.devices.base import FrameSource
 from tacshade_edge.devices.camera import v4l2_node
-from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.devices.files.frame_table import table_in
 from tacshade_edge.devices.mqtt.client import BrokerAddress
 from tacshade_edge.devices.mqtt.link import MqttLink
@@ -75,8 +75,10 @@ def frames_have_poses(settings: Settings) -> bool:
     return settings.serial is not None or (isinstance(source, Files) and table_in(Path(source.path)) is not None)
 
 
-def load_calibration(document: Document) -> Calibration:
+def load_calibration(document: Document, *, store: bool = False) -> Calibration:
     """Load the calibration that the settings name, and check that it fits the source.
+
+    `store` is of `calibrations.load`.
 
     Raises
     ------
@@ -84,7 +86,7 @@ def load_calibration(document: Document) -> Calibration:
     """
     settings = document.settings
     try:
-        calibration = calibration_file.load(settings.calibration)
+        calibration = calibrations.load(settings.calibration, store=store)
     except ConfigError as error:
         raise ConfigError(f"{document.where('calibration')}: {error}") from error
     source = settings.source

@@ -50,3 +50,24 @@ class KnownPress:
     yaw_deg: float = 0.0
     tilt_x_deg: float = 0.0
     tilt_y_deg: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Inputs:
+    """All that a person brought to a calibration, kept so that it can be made again.
+
+    Attributes
+    ----------
+    sensor : Sensor
+    references : tuple of uint8 (H, W)
+        Grey images of the unloaded skin.
+    presses : tuple of KnownPress
+        Their images are grey.
+    renewed : tuple of uint8 (H, W)
+        Of the last new reference (``calibrate --rezero``); none where there was none.
+    """
+
+    sensor: Sensor
+    references: tuple[U8, ...]
+    presses: tuple[KnownPress, ...] = ()
+    renewed: tuple[U8, ...] = ()

@@ -85,7 +85,7 @@ def requested(calibrated: Calibration, images: Sequence[U8], path: Path) -> Orig
     taken = StoredReference(with_crc(rezero(calibrated, images)), time.time_ns())
     reason = None
     try:
-        reference_file.save(path, calibrated.crc32, taken)
+        reference_file.save(path, calibrated, taken)
     except DeviceError as error:
         reason = Reason(error.code, f"{error}; the reference lasts until the next start or reload")
     _log.info("new reference from %d frames%s", len(images), f": {reason}" if reason else "")

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from dataclasses import replace
 from pathlib import Path
 
-from tacshade_edge.devices.files import checked_npz
+from tacshade_edge.core.calibration.inputs import Inputs
+from tacshade_edge.devices.files import calibration_inputs, checked_npz
 from tacshade_edge.devices.files.checked_npz import Content
 from tacshade_edge.devices.files.whole_files import write_whole
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.types import Calibration, Disc, Fit, Geometry, ProfileFit
 
-VERSION = 6
+_log = logging.getLogger(__name__)
+
+VERSION = 7
 """Also of the networks: factors are fitted to the weights shipped then (tests/devices/weights/test_network.py)."""
+OTHER_NETWORKS = 6
+"""The version before, whose content is the same but for factors of other networks: it is read without them."""
 REFERENCE_ARRAYS = ("reference_white", "reference_grey")
 
 
@@ -80,8 +86,15 @@ def with_crc(calibration: Calibration) -> Calibration:
     return replace(calibration, crc32=_content(calibration).crc32)
 
 
-def save(path: str | os.PathLike[str], calibration: Calibration) -> Calibration:
+def save(path: str | os.PathLike[str], calibration: Calibration, inputs: Inputs | None = None) -> Calibration:
     """Write a calibration; readers see the old file or the whole new one.
+
+    Parameters
+    ----------
+    path : str
+    calibration : Calibration
+    inputs : Inputs, optional
+        What it was made of, so that `inputs_in` finds it. The log says where that is too large.
 
     Returns
     -------
@@ -94,15 +107,21 @@ def save(path: str | os.PathLike[str], calibration: Calibration) -> Calibration:
         The file cannot be written.
     """
     stored = with_crc(calibration)
+    content = _content(stored)
+    if inputs is not None:
+        if kept := calibration_inputs.pack(inputs):
+            content = Content({**content.meta, "inputs": kept[0]}, {**content.arrays, **kept[1]})
+        else:
+            _log.warning("%s: its images are too large to be kept: calibrate again after an update", path)
     try:
-        write_whole(Path(path), _content(stored).packed())
+        write_whole(Path(path), content.packed())
     except OSError as error:
         raise DeviceError(f"{path}: cannot write the calibration: {error.strerror or error}") from None
     return stored
 
 
 def load(path: str | os.PathLike[str]) -> Calibration:
-    """Read a calibration.
+    """Read a calibration. One of `OTHER_NETWORKS` has no factors and no fit, which the log says.
 
     Raises
     ------
@@ -110,21 +129,50 @@ def load(path: str | os.PathLike[str]) -> Calibration:
         Absent, not a calibration, another version, damaged, or of a sensor that cannot be.
     """
     name = os.fspath(path)
-    content, crc = checked_npz.read(name, "calibration", "`tacshade-edge calibrate`")
+    content, _ = checked_npz.read(name, "calibration", "`tacshade-edge calibrate`")
     try:
-        return _from_content(name, content, crc)
+        return _from_content(name, content)
     except ValueError as error:
         raise ConfigError(f"{name}: {error}: calibrate again") from None
 
 
-def _from_content(name: str, content: Content, crc: int) -> Calibration:
+def version_of(path: str | os.PathLike[str]) -> object:
+    """What a file says of its version. Raises ConfigError: absent, not a calibration, damaged."""
+    content, _ = checked_npz.read(os.fspath(path), "calibration", "`tacshade-edge calibrate`")
+    return content.meta.get("version")
+
+
+def inputs_in(path: str | os.PathLike[str]) -> Inputs | None:
+    """What a calibration of this version or another was made of; None where its file does not have it.
+
+    Raises
+    ------
+    ConfigError
+        Absent, not a calibration, or damaged.
+    """
+    name = os.fspath(path)
+    content, _ = checked_npz.read(name, "calibration", "`tacshade-edge calibrate`")
+    if "inputs" not in content.meta:
+        return None
+    try:
+        shape = content.arrays["reference_grey"].shape
+        return calibration_inputs.unpack(content.meta["inputs"], content.arrays, shape)
+    except (ValueError, KeyError) as error:
+        raise ConfigError(f"{name}: what it was made of cannot be read: {error}: calibrate again") from None
+
+
+def _from_content(name: str, content: Content) -> Calibration:
     meta, arrays = content.meta, content.arrays
-    if meta.get("version") != VERSION:
+    if meta.get("version") not in (VERSION, OTHER_NETWORKS):
         raise ConfigError(f"{name}: calibration version {meta.get('version')}, expected {VERSION}: calibrate again")
+    arrays = {key: array for key, array in arrays.items() if key not in calibration_inputs.ARRAYS}
     if set(arrays) != set(REFERENCE_ARRAYS):
         raise ConfigError(f"{name}: not a calibration; expected a file written by `tacshade-edge calibrate`")
     height, width = arrays["reference_white"].shape
-    return Calibration(
+    if meta["version"] == OTHER_NETWORKS and meta["factors"]:
+        _log.warning("%s: fitted to presses with older networks: read without that fit; calibrate again", name)
+        meta = {**meta, "factors": {}, "fit": {}}
+    calibration = Calibration(
         geometry=Geometry(
             skin_radius_mm=meta["skin_radius_mm"],
             camera_distance_mm=meta["camera_distance_mm"],
@@ -140,7 +188,7 @@ def _from_content(name: str, content: Content, crc: int) -> Calibration:
         alpha=meta["alpha"],
         fit=_fit(meta["fit"]),
         flange_T_sensor=tuple(meta["flange_T_sensor"]),
-        crc32=crc,
         factors=meta["factors"],
         **arrays,
     )
+    return with_crc(calibration)

@@ -16,7 +16,7 @@ from tacshade_edge.errors import ConfigError
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.types import Calibration
 
-VERSION = 1
+VERSION = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,14 +40,14 @@ def path_beside(calibration_path: str | os.PathLike[str]) -> Path:
     return Path(calibration_path).with_suffix(".reference.npz")
 
 
-def save(path: Path, calibrated_crc32: int, reference: StoredReference) -> None:
+def save(path: Path, calibrated: Calibration, reference: StoredReference) -> None:
     """Write a reference whole, so that a loss of power does not lose it.
 
     Parameters
     ----------
     path : Path
-    calibrated_crc32 : int
-        Of the calibration that it belongs to, as in its file.
+    calibrated : Calibration
+        That it belongs to, as in its file.
     reference : StoredReference
 
     Raises
@@ -58,7 +58,7 @@ def save(path: Path, calibrated_crc32: int, reference: StoredReference) -> None:
     calibration = reference.calibration
     meta = {
         "version": VERSION,
-        "calibration_crc32": calibrated_crc32,
+        "belongs_to": belongs_to(calibrated),
         "wall_ns": reference.wall_ns,
         "noise_grey": calibration.noise_grey,
     }
@@ -82,7 +82,7 @@ def load(path: Path, calibrated: Calibration) -> StoredReference | None:
     meta, arrays = content.meta, content.arrays
     if meta.get("version") != VERSION or set(arrays) != set(REFERENCE_ARRAYS):
         raise ConfigError(f"{path}: not a stored reference of version {VERSION}; take it again")
-    if meta.get("calibration_crc32") != calibrated.crc32:
+    if meta.get("belongs_to") != belongs_to(calibrated):
         text = f"{path}: the stored reference belongs to another calibration; take it again"
         raise ConfigError(text, code=ReasonCode.CALIBRATION_CHANGED)
     shape = (calibrated.image_height_px, calibrated.image_width_px)
@@ -95,3 +95,10 @@ def load(path: Path, calibrated: Calibration) -> StoredReference | None:
     except ValueError as error:
         raise ConfigError(f"{path}: {error}: take it again") from None
     return StoredReference(with_crc(calibration), wall_ns)
+
+
+def belongs_to(calibrated: Calibration) -> int:
+    """CRC-32 of what a new reference replaces or lies on: it stays when a calibration is made again by an update."""
+    disc = calibrated.geometry.disc
+    meta = {"disc": [disc.row_c, disc.col_c, disc.radius_px], "binarisation": calibrated.binarisation}
+    return Content(meta, {name: getattr(calibrated, name) for name in REFERENCE_ARRAYS}).crc32

@@ -55,7 +55,7 @@ def test_another_calibration_makes_it_void_and_says_so_once(
     calibration: Calibration, pictures: Any, path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     requested(calibration, [pictures.free] * IMAGES, path)
-    newer = with_crc(replace(calibration, alpha=16.0))
+    newer = with_crc(replace(calibration, reference_grey=calibration.reference_grey // 2))
     void = restored(newer, path)
     assert void.calibration is newer
     assert void.reason is not None

@@ -12,7 +12,7 @@ from support.painted_sensor import painted_calibration
 from tacshade_edge.devices.files import calibration_file, reference_file
 from tacshade_edge.devices.files.calibration_file import with_crc
 from tacshade_edge.devices.files.checked_npz import Content
-from tacshade_edge.devices.files.reference_file import StoredReference, path_beside
+from tacshade_edge.devices.files.reference_file import StoredReference, belongs_to, path_beside
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.reasons import ReasonCode
 
@@ -29,7 +29,7 @@ def path(tmp_path: Path) -> Path:
 def test_what_is_stored_comes_back_and_nothing_where_nothing_is(path: Path) -> None:
     assert path.name == "calibration.reference.npz"
     assert reference_file.load(path, CALIBRATED) is None
-    reference_file.save(path, CALIBRATED.crc32, TAKEN)
+    reference_file.save(path, CALIBRATED, TAKEN)
     stored = reference_file.load(path, CALIBRATED)
     assert stored is not None
     assert stored.wall_ns == TAKEN.wall_ns
@@ -40,25 +40,34 @@ def test_what_is_stored_comes_back_and_nothing_where_nothing_is(path: Path) -> N
 
 
 def test_that_of_another_calibration_has_its_own_code(path: Path) -> None:
-    reference_file.save(path, CALIBRATED.crc32, TAKEN)
+    reference_file.save(path, CALIBRATED, TAKEN)
     with pytest.raises(ConfigError, match=f"{path}: the stored reference belongs to another calibration") as caught:
-        reference_file.load(path, with_crc(replace(CALIBRATED, alpha=16.0)))
+        reference_file.load(path, with_crc(replace(CALIBRATED, reference_grey=CALIBRATED.reference_grey // 2)))
     assert caught.value.code is ReasonCode.CALIBRATION_CHANGED
+
+
+def test_it_stays_when_a_calibration_is_made_again_on_the_same_images(path: Path) -> None:
+    reference_file.save(path, CALIBRATED, TAKEN)
+    again = with_crc(replace(CALIBRATED, alpha=16.0, factors={"fast": 1.1}))
+    stored = reference_file.load(path, again)
+    assert stored is not None
+    assert stored.calibration.factors == {"fast": 1.1}
+    np.testing.assert_array_equal(stored.calibration.reference_grey, TAKEN.calibration.reference_grey)
 
 
 def test_a_calibration_is_no_reference(path: Path) -> None:
     calibration_file.save(path, CALIBRATED)
-    with pytest.raises(ConfigError, match="not a stored reference of version 1"):
+    with pytest.raises(ConfigError, match="not a stored reference of version 2"):
         reference_file.load(path, CALIBRATED)
 
 
-META = {"version": 1, "calibration_crc32": CALIBRATED.crc32, "wall_ns": 5, "noise_grey": 0.5}
+META = {"version": 2, "belongs_to": belongs_to(CALIBRATED), "wall_ns": 5, "noise_grey": 0.5}
 
 
 @pytest.mark.parametrize(
     ("meta", "arrays"),
     [
-        ({**META, "version": 2}, ARRAYS),
+        ({**META, "version": 1}, ARRAYS),
         ({**META, "noise_grey": None}, ARRAYS),
         ({**META, "noise_grey": -1.0}, ARRAYS),
         ({**META, "noise_grey": float("nan")}, ARRAYS),
@@ -95,7 +104,7 @@ def test_a_damaged_file_is_refused_or_is_what_was_stored(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
     path = tmp_path_factory.mktemp("stored") / "c.reference.npz"
-    reference_file.save(path, CALIBRATED.crc32, TAKEN)
+    reference_file.save(path, CALIBRATED, TAKEN)
     content = bytearray(path.read_bytes())
     if data.draw(st.booleans()):
         content[data.draw(st.integers(0, len(content) - 1))] ^= data.draw(st.integers(1, 255))
@@ -112,5 +121,5 @@ def test_a_damaged_file_is_refused_or_is_what_was_stored(
 
 def test_a_folder_that_is_not_there_is_said(path: Path) -> None:
     with pytest.raises(DeviceError, match="cannot be written: No such file or directory") as caught:
-        reference_file.save(path.parent / "gone" / path.name, CALIBRATED.crc32, TAKEN)
+        reference_file.save(path.parent / "gone" / path.name, CALIBRATED, TAKEN)
     assert caught.value.code is ReasonCode.DISK

@@ -1,0 +1,37 @@
+"""What a calibration was made of, so that it can be made again when the program has changed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from tacshade_edge.core.calibration.calibrate import calibrate
+from tacshade_edge.core.calibration.inputs import Inputs, KnownPress, Sensor
+from tacshade_edge.core.calibration.references import rezero
+from tacshade_edge.core.depth import Network
+from tacshade_edge.core.image.greyscale import to_grey
+from tacshade_edge.types import U8, Calibration
+
+
+def inputs_of(sensor: Sensor, references: Sequence[U8], presses: Sequence[KnownPress]) -> Inputs:
+    """Keep what `calibrate` takes, in grey, which is all that it looks at."""
+    greys = tuple(to_grey(image) for image in references)
+    return Inputs(sensor, greys, tuple(replace(press, image=to_grey(press.image)) for press in presses))
+
+
+def with_new_reference(inputs: Inputs, images: Sequence[U8]) -> Inputs:
+    """The same after `rezero` with these images."""
+    return replace(inputs, renewed=tuple(to_grey(image) for image in images))
+
+
+def make_again(inputs: Inputs, networks: Mapping[str, Network]) -> Calibration:
+    """Calibrate as before, with what the program makes of it now.
+
+    Raises
+    ------
+    ConfigError
+        It can no longer be used.
+    """
+    # A loaded reference was warned of, or refused, when it was taken.
+    made = calibrate(inputs.sensor, inputs.references, inputs.presses, True, networks).calibration
+    return rezero(made, inputs.renewed, True) if inputs.renewed else made
