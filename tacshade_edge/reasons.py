@@ -25,6 +25,7 @@ class ReasonCode(StrEnum):
     GLARE = "glare"
     LIGHT_DRIFT = "light_drift"
     CAMERA_SHIFT = "camera_shift"
+    FOREIGN = "foreign"
     NO_USABLE_FRAME = "no_usable_frame"
 
     # An error without a code of its own below.

@@ -170,6 +170,14 @@ class ObjectCloud:
         freeze(self, "points_mm", "labels")
 
 
+class Need(IntEnum):
+    """How much of a frame is asked for; each has what is before it."""
+
+    CONTACT = 0
+    DEPTH = 1
+    SHEAR = 2
+
+
 class Slip(IntEnum):
     """How an object holds the skin that it touches."""
 
@@ -180,13 +188,44 @@ class Slip(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class TouchedObject:
-    """One connected contact: centroid and extent (max - min) of its points, its greatest h, its area."""
+    """One connected contact.
+
+    Attributes
+    ----------
+    label : int
+        From 1, the greatest area first.
+    centroid_mm, extent_mm : (float, float, float)
+        Mean, and max - min, of its points.
+    depth_max_mm : float
+        Its greatest h.
+    area_mm2 : float
+    normal : (float, float, float)
+        Unit normal of the plane through its points, away from the camera.
+    shear_mm : (float, float) or None
+        Mean displacement along x and y of the skin that it touches; None where the solver tells none.
+    twist_deg : float or None
+        Angle about z, from x towards y, of the least-squares rotation of that skin; None also where it is too small.
+    strain_mm : float or None
+        Root mean square of what displacement and rotation leave: nothing of skin that it holds.
+    id : int or None
+        The same while it touches, from frame to frame; None of a single image, as what follows.
+    slip : Slip or None
+    slip_mm_s : float or None
+        Speed of its imprint over the skin.
+    """
 
     label: int
     centroid_mm: tuple[float, float, float]
     extent_mm: tuple[float, float, float]
     depth_max_mm: float
     area_mm2: float
+    normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    shear_mm: tuple[float, float] | None = None
+    twist_deg: float | None = None
+    strain_mm: float | None = None
+    id: int | None = None
+    slip: Slip | None = None
+    slip_mm_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -216,6 +255,11 @@ class Reconstruction:
         Displaced volume under the contacts.
     repaired_px : int
         Pixels whose solver value was not finite and was replaced.
+    shear_mm : float32 (rows, cols, 2) or None
+        Displacement along x and y, from every cause, of the skin that a cell's ray meets; on the grid of `height`, NaN
+        outside the disc, 0 without contact. None where the solver tells none.
+    untrusted : bool (rows, cols) or None
+        Cells that do not show the sensor's skin: their values say nothing, and they are no contact. None: no cell.
     """
 
     seq: int
@@ -232,6 +276,21 @@ class Reconstruction:
     objects: tuple[TouchedObject, ...] = ()
     volume_mm3: float = 0.0
     repaired_px: int = 0
+    shear_mm: F32 | None = None
+    untrusted: Bool | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("shear_mm", "untrusted"):
+            if getattr(self, name) is not None:
+                freeze(self, name)
+
+    @property
+    def shear_of_contact_mm(self) -> tuple[float, float] | None:
+        """Mean displacement over all cells of the contact; None without contact or where none is told."""
+        if self.shear_mm is None or not self.contact:
+            return None
+        x_mm, y_mm = self.shear_mm[self.height.contact].mean(axis=0, dtype=np.float64).tolist()
+        return x_mm, y_mm
 
     @property
     def depth_max_mm(self) -> float:

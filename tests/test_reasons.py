@@ -7,9 +7,11 @@ import sys
 from functools import cache
 from typing import Any
 
+import numpy as np
 import pytest
 from support.calibrated_sensor import FULL, calibrated, pressed, unloaded
 
+from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.devices.files.summary import summary
 from tacshade_edge.devices.weights.network import make_reconstructor
@@ -21,16 +23,20 @@ from tacshade_edge.simulator import nuisance
 from tacshade_edge.types import U8, Frame
 
 FLAGS_AT = 7  # in the wire's header
-CODES = ("size", "black", "saturated", "no_contrast", "noise", "light", "torn", "surround", "camera_shift", "glare",
-         "light_drift")  # fmt: skip
+CODES = ("size", "black", "saturated", "no_contrast", "noise", "light", "torn", "surround", "camera_shift", "foreign",
+         "glare", "light_drift")  # fmt: skip
 
 
 @cache
 def images() -> dict[str, U8]:
     """At least one for each of `CODES`, and two good ones."""
     good, touched = unloaded(FULL), pressed("ball", 3.0, FULL).image
+    skin = disc_mask(*good.shape[:2], calibrated(FULL, 0).geometry.disc)
     lost = good.copy()
     lost[200:328] = 128
+    partly = touched.copy()
+    low = skin & (np.arange(len(good)) > 0.82 * len(good))[:, None]
+    partly[low] = touched[::-1][low]
     return {
         "good": good,
         "touched": touched,
@@ -42,6 +48,8 @@ def images() -> dict[str, U8]:
         "dim": nuisance.gain(good, 0.35),
         "torn": nuisance.torn(touched, good, 240, 20),
         "lost rows": lost,
+        "lit surround": np.where(skin[..., None], good, 255).astype(np.uint8),
+        "partly another": partly,
         "shifted": nuisance.shift(good, 4, 5),
         "glare": nuisance.glare(touched, FULL.row_c + 90, FULL.col_c, 14),
         "blurred": nuisance.defocus(good, 4.0),
@@ -50,7 +58,7 @@ def images() -> dict[str, U8]:
 
 def outcomes() -> dict[str, tuple[Any, list[str]]]:
     """Of each image all that programs go by, and the texts."""
-    made = make_reconstructor(calibrated(FULL, 0), PROFILES["balanced"])
+    made = make_reconstructor(calibrated(FULL, 0), PROFILES["accurate"])
     found = {}
     for k, (name, image) in enumerate(images().items()):
         result = made.step(Frame(k, k * 1_000_000_000, 0, image))

@@ -19,7 +19,7 @@ from tacshade_edge.cli.demo_child import Child, free_port, wait_for_port
 from tacshade_edge.cli.demo_sensor import make_calibration
 from tacshade_edge.devices.files import calibration_file
 
-FPS: Final = 20  # a laptop draws a simulated frame in 10 to 40 ms
+FPS: Final = 20  # a laptop draws a simulated frame in 10 to 40 ms, few of them in up to 170
 PORT: Final = 8080
 START_S: Final = 30.0
 CHECK_PERIOD_S: Final = 0.5

@@ -8,7 +8,7 @@ import io
 import itertools
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,12 @@ from tacshade_edge.types import U8
 REFERENCES = 8
 """Reference images in a calibration set."""
 
+PRESS_KEYS = (
+    *("depth_mm", "x_mm", "y_mm", "rotation_deg", "tilt_x_deg", "tilt_y_deg"),
+    *("drag_x_mm", "drag_y_mm", "twist_deg"),
+)
+"""What is said of a press, in ``scenes.csv`` and beside the truth."""
+
 _SEED_STRIDE = 1000  # every image of a set has a noise seed of its own
 _PAD_SEED = 500_000
 
@@ -46,6 +52,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--position", type=_number, nargs=2, action="append", metavar=("X", "Y"), help="mm; may be repeated (0 0)"
     )
     parser.add_argument("--rotation", type=_number, nargs="+", default=[0.0], metavar="DEG", help="about z (0)")
+    for name, what in (("drag", "mm along the skin, after it touched"), ("tilt", "degrees about x, then y")):
+        parser.add_argument(
+            f"--{name}",
+            type=_number,
+            nargs=2,
+            action="append",
+            metavar=("X", "Y"),
+            help=f"{what}; may be repeated (0 0)",
+        )
+    parser.add_argument("--twist", type=_number, nargs="+", default=[0.0], metavar="DEG", help="about z, dragging (0)")
     parser.add_argument("--calibration-set", type=Path, metavar="DIR", help="write references and ball presses here")
     parser.add_argument("--presses", type=_count, default=40, metavar="N", help="ball presses in the set (40)")
     parser.add_argument(
@@ -130,20 +146,24 @@ def _write_scenes(sensor: SimulatedSensor, args: argparse.Namespace) -> None:
     for name in names:
         if name not in OBJECTS and name != "none":
             raise ConfigError(f"--objects: {name!r} is not known, expected some of {', '.join(OBJECTS)}, none")
-    places = list(itertools.product(args.depth, args.position or [(0.0, 0.0)], args.rotation))
-    scenes = [(name, *place) for name in names for place in (places if name != "none" else [(0.0, (0.0, 0.0), 0.0)])]
+    nowhere = [(0.0, 0.0)]
+    ways = itertools.product(
+        args.depth, args.position or nowhere, args.rotation, args.tilt or nowhere, args.drag or nowhere, args.twist
+    )
+    presses = [(depth, x, y, rotation, *tilt, *drag, twist) for depth, (x, y), rotation, tilt, drag, twist in ways]
+    scenes = [(name, each) for name in names for each in (presses if name != "none" else [(0.0,) * len(PRESS_KEYS)])]
     args.out.mkdir(parents=True, exist_ok=True)
     rows = []
-    for k, (name, depth, (x, y), rotation) in enumerate(scenes):
-        presses = () if name == "none" else (Press(OBJECTS[name](), x, y, depth, rotation),)
-        frame = _simulate(sensor, presses, args.seed * _SEED_STRIDE + k)
+    for k, (name, numbers) in enumerate(scenes):
+        known = dict(zip(PRESS_KEYS, numbers, strict=True))
+        pressed = () if name == "none" else (Press(OBJECTS[name](), **known),)
+        frame = _simulate(sensor, pressed, args.seed * _SEED_STRIDE + k)
         stem = f"{k:03d}_{name}"
         _write_png(args.out / f"{stem}.png", frame.image)
-        depth_max_mm = _write_truth(args.out / f"{stem}.npz", frame, name)
-        rows.append((f"{stem}.png", name, depth, x, y, rotation, round(depth_max_mm, 4)))
+        depth_max_mm = _write_truth(args.out / f"{stem}.npz", frame, name, known)
+        rows.append((f"{stem}.png", name, *numbers, round(depth_max_mm, 4)))
         _progress(k + 1, len(scenes))
-    header = ("image", "object", "depth_mm", "x_mm", "y_mm", "rotation_deg", "depth_max_mm")
-    _write_csv(args.out / "scenes.csv", header, rows)
+    _write_csv(args.out / "scenes.csv", ("image", "object", *PRESS_KEYS, "depth_max_mm"), rows)
     print(f"{args.out}: {len(scenes)} images with ground truth, scenes.csv")
 
 
@@ -154,9 +174,11 @@ def _simulate(sensor: SimulatedSensor, presses: tuple[Press, ...], noise_seed: i
         raise ConfigError(f"cannot simulate: {error}") from error
 
 
-def _write_truth(path: Path, frame: SimulatedFrame, name: str) -> float:
+def _write_truth(path: Path, frame: SimulatedFrame, name: str, known: Mapping[str, float]) -> float:
     truth = frame.truth()
-    press = frame.presses[0] if frame.presses else None
+    shear_mm = np.full((*truth.height_mm.shape, 2), np.nan, np.float32)
+    inside = np.nonzero(np.isfinite(truth.height_mm))
+    shear_mm[inside] = frame.shear_mm(inside[0].astype(float), inside[1].astype(float)) if frame.presses else 0.0
     content: dict[str, Any] = {
         "height_mm": truth.height_mm,
         "contact": truth.contact,
@@ -166,11 +188,9 @@ def _write_truth(path: Path, frame: SimulatedFrame, name: str) -> float:
         "points_mm": truth.points_mm,
         "object_points_mm": truth.object_points_mm,
         "depth_max_mm": truth.depth_max_mm,
+        "shear_mm": shear_mm,
         "object": name,
-        "depth_mm": press.depth_mm if press else 0.0,
-        "x_mm": press.x_mm if press else 0.0,
-        "y_mm": press.y_mm if press else 0.0,
-        "rotation_deg": press.rotation_deg if press else 0.0,
+        **known,
     }
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **content)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Literal, overload
+from typing import overload
 
 import numpy as np
 
@@ -11,19 +11,30 @@ from tacshade_edge.core.contact.gate import ContactGate
 from tacshade_edge.core.contact.objects import Objects, contact_of, find_objects
 from tacshade_edge.core.depth import SOLVERS, Depth, MakeSolver, Network
 from tacshade_edge.core.depth.base import Mark
-from tacshade_edge.core.frame_check.camera_shift import CameraShiftCheck
+from tacshade_edge.core.frame_check import foreign
 from tacshade_edge.core.frame_check.trust import doubt, refusal
 from tacshade_edge.core.frame_check.validity import invalid_reason, sensor_check, size_reason
 from tacshade_edge.core.geometry.disc import DiscRays, rays_in_image
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import Profile
 from tacshade_edge.reasons import Reason
-from tacshade_edge.types import F32, U8, Bool, Calibration, Frame, Geometry, HeightMap, ObjectCloud, Reconstruction
+from tacshade_edge.types import (
+    F32,
+    U8,
+    Bool,
+    Calibration,
+    Frame,
+    Geometry,
+    HeightMap,
+    Need,
+    ObjectCloud,
+    Reconstruction,
+)
 
-STAGES = ("check", "grey", "gate", "moved", "denoise", "depth", "cloud")
+STAGES = ("check", "grey", "gate", "denoise", "depth", "shear", "cloud")
 """All that a step may mark, in order; a stage that did not run is not marked."""
 
-FindObjects = Callable[[Bool, F32, DiscRays, Geometry], Objects | None]
+FindObjects = Callable[[Bool, F32, F32 | None, DiscRays, Geometry], Objects | None]
 """Of `core.contact.objects.find_objects`."""
 
 
@@ -65,12 +76,13 @@ class Reconstructor:
         self._preprocessor = Preprocessor(calibration, profile)
         self._frame_check = sensor_check(self._preprocessor.calibration, self._preprocessor.camera_px)
         self._gate = ContactGate(self._preprocessor)
-        self._camera_shift = CameraShiftCheck(self._preprocessor)
+        self._foreign_check = foreign.ForeignCheck(self._preprocessor)
         self._solver = (make_solver or SOLVERS[profile.solver])(self._preprocessor, network)
         self._find_objects = find_objects
         self.grid = self._solver.grid
         self.rays = rays_in_image(self.grid, calibration)
         self._zero_mm = np.where(self.rays.inside, np.float32(0), np.float32(np.nan)).astype(np.float32)
+        self._no_shear_mm = np.repeat(self._zero_mm[..., None], 2, axis=2) if self._solver.tells_shear else None
         self._empty_map = self._map(self._zero_mm, np.zeros(self._zero_mm.shape, dtype=bool))
         self._empty_cloud = ObjectCloud(np.zeros((0, 3), dtype=np.float32), np.zeros(0, dtype=np.uint16))
         self._grey_space: U8 = np.empty(self._shape, np.uint8)
@@ -80,9 +92,9 @@ class Reconstructor:
     def step(self, frame: Frame, mark: Mark = ...) -> Reconstruction: ...
 
     @overload
-    def step(self, frame: Frame, mark: Mark = ..., *, to_gate: Literal[True]) -> Reconstruction | None: ...
+    def step(self, frame: Frame, mark: Mark = ..., need: Need = ...) -> Reconstruction | None: ...
 
-    def step(self, frame: Frame, mark: Mark = no_mark, *, to_gate: bool = False) -> Reconstruction | None:
+    def step(self, frame: Frame, mark: Mark = no_mark, need: Need = Need.SHEAR) -> Reconstruction | None:
         """Reconstruct one frame.
 
         Parameters
@@ -90,8 +102,8 @@ class Reconstructor:
         frame : Frame
         mark : callable
             Called with a stage's name (`STAGES`) at its end; a caller with a clock times them so.
-        to_gate : bool
-            End where a frame in contact would get its depth: None for that one.
+        need : Need
+            With ``CONTACT`` it ends where a frame in contact would get its depth: None for that one.
         """
         grey = self._preprocessor.grey(frame.image, self._grey_space)
         reason = size_reason(frame.image, self._shape) or invalid_reason(grey, self._frame_check)
@@ -111,36 +123,44 @@ class Reconstructor:
         if not in_contact:
             return self._empty(frame, degraded=degraded)
 
-        if self._camera_shift.due(frame.t_ns):
-            reason = self._camera_shift.check(preprocessed.white, frame.t_ns)
-            mark("moved")
-            if reason:
-                return self._empty(frame, reason=reason)
-        if to_gate:
+        if need == Need.CONTACT:
             return None
 
         depth = self._solver.solve(preprocessed, mark)
+        foreign_part = None if depth.foreign is None else foreign.foreign_part(depth.foreign, self.rays.inside)
+        reason = self._foreign_check.refusal(foreign_part, preprocessed.white)
+        degraded = degraded or foreign.doubt(foreign_part)
         mark("depth")
+        if reason:
+            return self._empty(frame, reason=reason)
+
+        shear_mm = None
+        if need == Need.SHEAR:
+            shear_mm = self._solver.shear_mm(preprocessed)
+            mark("shear")
 
         # Adding the map of no contact, 0 or NaN, puts NaN outside the disc.
         height_mm = np.minimum(depth.height_mm, np.float32(self.calibration.geometry.skin_radius_mm)) + self._zero_mm
         contact = contact_of(depth, self.rays.inside)
-        objects = self._find_objects(contact, height_mm, self.rays, self.calibration.geometry)
+        objects = self._find_objects(contact, height_mm, shear_mm, self.rays, self.calibration.geometry)
         mark("cloud")
         if objects is None:
-            return self._empty(frame, degraded=degraded)
-        return self._whole(frame, degraded, depth, height_mm, objects)
-
-    def glance(self, frame: Frame, mark: Mark = no_mark) -> Reconstruction | None:
-        """`step` as far as the contact's depth: its result for a frame that ends before, None for a contact's."""
-        return self.step(frame, mark, to_gate=True)
+            reason = self._foreign_check.moved(preprocessed.white)
+            return self._empty(frame, reason=reason, degraded=None if reason else degraded)
+        return self._whole(frame, degraded, depth, height_mm, shear_mm, objects)
 
     def depth(self, image: U8) -> Depth:
         """What the solver makes of an image, without frame check and gate."""
         return self._solver.solve(self._preprocessor.preprocess(self._preprocessor.grey(image)), no_mark)
 
     def _whole(
-        self, frame: Frame, degraded: Reason | None, depth: Depth, height_mm: F32, objects: Objects
+        self,
+        frame: Frame,
+        degraded: Reason | None,
+        depth: Depth,
+        height_mm: F32,
+        shear_mm: F32 | None,
+        objects: Objects,
     ) -> Reconstruction:
         return Reconstruction(
             seq=frame.seq,
@@ -157,6 +177,8 @@ class Reconstructor:
             objects=objects.described,
             volume_mm3=objects.volume_mm3,
             repaired_px=depth.repaired_px,
+            shear_mm=None if shear_mm is None else shear_mm + self._zero_mm[..., None],
+            untrusted=depth.foreign & self.rays.inside if depth.foreign is not None and depth.foreign.any() else None,
         )
 
     def _empty(self, frame: Frame, reason: Reason | None = None, degraded: Reason | None = None) -> Reconstruction:
@@ -173,6 +195,7 @@ class Reconstructor:
             degraded=degraded,
             height=self._empty_map,
             cloud=self._empty_cloud,
+            shear_mm=self._no_shear_mm,
         )
 
     def _map(self, height_mm: F32, contact: Bool) -> HeightMap:

@@ -101,7 +101,9 @@ class App:
         self._source = source
         self.ledger = FrameLedger()
         self.link = registry.make_link(document, on_request=self._on_request, on_outcome=self._on_outcome)
-        self._publisher = Publisher(self.link.offer, self.link.has_listener)
+        self._publisher = Publisher(
+            self.link.offer, self.link.tell, self.link.has_listener, settings.displacement == "always"
+        )
         self._robot = self._make_robot()
         self._sessions = self._make_sessions()
         self._references = References(calibration, reference_file.path_beside(settings.calibration))
@@ -223,6 +225,7 @@ class App:
         else:
             self._document = new.document
             settings = new.document.settings
+            self._publisher.always_shear = settings.displacement == "always"
             self._references.reload(new.calibration, reference_file.path_beside(settings.calibration))
             self._active.reload(settings.profile, settings.latency_budget_ms, self._references.calibration)
             self._recorder.event("reload", waiting=list(new.waiting))

@@ -84,7 +84,7 @@ def check_images(calibration: Calibration, images: Sequence[U8], live: bool) -> 
     live : bool
         From a camera, so that nothing should touch the skin now; files and simulations are pressed.
     """
-    reconstructor = make_reconstructor(calibration, PROFILES["fast"])
+    reconstructor = make_reconstructor(calibration, PROFILES["accurate"])
     result = reconstructor.step(Frame(0, 0, 0, images[-1]))
     if result.reason:
         return (fault("sensor", f"frames cannot be used: {result.reason}", _mend(result.reason)),)

@@ -5,6 +5,7 @@ JSON has no NaN and no infinity: both are written as null.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Annotated, Any, Final, Literal
@@ -17,7 +18,7 @@ from tacshade_edge.protocol.results import NoSession, ReferenceTaken, RequestRes
 from tacshade_edge.protocol.serial.answers import error_word
 from tacshade_edge.protocol.wire import WIRE_VERSION
 from tacshade_edge.reasons import Reason, ReasonCode, code_of, reason_fields
-from tacshade_edge.types import Calibration, Reconstruction
+from tacshade_edge.types import Calibration, Reconstruction, TouchedObject
 
 Verb = Literal["reference", "profile", "status", "record", "stitch"]
 StitchAction = Literal["begin", "add", "end", "abort", "status"]
@@ -179,9 +180,14 @@ def encode_contact(result: Reconstruction, *, fps: float) -> bytes:
     """The ``contact`` payload: flat numbers, and codes of `reasons.ReasonCode`, empty when all is well.
 
     ``contact`` is 0 or 1, ``objects`` a count, ``area_mm2`` their sum; ``x_mm`` and ``y_mm`` are the centroid
-    of the greatest object and null without one, since 0 is a place. `fps` is the rate of delivery in 1/s.
+    of the greatest object and null without one, since 0 is a place. Displacement, twist and slip (0 stick, 1 partial, 2
+    full) are of the object that has the most of each, null where none is told. `fps` is the rate of delivery in 1/s.
     """
     x_mm, y_mm = result.objects[0].centroid_mm[:2] if result.objects else (None, None)
+    shears = [o.shear_mm for o in result.objects if o.shear_mm is not None]
+    shear_x_mm, shear_y_mm = max(shears, key=lambda x_y: math.hypot(*x_y), default=(None, None))
+    slips = [(o.slip, o.slip_mm_s or 0.0) for o in result.objects if o.slip is not None]
+    slip, slip_mm_s = max(slips, default=(None, None))
     return _encode(
         {
             "t_ns": result.t_ns,
@@ -193,9 +199,29 @@ def encode_contact(result: Reconstruction, *, fps: float) -> bytes:
             "objects": len(result.objects),
             "x_mm": x_mm,
             "y_mm": y_mm,
+            "shear_x_mm": shear_x_mm,
+            "shear_y_mm": shear_y_mm,
+            "twist_deg": max((o.twist_deg for o in result.objects if o.twist_deg is not None), key=abs, default=None),
+            "slip": slip,
+            "slip_mm_s": slip_mm_s,
             "fps": fps,
             "reason_code": code_of(result.reason),
             "degraded_code": code_of(result.degraded),
+        }
+    )
+
+
+def encode_slip(result: Reconstruction, sliding: TouchedObject) -> bytes:
+    """The ``event/slip`` payload: which object began to slide, when, where and how fast over the skin."""
+    x_mm, y_mm, _ = sliding.centroid_mm
+    return _encode(
+        {
+            "t_ns": result.t_ns,
+            "seq": result.seq,
+            "id": sliding.id,
+            "x_mm": x_mm,
+            "y_mm": y_mm,
+            "slip_mm_s": sliding.slip_mm_s,
         }
     )
 

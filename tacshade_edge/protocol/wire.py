@@ -1,4 +1,4 @@
-"""The binary MQTT payloads ``height`` and ``cloud``: one 96-byte little-endian header, then raw values.
+"""The binary MQTT payloads ``height``, ``cloud`` and ``shear``: one 96-byte little-endian header, then raw values.
 
 The layout is the table of docs/mqtt.md, a promise to subscribers: it may only be added to. So a decoder
 ignores flag bits and reserved bytes that it does not know, and refuses everything else that it does not know.
@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from tacshade_edge.errors import DecodeError
-from tacshade_edge.types import F32, U16, Pose, Reconstruction
+from tacshade_edge.types import F32, U16, HeightMap, Pose, Reconstruction
 
 WIRE_VERSION: Final = 1
 HEADER_BYTES: Final = 96
@@ -23,7 +23,7 @@ OUTSIDE: Final = -32768
 _LIMIT: Final = 32767
 
 _MAGIC: Final = b"TCSH"
-_HEIGHT, _CLOUD = 1, 2
+_HEIGHT, _CLOUD, _SHEAR = 1, 2, 3
 _RAW: Final = 0
 _CONTACT, _INVALID, _SATURATED, _DEGRADED, _POSE = 1, 2, 4, 8, 16
 
@@ -34,6 +34,8 @@ _CHECK: Final = struct.Struct("<II")
 _U32: Final = 0xFFFFFFFF
 _NO_POSE: Final = (0.0,) * 7
 _POINT_BYTES, _LABEL_BYTES = 12, 2
+_VALUES: Final = {_HEIGHT: 1, _SHEAR: 2}
+"""Of a cell."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,6 +103,24 @@ class CloudMessage(_Message):
     labels: U16
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ShearMessage(_Message):
+    """A decoded ``shear``.
+
+    Attributes
+    ----------
+    shear_mm : float32 (rows, cols, 2)
+        Displacement of the skin along x and y in mm, in steps of the scale; NaN outside the disc. Read-only.
+    row0, col0, step_px : float
+        As of `HeightMessage`.
+    """
+
+    shear_mm: F32
+    row0: float
+    col0: float
+    step_px: float
+
+
 def encode_height(
     result: Reconstruction, *, calibration_crc32: int, pose: Pose | None = None, pose_error_us: int = 0
 ) -> bytes:
@@ -110,17 +130,18 @@ def encode_height(
     A grid of more than 65535 rows or columns has no encoding: ValueError.
     """
     height = result.height
-    rows, cols = height.height_mm.shape
-    if max(rows, cols) > 0xFFFF:
-        raise ValueError(f"height grid of {rows} x {cols}; the wire holds at most 65535 x 65535")
-    limit_mm = np.float32(_LIMIT * SCALE_MM)
-    steps = np.clip(height.height_mm, -limit_mm, limit_mm)  # before the product, which could overflow
-    np.multiply(steps, np.float32(1.0 / SCALE_MM), out=steps)
-    np.rint(steps, out=steps)
-    steps[np.isnan(steps)] = OUTSIDE
-    payload = steps.astype("<i2").tobytes()
-    grid = (height.row0, height.col0, height.step_px)
-    return _pack(_whose(result, calibration_crc32), _HEIGHT, (rows, cols), grid, pose, pose_error_us, payload)
+    whose = _whose(result, calibration_crc32)
+    return _pack(whose, _HEIGHT, *_steps(height.height_mm, height), pose, pose_error_us)
+
+
+def encode_shear(
+    result: Reconstruction, *, calibration_crc32: int, pose: Pose | None = None, pose_error_us: int = 0
+) -> bytes:
+    """The ``shear`` payload of a reconstruction that tells displacement, coded as heights: x, y of each cell."""
+    if result.shear_mm is None:
+        raise ValueError(f"profile {result.profile} tells no displacement")
+    whose = _whose(result, calibration_crc32)
+    return _pack(whose, _SHEAR, *_steps(result.shear_mm, result.height), pose, pose_error_us)
 
 
 def encode_cloud(
@@ -131,7 +152,7 @@ def encode_cloud(
     payload = points.astype("<f4", copy=False).tobytes() + labels.astype("<u2", copy=False).tobytes()
     halves = struct.unpack("<2H", _N.pack(len(labels)))
     whose = _whose(result, calibration_crc32)
-    return _pack(whose, _CLOUD, halves, (0.0, 0.0, 0.0), pose, pose_error_us, payload)
+    return _pack(whose, _CLOUD, halves, (0.0, 0.0, 0.0), payload, pose, pose_error_us)
 
 
 def encode_map_cloud(points_mm: F32, *, revision: int, calibration_crc32: int, t_ns: int, wall_ns: int) -> bytes:
@@ -139,11 +160,11 @@ def encode_map_cloud(points_mm: F32, *, revision: int, calibration_crc32: int, t
     payload = points_mm.astype("<f4", copy=False).tobytes() + np.ones(len(points_mm), "<u2").tobytes()
     halves = struct.unpack("<2H", _N.pack(len(points_mm)))
     whose = (_CONTACT, revision, calibration_crc32, t_ns, wall_ns)
-    return _pack(whose, _CLOUD, halves, (0.0, 0.0, 0.0), None, 0, payload)
+    return _pack(whose, _CLOUD, halves, (0.0, 0.0, 0.0), payload, None, 0)
 
 
-def decode(data: bytes | bytearray | memoryview) -> HeightMessage | CloudMessage:
-    """Understand one ``height`` or ``cloud`` payload; the result owns its arrays.
+def decode(data: bytes | bytearray | memoryview) -> HeightMessage | CloudMessage | ShearMessage:
+    """Understand one ``height``, ``cloud`` or ``shear`` payload; the result owns its arrays.
 
     Raises
     ------
@@ -172,10 +193,12 @@ def decode(data: bytes | bytearray | memoryview) -> HeightMessage | CloudMessage
         points = np.frombuffer(data, "<f4", 3 * n, HEADER_BYTES).astype(np.float32, copy=False)
         labels = np.frombuffer(data, "<u2", n, HEADER_BYTES + _POINT_BYTES * n).astype(np.uint16, copy=False)
         return CloudMessage(*common, points.reshape(n, 3), labels)
-    steps = np.frombuffer(data, "<i2", rows * cols, HEADER_BYTES)
-    height_mm = np.where(steps == OUTSIDE, np.float32(np.nan), steps * np.float32(scale_mm)).reshape(rows, cols)
-    height_mm.setflags(write=False)
-    return HeightMessage(*common, height_mm, row0, col0, step_px)
+    steps = np.frombuffer(data, "<i2", rows * cols * _VALUES[kind], HEADER_BYTES)
+    values_mm = np.where(steps == OUTSIDE, np.float32(np.nan), steps * np.float32(scale_mm))
+    values_mm.setflags(write=False)
+    if kind == _SHEAR:
+        return ShearMessage(*common, values_mm.reshape(rows, cols, 2), row0, col0, step_px)
+    return HeightMessage(*common, values_mm.reshape(rows, cols), row0, col0, step_px)
 
 
 def _check(data: bytes) -> tuple[int, int, int]:
@@ -186,14 +209,15 @@ def _check(data: bytes) -> tuple[int, int, int]:
     for offset, name, found, expected in (
         (0, "magic", magic, (_MAGIC,)),
         (4, "wire version", version, (WIRE_VERSION,)),
-        (5, "kind", kind, (_HEIGHT, _CLOUD)),
+        (5, "kind", kind, (_HEIGHT, _CLOUD, _SHEAR)),
         (6, "codec", codec, (_RAW,)),
     ):
         if found not in expected:
             wanted = " or ".join(str(e) for e in expected)
             raise DecodeError(f"height/cloud payload, byte {offset}: {name} is {found}, expected {wanted}")
     rows, cols, said = *_HEAD.unpack_from(data)[9:11], _HEAD.unpack_from(data)[23]
-    needed = 2 * rows * cols if kind == _HEIGHT else (_POINT_BYTES + _LABEL_BYTES) * (rows | cols << 16)
+    in_cloud = (_POINT_BYTES + _LABEL_BYTES) * (rows | cols << 16)
+    needed = in_cloud if kind == _CLOUD else 2 * rows * cols * _VALUES[kind]
     if said != needed:
         raise DecodeError(f"height/cloud payload, byte 84: {said} payload bytes, expected {needed} for this size")
     if len(data) != HEADER_BYTES + said:
@@ -203,6 +227,19 @@ def _check(data: bytes) -> tuple[int, int, int]:
     if crc != actual:
         raise DecodeError(f"height/cloud payload, byte 88: CRC-32 {crc:08x}, expected {actual:08x}")
     return kind, rows, cols
+
+
+def _steps(values_mm: F32, height: HeightMap) -> tuple[tuple[int, ...], tuple[float, float, float], bytes]:
+    """Size, grid and int16 steps of values at each cell of a map."""
+    rows, cols = values_mm.shape[:2]
+    if max(rows, cols) > 0xFFFF:
+        raise ValueError(f"height grid of {rows} x {cols}; the wire holds at most 65535 x 65535")
+    limit_mm = np.float32(_LIMIT * SCALE_MM)
+    steps = np.clip(values_mm, -limit_mm, limit_mm)  # before the product, which could overflow
+    np.multiply(steps, np.float32(1.0 / SCALE_MM), out=steps)
+    np.rint(steps, out=steps)
+    steps[np.isnan(steps)] = OUTSIDE
+    return (rows, cols), (height.row0, height.col0, height.step_px), steps.astype("<i2").tobytes()
 
 
 def _whose(result: Reconstruction, calibration_crc32: int) -> tuple[int, int, int, int, int]:
@@ -221,9 +258,9 @@ def _pack(
     kind: int,
     size: tuple[int, ...],
     grid: tuple[float, float, float],
+    payload: bytes,
     pose: Pose | None,
     pose_error_us: int,
-    payload: bytes,
 ) -> bytes:
     flags, seq, calibration_crc32, t_ns, wall_ns = whose
     head = _HEAD.pack(

@@ -94,6 +94,9 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     latency_budget_ms: (
         Annotated[float, Meta(gt=0, le=60_000, description="from a frame's time stamp to its result, for auto")] | None
     ) = None
+    displacement: Annotated[
+        Literal["asked", "always"], Meta(description="when the skin's displacement, twist and slip are computed")
+    ] = "asked"
     source: Annotated[V4l2 | Files | Simulated, Meta(description="where frames come from")] = V4l2()
     mqtt: Annotated[Mqtt, Meta(description="the broker")] = Mqtt()
     recorder: Annotated[Recorder, Meta(description="recordings")] = Recorder()

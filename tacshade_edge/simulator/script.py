@@ -2,11 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.simulator.press import Press
+
+_DRAG_STEPS = 3  # a new place costs several frames' time to draw, and a held one nothing
+
+
+@dataclass(frozen=True, slots=True)
+class Drag:
+    """How an object is moved along the skin while it is held: `Press.drag_x_mm` and so on."""
+
+    x_mm: float = 0.0
+    y_mm: float = 0.0
+    twist_deg: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,9 +28,12 @@ class Script:
     Attributes
     ----------
     presses : tuple of Press
-        At their greatest depth.
+        At their greatest depth, where they touch.
     approach, hold, release, pause : int
         Frames of each phase.
+    drags : tuple of Drag
+        In turn with the presses, again from the first after the last: made in few steps over the middle half of the
+        hold, and kept through the release, which has as few then. Empty: nothing is dragged.
     """
 
     presses: tuple[Press, ...]
@@ -26,6 +41,7 @@ class Script:
     hold: int = 20
     release: int = 10
     pause: int = 20
+    drags: tuple[Drag, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse an empty script."""
@@ -45,23 +61,48 @@ class Script:
         """The presses of a frame: none or one. A turn begins with its pause, so frame 0 is without contact."""
         turn, frame = divmod(index % self.period, self._turn)
         press = self.presses[turn]
+        drag = self.drags[turn % len(self.drags)] if self.drags else Drag()
         frame -= self.pause
         if frame < 0:
             return ()
         if frame < self.approach:
-            part = (frame + 1) / (self.approach + 1)
-        elif frame < self.approach + self.hold:
-            part = 1.0
-        else:
-            part = 1 - (frame - self.approach - self.hold + 1) / (self.release + 1)
-        return (replace(press, depth_mm=press.depth_mm * part),)
+            return (_part_way(press, (frame + 1) / (self.approach + 1)),)
+        frame -= self.approach
+        if frame < self.hold:
+            step = math.floor((frame / self.hold - 0.25) * 2 * _DRAG_STEPS) + 1
+            return (_moved(press, drag, min(max(step / _DRAG_STEPS, 0.0), 1.0)),)
+        frame -= self.hold
+        steps = self.release if drag == Drag() else min(_DRAG_STEPS, self.release)
+        part = 1 - (frame * steps // self.release + 1) / (steps + 1)
+        return (_part_way(_moved(press, drag, 1.0), part),)
+
+
+def _part_way(press: Press, part: float) -> Press:
+    return replace(press, depth_mm=press.depth_mm * part)
+
+
+def _moved(press: Press, drag: Drag, part: float) -> Press:
+    x_mm, y_mm, turn_deg = part * drag.x_mm, part * drag.y_mm, part * drag.twist_deg
+    return replace(
+        press,
+        x_mm=press.x_mm + x_mm,
+        y_mm=press.y_mm + y_mm,
+        rotation_deg=press.rotation_deg + turn_deg,
+        drag_x_mm=x_mm,
+        drag_y_mm=y_mm,
+        twist_deg=turn_deg,
+    )
 
 
 def demonstration(depth_mm: float = 3.0, objects: Sequence[str] = ()) -> Script:
-    """The hand of the demo: the named objects (all of them by default), each a little elsewhere and turned."""
+    """The hand of the demo: the named objects (all of them by default), each a little elsewhere and turned.
+
+    Of five in turn, one is dragged, one so far that it slips altogether, and one dragged and twisted.
+    """
     places = ((0.0, 0.0), (3.0, -2.0), (-4.0, 1.0), (1.0, 4.0), (-2.0, -3.0))
+    drags = (Drag(), Drag(-2.5, 0.5), Drag(), Drag(-5.0, -4.0), Drag(2.0, 1.0, 10.0))
     names = tuple(objects) or tuple(OBJECTS)
     presses = tuple(
         Press(OBJECTS[name](), *places[k % len(places)], depth_mm, 25.0 * k % 360) for k, name in enumerate(names)
     )
-    return Script(presses)
+    return Script(presses, drags=drags)

@@ -33,6 +33,26 @@ def test_scenes_have_images_and_their_ground_truth(tmp_path: Path, capsys: pytes
         assert str(truth["object"]) == "ball"
 
 
+def test_a_dragged_scene_has_its_displacement(tmp_path: Path) -> None:
+    words = ["simulate", "--out", str(tmp_path), "--objects", "none,cube", "--depth", "3", "--drag", "2", "-1"]
+    assert main([*words, "--twist", "8", "--tilt", "5", "0"]) == 0
+    none, cube = table(tmp_path / "scenes.csv")
+    assert (cube["drag_x_mm"], cube["drag_y_mm"], cube["twist_deg"], cube["tilt_x_deg"]) == (
+        "2.0",
+        "-1.0",
+        "8.0",
+        "5.0",
+    )
+    with np.load(tmp_path / Path(none["image"]).with_suffix(".npz")) as truth:
+        assert (truth["shear_mm"][np.isfinite(truth["height_mm"])] == 0).all()
+    with np.load(tmp_path / Path(cube["image"]).with_suffix(".npz")) as truth:
+        height, shear = truth["height_mm"], truth["shear_mm"]
+        assert shear.shape == (*height.shape, 2)
+        assert (np.isnan(shear).all(axis=2) == np.isnan(height)).all()
+        assert shear[truth["contact"]].mean(axis=0) == pytest.approx((2, -1), abs=0.4)
+        assert float(truth["twist_deg"]) == 8
+
+
 def test_calibration_set_is_complete_and_repeatable(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("one", "two"):
         words = ["simulate", "--calibration-set", str(tmp_path / name), "--presses", "3", "--seed", "5"]

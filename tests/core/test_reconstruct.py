@@ -20,15 +20,14 @@ from support.calibrated_sensor import (
     step,
     unloaded,
 )
+from support.toy_network import saying
 
 from tacshade_edge.core.calibration.calibrate import calibrate
-from tacshade_edge.core.depth import Network
-from tacshade_edge.core.depth.learned import HEIGHT_SCALE, fold
+from tacshade_edge.core.depth.network_maps import HEIGHT_SCALE, fold
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import STAGES, Reconstructor
 from tacshade_edge.devices.weights.network import make_reconstructor
-from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.objects import OBJECTS
@@ -36,7 +35,7 @@ from tacshade_edge.simulator.press import Press
 from tacshade_edge.studies.evaluate.scenes import scenes
 from tacshade_edge.studies.evaluate.sensors import SensorName
 from tacshade_edge.studies.evaluate.sensors import calibrated as study_calibration
-from tacshade_edge.types import F64, U8, Binarisation, Frame, Reconstruction
+from tacshade_edge.types import F64, U8, Binarisation, Frame, Need, Reconstruction
 
 
 def everything(result: Reconstruction) -> tuple[object, ...]:
@@ -102,15 +101,29 @@ def test_without_contact_the_height_is_exactly_zero(profile: str, model: SensorM
         assert_nothing(result, inside)
 
 
-def test_a_glance_is_a_step_that_ends_at_a_contact() -> None:
+def test_a_step_to_contact_ends_where_something_touches() -> None:
     without = {"no contact": unloaded(HALF), **unusable(HALF)}
     for name, image in without.items():
-        glanced = reconstructor("fast", HALF, 0).glance(Frame(0, 0, 0, image))
-        assert glanced is not None, name
-        assert everything(glanced) == everything(step("fast", image, HALF, 0)), name
+        made = reconstructor("fast", HALF, 0)
+        ended = made.step(Frame(0, 0, 0, image), need=Need.CONTACT)
+        assert ended is not None, name
+        assert everything(ended) == everything(step("fast", image, HALF, 0)), name
     stages: list[str] = []
-    assert reconstructor("fast", HALF, 0).glance(Frame(0, 0, 0, pressed("ball", 2.0).image), stages.append) is None
-    assert stages == ["check", "grey", "gate", "moved"]
+    touched = Frame(0, 0, 0, pressed("ball", 2.0).image)
+    assert reconstructor("fast", HALF, 0).step(touched, stages.append, Need.CONTACT) is None
+    assert stages == ["check", "grey", "gate"]
+
+
+def test_displacement_is_left_out_where_only_depth_is_asked_for() -> None:
+    stages: list[str] = []
+    made, touched = reconstructor("fast", HALF, 0), Frame(0, 0, 0, pressed("ball", 2.0).image)
+    result = made.step(touched, stages.append, Need.DEPTH)
+    assert stages == ["check", "grey", "gate", "depth", "cloud"]
+    assert result is not None
+    assert (result.shear_mm, result.objects[0].shear_mm, result.objects[0].twist_deg) == (None, None, None)
+    whole = made.step(touched)
+    np.testing.assert_array_equal(result.height.height_mm, whole.height.height_mm)
+    assert whole.shear_mm is not None
 
 
 @pytest.mark.xfail(strict=True, reason="a wide glare spot blackens pins around it, which is contact on a TacTip")
@@ -317,7 +330,7 @@ def test_what_a_network_says_beyond_its_range_is_told(depth_mm: float, told_mm: 
     height = np.where(pressed_cells, depth_mm / unit_mm, -0.01).astype(np.float32)
     height[0, 0], height[60, 90] = np.nan, np.inf
     said = fold(np.stack((height, np.where(pressed_cells, np.float32(3), np.float32(-3)))), 4)
-    network = Network(4, lambda known: known, lambda white, sensor: said)
+    network = saying(said)
     made = Reconstructor(replace(calibrated(HALF, 0), factors={}), PROFILES["balanced"], network)
     result = made.step(Frame(0, 0, 0, pressed("ball", 3.0).image))
     assert (result.repaired_px, result.saturated) == (2, saturated)
@@ -357,15 +370,3 @@ def test_a_sensor_that_hardly_brightens_feels_all_the_same(seed: int) -> None:
         for scene in scenes(sensor.model, seed, object_name, (1.5,)):
             assert made.step(Frame(0, 0, 0, sensor.frame((scene.press,), scene.noise_seed).image)).contact
     assert not made.step(Frame(0, 0, 0, sensor.frame((), 99).image)).contact
-
-
-def test_a_contact_that_lasts_is_checked_for_a_camera_shift_ten_times_a_second() -> None:
-    made = reconstructor("accurate", FULL, 0)
-    touched, moved = pressed("ball", 2.0, FULL).image, nuisance.shift(unloaded(FULL), 4, 5)
-    second = 1_000_000_000
-    assert made.step(Frame(0, second, 0, touched)).contact
-    assert made.step(Frame(1, second + 50_000_000, 0, moved)).contact  # checked 50 ms ago
-    for t_ns in (second + 100_000_000, second + 110_000_000):  # once told, in every frame
-        assert made.step(Frame(2, t_ns, 0, moved)).reason.code is ReasonCode.CAMERA_SHIFT
-    assert made.step(Frame(3, second + 120_000_000, 0, touched)).contact
-    assert made.step(Frame(4, 5, 0, moved)).reason.code is ReasonCode.CAMERA_SHIFT, "a stream that began again"

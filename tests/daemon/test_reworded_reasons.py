@@ -27,7 +27,7 @@ from tacshade_edge.protocol.serial.link import SerialLink
 from tacshade_edge.protocol.serial.verbs import Command
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.rigid import shift
-from tacshade_edge.types import Calibration, Frame, Pose, Reconstruction
+from tacshade_edge.types import Calibration, Frame, Need, Pose, Reconstruction
 
 DEADLINE_S = 20.0
 S = 10**9
@@ -36,8 +36,8 @@ S = 10**9
 class Nobody:
     """A sink that no one listens to."""
 
-    def needs_depth(self) -> bool:
-        return False
+    def need(self) -> Need:
+        return Need.CONTACT
 
     def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> Any:
         return "published"

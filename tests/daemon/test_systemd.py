@@ -25,7 +25,7 @@ from tacshade_edge.daemon.systemd import Progress, Service
 from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.errors import DecodeError, DeviceError
 from tacshade_edge.settings import load
-from tacshade_edge.types import Calibration, Frame
+from tacshade_edge.types import Calibration, Frame, Need
 
 needs_systemd = pytest.mark.skipif(systemd.daemon is None, reason="systemd-python is not installed (extra systemd)")
 GONE = DeviceError("camera /dev/video9: gone")
@@ -221,12 +221,12 @@ class Steps:
     def __init__(self) -> None:
         self.held, self.go = threading.Event(), threading.Event()
 
-    def step(self, _frame: Frame, _mark: Any) -> Any:
+    def step(self, _frame: Frame, _mark: Any, _need: Need) -> Any:
         self.held.set()
         assert self.go.wait(patience(10))
 
-    def needs_depth(self) -> bool:
-        return True
+    def need(self) -> Need:
+        return Need.DEPTH
 
     def deliver(self, *_: Any) -> Any:
         return "without_contact"

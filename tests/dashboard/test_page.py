@@ -10,7 +10,9 @@ also writes the pictures of docs/dashboard.md.
 from __future__ import annotations
 
 import json
+import math
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -29,7 +31,8 @@ from support.dashboard_process import dashboard
 from support.growing_map import PAD, GrowingMap, scan
 from support.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
 from support.patience import patience, stretched, wait_until
-from support.published_hand import COLS, DISC, PublishedHand, bump
+from support.published_hand import COLS, DISC, PublishedHand, bump, dragged
+from support.published_hand import calibration as calibrated_hand
 
 from tacshade_edge.cli.demo_sensor import make_calibration
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
@@ -37,6 +40,7 @@ from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.protocol import messages, wire
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.simulator.script import demonstration
+from tacshade_edge.types import Slip
 
 MISSING = [
     name for name, found in (("Chromium", CHROMIUM), ("its driver", DRIVER), ("mosquitto", MOSQUITTO)) if not found
@@ -225,6 +229,31 @@ def test_every_cell_has_the_colour_of_its_depth(page: Chrome, tmp_path: Path) ->
         until_shown(page, hand, lambda: bump(8, 0.0, row, col), 8)  # released
         assert js(page, "tacshade.drawnPeak()") == 0
         assert text(page, "objects") == ""
+
+
+def test_arrows_show_how_the_skin_was_dragged_and_dots_when_it_slides(page: Chrome, tmp_path: Path) -> None:
+    row, col = DISC.row_c + 10, DISC.col_c - 20
+    with (
+        Broker(tmp_path) as broker,
+        dashboard(f"127.0.0.1:{broker.port}") as address,
+        PublishedHand(broker.port) as hand,
+    ):
+        opened(page, address)
+        until_shown(page, hand, lambda: dragged(bump(7, 2.6, row, col, 4), 2.0, -1.0), 7)
+        wait_until(lambda: js(page, "tacshade.arrows") > 0, 15, "arrows")
+        path = js(page, "document.getElementById('arrows').getAttribute('d')")
+        shafts = [tuple(map(float, shaft)) for shaft in re.findall(r"M(\S+) (\S+)L(\S+) (\S+)M", path)]
+        assert len(shafts) == js(page, "tacshade.arrows") < 200
+        longest = max(shafts, key=lambda s: math.hypot(s[2] - s[0], s[3] - s[1]))
+        mm_per_px = calibrated_hand().geometry.mm_per_px
+        assert (longest[2] - longest[0]) * mm_per_px == pytest.approx(2.0, abs=0.1)
+        assert (longest[3] - longest[1]) * mm_per_px == pytest.approx(-1.0, abs=0.1)
+        assert math.hypot(longest[2] - col, longest[3] - row) < 25
+        picture(page, "arrows", (1280, 900))
+        until_shown(page, hand, lambda: dragged(bump(8, 2.6, row, col, 4), 2.0, -1.0, Slip.FULL), 8)
+        wait_until(lambda: js(page, "tacshade.slips") > 0, 15, "a slip in the chart")
+        until_shown(page, hand, lambda: bump(9, 0.0, row, col, 4), 9)
+        assert js(page, "tacshade.arrows") == 0
 
 
 def test_it_recovers_from_a_broker_restart(page: Chrome, tmp_path: Path, calibration: Path) -> None:

@@ -105,8 +105,9 @@ def test_decoder_understands_every_sound_vector(decode: Decoder) -> None:
         flags = sum(bit for bit, name in enumerate_flags() if expect[name])
         assert answer["flags"] & 15 == flags
         assert (answer["pose"] and list(answer["pose"])) == expect["pose"]
-        if expect["kind"] == "height":
-            np.testing.assert_allclose(values(answer["height_mm"]), values(expect["height_mm"]), rtol=1e-6)
+        if expect["kind"] in ("height", "shear"):
+            name = f"{expect['kind']}_mm"
+            np.testing.assert_allclose(values(answer[name]), values(expect[name]), rtol=1e-6)
             assert [answer[k] for k in ("row0", "col0", "step_px")] == [expect[k] for k in ("row0", "col0", "step_px")]
         else:
             assert list(answer["points_mm"]) == expect["points_mm"]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.calibrated_sensor import HALF, calibrated, unloaded
+from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
 from support.reworded import NONSENSE, reword
 
 from tacshade_edge.core.geometry.disc import disc_mask
@@ -25,9 +25,11 @@ from tacshade_edge.types import U8
 
 
 def _torn(image: U8) -> U8:
-    moved = image.copy()
-    moved[image.shape[0] // 2 :] = np.roll(image, 40, axis=1)[image.shape[0] // 2 :]
-    return moved
+    """Half of the skin is upside down; the surround is as it was."""
+    torn, skin = image.copy(), disc_mask(*image.shape[:2], calibrated(HALF).geometry.disc)
+    skin[: len(image) // 2] = False
+    torn[skin] = image[::-1][skin]
+    return torn
 
 
 def _bad_images() -> dict[str, U8]:
@@ -45,7 +47,7 @@ def _bad_images() -> dict[str, U8]:
         "no contrast": np.full(free.shape[:2], 90, np.uint8),
         "noise": np.asarray(np.random.default_rng(1).integers(0, 256, free.shape[:2]), np.uint8),
         "light": (free * 0.35).astype(np.uint8),
-        "torn": _torn(free),
+        "torn": _torn(pressed("ball", 3.0).image),
         "surround": surround,
         "camera shift": np.roll(free, 4, axis=1),
         "glare": glare,

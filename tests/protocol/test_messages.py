@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,7 @@ from tacshade_edge.protocol.results import (
 )
 from tacshade_edge.protocol.serial.answers import result_text
 from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.types import Calibration, Disc, Geometry, Reconstruction, TouchedObject
+from tacshade_edge.types import Calibration, Disc, Geometry, Reconstruction, Slip, TouchedObject
 
 
 def test_contact_is_flat_numbers_with_the_promised_keys(
@@ -45,6 +46,11 @@ def test_contact_is_flat_numbers_with_the_promised_keys(
         "objects": 2,
         "x_mm": 1.25,
         "y_mm": -2.5,
+        "shear_x_mm": None,
+        "shear_y_mm": None,
+        "twist_deg": None,
+        "slip": None,
+        "slip_mm_s": None,
         "fps": 59.5,
         "reason_code": "",
         "degraded_code": "",
@@ -53,11 +59,21 @@ def test_contact_is_flat_numbers_with_the_promised_keys(
 
 def test_contact_without_contact_has_no_place(make_result: Callable[..., Reconstruction]) -> None:
     decoded = json.loads(messages.encode_contact(make_result(contact=False), fps=0.0))
-    assert (
-        ",".join(decoded)
-        == "t_ns,seq,contact,depth_max_mm,area_mm2,volume_mm3,objects,x_mm,y_mm,fps,reason_code,degraded_code"
+    assert ",".join(decoded) == (
+        "t_ns,seq,contact,depth_max_mm,area_mm2,volume_mm3,objects,x_mm,y_mm,"
+        "shear_x_mm,shear_y_mm,twist_deg,slip,slip_mm_s,fps,reason_code,degraded_code"
     )
     assert [decoded[k] for k in ("contact", "depth_max_mm", "objects", "x_mm", "y_mm")] == [0, 0.0, 0, None, None]
+
+
+def test_contact_tells_the_most_of_what_moves(
+    make_result: Callable[..., Reconstruction], two_objects: tuple[TouchedObject, ...]
+) -> None:
+    one = replace(two_objects[0], shear_mm=(0.5, -0.5), twist_deg=3.0, slip=Slip.PARTIAL, slip_mm_s=0.5)
+    other = replace(two_objects[1], shear_mm=(-2.0, 0.25), twist_deg=-4.0, slip=Slip.FULL, slip_mm_s=6.0)
+    decoded = json.loads(messages.encode_contact(make_result(objects=(one, other)), fps=1.0))
+    told = [decoded[k] for k in ("shear_x_mm", "shear_y_mm", "twist_deg", "slip", "slip_mm_s")]
+    assert told == [-2.0, 0.25, -4.0, 2, 6.0]
 
 
 def test_contact_has_the_codes_of_its_reasons(make_result: Callable[..., Reconstruction]) -> None:

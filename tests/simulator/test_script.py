@@ -1,8 +1,11 @@
+import numpy as np
 import pytest
 
+from tacshade_edge.simulator.moving_scene import SLIDES
 from tacshade_edge.simulator.objects import OBJECTS, ball
 from tacshade_edge.simulator.press import Press
-from tacshade_edge.simulator.script import Script, demonstration
+from tacshade_edge.simulator.scene import SimulatedSensor
+from tacshade_edge.simulator.script import Drag, Script, demonstration
 
 
 def test_a_turn_is_pause_approach_hold_release() -> None:
@@ -10,6 +13,34 @@ def test_a_turn_is_pause_approach_hold_release() -> None:
     depths = [sum(p.depth_mm for p in script.at(k)) for k in range(script.period)]
     assert depths == pytest.approx([0, 0, 1, 2, 3, 4, 4, 2])
     assert script.at(script.period + 5) == script.at(5)
+
+
+def test_a_held_object_is_dragged_in_few_steps_and_lifted_in_few() -> None:
+    press = Press(ball(), 1.0, 2.0, 4.0, 30.0)
+    script = Script((press, press), approach=3, hold=12, release=6, pause=2, drags=(Drag(3.0, -1.5, 9.0),))
+    held = [script.at(5 + k)[0] for k in range(12)]
+    assert [p.drag_x_mm for p in held] == pytest.approx([0] * 3 + [1] * 2 + [2] * 2 + [3] * 5)
+    assert [script.at(k)[0].is_dragged for k in (2, 3, 4)] == [False] * 3
+    for each in held:
+        part = each.drag_x_mm / 3
+        assert (each.drag_y_mm, each.twist_deg, each.depth_mm) == pytest.approx((-1.5 * part, 9.0 * part, 4.0))
+        assert each.before_drag(np.array((each.x_mm, each.y_mm))) == pytest.approx((1.0, 2.0))
+        assert each.rotation_deg == pytest.approx(30.0 + each.twist_deg)
+    lifted = [script.at(17 + k)[0] for k in range(6)]
+    assert [p.depth_mm for p in lifted] == pytest.approx([3, 3, 2, 2, 1, 1])
+    assert {p.drag_x_mm for p in lifted} == {3.0}
+    assert script.at(23 + 16) == script.at(16)  # the second press, dragged as the first
+
+
+def test_the_demonstration_drags_twists_and_slips() -> None:
+    script, sensor = demonstration(), SimulatedSensor()
+    turn = script.period // len(script.presses)
+    last = [script.at(k * turn + 49)[0] for k in range(5)]
+    stuck = [sensor.frame((press,)).skin.stuck for press in last]
+    assert [bool(s) for s in stuck] == [False, True, False, True, True]
+    assert stuck[1][0] > 0.1
+    assert stuck[3][0] < SLIDES
+    assert last[4].twist_deg == 10.0
 
 
 def test_presses_come_in_turn() -> None:

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from support.toy_network import NOTHING_FOREIGN
 
 from tacshade_edge.core.calibration import gain
 from tacshade_edge.core.depth.learned import Inverse
@@ -51,7 +52,7 @@ def inverse_of(height_mm: float, bad: float | None = None) -> Inverse:
     height = np.full((CELLS, CELLS), height_mm, np.float32)
     if bad is not None:
         height[50:60, 50:60] = bad
-    return Inverse(height, np.full((CELLS, CELLS), 5, np.float32))
+    return Inverse(height, np.full((CELLS, CELLS), 5, np.float32), NOTHING_FOREIGN)
 
 
 @pytest.mark.parametrize("distance_mm", [None, 1e-6, 14.0, 1000.0])

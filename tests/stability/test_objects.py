@@ -72,7 +72,7 @@ def test_any_heights_are_described(
     rays = disc_rays(Grid(20, 22, 0.0, 0.0, 1.0), geometry)
     touched = touched & rays.inside
     map_mm = np.where(rays.inside, height, np.float32(np.nan))
-    found = find_objects(touched, map_mm, rays, geometry)
+    found = find_objects(touched, map_mm, None, rays, geometry)
     if found is None:
         return
     assert not (found.contact & ~touched).any()

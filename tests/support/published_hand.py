@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from types import TracebackType
 
 import numpy as np
@@ -10,7 +11,7 @@ from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion
 
 from tacshade_edge.protocol import messages, wire
-from tacshade_edge.types import Calibration, Disc, Geometry, HeightMap, ObjectCloud, Reconstruction, TouchedObject
+from tacshade_edge.types import Calibration, Disc, Geometry, HeightMap, ObjectCloud, Reconstruction, Slip, TouchedObject
 
 ROWS, COLS = 480, 640
 DISC = Disc(236.0, 328.0, 205.0)
@@ -60,6 +61,15 @@ def bump(seq: int, depth_mm: float, row: float, col: float, step_px: int = 1, wi
     )
 
 
+def dragged(result: Reconstruction, x_mm: float, y_mm: float, slip: Slip = Slip.STICK) -> Reconstruction:
+    """The same contact, whose skin went along with it: as far as it is deep, by this at the deepest."""
+    height = result.height.height_mm
+    part = height / np.nanmax(height) if result.contact else height
+    shear = np.stack((x_mm * part, y_mm * part), axis=-1).astype(np.float32)
+    objects = tuple(replace(o, shear_mm=(x_mm, y_mm), twist_deg=0.0, slip=slip, slip_mm_s=9.0) for o in result.objects)
+    return replace(result, shear_mm=shear, objects=objects)
+
+
 class PublishedHand:
     """Its retained topics are told when it is entered, its results when asked."""
 
@@ -105,4 +115,6 @@ class PublishedHand:
         """Publish a result as the daemon does."""
         self.tell("height", wire.encode_height(result, calibration_crc32=CRC))
         self.tell("cloud", wire.encode_cloud(result, calibration_crc32=CRC))
+        if result.shear_mm is not None:
+            self.tell("shear", wire.encode_shear(result, calibration_crc32=CRC))
         self.tell("contact", messages.encode_contact(result, fps=30.0))

@@ -15,9 +15,9 @@ from tacshade_edge.types import U8, Frame, Reconstruction
 def everything(result: Reconstruction) -> tuple[object, ...]:
     """All that a result says, bit for bit."""
     height, cloud = result.height, result.cloud
-    arrays = (height.height_mm, height.contact, cloud.points_mm, cloud.labels)
+    arrays = (height.height_mm, height.contact, cloud.points_mm, cloud.labels, result.shear_mm, result.untrusted)
     said = (result.valid, result.reason, result.contact, result.saturated, result.degraded, result.objects)
-    return (*said, result.volume_mm3, result.repaired_px, *(a.tobytes() for a in arrays))
+    return (*said, result.volume_mm3, result.repaired_px, *(a if a is None else a.tobytes() for a in arrays))
 
 
 def sound_step(made: Reconstructor, image: U8) -> Reconstruction:
@@ -56,6 +56,8 @@ def assert_sound(result: Reconstruction, made: Reconstructor) -> None:
         assert all(0 <= extent <= 2 * reach_mm for extent in touch.extent_mm)
         assert 0 <= touch.depth_max_mm <= reach_mm
         assert touch.area_mm2 > 0
+    if result.shear_mm is not None:
+        np.testing.assert_array_equal(np.isnan(result.shear_mm), np.repeat(~inside[..., None], 2, axis=2))
     if not result.contact:
         assert not height[inside].any()
         assert result.volume_mm3 == 0
@@ -74,4 +76,12 @@ def _assert_wire(result: Reconstruction) -> None:
     assert isinstance(cloud, wire.CloudMessage)
     assert cloud.points_mm.tobytes() == result.cloud.points_mm.tobytes()
     said = json.loads(messages.encode_contact(result, fps=0.0))
-    assert [key for key, value in said.items() if value is None] == ([] if result.contact else ["x_mm", "y_mm"])
+    nothing = {key for key, value in said.items() if value is None}
+    sheared = result.contact and result.shear_mm is not None
+    expected = {"slip", "slip_mm_s"} | (set() if result.contact else {"x_mm", "y_mm"})
+    assert nothing - {"twist_deg"} == expected | (set() if sheared else {"shear_x_mm", "shear_y_mm"})
+    if result.shear_mm is not None:
+        shear = wire.decode(wire.encode_shear(result, calibration_crc32=1))
+        assert isinstance(shear, wire.ShearMessage)
+        expected_mm = np.clip(result.shear_mm, -32.767, 32.767)
+        np.testing.assert_allclose(shear.shear_mm, expected_mm, atol=0.0006, equal_nan=True)

@@ -28,3 +28,6 @@ class ToySolver:
         """See `core.depth.Solver`."""
         whiter = self._inside & (self._cells.means(preprocessed.white) > self._reference + np.float32(0.1))
         return Depth(np.where(whiter, np.float32(DEPTH_MM), np.float32(0)), whiter)
+
+    def shear_mm(self, preprocessed: Preprocessed) -> None:
+        """Tell none."""

@@ -23,6 +23,9 @@ from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import U8, Calibration, Fit, Geometry
 
+UNLIKE_PART = 0.03
+"""Of the median press's disc: more that the network cannot explain is worth a word."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibrationResult:
@@ -84,6 +87,11 @@ def calibrate(
     graded = refits.get(GRADED_PROFILE)
     if graded and (hint := zero_hint(graded.found_mm, graded.placed, geometry)):
         warnings += (hint,)
+    if graded:
+        warnings += graded.left_out
+    if graded and graded.foreign_part > UNLIKE_PART:
+        part = 100 * graded.foreign_part
+        warnings += (f"unlike the sensors that the networks know: {part:.0f} % of the median press is not explained",)
     missing = missing_coverage(selection.observations, geometry)
     quality = assess(fit, geometry, missing, graded.errors_mm if graded else ())
     return CalibrationResult(fitted, warnings, quality)

@@ -101,7 +101,7 @@ def follow(origin: Calibration, current: Calibration, images: Sequence[U8]) -> F
         At least one.
     """
     greys = [greyscale.to_grey(image) for image in images]
-    check = sensor_check(origin)
+    check = sensor_check(origin, unloaded=True)
     for grey in greys:
         if reason := invalid_reason(grey, check):
             return Followed(None, None, reason)

@@ -11,7 +11,9 @@ from tacshade_edge.core.calibration import gain
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.press_observation import placed_indenter
 from tacshade_edge.core.depth import Network
-from tacshade_edge.core.depth.learned import Inverse, LearnedSolver
+from tacshade_edge.core.depth.learned import Inverse, LearnedSolver, foreign_cells
+from tacshade_edge.core.frame_check.foreign import FOREIGN_INVALID, foreign_part
+from tacshade_edge.core.geometry.disc import rays_in_image
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import Profile
 from tacshade_edge.types import Calibration, Geometry, ProfileFit
@@ -32,6 +34,10 @@ class Refit:
         Of each press the greatest h that the network finds without a refit.
     placed : tuple of Ball or PlacedIndenter
         Of each press where its indenter is by what is stated.
+    foreign_part : float
+        So much of the median press's disc the network cannot explain as this sensor's skin, 0 to 1.
+    left_out : tuple of str
+        Presses whose picture it would refuse, and why.
     """
 
     factor: float
@@ -39,6 +45,8 @@ class Refit:
     errors_mm: tuple[tuple[str, float], ...]
     found_mm: tuple[float, ...]
     placed: tuple[gain.Placed, ...]
+    foreign_part: float
+    left_out: tuple[str, ...]
 
 
 def refit_profile(
@@ -48,9 +56,14 @@ def refit_profile(
     geometry = calibration.geometry
     preprocessor = Preprocessor(calibration, profile)
     solver = LearnedSolver(preprocessor, network)
-    rows, found_mm, placed, names = [], [], [], []
+    rows, found_mm, placed, names, parts, left_out = [], [], [], [], [], []
+    inside = rays_in_image(solver.grid, calibration).inside
     for press in presses:
         inverse = solver.inverse(preprocessor.preprocess(preprocessor.grey(press.image)))
+        parts.append(foreign_part(foreign_cells(inverse, len(inverse.height_mm)), inside))
+        if parts[-1] > FOREIGN_INVALID:
+            left_out.append(f"{press.name}: {100 * parts[-1]:.0f} % of it does not show this sensor's skin; left out")
+            continue
         at = _placed(geometry, inverse, press)
         row = gain.press_rows(inverse, geometry, at) if at else None
         if at and row:
@@ -73,6 +86,8 @@ def refit_profile(
         tuple(zip(names, errors, strict=True)),
         tuple(float(found) for found in found_mm),
         tuple(placed),
+        float(np.median(parts)),
+        tuple(left_out),
     )
 
 

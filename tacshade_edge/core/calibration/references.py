@@ -136,7 +136,7 @@ def rezero(calibration: Calibration, images: Sequence[U8], allow_loaded: bool = 
         raise ConfigError("no image to take a reference from")
     greys = [greyscale.to_grey(image) for image in images]
     disc = calibration.geometry.disc
-    check = sensor_check(calibration)
+    check = sensor_check(calibration, unloaded=True)
     for grey in greys:
         if reason := invalid_reason(grey, check):
             raise ConfigError(f"reference refused: {reason}")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
+from tacshade_edge.core.contact.rigid_motion import RigidMotion, about_mean, normals, rigid_motions
 from tacshade_edge.core.depth.base import Depth
 from tacshade_edge.core.geometry.back_projection import cell_area_mm2, skin_planes
 from tacshade_edge.core.geometry.disc import DiscRays
@@ -48,14 +50,19 @@ class Objects:
 def contact_of(depth: Depth, inside: Bool) -> Bool:
     """Where the skin touches an object, bool (rows, cols): the solver's contact, else the paper's split of heights.
 
-    The split is of the heights as found: cut off at the skin's radius, those of a great α would all be one.
+    The split is of the heights as found: cut off at the skin's radius, those of a great α would all be one. What does
+    not show the skin is none.
     """
-    if depth.contact is not None:
-        return depth.contact
-    return inside & (depth.height_mm > two_means_split(depth.height_mm[inside]))
+    if depth.contact is None:
+        contact = inside & (depth.height_mm > two_means_split(depth.height_mm[inside]))
+    else:
+        contact = depth.contact
+    return contact if depth.foreign is None else contact & ~depth.foreign
 
 
-def find_objects(contact: Bool, height_mm: F32, rays: DiscRays, geometry: Geometry) -> Objects | None:
+def find_objects(
+    contact: Bool, height_mm: F32, shear_mm: F32 | None, rays: DiscRays, geometry: Geometry
+) -> Objects | None:
     """Tell apart what touches, and where in space its skin lies; None where nothing does.
 
     Parameters
@@ -64,15 +71,19 @@ def find_objects(contact: Bool, height_mm: F32, rays: DiscRays, geometry: Geomet
         Only cells with a height.
     height_mm : float32 (rows, cols)
         h, at most r; NaN outside the disc.
+    shear_mm : float32 (rows, cols, 2) or None
+        Displacement of the skin.
     rays : DiscRays
         Of the same grid.
     geometry : Geometry
     """
     box = bounding_box(contact)
-    return None if box is None else objects_in(box, contact, height_mm, rays, geometry)
+    return None if box is None else objects_in(box, contact, height_mm, shear_mm, rays, geometry)
 
 
-def objects_in(box: Box, contact: Bool, height_mm: F32, rays: DiscRays, geometry: Geometry) -> Objects | None:
+def objects_in(
+    box: Box, contact: Bool, height_mm: F32, shear_mm: F32 | None, rays: DiscRays, geometry: Geometry
+) -> Objects | None:
     """`find_objects` in some rows and columns; all that hold the contact and a cell around it give the same."""
     height = np.ascontiguousarray(height_mm[box])
     planes = skin_planes(height, rays.part(box), geometry)
@@ -87,7 +98,8 @@ def objects_in(box: Box, contact: Bool, height_mm: F32, rays: DiscRays, geometry
     cloud = ObjectCloud(np.ascontiguousarray(x_y_z.T), labels.take(cells))
     heights, areas = height.take(cells), area.take(cells)
     volume_mm3 = float((heights * areas).sum(dtype=np.float64))
-    return Objects(labelled, cloud, _described(x_y_z, cloud.labels, heights, areas), volume_mm3)
+    moved = None if shear_mm is None else shear_mm[box].reshape(-1, 2).take(cells, axis=0).T
+    return Objects(labelled, cloud, _described(x_y_z, cloud.labels, heights, areas, moved), volume_mm3)
 
 
 def bounding_box(contact: Bool) -> Box | None:
@@ -171,8 +183,10 @@ def cells_by_label(labels: U16) -> I64:
     return np.asarray(cells.take(labels.take(cells).argsort(kind="stable")), np.int64)
 
 
-def _described(x_y_z: F32, labels: U16, height_mm: F32, cell_area: F32) -> tuple[TouchedObject, ...]:
-    """Centroid, extent, depth and area of every labelled contact.
+def _described(
+    x_y_z: F32, labels: U16, height_mm: F32, cell_area: F32, shear_mm: F32 | None
+) -> tuple[TouchedObject, ...]:
+    """Centroid, extent, depth, area and motion of every labelled contact.
 
     Parameters
     ----------
@@ -182,19 +196,42 @@ def _described(x_y_z: F32, labels: U16, height_mm: F32, cell_area: F32) -> tuple
         Theirs, in order; no label is left out.
     height_mm, cell_area : float32 (N,)
         At the points.
+    shear_mm : float32 (2, N) or None
+        There.
     """
     numbers = np.arange(1, labels[-1] + 1, dtype=np.uint16)
     ends = labels.searchsorted(numbers, side="right")
     starts = np.zeros_like(ends)
     starts[1:] = ends[:-1]
     counts = ends - starts
-    middles = np.add.reduceat(x_y_z, starts, axis=1, dtype=np.float64) / counts
+    middles, points = about_mean(x_y_z, starts, counts)
     highest, lowest = (extreme.reduceat(x_y_z, starts, axis=1) for extreme in (np.maximum, np.minimum))
     extents = highest.astype(np.float64) - lowest
     depths = np.maximum.reduceat(height_mm, starts)
     areas = np.add.reduceat(cell_area, starts, dtype=np.float64)
-    columns = (middles.T.tolist(), extents.T.tolist(), depths.tolist(), areas.tolist())
+    columns = (
+        middles.T.tolist(),
+        extents.T.tolist(),
+        depths.tolist(),
+        areas.tolist(),
+        normals(points, starts).tolist(),
+    )
+    motions: Sequence[RigidMotion | None] = [None] * len(starts)
+    if shear_mm is not None:
+        motions = rigid_motions(points[:2], shear_mm, starts, counts)
     return tuple(
-        TouchedObject(label, (middle[0], middle[1], middle[2]), (extent[0], extent[1], extent[2]), depth, area)
-        for label, (middle, extent, depth, area) in enumerate(zip(*columns, strict=True), start=1)
+        TouchedObject(
+            label,
+            (middle[0], middle[1], middle[2]),
+            (extent[0], extent[1], extent[2]),
+            depth,
+            area,
+            (normal[0], normal[1], normal[2]),
+            None if motion is None else motion.shear_mm,
+            None if motion is None else motion.twist_deg,
+            None if motion is None else motion.strain_mm,
+        )
+        for label, ((middle, extent, depth, area, normal), motion) in enumerate(
+            zip(zip(*columns, strict=True), motions, strict=True), start=1
+        )
     )

@@ -28,17 +28,56 @@ class Depth:
         Some cell left the range of the calibration.
     repaired_px : int
         Cells whose value was not finite and was replaced by 0.
+    foreign : bool (rows, cols) or None
+        Where something else is shown than this sensor's skin; outside the disc it says nothing. None: not told.
     """
 
     height_mm: F32
     contact: Bool | None = None
     saturated: bool = False
     repaired_px: int = 0
+    foreign: Bool | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "height_mm")
-        if self.contact is not None:
-            freeze(self, "contact")
+        for name in ("contact", "foreign"):
+            if getattr(self, name) is not None:
+                freeze(self, name)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NetworkMaps:
+    """What a network makes of a frame.
+
+    Attributes
+    ----------
+    depth_and_contact : float32 (2 fold², N, N)
+    foreign : float32 (M, M)
+        Log odds that a cell, of fewer and wider ones, shows something else than the sensor's skin.
+    """
+
+    depth_and_contact: F32
+    foreign: F32
+
+
+@dataclass(frozen=True, slots=True)
+class DisplacementNetwork:
+    """A network that tells how the skin moved along itself; see `Network`.
+
+    Attributes
+    ----------
+    fold : int
+    cells : int
+        Along a side of the maps that it is given.
+    sense : callable
+    run : callable
+        To the displacement along x and y, (2, M, M).
+    """
+
+    fold: int
+    cells: int
+    sense: Callable[[F32], F32]
+    run: Callable[[F32, F32], F32]
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,12 +94,15 @@ class Network:
         What is known of a sensor, the reference's white folded and `learned.KNOWN` maps, (fold² + KNOWN, N, N), to what
         it adds to the first layer, (channels, N, N).
     run : callable
-        A frame's white folded, (fold², N, N), and what `sense` gave, to (2 fold², N, N).
+        A frame's white folded, (fold², N, N), and what `sense` gave, to `NetworkMaps`.
+    displacement : DisplacementNetwork
+        Run beside it where displacement is asked for.
     """
 
     fold: int
     sense: Callable[[F32], F32]
-    run: Callable[[F32, F32], F32]
+    run: Callable[[F32, F32], NetworkMaps]
+    displacement: DisplacementNetwork
 
 
 class Solver(Protocol):
@@ -71,8 +113,20 @@ class Solver(Protocol):
         """Where its cells lie, in the camera's pixels."""
         ...
 
+    @property
+    def tells_shear(self) -> bool:
+        """Whether its `shear_mm` tells anything."""
+        ...
+
     def solve(self, preprocessed: Preprocessed, mark: Mark) -> Depth:
         """Solve for one image in contact; `mark` is for stages before the last, ``depth``, which the caller marks."""
+        ...
+
+    def shear_mm(self, preprocessed: Preprocessed) -> F32 | None:
+        """Displacement along x and y of the skin at the grid's cells, float32 (rows, cols, 2); None: not told.
+
+        Finite; outside the disc it says nothing.
+        """
         ...
 
 

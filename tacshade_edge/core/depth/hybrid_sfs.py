@@ -148,6 +148,8 @@ class HybridSfs:
         From the maps and α in mm to depth.
     """
 
+    tells_shear = False
+
     def __init__(
         self,
         preprocessor: Preprocessor,
@@ -166,3 +168,6 @@ class HybridSfs:
         maps = self._grey_mapper.maps(preprocessed)
         mark("denoise")
         return self._depth(maps, self._alpha_mm)
+
+    def shear_mm(self, preprocessed: Preprocessed) -> None:
+        """See `Solver`: the paper has none."""

@@ -7,22 +7,20 @@ run is the caller's choice (`devices.weights.network` takes ONNX Runtime).
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from tacshade_edge.core.depth.base import Depth, Mark, Network
+from tacshade_edge.core.depth.displacement import LearnedDisplacement
+from tacshade_edge.core.depth.network_maps import fold, known_maps, scale_mm, unfold
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.disc import rays_in_image
 from tacshade_edge.core.image.integral_image import CellMeans
 from tacshade_edge.core.image.preprocess import Preprocessed, Preprocessor
 from tacshade_edge.types import F32, Bool, Geometry, freeze
 
-KNOWN = 6
-"""Maps of `disc_map.geometry_maps`."""
-
-HEIGHT_SCALE = 10.0
 # On a skin of 20 mm the training presses end at 6.5 mm; what is deeper reads 6.2 to 6.9.
 DEEPEST_RADII = 0.31
 
@@ -37,13 +35,16 @@ class Inverse:
         h; a little below 0 at times where nothing touches.
     contact_logit : float32 (cells, cells)
         Log odds that the skin touches an object.
+    foreign_logit : float32 (M, M)
+        Log odds that a cell, of fewer and wider ones, shows something else than this sensor's skin.
     """
 
     height_mm: F32
     contact_logit: F32
+    foreign_logit: F32
 
     def __post_init__(self) -> None:
-        freeze(self, "height_mm", "contact_logit")
+        freeze(self, "height_mm", "contact_logit", "foreign_logit")
 
 
 class LearnedInverse:
@@ -60,17 +61,15 @@ class LearnedInverse:
 
     def __init__(self, network: Network, geometry: Geometry, pitch_px: float, reference_white: F32) -> None:
         self._network = network
-        known = disc_map.geometry_maps(geometry, pitch_px, len(reference_white))
-        unit_mm = geometry.skin_radius_mm * math.sin(math.radians(geometry.visible_half_angle_deg))
-        self._mm = np.float32(unit_mm / HEIGHT_SCALE)
-        n = network.fold
-        self._sensor = network.sense(np.concatenate((fold(reference_white[None], n), known[:, ::n, ::n])))
+        self._mm = scale_mm(geometry)
+        self._sensor = network.sense(known_maps(geometry, pitch_px, reference_white, network.fold))
 
     def __call__(self, white: F32) -> Inverse:
         """Run it on a frame's white, float32 (cells, cells), 0 to 1."""
         n = self._network.fold
-        height, logit = unfold(self._network.run(fold(white[None], n), self._sensor), n)
-        return Inverse(height * self._mm, logit)
+        maps = self._network.run(fold(white[None], n), self._sensor)
+        height, logit = unfold(maps.depth_and_contact, n)
+        return Inverse(height * self._mm, logit, maps.foreign)
 
 
 class LearnedSolver:
@@ -83,6 +82,8 @@ class LearnedSolver:
         ValueError where it is missing.
     """
 
+    tells_shear = True
+
     def __init__(self, preprocessor: Preprocessor, network: Network | None) -> None:
         camera, calibration, profile = preprocessor.camera, preprocessor.calibration, preprocessor.profile
         if network is None:
@@ -92,6 +93,7 @@ class LearnedSolver:
         self._cells = CellMeans(preprocessor.integrator, disc_map.map_grid(calibration.geometry.disc, profile.cells))
         reference: F32 = self._cells.means(preprocessor.reference_white) / np.float32(255)
         self._inverse = LearnedInverse(network, calibration.geometry, calibration.pitch_px, reference)
+        self._preprocessor, self._network = preprocessor, network.displacement
         self._factor = np.float32(camera.factors.get(profile.name, 1.0))
         self._deepest_mm = np.float32(DEEPEST_RADII * camera.geometry.skin_radius_mm)
 
@@ -112,19 +114,27 @@ class LearnedSolver:
         contact &= self._inside
         deep = height > self._deepest_mm
         deep &= contact
-        return Depth(height, contact, bool(deep.any()), repaired_px)
+        return Depth(height, contact, bool(deep.any()), repaired_px, foreign_cells(inverse, len(height)))
+
+    def shear_mm(self, preprocessed: Preprocessed) -> F32 | None:
+        """See `Solver`."""
+        return self._displacement(self._displacement_cells.means(preprocessed.white), self.grid.rows)
+
+    @cached_property
+    def _displacement_cells(self) -> CellMeans:
+        grid = disc_map.map_grid(self._preprocessor.calibration.geometry.disc, self._network.cells)
+        return CellMeans(self._preprocessor.integrator, grid)
+
+    @cached_property
+    def _displacement(self) -> LearnedDisplacement:
+        """Prepared when it is asked for: few ask."""
+        calibration = self._preprocessor.calibration
+        reference: F32 = self._displacement_cells.means(self._preprocessor.reference_white) / np.float32(255)
+        return LearnedDisplacement(self._network, calibration.geometry, calibration.pitch_px, reference)
 
 
-def fold(maps: F32, by: int) -> F32:
-    """(C, N, N) to (by² C, N/by, N/by): each square of by x by cells becomes as many channels."""
-    c, n, _ = maps.shape
-    part = n // by
-    folded = maps.reshape(c, part, by, part, by).transpose(0, 2, 4, 1, 3)
-    return np.ascontiguousarray(folded).reshape(by * by * c, part, part)
-
-
-def unfold(maps: F32, by: int) -> F32:
-    """The inverse of `fold`: (by² C, N/by, N/by) to (C, N, N)."""
-    c, part, _ = maps.shape
-    unfolded = maps.reshape(c // by**2, by, by, part, part).transpose(0, 3, 1, 4, 2)
-    return np.ascontiguousarray(unfolded).reshape(c // by**2, by * part, by * part)
+def foreign_cells(inverse: Inverse, cells: int) -> Bool:
+    """Where a frame shows something else than the sensor's skin, bool (cells, cells)."""
+    foreign: Bool = inverse.foreign_logit > 0
+    each = cells // len(foreign)
+    return foreign.repeat(each, axis=0).repeat(each, axis=1)

@@ -21,7 +21,9 @@ LOST_STD = 3.0
 LOST_PART = 0.95
 LOST_ROWS = 2
 ROW_BLOCKS = 8
-# Blocks of the surround never change but with the light; half of this many levels is noise.
+# Blocks of the surround never change but with the light; half of this many levels is noise. It begins so many radii
+# from the disc's middle: a soft tip that sways carries its markers past the edge.
+SURROUND_FROM = 1.1
 SURROUND_LEVELS = 25.0
 SURROUND_PART = 0.15
 # The light may change by so much before the binarised image cannot be compared with the reference's.
@@ -81,7 +83,7 @@ def block_check(reference_grey: U8, disc: Disc, camera_px: int = 1) -> BlockChec
     inside = r < disc.radius_px - half_diagonal
     if not inside.any():
         return None
-    surround = (r > disc.radius_px + half_diagonal + 2) & (r < 1.35 * disc.radius_px)
+    surround = (r > SURROUND_FROM * disc.radius_px + half_diagonal) & (r < 1.35 * disc.radius_px)
     rows, cols = (slice(int(at.min()), int(at.max()) + 1) for at in np.nonzero(inside | surround))
     inside, surround = inside[rows, cols], surround[rows, cols]
     box = (_pixels(rows), _pixels(cols))

@@ -1,4 +1,4 @@
-"""Has the camera moved since the reference? Checked in contact, because a shifted pattern looks like one."""
+"""How far the camera moved since the reference: what explains a picture that is not the sensor's skin where it was."""
 
 from __future__ import annotations
 
@@ -7,9 +7,6 @@ import math
 import cv2
 import numpy as np
 
-from tacshade_edge.core.geometry import disc_map
-from tacshade_edge.core.image.integral_image import CellMeans, IntegralImage
-from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import F32
 
@@ -19,8 +16,6 @@ LEAST_PX, MOST_PITCHES = 1.8, 0.6
 # How sharply frame and reference must agree on it: a shifted camera without contact gives 0.6 and more, a contact under
 # which most of the pattern shifts 0.43 at most (800 presses of 13 objects on 8 sensors).
 LEAST_RESPONSE = 0.5
-# How often a contact that lasts is checked.
-PERIOD_NS = 100_000_000
 
 
 class CameraShift:
@@ -53,31 +48,3 @@ class CameraShift:
         if response < LEAST_RESPONSE or not LEAST_PX <= shift_px <= self._most_px:
             return None
         return Reason(ReasonCode.CAMERA_SHIFT, f"camera moved by {shift_px:.1f} px since the reference")
-
-
-class CameraShiftCheck:
-    """`CameraShift` of a stream of frames, every `PERIOD_NS`; of each frame once it has found one.
-
-    Parameters
-    ----------
-    preprocessor : Preprocessor
-        Whose images are checked.
-    """
-
-    def __init__(self, preprocessor: Preprocessor) -> None:
-        grid = disc_map.map_grid(preprocessor.calibration.geometry.disc)
-        self._cells = CellMeans(preprocessor.integrator, grid)
-        reference: F32 = self._cells.means(preprocessor.reference_white) / np.float32(255)
-        camera_px = preprocessor.camera_px
-        self._shift = CameraShift(reference, camera_px * grid.step_px, camera_px * preprocessor.calibration.pitch_px)
-        self._checked_ns = -PERIOD_NS
-
-    def due(self, t_ns: int) -> bool:
-        """Whether a frame of this time is to be checked; one of an earlier time belongs to a new stream."""
-        return not 0 < t_ns - self._checked_ns < PERIOD_NS
-
-    def check(self, white: IntegralImage, t_ns: int) -> Reason | None:
-        """Check a frame: `CameraShift.reason` of its white."""
-        reason = self._shift.reason(self._cells.means(white))
-        self._checked_ns = -PERIOD_NS if reason else t_ns
-        return reason

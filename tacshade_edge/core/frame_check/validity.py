@@ -62,6 +62,7 @@ class FrameCheck:
     bright : float
         Grey that a tenth of its disc exceeds, at least 1.
     tear : TearCheck or None
+        Of an unloaded skin only: rows of a pattern along the camera's rows, pressed, look torn.
     blocks : BlockCheck or None
         None when no block lies inside the disc.
     camera_px : int
@@ -87,8 +88,10 @@ class FrameCheck:
         freeze(self, "mask", "pairs", "sampled")
 
 
-def frame_check(reference_grey: U8, mask: Bool, disc: Disc, camera_px: int = 1) -> FrameCheck:
-    """Prepare the check from the mean reference image."""
+def frame_check(
+    reference_grey: U8, mask: Bool, disc: Disc, camera_px: int = 1, *, unloaded: bool = False
+) -> FrameCheck:
+    """Prepare the check from the mean reference image; `unloaded`: nothing touches the skin in what is checked."""
     box = _around(mask)
     reference, inside = reference_grey[box], np.where(mask[box], np.uint8(255), np.uint8(0))
     pairs, sampled = np.ascontiguousarray(inside[::8, 1:]), _sample(inside)
@@ -104,17 +107,17 @@ def frame_check(reference_grey: U8, mask: Bool, disc: Disc, camera_px: int = 1) 
         step=_noise_step(reference, pairs),
         saturated_part=SATURATED_PART + (float(np.mean(reference[inside > 0] >= SATURATED_LEVEL)) if mask.any() else 0),
         bright=max(_bright(_sample(reference), sampled), 1.0),
-        tear=tear_check(reference_grey, mask),
+        tear=tear_check(reference_grey, mask) if unloaded else None,
         blocks=block_check(reference_grey, disc, camera_px),
         camera_px=camera_px,
     )
 
 
-def sensor_check(calibration: Calibration, camera_px: int = 1) -> FrameCheck:
+def sensor_check(calibration: Calibration, camera_px: int = 1, *, unloaded: bool = False) -> FrameCheck:
     """`frame_check` with a calibration's reference."""
     disc = calibration.geometry.disc
     mask = disc_mask(calibration.image_height_px, calibration.image_width_px, disc)
-    return frame_check(calibration.reference_grey, mask, disc, camera_px)
+    return frame_check(calibration.reference_grey, mask, disc, camera_px, unloaded=unloaded)
 
 
 def _around(mask: Bool) -> Box:

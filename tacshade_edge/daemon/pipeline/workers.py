@@ -9,13 +9,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
+from tacshade_edge.core.contact.tracking import ContactTracker, follow
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.pipeline.ledger import FrameLedger, FrameOutcome, Timings
 from tacshade_edge.daemon.pipeline.mailbox import Mailbox
 from tacshade_edge.devices.base import FrameSource
 from tacshade_edge.errors import DecodeError, DeviceError
 from tacshade_edge.reasons import Reason
-from tacshade_edge.types import Calibration, Frame, Reconstruction
+from tacshade_edge.types import Calibration, Frame, Need, Reconstruction
 
 _log = logging.getLogger(__name__)
 
@@ -116,8 +117,8 @@ class Grab:
 class Sink(Protocol):
     """Where reconstructions go."""
 
-    def needs_depth(self) -> bool:
-        """Whether more of a contact is needed than that it is there."""
+    def need(self) -> Need:
+        """How much of the next frame is asked for."""
         ...
 
     def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> FrameOutcome | None:
@@ -147,6 +148,7 @@ class Reconstruct:
         self.watch: Callable[[Frame, Reconstruction], None] | None = None
         # observe(profile, now_ns, capture_to_offer_ms, step_ms) after each reconstructed contact; must not wait.
         self.observe: Callable[[str, int, float, float], None] | None = None
+        self._tracker = ContactTracker()
         self.taken = self.processed = 0  # frames; they differ while one is in work
         self._mailbox = mailbox
         self._ledger = ledger
@@ -174,8 +176,10 @@ class Reconstruct:
 
         reconstructor = self.reconstructor
         began_ns = last_ns
-        whole = self.watch is not None or self._sink.needs_depth()
-        result = (reconstructor.step if whole else reconstructor.glance)(frame, mark)
+        need = max(Need.DEPTH if self.watch else Need.CONTACT, self._sink.need())
+        result = reconstructor.step(frame, mark, need)
+        if result and result.valid:
+            result = follow(self._tracker, result)
         step_ms = (time.monotonic_ns() - began_ns) / 1e6
         outcome = self._sink.deliver(frame, result, reconstructor.calibration)
         mark("deliver")

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from tacshade_edge.daemon.pipeline.ledger import FrameOutcome
 from tacshade_edge.protocol import messages, wire
-from tacshade_edge.types import Calibration, Frame, Reconstruction
+from tacshade_edge.types import Calibration, Frame, Need, Reconstruction, Slip
 
 CONTACT_PERIOD_NS = 100_000_000  # without contact; in contact every frame tells
 
@@ -14,17 +14,22 @@ CONTACT_PERIOD_NS = 100_000_000  # without contact; in contact every frame tells
 class Publisher:
     """The `Sink` of the daemon.
 
-    With contact: ``height``, ``cloud`` and ``contact`` of every frame. Without: one zero ``height`` when the
-    contact ends (flagged when an invalid frame ended it), then only ``contact`` at 10 Hz. A frame whose
-    height is offered is settled by what becomes of that offer. What nobody listens to is left out, but never the
-    begin or end of a contact that is or was published: nobody is left with an older truth.
+    With contact: ``height``, ``cloud``, ``shear`` and ``contact`` of every frame, and one ``event/slip`` when an object
+    begins to slide. Without: one zero ``height`` when the contact ends (flagged when an invalid frame ended it), then
+    only ``contact`` at 10 Hz. A frame whose height is offered is settled by what becomes of that offer. What nobody
+    listens to is left out, but never the begin or end of a contact that is or was published: nobody is left with an
+    older truth.
 
     Parameters
     ----------
     offer : callable
         ``offer(stream, payload, seq)``; must not wait.
+    tell : callable
+        ``tell(topic, payload)`` of an event; must not wait.
     has_listener : callable
         ``has_listener(stream)``; by default every stream has one.
+    always_shear : bool
+        Displacement is asked for whoever listens: for slip, and for its numbers in ``contact``.
 
     Attributes
     ----------
@@ -35,18 +40,27 @@ class Publisher:
     """
 
     def __init__(
-        self, offer: Callable[[str, bytes, int], None], has_listener: Callable[[str], bool] = lambda stream: True
+        self,
+        offer: Callable[[str, bytes, int], None],
+        tell: Callable[[str, bytes], None],
+        has_listener: Callable[[str], bool] = lambda stream: True,
+        always_shear: bool = False,
     ) -> None:
         self._offer = offer
+        self._tell = tell
         self._has_listener = has_listener
+        self.always_shear = always_shear
+        self._sliding: frozenset[int | None] = frozenset()
         self._contact = False
         self._contact_sent_ns: int | None = None
         self.fps = 0.0
         self.latest: tuple[Frame, Reconstruction] | None = None
 
-    def needs_depth(self) -> bool:
-        """Whether anyone listens to what is made from depth."""
-        return any(map(self._has_listener, ("height", "cloud", "contact")))
+    def need(self) -> Need:
+        """How much of a frame those who listen ask for."""
+        if self.always_shear or self._has_listener("shear"):
+            return Need.SHEAR
+        return Need.DEPTH if any(map(self._has_listener, ("height", "cloud", "contact"))) else Need.CONTACT
 
     def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> FrameOutcome | None:
         """Offer what is in this result; None is a contact without its depth."""
@@ -64,6 +78,13 @@ class Publisher:
         if result.contact and (changed or self._has_listener("cloud")):
             cloud = wire.encode_cloud(result, calibration_crc32=crc32, pose=pose, pose_error_us=error_us)
             self._offer("cloud", cloud, result.seq)
+        if result.shear_mm is not None and (result.contact or changed) and self._has_listener("shear"):
+            shear = wire.encode_shear(result, calibration_crc32=crc32, pose=pose, pose_error_us=error_us)
+            self._offer("shear", shear, result.seq)
+        sliding = {o.id: o for o in result.objects if o.slip is Slip.FULL}
+        for began in sliding.keys() - self._sliding:
+            self._tell("event/slip", messages.encode_slip(result, sliding[began]))
+        self._sliding = frozenset(sliding)
         sent_ns = self._contact_sent_ns
         due = result.contact or sent_ns is None or result.t_ns - sent_ns >= CONTACT_PERIOD_NS
         if changed or (due and self._has_listener("contact")):

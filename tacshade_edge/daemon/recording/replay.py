@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from tacshade_edge.core.contact.tracking import ContactTracker, follow
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.pipeline.ledger import Timings
 from tacshade_edge.devices.files.recording import RecordedFrame, Recording
@@ -96,7 +97,7 @@ def replay(
         The first image is not of the calibration's size: another sensor's recording.
     """
     begin_ns = time.monotonic_ns()
-    pause = threading.Event()
+    pause, tracker = threading.Event(), ContactTracker()
     while True:
         try:
             recorded = recording.read()
@@ -113,7 +114,7 @@ def replay(
         if speed is not None:
             due_ns = begin_ns + (frame.t_ns - progress.first_ns) / speed
             pause.wait(max(0.0, (due_ns - time.monotonic_ns()) / 1e9))
-        result = _timed(reconstructor, recorded, sinks, progress.timings)
+        result = _timed(reconstructor, recorded, tracker, sinks, progress.timings)
         progress.frames += 1
         progress.contacts += result.contact
         progress.invalid += not result.valid
@@ -122,7 +123,11 @@ def replay(
 
 
 def _timed(
-    reconstructor: Reconstructor, recorded: RecordedFrame, sinks: Sequence[Deliver], timings: Timings
+    reconstructor: Reconstructor,
+    recorded: RecordedFrame,
+    tracker: ContactTracker,
+    sinks: Sequence[Deliver],
+    timings: Timings,
 ) -> Reconstruction:
     last_ns = time.monotonic_ns()
     ms: dict[str, float] = {}
@@ -134,6 +139,8 @@ def _timed(
         last_ns = now_ns
 
     result = reconstructor.step(recorded.frame, mark)
+    if result.valid:
+        result = follow(tracker, result)
     for deliver in sinks:
         deliver(recorded, result)
     mark("deliver")

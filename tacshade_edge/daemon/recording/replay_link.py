@@ -48,7 +48,6 @@ class ReplayLink:
         self._open = 0
         self._began_s = 0.0
         self._frames = 0
-        self._publisher = Publisher(self._offer)
         self._link = MqttLink(
             **broker,
             base_topic=f"tacshade/{sensor_id}",
@@ -56,6 +55,7 @@ class ReplayLink:
             on_request=self._on_request,
             on_outcome=self._on_outcome,
         )
+        self._publisher = Publisher(self._offer, self._link.tell)
 
     def start(self) -> None:
         """Connect. Raises DeviceError: unlike the daemon, a replay does not wait for a broker that is away."""

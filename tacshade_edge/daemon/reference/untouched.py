@@ -5,7 +5,7 @@ from __future__ import annotations
 from tacshade_edge.daemon.pipeline.ledger import FrameOutcome
 from tacshade_edge.daemon.pipeline.workers import Sink
 from tacshade_edge.reasons import Reason
-from tacshade_edge.types import U8, Calibration, Frame, Reconstruction
+from tacshade_edge.types import U8, Calibration, Frame, Need, Reconstruction
 
 UNTOUCHED_FRAMES = 10
 # A dent that a release leaves is gone after 3 s; a soft skin under a long press needs a little more.
@@ -85,8 +85,8 @@ class _ObservingSink:
         self._sink = sink
         self._frames = frames
 
-    def needs_depth(self) -> bool:
-        return self._sink.needs_depth()
+    def need(self) -> Need:
+        return self._sink.need()
 
     def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> FrameOutcome | None:
         outcome = self._sink.deliver(frame, result, calibration)

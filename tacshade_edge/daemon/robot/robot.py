@@ -16,7 +16,7 @@ from tacshade_edge.daemon.robot.serial_commands import SerialCommands
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.protocol.messages import Request, encode_status
 from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.types import Calibration, Frame, Reconstruction
+from tacshade_edge.types import Calibration, Frame, Need, Reconstruction
 
 # A frame waits so long for the pose after it: that of a robot that sends ten a second is there then.
 POSE_WAIT_NS = 120_000_000
@@ -122,8 +122,8 @@ class _PoseSink:
         self._sink = sink
         self._robot = robot
 
-    def needs_depth(self) -> bool:
-        return self._robot.commands.capture_pending or self._sink.needs_depth()
+    def need(self) -> Need:
+        return max(Need.DEPTH if self._robot.commands.capture_pending else Need.CONTACT, self._sink.need())
 
     def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> FrameOutcome | None:
         frame = self._robot.with_pose(frame)

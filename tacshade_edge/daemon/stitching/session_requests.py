@@ -14,7 +14,7 @@ from tacshade_edge.daemon.stitching.map_publisher import MapPublisher
 from tacshade_edge.daemon.stitching.session_worker import SessionWorker
 from tacshade_edge.protocol.messages import Request, encode_status
 from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.types import Calibration, Frame, Reconstruction
+from tacshade_edge.types import Calibration, Frame, Need, Reconstruction
 
 if TYPE_CHECKING:
     from tacshade_edge.daemon.robot.robot import Robot  # imports pyserial
@@ -99,8 +99,8 @@ class _ObservingSink:
         self._sink = sink
         self._worker = worker
 
-    def needs_depth(self) -> bool:
-        return self._worker.open or self._sink.needs_depth()
+    def need(self) -> Need:
+        return max(Need.DEPTH if self._worker.open else Need.CONTACT, self._sink.need())
 
     def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> FrameOutcome | None:
         outcome = self._sink.deliver(frame, result, calibration)

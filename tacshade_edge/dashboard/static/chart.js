@@ -1,4 +1,4 @@
-// Greatest depth over the last minute.
+// Greatest depth over the last minute, and when something slipped.
 
 import uPlot from "./vendor/uPlot.esm.js";
 
@@ -15,23 +15,27 @@ export class DepthChart {
   clear() {
     this.times = [];
     this.depths = [];
+    this.slips = []; // depth where something slipped, else null
     this.build();
   }
 
   /** One value, at the time when it arrived: the hand's clock is not this machine's. */
-  add(depth_mm) {
+  add(depth_mm, slips) {
     const now = performance.now() / 1000, last = this.times.at(-1);
     if (last !== undefined && now - last > GAP_S) {
       this.times.push(last + GAP_S / 2);
       this.depths.push(null); // nothing was heard: no line
+      this.slips.push(null);
     }
     this.times.push(now);
     this.depths.push(depth_mm);
+    this.slips.push(slips ? depth_mm : null);
     let old = 0;
     while (this.times[old] < now - SPAN_S) old++;
     if (old > 200) {
       this.times.splice(0, old);
       this.depths.splice(0, old);
+      this.slips.splice(0, old);
     }
     this.timer ||= setTimeout(() => this.draw(), PERIOD_MS);
   }
@@ -40,7 +44,7 @@ export class DepthChart {
     clearTimeout(this.timer);
     this.timer = 0;
     const now = performance.now() / 1000;
-    this.plot.setData([this.times.map((time) => time - now), this.depths], false);
+    this.plot.setData([this.times.map((time) => time - now), this.depths, this.slips], false);
     this.plot.setScale("x", { min: -SPAN_S, max: 0 });
   }
 
@@ -58,8 +62,12 @@ export class DepthChart {
         { ...axis, size: 28, values: (_plot, ticks) => ticks.map((tick) => (tick === 0 ? "now" : `${tick} s`)) },
         { ...axis, size: 44 },
       ],
-      series: [{}, { stroke: colour("--accent"), width: 1.5, points: { show: false } }],
-    }, [[], []], this.host);
+      series: [
+        {},
+        { stroke: colour("--accent"), width: 1.5, points: { show: false } },
+        { stroke: colour("--bad"), width: 0, points: { show: true, size: 6, fill: colour("--bad") } },
+      ],
+    }, [[], [], []], this.host);
     this.draw();
   }
 

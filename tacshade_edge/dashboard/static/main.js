@@ -1,5 +1,6 @@
 // The page: hands, what is known of the chosen one, and when it is drawn.
 
+import { drawArrows } from "./arrows.js";
 import { DepthChart } from "./chart.js";
 import { objectColour } from "./colours.js";
 import { zeroMap } from "./geometry.js";
@@ -11,14 +12,15 @@ import { SkinView } from "./skin3d.js";
 import { decode } from "./wire.js";
 
 const CONTACT = 1, INVALID = 2, SATURATED = 4, DEGRADED = 8;
+const FULL_SLIP = 2;
 const STALE_MS = 3000, RELEASE_LOST_MS = 500;
 const MAP_MS = 60000; // a board takes seconds for the final map of a thousand presses
-const STREAMS = ["height", "cloud", "contact", "health", "preview", "status/+", "res/+", "map/+"];
+const STREAMS = ["height", "cloud", "shear", "contact", "health", "preview", "status/+", "res/+", "map/+"];
 const $ = (id) => document.getElementById(id);
 const text = new TextDecoder();
 
 const hands = new Map(); // sensor id -> { state, info }
-let chosen = null, view = emptyView(), undecodable = 0, drawn = 0, drawTimes = [], scheduled = false, picture = "";
+let chosen = null, view = emptyView(), undecodable = 0, drawn = 0, arrows = 0, drawTimes = [], scheduled = false, picture = "";
 let link = null, asking = false;
 
 const heights = new HeightView(), stitched = new MapView(), skin = new SkinView(), chart = new DepthChart();
@@ -28,7 +30,7 @@ link.subscribe("tacshade/+/state", "tacshade/+/info");
 /** All that is known of the chosen hand. */
 function emptyView() {
   return {
-    height: null, cloud: null, map: null, mapPayload: null, mapCloud: null, told: {}, contact: null, health: null, parts: new Map(), heard_ms: null, height_ms: 0, age_ms: null,
+    height: null, cloud: null, shear: null, map: null, mapPayload: null, mapCloud: null, told: {}, contact: null, health: null, parts: new Map(), heard_ms: null, height_ms: 0, age_ms: null,
   };
 }
 
@@ -42,7 +44,7 @@ function take(topic, payload) {
 }
 
 function takeChosen(what, payload) {
-  if (what === "height" || what === "cloud") {
+  if (what === "height" || what === "cloud" || what === "shear") {
     view[what] = payload;
     if (what === "height") view.heard_ms = view.height_ms = performance.now();
     schedule();
@@ -50,7 +52,7 @@ function takeChosen(what, payload) {
     json(payload, (contact) => {
       view.contact = contact;
       view.heard_ms = performance.now();
-      chart.add(contact.depth_max_mm);
+      chart.add(contact.depth_max_mm, contact.slip === FULL_SLIP);
       schedule();
     });
   } else if (what === "health") {
@@ -130,6 +132,7 @@ function choose(sensor) {
   stitched.clear();
   skin.clear();
   chart.clear();
+  arrows = drawArrows($("arrows"), null, null);
   $("preview").hidden = true;
   $("answer").textContent = "";
   $("waiting").hidden = true;
@@ -184,12 +187,20 @@ function draw() {
     heights.draw(map, geometry);
     skin.setSkin(map, geometry, heights.scale_mm);
     tellFlags(map.flags);
-    if (!(map.flags & CONTACT)) tellObjects(null);
+    if (!(map.flags & CONTACT)) {
+      tellObjects(null);
+      arrows = drawArrows($("arrows"), null, null);
+    }
   }
   if (view.cloud) {
     const cloud = decoded(view.cloud);
     view.cloud = null;
     if (cloud && view.map && view.map.flags & CONTACT) tellObjects(cloud);
+  }
+  if (view.shear) {
+    const shear = decoded(view.shear);
+    view.shear = null;
+    if (shear && view.map && view.map.flags & CONTACT) arrows = drawArrows($("arrows"), shear, geometry);
   }
   drawStitched();
   showContact(view.contact);
@@ -390,6 +401,8 @@ $("range").addEventListener("change", () => {
 /** What the page shows, for tests and for the browser's console; it changes nothing. */
 window.tacshade = Object.freeze({
   get drawn() { return drawn; },
+  get arrows() { return arrows; },
+  get slips() { return chart.slips.filter((depth) => depth !== null).length; },
   get undecodable() { return undecodable; },
   get sensor() { return chosen; },
   get seq() { return view.map?.seq ?? null; },

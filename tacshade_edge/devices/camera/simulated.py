@@ -35,7 +35,8 @@ class SimulatedSource:
     script : Script, optional
         What is pressed at each frame; by default every object in turn.
     ring : int
-        0: every frame is drawn when it is due (10 to 40 ms). N: the first N frames of the script are drawn by
+        0: every frame is drawn when it is due (10 to 40 ms; 60 to 170 at each of the few places of an object that is
+        dragged, which costs the frames that were due meanwhile). N: the first N frames of the script are drawn by
         `open` (0.9 MB each at 640x480) and then repeated, so that reading them costs nothing.
     """
 

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tacshade_edge.devices.files.run_files import CLOUDS, HEIGHTS, payloads, read_summary
+from tacshade_edge.devices.files.run_files import CLOUDS, HEIGHTS, SHEARS, payloads, read_summary
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol import wire
 
-Message = wire.HeightMessage | wire.CloudMessage
+Message = wire.HeightMessage | wire.CloudMessage | wire.ShearMessage
 
 
 def first_difference(folder: Path, against: Path) -> str:
@@ -28,14 +28,15 @@ def first_difference(folder: Path, against: Path) -> str:
     """
     runs = folder, against
     records, others = (read_summary(run) for run in runs)
-    heights, other_heights = (payloads(run, HEIGHTS) for run in runs)
-    clouds, other_clouds = (payloads(run, CLOUDS) for run in runs)
+    names = [HEIGHTS, CLOUDS]
+    if all((run / SHEARS).exists() and (run / SHEARS).stat().st_size for run in runs):
+        names.append(SHEARS)
+    streams = [(name, payloads(folder, name), payloads(against, name)) for name in names]
     for index, (record, other) in enumerate(zip(records, others, strict=False)):
         where = f"frame {index} ({record.get('image')})"
         if said := _record_difference(record, other):
             return f"{where}: {said}"
-        pairs = (HEIGHTS, heights, other_heights), (CLOUDS, clouds, other_clouds)
-        for name, mine, theirs in pairs:
+        for name, mine, theirs in streams:
             one, two = next(mine, None), next(theirs, None)
             for run, payload in zip(runs, (one, two), strict=True):
                 if payload is None:

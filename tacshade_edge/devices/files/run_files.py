@@ -21,7 +21,8 @@ from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.protocol import wire
 from tacshade_edge.types import Reconstruction
 
-HEIGHTS, CLOUDS, SUMMARY, TIMINGS = "heights.bin", "clouds.bin", "summary.json", "timings.json"
+HEIGHTS, CLOUDS, SHEARS, SUMMARY, TIMINGS = "heights.bin", "clouds.bin", "shears.bin", "summary.json", "timings.json"
+_ENCODERS = {HEIGHTS: wire.encode_height, CLOUDS: wire.encode_cloud, SHEARS: wire.encode_shear}
 _PAYLOAD_BYTES_AT = 84
 
 
@@ -48,16 +49,18 @@ class RunWriter:
         self._whole = False
         with disk_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
-            for name in (SUMMARY, TIMINGS, HEIGHTS, CLOUDS):
+            for name in (SUMMARY, TIMINGS, *_ENCODERS):
                 (folder / name).unlink(missing_ok=True)
-            for name in (HEIGHTS, CLOUDS):
+            for name in _ENCODERS:
                 self._streams[name] = part(folder / name).open("wb")
 
     def add(self, recorded: RecordedFrame, result: Reconstruction) -> None:
         """Write a frame."""
         frame = recorded.frame
         with disk_errors(self._folder):
-            for name, encode in ((HEIGHTS, wire.encode_height), (CLOUDS, wire.encode_cloud)):
+            for name, encode in _ENCODERS.items():
+                if name == SHEARS and result.shear_mm is None:
+                    continue
                 payload = encode(
                     result, calibration_crc32=self._crc32, pose=frame.pose, pose_error_us=frame.pose_error_us
                 )
@@ -72,7 +75,7 @@ class RunWriter:
                 os.fsync(stream.fileno())
                 stream.close()
             lines = ",\n".join(json.dumps(record) for record in self._records)  # a line each, for diff and grep
-            for name in (HEIGHTS, CLOUDS):
+            for name in _ENCODERS:
                 part(self._folder / name).replace(self._folder / name)
             write_whole(self._folder / TIMINGS, (json.dumps(timings, indent=2) + "\n").encode())
             write_whole(self._folder / SUMMARY, f"[\n{lines}\n]\n".encode())
@@ -84,7 +87,7 @@ class RunWriter:
         for stream in self._streams.values():
             with contextlib.suppress(OSError):
                 stream.close()
-        for name in () if self._whole else (HEIGHTS, CLOUDS, TIMINGS):
+        for name in () if self._whole else (*_ENCODERS, TIMINGS):
             for path in (part(self._folder / name), self._folder / name):
                 with contextlib.suppress(OSError):
                     path.unlink(missing_ok=True)
@@ -124,7 +127,7 @@ def read_summary(folder: Path) -> list[dict[str, Any]]:
 
 
 def payloads(folder: Path, name: str) -> Iterator[bytes]:
-    """Every payload of ``heights.bin`` or ``clouds.bin``, in order.
+    """Every payload of ``heights.bin``, ``clouds.bin`` or ``shears.bin``, in order.
 
     Raises
     ------

@@ -32,7 +32,7 @@ from tacshade_edge.reasons import Reason, ReasonCode
 _log = logging.getLogger(__name__)
 
 _UNSENT_PER_STREAM: Final = 2
-_REPLIES_OPEN_MAX: Final = 16
+_ANSWERS_OPEN_MAX: Final = 16
 _STREAM_EXPIRY_S: Final = 5  # a broker drops what a stalled subscriber did not take by then
 _NO_LISTENER: Final = 0x10  # "no matching subscribers", MQTT 5
 _JSON: Final = "application/json"
@@ -45,7 +45,7 @@ _CONTENT_TYPES: Final = {
 }
 _COUNTERS: Final = (
     *("connects", "losses", "published", "superseded", "failed", "refused"),
-    *("requests", "bad_requests", "replies", "replies_dropped"),
+    *("requests", "bad_requests", "replies", "replies_dropped", "events", "events_dropped"),
 )
 
 
@@ -94,9 +94,9 @@ class MqttLink:
         self._reason: Reason | None = self._with_address(ReasonCode.STARTING, "not started")
         self._epoch = 0  # counts lost connections: what was handed over in an older one is settled already
         self._outlets: dict[str, Outlet] = {}
-        self._by_mid: dict[int, tuple[Outlet, Item, int] | None] = {}  # with its QoS; None: a reply
+        self._by_mid: dict[int, tuple[Outlet, Item, int] | None] = {}  # with its QoS; None: sent once
         self._early: dict[int, int] = {}  # what paho's thread reported before publish() had returned the number
-        self._replies_open = 0
+        self._answers_open = 0
         self._counters: Counter[str] = Counter()
         self._thread: threading.Thread | None = None
         self._client = make_client(
@@ -199,7 +199,12 @@ class MqttLink:
 
     def reply(self, request: Request, payload: bytes) -> None:
         """Answer a request on ``res/<verb>``, or where its MQTT 5 properties say. Lost with the connection."""
-        self._answer(request.response_topic or f"{self._base}/res/{request.verb}", payload, request.correlation)
+        topic = request.response_topic or f"{self._base}/res/{request.verb}"
+        self._send_once("replies", topic, payload, request.correlation)
+
+    def tell(self, topic: str, payload: bytes) -> None:
+        """Say once what happened, under the base topic (QoS 1, not retained). Lost with the connection, and counted."""
+        self._send_once("events", f"{self._base}/{topic}", payload, None)
 
     # -- sending --------------------------------------------------------------------------------------------------
 
@@ -243,21 +248,21 @@ class MqttLink:
             if not taken:
                 return
 
-    def _answer(self, topic: str, payload: bytes, correlation: bytes | None) -> None:
-        """Publish a reply (QoS 1); dropped when not connected or when 16 are not yet acknowledged."""
+    def _send_once(self, kind: str, topic: str, payload: bytes, correlation: bytes | None) -> None:
+        """Publish a reply or an event (QoS 1); dropped when not connected or when 16 are not yet acknowledged."""
         with self._lock:
-            if not self._connected or self._replies_open >= _REPLIES_OPEN_MAX:
-                self._counters["replies_dropped"] += 1
+            if not self._connected or self._answers_open >= _ANSWERS_OPEN_MAX:
+                self._counters[f"{kind}_dropped"] += 1
                 return
-            self._replies_open += 1
-            self._counters["replies"] += 1
+            self._answers_open += 1
+            self._counters[kind] += 1
             epoch = self._epoch
         info = self._client.publish(topic, payload, 1, False, publish_properties(_JSON, correlation=correlation))
         with self._lock:
             if epoch != self._epoch:
                 return
             if info.rc != MQTTErrorCode.MQTT_ERR_SUCCESS or self._early.pop(info.mid, None) is not None:
-                self._replies_open -= 1
+                self._answers_open -= 1
             else:
                 self._by_mid[info.mid] = None
 
@@ -283,7 +288,7 @@ class MqttLink:
         self._epoch += 1
         self._by_mid.clear()
         self._early.clear()
-        self._replies_open = 0
+        self._answers_open = 0
         self._changed.notify_all()
         return [(o.topic, item) for o in self._outlets.values() for item in o.give_back()]
 
@@ -360,7 +365,7 @@ class MqttLink:
                 return
             entry = self._by_mid.pop(mid)
             if entry is None:
-                self._replies_open -= 1
+                self._answers_open -= 1
                 return
             outlet, item, qos = entry
             self._done(outlet, item, qos, code.value)
@@ -381,7 +386,7 @@ class MqttLink:
             with self._lock:
                 self._counters["bad_requests"] += 1
             answer = encode_error(parse_transaction(payload), error.reason)
-            self._answer(response_topic or f"{self._base}/res/{verb}", answer, correlation)
+            self._send_once("replies", response_topic or f"{self._base}/res/{verb}", answer, correlation)
             return
         with self._lock:
             self._counters["requests"] += 1

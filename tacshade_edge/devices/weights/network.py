@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
+from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from tacshade_edge.core.depth import Network
+from tacshade_edge.core.depth import DisplacementNetwork, Network, NetworkMaps
 from tacshade_edge.core.profiles import PROFILES, Profile
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.types import F32, Calibration
@@ -24,19 +26,39 @@ def load_network(name: str) -> Network:
 
 
 def read_network(onnx: Path) -> Network:
-    """Read an ONNX file, and those beside it: its JSON file and ``.sensor.onnx`` (tools/train/export.py)."""
-    fold = int(json.loads(onnx.with_suffix(".json").read_text())["fold"])
-    session = _session(onnx)
+    """Read an ONNX file and those beside it: JSON and ``.sensor.onnx`` (tools/train/export.py)."""
+    session, about = _session(onnx), _about(onnx)
 
+    def run(white: F32, sensor: F32) -> NetworkMaps:
+        maps, foreign = session.run(None, {"white": white[None], "sensor": sensor[None]})
+        return NetworkMaps(maps[0], foreign[0, 0])
+
+    return Network(int(about["fold"]), _sensing(onnx), run, read_displacement(WEIGHTS / "displacement.onnx"))
+
+
+def read_displacement(onnx: Path) -> DisplacementNetwork:
+    """Read the network of displacement; it is loaded when it is first run."""
+    about = _about(onnx)
+    session = cache(lambda: _session(onnx))
+
+    def run(white: F32, sensor: F32) -> F32:
+        answer: F32 = session().run(None, {"white": white[None], "sensor": sensor[None]})[0][0]
+        return answer
+
+    return DisplacementNetwork(int(about["fold"]), int(about["cells"]), _sensing(onnx), run)
+
+
+def _about(onnx: Path) -> dict[str, Any]:
+    about: dict[str, Any] = json.loads(onnx.with_suffix(".json").read_text())
+    return about
+
+
+def _sensing(onnx: Path) -> Callable[[F32], F32]:
     def sense(known: F32) -> F32:
         answer: F32 = _session(onnx.with_suffix(".sensor.onnx")).run(None, {"known": known[None]})[0][0]
         return answer
 
-    def run(white: F32, sensor: F32) -> F32:
-        answer: F32 = session.run(None, {"white": white[None], "sensor": sensor[None]})[0][0]
-        return answer
-
-    return Network(fold, sense, run)
+    return sense
 
 
 def _session(onnx: Path) -> InferenceSession:

@@ -159,8 +159,8 @@ def test_objects_found_in_the_contacts_box_are_those_of_the_whole_map(
     for row, col, high, wide in patches:
         touched[row : row + high, col : col + wide] = True
     touched &= rays.inside
-    found = find_objects(touched, height, rays, geometry)
-    everywhere = objects_in((slice(0, rows), slice(0, cols)), touched, height, rays, geometry)
+    found = find_objects(touched, height, None, rays, geometry)
+    everywhere = objects_in((slice(0, rows), slice(0, cols)), touched, height, None, rays, geometry)
     expected = over_the_whole_map(touched, height, rays, geometry)
     if found is None or expected is None or everywhere is None:
         assert found is expected is everywhere is None
@@ -185,7 +185,7 @@ def test_nothing_touched_is_nothing_found() -> None:
     geometry = Geometry(20.0, 14.0, 50.0, Disc(5.0, 5.0, 5.0))
     rays = disc_rays(Grid(11, 11, 0.0, 0.0, 1.0), geometry)
     flat = np.where(rays.inside, np.float32(0), np.float32(np.nan))
-    assert find_objects(np.zeros((11, 11), bool), flat, rays, geometry) is None
+    assert find_objects(np.zeros((11, 11), bool), flat, None, rays, geometry) is None
 
 
 def test_a_cloud_is_ordered_by_label() -> None:

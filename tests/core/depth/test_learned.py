@@ -1,9 +1,13 @@
 import numpy as np
 import pytest
+from support.calibrated_sensor import HALF, calibrated, unloaded
+from support.toy_network import answering
 
-from tacshade_edge.core.depth import Network
-from tacshade_edge.core.depth.learned import KNOWN, LearnedInverse, fold, unfold
+from tacshade_edge.core.depth.learned import LearnedInverse, LearnedSolver
+from tacshade_edge.core.depth.network_maps import KNOWN, fold, unfold
 from tacshade_edge.core.geometry import disc_map
+from tacshade_edge.core.image.preprocess import Preprocessor
+from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.types import F32, Disc, Geometry
 
 GEOMETRY = Geometry(20.0, 14.0, 50.0, Disc(61.3, 83.9, 47.7))
@@ -36,7 +40,7 @@ def test_the_network_gets_frame_reference_and_what_is_known_and_its_answer_becom
         return known[:n] + 1
 
     made = LearnedInverse(
-        Network(by, sense, lambda seen, sensor: np.concatenate((seen, sensor))), GEOMETRY, 6.0, reference
+        answering(by, sense, lambda seen, sensor: np.concatenate((seen, sensor))), GEOMETRY, 6.0, reference
     )
     answers = [made(white), made(white)]
     (known,) = sensed  # once for a sensor
@@ -52,10 +56,26 @@ def test_the_network_gets_frame_reference_and_what_is_known_and_its_answer_becom
 
 
 def test_one_frame_does_not_change_the_next() -> None:
-    network = Network(2, lambda known: known[:4], lambda white, sensor: np.concatenate((white, sensor)))
+    network = answering(2, lambda known: known[:4], lambda white, sensor: np.concatenate((white, sensor)))
     inverse = LearnedInverse(network, GEOMETRY, 6.0, np.zeros((disc_map.CELLS,) * 2, np.float32))
     dark, bright = np.zeros((disc_map.CELLS,) * 2, np.float32), np.ones((disc_map.CELLS,) * 2, np.float32)
     first = inverse(dark)
     before = first.height_mm.tobytes()
     inverse(bright)
     assert first.height_mm.tobytes() == before == inverse(dark).height_mm.tobytes()
+
+
+def test_displacement_is_in_mm_on_the_maps_cells_and_finite() -> None:
+    network = answering(4, lambda known: known[:16], lambda white, sensor: np.concatenate((white, sensor)))
+    preprocessor = Preprocessor(calibrated(HALF, 0), PROFILES["balanced"])
+    solver = LearnedSolver(preprocessor, network)
+    preprocessed = preprocessor.preprocess(preprocessor.grey(unloaded(HALF)))
+    shear = solver.shear_mm(preprocessed)
+    assert shear is not None
+    assert shear.shape == (disc_map.CELLS, disc_map.CELLS, 2)
+    geometry = HALF.geometry
+    unit_mm = geometry.skin_radius_mm * np.sin(np.radians(geometry.visible_half_angle_deg))
+    assert np.median(shear[..., 0]) == pytest.approx(0.03 * unit_mm, rel=1e-6)
+    assert (shear[..., 1] == 0).all()
+    assert np.isfinite(shear).all()
+    assert shear[56:60, 56:60, 0].max() < 0.03 * unit_mm  # what was not finite is 0 between its neighbours

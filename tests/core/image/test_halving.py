@@ -154,17 +154,12 @@ def test_the_contact_lies_where_it_lies_in_the_whole_image(name: str) -> None:
     assert middles[1] == pytest.approx(middles[0], abs=3)
 
 
-def test_a_tear_is_told_in_the_cameras_rows() -> None:
+def test_lost_rows_are_told_in_the_cameras_rows() -> None:
     calibration = calibrated(FULL, 0)
-    torn = unloaded(FULL).copy()
-    torn[260:] = np.roll(torn, 37, axis=1)[260:]
     empty = unloaded(FULL).copy()
     empty[200:328] = 128
     for profile in ("balanced", "accurate"):
         made = make_reconstructor(calibration, PROFILES[profile])
-        reason = made.step(Frame(0, 0, 0, torn)).reason.text
-        assert reason.startswith("torn: row "), profile
-        assert int(reason.split()[2]) == pytest.approx(260, abs=2), profile
         reason = made.step(Frame(0, 0, 0, empty)).reason.text
         assert reason.endswith("rows across the disc show no marker"), profile
         assert int(reason.split()[1]) == pytest.approx(128, abs=32), profile

@@ -13,12 +13,12 @@ from tacshade_edge.daemon.pipeline.pipeline import Crash, Pipeline, crashes_to
 from tacshade_edge.daemon.pipeline.workers import SourceState
 from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.types import Calibration, Frame, Reconstruction
+from tacshade_edge.types import Calibration, Frame, Need, Reconstruction
 
 
 class Published:
-    def needs_depth(self) -> bool:
-        return True
+    def need(self) -> Need:
+        return Need.DEPTH
 
     def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> FrameOutcome | None:
         return "published"

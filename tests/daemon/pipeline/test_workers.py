@@ -15,7 +15,7 @@ from tacshade_edge.daemon.pipeline.workers import Grab, Reconstruct, SourceState
 from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
 from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.types import Calibration, Frame, Reconstruction
+from tacshade_edge.types import Calibration, Frame, Need, Reconstruction
 
 GONE = DeviceError("camera /dev/video9: gone")
 
@@ -125,8 +125,8 @@ class Collected:
         self.asks = asks
         self.results: list[Reconstruction] = []
 
-    def needs_depth(self) -> bool:
-        return self.asks
+    def need(self) -> Need:
+        return Need.DEPTH if self.asks else Need.CONTACT
 
     def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> FrameOutcome | None:
         if result is None:
@@ -174,7 +174,6 @@ def test_reconstruct_delivers_times_and_settles_every_frame(
         "check",
         "grey",
         "gate",
-        "moved",
         "depth",
         "cloud",
         "deliver",

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.daemon.publishing.publisher import Publisher
 from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.protocol import wire
-from tacshade_edge.types import Calibration, Frame, Pose
+from tacshade_edge.types import Calibration, Frame, Need, Pose, Slip
 
 POSE = Pose(5, 1.0, 2.0, 3.0, 0.0, 1.0, 0.0, 0.0)
 PERIOD_NS = 20_000_000  # 50 frames per second
@@ -25,14 +26,16 @@ class Played:
     ) -> None:
         self.offers: list[tuple[str, bytes, int]] = []
         publisher = Publisher(
-            lambda stream, payload, seq: self.offers.append((stream, payload, seq)), lambda stream: stream in wanted
+            lambda stream, payload, seq: self.offers.append((stream, payload, seq)),
+            lambda topic, payload: pytest.fail(f"{topic}: {payload!r}"),
+            lambda stream: stream in wanted,
         )
         publisher.fps = 12.5
         reconstructor = make_reconstructor(calibration, PROFILES["balanced"])
         self.outcomes = []
         for seq, image in enumerate(images):
             frame = Frame(seq, seq * PERIOD_NS, 0, image)
-            result = reconstructor.step(frame) if publisher.needs_depth() else reconstructor.glance(frame)
+            result = reconstructor.step(frame, need=publisher.need())
             self.outcomes.append(publisher.deliver(frame, result, calibration))
         self.latest = publisher.latest
 
@@ -77,13 +80,13 @@ def test_an_invalid_frame_ends_a_contact_with_a_flag_and_is_silent_after(
 
 def test_a_known_pose_goes_with_height_and_cloud(calibration: Calibration, pictures: Any) -> None:
     offers: list[tuple[str, bytes]] = []
-    publisher = Publisher(lambda stream, payload, _: offers.append((stream, payload)))
+    publisher = Publisher(lambda stream, payload, _: offers.append((stream, payload)), lambda topic, payload: None)
     reconstructor = make_reconstructor(calibration, PROFILES["balanced"])
     frames = [Frame(0, 5, 0, pictures.touched, POSE, 70), Frame(1, 6, 0, pictures.touched)]
     for frame in frames:
         publisher.deliver(frame, reconstructor.step(frame), calibration)
     decoded = [wire.decode(payload) for stream, payload in offers if stream != "contact"]
-    assert [(m.pose, m.pose_error_us) for m in decoded] == [(POSE, 70)] * 2 + [(None, 0)] * 2
+    assert [(m.pose, m.pose_error_us) for m in decoded] == [(POSE, 70)] * 3 + [(None, 0)] * 3
 
 
 def test_an_output_that_nobody_wants_is_left_out_but_for_begin_and_end_of_a_contact(
@@ -117,3 +120,38 @@ def test_a_contact_of_which_nobody_wants_anything_is_counted_and_its_picture_kep
     frame, result = played.latest
     assert (frame.seq, result.seq) == (2, 0)
     assert Played(calibration, [pictures.touched], ()).latest is None
+
+
+def test_displacement_is_asked_for_while_it_has_a_subscriber_or_always() -> None:
+    def need(*wanted: str, always: bool = False) -> Need:
+        return Publisher(lambda *_: None, lambda *_: None, lambda stream: stream in wanted, always).need()
+
+    assert need() is Need.CONTACT
+    assert need("contact") is need("height") is need("cloud") is Need.DEPTH
+    assert need("shear") is need("shear", "height") is need(always=True) is Need.SHEAR
+
+
+def test_a_slip_is_told_once_at_its_onset(calibration: Calibration, pictures: Any) -> None:
+    told: list[dict[str, Any]] = []
+
+    def tell(topic: str, payload: bytes) -> None:
+        assert topic == "event/slip"
+        told.append(json.loads(payload))
+
+    publisher = Publisher(lambda *_: None, tell)
+    frame = Frame(0, 0, 0, pictures.touched)
+    result = make_reconstructor(calibration, PROFILES["fast"]).step(frame)
+    one = replace(result.objects[0], id=7)
+    for seq, (slip, other) in enumerate(
+        ((Slip.STICK, None), (Slip.FULL, None), (Slip.FULL, Slip.FULL), (Slip.PARTIAL, Slip.FULL), (Slip.FULL, None))
+    ):
+        objects = [replace(one, slip=slip, slip_mm_s=20.0)]
+        if other is not None:
+            objects.append(replace(one, label=2, id=8, slip=other, slip_mm_s=9.0))
+        publisher.deliver(frame, replace(result, seq=seq, objects=tuple(objects)), calibration)
+    assert [(event["seq"], event["id"], event["slip_mm_s"]) for event in told] == [
+        (1, 7, 20.0),
+        (2, 8, 9.0),
+        (4, 7, 20.0),
+    ]
+    assert (told[0]["x_mm"], told[0]["y_mm"]) == pytest.approx(one.centroid_mm[:2])

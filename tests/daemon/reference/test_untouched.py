@@ -10,7 +10,7 @@ from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.reference.untouched import GAP_S, PERIOD_S, REST_S, UNTOUCHED_FRAMES, UntouchedFrames
 from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.types import U8, Calibration, Frame
+from tacshade_edge.types import U8, Calibration, Frame, Need
 
 FPS = 10
 DOUBT = Reason(ReasonCode.GLARE, "glare: 3 % of the disc unseen")
@@ -25,11 +25,11 @@ class Stream:
         self._reconstructor = reconstructor
 
     def show(self, image: U8, seconds: float, doubt: Reason | None = None, glance: bool = False) -> None:
-        step = self._reconstructor.glance if glance else self._reconstructor.step
+        need = Need.CONTACT if glance else Need.SHEAR
         for _ in range(round(seconds * FPS)):
             self.s += 1 / FPS
             frame = Frame(0, round(self.s * 1e9), 0, image)
-            result = step(frame)
+            result = self._reconstructor.step(frame, need=need)
             self.frames.see(frame, replace(result, degraded=doubt) if result and doubt else result)
 
     def taken(self) -> int | Reason | None:
@@ -105,8 +105,8 @@ def test_the_sink_is_served_first_and_all_of_it_passed_on(calibration: Calibrati
     frames, told = UntouchedFrames(), []
 
     class Told:
-        def needs_depth(self) -> bool:
-            return False
+        def need(self) -> Need:
+            return Need.CONTACT
 
         def deliver(self, *given: Any) -> Any:
             told.append((given, frames.at_rest))
@@ -119,4 +119,4 @@ def test_the_sink_is_served_first_and_all_of_it_passed_on(calibration: Calibrati
     assert sink.deliver(frame, result, calibration) == "without_contact"
     assert told == [((frame, result, calibration), False)]
     assert frames.at_rest
-    assert sink.needs_depth() is False
+    assert sink.need() is Need.CONTACT

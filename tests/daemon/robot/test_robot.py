@@ -21,7 +21,7 @@ from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.protocol.messages import Request
 from tacshade_edge.protocol.results import ReferenceTaken, SessionBegun
 from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.types import Calibration, Frame, HeightMap, ObjectCloud, Reconstruction
+from tacshade_edge.types import Calibration, Frame, HeightMap, Need, ObjectCloud, Reconstruction
 
 numbers = itertools.count()
 
@@ -80,8 +80,8 @@ class Sink:
     def __init__(self) -> None:
         self.frames: list[Frame] = []
 
-    def needs_depth(self) -> bool:
-        return False
+    def need(self) -> Need:
+        return Need.CONTACT
 
     def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> Any:
         self.frames.append(frame)
@@ -200,7 +200,7 @@ def test_captures_and_references(link: Path, calibration: Calibration) -> None:
         old = frame(time.monotonic_ns(), calibration)
         robot.ask("CAPTURE")
         wait_until(lambda: side.robot.commands.capture_pending, 10, "CAPTURE")
-        assert posed.needs_depth()
+        assert posed.need() == Need.DEPTH
         posed.deliver(*old, calibration)
         assert side.robot.commands.capture_pending  # that one was from before
         posed.deliver(*frame(time.monotonic_ns(), calibration), calibration)
@@ -226,7 +226,7 @@ def test_captures_and_references(link: Path, calibration: Calibration) -> None:
         )
         wait_until(lambda: any(r.endswith("REFUSED shows contact") for r in robot.replies.values()), 10, "ERR")
 
-        assert not posed.needs_depth()
+        assert posed.need() == Need.CONTACT
         robot.ask("STITCH BEGIN pad")
         wait_until(lambda: any("UNAVAILABLE" in r for r in robot.replies.values()), 10, "no stitching")
 

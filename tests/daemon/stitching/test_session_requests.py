@@ -18,7 +18,7 @@ from tacshade_edge.daemon.pipeline.workers import Sink
 from tacshade_edge.daemon.stitching.session_requests import SessionRequests
 from tacshade_edge.devices.files.stitch_file import open_session
 from tacshade_edge.protocol.messages import Request, encode_reply
-from tacshade_edge.types import Calibration, Frame, Pose, Reconstruction
+from tacshade_edge.types import Calibration, Frame, Need, Pose, Reconstruction
 
 BEGIN, ADD, END, STATUS = (Request("stitch", n, action=a) for n, a in enumerate(("begin", "add", "end", "status")))  # type: ignore[arg-type]
 
@@ -29,8 +29,8 @@ class Nobody:
     def __init__(self) -> None:
         self.delivered = 0
 
-    def needs_depth(self) -> bool:
-        return False
+    def need(self) -> Need:
+        return Need.CONTACT
 
     def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> Any:
         self.delivered += 1
@@ -82,13 +82,13 @@ def test_a_session_over_mqtt(daemon: Daemon, tmp_path: Path) -> None:
     ball = step("fast", pressed("ball", 3.0).image)
     assert daemon.ask(BEGIN)["reason_code"] == "no_frame"
     daemon.show(step("fast", unloaded()))
-    assert not daemon.sink.needs_depth()
+    assert daemon.sink.need() == Need.CONTACT
     assert daemon.ask(replace(BEGIN, name="7", transaction="t")) == {
         "transaction": "t",
         "ok": True,
         "result": {"name": "7"},
     }
-    assert daemon.sink.needs_depth()  # every frame, whoever listens
+    assert daemon.sink.need() == Need.DEPTH  # every frame, whoever listens
     assert daemon.status() == {
         **{"state": "open", "reason": "", "reason_code": "", "name": "7", "presses": 0, "points": 0, "revision": 0},
         **{"missed": 0, "folder": ""},
@@ -102,7 +102,7 @@ def test_a_session_over_mqtt(daemon: Daemon, tmp_path: Path) -> None:
         **{"state": "idle", "reason": "", "reason_code": "", "name": "", "presses": 0, "points": 0, "revision": 0},
         **{"missed": 0, "folder": str(tmp_path / "7")},
     }
-    assert not daemon.sink.needs_depth()
+    assert daemon.sink.need() == Need.CONTACT
     assert {"map/cloud", "map/revision", "map/final"} <= set(daemon.published)
     assert daemon.sessions.as_dict() == {"presses": 1, "refused": 0, "missed": 0, "waiting": 0}
 

@@ -158,6 +158,26 @@ def test_another_version_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         calibration_file.load(tmp_path / "new.npz")
 
 
+def test_one_fitted_to_the_networks_before_is_read_without_its_fit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    fitted = replace(painted_calibration(), factors={"fast": 1.2, "accurate": 0.9})
+    assert fitted.fit is not None
+    monkeypatch.setattr(calibration_file, "VERSION", calibration_file.OTHER_NETWORKS)
+    calibration_file.save(tmp_path / "old.npz", fitted)
+    calibration_file.save(tmp_path / "unfitted.npz", replace(fitted, factors={}, fit=None))
+    monkeypatch.undo()
+    loaded = calibration_file.load(tmp_path / "old.npz")
+    assert (loaded.factors, loaded.fit) == ({}, None)
+    assert (loaded.geometry, loaded.crc32 != 0) == (fitted.geometry, True)
+    np.testing.assert_array_equal(loaded.reference_white, fitted.reference_white)
+    (said,) = caplog.messages
+    assert said.endswith("old.npz: fitted to presses with older networks: read without that fit; calibrate again")
+    caplog.clear()
+    assert calibration_file.load(tmp_path / "unfitted.npz").factors == {}
+    assert not caplog.messages
+
+
 def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
     with pytest.raises(DeviceError, match=r"none/cal\.npz: cannot write the calibration: No such file"):
         calibration_file.save(tmp_path / "none" / "cal.npz", painted_calibration())

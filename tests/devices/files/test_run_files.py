@@ -9,7 +9,16 @@ from support.painted_sensor import FREE, TOUCHED, painted_calibration
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.devices.files.recording import RecordedFrame
-from tacshade_edge.devices.files.run_files import CLOUDS, HEIGHTS, SUMMARY, RunWriter, payloads, read_summary
+from tacshade_edge.devices.files.run_files import (
+    CLOUDS,
+    HEIGHTS,
+    SHEARS,
+    SUMMARY,
+    TIMINGS,
+    RunWriter,
+    payloads,
+    read_summary,
+)
 from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
 from tacshade_edge.protocol import wire
@@ -38,10 +47,11 @@ def write(folder: Path) -> RunWriter:
 def test_a_run_is_the_wire_payloads_and_a_record_per_frame(tmp_path: Path) -> None:
     write(tmp_path / "new" / "run").finish({"seconds": 1.0})
     folder = tmp_path / "new" / "run"
-    assert sorted(p.name for p in folder.iterdir()) == ["clouds.bin", "heights.bin", "summary.json", "timings.json"]
+    assert sorted(p.name for p in folder.iterdir()) == [CLOUDS, HEIGHTS, SHEARS, SUMMARY, TIMINGS]
     given = [(result, recorded.frame.pose) for recorded, result in results()]
     assert list(payloads(folder, HEIGHTS)) == [wire.encode_height(r, calibration_crc32=CRC32, pose=p) for r, p in given]
     assert list(payloads(folder, CLOUDS)) == [wire.encode_cloud(r, calibration_crc32=CRC32, pose=p) for r, p in given]
+    assert list(payloads(folder, SHEARS)) == [wire.encode_shear(r, calibration_crc32=CRC32, pose=p) for r, p in given]
     free, touched = read_summary(folder)
     assert (free["image"], free["seq"], free["t_ns"], free["contact"], free["pose"]) == ("a.png", 0, 5, False, None)
     assert (touched["seq"], touched["contact"], touched["pose"]) == (2, True, [1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0])
@@ -55,7 +65,7 @@ def test_a_run_is_the_wire_payloads_and_a_record_per_frame(tmp_path: Path) -> No
 def test_nothing_of_a_run_shows_before_it_is_whole(tmp_path: Path) -> None:
     write(tmp_path).finish({})
     second = write(tmp_path)
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["clouds.bin.part", "heights.bin.part"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == [f"{CLOUDS}.part", f"{HEIGHTS}.part", f"{SHEARS}.part"]
     with pytest.raises(ConfigError, match=r"summary\.json: No such file"):
         read_summary(tmp_path)
     second.discard()

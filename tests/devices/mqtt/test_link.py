@@ -402,6 +402,24 @@ class TestRequests:
         assert rig.link.counters()["replies"] == 16
         assert rig.link.counters()["replies_dropped"] == 984
 
+    def test_events_arrive_each_once_and_are_not_retained(
+        self, rig: Rig, broker: Broker, subscriber: Subscriber
+    ) -> None:
+        for k in range(3):
+            rig.link.tell("event/slip", b"%d" % k)
+        assert subscriber.wait_for(f"{BASE}/event/slip", 3) == [b"0", b"1", b"2"]
+        with Subscriber(broker.port) as late:
+            rig.link.tell("event/slip", b"3")
+            assert late.wait_for(f"{BASE}/event/slip") == [b"3"]
+        assert rig.link.counters() | {"events": 4, "events_dropped": 0} == rig.link.counters()
+
+    def test_events_of_a_broker_that_is_away_are_counted(self, rig: Rig, broker: Broker) -> None:
+        broker.kill()
+        wait_until(lambda: not rig.link.connected, 5, "the loss")
+        rig.link.tell("event/slip", b"lost")
+        assert rig.link.counters()["events_dropped"] == 1
+        broker.start()
+
 
 @broker_test
 @needs_mosquitto

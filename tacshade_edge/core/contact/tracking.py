@@ -1,0 +1,157 @@
+"""Objects from frame to frame: a number that each keeps while it touches, and whether it slips.
+
+Skin that an object holds stays under it: the mean of where the touched skin was in the reference, the imprint's place
+in the material, stands still whatever the object does. When the object slides, its imprint moves over the material, and
+that mean moves with the speed of the slip.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from tacshade_edge.types import Reconstruction, Slip
+
+SPAN_NS = 70_000_000
+"""Over which a speed is measured, or over `LEAST_FRAMES` where those take longer: the promise is a slip told within
+100 ms at 30 frames a second and more."""
+LEAST_FRAMES = 3
+SLIP_MM_S = 3.0
+"""From this speed of the imprint over the material on it is a slip."""
+PARTIAL_STRAIN = 0.12
+"""Strain over the displacement, from which the contact holds in a part only."""
+PARTIAL_MM = 0.15
+REACH_MM = 4.0
+"""How far an object's place may be from where it was a frame ago."""
+
+
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """One object in one frame, as tracking takes it.
+
+    Attributes
+    ----------
+    x_mm, y_mm : float
+        Mean of its points.
+    shear_mm : (float, float)
+        Mean displacement of the skin there.
+    strain_mm : float
+        `rigid_motion.RigidMotion.strain_mm`.
+    depth_mm : float
+        Its greatest h.
+    """
+
+    x_mm: float
+    y_mm: float
+    shear_mm: tuple[float, float]
+    strain_mm: float
+    depth_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class Tracked:
+    """What tracking makes of an object.
+
+    Attributes
+    ----------
+    id : int
+        From 1, the same while it touches, and never again.
+    slip : Slip
+    slip_mm_s : float or None
+        Speed of its imprint over the skin's material; None before it is known.
+    """
+
+    id: int
+    slip: Slip
+    slip_mm_s: float | None
+
+
+def follow(tracker: ContactTracker, result: Reconstruction) -> Reconstruction:
+    """A reconstruction whose objects have what tracking tells; one of a solver that tells no displacement as it is."""
+    contacts = [
+        Contact(o.centroid_mm[0], o.centroid_mm[1], o.shear_mm, o.strain_mm or 0.0, o.depth_max_mm)
+        for o in result.objects
+        if o.shear_mm is not None
+    ]
+    if len(contacts) < len(result.objects):
+        return result
+    followed = zip(result.objects, tracker.step(result.t_ns, contacts), strict=True)
+    return replace(result, objects=tuple(replace(o, id=t.id, slip=t.slip, slip_mm_s=t.slip_mm_s) for o, t in followed))
+
+
+@dataclass(slots=True)
+class _Track:
+    number: int
+    seen: deque[tuple[int, float, float, float]] = field(default_factory=deque)
+    at_mm: tuple[float, float] = (0.0, 0.0)
+    slip: Slip = Slip.STICK
+
+
+class ContactTracker:
+    """Follows the objects of one stream of frames."""
+
+    def __init__(self) -> None:
+        self._tracks: list[_Track] = []
+        self._count = 0
+
+    def step(self, t_ns: int, contacts: Sequence[Contact]) -> tuple[Tracked, ...]:
+        """Take a frame's objects, in any order; what is not among them has been let go.
+
+        Parameters
+        ----------
+        t_ns : int
+        contacts : sequence of Contact
+        """
+        left = list(self._tracks)
+        followed = []
+        for contact in contacts:
+            track = _nearest(left, contact)
+            if track is None:
+                self._count += 1
+                track = _Track(self._count)
+            else:
+                left.remove(track)
+            followed.append(track)
+        self._tracks = followed
+        return tuple(_followed(track, t_ns, contact) for track, contact in zip(followed, contacts, strict=True))
+
+
+def _nearest(tracks: Sequence[_Track], contact: Contact) -> _Track | None:
+    """The track that an object goes on; None where none is in reach."""
+    distances = [math.dist(track.at_mm, (contact.x_mm, contact.y_mm)) for track in tracks]
+    least = min(distances, default=math.inf)
+    return tracks[distances.index(least)] if least <= REACH_MM else None
+
+
+def _followed(track: _Track, t_ns: int, contact: Contact) -> Tracked:
+    """Add a frame to a track."""
+    track.at_mm = (contact.x_mm, contact.y_mm)
+    held = contact.x_mm - contact.shear_mm[0], contact.y_mm - contact.shear_mm[1]
+    if track.seen and t_ns <= track.seen[-1][0]:
+        track.seen.clear()  # another stream
+    track.seen.append((t_ns, *held, contact.depth_mm))
+    while len(track.seen) > LEAST_FRAMES and track.seen[-1][0] - track.seen[0][0] > SPAN_NS:
+        track.seen.popleft()
+    speed = _speed_mm_s(track.seen)
+    size = math.hypot(*contact.shear_mm)
+    if speed is not None and speed >= SLIP_MM_S:
+        track.slip = Slip.FULL
+    elif contact.strain_mm > max(PARTIAL_MM, PARTIAL_STRAIN * size):
+        track.slip = Slip.PARTIAL
+    else:
+        track.slip = Slip.STICK
+    return Tracked(track.number, track.slip, speed)
+
+
+def _speed_mm_s(seen: deque[tuple[int, float, float, float]]) -> float | None:
+    """Least-squares speed of the imprint over the material."""
+    if len(seen) < LEAST_FRAMES:
+        return None
+    t, x, y, _ = np.array(seen).T
+    t = (t - t.mean()) * 1e-9
+    spread = float(t @ t)
+    return float(math.hypot(t @ x, t @ y) / spread) if spread > 0 else None

@@ -1,0 +1,67 @@
+"""Does a frame show the sensor's skin, however it is deformed? What the network cannot explain as that is foreign."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tacshade_edge.core.frame_check.camera_shift import CameraShift
+from tacshade_edge.core.geometry import disc_map
+from tacshade_edge.core.image.integral_image import CellMeans, IntegralImage
+from tacshade_edge.core.image.preprocess import Preprocessor
+from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.types import F32, Bool
+
+FOREIGN_INVALID = 0.10
+"""With more of the disc foreign than this the frame is another picture; less is a doubt."""
+
+
+class ForeignCheck:
+    """Why the frames of one sensor are refused that show something else than its skin.
+
+    Parameters
+    ----------
+    preprocessor : Preprocessor
+        Whose images are checked.
+    """
+
+    def __init__(self, preprocessor: Preprocessor) -> None:
+        grid = disc_map.map_grid(preprocessor.calibration.geometry.disc)
+        self._cells = CellMeans(preprocessor.integrator, grid)
+        reference: F32 = self._cells.means(preprocessor.reference_white) / np.float32(255)
+        camera_px = preprocessor.camera_px
+        self._shift = CameraShift(reference, camera_px * grid.step_px, camera_px * preprocessor.calibration.pitch_px)
+
+    def refusal(self, part: float | None, white: IntegralImage) -> Reason | None:
+        """Why a frame cannot be used; None for one that can.
+
+        Parameters
+        ----------
+        part : float or None
+            So much of its disc is foreign, 0 to 1. None where the solver tells nothing: then a frame is refused that
+            is the reference, shifted.
+        white : IntegralImage
+            `Preprocessed.white`.
+        """
+        if part is not None and part <= FOREIGN_INVALID:
+            return None
+        reason = self.moved(white)
+        if reason or part is None:
+            return reason
+        text = f"torn or foreign: {100 * part:.0f} % of the disc does not show the sensor's skin"
+        return Reason(ReasonCode.TORN, text)
+
+    def moved(self, white: IntegralImage) -> Reason | None:
+        """Whether a picture that is not as it was, though nothing is found to touch, is the reference, shifted."""
+        return self._shift.reason(self._cells.means(white))
+
+
+def doubt(part: float | None) -> Reason | None:
+    """Why a frame deserves less trust of whose disc a `part`, 0 to 1, is foreign."""
+    if not part:
+        return None
+    return Reason(ReasonCode.FOREIGN, f"{100 * part:.1f} % of the disc does not show the sensor's skin")
+
+
+def foreign_part(foreign: Bool, inside: Bool) -> float:
+    """Part of the disc that is foreign; bool (rows, cols) both."""
+    return float(np.count_nonzero(foreign & inside) / np.count_nonzero(inside))

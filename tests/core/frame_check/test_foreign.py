@@ -1,0 +1,71 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
+from support.toy_network import saying
+
+from tacshade_edge.core.depth.network_maps import fold
+from tacshade_edge.core.geometry import disc_map
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.reasons import ReasonCode
+from tacshade_edge.simulator import nuisance
+from tacshade_edge.types import U8, Bool, Frame, Reconstruction
+
+ROW, COL = np.mgrid[: disc_map.CELLS, : disc_map.CELLS] - (disc_map.CELLS - 1) / 2
+TOUCHED = np.hypot(ROW, COL) < 20
+
+
+def judged(foreign_rows: slice, image: U8, touched: Bool = TOUCHED) -> tuple[Reconstructor, Reconstruction]:
+    """A contact in the middle, of whose picture some rows of 28 are told foreign."""
+    foreign = np.full((28, 28), -1, np.float32)
+    foreign[foreign_rows] = 1
+    maps = np.stack((np.where(touched, np.float32(1), np.float32(0)), np.where(touched, np.float32(3), np.float32(-3))))
+    calibration = replace(calibrated(HALF, 0), factors={})
+    made = Reconstructor(calibration, PROFILES["balanced"], saying(fold(maps, 4), foreign))
+    return made, made.step(Frame(0, 0, 0, image))
+
+
+def test_a_few_foreign_cells_are_no_contact_and_a_doubt() -> None:
+    made, result = judged(slice(13, 14), pressed("ball", 3.0).image)
+    assert result.valid
+    assert result.degraded is not None
+    assert result.degraded.code is ReasonCode.FOREIGN
+    told = float(result.degraded.text.split(" %")[0])
+    rows = np.zeros_like(TOUCHED)
+    rows[52:56] = True
+    assert told == pytest.approx(100 * (rows & made.rays.inside).sum() / made.rays.inside.sum(), abs=0.06)
+    np.testing.assert_array_equal(result.untrusted, rows & made.rays.inside)
+    np.testing.assert_array_equal(result.height.contact, TOUCHED & ~rows)
+
+
+def test_none_leave_no_trace() -> None:
+    _, result = judged(slice(0, 0), pressed("ball", 3.0).image)
+    assert (result.degraded, result.untrusted) == (None, None)
+    np.testing.assert_array_equal(result.height.contact, TOUCHED)
+
+
+def test_a_picture_of_something_else_is_refused() -> None:
+    _, result = judged(slice(10, 28), pressed("ball", 3.0).image)
+    assert (result.valid, result.contact) == (False, False)
+    assert result.reason is not None
+    assert result.reason.code is ReasonCode.TORN
+
+
+def test_a_moved_camera_explains_one() -> None:
+    _, result = judged(slice(0, 28), nuisance.shift(unloaded(HALF), -3, 3))
+    assert result.reason is not None
+    assert result.reason.code is ReasonCode.CAMERA_SHIFT
+    assert float(result.reason.text.split()[3]) == pytest.approx(np.hypot(3, 3), abs=1.0)
+
+
+def test_a_moved_camera_explains_a_change_where_nothing_touches() -> None:
+    nothing = np.zeros_like(TOUCHED)
+    _, result = judged(slice(0, 0), nuisance.shift(unloaded(HALF), -3, 3), nothing)
+    assert result.reason is not None
+    assert result.reason.code is ReasonCode.CAMERA_SHIFT
+    _, result = judged(slice(0, 0), pressed("ball", 3.0).image, nothing)
+    assert (result.valid, result.contact) == (True, False)
