@@ -223,7 +223,38 @@ def test_ablation_writes_its_table(
     assert {row["object"] for row in table(tmp_path / "ablation.csv")} == {"ball"}
 
 
-@pytest.mark.parametrize("study", ["limits", "ablation"])
+@pytest.mark.slow
+@pytest.mark.usefixtures("half")
+def test_drag_writes_its_table_and_plot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--sensors", "half:default", "--objects", "ball", "--profile", "fast", "--references", "1"]
+    assert main(["evaluate", "--drag", *words, "--presses", "8", "--out", str(tmp_path)]) == 0
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    assert printed.out == (tmp_path / "drag.md").read_text(encoding="utf-8")
+    assert len(table(tmp_path / "drag.csv")) == 5 * 4 * 3
+    assert (tmp_path / "drag.png").stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_slip_writes_its_tables(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    small = partial(evaluate.SlipPlan, objects=("ball",), speeds_mm_s=(20.0,), held_s=0.2, released_s=3.0)
+    monkeypatch.setattr(evaluate, "SlipPlan", small)
+    words = ["evaluate", "--slip", "--sensors", "5", "--profile", "fast", "--out", str(tmp_path)]
+    assert main(words) == 0
+    assert capsys.readouterr().out == (tmp_path / "slip.md").read_text(encoding="utf-8")
+    assert [len(table(tmp_path / f"slip_{kind}.csv")) for kind in ("slides", "held", "releases")] == [2, 1, 1]
+
+
+def test_only_the_trained_family_moves_in_time(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as left:
+        main(["evaluate", "--slip", "--sensors", "other:31"])
+    assert left.value.code == 2
+    assert "--slip: only sensors of the family tacshade" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("study", ["limits", "ablation", "slip"])
 @pytest.mark.parametrize("words", [["--json"], ["--objects", "ball"], ["--presses", "8"]])
 def test_a_study_refuses_what_it_would_not_heed(
     study: str, words: list[str], capsys: pytest.CaptureFixture[str]

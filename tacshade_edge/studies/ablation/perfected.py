@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from tacshade_edge.core.depth import Network
-from tacshade_edge.core.depth.learned import HEIGHT_SCALE, fold, unfold
+from tacshade_edge.core.depth import Network, NetworkMaps
+from tacshade_edge.core.depth.network_maps import HEIGHT_SCALE, fold, unfold
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.simulator.press import distance_mm
 from tacshade_edge.simulator.scene import SimulatedFrame
@@ -34,18 +36,20 @@ class PerfectedNetwork:
 
     def as_network(self) -> Network:
         """What a reconstructor takes."""
-        return Network(self._network.fold, self._network.sense, self._run)
+        return replace(self._network, run=self._run)
 
-    def _run(self, white: F32, sensor: F32) -> F32:
+    def _run(self, white: F32, sensor: F32) -> NetworkMaps:
         height, contact, top = self._perfect
-        found, logit = unfold(self._network.run(white, sensor), self._network.fold)
+        maps = self._network.run(white, sensor)
+        found, logit = unfold(maps.depth_and_contact, self._network.fold)
         if contact:
             logit = np.where(self._contact, np.float32(SURE), np.float32(-SURE))
         if height:
             found = self._height
         elif top and (touched := logit > 0).any() and found[touched].max() > 0:
             found = found * (self._height.max() / found[touched].max())
-        return fold(np.stack((found, logit)).astype(np.float32), self._network.fold)
+        perfected = fold(np.stack((found, logit)).astype(np.float32), self._network.fold)
+        return replace(maps, depth_and_contact=perfected)
 
 
 def true_answer(frame: SimulatedFrame, seen: Geometry, cells: int) -> tuple[F32, Bool]:

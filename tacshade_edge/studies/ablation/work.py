@@ -9,7 +9,8 @@ from itertools import chain
 import numpy as np
 
 from tacshade_edge.core.calibration.gain import LEAST_CELLS, PressRows, fit_factor
-from tacshade_edge.core.depth.learned import HEIGHT_SCALE, LearnedSolver
+from tacshade_edge.core.depth.learned import LearnedSolver
+from tacshade_edge.core.depth.network_maps import HEIGHT_SCALE
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor

@@ -19,8 +19,8 @@ Change = Callable[[U8, SensorModel, Rng], U8]
 
 UNDISTURBED = "nothing"
 RELEASED = "after a release"
-"""The skin keeps 2 to 5 % of the dent of a ball pressed 2 to 4 mm deep: up to 0.2 mm, and nothing touches."""
-LEFT = (0.02, 0.05)
+"""The skin keeps 2 to 10 % of the dent of a ball pressed 2 to 4 mm deep: up to 0.4 mm, and nothing touches."""
+LEFT = (0.02, 0.1)
 
 
 def _light(image: U8, model: SensorModel, rng: Rng) -> U8:
@@ -80,10 +80,44 @@ def _blurred(image: U8, model: SensorModel, rng: Rng) -> U8:
     return nuisance.defocus(image, float(rng.uniform(1, 5)))
 
 
-def _torn(image: U8, model: SensorModel, rng: Rng) -> U8:
-    row = round(model.row_c + model.disc_radius_px * rng.uniform(-0.8, 0.8))
-    other = (image, image * 0, image * 0 + 128)[rng.integers(3)]
-    return nuisance.torn(image, np.asarray(other, np.uint8), row, int(rng.integers(3, 200)))
+def _torn_row(model: SensorModel, rng: Rng) -> int:
+    return round(model.row_c + model.disc_radius_px * float(rng.choice((-0.6, -0.3, 0.0, 0.3, 0.6))))
+
+
+def _sideways(px: int) -> Change:
+    def change(image: U8, model: SensorModel, rng: Rng) -> U8:
+        scaled_px = round(px * model.image_width_px / 640)
+        return nuisance.torn(image, image, _torn_row(model, rng), scaled_px * int(rng.choice((-1, 1))))
+
+    return change
+
+
+def _repeated(image: U8, model: SensorModel, rng: Rng) -> U8:
+    row = _torn_row(model, rng)
+    spoiled = image.copy()
+    spoiled[row:] = image[row]
+    return spoiled
+
+
+def _down(image: U8, model: SensorModel, rng: Rng) -> U8:
+    row, px = _torn_row(model, rng), round(40 * model.image_height_px / 480)
+    spoiled = image.copy()
+    spoiled[row:] = image[row - px : len(image) - px]
+    return spoiled
+
+
+def _flat_below(image: U8, model: SensorModel, rng: Rng) -> U8:
+    return nuisance.torn(image, np.full_like(image, int(rng.choice((0, 128)))), _torn_row(model, rng))
+
+
+TORN: dict[str, Change] = {
+    "torn: rows sideways by 60 px": _sideways(60),
+    "torn: rows sideways by 200 px": _sideways(200),
+    "torn: one row again and again": _repeated,
+    "torn: rows down by 40 px": _down,
+    "torn: black or grey below": _flat_below,
+}
+"""At five rows, on an image of 640x480 px."""
 
 
 BEYOND: dict[str, Change] = {
@@ -91,7 +125,7 @@ BEYOND: dict[str, Change] = {
     "moved by 3 to 7 px": _far_moved,
     "noise of 15 to 50 levels": _far_noisy,
     "blur of 1 to 5 px": _blurred,
-    "torn": _torn,
+    **TORN,
 }
 """What no user may expect to be compensated: refused or said, at best."""
 

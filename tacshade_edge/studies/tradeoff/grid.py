@@ -159,6 +159,8 @@ def _hybrid_sfs(setting: Setting) -> MakeSolver:
     return partial(HybridSfs, denoise=denoise, depth=scaled_grey if setting.scaled_grey else hybrid_depth)
 
 
-def _find_everywhere(contact: Bool, height_mm: F32, rays: DiscRays, geometry: Geometry) -> Objects | None:
+def _find_everywhere(
+    contact: Bool, height_mm: F32, shear_mm: F32 | None, rays: DiscRays, geometry: Geometry
+) -> Objects | None:
     rows, cols = contact.shape
-    return objects_in((slice(0, rows), slice(0, cols)), contact, height_mm, rays, geometry)
+    return objects_in((slice(0, rows), slice(0, cols)), contact, height_mm, shear_mm, rays, geometry)

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from support.calibrated_sensor import HALF
 from support.half_family import HALF_SENSOR, half_family
+from support.toy_network import saying
 
-from tacshade_edge.core.depth.learned import HEIGHT_SCALE, Network, fold, unfold
+from tacshade_edge.core.depth.network_maps import HEIGHT_SCALE, fold, unfold
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.simulator.objects import ball
 from tacshade_edge.simulator.press import Press
@@ -67,14 +68,14 @@ def test_the_truth_stands_in_the_place_of_the_answer() -> None:
     rng = np.random.default_rng(0)
     shape = (disc_map.CELLS, disc_map.CELLS)
     found, logit = rng.random((2, *shape), dtype=np.float32) - np.float32(0.2)
-    network = Network(4, lambda known: known, lambda white, sensor: fold(np.stack((found, logit)), 4))
+    network = saying(fold(np.stack((found, logit)), 4))
     height, contact = rng.random(shape, dtype=np.float32), rng.random(shape) < 0.5
 
     def answer(**perfect: bool) -> tuple[np.ndarray, np.ndarray]:
         made = PerfectedNetwork(network, **perfect)
         made.show(height, contact)
         nothing = np.zeros((1, 1, 1), np.float32)
-        first, second = unfold(made.as_network().run(nothing, nothing), 4)
+        first, second = unfold(made.as_network().run(nothing, nothing).depth_and_contact, 4)
         return first, second
 
     np.testing.assert_array_equal(answer(), (found, logit))

@@ -1,0 +1,189 @@
+"""Frames with labels in place of surfaces: how found depth, tilt and displacement follow what is known of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from scipy.stats import rankdata
+
+from tacshade_edge.devices.files.labels import COLUMNS
+from tacshade_edge.reasons import code_of
+from tacshade_edge.studies.tables import markdown
+from tacshade_edge.types import F64, Reconstruction
+
+PAIRS = {"tilt": ("tilt_x_deg", "tilt_y_deg"), "shear": ("shear_x_mm", "shear_y_mm")}
+"""What has two axes, which need not be the camera's."""
+
+
+@dataclass(frozen=True, slots=True)
+class FoundRow:
+    """One frame by one profile; what was not found is NaN.
+
+    Attributes
+    ----------
+    image, profile : str
+    refused : str
+        Code of the reason; empty for a frame that was used.
+    contact, saturated, degraded : bool
+    depth_mm : float
+        Greatest h; 0 without contact.
+    volume_mm3 : float
+    tilt_x_deg, tilt_y_deg : float
+        Of the normal of the greatest object.
+    shear_x_mm, shear_y_mm : float
+        Mean over all contact cells.
+    """
+
+    image: str
+    profile: str
+    refused: str
+    contact: bool
+    saturated: bool
+    degraded: bool
+    depth_mm: float
+    volume_mm3: float
+    tilt_x_deg: float
+    tilt_y_deg: float
+    shear_x_mm: float
+    shear_y_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """How one found quantity follows a known one, over frames that were not refused.
+
+    Attributes
+    ----------
+    quantity : str
+    frames : int
+        Scored: for a pair of axes those that its map was not fitted on.
+    rank_correlation : float
+        Spearman's; of a pair, the mean of both axes.
+    error : float
+        Mean absolute error after a line (a pair: a 2x2 map) fitted on the other half.
+    """
+
+    quantity: str
+    frames: int
+    rank_correlation: float
+    error: float
+
+
+def found_row(image: str, result: Reconstruction) -> FoundRow:
+    """What a reconstruction says of a frame."""
+    x, y, z = result.objects[0].normal if result.objects else (math.nan,) * 3
+    shear_x, shear_y = result.shear_of_contact_mm or (math.nan, math.nan)
+    return FoundRow(
+        image,
+        result.profile,
+        code_of(result.reason),
+        result.contact,
+        result.saturated,
+        result.degraded is not None,
+        result.depth_max_mm,
+        result.volume_mm3,
+        # A plane that is turned about x by an angle has the normal (0, -sin, cos); about y, (sin, 0, cos).
+        math.degrees(math.atan2(-y, z)),
+        math.degrees(math.atan2(x, z)),
+        shear_x,
+        shear_y,
+    )
+
+
+def agreements(rows: Sequence[FoundRow], known: Sequence[Mapping[str, float]]) -> list[Agreement]:
+    """Compare found with known, row by row."""
+    used = [(row, labels) for row, labels in zip(rows, known, strict=True) if not row.refused]
+    found = {name: np.array([getattr(row, name) for row, _ in used]) for name in (*COLUMNS, "volume_mm3")}
+    true = {name: np.array([labels.get(name, math.nan) for _, labels in used]) for name in COLUMNS}
+    made = [_followed("depth", found["depth_mm"], true["depth_mm"])]
+    made.append(_followed("depth by volume", found["volume_mm3"], true["depth_mm"]))
+    for quantity, names in PAIRS.items():
+        pair = [np.stack([each[name] for name in names], axis=1) for each in (found, true)]
+        made.append(_mapped(quantity, pair[0], pair[1]))
+    # What a robot drags is its flange: skin under a plate that tilts with it goes elsewhere too, and the less far the
+    # shallower it is.
+    shear, tilt = (np.stack([found[name] for name in PAIRS[pair_name]], axis=1) for pair_name in ("shear", "tilt"))
+    depth = found["depth_mm"][:, None]
+    moved = np.concatenate((shear, tilt, depth * shear, depth * tilt), axis=1)
+    true_shear = np.stack([true[name] for name in PAIRS["shear"]], axis=1)
+    made.append(_mapped("shear, by tilt and depth too", moved, true_shear))
+    return [each for each in made if each is not None]
+
+
+def text(rows: Iterable[FoundRow], made: Mapping[str, Sequence[Agreement]]) -> str:
+    """Tables for a person: what was refused, and how the rest agrees."""
+    by_profile: dict[str, list[FoundRow]] = {}
+    for row in rows:
+        by_profile.setdefault(row.profile, []).append(row)
+    counts = [
+        (profile, *map(str, numbers))
+        for profile, some in by_profile.items()
+        for numbers in [
+            (
+                len(some),
+                sum(bool(row.refused) for row in some),
+                sum(not row.refused and not row.contact for row in some),
+                sum(row.saturated for row in some),
+                sum(row.degraded for row in some),
+            )
+        ]
+    ]
+    figures = [
+        (profile, each.quantity, str(each.frames), f"{each.rank_correlation:.2f}", f"{each.error:.2f}")
+        for profile, some in made.items()
+        for each in some
+    ]
+    return "\n\n".join(
+        (
+            markdown(("profile", "frames", "refused", "without contact", "saturated", "degraded"), counts),
+            markdown(("profile", "quantity", "frames", "rank correlation", "mean error"), figures),
+        )
+    )
+
+
+def _followed(quantity: str, found: F64, true: F64) -> Agreement | None:
+    """One number against one number; the line is fitted on every other frame and scored on the rest."""
+    there = np.isfinite(found) & np.isfinite(true)
+    found, true = found[there], true[there]
+    if len(found) < 4:
+        return None
+    fit, rest = slice(0, None, 2), slice(1, None, 2)
+    line = np.polynomial.Polynomial.fit(found[fit], true[fit], 1)
+    error = float(np.abs(line(found[rest]) - true[rest]).mean())
+    return Agreement(quantity, len(found), _spearman(found, true), error)
+
+
+def _mapped(quantity: str, found: F64, true: F64) -> Agreement | None:
+    """Two axes (N, 2): a linear map to them from found (N, n), fitted on every other frame and scored on the rest."""
+    there = np.isfinite(found).all(axis=1) & np.isfinite(true).all(axis=1)
+    found, true = found[there], true[there]
+    if len(found) < 4 * found.shape[1]:
+        return None
+    to_true, *_ = np.linalg.lstsq(found[::2], true[::2], rcond=None)
+    mapped, rest = found[1::2] @ to_true, true[1::2]
+    both = [_spearman(mapped[:, k], rest[:, k]) for k in (0, 1)]
+    error = float(np.linalg.norm(mapped - rest, axis=1).mean())
+    return Agreement(quantity, len(rest), float(np.mean(both)), error)
+
+
+def _spearman(one: F64, other: F64) -> float:
+    a, b = (rankdata(values) - (len(values) + 1) / 2 for values in (one, other))
+    scale = math.sqrt(float(a @ a) * float(b @ b))
+    return float(a @ b) / scale if scale > 0 else math.nan
+
+
+def document(rows: Sequence[FoundRow], made: Mapping[str, Sequence[Agreement]]) -> dict[str, object]:
+    """For JSON: NaN as null."""
+    return {
+        "frames": [{k: _plain(v) for k, v in asdict(row).items()} for row in rows],
+        "agreements": {
+            name: [{k: _plain(v) for k, v in asdict(a).items()} for a in some] for name, some in made.items()
+        },
+    }
+
+
+def _plain(value: object) -> object:
+    return None if isinstance(value, float) and math.isnan(value) else value

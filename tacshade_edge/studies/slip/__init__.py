@@ -1,0 +1,1 @@
+"""Slip over time: told how soon, and how often where nothing slides."""
