@@ -15,16 +15,19 @@ from tacshade_edge.types import U8, Calibration, Disc, Fit, Frame, Geometry, Pro
 
 HEIGHT, WIDTH, PITCH_PX = 120, 160, 8.0
 SCALE = 4  # of `enlarged`
+PRESSED_PX, SPREAD = 20.0, 0.16
 DISC = Disc(59.5, 79.5, 52.0)
 
 
 def painted(*, touched: bool = False) -> U8:
-    """White markers on a dark disc; larger markers in the middle where touched."""
+    """White markers on a dark disc; larger markers in the middle, spread from there, where touched."""
     image = np.full((HEIGHT, WIDTH), 30, dtype=np.uint8)
     for i, row in enumerate(np.arange(4, HEIGHT, PITCH_PX)):
         for col in np.arange(4 + (i % 2) * PITCH_PX / 2, WIDTH, PITCH_PX):
-            pressed = touched and np.hypot(row - DISC.row_c, col - DISC.col_c) < 20
-            cv2.circle(image, (round(col), round(row)), 3 if pressed else 2, 200, -1)
+            far_px = np.hypot(row - DISC.row_c, col - DISC.col_c)
+            spread = SPREAD if touched and far_px < PRESSED_PX else 0.0
+            at = (round(col + spread * (col - DISC.col_c)), round(row + spread * (row - DISC.row_c)))
+            cv2.circle(image, at, 3 if spread else 2, 200, -1)
     return image
 
 
