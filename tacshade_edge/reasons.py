@@ -28,6 +28,9 @@ class ReasonCode(StrEnum):
     FOREIGN = "foreign"
     NO_USABLE_FRAME = "no_usable_frame"
 
+    # A daemon without a calibration.
+    NOT_CALIBRATED = "not_calibrated"
+
     # An error without a code of its own below.
     CONFIG = "config"
     DEVICE = "device"

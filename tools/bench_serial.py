@@ -36,7 +36,7 @@ def poses(seconds: float, rate_hz: float, line: str | None) -> None:
     link = Path(f"/dev/shm/tacshade-bench-{os.getpid()}")
     command = [sys.executable, str(Path(__file__).with_name("robot.py")), "--link", str(link), "--binary"]
     command += ["--rate", str(rate_hz), "--seconds", str(seconds), *(["--line", line] if line else [])]
-    robot = Robot(SerialPort(str(link), 115200), lambda _: None, dict, lambda _: None)
+    robot = Robot(SerialPort(str(link), 115200), lambda _: None, dict, lambda _: None, lambda: None)
     pause = threading.Event()
     asked = known = 0
     error_us: list[int] = []

@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 
 from tacshade_edge.devices import registry
+from tacshade_edge.reasons import Reason
 from tacshade_edge.settings import json_schema, load
 
 DEFAULT_CONFIG = Path("/etc/tacshade-edge/config.yaml")
@@ -27,9 +28,11 @@ def run(args: argparse.Namespace) -> int:
         return 0
     document = load(args.file)
     registry.check_files(document)
-    registry.load_calibration(document)
+    calibration = registry.find_calibration(document)
     # What `run` makes, made and not started: a wrong certificate is found here.
     registry.make_source(document.settings.source)
     registry.make_link(document, on_request=lambda _: None, on_outcome=lambda *_: None)
     print(f"{args.file}: ok")
+    if isinstance(calibration, Reason):
+        print(f"{document.where('calibration')}: warning: {calibration}")
     return 0

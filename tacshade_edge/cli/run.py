@@ -26,7 +26,8 @@ def run(args: argparse.Namespace) -> int:
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
     document = load(args.config)
     registry.check_files(document)
-    app = App(document, registry.make_source(document.settings.source), registry.load_calibration(document, store=True))
+    calibration = registry.find_calibration(document, store=True)
+    app = App(document, registry.make_source(document.settings.source), calibration)
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: app.stop())
     if not os.isatty(0):

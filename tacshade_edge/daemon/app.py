@@ -6,6 +6,7 @@ docs/architecture.md lists the threads and the queues between them.
 from __future__ import annotations
 
 import logging
+import os
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -18,6 +19,7 @@ import numpy as np
 
 from tacshade_edge import __version__
 from tacshade_edge.core.profiles import LADDER, PROFILES
+from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.pipeline.ledger import FrameLedger
 from tacshade_edge.daemon.pipeline.pipeline import Crash, Pipeline, crashes_to
 from tacshade_edge.daemon.pipeline.workers import Sink, SourceState
@@ -85,7 +87,8 @@ class App:
     ----------
     document : Document
     source : FrameSource
-    calibration : Calibration
+    calibration : Calibration or Reason
+        Or why there is none yet: the camera's picture is all that is served until `reload` finds one.
 
     Attributes
     ----------
@@ -93,7 +96,7 @@ class App:
     link : MqttLink
     """
 
-    def __init__(self, document: Document, source: FrameSource, calibration: Calibration) -> None:
+    def __init__(self, document: Document, source: FrameSource, calibration: Calibration | Reason) -> None:
         settings = document.settings
         self._document = document
         # SimpleQueue: the one queue that a signal handler may put into.
@@ -109,9 +112,10 @@ class App:
         self._references = References(calibration, reference_file.path_beside(settings.calibration))
         sink: Sink = self._references.frames.observing(self._publisher)
         sink = self._sessions.observing(sink) if self._sessions else sink
+        profile, known = PROFILES.get(settings.profile, PROFILES[LADDER[-1]]), self._references.calibration
         self._pipeline = Pipeline(
             source,
-            make_reconstructor(self._references.calibration, PROFILES.get(settings.profile, PROFILES[LADDER[-1]])),
+            known if isinstance(known, Reason) else make_reconstructor(known, profile),
             self._robot.adding_poses(sink) if self._robot else sink,
             self.ledger,
             self._events.put,
@@ -137,6 +141,7 @@ class App:
         self._published_camera: SourceState | None = None
         self._latest_health: dict[str, Any] = {}
         self._preview_seq = -1
+        self._refused_ns: int | None = None  # st_mtime_ns of a calibration's file
 
     def stop(self) -> None:
         """Ask `run` to end; may be called from any thread and from a signal handler."""
@@ -178,6 +183,7 @@ class App:
             if now_s >= next_health_s:
                 next_health_s = now_s + HEALTH_PERIOD_S
                 self._publish_health()
+                self._look_for_calibration()
                 self._service.tick(self._published_camera or self._camera, self._latest_health["delivered_fps"])
             if now_s >= next_preview_s:
                 next_preview_s = now_s + PREVIEW_PERIOD_S
@@ -218,10 +224,13 @@ class App:
         """Take over what the settings file says now; nothing changes when it is bad."""
         self._service.reloading()
         try:
-            new = reload(self._document)
+            new = reload(self._document, calibrated=self._missing() is None)
         except ConfigError as error:
             note: Reason | None = Reason(error.code, f"reload refused, the running settings stay: {error}")
             _log.warning("%s", note)
+            if self._missing():
+                self._active.use(Reason(ReasonCode.NOT_CALIBRATED, f"not calibrated: {error}"))
+                self._publish_info()
         else:
             self._document = new.document
             settings = new.document.settings
@@ -233,6 +242,23 @@ class App:
             note = new.reason
             _log.info("reloaded%s", f"; {note}" if note else "")
         self._service.reloaded(note)
+
+    def _missing(self) -> Reason | None:
+        """Why there is no calibration; None when there is one."""
+        reconstructor = self._active.reconstructor
+        return reconstructor if isinstance(reconstructor, Reason) else None
+
+    def _look_for_calibration(self) -> None:
+        """Where there is none, take up one that has come; what cannot be used is told once."""
+        if self._missing() is None:
+            return
+        try:
+            written_ns = os.stat(self._document.settings.calibration).st_mtime_ns
+        except OSError:
+            return
+        if written_ns != self._refused_ns:
+            self._refused_ns = written_ns
+            self._reload()
 
     def _shut_down(self) -> None:
         """Finish what is on its way, account for the rest, say goodbye."""
@@ -284,7 +310,13 @@ class App:
             return None
         from tacshade_edge.daemon.robot.robot import Robot
 
-        return Robot(port, self._on_request, self._status, lambda s: self.link.set_retained("status/serial", s))
+        return Robot(
+            port,
+            self._on_request,
+            self._status,
+            lambda status: self.link.set_retained("status/serial", status),
+            self._missing,
+        )
 
     def _make_sessions(self) -> SessionRequests | None:
         """Imported only where frames have poses."""
@@ -298,20 +330,21 @@ class App:
     def _changed(self) -> None:
         """The reconstructor was replaced."""
         reconstructor = self._active.reconstructor
-        self._recorder.reconstructs_with(reconstructor.profile.name, reconstructor.calibration.crc32)
+        if not isinstance(reconstructor, Reason):
+            self._recorder.reconstructs_with(reconstructor.profile.name, reconstructor.calibration.crc32)
         self._publish_info()
 
     def _follow(self) -> None:
         """Use the reference as far as it followed; tell why when it does not."""
-        calibration = self._references.calibration
-        if calibration.crc32 == self._active.reconstructor.calibration.crc32:
+        running, calibration = self._active.reconstructor, self._references.calibration
+        if isinstance(running, Reason) or running.calibration is calibration:
             self._publish_info()
         else:
             self._active.use(calibration)
             self._changed()
 
-    def _on_record(self, request: Request) -> None:
-        self._record.handle(request, self._document.settings, self._active.reconstructor, self._camera_now())
+    def _on_record(self, request: Request, reconstructor: Reconstructor) -> None:
+        self._record.handle(request, self._document.settings, reconstructor, self._camera_now())
 
     def _on_stitch(self, request: Request) -> None:
         if self._sessions:
@@ -328,8 +361,9 @@ class App:
         if self._camera.state == "streaming" and silent_s > STALL_S:
             stalled = Reason(ReasonCode.STALLED, f"no frame for more than {STALL_S:.0f} s")
             return SourceState("away", stalled, self._camera.details)
-        if self._camera.state == "streaming" and self._health.unusable:
-            return SourceState("unusable", self._health.unusable, self._camera.details)
+        unusable = self._missing() or self._health.unusable
+        if self._camera.state == "streaming" and unusable:
+            return SourceState("unusable", unusable, self._camera.details)
         return self._camera
 
     def _publish_camera(self, state: SourceState | None = None) -> None:
@@ -348,8 +382,8 @@ class App:
         info = messages.encode_info(
             version=__version__,
             config_digest=digest(self._document.settings),
-            profile=reconstructor.profile.name,
-            calibration=reconstructor.calibration,
+            profile=self._active.name,
+            calibration=reconstructor if isinstance(reconstructor, Reason) else reconstructor.calibration,
             profiles=self._active.choices,
             choice=self._active.choice,
             reference=self._references.info(),

@@ -23,13 +23,13 @@ class Reloaded:
     ----------
     document : Document
         The new settings, with the running ones for every key in `RESTART_KEYS`.
-    calibration : Calibration
+    calibration : Calibration or Reason
     waiting : tuple of str
         Keys that changed and need a restart.
     """
 
     document: Document
-    calibration: Calibration
+    calibration: Calibration | Reason
     waiting: tuple[str, ...]
 
     @property
@@ -40,8 +40,14 @@ class Reloaded:
         return Reason(ReasonCode.RESTART, f"restart to use the new {' and '.join(self.waiting)}")
 
 
-def reload(running: Document) -> Reloaded:
+def reload(running: Document, *, calibrated: bool) -> Reloaded:
     """Read the settings and the calibration again.
+
+    Parameters
+    ----------
+    running : Document
+    calibrated : bool
+        There was a calibration, and there must be one.
 
     Raises
     ------
@@ -53,4 +59,5 @@ def reload(running: Document) -> Reloaded:
     kept = {key: getattr(running.settings, key) for key in RESTART_KEYS}
     waiting = tuple(key for key, value in kept.items() if getattr(new.settings, key) != value)
     document = replace(new, settings=msgspec.structs.replace(new.settings, **kept))
-    return Reloaded(document, registry.load_calibration(document), waiting)
+    find = registry.load_calibration if calibrated else registry.find_calibration
+    return Reloaded(document, find(document), waiting)

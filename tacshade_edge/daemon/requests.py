@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from tacshade_edge.core.profiles import AUTO
+from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.pipeline.workers import Reconstruct
 from tacshade_edge.daemon.profiles.active_profile import ActiveProfile
 from tacshade_edge.daemon.reference.collector import REFERENCE_FRAMES, ReferenceCollector
@@ -43,7 +44,7 @@ class Requests:
     changed : callable
         Called after the reconstructor was replaced.
     record, stitch : callable
-        Do and answer the verbs of their names.
+        Do and answer the verbs of their names; `record` with what reconstructs now.
     """
 
     def __init__(
@@ -54,7 +55,7 @@ class Requests:
         reply: Reply,
         status: Callable[[], dict[str, Any]],
         changed: Callable[[], None],
-        record: Callable[[Request], None],
+        record: Callable[[Request, Reconstructor], None],
         stitch: Callable[[Request], None],
     ) -> None:
         self._worker = worker
@@ -70,10 +71,13 @@ class Requests:
 
     def handle(self, request: Request) -> None:
         """Do or refuse one request."""
+        reconstructor = self._active.reconstructor
         if request.verb == "status":
             self._reply(request, self._status())
+        elif isinstance(reconstructor, Reason):
+            self._refuse(request, reconstructor)
         elif request.verb == "record":
-            self._record(request)
+            self._record(request, reconstructor)
         elif request.verb == "stitch":
             self._stitch(request)
         elif request.verb == "profile":
@@ -107,7 +111,7 @@ class Requests:
         self._active.choose(request.profile)
         self._changed()
         _log.info("profile is now %s", request.profile)
-        self._reply(request, ProfileChosen(self._active.reconstructor.profile.name))
+        self._reply(request, ProfileChosen(self._active.name))
 
     def _take_reference(self, request: Request) -> None:
         if self._reference is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +16,7 @@ from tacshade_edge.devices.mqtt.link import MqttLink
 from tacshade_edge.devices.mqtt.outlet import PayloadOutcome
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.protocol.messages import Request
+from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.settings import Document, Files, Serial, Settings, Simulated, Source, V4l2
 from tacshade_edge.types import Calibration
 
@@ -73,6 +75,34 @@ def frames_have_poses(settings: Settings) -> bool:
     """Whether a robot tells them, or the source's folder has a table that may."""
     source = settings.source
     return settings.serial is not None or (isinstance(source, Files) and table_in(Path(source.path)) is not None)
+
+
+def find_calibration(document: Document, *, store: bool = False) -> Calibration | Reason:
+    """Load the calibration as `load_calibration`, or tell that there is none yet, and how it is made.
+
+    Raises
+    ------
+    ConfigError
+        There is a file, and it cannot be used.
+    """
+    path = document.settings.calibration
+    try:
+        os.stat(path)
+    except FileNotFoundError:
+        text = f"not calibrated: found no file {path}; {how_to_calibrate(document)}"
+        return Reason(ReasonCode.NOT_CALIBRATED, text)
+    except OSError:
+        pass  # the loading tells it
+    return load_calibration(document, store=store)
+
+
+def how_to_calibrate(document: Document) -> str:
+    """The commands that make the calibration of the settings."""
+    return (
+        f"while nothing else has the camera, tacshade-edge capture DIR --config {document.path} takes what it needs; "
+        "then tacshade-edge calibrate --sensor DIR/SENSOR.yaml --reference DIR/reference_*.png "
+        f"--presses DIR/PRESSES.csv --out {document.settings.calibration}"
+    )
 
 
 def load_calibration(document: Document, *, store: bool = False) -> Calibration:

@@ -22,10 +22,6 @@ from tacshade_edge.types import U8, Calibration, Frame
 
 _NOISIER, _NOISE_LEVELS = 2.0, 2.0
 _DAY_S = 86400
-_CALIBRATE = (
-    "make one (docs/calibration.md): tacshade-edge capture DIR takes what it needs; then tacshade-edge calibrate "
-    "--sensor DIR/SENSOR.yaml --reference DIR/reference_*.png --presses DIR/PRESSES.csv --out {path}"
-)
 _REZERO = (
     "with nothing touching the skin, publish {} to tacshade/SENSOR/req/reference while the daemon runs; if that does "
     "not last, calibrate again (docs/calibration.md)"
@@ -57,12 +53,15 @@ def load(document: Document) -> tuple[Calibration | None, tuple[Finding, ...]]:
     """The calibration that the settings name, and what is to be said of the file; None when it cannot be used."""
     path = document.settings.calibration
     try:
-        calibration = registry.load_calibration(document)
+        calibration = registry.find_calibration(document)
     except ConfigError as error:
-        mend = _CALIBRATE.format(path=path)
+        mend = registry.how_to_calibrate(document)
         if os.path.exists(path) and not os.access(path, os.R_OK):
             mend = f"run this with sudo, or as the service does: {AS_SERVICE}"
         return None, (fault("calibration", str(error), mend),)
+    if isinstance(calibration, Reason):
+        found = f"{document.where('calibration')}: found no file {path}: the camera's picture is all that is served"
+        return None, (warning("calibration", found, registry.how_to_calibrate(document)),)
     days = (time.time() - os.stat(path).st_mtime) / _DAY_S
     found = f"{path}: {calibration.crc32:08x}, {max(days, 0):.0f} days old"
     if not calibration.factors:

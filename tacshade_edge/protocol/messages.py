@@ -231,18 +231,20 @@ def encode_info(
     version: str,
     config_digest: str,
     profile: str,
-    calibration: Calibration,
+    calibration: Calibration | Reason,
     profiles: Sequence[str] = (),
     choice: str | None = None,
     reference: Mapping[str, Any] | None = None,
 ) -> bytes:
     """The ``info`` payload: what a subscriber needs to place every pixel of ``height`` in mm.
 
+    `calibration` is why there is none, where there is none: ``geometry`` is null then.
+
     `profiles` are the names that ``req/profile`` takes; empty where it takes none. `choice` is that of them which was
     chosen: `profile` where it is None. `reference` is where the reference began and how far it may follow from there;
     None where it does not follow.
     """
-    geometry = calibration.geometry
+    missing, known = (calibration, None) if isinstance(calibration, Reason) else (None, calibration)
     return _encode(
         {
             "version": version,
@@ -252,22 +254,28 @@ def encode_info(
             "profiles": profiles,
             "choice": choice or profile,
             "reference": reference,
-            "geometry": {
-                "skin_radius_mm": geometry.skin_radius_mm,
-                "camera_distance_mm": geometry.camera_distance_mm,
-                "visible_half_angle_deg": geometry.visible_half_angle_deg,
-                "f_px": geometry.f_px,
-                "mm_per_px": geometry.mm_per_px,
-                "row_c": geometry.disc.row_c,
-                "col_c": geometry.disc.col_c,
-                "radius_px": geometry.disc.radius_px,
-                "image_height_px": calibration.image_height_px,
-                "image_width_px": calibration.image_width_px,
-                "flange_T_sensor": calibration.flange_T_sensor,
-                "calibration_crc32": calibration.crc32,
-            },
+            "geometry": _geometry_json(known) if known else None,
+            **reason_fields(missing),
         }
     )
+
+
+def _geometry_json(calibration: Calibration) -> dict[str, object]:
+    geometry = calibration.geometry
+    return {
+        "skin_radius_mm": geometry.skin_radius_mm,
+        "camera_distance_mm": geometry.camera_distance_mm,
+        "visible_half_angle_deg": geometry.visible_half_angle_deg,
+        "f_px": geometry.f_px,
+        "mm_per_px": geometry.mm_per_px,
+        "row_c": geometry.disc.row_c,
+        "col_c": geometry.disc.col_c,
+        "radius_px": geometry.disc.radius_px,
+        "image_height_px": calibration.image_height_px,
+        "image_width_px": calibration.image_width_px,
+        "flange_T_sensor": calibration.flange_T_sensor,
+        "calibration_crc32": calibration.crc32,
+    }
 
 
 def encode_status(

@@ -118,11 +118,6 @@ KEYS = "expected one of sensor_id, calibration, profile"
             "s.yaml:2: source.path: {folder}/good.npz: found no video that OpenCV can read, expected a folder",
         ),
         (
-            {"calibration": "none.npz"},
-            "s.yaml:1: calibration: {folder}/none.npz: cannot read the calibration: No such file or directory; "
-            + WRITTEN_BY,
-        ),
-        (
             {"calibration": "cut.npz"},
             f"s.yaml:1: calibration: {{folder}}/cut.npz: not a calibration, or damaged; {WRITTEN_BY}",
         ),

@@ -33,11 +33,20 @@ def test_a_good_file_is_ok(folder: Path, capsys: Any) -> None:
     assert capsys.readouterr().out == f"{folder}/s.yaml: ok\n"
 
 
+def test_a_missing_calibration_is_a_warning_with_the_next_command(folder: Path, capsys: Any) -> None:
+    assert check(folder, "source: {kind: simulated}\ncalibration: none.npz\n") == 0
+    good, warning = capsys.readouterr().out.splitlines()
+    assert good == f"{folder}/s.yaml: ok"
+    assert warning.startswith(
+        f"{folder}/s.yaml:2: calibration: warning: not calibrated: found no file {folder}/none.npz"
+    )
+    assert f"tacshade-edge capture DIR --config {folder}/s.yaml" in warning
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
         (GOOD + "mqtt: {prot: 1}\n", "s.yaml:3: mqtt.prot: found an unknown key"),
-        ("source: {kind: simulated}\ncalibration: none.npz\n", "s.yaml:2: calibration: {folder}/none.npz: "),
         ("calibration: s.yaml\nsource: {kind: simulated}\n", "s.yaml:1: calibration: {folder}/s.yaml: "),
         ("calibration: cut.npz\nsource: {kind: simulated}\n", "s.yaml:1: calibration: {folder}/cut.npz: "),
         ("calibration: one.npy\nsource: {kind: simulated}\n", "s.yaml:1: calibration: {folder}/one.npy: "),

@@ -37,7 +37,7 @@ class Asked:
             lambda request, outcome: self.replies.append(json.loads(encode_reply(request, outcome))),
             lambda: {"up": 1},
             self._changed,
-            self.records.append,
+            lambda request, _: self.records.append(request),
             self.records.append,
         )
 

@@ -49,7 +49,7 @@ class Robot:
     def __init__(self) -> None:
         self.requests: list[Request] = []
         state = {"source": "streaming", "health": {}}
-        self.commands = SerialCommands(RobotMotion(), self.requests.append, lambda: state, lambda: None)
+        self.commands = SerialCommands(RobotMotion(), self.requests.append, lambda: state, lambda: None, lambda: None)
 
     def with_interpolated_pose(self, frame: Frame) -> Frame:
         return frame

@@ -21,6 +21,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from selenium.webdriver import ActionChains, Chrome
@@ -38,6 +39,7 @@ from tacshade_edge.cli.demo_sensor import make_calibration
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
 from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.protocol import messages, wire
+from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.simulator.script import demonstration
 from tacshade_edge.types import Slip
@@ -338,6 +340,29 @@ def test_the_profile_that_auto_uses_now_is_shown_as_it_changes(page: Chrome, tmp
         )
         shows(page, "answer", "The profile is fast.")
         wait_until(lambda: shown() == "fast", 15, "a fixed profile")
+
+
+def test_a_hand_that_is_not_calibrated_yet_shows_its_picture_and_why(page: Chrome, tmp_path: Path) -> None:
+    missing = Reason(ReasonCode.NOT_CALIBRATED, "not calibrated: found no file")
+    picture = cv2.imencode(".jpg", np.full((240, 320), 90, np.uint8))[1].tobytes()
+    with (
+        Broker(tmp_path) as broker,
+        dashboard(f"127.0.0.1:{broker.port}") as address,
+        PublishedHand(broker.port) as hand,
+    ):
+        opened(page, address)
+        wait_until(lambda: page.find_element(By.ID, "rezero").is_enabled(), 15, "the hand is online")
+        hand.tell_info("fast", profiles=("fast",), missing=missing)
+        hand.tell("state", b"degraded", retain=True)
+        hand.tell("status/camera", messages.encode_status("unusable", missing), retain=True)
+        hand.tell("health", messages.encode_health({"invalid_reason": missing.text}))
+        hand.tell("preview", picture)
+        shows(page, "state", "degraded camera: not calibrated: found no file")
+        wait_until(lambda: page.find_element(By.ID, "picture").is_displayed(), 15, "the picture")
+        assert not any(page.find_element(By.ID, name).is_displayed() for name in ("height", "space", "numbers"))
+        assert not page.find_element(By.ID, "rezero").is_enabled()
+        hand.tell_info("fast", profiles=("fast",))
+        wait_until(lambda: page.find_element(By.ID, "height").is_displayed(), 15, "calibrated")
 
 
 def test_what_a_hand_refuses_or_does_not_answer_is_told(page: Chrome, tmp_path: Path) -> None:

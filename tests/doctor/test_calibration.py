@@ -107,8 +107,12 @@ def test_the_file(tmp_path: Path) -> None:
     config.write_text("calibration: c.npz\nsource: {kind: simulated}\n")
     absent, (finding,) = load(load_settings(config))
     assert absent is None
-    assert finding.state == "fault"
+    assert finding.state == "warning"
+    assert f"tacshade-edge capture DIR --config {config}" in finding.mend
     assert f"--out {tmp_path}/c.npz" in finding.mend
+    (tmp_path / "c.npz").write_bytes(b"PK")
+    absent, (finding,) = load(load_settings(config))
+    assert (absent, finding.state) == (None, "fault")
     calibration_file.save(tmp_path / "c.npz", painted_calibration())
     known, (finding,) = load(load_settings(config))
     assert known is not None

@@ -11,6 +11,7 @@ from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion
 
 from tacshade_edge.protocol import messages, wire
+from tacshade_edge.reasons import Reason
 from tacshade_edge.types import Calibration, Disc, Geometry, HeightMap, ObjectCloud, Reconstruction, Slip, TouchedObject
 
 ROWS, COLS = 480, 640
@@ -96,13 +97,15 @@ class PublishedHand:
         self.client.disconnect()
         self.client.loop_stop()
 
-    def tell_info(self, profile: str, *, profiles: tuple[str, ...], choice: str | None = None) -> None:
+    def tell_info(
+        self, profile: str, *, profiles: tuple[str, ...], choice: str | None = None, missing: Reason | None = None
+    ) -> None:
         """The retained `info`."""
         info = messages.encode_info(
             version="0",
             config_digest="0",
             profile=profile,
-            calibration=calibration(),
+            calibration=missing or calibration(),
             profiles=profiles,
             choice=choice,
         )

@@ -14,6 +14,7 @@ from tacshade_edge.daemon.pipeline.ledger import FrameLedger, Timings
 from tacshade_edge.daemon.pipeline.mailbox import Mailbox
 from tacshade_edge.daemon.pipeline.workers import Grab, Reconstruct, Sink, SourceState
 from tacshade_edge.devices.base import FrameSource
+from tacshade_edge.reasons import Reason
 from tacshade_edge.types import Frame
 
 _log = logging.getLogger(__name__)
@@ -33,7 +34,8 @@ class Pipeline:
     Parameters
     ----------
     source : FrameSource
-    reconstructor : Reconstructor
+    reconstructor : Reconstructor or Reason
+        Or why there is none yet.
     sink : Sink
     ledger : FrameLedger
         The sink settles in it what it does not settle at once.
@@ -44,7 +46,7 @@ class Pipeline:
     def __init__(
         self,
         source: FrameSource,
-        reconstructor: Reconstructor,
+        reconstructor: Reconstructor | Reason,
         sink: Sink,
         ledger: FrameLedger,
         report: Callable[[SourceState], None],

@@ -9,6 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
+import numpy as np
+
 from tacshade_edge.core.contact.tracking import ContactTracker, follow
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.pipeline.ledger import FrameLedger, FrameOutcome, Timings
@@ -16,7 +18,7 @@ from tacshade_edge.daemon.pipeline.mailbox import Mailbox
 from tacshade_edge.devices.base import FrameSource
 from tacshade_edge.errors import DecodeError, DeviceError
 from tacshade_edge.reasons import Reason
-from tacshade_edge.types import Calibration, Frame, Need, Reconstruction
+from tacshade_edge.types import Calibration, Frame, HeightMap, Need, ObjectCloud, Reconstruction
 
 _log = logging.getLogger(__name__)
 
@@ -121,8 +123,13 @@ class Sink(Protocol):
         """How much of the next frame is asked for."""
         ...
 
-    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> FrameOutcome | None:
-        """Pass a result on without waiting (None: a contact without its depth); None: it will be settled later."""
+    def deliver(
+        self, frame: Frame, result: Reconstruction | None, calibration: Calibration | None
+    ) -> FrameOutcome | None:
+        """Pass a result on without waiting (None: a contact without its depth); None: it will be settled later.
+
+        Without a calibration each result is invalid.
+        """
         ...
 
 
@@ -131,14 +138,15 @@ class Reconstruct:
 
     Parameters
     ----------
-    reconstructor : Reconstructor
-        May be replaced at any time through the attribute; the next frame uses the new one.
+    reconstructor : Reconstructor or Reason
+        Or why there is none: no frame is valid then. May be replaced at any time through the attribute; the next frame
+        uses the new one.
     mailbox, ledger, timings, sink
     """
 
     def __init__(
         self,
-        reconstructor: Reconstructor,
+        reconstructor: Reconstructor | Reason,
         mailbox: Mailbox[Frame],
         ledger: FrameLedger,
         timings: Timings,
@@ -176,12 +184,16 @@ class Reconstruct:
 
         reconstructor = self.reconstructor
         began_ns = last_ns
-        need = max(Need.DEPTH if self.watch else Need.CONTACT, self._sink.need())
-        result = reconstructor.step(frame, mark, need)
-        if result and result.valid:
-            result = follow(self._tracker, result)
+        result: Reconstruction | None
+        if isinstance(reconstructor, Reason):
+            result, calibration = _not_reconstructed(frame, reconstructor), None
+        else:
+            need = max(Need.DEPTH if self.watch else Need.CONTACT, self._sink.need())
+            result, calibration = reconstructor.step(frame, mark, need), reconstructor.calibration
+            if result and result.valid:
+                result = follow(self._tracker, result)
         step_ms = (time.monotonic_ns() - began_ns) / 1e6
-        outcome = self._sink.deliver(frame, result, reconstructor.calibration)
+        outcome = self._sink.deliver(frame, result, calibration)
         mark("deliver")
         ms["capture_to_offer"] = (last_ns - frame.t_ns) / 1e6
         self._timings.add(ms)
@@ -190,3 +202,20 @@ class Reconstruct:
         if (observe := self.observe) and result and result.contact:
             observe(result.profile, last_ns, ms["capture_to_offer"], step_ms)
         return result
+
+
+def _not_reconstructed(frame: Frame, reason: Reason) -> Reconstruction:
+    """An invalid frame, whose disc nobody knows."""
+    return Reconstruction(
+        seq=frame.seq,
+        t_ns=frame.t_ns,
+        wall_ns=frame.wall_ns,
+        profile="",
+        valid=False,
+        reason=reason,
+        contact=False,
+        saturated=False,
+        degraded=None,
+        height=HeightMap(np.zeros((0, 0), np.float32), np.zeros((0, 0), np.bool_), 0.0, 0.0, 1.0),
+        cloud=ObjectCloud(np.zeros((0, 3), np.float32), np.zeros(0, np.uint16)),
+    )

@@ -13,6 +13,7 @@ from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.pipeline.workers import Reconstruct
 from tacshade_edge.daemon.profiles.profile_chooser import ProfileChooser, Step
 from tacshade_edge.devices.weights.network import make_reconstructor
+from tacshade_edge.reasons import Reason
 from tacshade_edge.types import Calibration, Frame
 
 _log = logging.getLogger(__name__)
@@ -35,7 +36,8 @@ class ActiveProfile:
     Parameters
     ----------
     worker : Reconstruct
-        Not started yet. Its reconstructor is replaced, and it is watched by `AUTO`.
+        Not started yet. Its reconstructor is replaced, and it is watched by `AUTO`. Without a calibration it has a
+        reason in place of one until `reload`, and a profile is only chosen.
     choice : str
         A key of `PROFILES`, or `AUTO`.
     budget_ms : float or None
@@ -59,14 +61,21 @@ class ActiveProfile:
         self._steps = {"steps_down": 0, "steps_up": 0}
         self._late_logged, self._calm_s = False, 0
         self.budget_ms = budget_ms
-        self.choice = ""
+        self.choice = choice
         idle = worker.reconstructor  # before the start no thread uses it
-        self._install(choice, idle.calibration, {idle.profile.name: idle})
+        if not isinstance(idle, Reason):
+            self._install(choice, idle.calibration, {idle.profile.name: idle})
 
     @property
-    def reconstructor(self) -> Reconstructor:
-        """The one that the next frame meets."""
+    def reconstructor(self) -> Reconstructor | Reason:
+        """The one that the next frame meets, or why there is none."""
         return self._worker.reconstructor
+
+    @property
+    def name(self) -> str:
+        """Of the profile that the next frame meets, or would."""
+        running = self._worker.reconstructor
+        return self.choice if isinstance(running, Reason) else running.profile.name
 
     @property
     def choices(self) -> tuple[str, ...]:
@@ -75,22 +84,29 @@ class ActiveProfile:
 
     def choose(self, choice: str) -> None:
         """Use a profile, or `AUTO` from its start; one of `choices`."""
-        self._install(choice, self._worker.reconstructor.calibration, {})
+        self.choice, running = choice, self._worker.reconstructor
+        if not isinstance(running, Reason):
+            self._install(choice, running.calibration, {})
 
-    def use(self, calibration: Calibration) -> None:
-        """Use another calibration; what `AUTO` found out stays."""
-        profile = self._worker.reconstructor.profile
-        if self._chooser is None:
-            self._worker.reconstructor = make_reconstructor(calibration, profile)
+    def use(self, calibration: Calibration | Reason) -> None:
+        """Use another calibration; what `AUTO` found out stays. Until the first, why there still is none."""
+        running = self._worker.reconstructor
+        if isinstance(calibration, Reason):
+            self._worker.reconstructor = calibration
+        elif isinstance(running, Reason):
+            self._install(self.choice, calibration, {})
+        elif self._chooser is None:
+            self._worker.reconstructor = make_reconstructor(calibration, running.profile)
         else:
             self._kept = {name: make_reconstructor(calibration, PROFILES[name]) for name in LADDER}
-            self._worker.reconstructor = self._kept[profile.name]
+            self._worker.reconstructor = self._kept[self.name]
 
-    def reload(self, choice: str, budget_ms: float | None, calibration: Calibration) -> None:
+    def reload(self, choice: str, budget_ms: float | None, calibration: Calibration | Reason) -> None:
         """Follow the settings."""
         unchanged = (choice, budget_ms) == (self.choice, self.budget_ms)
         self.budget_ms = budget_ms
-        if unchanged:
+        if unchanged or isinstance(calibration, Reason):
+            self.choice = choice
             self.use(calibration)
         else:
             self._install(choice, calibration, {})
@@ -99,7 +115,7 @@ class ActiveProfile:
         """Do a step; False when its chooser was replaced."""
         if stepped.chooser is not self._chooser:
             return False
-        step, before = stepped.step, self._worker.reconstructor.profile.name
+        step, before = stepped.step, self.name
         self._worker.reconstructor = self._kept[step.profile]
         self._steps["steps_up" if step.up else "steps_down"] += 1
         _log.info(
@@ -115,7 +131,7 @@ class ActiveProfile:
         within_ms = None if standing.within_ms is None else round(standing.within_ms, 3)
         return {
             "latency_budget_ms": self.budget_ms,
-            "profile": self._worker.reconstructor.profile.name,
+            "profile": self.name,
             "kept": standing.kept,
             "p90_ms": within_ms,
             **self._steps,

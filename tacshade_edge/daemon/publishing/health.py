@@ -72,7 +72,12 @@ class Health:
         }
 
     def _judge(self, before: Counts, counts: Counts, reason: Reason | None) -> None:
-        """Whether frames come but none can be used; the first reason stays, so that it is published once."""
+        """Whether frames come but none can be used; the first reason stays, so that it is published once.
+
+        A missing calibration is no frame's fault: the daemon tells it.
+        """
+        if reason is not None and reason.code is ReasonCode.NOT_CALIBRATED:
+            return
         if delivered(counts) > delivered(before):
             self._unusable_periods, self.unusable = 0, None
         elif counts.invalid > before.invalid:

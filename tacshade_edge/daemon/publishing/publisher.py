@@ -62,7 +62,9 @@ class Publisher:
             return Need.SHEAR
         return Need.DEPTH if any(map(self._has_listener, ("height", "cloud", "contact"))) else Need.CONTACT
 
-    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> FrameOutcome | None:
+    def deliver(
+        self, frame: Frame, result: Reconstruction | None, calibration: Calibration | None
+    ) -> FrameOutcome | None:
         """Offer what is in this result; None is a contact without its depth."""
         if result is None:
             self.latest = self.latest and (frame, self.latest[1])
@@ -70,7 +72,8 @@ class Publisher:
         self.latest = frame, result
         changed = result.contact != self._contact
         self._contact = result.contact
-        crc32, pose, error_us = calibration.crc32, frame.pose, frame.pose_error_us
+        crc32 = 0 if calibration is None else calibration.crc32
+        pose, error_us = frame.pose, frame.pose_error_us
         height_goes = changed or (result.contact and self._has_listener("height"))
         if height_goes:
             height = wire.encode_height(result, calibration_crc32=crc32, pose=pose, pose_error_us=error_us)

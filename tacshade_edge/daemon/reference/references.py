@@ -12,6 +12,7 @@ from tacshade_edge.core.calibration.following import Distance
 from tacshade_edge.daemon.reference.origin import Origin, requested, restored
 from tacshade_edge.daemon.reference.untouched import UntouchedFrames
 from tacshade_edge.devices.files.calibration_file import with_crc
+from tacshade_edge.errors import ConfigError
 from tacshade_edge.protocol.results import ReferenceTaken
 from tacshade_edge.reasons import Reason, code_of, reason_fields
 from tacshade_edge.types import U8, Calibration
@@ -26,33 +27,36 @@ class References:
 
     Parameters
     ----------
-    calibrated : Calibration
-        As its file has it.
+    calibrated : Calibration or Reason
+        As its file has it, or why there is none.
     path : Path
         Of the stored reference.
 
     Attributes
     ----------
-    calibration : Calibration
+    calibration : Calibration or Reason
         With the reference in use.
     frames : UntouchedFrames
         Must see every frame.
     """
 
-    def __init__(self, calibrated: Calibration, path: Path) -> None:
+    def __init__(self, calibrated: Calibration | Reason, path: Path) -> None:
         self.frames = UntouchedFrames()
-        self._path = path
         self._looks = self._renewals = 0
-        self._state: State
-        self._reason: Reason | None
-        self._distance: Distance | None
-        self.calibration: Calibration
-        self._begin(restored(calibrated, path))
+        self._state: State = "waiting"
+        self._reason: Reason | None = None
+        self._distance: Distance | None = None
+        self._origin: Origin | Reason
+        self.calibration: Calibration | Reason
+        self.reload(calibrated, path)
 
-    def reload(self, calibrated: Calibration, path: Path) -> None:
+    def reload(self, calibrated: Calibration | Reason, path: Path) -> None:
         """Begin again from what the files say."""
         self._path = path
-        self._begin(restored(calibrated, path))
+        if isinstance(calibrated, Reason):
+            self._origin = self.calibration = calibrated
+        else:
+            self._begin(restored(calibrated, path))
 
     def take(self, images: Sequence[U8]) -> ReferenceTaken:
         """Begin anew from images of the resting sensor.
@@ -60,12 +64,14 @@ class References:
         Raises
         ------
         ConfigError
-            They cannot be used.
+            They cannot be used, or there is no calibration.
         """
-        self._begin(requested(self._origin.calibrated, images, self._path))
-        return ReferenceTaken(
-            len(images), self.calibration.crc32, self.calibration.noise_grey, unstored=self._origin.reason
-        )
+        if isinstance(self._origin, Reason):
+            raise ConfigError(self._origin.text, code=self._origin.code)
+        origin = requested(self._origin.calibrated, images, self._path)
+        self._begin(origin)
+        taken = origin.calibration
+        return ReferenceTaken(len(images), taken.crc32, taken.noise_grey, unstored=origin.reason)
 
     def poll(self, held: bool) -> bool:
         """Follow where frames for it have come; True when `calibration` or what `info` tells changed.
@@ -75,15 +81,15 @@ class References:
         held : bool
             The reference shall stay: a recording has one.
         """
-        taken = self.frames.take()
-        if taken is None:
+        taken, calibration = self.frames.take(), self.calibration
+        if taken is None or isinstance(self._origin, Reason) or isinstance(calibration, Reason):
             return False
         if held:
             return self._change_state("held", None)
         self._looks += 1
         if isinstance(taken, Reason):
             return self._change_state("stopped", taken)
-        followed = following.follow(self._origin.calibration, self.calibration, taken)
+        followed = following.follow(self._origin.calibration, calibration, taken)
         self._distance = followed.distance
         changed = self._change_state("stopped" if followed.reason else "following", followed.reason)
         # Another reference amid a contact would be a step in its heights; the next frames at rest give it again.
@@ -94,8 +100,10 @@ class References:
         _log.debug("reference renewed: %s", followed.distance)
         return True
 
-    def info(self) -> dict[str, Any]:
+    def info(self) -> dict[str, Any] | None:
         """For ``info``: where the reference began, how far it may go from there, and whether it went so far."""
+        if isinstance(self._origin, Reason):
+            return None
         disc = self._origin.calibration.geometry.disc
         state = {"state": self._state, **reason_fields(self._reason, "stopped")}
         return {**self._origin.as_dict(), "bounds": following.bounds(disc), **state}

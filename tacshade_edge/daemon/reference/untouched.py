@@ -88,7 +88,9 @@ class _ObservingSink:
     def need(self) -> Need:
         return self._sink.need()
 
-    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> FrameOutcome | None:
+    def deliver(
+        self, frame: Frame, result: Reconstruction | None, calibration: Calibration | None
+    ) -> FrameOutcome | None:
         outcome = self._sink.deliver(frame, result, calibration)
         self._frames.see(frame, result)
         return outcome

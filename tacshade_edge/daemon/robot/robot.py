@@ -35,6 +35,8 @@ class Robot:
         The daemon's state, as for ``req/status``.
     publish_status : callable
         ``publish_status(payload)`` publishes ``status/serial``.
+    missing : callable
+        Why there is no calibration; None when there is one.
 
     Attributes
     ----------
@@ -48,9 +50,10 @@ class Robot:
         on_request: Callable[[Request], None],
         state: Callable[[], dict[str, Any]],
         publish_status: Callable[[bytes], None],
+        missing: Callable[[], Reason | None],
     ) -> None:
         self.motion = RobotMotion()
-        self.commands = SerialCommands(self.motion, on_request, state, port.wake)
+        self.commands = SerialCommands(self.motion, on_request, state, missing, port.wake)
         self._channel = SerialChannel(port, self.motion, self.commands)
         self._publish_status = publish_status
         self._published = b""
@@ -125,7 +128,9 @@ class _PoseSink:
     def need(self) -> Need:
         return max(Need.DEPTH if self._robot.commands.capture_pending else Need.CONTACT, self._sink.need())
 
-    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> FrameOutcome | None:
+    def deliver(
+        self, frame: Frame, result: Reconstruction | None, calibration: Calibration | None
+    ) -> FrameOutcome | None:
         frame = self._robot.with_pose(frame)
         outcome = self._sink.deliver(frame, result, calibration)
         if result is not None:

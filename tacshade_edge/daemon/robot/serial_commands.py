@@ -49,6 +49,8 @@ class SerialCommands:
         Takes a `Request` for the main thread, as MQTT's are; its outcome comes to `complete`.
     state : callable
         The daemon's state, as for ``req/status``.
+    missing : callable
+        Why there is no calibration; None when there is one.
     wake : callable
         Called when an answer waits to be sent.
 
@@ -63,12 +65,14 @@ class SerialCommands:
         motion: RobotMotion,
         on_request: Callable[[Request], None],
         state: Callable[[], dict[str, Any]],
+        missing: Callable[[], Reason | None],
         wake: Callable[[], None],
     ) -> None:
         self.sessions: Sessions | None = None
         self._motion = motion
         self._on_request = on_request
         self._state = state
+        self._missing = missing
         self._wake = wake
         self._answers: SimpleQueue[tuple[Command, SerialResult | Reason]] = SimpleQueue()
         self._lock = threading.Lock()
@@ -85,6 +89,8 @@ class SerialCommands:
             self._motion.sync_answered(t3_ns)
         elif command.verb == "STATUS":
             link.answer(command, self._status(link))
+        elif (missing := self._missing()) is not None:
+            link.answer(command, missing)
         elif command.verb == "CAPTURE":
             with self._lock:
                 busy = len(self._captures) >= WAITING_MAX

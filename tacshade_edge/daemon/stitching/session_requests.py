@@ -102,8 +102,10 @@ class _ObservingSink:
     def need(self) -> Need:
         return max(Need.DEPTH if self._worker.open else Need.CONTACT, self._sink.need())
 
-    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> FrameOutcome | None:
+    def deliver(
+        self, frame: Frame, result: Reconstruction | None, calibration: Calibration | None
+    ) -> FrameOutcome | None:
         outcome = self._sink.deliver(frame, result, calibration)
-        if result is not None:
+        if result is not None and calibration is not None:
             self._worker.observe(frame, result, calibration)
         return outcome

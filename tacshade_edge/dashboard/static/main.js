@@ -272,6 +272,7 @@ function tellLink(level, words) {
 
 function tellState() {
   showState(hands.get(chosen)?.state, view.parts, view.health, link?.connected);
+  $("hand").classList.toggle("is-raw", uncalibrated());
   tellControls();
 }
 
@@ -319,11 +320,14 @@ $("login").addEventListener("submit", (event) => {
 // Requests.
 
 function tellControls() {
-  const able = link?.connected && works(chosen) && !asking;
+  const able = link?.connected && works(chosen) && !asking && !uncalibrated();
   $("rezero").disabled = !able;
   $("profile").disabled = !able || !hands.get(chosen).info;
   tellSession(able);
 }
+
+/** Whether the hand has told that it has no geometry yet: its camera's picture is all there is. */
+const uncalibrated = () => hands.get(chosen)?.info?.geometry === null;
 
 /** A stitching session's buttons, for a hand that can have one: it tells `status/stitching`. */
 function tellSession(able) {

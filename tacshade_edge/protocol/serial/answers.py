@@ -33,6 +33,7 @@ ERROR_WORDS: Final[dict[ReasonCode, str]] = {
     ReasonCode.BUSY: "BUSY",
     ReasonCode.TIMEOUT: "TIMEOUT",
     ReasonCode.UNAVAILABLE: "UNAVAILABLE",
+    ReasonCode.NOT_CALIBRATED: "UNCALIBRATED",
     ReasonCode.CONFIG: "FAILED",
     ReasonCode.DEVICE: "FAILED",
     ReasonCode.DECODE: "FAILED",
@@ -127,8 +128,9 @@ def error_word(code: ReasonCode) -> str:
 
 
 def error_text(reason: Reason, verb: str = "") -> str:
-    """What follows ``ERR seq``: the code's word and the text; ``REFERENCE`` has one word for all reasons."""
-    word = _OTHERWISE if verb == "REFERENCE" else error_word(reason.code)
+    """What follows ``ERR seq``: the code's word and the text; ``REFERENCE`` has one word for all other reasons."""
+    refused = verb == "REFERENCE" and reason.code is not ReasonCode.NOT_CALIBRATED
+    word = _OTHERWISE if refused else error_word(reason.code)
     return f"{word} {reason.text}"
 
 

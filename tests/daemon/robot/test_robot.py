@@ -45,6 +45,7 @@ class Side:
             self.requests.append,
             lambda: {"source": "streaming", "health": {"delivered_fps": 30.0}},
             lambda payload: self.told.append(json.loads(payload)),
+            lambda: None,
         )
 
     def __enter__(self) -> Side:
