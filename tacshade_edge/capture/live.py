@@ -52,6 +52,8 @@ class Live:
     ----------
     rest_grey : float
         `motion_grey` of the references, which are `STILL_FRAMES`; 0 until there are some.
+    note : str
+        A line that the page shows below the figures.
     """
 
     def __init__(self, source: FrameSource, terminal: Terminal, page: Page) -> None:
@@ -66,6 +68,7 @@ class Live:
         self._text = ""
         self._pattern_due_s = self._figures_due_s = self._picture_due_s = 0.0
         self.rest_grey = 0.0
+        self.note = ""
 
     def frame(self) -> Frame:
         """The next frame.
@@ -158,7 +161,8 @@ class Live:
             self._text = self._figures_of(grey)
             self._figures_due_s = now_s + _FIGURES_S
         if now_s >= self._picture_due_s:
-            self._page.shown = Shown(_jpeg(grey, self._pattern.disc if self._pattern else None), self._text)
+            picture = _jpeg(grey, self._pattern.disc if self._pattern else None)
+            self._page.shown = Shown(picture, f"{self._text}\n{self.note}")
             self._picture_due_s = now_s + _PICTURE_S
 
     def _find_pattern(self, grey: U8) -> None:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from tacshade_edge.capture.advice import Advice
 from tacshade_edge.capture.live import STILL_FRAMES, Live
+from tacshade_edge.capture.robot_place import Name, RobotPlaces
 from tacshade_edge.capture.terminal import Terminal
 from tacshade_edge.core.calibration.calibrate import calibrate
+from tacshade_edge.core.calibration.indenter import Indenter
 from tacshade_edge.core.calibration.inputs import Sensor
 from tacshade_edge.core.calibration.press_check import Judgement, PressCheck
 from tacshade_edge.core.calibration.stillness import REST_MOST_GREY, block_means, motion_grey
@@ -18,7 +21,7 @@ from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.devices.files.capture_folder import CaptureFolder, Stated, TakenPress, next_number, stated
 from tacshade_edge.devices.files.presses import BALL
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.types import U8, Calibration
+from tacshade_edge.types import U8, Calibration, Frame
 
 REFERENCES = STILL_FRAMES
 REFERENCES_S = 3.0
@@ -27,6 +30,7 @@ _HELP = """  Set the press and hold it, then type what it is and press Enter; th
     ball RADIUS_MM DEPTH_MM X_MM Y_MM    a ball; without X_MM Y_MM its place is found in the picture
     NAME DEPTH_MM X_MM Y_MM              an indenter of INDENTERS.yaml
     DEPTH_MM X_MM Y_MM                   the same indenter as before
+    ball RADIUS_MM, or NAME              depth and place from the robot, once a press of it was typed
   Enter alone takes the press that is offered in brackets.
     undo [NUMBER]   take back the last press, or that one, and offer it again
     skip            leave out the planned press that is offered
@@ -54,8 +58,10 @@ class Session:
     terminal : Terminal
     plan : sequence of Stated
         Presses to be offered one after the other; none: each is typed.
-    names : collection of str
-        Indenters besides the ball.
+    indenters : mapping of str to Indenter or float
+        Those besides the ball.
+    robot : RobotPlaces, optional
+        Tells place and depth, where a robot presses.
     """
 
     def __init__(
@@ -65,14 +71,17 @@ class Session:
         live: Live,
         terminal: Terminal,
         plan: Sequence[Stated],
-        names: Collection[str],
+        indenters: Mapping[str, Indenter | float],
+        robot: RobotPlaces | None = None,
     ) -> None:
         self._folder = folder
         self._sensor = sensor
         self._live = live
         self._terminal = terminal
         self._plan = list(plan)
-        self._names = names
+        self._names = indenters
+        self._robot = robot
+        self._advice = Advice(folder, indenters)
         self._taken = folder.taken()
         self._taken_back: Stated | None = None
 
@@ -92,6 +101,7 @@ class Session:
         images = self._folder.references()
         unloaded = self._checked_again(images) if len(images) >= REFERENCES else None
         check = PressCheck(unloaded or self._take_references())
+        self._advise(check)
         while True:
             answer = self._live.ask(self._prompt())
             match answer.split():
@@ -105,6 +115,7 @@ class Session:
                     check = PressCheck(self._take_references())
                 case ["undo", *numbers]:
                     self._undo(numbers)
+                    self._advise(check)
                 case ["skip"]:
                     self._skip()
                 case words:
@@ -153,6 +164,8 @@ class Session:
         if offer := self._offer():
             left = f", {len(self._left())} planned are left" if self._plan else ""
             return f"{number}{left} [{offer.press}]:"
+        if name := self._at_robot():
+            return f"{number} [{' '.join(name).strip()}, where the robot holds it]:"
         if self._plan:
             return f"all planned presses are taken; {number}, or done:"
         return f"{number} (ball RADIUS_MM DEPTH_MM X_MM Y_MM, undo, done, help):"
@@ -191,12 +204,13 @@ class Session:
             return
         self._folder.remove(self._taken, chosen[0])
         self._taken = [one for one in self._taken if one is not chosen[0]]
-        self._taken_back = chosen[0].stated
+        # A robot may have gone on meanwhile: its pose is asked for anew.
+        self._taken_back = None if self._at_robot() else chosen[0].stated
         self._terminal.say(f"  {chosen[0].image} is taken back")
 
     def _press(self, words: Sequence[str], check: PressCheck) -> None:
         try:
-            press = self._stated(words)
+            asked = self._asked(words)
         except ConfigError as error:
             self._terminal.say(f"  {error} (help tells how)")
             return
@@ -204,25 +218,65 @@ class Session:
         if frame is None:
             self._terminal.say("  given up: nothing was taken")
             return
+        try:
+            press = asked if isinstance(asked, Stated) else self._told_by_robot(asked, frame)
+        except ConfigError as error:
+            self._terminal.say(f"  not taken: {error}")
+            return
         image = np.array(frame.image)
         judged = check.judge(image)
         if reason := _refusal(judged):
             self._terminal.say(f"  not taken: {reason}")
-            self._taken_back = press
+            self._taken_back = press if press is asked else None
             return
         added = self._folder.add(self._taken, image, press)
         self._taken = [*self._taken, added]
         self._taken_back = None
         warning = f"; {judged.changed} since the references" if judged.changed else ""
         self._terminal.say(f"  {added.image}: {press}{warning}")
+        if self._robot and press is asked and (unknown := self._robot.learn(press.columns, frame)):
+            self._terminal.say(f"  the robot's poses cannot tell the next place: {unknown}")
+        self._advise(check)
 
-    def _stated(self, words: Sequence[str]) -> Stated:
-        """What was typed, with what it leaves out. Raises ConfigError."""
+    def _advise(self, check: PressCheck) -> None:
+        """Tell which press helps most next; a plan knows by itself."""
+        self._live.note = self._advice.text(self._taken, check)
+        if self._live.note and not self._left():
+            self._terminal.say(f"  {self._live.note}")
+
+    def _at_robot(self) -> Name | None:
+        """The indenter of the last press, where the robot tells place and depth of the next; None elsewhere."""
+        if not self._robot or not self._taken:
+            return None
+        name = self._taken[-1].stated.columns[:2]
+        return (name[0], name[1]) if self._robot.known((name[0], name[1])) else None
+
+    def _told_by_robot(self, name: Name, frame: Frame) -> Stated:
+        """The press of an indenter at the robot's pose. Raises ConfigError."""
+        if self._robot is None:
+            raise AssertionError("nobody asked for a robot's pose")
+        return stated("press", self._robot.columns(name, frame), self._names, self._sensor.skin_radius_mm)
+
+    def _asked(self, words: Sequence[str]) -> Stated | Name:
+        """What was typed, with what it leaves out; an indenter alone, where the robot tells the rest.
+
+        Raises
+        ------
+        ConfigError
+        """
         if not words:
             if offer := self._offer():
                 return offer.press
+            if name := self._at_robot():
+                return name
             raise ConfigError("found nothing, expected what presses")
         indenter, radius_mm, rest = self._indenter(words)
+        if not rest and self._robot:
+            if self._robot.known((indenter, radius_mm)):
+                return indenter, radius_mm
+            raise ConfigError(
+                f"no press of {indenter} with depth, x and y was typed since the start, expected one first"
+            )
         if len(rest) not in (1, 3):
             raise ConfigError(f"found {len(rest)} numbers after the indenter, expected depth, or depth, x, y in mm")
         depth_mm, x_mm, y_mm = rest if len(rest) == 3 else (rest[0], "", "")

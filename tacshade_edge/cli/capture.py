@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import msgspec
@@ -13,8 +13,11 @@ import yaml
 
 from tacshade_edge.capture.live import Live
 from tacshade_edge.capture.page import Page
+from tacshade_edge.capture.robot_place import RobotPlaces
 from tacshade_edge.capture.session import Session
 from tacshade_edge.capture.terminal import InputEnded, Terminal
+from tacshade_edge.cli.capture_robot import robot_poses
+from tacshade_edge.core.calibration.indenter import Indenter
 from tacshade_edge.core.calibration.inputs import Sensor
 from tacshade_edge.core.calibration.press_selection import MIN_PRESSES
 from tacshade_edge.devices import registry
@@ -27,7 +30,7 @@ from tacshade_edge.devices.files.presses import BALL
 from tacshade_edge.doctor.cameras import CSI_MEND, found_cameras, has_csi_receiver
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.errors import ConfigError, DeviceError
-from tacshade_edge.settings import Source, V4l2, load
+from tacshade_edge.settings import Serial, Source, V4l2, load
 from tacshade_edge.settings.sensor_file import check_value, read_sensor
 
 _CALIBRATION = "calibration.npz"
@@ -70,13 +73,13 @@ def run(args: argparse.Namespace) -> int:
         return 0
     terminal = Terminal(0, sys.stdout)
     folder = CaptureFolder(args.folder)
-    source = _source(args, folder)
+    source, serial = _source(args, folder)
     folder.make()
     try:
         sensor = _sensor(folder, terminal)
-        names = _indenters(folder)
-        plan = read_plan(args.plan, names, sensor.skin_radius_mm) if args.plan else ()
-        _run(folder, source, sensor, terminal, plan, names)
+        indenters = read_indenters(folder.indenters) if folder.indenters.exists() else {}
+        plan = read_plan(args.plan, indenters, sensor.skin_radius_mm) if args.plan else ()
+        _run(folder, source, serial, sensor, terminal, plan, indenters)
     except InputEnded:
         terminal.say("")
     except KeyboardInterrupt:
@@ -92,10 +95,11 @@ def run(args: argparse.Namespace) -> int:
 def _run(
     folder: CaptureFolder,
     chosen: Source,
+    serial: Serial | None,
     sensor: Sensor,
     terminal: Terminal,
     plan: Sequence[Stated],
-    names: Collection[str],
+    indenters: Mapping[str, Indenter | float],
 ) -> None:
     source, page = registry.make_source(chosen), Page()
     try:
@@ -105,26 +109,34 @@ def _run(
         if described.get("exposure_lock") == Lock.AUTOMATIC:
             terminal.say("warning: the driver does not lock the exposure, and its changes look like touch")
         if not folder.settings.exists():
-            folder.write(folder.settings, _settings_text(chosen, described))
+            folder.write(folder.settings, _settings_text(chosen, serial, described))
         terminal.say(f"the picture: {page.address}")
-        Session(folder, sensor, Live(source, terminal, page), terminal, plan, names).run()
+        with robot_poses(serial) as pose_at:
+            robot = RobotPlaces(sensor, pose_at) if pose_at else None
+            Session(folder, sensor, Live(source, terminal, page), terminal, plan, indenters, robot).run()
     finally:
         source.close()
         page.close()
 
 
-def _source(args: argparse.Namespace, folder: CaptureFolder) -> Source:
-    """The camera as an earlier start set it, as settings say, or the machine's only one. Raises ConfigError."""
+def _source(args: argparse.Namespace, folder: CaptureFolder) -> tuple[Source, Serial | None]:
+    """The camera as an earlier start set it, as settings say, or the machine's only one; and the settings' robot.
+
+    Raises
+    ------
+    ConfigError
+    """
     device: str | None = args.camera
     path = folder.settings if args.config is None and folder.settings.exists() else args.config
     if path is not None:
         document = load(path)
         registry.check_source(document)
+        registry.check_serial(document)
         source = document.settings.source
         if device is not None and not (isinstance(source, V4l2) and source.device == device):
             where = document.where("source")
             raise ConfigError(f"--camera {device}: expected the camera of {where}; change it there, or delete the file")
-        return source
+        return source, document.settings.serial
     if device is None:
         cameras = found_cameras(Machine())
         if len(cameras) != 1:
@@ -136,7 +148,7 @@ def _source(args: argparse.Namespace, folder: CaptureFolder) -> Source:
     if not known:
         found = ", ".join(offered) or "none"
         raise ConfigError(f"--camera {device}: found the formats {found}, expected one of {', '.join(FOURCCS)}")
-    return msgspec.convert({"kind": "v4l2", "device": device, "fourcc": known[0]}, V4l2)
+    return msgspec.convert({"kind": "v4l2", "device": device, "fourcc": known[0]}, V4l2), None
 
 
 def _which(cameras: Sequence[str]) -> str:
@@ -147,7 +159,7 @@ def _which(cameras: Sequence[str]) -> str:
     return "found no camera, expected one (lsusb shows whether USB sees it), or --config with a source"
 
 
-def _settings_text(chosen: Source, described: Mapping[str, object]) -> str:
+def _settings_text(chosen: Source, serial: Serial | None, described: Mapping[str, object]) -> str:
     """Settings of a daemon for this sensor, with the exposure that the camera was locked at."""
     locked = described.get("exposure_lock") == Lock.LOCKED
     value = described.get("exposure_value")
@@ -155,6 +167,7 @@ def _settings_text(chosen: Source, described: Mapping[str, object]) -> str:
         chosen = msgspec.structs.replace(chosen, exposure=round(value))
     told = "".join(f"#   {name}: {value}\n" for name, value in described.items())
     keys = {"calibration": _CALIBRATION, "source": msgspec.to_builtins(chosen)}
+    keys |= {"serial": msgspec.to_builtins(serial)} if serial else {}
     text = yaml.safe_dump(keys, sort_keys=False, allow_unicode=True)
     return (
         f"# Settings for `tacshade-edge run`, and for going on with this capture.\n{text}# As the camera told:\n{told}"
@@ -177,13 +190,6 @@ def _sensor(folder: CaptureFolder, terminal: Terminal) -> Sensor:
                     terminal.say(f"  {error}")
         folder.write(folder.sensor, yaml.safe_dump(values, sort_keys=False))
     return read_sensor(folder.sensor)
-
-
-def _indenters(folder: CaptureFolder) -> Collection[str]:
-    """Names of INDENTERS.yaml, where there is one. Raises ConfigError."""
-    if not folder.indenters.exists():
-        return ()
-    return tuple(read_indenters(folder.indenters))
 
 
 def _say_next(folder: CaptureFolder, terminal: Terminal) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import pty
 import select
@@ -13,12 +14,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from support.patience import patience
+from robot import PtyRobot
+from support.patience import patience, wait_until
 
 from tacshade_edge.cli import main
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.devices.files.capture_folder import CaptureFolder
 from tacshade_edge.devices.files.presses import read_presses
+from tacshade_edge.rigid import shift, turn
 from tacshade_edge.settings import load
 from tacshade_edge.settings.sensor_file import read_sensor
 from tacshade_edge.simulator.model import SensorModel
@@ -129,6 +132,8 @@ def test_from_an_empty_folder_to_what_calibrate_reads(tmp_path: Path) -> None:
         one.hears("all planned presses are taken")
         one.types("2.5 1 -3")
         one.hears("press_002.png: ball of 6 mm, 2.5 mm deep at x 1, y -3 mm")
+        one.hears("next helps most a press around x ")
+        one.hears("one ball radius, 6 mm")
         one.types("done")
         assert one.ends() == 0
         assert f"--sensor '{out}'/SENSOR.yaml --reference '{out}'/reference_*.png --out" in one.heard
@@ -137,6 +142,59 @@ def test_from_an_empty_folder_to_what_calibrate_reads(tmp_path: Path) -> None:
     assert [(one.radius_mm, one.depth_mm, one.x_mm, one.y_mm) for one in presses] == [(6, 2.5, 1, -3)] * 2
     assert load(folder.settings).settings.calibration == str(out / "calibration.npz")
     calibrate(read_sensor(folder.sensor), folder.references())
+
+
+@pytest.mark.slow
+def test_a_robot_tells_place_and_depth(tmp_path: Path) -> None:
+    """It holds the sensor, turned and off its flange, and presses it on a ball that stands still."""
+    link, config, out = Path(f"/dev/shm/tacshade-capture-{os.getpid()}"), tmp_path / "sim.yaml", tmp_path / "out"
+    config.write_text(f"{SOURCE}serial: {{device: {link}}}\n")
+    model, flange_T_sensor = SensorModel(), shift(0, 5, 80) @ turn((0, 0, 0.5))
+    out.mkdir()
+    (out / "SENSOR.yaml").write_text(
+        f"skin_radius_mm: {model.skin_radius_mm}\nvisible_half_angle_deg: {model.visible_half_angle_deg}\n"
+        f"camera_distance_mm: {model.camera_distance_mm}\npolarity: bright\n"
+        f"flange_T_sensor: {list(map(float, flange_T_sensor.seven()))}\n"
+    )
+    held = shift(300, -20, 150) @ turn((2.0, 0.3, 0)) @ flange_T_sensor
+    moved = held @ shift(-3, 1.5, 0.5)
+    flange = [(one @ flange_T_sensor.inverse()).seven() for one in (held, moved)]
+    skin_z_mm = [math.sqrt(model.skin_radius_mm**2 - x * x - y * y) for x, y in ((1, -3), (4, -4.5))]
+    depth_mm = f"{2.5 + 0.5 + skin_z_mm[1] - skin_z_mm[0]:.3f}"
+    place = flange[0]
+    press(tmp_path)
+    with (
+        PtyRobot(link, rate_hz=50, binary=True, where=lambda _: place) as robot,
+        person(str(out), "--config", str(config)) as one,
+    ):
+        one.hears("Enter takes 10 references.")
+        one.types("")
+        one.hears("press 1 (ball")
+        robot.ask("CAPTURE")
+        wait_until(lambda: any(" UNCALIBRATED " in reply for reply in robot.replies.values()), 10, "the refusal")
+        press(tmp_path, "ball,6,2.5,1,-3")
+        one.types("ball 6")
+        one.hears("no press of ball with depth, x and y was typed")
+        one.types("ball 6 2.5 1 -3")
+        one.hears("press_001.png: ball of 6 mm, 2.5 mm deep at x 1, y -3 mm")
+        one.hears("press 2 [ball 6, where the robot holds it]:")
+        place = flange[1]
+        press(tmp_path, f"ball,6,{depth_mm},4,-4.5")
+        one.types("")
+        one.hears("press_002.png: ball of 6 mm, ")
+        one.types("undo")
+        one.hears("press 2 [ball 6, where the robot holds it]:")
+        one.types("ball 6")
+        one.hears("press_002.png: ball of 6 mm, ")
+        robot.unplug()
+        one.types("")
+        one.hears("not taken: the robot told no pose for this picture (/dev/shm/tacshade-capture-")
+        one.types("done")
+        assert one.ends() == 0
+    link.unlink(missing_ok=True)
+    told = CaptureFolder(out).taken()[1].stated.columns
+    assert [float(text) for text in told[1:]] == pytest.approx([6, float(depth_mm), 4, -4.5], abs=0.002)
+    assert load(out / "config.yaml").settings.serial is not None
 
 
 def test_what_cannot_work_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

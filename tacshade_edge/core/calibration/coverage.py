@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 
-from tacshade_edge.core.calibration.press_observation import PressObservation
 from tacshade_edge.types import F64, Geometry
 
 # As docs/calibration.md advises.
@@ -19,25 +19,83 @@ _REACH_RHO, _LEAST_RMS_RHO, _SIDE_RHO = 0.66, 0.35, 0.25
 _DEPTHS, _BALL_RADII, _LEAST_DEEPEST = (1 / 40, 1 / 5), (0.15, 0.45), 0.12
 # The greatest over the least.
 _DEPTH_RATIO, _BALL_RADIUS_RATIO = 2.0, 1.5
+# Places along the disc's diameter and depths, of which the next press is one.
+_GRID_PLACES, _GRID_DEPTHS = 11, 5
 
 
-def missing_coverage(observations: Sequence[PressObservation], geometry: Geometry) -> tuple[str, ...]:
+class Pressed(Protocol):
+    """What counts of a press: place, depth and ball radius in mm, and the indenter's name, empty for a ball."""
+
+    @property
+    def place_mm(self) -> tuple[float, float]: ...
+    @property
+    def depth_mm(self) -> float: ...
+    @property
+    def radius_mm(self) -> float: ...
+    @property
+    def indenter(self) -> str: ...
+
+
+def missing_coverage(presses: Sequence[Pressed], geometry: Geometry) -> tuple[str, ...]:
     """What is missing in the presses, a line each."""
-    places = np.array([o.place_mm for o in observations])
-    depths = np.array([o.depth_mm for o in observations])
-    ball_radii = np.array([o.radius_mm for o in observations if not o.indenter])
-    few = len(observations) < _FEW_PRESSES
+    places = np.array([press.place_mm for press in presses])
+    depths = np.array([press.depth_mm for press in presses])
+    few = len(presses) < _FEW_PRESSES
     lines = (
-        f"{len(observations)} presses: 20 to 40 make the depth and its error more certain" if few else "",
+        f"{len(presses)} presses: 20 to 40 make the depth and its error more certain" if few else "",
         _missing_places(places, geometry),
         _missing_depths(float(depths.min()), float(depths.max()), geometry),
-        _missing_sizes({o.indenter for o in observations}, ball_radii, geometry),
+        _missing_sizes(presses, geometry),
     )
     return tuple(line for line in lines if line)
 
 
+def advice(presses: Sequence[Pressed], geometry: Geometry) -> str:
+    """Which press would help most next, in a line; there is one at least."""
+    x_mm, y_mm, depth_mm = widest_gap(presses, geometry)
+    where = f"around x {x_mm:.0f}, y {y_mm:.0f} mm, {depth_mm:.1f} mm deep"
+    if not missing_coverage(presses, geometry):
+        return f"nothing is missing in {len(presses)} presses; most helps one more {where}"
+    sizes = _missing_sizes(presses, geometry)
+    return f"next helps most a press {where}" + (f"; {sizes}" if sizes else "")
+
+
+def widest_gap(presses: Sequence[Pressed], geometry: Geometry) -> tuple[float, float, float]:
+    """The press that is farthest from the nearest that was taken, over the places and depths that should be covered.
+
+    Parameters
+    ----------
+    presses : sequence of Pressed
+        At least one.
+    geometry : Geometry
+
+    Returns
+    -------
+    x_mm, y_mm, depth_mm : float
+
+    References
+    ----------
+    M. E. Johnson, L. M. Moore, D. Ylvisaker, "Minimax and maximin distance designs", 1990.
+    """
+    reach_mm = _REACH_RHO * _visible_mm(geometry)
+    shallow_mm, deep_mm = (part * geometry.skin_radius_mm for part in _DEPTHS)
+    scale_mm, begin_mm = np.array((reach_mm, reach_mm, deep_mm - shallow_mm)), np.array((0.0, 0.0, shallow_mm))
+    side = np.linspace(-1, 1, _GRID_PLACES)
+    grid = np.stack(np.meshgrid(side, side, np.linspace(0, 1, _GRID_DEPTHS), indexing="ij"), axis=-1).reshape(-1, 3)
+    grid = grid[grid[:, 0] ** 2 + grid[:, 1] ** 2 <= 1 + 1e-9]
+    taken = (np.array([(*press.place_mm, press.depth_mm) for press in presses]) - begin_mm) / scale_mm
+    gap = np.linalg.norm(grid[:, None] - taken, axis=2).min(axis=1)
+    x_mm, y_mm, depth_mm = (float(v) for v in grid[int(np.argmax(gap))] * scale_mm + begin_mm)
+    return x_mm, y_mm, depth_mm
+
+
+def _visible_mm(geometry: Geometry) -> float:
+    """Radius of the visible circle, in its plane."""
+    return geometry.skin_radius_mm * math.sin(math.radians(geometry.visible_half_angle_deg))
+
+
 def _missing_places(places: F64, geometry: Geometry) -> str:
-    visible_mm = geometry.skin_radius_mm * math.sin(math.radians(geometry.visible_half_angle_deg))
+    visible_mm = _visible_mm(geometry)
     middle = places.mean(axis=0)
     rms_mm = math.sqrt(float(((places - middle) ** 2).sum(axis=1).mean()))
     reach = f"up to {_REACH_RHO * visible_mm:.0f} mm from the middle"
@@ -70,11 +128,13 @@ def _missing_depths(low_mm: float, high_mm: float, geometry: Geometry) -> str:
     return ""
 
 
-def _missing_sizes(indenters: set[str], ball_radii: F64, geometry: Geometry) -> str:
+def _missing_sizes(presses: Sequence[Pressed], geometry: Geometry) -> str:
+    indenters = {press.indenter for press in presses}
     if len(indenters) > 1:
         return ""
-    if ball_radii.size:
-        return _missing_ball_radii(float(ball_radii.min()), float(ball_radii.max()), geometry)
+    radii = [press.radius_mm for press in presses if not press.indenter]
+    if radii:
+        return _missing_ball_radii(min(radii), max(radii), geometry)
     return f"one indenter, {indenters.pop()}: other shapes and sizes are less certain; add balls or another"
 
 

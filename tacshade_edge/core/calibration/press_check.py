@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from tacshade_edge.core.calibration.inputs import KnownPress
+from tacshade_edge.core.calibration.press_observation import observe_press
 from tacshade_edge.core.calibration.references import PROFILE
 from tacshade_edge.core.contact.gate import ContactGate
 from tacshade_edge.core.frame_check import registration
 from tacshade_edge.core.frame_check.validity import invalid_reason, sensor_check
+from tacshade_edge.core.image.grey_maps import GreyMapper
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.reasons import Reason
 from tacshade_edge.types import U8, Calibration
@@ -41,14 +44,25 @@ class PressCheck:
     ----------
     unloaded : Calibration
         From the references alone.
+
+    Attributes
+    ----------
+    geometry : Geometry
     """
 
     def __init__(self, unloaded: Calibration) -> None:
+        self.geometry = unloaded.geometry
         self._preprocessor = Preprocessor(unloaded, PROFILE)
+        self._mapper = GreyMapper(self._preprocessor)
         self._gate = ContactGate(self._preprocessor)
         self._check = sensor_check(unloaded)
         self._disc = unloaded.geometry.disc
         self._reference = registration.look(unloaded.reference_grey, self._disc, unloaded.pitch_px)
+
+    def located_mm(self, image: U8, depth_mm: float) -> tuple[float, float]:
+        """Where a ball presses, x and y in mm, as `calibrate` finds it."""
+        press = KnownPress("", image, 1.0, depth_mm, None, None)
+        return observe_press(self._preprocessor, self._mapper, press).place_mm
 
     def judge(self, image: U8) -> Judgement:
         """Judge an image (H, W) or (H, W, 3)."""

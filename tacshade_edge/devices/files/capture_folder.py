@@ -167,6 +167,13 @@ class CaptureFolder:
             for k, image in enumerate(images):
                 write_whole(self.path / f"reference_{k:02d}.png", _png(image))
 
+    def picture(self, press: TakenPress) -> U8:
+        """The image of a press. Raises ConfigError."""
+        try:
+            return read_image(self.path / press.image)
+        except DecodeError as error:
+            raise ConfigError(str(error)) from None
+
     def taken(self) -> list[TakenPress]:
         """The rows of PRESSES.csv; none without a table.
 

@@ -1,0 +1,74 @@
+"""Where and how deep a press is, from the poses of a robot that presses the sensor on an indenter that stands still."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from tacshade_edge.core.calibration.fixed_indenter import FixedIndenter, Touch, fixed_indenter
+from tacshade_edge.core.calibration.inputs import Sensor
+from tacshade_edge.devices.files.presses import BALL
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.rigid import Rigid, from_seven, of_pose
+from tacshade_edge.types import Frame, Pose
+
+PoseAt = Callable[[Frame], Pose | str]
+"""``pose_at(frame)``: ``base_T_flange`` when the frame was taken, or why it is not known."""
+
+# An indenter that is no ball and is tilted more would need the columns of its tilt.
+_TURN_MOST_DEG = 0.5
+
+Name = tuple[str, str]
+"""Indenter and radius, as PRESSES.csv has them."""
+
+
+class RobotPlaces:
+    """Each indenter's place is told by one press that was typed; the robot's poses tell the others.
+
+    Parameters
+    ----------
+    sensor : Sensor
+        With ``flange_T_sensor``.
+    pose_at : PoseAt
+    """
+
+    def __init__(self, sensor: Sensor, pose_at: PoseAt) -> None:
+        self._skin_radius_mm = sensor.skin_radius_mm
+        self._flange_T_sensor = from_seven(sensor.flange_T_sensor)
+        self._pose_at = pose_at
+        self._fixed: dict[Name, FixedIndenter] = {}
+
+    def known(self, name: Name) -> bool:
+        """Whether a press of this indenter was learnt."""
+        return name in self._fixed
+
+    def learn(self, columns: Sequence[str], frame: Frame) -> str:
+        """Take the place of an indenter from a press that was stated; why it cannot be, or empty."""
+        indenter, radius_mm, depth_mm, x_mm, y_mm, *more = columns
+        if not x_mm or any(more):
+            return ""
+        try:
+            held = self._base_T_sensor(frame)
+        except ConfigError as error:
+            return str(error)
+        told = Touch(float(x_mm), float(y_mm), float(depth_mm))
+        ball_radius_mm = float(radius_mm) if indenter == BALL else 0.0
+        self._fixed[indenter, radius_mm] = fixed_indenter(held, told, ball_radius_mm, self._skin_radius_mm)
+        return ""
+
+    def columns(self, name: Name, frame: Frame) -> tuple[str, ...]:
+        """What PRESSES.csv has of a press of a learnt indenter. Raises ConfigError."""
+        fixed, held = self._fixed[name], self._base_T_sensor(frame)
+        if name[0] != BALL and (turned_deg := fixed.turned_deg(held)) > _TURN_MOST_DEG:
+            expected = f"expected {_TURN_MOST_DEG} at most for what is no ball"
+            raise ConfigError(f"the robot turned the sensor by {turned_deg:.1f} degrees since that press, {expected}")
+        try:
+            touch = fixed.touch(held, self._skin_radius_mm)
+        except ValueError as error:
+            raise ConfigError(f"the robot's pose: {error}") from None
+        return *name, f"{touch.depth_mm:.3f}", f"{touch.x_mm:.3f}", f"{touch.y_mm:.3f}"
+
+    def _base_T_sensor(self, frame: Frame) -> Rigid:
+        pose = self._pose_at(frame)
+        if isinstance(pose, str):
+            raise ConfigError(pose)
+        return of_pose(pose) @ self._flange_T_sensor
