@@ -1,21 +1,15 @@
-"""A person at a terminal (a pty) who presses the simulated sensor."""
+"""A person who presses the simulated sensor."""
 
 from __future__ import annotations
 
-import contextlib
 import math
 import os
-import pty
-import select
-import subprocess
-import sys
-import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from robot import PtyRobot
-from support.patience import patience, wait_until
+from support.patience import wait_until
+from support.person import person
 
 from tacshade_edge.cli import main
 from tacshade_edge.core.calibration.calibrate import calibrate
@@ -28,57 +22,6 @@ from tacshade_edge.simulator.model import SensorModel
 
 SENSOR = "skin_radius_mm: 20\nvisible_half_angle_deg: 50\ncamera_distance_mm: 14\npolarity: bright\n"
 SOURCE = "source: {kind: simulated, fps: 20, pressed: hand.csv}\n"
-
-
-class Person:
-    """Types into a command on a pty, and reads what it says."""
-
-    def __init__(self, words: list[str]) -> None:
-        self._leader, follower = pty.openpty()
-        command = [sys.executable, "-m", "tacshade_edge", "capture", *words]
-        self.process = subprocess.Popen(
-            command, stdin=follower, stdout=follower, stderr=follower, start_new_session=True
-        )
-        os.close(follower)
-        self.heard = ""
-
-    def hears(self, text: str) -> None:
-        """Wait for a text that was not waited for yet."""
-        end_s = time.monotonic() + patience(60)
-        while text not in self.heard:
-            assert time.monotonic() < end_s, f"did not say {text!r} but {self.heard!r}"
-            if select.select([self._leader], [], [], 0.1)[0]:
-                self.heard += self._read()
-        self.heard = self.heard.partition(text)[2]
-
-    def types(self, line: str) -> None:
-        os.write(self._leader, f"{line}\n".encode())
-
-    def ends(self) -> int:
-        """Wait for its end; its exit code."""
-        while data := self._read():
-            self.heard += data
-        return self.process.wait(patience(20))
-
-    def close(self) -> None:
-        self.process.kill()
-        self.process.wait()
-        os.close(self._leader)
-
-    def _read(self) -> str:
-        try:
-            return os.read(self._leader, 65536).decode()
-        except OSError:  # the follower's last end was closed
-            return ""
-
-
-@contextlib.contextmanager
-def person(*words: str) -> Iterator[Person]:
-    started = Person(list(words))
-    try:
-        yield started
-    finally:
-        started.close()
 
 
 def press(folder: Path, row: str = "") -> None:

@@ -18,7 +18,7 @@ from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
 from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.devices.weights.network import make_reconstructor
-from tacshade_edge.simulator.objects import OBJECTS
+from tacshade_edge.simulator.objects import OBJECTS, ball
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.types import Frame
@@ -26,6 +26,9 @@ from tacshade_edge.types import Frame
 GIVEN = Path(__file__).resolve().parents[2] / ".rig/given"
 PAINTED, PRESSED = GIVEN / "painted", GIVEN / "pressed"
 """Each with calibration.npz, images.npy (N, 480, 640) and facts.json."""
+CAPTURED = GIVEN / "captured.npy"
+"""(2, 480, 640): the simulated sensor free, and under the press `CAPTURED_PRESS`, for a person to take."""
+CAPTURED_PRESS = "ball 6 2.5 1 -3"
 
 PRESSES = {"ball": (-2.5, 0.0, 3.0), "cube": (2.5, 0.0, 3.0)}
 IMAGES_A_PRESS, IMAGES_FREE = 10, 6
@@ -68,8 +71,17 @@ def make_pressed() -> None:
     (PRESSED / "facts.json").write_text(json.dumps(truth))
 
 
+def make_captured() -> None:
+    """What a camera shows while a person captures."""
+    _, radius_mm, depth_mm, x_mm, y_mm = CAPTURED_PRESS.split()
+    sensor, press = SimulatedSensor(), Press(ball(float(radius_mm)), float(x_mm), float(y_mm), float(depth_mm))
+    shown = [sensor.frame(touching, noise_seed=80).image for touching in ((), (press,))]
+    np.save(CAPTURED, np.stack([to_grey(image) for image in shown]))
+
+
 if __name__ == "__main__":
     for folder in (PAINTED, PRESSED):
         folder.mkdir(parents=True, exist_ok=True)
     make_painted()
     make_pressed()
+    make_captured()

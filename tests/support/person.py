@@ -1,0 +1,66 @@
+"""A person at a terminal (a pty) who uses ``tacshade-edge capture``."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pty
+import select
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+
+from support.patience import patience
+
+
+class Person:
+    """Types into a command on a pty, and reads what it says."""
+
+    def __init__(self, words: list[str]) -> None:
+        self._leader, follower = pty.openpty()
+        command = [sys.executable, "-m", "tacshade_edge", "capture", *words]
+        self.process = subprocess.Popen(
+            command, stdin=follower, stdout=follower, stderr=follower, start_new_session=True
+        )
+        os.close(follower)
+        self.heard = self.before = ""
+
+    def hears(self, *texts: str) -> str:
+        """Wait for one of the texts that was not waited for yet; which it was."""
+        end_s = time.monotonic() + patience(60)
+        while not (said := [text for text in texts if text in self.heard]):
+            assert time.monotonic() < end_s, f"did not say {' or '.join(texts)!r} but {self.heard!r}"
+            if select.select([self._leader], [], [], 0.1)[0]:
+                self.heard += self._read()
+        self.before, _, self.heard = self.heard.partition(said[0])
+        return said[0]
+
+    def types(self, line: str) -> None:
+        os.write(self._leader, f"{line}\n".encode())
+
+    def ends(self) -> int:
+        """Wait for its end; its exit code."""
+        while data := self._read():
+            self.heard += data
+        return self.process.wait(patience(20))
+
+    def close(self) -> None:
+        self.process.kill()
+        self.process.wait()
+        os.close(self._leader)
+
+    def _read(self) -> str:
+        try:
+            return os.read(self._leader, 65536).decode()
+        except OSError:  # the follower's last end was closed
+            return ""
+
+
+@contextlib.contextmanager
+def person(*words: str) -> Iterator[Person]:
+    started = Person(list(words))
+    try:
+        yield started
+    finally:
+        started.close()
