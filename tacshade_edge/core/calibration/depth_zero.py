@@ -1,4 +1,4 @@
-"""Is the zero of the stated depths the one that docs/calibration.md asks for?
+"""Is the zero of the stated depths the one that docs/calibration-files.md asks for?
 
 A network that never saw this sensor is off by a nearly constant factor (`gain`), so its depths over the true ones lie
 on a line through 0. Where the stated ones lie on another line, their zero is off.
@@ -77,7 +77,7 @@ def zero_hint(found_mm: Sequence[float], placed: Sequence[Placed], geometry: Geo
     if _error(travel_line, found, travel) < _TRAVEL_PART * _error(line, found, stated):
         return (
             "the stated depths fit better as travel from first touch; depth_mm is the undeformed skin's z at (x, y) "
-            "less the z of the indenter's lowest point (docs/calibration.md)"
+            "less the z of the indenter's lowest point (docs/calibration-files.md)"
         )
     beyond = line.offset_low > _LEAST_OFFSET_MM or line.offset_high < -_LEAST_OFFSET_MM
     if not (beyond and _SLOPES[0] < line.slope < _SLOPES[1]):
