@@ -17,8 +17,11 @@ from tacshade_edge.devices.mqtt.outlet import PayloadOutcome
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.protocol.messages import Request
 from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.regular_files import read_regular
 from tacshade_edge.settings import Document, Files, Serial, Settings, Simulated, Source, V4l2
 from tacshade_edge.types import Calibration
+
+_PASSWORD_BYTES_MAX = 1 << 16
 
 if TYPE_CHECKING:
     from tacshade_edge.devices.serial.port import SerialPort
@@ -149,7 +152,8 @@ def read_password(document: Document) -> str | None:
     if mqtt.username is None:
         raise ConfigError(f"{where}: found a password without a user name, expected mqtt.username too")
     try:
-        password = Path(mqtt.password_file).read_text(encoding="utf-8").partition("\n")[0].rstrip("\r")
+        text = read_regular(mqtt.password_file, _PASSWORD_BYTES_MAX).decode()
+        password = text.partition("\n")[0].rstrip("\r")
     except OSError as error:
         reason = error.strerror or str(error)
         raise ConfigError(f"{where}: {mqtt.password_file}: {reason}, expected a file with the password") from error

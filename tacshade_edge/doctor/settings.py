@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 from tacshade_edge.devices import registry
 from tacshade_edge.doctor.finding import Finding, fault, ok
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.regular_files import open_regular
 from tacshade_edge.settings import Document, load
 
 SETTINGS = "settings"
@@ -40,7 +42,7 @@ def check_settings(config: Path) -> tuple[Finding, Document | None, bool]:
 
 def _mend(config: Path) -> str:
     try:
-        config.open("rb").close()
+        open_regular(config, sys.maxsize).close()
     except PermissionError:
         return f"run this with sudo, or as the service does: {AS_SERVICE}"
     except OSError:

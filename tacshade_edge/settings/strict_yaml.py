@@ -10,10 +10,13 @@ from typing import Any
 import yaml
 
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.quoting import shown
+from tacshade_edge.regular_files import read_regular
 
 Key = tuple[str, ...]
 _SCALARS = {f"tag:yaml.org,2002:{name}" for name in ("null", "bool", "int", "float", "str")}
-_MAX_BYTES = 1 << 20
+_BYTES_MAX = 1 << 20
+_VALUES_MAX = 10_000  # which the reader takes about a third of a second for
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,11 +28,18 @@ class Found:
 
 
 class _Loader(yaml.SafeLoader):
+    values = 0
+
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         event = self.peek_event()  # type: ignore[no-untyped-call]
         if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
             raise yaml.MarkedYAMLError(
                 problem="an anchor or alias, expected a plain value", problem_mark=event.start_mark
+            )
+        self.values += 1
+        if self.values > _VALUES_MAX:
+            raise yaml.MarkedYAMLError(
+                problem=f"more than {_VALUES_MAX} values, expected a settings file", problem_mark=event.start_mark
             )
         return super().compose_node(parent, index)
 
@@ -48,16 +58,13 @@ def read(path: Path) -> tuple[Any, dict[Key, Found]]:
         Not readable, not YAML, or YAML outside the subset; ``FILE:LINE:`` leads the text.
     """
     try:
-        with path.open("rb") as file:
-            data = file.read(_MAX_BYTES + 1)
+        data = read_regular(path, _BYTES_MAX)
         text = data.decode("utf-8-sig")
     except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror or error}, expected a settings file") from error
+        raise ConfigError(f"{shown(path)}: {error.strerror or error}, expected a settings file") from error
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         raise ConfigError(f"{path}:{line}: found byte 0x{data[error.start]:02x}, expected UTF-8 text") from error
-    if len(data) > _MAX_BYTES:
-        raise ConfigError(f"{path}: found more than {_MAX_BYTES} bytes, expected a settings file")
     try:
         loader = _Loader(text)
         node = loader.get_single_node()
@@ -85,17 +92,17 @@ def _value(path: Path, loader: _Loader, node: yaml.Node, key: Key, found: dict[K
         found.setdefault(key, Found(line, "a list"))
         return [_value(path, loader, item, (*key, str(i)), found) for i, item in enumerate(node.value)]
     # the source, so that an octal or a bare `yes` is shown as it was typed
-    shown = node.start_mark.buffer[node.start_mark.pointer : node.end_mark.pointer] if node.start_mark.buffer else ""
-    shown = " ".join(shown.split())
-    found.setdefault(key, Found(line, shown[:60] or "nothing"))
+    source = node.start_mark.buffer[node.start_mark.pointer : node.end_mark.pointer] if node.start_mark.buffer else ""
+    text = shown(" ".join(source.split()), 60)
+    found.setdefault(key, Found(line, text or "nothing"))
     if node.tag not in _SCALARS:
-        raise ConfigError(f"{path}:{line}: {dotted(key)}: found {shown[:60]}, expected a plain value")
+        raise ConfigError(f"{path}:{line}: {dotted(key)}: found {text}, expected a plain value")
     try:
         value = loader.construct_object(node)
     except ValueError as error:
-        raise ConfigError(f"{path}:{line}: {dotted(key)}: found {shown[:60]}, expected a plain value") from error
+        raise ConfigError(f"{path}:{line}: {dotted(key)}: found {text}, expected a plain value") from error
     if isinstance(value, float) and not math.isfinite(value):
-        raise ConfigError(f"{path}:{line}: {dotted(key)}: found {shown}, expected a finite number")
+        raise ConfigError(f"{path}:{line}: {dotted(key)}: found {text}, expected a finite number")
     return value
 
 
@@ -117,4 +124,4 @@ def _mapping(path: Path, loader: _Loader, node: yaml.MappingNode, key: Key, foun
 
 def dotted(key: Key) -> str:
     """``path.to.key`` for a person."""
-    return ".".join(name if name.isprintable() else repr(name) for name in key) or "the file"
+    return ".".join(shown(name, 60) for name in key) or "the file"

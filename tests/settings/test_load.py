@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -99,6 +100,7 @@ def write(folder: Path, text: str | bytes) -> Path:
         ("\n- a\n", ":2: found a list, expected a mapping of settings"),
         ("fast\n", ":1: found fast, expected a mapping of settings"),
         ("a: " + "[" * 5000, ": nested too deeply for a settings file"),
+        ("[" + "0," * 100_000 + "0]", ":1: not valid YAML here: more than 10000 values, expected a settings file"),
         ("#" * (1 << 20) + "\n", ": found more than 1048576 bytes, expected a settings file"),
     ],
 )
@@ -242,3 +244,9 @@ def test_auto_is_loaded_with_its_budget(tmp_path: Path) -> None:
     settings = load(write(tmp_path, "profile: auto\nlatency_budget_ms: 20\n")).settings
     assert (settings.profile, settings.latency_budget_ms) == ("auto", 20.0)
     assert load(write(tmp_path, to_yaml(settings))).settings == settings
+
+
+def test_a_pipe_as_settings_does_not_hang(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "s.yaml")
+    with pytest.raises(ConfigError, match=r"s\.yaml: found no regular file, expected a settings file$"):
+        load(tmp_path / "s.yaml")

@@ -24,7 +24,8 @@ import numpy as np
 
 from tacshade_edge.devices.camera import v4l2_controls, v4l2_node
 from tacshade_edge.devices.camera.frame_gaps import FrameGaps
-from tacshade_edge.errors import ConfigError, DeviceError, TacshadeError
+from tacshade_edge.devices.image_bytes import decode_image
+from tacshade_edge.errors import ConfigError, DecodeError, DeviceError, TacshadeError
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.types import U8, Frame
 
@@ -271,15 +272,14 @@ def decode(raw: U8, fourcc: str, height_px: int, width_px: int) -> U8 | None:
 
 def _decode_jpeg(raw: U8, height_px: int, width_px: int) -> U8 | None:
     data = raw.tobytes()
-    if not data.startswith(b"\xff\xd8") or b"\xff\xd9" not in data:
+    if not data.startswith(b"\xff\xd8"):
         return None
     try:
-        image = cv2.imdecode(raw, cv2.IMREAD_GRAYSCALE)
-    except cv2.error:  # for a header with an absurd size
+        whole = data[: data.rfind(b"\xff\xd9") + 2]  # cameras pad, by any amount
+        image = decode_image(whole, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
+    except DecodeError:
         return None
-    if image is None or image.shape != (height_px, width_px):
-        return None
-    return np.asarray(image, np.uint8)
+    return image if image.shape == (height_px, width_px) else None
 
 
 def _kernel_stamp_ns(capture: cv2.VideoCapture) -> int:

@@ -4,16 +4,25 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import tokenize
 import zipfile
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
+from numpy.lib import format as npy
 
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.quoting import shown
+from tacshade_edge.regular_files import read_regular
+
+BYTES_MAX: Final = 64 << 20
+"""Of the file, and of all that is packed in it: two images of 4096x4096 px have half of it."""
+_MEMBERS_MAX: Final = 16
 
 # What numpy and zipfile raise on damaged bytes (TypeError: a .npy; RuntimeError: a flag or method zipfile lacks).
 _DAMAGE = (
@@ -72,18 +81,16 @@ def read(name: str, what: str, writer: str) -> tuple[Content, int]:
         Absent, something else, or damaged.
     """
     try:
-        with open(name, "rb") as stream, np.load(stream, allow_pickle=False) as npz:
-            meta = npz["meta"].tobytes()
-            # In the file's order; another version has other arrays, and its checksum is of those.
-            arrays = {key: npz[key] for key in npz.files if key not in ("meta", "crc32")}
-            crc = int(npz["crc32"])
+        members = _members(read_regular(name, BYTES_MAX))
+        # In the file's order; another version has other arrays, and its checksum is of those.
+        arrays = {key: _array(data) for key, data in members.items()}
+        meta, crc = arrays.pop("meta").tobytes(), int(arrays.pop("crc32"))
     except OSError as error:
         raise ConfigError(
-            f"{name}: cannot read the {what}: {error.strerror or 'not an .npz file'}; "
-            f"expected a file written by {writer}"
+            f"{shown(name)}: cannot read the {what}: {error.strerror}; expected a file written by {writer}"
         ) from None
     except _DAMAGE:
-        raise ConfigError(f"{name}: not a {what}, or damaged; expected a file written by {writer}") from None
+        raise ConfigError(f"{shown(name)}: not a {what}, or damaged; expected a file written by {writer}") from None
     if _crc32(meta, arrays) != crc:
         raise ConfigError(f"{name}: damaged: its checksum is {_crc32(meta, arrays):08x}, {crc:08x} is stored in it")
     try:
@@ -93,6 +100,28 @@ def read(name: str, what: str, writer: str) -> tuple[Content, int]:
     if not isinstance(known, dict):
         raise ConfigError(f"{name}: not a {what}; expected a file written by {writer}")
     return Content(known, arrays), crc
+
+
+def _members(data: bytes) -> dict[str, bytes]:
+    """What is in an .npz by its name, once the archive's table has told sizes that can be. Raises one of `_DAMAGE`."""
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        entries = archive.infolist()
+        if len(entries) > _MEMBERS_MAX or sum(entry.file_size for entry in entries) > BYTES_MAX:
+            raise ValueError("too many or too large arrays")
+        # No more than that size is ever made of what is packed.
+        return {entry.filename.removesuffix(".npy"): archive.read(entry) for entry in entries}
+
+
+def _array(data: bytes) -> npt.NDArray[Any]:
+    """An array of numbers from a .npy, as long as its header says. Raises one of `_DAMAGE`."""
+    stream = io.BytesIO(data)
+    if npy.read_magic(stream) != (1, 0):
+        raise ValueError("another version of .npy")
+    shape, fortran_order, dtype = npy.read_array_header_1_0(stream)
+    values = data[stream.tell() :]
+    if dtype.kind not in "biuf" or len(values) != dtype.itemsize * math.prod(shape):
+        raise ValueError("not as long as its header says")
+    return np.frombuffer(values, dtype).reshape(shape, order="F" if fortran_order else "C")
 
 
 def _json(meta: Mapping[str, Any]) -> bytes:

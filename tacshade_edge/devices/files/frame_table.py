@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import math
+from array import array
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import overload
 
-from tacshade_edge.devices.files.tables import number, read_rows
+from tacshade_edge.devices.files.tables import iter_rows, number
 from tacshade_edge.devices.files.whole_files import part
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.quoting import quoted
 from tacshade_edge.types import Pose
 
 HEADER = ("image", "t_ns", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
 ERROR_COLUMN = "pose_error_us"  # may be missing: older tables have none
 TABLE_NAME = "frames.csv"
 T_NS_MAX = 2**62  # a looped recording goes on from here, and the wire holds 64 bits
+ROWS_MAX = 1 << 21  # 9.7 h at 60 frames/s; 150 bytes of memory each
 UNIT_TOLERANCE = 1e-3
 ERROR_US_MAX = 2**32 - 1  # as on the wire
 
@@ -29,13 +34,51 @@ class Row:
     pose_error_us: int = 0
 
 
+class FrameTable(Sequence[Row]):
+    """The rows of a table, packed: a row of its own for each would take three times the memory."""
+
+    def __init__(self) -> None:
+        self._images: list[str] = []
+        self._t_ns = array("q")
+        self._poses = array("d")
+        self._errors_us = array("q")  # -1 without a pose
+
+    def append(self, row: Row) -> None:
+        """Add one at the end."""
+        pose = row.pose
+        values = (pose.x_mm, pose.y_mm, pose.z_mm, pose.qw, pose.qx, pose.qy, pose.qz) if pose else (0.0,) * 7
+        self._images.append(row.image)
+        self._t_ns.append(row.t_ns)
+        self._poses.extend(values)
+        self._errors_us.append(row.pose_error_us if pose else -1)
+
+    def __len__(self) -> int:
+        """How many."""
+        return len(self._images)
+
+    @overload
+    def __getitem__(self, index: int) -> Row: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> list[Row]: ...
+
+    def __getitem__(self, index: int | slice) -> Row | list[Row]:
+        """One row, or a list of some."""
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        at = range(len(self))[index]
+        t_ns, error_us = self._t_ns[at], self._errors_us[at]
+        pose = None if error_us < 0 else Pose(t_ns, *self._poses[7 * at : 7 * at + 7])
+        return Row(self._images[at], t_ns, pose, max(error_us, 0))
+
+
 def table_in(folder: Path) -> Path | None:
     """The table of a folder of frames, or the ``.part`` that a writer who died has left; None without one."""
     table = folder / TABLE_NAME
     return next((path for path in (table, part(table)) if path.exists()), None)
 
 
-def read_table(path: Path, *, cut_off: bool = False) -> list[Row]:
+def read_table(path: Path, *, cut_off: bool = False) -> FrameTable:
     """Read ``image,t_ns,x_mm,y_mm,z_mm,qw,qx,qy,qz``; the seven columns of the pose may be empty, all or none.
 
     ``pose_error_us`` may be the last column: empty is 0.
@@ -45,14 +88,17 @@ def read_table(path: Path, *, cut_off: bool = False) -> list[Row]:
     Raises
     ------
     ConfigError
-        ``FILE:LINE: column: found …, expected …``; time stamps that do not increase; no row.
+        ``FILE:LINE: column: found …, expected …``; time stamps that do not increase; no row, or more than `ROWS_MAX`.
     """
-    rows: list[Row] = []
-    for where, columns in read_rows(path, HEADER, "frames", more=(ERROR_COLUMN,), cut_off=cut_off):
+    rows = FrameTable()
+    last_ns = -1
+    read = iter_rows(path, HEADER, "frames", more=(ERROR_COLUMN,), cut_off=cut_off, rows_max=ROWS_MAX)
+    for where, columns in read:
         row = _row(where, columns)
-        if rows and row.t_ns <= rows[-1].t_ns:
-            raise ConfigError(f"{where}: t_ns: found {row.t_ns}, expected more than {rows[-1].t_ns} of the row before")
+        if row.t_ns <= last_ns:
+            raise ConfigError(f"{where}: t_ns: found {row.t_ns}, expected more than {last_ns} of the row before")
         rows.append(row)
+        last_ns = row.t_ns
     if not rows:
         raise ConfigError(f"{path}: found no row, expected one for each frame")
     return rows
@@ -64,11 +110,11 @@ def _row(where: str, columns: list[str]) -> Row:
     if not name:
         raise ConfigError(f"{where}: image: found nothing, expected a file's name, or a frame's number in a video")
     if not _whole(time, T_NS_MAX):
-        raise ConfigError(f"{where}: t_ns: found {time!r}, expected a whole number from 0 to 2^62")
+        raise ConfigError(f"{where}: t_ns: found {quoted(time)}, expected a whole number from 0 to 2^62")
     empty = [text == "" for text in pose]
     if error and not (_whole(error, ERROR_US_MAX) and not all(empty)):
         expected = "nothing, as there is no pose" if all(empty) else "a whole number from 0 to 2^32 - 1, or nothing"
-        raise ConfigError(f"{where}: {ERROR_COLUMN}: found {error!r}, expected {expected}")
+        raise ConfigError(f"{where}: {ERROR_COLUMN}: found {quoted(error)}, expected {expected}")
     if all(empty):
         return Row(name, int(time), None)
     if any(empty):

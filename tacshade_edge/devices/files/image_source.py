@@ -10,8 +10,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from tacshade_edge.devices.files.frame_table import Row, read_table, table_in
+from tacshade_edge.devices.files.frame_table import FrameTable, Row, read_table, table_in
 from tacshade_edge.devices.files.images import SUFFIXES, read_image
+from tacshade_edge.devices.image_bytes import PIXELS_MAX, SIDE_MAX_PX
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.types import U8, Frame
 
@@ -38,9 +39,9 @@ class FilesSource:
         self._due_ns = 0
         self._size: tuple[int, int] | None = None
         self._images: list[Path] = []
-        self._rows: dict[Path, Row] = {}
+        self._rows: FrameTable | None = None
         self._video: cv2.VideoCapture | None = None
-        self._items: Iterator[Path | U8] = iter(())
+        self._items: Iterator[tuple[Path | U8, Row | None]] = iter(())
 
     @property
     def dropped(self) -> int:
@@ -51,9 +52,7 @@ class FilesSource:
         """Find the files. Raises ConfigError when there is nothing to show, or the table is wrong."""
         self.close()
         self._images, self._video = look_at(self._path)
-        if (rows := _rows(self._path)) is not None:
-            self._rows = {self._path / row.image: row for row in rows}
-            self._images = [self._path / row.image for row in rows]
+        self._rows = _rows(self._path)
         self._items = self._next_items()
         self._due_ns = time.monotonic_ns()
 
@@ -65,9 +64,10 @@ class FilesSource:
         DecodeError
             This image cannot be used; the next call goes on with the next.
         """
-        item = next(self._items, None)
-        if item is None:
+        entry = next(self._items, None)
+        if entry is None:
             return None
+        item, row = entry
         late_ns = time.monotonic_ns() - self._due_ns
         if late_ns < 0:
             time.sleep(-late_ns / 1e9)
@@ -76,7 +76,6 @@ class FilesSource:
         self._due_ns += self._period_ns
         t_ns, wall_ns, seq = time.monotonic_ns(), time.time_ns(), self._seq
         self._seq += 1
-        row = self._rows.get(item) if isinstance(item, Path) else None
         frame = Frame(seq=seq, t_ns=t_ns, wall_ns=wall_ns, image=self._checked(item))
         if row is None or row.pose is None:
             return frame
@@ -86,19 +85,23 @@ class FilesSource:
         """Release the video file."""
         if self._video is not None:
             self._video.release()
-        self._video, self._images, self._items = None, [], iter(())
+        self._video, self._images, self._rows, self._items = None, [], None, iter(())
 
     def describe(self) -> dict[str, str | int | float]:
         """Path, pace, and the number of images."""
         about: dict[str, str | int | float] = {"path": str(self._path), "fps": 1e9 / self._period_ns}
-        return about | ({"images": len(self._images)} if self._images else {})
+        images = len(self._images if self._rows is None else self._rows)
+        return about | ({"images": images} if images else {})
 
-    def _next_items(self) -> Iterator[Path | U8]:
+    def _next_items(self) -> Iterator[tuple[Path | U8, Row | None]]:
         while True:
-            yield from self._images
+            if self._rows is not None:
+                yield from ((self._path / row.image, row) for row in self._rows)
+            else:
+                yield from ((image, None) for image in self._images)
             if self._video is not None:
                 while (grabbed := self._video.read())[0]:
-                    yield np.asarray(grabbed[1], dtype=np.uint8)
+                    yield np.asarray(grabbed[1], dtype=np.uint8), None
                 self._video.set(cv2.CAP_PROP_POS_FRAMES, 0)
             if not self._loop:
                 return
@@ -137,7 +140,7 @@ def first_size_px(path: Path) -> tuple[int, int] | None:
     return image.shape[1], image.shape[0]
 
 
-def _rows(path: Path) -> list[Row] | None:
+def _rows(path: Path) -> FrameTable | None:
     table = table_in(path) if path.is_dir() else None
     return None if table is None else read_table(table, cut_off=table.suffix == ".part")
 
@@ -153,9 +156,13 @@ def look_at(path: Path) -> tuple[list[Path], cv2.VideoCapture | None]:
         raise ConfigError(f"{path}: found nothing, expected a folder of images, an image or a video file")
     if path.suffix.lower() in SUFFIXES:
         return [path], None
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)  # its warnings would double our one line
     video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
-    if not (video.isOpened() and video.grab()):
+    if not video.isOpened():
+        raise ConfigError(f"{path}: found no video that OpenCV can read, expected a folder of images, or a video file")
+    width, height = (int(video.get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+    if max(width, height) > SIDE_MAX_PX or width * height > PIXELS_MAX:
+        raise ConfigError(f"{path}: found {width}x{height} px, expected at most {SIDE_MAX_PX} px a side")
+    if not video.grab():
         raise ConfigError(f"{path}: found no video that OpenCV can read, expected a folder of images, or a video file")
     video.set(cv2.CAP_PROP_POS_FRAMES, 0)
     return [], video

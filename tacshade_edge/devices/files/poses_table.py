@@ -6,11 +6,12 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from tacshade_edge.devices.files.tables import number, read_rows
+from tacshade_edge.devices.files.tables import iter_rows, number
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.rigid import Rigid, from_seven
 
 HEADER = ("image", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
+ROWS_MAX = 100_000
 _UNIT = 0.01
 
 
@@ -40,7 +41,7 @@ def read_poses(path: Path) -> list[PosedImage]:
     ConfigError
         ``FILE:LINE: column: found …, expected …``; a table without a line.
     """
-    found = [_posed(path, where, row) for where, row in read_rows(path, HEADER, "poses")]
+    found = [_posed(path, where, row) for where, row in iter_rows(path, HEADER, "poses", rows_max=ROWS_MAX)]
     if not found:
         raise ConfigError(f"{path}: found no pose, expected a line for each image")
     return found

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from tacshade_edge.devices.files.tables import number, read_rows
 from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.quoting import quoted
 from tacshade_edge.simulator.objects import OBJECTS, ball
 from tacshade_edge.simulator.press import Press
 
@@ -53,5 +54,5 @@ def _press(where: str, row: list[str]) -> Press:
     elif indenter in OBJECTS and not radius_text:
         shape = OBJECTS[indenter]()
     else:
-        raise ConfigError(f"{where}: indenter: found {indenter!r}, expected ball, or a name without a radius_mm")
+        raise ConfigError(f"{where}: indenter: found {quoted(indenter)}, expected ball, or a name without a radius_mm")
     return Press(shape, x_mm, y_mm, depth_mm)

@@ -10,6 +10,7 @@ from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.devices.files.images import read_image
 from tacshade_edge.devices.files.tables import number, read_columns
 from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.quoting import quoted, shown
 
 BALL = "ball"
 """The indenter that needs no entry in INDENTERS.yaml."""
@@ -58,7 +59,7 @@ def press_rows(path: Path) -> tuple[list[tuple[str, dict[str, str]]], tuple[str,
     table = read_columns(path, HEADER, MORE, "presses")
     notes: tuple[str, ...] = ()
     if table.unknown:
-        names = ", ".join(name or "one without a name" for name in table.unknown)
+        names = ", ".join(shown(name or "one without a name", 40) for name in table.unknown[:10])
         notes = (f"{path}: columns that are not known are ignored: {names}",)
     if table.decimal_comma:
         numbers = {*HEADER[2:], *MORE}
@@ -75,11 +76,11 @@ def _press(path: Path, where: str, row: dict[str, str], indenters: Mapping[str, 
     name = row["indenter"]
     if name != BALL and name not in indenters:
         others = f" or one of INDENTERS.yaml: {', '.join(indenters)}" if indenters else " (others need --indenters)"
-        raise ConfigError(f"{where}: indenter: found {name!r}, expected ball{others}")
+        raise ConfigError(f"{where}: indenter: found {quoted(name)}, expected ball{others}")
     indenter = None if name == BALL else indenters[name]
     if indenter is not None and row["radius_mm"].strip():
         raise ConfigError(
-            f"{where}: radius_mm: found {row['radius_mm']!r}, expected nothing: INDENTERS.yaml has its size"
+            f"{where}: radius_mm: found {quoted(row['radius_mm'])}, expected nothing: INDENTERS.yaml has its size"
         )
     place = [row[column].strip() for column in ("x_mm", "y_mm")]
     if (place[0] == "") != (place[1] == ""):
@@ -124,5 +125,7 @@ def _optional(where: str, row: dict[str, str], column: str) -> float:
 def _within(where: str, row: dict[str, str], column: str, most: float) -> float:
     value = _optional(where, row, column)
     if abs(value) > most:
-        raise ConfigError(f"{where}: {column}: found {row[column]!r}, expected a number from -{most:g} to {most:g}")
+        raise ConfigError(
+            f"{where}: {column}: found {quoted(row[column])}, expected a number from -{most:g} to {most:g}"
+        )
     return value

@@ -13,7 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from tacshade_edge.devices.files.frame_table import Row, read_table, table_in
+from tacshade_edge.devices.files.frame_table import FrameTable, Row, read_table, table_in
 from tacshade_edge.devices.files.image_source import look_at
 from tacshade_edge.devices.files.images import SUFFIXES, read_image
 from tacshade_edge.errors import ConfigError
@@ -108,7 +108,7 @@ class Recording:
             yield from self._video(video, rows)
             video.release()
 
-    def _video(self, video: cv2.VideoCapture, rows: list[Row] | None) -> Iterator[tuple[Row, U8]]:
+    def _video(self, video: cv2.VideoCapture, rows: FrameTable | None) -> Iterator[tuple[Row, U8]]:
         index = 0
         while (grabbed := video.read())[0]:
             image = np.asarray(grabbed[1], dtype=np.uint8)

@@ -7,16 +7,20 @@ References
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import numpy as np
 
 from tacshade_edge.errors import DecodeError
+from tacshade_edge.quoting import quoted, shown
+from tacshade_edge.regular_files import read_regular
 from tacshade_edge.types import F64
 
 MAX_TRIANGLES = 200_000
 _HEAD_BYTES, _TRIANGLE_BYTES = 84, 50
 # An ascii triangle takes about 270 bytes.
+_LINE_BYTES = 256
 _MAX_BYTES = MAX_TRIANGLES * 400
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
@@ -35,12 +39,10 @@ def read_stl(path: Path) -> F64:
         Not readable, no STL file, no triangle or too many of them, or a corner that is no number.
     """
     try:
-        with path.open("rb") as file:
-            data = file.read(_MAX_BYTES + 1)
-    except (OSError, ValueError) as error:
-        raise DecodeError(f"{path}: {getattr(error, 'strerror', None) or error}, expected an STL file") from None
-    if len(data) > _MAX_BYTES:
-        raise DecodeError(f"{path}: found more than {_MAX_BYTES >> 20} MiB, expected at most {MAX_TRIANGLES} triangles")
+        data = read_regular(path, _MAX_BYTES)
+    except OSError as error:
+        expected = f"expected an STL file of at most {MAX_TRIANGLES} triangles"
+        raise DecodeError(f"{shown(path)}: {error.strerror or error}, {expected}") from None
     count = int.from_bytes(data[80:84], "little")
     # A binary file may begin with "solid" too: its length tells.
     if len(data) >= _HEAD_BYTES and len(data) == _HEAD_BYTES + count * _TRIANGLE_BYTES:
@@ -67,14 +69,18 @@ def stl_bytes(triangles_mm: F64) -> bytes:
 
 
 def _ascii(path: Path, data: bytes) -> F64:
-    corners, in_facet = [], 0
-    for number, line in enumerate(data.decode("ascii", "replace").splitlines(), start=1):
+    corners: list[tuple[float, float, float]] = []
+    in_facet = 0
+    for number, raw in enumerate(io.BytesIO(data), start=1):
+        line = raw[:_LINE_BYTES].decode("ascii", "replace")
         word, *rest = line.split() or [""]
         if word.lower() == "vertex":
             try:
                 x, y, z = map(float, rest)
             except ValueError:
-                raise DecodeError(f"{path}:{number}: found {line.strip()[:60]!r}, expected vertex x y z") from None
+                raise DecodeError(f"{path}:{number}: found {quoted(line.strip())}, expected vertex x y z") from None
+            if len(corners) == 3 * MAX_TRIANGLES:
+                raise DecodeError(f"{path}: found more than {MAX_TRIANGLES} triangles, expected at most those")
             corners.append((x, y, z))
             in_facet += 1
         elif word.lower() == "endfacet":

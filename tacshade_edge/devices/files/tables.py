@@ -5,18 +5,42 @@ from __future__ import annotations
 import codecs
 import csv
 import io
+import itertools
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final, TextIO
 
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.quoting import quoted, shown
+from tacshade_edge.regular_files import open_regular
+
+ROWS_MAX: Final = 10_000
+NUMBER_MAX: Final = 1e6
+"""No length in mm, no angle and no time in s of a table comes near it."""
+
+_BYTES_A_ROW_MAX: Final = 512  # on the average
+_ROW_CHARS_MAX: Final = 1 << 16
 
 
 def read_rows(
-    path: Path, header: tuple[str, ...], what: str, *, more: tuple[str, ...] = (), cut_off: bool = False
+    path: Path, header: tuple[str, ...], what: str, *, more: tuple[str, ...] = (), rows_max: int = ROWS_MAX
 ) -> list[tuple[str, list[str]]]:
-    """Read a table with exactly this header; empty lines are passed over.
+    """Read a table with exactly this header as a list. Arguments and errors are those of `iter_rows`."""
+    return list(iter_rows(path, header, what, more=more, rows_max=rows_max))
+
+
+def iter_rows(
+    path: Path,
+    header: tuple[str, ...],
+    what: str,
+    *,
+    more: tuple[str, ...] = (),
+    cut_off: bool = False,
+    rows_max: int = ROWS_MAX,
+) -> Iterator[tuple[str, list[str]]]:
+    """Read a table with exactly this header, row by row; empty lines are passed over.
 
     Parameters
     ----------
@@ -28,32 +52,28 @@ def read_rows(
         Columns after those of `header`, all of which a table has or none.
     cut_off : bool
         Its writer died: a last line without an end is left out.
+    rows_max : int
 
-    Returns
-    -------
-    list of (``FILE:LINE``, columns)
+    Yields
+    ------
+    (``FILE:LINE``, columns)
 
     Raises
     ------
     ConfigError
-        Not readable, not CSV, another header, or a row of another length.
+        Not readable, not CSV, another header, a row of another length, or too many of them.
     """
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            reader = csv.reader(_whole_lines(stream) if cut_off else stream, strict=True)
-            lines = [(reader.line_num, row) for row in reader if row]
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror or error}, expected a CSV file of {what}") from None
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise ConfigError(f"{path}: not a CSV file: {error}") from None
-    if not lines or tuple(lines[0][1]) not in (header, header + more):
-        found = ",".join(lines[0][1]) if lines else "nothing"
-        raise ConfigError(f"{path}:1: found the header {found[:80]}, expected {','.join(header + more)}")
-    columns = len(lines[0][1])
-    for line, row in lines[1:]:
-        if len(row) != columns:
-            raise ConfigError(f"{path}:{line}: found {len(row)} columns, expected {columns}")
-    return [(f"{path}:{line}", row) for line, row in lines[1:]]
+    with _opened(path, what, rows_max) as stream:
+        text = _text(path, stream)
+        lines = _lines(path, _whole_lines(text) if cut_off else text, ",", rows_max)
+        line0, first = next(lines, (1, []))
+        if tuple(first) not in (header, header + more):
+            found = shown(",".join(first), 80) if first else "nothing"
+            raise ConfigError(f"{path}:{line0}: found the header {found}, expected {','.join(header + more)}")
+        for line, row in lines:
+            if len(row) != len(first):
+                raise ConfigError(f"{path}:{line}: found {len(row)} columns, expected {len(first)}")
+            yield f"{path}:{line}", row
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,20 +104,16 @@ def read_columns(path: Path, required: tuple[str, ...], optional: tuple[str, ...
     ConfigError
         Not readable, not CSV, a column missing or there twice, or a row of another length.
     """
-    try:
-        data = path.read_bytes()
-        text = data.decode("utf-16" if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig")
-        first = text.partition("\n")[0]
-        delimiter = max(",;\t", key=first.count)
-        reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
-        lines = [(reader.line_num, row) for row in reader if any(row)]
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror or error}, expected a CSV file of {what}") from None
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise ConfigError(f"{path}: not a CSV file: {error}") from None
+    with _opened(path, what, ROWS_MAX) as stream:
+        text = _text(path, stream)
+        first = list(itertools.islice(text, 1))
+        delimiter = max(",;\t", key="".join(first).count)
+        lines = [
+            (line, row) for line, row in _lines(path, itertools.chain(first, text), delimiter, ROWS_MAX) if any(row)
+        ]
     header = [name.strip() for name in lines[0][1]] if lines else []
     if missing := [name for name in required if name not in header]:
-        found = f"the header {delimiter.join(header)[:80]}" if header else "the header nothing"
+        found = f"the header {shown(delimiter.join(header), 80)}" if header else "the header nothing"
         raise ConfigError(f"{path}:1: found {found}, expected {','.join(required)}: {', '.join(missing)} missing")
     line0, known = lines[0][0], (*required, *optional)
     if twice := [name for name in known if header.count(name) > 1]:
@@ -109,16 +125,69 @@ def read_columns(path: Path, required: tuple[str, ...], optional: tuple[str, ...
     return Table(rows, tuple(name for name in header if name not in known), delimiter != ",")
 
 
-def _whole_lines(lines: Iterable[str]) -> Iterator[str]:
-    return (line for line in lines if line.endswith("\n"))
-
-
 def number(where: str, column: str, text: str) -> float:
-    """A finite number. Raises ConfigError."""
+    """A number from -`NUMBER_MAX` to `NUMBER_MAX`. Raises ConfigError."""
     try:
         value = float(text)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise ConfigError(f"{where}: {column}: found {text!r}, expected a number")
+        raise ConfigError(f"{where}: {column}: found {quoted(text)}, expected a number")
+    if abs(value) > NUMBER_MAX:
+        most = f"{NUMBER_MAX:g}"
+        raise ConfigError(f"{where}: {column}: found {quoted(text)}, expected a number from -{most} to {most}")
     return value
+
+
+def _opened(path: Path, what: str, rows_max: int) -> TextIO:
+    """A table's text, in UTF-8 or, with its byte order mark, UTF-16. Raises ConfigError."""
+    try:
+        stream = open_regular(path, rows_max * _BYTES_A_ROW_MAX)
+        start = stream.read(2)
+        stream.seek(0)
+    except OSError as error:
+        raise ConfigError(f"{shown(path)}: {error.strerror or error}, expected a CSV file of {what}") from None
+    encoding = "utf-16" if start in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8-sig"
+    return io.TextIOWrapper(stream, encoding, newline="")
+
+
+def _text(path: Path, stream: TextIO) -> Iterator[str]:
+    """Lines with their ends, none of them without bound."""
+    try:
+        while line := stream.readline(_ROW_CHARS_MAX + 1):
+            yield line
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror or error}") from None
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: not a CSV file: {error}") from None
+
+
+def _lines(path: Path, text: Iterable[str], delimiter: str, rows_max: int) -> Iterator[tuple[int, list[str]]]:
+    """Each row that is not empty with the number of its last line. Raises ConfigError."""
+    taken = 0
+
+    def bounded() -> Iterator[str]:
+        nonlocal taken
+        for line in text:
+            taken += len(line)
+            if taken > _ROW_CHARS_MAX:
+                raise csv.Error(f"a row of more than {_ROW_CHARS_MAX} characters")
+            yield line
+
+    reader = csv.reader(bounded(), delimiter=delimiter, strict=True)
+    rows = 0
+    try:
+        for row in reader:
+            taken = 0
+            if not row:
+                continue
+            if rows > rows_max:  # the header is one more
+                raise ConfigError(f"{path}:{reader.line_num}: found more rows than {rows_max}, expected at most those")
+            rows += 1
+            yield reader.line_num, row
+    except csv.Error as error:
+        raise ConfigError(f"{path}:{reader.line_num + 1}: not a CSV file: {error}") from None
+
+
+def _whole_lines(lines: Iterable[str]) -> Iterator[str]:
+    return (line for line in lines if line.endswith("\n"))

@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+import tracemalloc
 from pathlib import Path
 
 import pytest
 
-from tacshade_edge.devices.files.frame_table import ERROR_COLUMN, HEADER, read_table, table_in
+from tacshade_edge.devices.files.frame_table import ERROR_COLUMN, HEADER, Row, read_table, table_in
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.types import Pose
 
 
 @pytest.mark.parametrize(
@@ -69,3 +71,22 @@ def test_the_table_of_a_writer_that_died_is_read_to_its_last_whole_line(tmp_path
         read_table(partial)
     table.touch()
     assert table_in(tmp_path) == table
+
+
+def test_a_pose_that_no_robot_has_is_told(tmp_path: Path) -> None:
+    (tmp_path / "frames.csv").write_text(",".join(HEADER) + "\na.png,5,1e300,2,3,1,0,0,0\n")
+    with pytest.raises(ConfigError, match=r":2: x_mm: found '1e300', expected a number from -1e\+06 to 1e\+06"):
+        read_table(tmp_path / "frames.csv")
+
+
+def test_a_row_takes_150_bytes_of_memory(tmp_path: Path) -> None:
+    rows = "".join(f"frame_{i:06d}.png,{i},1,2,3,1,0,0,0,7\n" for i in range(20_000))
+    (tmp_path / "frames.csv").write_text(ERRORS + rows)
+    tracemalloc.start()
+    table = read_table(tmp_path / "frames.csv")
+    kept, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert kept < 170 * len(table) == 170 * 20_000
+    assert most < kept + (1 << 20)
+    pose = Pose(19_999, 1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0)
+    assert table[-1] == table[19_999:][0] == Row("frame_019999.png", 19_999, pose, 7)

@@ -1,12 +1,13 @@
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from tacshade_edge.devices.files.images import read_image
+from tacshade_edge.devices.files.images import BYTES_MAX, read_image
 from tacshade_edge.errors import DecodeError
 
 PICTURE = np.random.default_rng(5).integers(0, 256, (48, 64, 3), dtype=np.uint8)
@@ -47,6 +48,25 @@ def test_a_jpeg_padded_by_the_camera_is_whole(tmp_path: Path) -> None:
 def test_what_is_no_image_is_refused(tmp_path: Path) -> None:
     (tmp_path / "empty.png").touch()
     (tmp_path / "text.png").write_text("hello")
-    for name, said in {"empty.png": "found 0 bytes", "text.png": "found 5 bytes", "none.png": "No such file"}.items():
+    for name, said in {
+        "empty.png": "found 0 bytes",
+        "text.png": "found 5 bytes",
+        "none.png": "No such file",
+        "nul\0.png": "null byte",
+    }.items():
         with pytest.raises(DecodeError, match=said):
             read_image(tmp_path / name)
+
+
+def test_only_a_regular_file_is_read(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.png")
+    for path in (tmp_path / "pipe.png", Path("/dev/zero")):
+        with pytest.raises(DecodeError, match=f"{path.name}: found no regular file, expected an image$"):
+            read_image(path)
+
+
+def test_a_file_of_more_than_64_mib_is_not_read(tmp_path: Path) -> None:
+    with (tmp_path / "huge.png").open("wb") as stream:
+        stream.truncate(BYTES_MAX + 1)
+    with pytest.raises(DecodeError, match=r"huge\.png: found more than 67108864 bytes, expected an image$"):
+        read_image(tmp_path / "huge.png")

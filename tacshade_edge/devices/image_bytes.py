@@ -1,0 +1,165 @@
+"""An image's bytes to its pixels, once its header has told a size that a camera can have.
+
+OpenCV's decoders take what the header says: without the look before, 875 kB of PNG become 1.8 GB.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Callable
+from typing import Final
+
+import cv2
+import numpy as np
+
+from tacshade_edge.errors import DecodeError
+from tacshade_edge.types import U8
+
+PIXELS_MAX: Final = 1 << 24
+SIDE_MAX_PX: Final = 8192
+
+# What the last bytes of a whole file hold; some cameras pad the end.
+_ENDS: Final = ((b"\xff\xd8", b"\xff\xd9"), (b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"))
+_TAIL_BYTES: Final = 1024
+
+# Its own lines on stderr would stand beside our one.
+cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+
+
+def decode_image(data: bytes, flags: int) -> U8:
+    """Decode a PNG, JPEG, BMP, TIFF, PGM, PPM or WebP.
+
+    Parameters
+    ----------
+    data : bytes
+    flags : int
+        OpenCV's, with ``IMREAD_IGNORE_ORIENTATION``.
+
+    Returns
+    -------
+    uint8 (H, W) grey or (H, W, 3) BGR
+        At most `SIDE_MAX_PX` a side and `PIXELS_MAX` in all.
+
+    Raises
+    ------
+    DecodeError
+        Not an image, too large, cut short or damaged so that it shows: damage between can pass.
+    """
+    for start, end in _ENDS:
+        if data.startswith(start) and end not in data[-_TAIL_BYTES:]:
+            raise DecodeError(f"cut short after {len(data)} bytes, expected a whole image")
+    size_px = _size_px(data)
+    if size_px is None or 0 in size_px:
+        raise DecodeError(f"found {len(data)} bytes that are no image, expected a whole image")
+    width, height = size_px
+    if max(size_px) > SIDE_MAX_PX or width * height > PIXELS_MAX:
+        expected = f"expected at most {SIDE_MAX_PX} px a side and {PIXELS_MAX >> 20} Mi px in all"
+        raise DecodeError(f"found {width}x{height} px, {expected}")
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except cv2.error:
+        image = None
+    if image is None or image.shape[:2] != (height, width):
+        raise DecodeError(f"found {len(data)} bytes that are damaged or no image, expected a whole image")
+    return np.asarray(image, np.uint8)
+
+
+def _size_px(data: bytes) -> tuple[int, int] | None:
+    """Width and height that the header tells; None when it is of none of these formats."""
+    read = next((read for start, read in _HEADERS.items() if data.startswith(start)), None)
+    try:
+        return None if read is None else read(data)
+    except struct.error:  # shorter than its header
+        return None
+
+
+def _png(data: bytes) -> tuple[int, int] | None:
+    """From the first chunk; all must be as long as they say, which the decoder believes (ISO/IEC 15948, 5.3)."""
+    at, kind = 8, b""
+    while kind != b"IEND":
+        length, kind = struct.unpack_from(">I4s", data, at)
+        if (kind == b"IHDR") != (at == 8) or kind == b"acTL" or at + 12 + length > len(data):  # acTL: an animation
+            return None
+        at += 12 + length
+    width, height = struct.unpack_from(">2I", data, 16)
+    return width, height
+
+
+def _jpeg(data: bytes) -> tuple[int, int] | None:
+    """From the first frame header (ISO/IEC 10918-1, B.2.2); segments before it are stepped over by their length."""
+    at = 2
+    while True:
+        (marker,) = struct.unpack_from(">H", data, at)
+        if marker == 0xFFFF:  # fill
+            at += 1
+        elif 0xFFC0 <= marker <= 0xFFCF and marker not in (0xFFC4, 0xFFC8, 0xFFCC):
+            height, width = struct.unpack_from(">2H", data, at + 5)
+            return width, height
+        elif marker in (0xFFD8, 0xFF01) or 0xFFD0 <= marker <= 0xFFD7:  # without a length
+            at += 2
+        elif marker > 0xFF00 and marker != 0xFFD9:
+            at += 2 + struct.unpack_from(">H", data, at + 2)[0]
+        else:
+            return None
+
+
+def _bmp(data: bytes) -> tuple[int, int]:
+    (header_bytes,) = struct.unpack_from("<I", data, 14)
+    width, height = struct.unpack_from("<2H" if header_bytes == 12 else "<2i", data, 18)
+    return abs(width), abs(height)  # upside down below 0
+
+
+_PNM_GAP = rb"(?:\s|#[^\n]*\n)+"
+_PNM_SIZE = re.compile(rb"P[2356]" + _PNM_GAP + rb"(\d{1,9})" + _PNM_GAP + rb"(\d{1,9})\s")
+_PNM_HEADER_BYTES = 1024
+
+
+def _pnm(data: bytes) -> tuple[int, int] | None:
+    found = _PNM_SIZE.match(data[:_PNM_HEADER_BYTES])
+    return (int(found[1]), int(found[2])) if found else None
+
+
+_TIFF_WIDTH, _TIFF_HEIGHT, _TIFF_TILES = 256, 257, (322, 323)
+
+
+def _tiff(data: bytes) -> tuple[int, int] | None:
+    """From the first directory (TIFF 6.0, section 2)."""
+    order = "<" if data.startswith(b"II") else ">"
+    (at,) = struct.unpack_from(f"{order}I", data, 4)
+    (entries,) = struct.unpack_from(f"{order}H", data, at)
+    found: dict[int, int] = {}
+    for entry in range(at + 2, at + 2 + 12 * entries, 12):
+        tag, kind = struct.unpack_from(f"{order}2H", data, entry)
+        if tag in (_TIFF_WIDTH, _TIFF_HEIGHT, *_TIFF_TILES):
+            (value,) = struct.unpack_from(f"{order}{'H' if kind == 3 else 'I'}", data, entry + 8)
+            found[tag] = max(value, found.get(tag, 0))
+    if any(found.get(tag, 0) > SIDE_MAX_PX for tag in _TIFF_TILES):
+        return None
+    return found.get(_TIFF_WIDTH, 0), found.get(_TIFF_HEIGHT, 0)
+
+
+def _webp(data: bytes) -> tuple[int, int] | None:
+    """From the first chunk (RFC 9649, sections 2.5 to 2.7)."""
+    kind = data[8:16]
+    if kind == b"WEBPVP8X":
+        low = struct.unpack_from("<6B", data, 24)
+        return (low[0] | low[1] << 8 | low[2] << 16) + 1, (low[3] | low[4] << 8 | low[5] << 16) + 1
+    if kind == b"WEBPVP8L":
+        (bits,) = struct.unpack_from("<I", data, 21)
+        return (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1
+    if kind == b"WEBPVP8 ":
+        width, height = struct.unpack_from("<2H", data, 26)
+        return width & 0x3FFF, height & 0x3FFF
+    return None
+
+
+_HEADERS: Final[dict[bytes, Callable[[bytes], tuple[int, int] | None]]] = {
+    b"\x89PNG\r\n\x1a\n": _png,
+    b"\xff\xd8": _jpeg,
+    b"BM": _bmp,
+    b"II*\0": _tiff,
+    b"MM\0*": _tiff,
+    b"RIFF": _webp,
+    **{b"P%d" % kind: _pnm for kind in (2, 3, 5, 6)},
+}

@@ -1,0 +1,14 @@
+"""Text from outside, fit for one line of a log or a terminal."""
+
+from __future__ import annotations
+
+
+def quoted(text: str, chars_max: int = 60) -> str:
+    """`text` in quotes, at most so much of it; what does not print (line ends, ESC) as an escape."""
+    return repr(text if len(text) <= chars_max else text[:chars_max] + "…")
+
+
+def shown(text: object, chars_max: int = 300) -> str:
+    """`text` as it stands where it prints and is short; else `quoted`. For names and paths."""
+    said = str(text)
+    return said if said.isprintable() and len(said) <= chars_max else quoted(said, chars_max)
