@@ -109,7 +109,9 @@ def _replay(args: argparse.Namespace) -> int:
     print(_line(args, progress))
     if broker is not None:
         counters = link.counters()
-        print(", ".join(f"{counters[name]} payloads {name}" for name in ("published", "superseded", "failed")))
+        print(
+            ", ".join(f"{counters[name]} payloads {name}" for name in ("published", "superseded", "failed", "refused"))
+        )
     if interrupted:
         if args.out is not None:
             _tell(f"{args.out}: stopped before the end, so nothing was written")

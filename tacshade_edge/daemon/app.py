@@ -300,7 +300,7 @@ class App:
 
     def _on_outcome(self, stream: str, seq: int, outcome: PayloadOutcome) -> None:
         if stream == "height":
-            self.ledger.settle(seq, outcome)
+            self.ledger.settle(seq, "failed" if outcome == "refused" else outcome)
 
     # What changes.
 

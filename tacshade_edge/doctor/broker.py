@@ -16,7 +16,7 @@ from paho.mqtt.enums import MQTTErrorCode
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
-from tacshade_edge.devices.mqtt.client import make_client
+from tacshade_edge.devices.mqtt.client import make_client, packet_bytes_max
 from tacshade_edge.doctor.finding import Finding, fault, ok, warning
 from tacshade_edge.doctor.machine import Process
 
@@ -25,6 +25,8 @@ _KEEPALIVE_S = 3  # paho's limit for the TLS handshake too
 _ANSWER_S = 2.0
 _ROUNDS = 6  # the first warms up
 _MESSAGE_BYTES = 38_000  # more than a height map (25 KB), or a cloud of 2700 points
+_HEADER_BYTES = 200
+_PACKET_BYTES = 1_000_000  # a map of 640x480 cells, and room
 _SLOW_MS = 20.0
 _NOT_AUTHORISED = (0x86, 0x87)  # bad user name or password, not authorised
 _BAD_VERSION = 0x84
@@ -65,6 +67,7 @@ class _Session:
     """What has come back so far."""
 
     greeting: MqttCode | None = None
+    packet_bytes_max: int | None = None
     subscribed: list[MqttCode] = field(default_factory=list)
     published: MqttCode | None = None
     messages: dict[str, bytes] = field(default_factory=dict)
@@ -126,8 +129,8 @@ def judge_daemon(daemon: DaemonState, process: Process | None, sensor_id: str) -
 def _listen(client: Client, topic: str) -> _Session:
     session = _Session()
 
-    def on_connect(_client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
-        session.greeting = code
+    def on_connect(_client: Client, _userdata: Any, _flags: Any, code: MqttCode, properties: Any) -> None:
+        session.greeting, session.packet_bytes_max = code, packet_bytes_max(properties)
 
     def on_subscribe(_client: Client, _userdata: Any, _mid: int, codes: list[MqttCode], _properties: Any) -> None:
         session.subscribed = codes
@@ -235,6 +238,10 @@ def _round_trip(client: Client, session: _Session, base: str, username: str | No
     _pump(client, lambda: session.subscribed)
     if not session.subscribed or any(code.is_failure for code in session.subscribed):
         return fault("broker round trip", f"may not subscribe under {base}/", acl)
+    most = session.packet_bytes_max
+    if most is not None and most < _MESSAGE_BYTES + _HEADER_BYTES:
+        found = f"it takes packets of at most {most} bytes; larger height maps and clouds are not sent"
+        return warning("broker round trip", found, f"max_packet_size in its configuration: {_PACKET_BYTES} or more")
     took_ms = []
     for _ in range(_ROUNDS):
         began_s = time.monotonic()

@@ -98,7 +98,7 @@ class Request:
     seconds : float
         How long it shall be.
     response_topic : str or None
-        MQTT 5: where the caller wants the reply; None is ``res/<verb>``.
+        MQTT 5: where the caller wants the reply, ``res/...`` below the sensor's topics; None is ``res/<verb>``.
     correlation : bytes or None
         MQTT 5: correlation data, given back with the reply.
     """

@@ -129,6 +129,27 @@ def test_users_and_access_rules(tmp_path: Path) -> None:
 
 @broker_test
 @needs_mosquitto
+def test_the_rules_as_shipped_and_another_name_than_the_sensors(tmp_path: Path) -> None:
+    rules = tmp_path / "acl"
+    rules.touch(0o600)
+    rules.write_text((Path(__file__).parents[2] / "systemd/mosquitto-tacshade.acl").read_text())
+    with Broker(tmp_path, users={"hand": "right"}, more=(f"acl_file {rules}",)) as broker:
+        denied = ask(broker.port, username="hand", password="right")[0]["broker round trip"]
+    assert denied.state == "fault"
+    assert denied.found == f"may not publish under {BASE}/ (Not authorized)"
+
+
+@broker_test
+@needs_mosquitto
+def test_a_broker_that_takes_small_packets_only(tmp_path: Path) -> None:
+    with Broker(tmp_path, more=("max_packet_size 20000",)) as broker:
+        small = ask(broker.port)[0]["broker round trip"]
+    assert small.state == "warning"
+    assert small.found.startswith("it takes packets of at most 20000 bytes; larger height maps")
+
+
+@broker_test
+@needs_mosquitto
 def test_a_broker_that_must_not_be_read(tmp_path: Path) -> None:
     broker = Broker(tmp_path)
     rules = tmp_path / "acl"

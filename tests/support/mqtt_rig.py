@@ -30,12 +30,14 @@ def free_port() -> int:
 class Broker:
     """mosquitto with a configuration of its own; starts on request and always on the same port."""
 
-    def __init__(self, folder: Path, *, users: dict[str, str] | None = None, tls: bool = False) -> None:
+    def __init__(
+        self, folder: Path, *, users: dict[str, str] | None = None, tls: bool = False, more: tuple[str, ...] = ()
+    ) -> None:
         assert MOSQUITTO is not None
         self.port = free_port()
         self._config = folder / "mosquitto.conf"
         self._process: subprocess.Popen[bytes] | None = None
-        lines = [f"listener {self.port} 127.0.0.1", "persistence false", "max_queued_messages 20"]
+        lines = [f"listener {self.port} 127.0.0.1", "persistence false", "max_queued_messages 20", *more]
         if tls:
             self.ca = folder / "cert.pem"
             key = folder / "key.pem"

@@ -46,6 +46,7 @@ class MqttCaller:
         self._changed = threading.Condition()
         self._ready = False
         self._failure: Reason | None = None
+        self._denied: MqttCode | None = None
         self._latest: dict[str, bytes] = {}
         self._replies: dict[str, dict[str, Any]] = {}
         self._client = make_client(
@@ -59,6 +60,7 @@ class MqttCaller:
         self._client.on_connect = self._on_connect
         self._client.on_connect_fail = self._on_connect_fail
         self._client.on_subscribe = self._on_subscribe
+        self._client.on_publish = self._on_publish
         self._client.on_message = self._on_message
 
     def start(self) -> None:
@@ -75,12 +77,16 @@ class MqttCaller:
         Raises
         ------
         DeviceError
-            The daemon refused it, or did not answer.
+            The daemon or the broker refused it, or the daemon did not answer.
         """
-        transaction = secrets.token_hex(8)
+        transaction, self._denied = secrets.token_hex(8), None
         payload = json.dumps({**body, "transaction": transaction}).encode()
         self._client.publish(f"{self._base}/req/{self._verb}", payload, qos=1)
-        if not self.wait_for(lambda: transaction in self._replies, timeout_s):
+        answered = self.wait_for(lambda: transaction in self._replies or self._denied is not None, timeout_s)
+        if (denied := self._denied) is not None:
+            found = f"{self._where}: may not publish {self._base}/req/{self._verb}: {denied}"
+            raise DeviceError(f"{found}, expected access rules (ACL) that let this user", code=ReasonCode.REFUSED)
+        if not answered:
             found = f"{self._where}: no answer from sensor {self._sensor_id} within {timeout_s:.0f} s"
             raise DeviceError(f"{found}, expected a running daemon", code=ReasonCode.NO_ANSWER)
         reply = self._replies[transaction]
@@ -131,6 +137,11 @@ class MqttCaller:
             return
         with self._changed:
             self._ready, self._failure = True, None
+            self._changed.notify_all()
+
+    def _on_publish(self, _client: Client, _userdata: Any, _mid: int, code: MqttCode, _properties: Any) -> None:
+        with self._changed:
+            self._denied = code if code.is_failure else None
             self._changed.notify_all()
 
     def _on_message(self, _client: Client, _userdata: Any, message: MQTTMessage) -> None:

@@ -92,6 +92,18 @@ def publish_properties(
     return properties
 
 
+def packet_bytes(topic: str, payload: bytes, properties: Properties) -> int:
+    """The most bytes that a message takes on the wire (MQTT 5, section 3.3)."""
+    header, packet_id, length = 5, 2, 2
+    packed: bytes = properties.pack()  # type: ignore[no-untyped-call]
+    return header + length + len(topic.encode()) + packet_id + len(packed) + len(payload)
+
+
+def packet_bytes_max(connack: Properties | None) -> int | None:
+    """The largest packet that the broker takes, as its answer to CONNECT tells; None where it sets no bound."""
+    return getattr(connack, "MaximumPacketSize", None)
+
+
 def _properties(packet_type: int) -> Properties:
     return Properties(packet_type)  # type: ignore[no-untyped-call]
 

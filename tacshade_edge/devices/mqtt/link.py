@@ -20,11 +20,19 @@ from typing import Any, Final, Literal
 
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import MQTTErrorCode
+from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
-from tacshade_edge.devices.mqtt.client import connect, make_client, publish_properties
+from tacshade_edge.devices.mqtt.client import (
+    connect,
+    make_client,
+    packet_bytes,
+    packet_bytes_max,
+    publish_properties,
+)
 from tacshade_edge.devices.mqtt.outlet import Item, Outlet, PayloadOutcome
+from tacshade_edge.devices.mqtt.refusals import Refusals
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol.messages import Request, encode_error, parse_request, parse_transaction
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -95,8 +103,11 @@ class MqttLink:
         self._epoch = 0  # counts lost connections: what was handed over in an older one is settled already
         self._outlets: dict[str, Outlet] = {}
         self._by_mid: dict[int, tuple[Outlet, Item, int] | None] = {}  # with its QoS; None: sent once
-        self._early: dict[int, int] = {}  # what paho's thread reported before publish() had returned the number
+        self._early: dict[int, MqttCode] = {}  # what paho's thread reported before publish() had returned the number
         self._answers_open = 0
+        self._refusals = Refusals(self._where)
+        self._packet_bytes_max: int | None = None
+        self._told_too_large = False
         self._counters: Counter[str] = Counter()
         self._thread: threading.Thread | None = None
         self._client = make_client(
@@ -113,6 +124,7 @@ class MqttLink:
         self._client.on_connect_fail = self._on_connect_fail
         self._client.on_disconnect = self._on_disconnect
         self._client.on_publish = self._on_publish
+        self._client.on_subscribe = self._on_subscribe
         self._client.on_message = self._on_message
         self.set_retained("state", b"online")
 
@@ -127,7 +139,7 @@ class MqttLink:
         return self._reason
 
     def counters(self) -> dict[str, int]:
-        """Since the start; all names are always there. `refused`: the broker's access rules denied a QoS 1 message."""
+        """Since the start; all names are always there. `refused`: the broker denied it, or takes none so large."""
         with self._lock:
             return {name: self._counters[name] for name in _COUNTERS}
 
@@ -185,7 +197,8 @@ class MqttLink:
         With QoS 0, but one payload a second with QoS 1: its answer tells whether anyone listens (`has_listener`).
 
         Its one outcome: ``published`` (handed to the operating system), ``superseded`` (a newer one displaced it),
-        or ``failed`` (displaced or lost while the broker was away). While the broker is away the newest is kept,
+        ``refused`` (the broker denied it or, with QoS 0, what it answered last; or it takes none so large), or
+        ``failed`` (displaced or lost while the broker was away). While the broker is away the newest is kept,
         and is the first to go out: subscribers are never left with an older truth.
         """
         with self._lock:
@@ -199,12 +212,11 @@ class MqttLink:
 
     def reply(self, request: Request, payload: bytes) -> None:
         """Answer a request on ``res/<verb>``, or where its MQTT 5 properties say. Lost with the connection."""
-        topic = request.response_topic or f"{self._base}/res/{request.verb}"
-        self._send_once("replies", topic, payload, request.correlation)
+        self._send_once("replies", request.response_topic or f"res/{request.verb}", payload, request.correlation)
 
     def tell(self, topic: str, payload: bytes) -> None:
         """Say once what happened, under the base topic (QoS 1, not retained). Lost with the connection, and counted."""
-        self._send_once("events", f"{self._base}/{topic}", payload, None)
+        self._send_once("events", topic, payload, None)
 
     # -- sending --------------------------------------------------------------------------------------------------
 
@@ -225,7 +237,16 @@ class MqttLink:
                 epoch = self._epoch
                 if item is None:
                     return
-                qos = outlet.next_qos(time.monotonic_ns())
+                if too_large := self._too_large(outlet.topic, item.payload, outlet.properties):
+                    outlet.done(item)
+                    outlet.busy = False
+                    self._counters["refused"] += outlet.retain
+                else:
+                    qos = outlet.next_qos(time.monotonic_ns())
+            if too_large:
+                if not outlet.retain:
+                    self._settle("refused", [(outlet.topic, item)])
+                continue
             info = self._client.publish(
                 f"{self._base}/{outlet.topic}", item.payload, qos, outlet.retain, outlet.properties
             )
@@ -239,8 +260,7 @@ class MqttLink:
                     failed = outlet.refuse(item)
                     settled = None if failed is None else ("failed", failed)
                 elif (code := self._early.pop(info.mid, None)) is not None:
-                    self._done(outlet, item, qos, code)
-                    settled = ("published", item)
+                    settled = (self._done(outlet, item, qos, code), item)
                 else:
                     self._by_mid[info.mid] = (outlet, item, qos)
             if settled is not None and not outlet.retain:
@@ -249,29 +269,68 @@ class MqttLink:
                 return
 
     def _send_once(self, kind: str, topic: str, payload: bytes, correlation: bytes | None) -> None:
-        """Publish a reply or an event (QoS 1); dropped when not connected or when 16 are not yet acknowledged."""
+        """Publish a reply or an event (QoS 1).
+
+        Dropped when not connected, too large or when 16 are not yet acknowledged.
+        """
+        properties = publish_properties(_JSON, correlation=correlation)
         with self._lock:
-            if not self._connected or self._answers_open >= _ANSWERS_OPEN_MAX:
+            too_large = self._too_large(topic, payload, properties)
+            if too_large or not self._connected or self._answers_open >= _ANSWERS_OPEN_MAX:
                 self._counters[f"{kind}_dropped"] += 1
+                self._counters["refused"] += too_large
                 return
             self._answers_open += 1
             self._counters[kind] += 1
             epoch = self._epoch
-        info = self._client.publish(topic, payload, 1, False, publish_properties(_JSON, correlation=correlation))
+        info = self._client.publish(f"{self._base}/{topic}", payload, 1, False, properties)
         with self._lock:
             if epoch != self._epoch:
                 return
-            if info.rc != MQTTErrorCode.MQTT_ERR_SUCCESS or self._early.pop(info.mid, None) is not None:
+            if info.rc != MQTTErrorCode.MQTT_ERR_SUCCESS:
                 self._answers_open -= 1
+            elif (code := self._early.pop(info.mid, None)) is not None:
+                self._answered(code)
             else:
                 self._by_mid[info.mid] = None
 
-    def _done(self, outlet: Outlet, item: Item, qos: int, code: int) -> None:
+    def _answered(self, code: MqttCode) -> None:
+        """The broker has answered a reply or an event of ours. Lock held."""
+        self._answers_open -= 1
+        self._note("res or event", code)
+        self._counters["refused"] += code.is_failure
+
+    def _done(self, outlet: Outlet, item: Item, qos: int, code: MqttCode) -> PayloadOutcome:
         """Paho has sent an item (QoS 0), or the broker has answered it with a reason code. Lock held."""
         outlet.done(item)
         if qos == 1:
-            outlet.no_listener = code == _NO_LISTENER
+            outlet.no_listener = code.value == _NO_LISTENER
+            outlet.refused = code.is_failure
+            self._note(outlet.topic, code)
+            self._counters["refused"] += outlet.retain and code.is_failure
         self._changed.notify_all()
+        # With QoS 0 nobody answers: the rules that deny the state, or this stream's latest probe, deny it too.
+        refused = self._outlets["state"].refused if outlet.refused is None else outlet.refused
+        return "refused" if refused else "published"
+
+    def _note(self, topic: str, code: MqttCode) -> None:
+        """Keep whether the broker takes a topic. Lock held."""
+        if code.is_failure:
+            expected = f"expected access rules (ACL) that let this user write {self._base}/#"
+            self._refusals.refused(f"{self._base}/{topic}", f"{code}, {expected}")
+        else:
+            self._refusals.taken(f"{self._base}/{topic}")
+
+    def _too_large(self, topic: str, payload: bytes, properties: Properties) -> bool:
+        """Whether the broker would end the connection for this message. Lock held."""
+        size, most = packet_bytes(f"{self._base}/{topic}", payload, properties), self._packet_bytes_max
+        if most is None or size <= most:
+            return False
+        if not self._told_too_large:
+            text = "%s: takes packets of at most %d bytes (mosquitto: max_packet_size); %s/%s of %d is not sent"
+            _log.warning(text + "; this is not told again", self._where, most, self._base, topic, size)
+        self._told_too_large = True
+        return True
 
     def _settle(self, outcome: PayloadOutcome, items: list[tuple[str, Item]]) -> None:
         """Tell the outcome of stream items. Lock not held."""
@@ -319,7 +378,9 @@ class MqttLink:
         if self._connected:  # paho can lose a connection without on_disconnect
             self._drop(self._with_address(ReasonCode.LOST, "connection lost"))
 
-    def _on_connect(self, client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
+    def _on_connect(
+        self, client: Client, _userdata: Any, _flags: Any, code: MqttCode, properties: Properties | None
+    ) -> None:
         if code.is_failure:
             with self._lock:
                 self._refused = True
@@ -329,6 +390,7 @@ class MqttLink:
         client.subscribe(f"{self._base}/req/+", options=SubscribeOptions(1, noLocal=True, retainHandling=2))
         with self._lock:
             self._connected = not self._stopping
+            self._packet_bytes_max = packet_bytes_max(properties)
             self._counters["connects"] += 1
             self._set_reason(None)
             outlets = sorted(self._outlets.values(), key=lambda o: not o.retain)
@@ -358,35 +420,42 @@ class MqttLink:
 
     def _on_publish(self, _client: Client, _userdata: Any, mid: int, code: MqttCode, _properties: Any) -> None:
         with self._lock:
-            if code.is_failure:
-                self._counters["refused"] += 1
             if mid not in self._by_mid:
-                self._early[mid] = code.value
+                self._early[mid] = code
                 return
             entry = self._by_mid.pop(mid)
             if entry is None:
-                self._answers_open -= 1
+                self._answered(code)
                 return
             outlet, item, qos = entry
-            self._done(outlet, item, qos, code.value)
+            outcome = self._done(outlet, item, qos, code)
         if not outlet.retain:
-            self._settle("published", [(outlet.topic, item)])
+            self._settle(outcome, [(outlet.topic, item)])
         self._pump(outlet)
+
+    def _on_subscribe(
+        self, _client: Client, _userdata: Any, _mid: int, codes: list[MqttCode], _properties: Any
+    ) -> None:
+        with self._lock:
+            for code in codes:
+                self._note("req/+", code)
 
     def _on_message(self, _client: Client, _userdata: Any, message: MQTTMessage) -> None:
         verb = message.topic.removeprefix(f"{self._base}/req/")
         payload = bytes(message.payload)
-        response_topic = getattr(message.properties, "ResponseTopic", None)
+        asked = str(getattr(message.properties, "ResponseTopic", None) or "")
         correlation = getattr(message.properties, "CorrelationData", None)
-        if not response_topic or set(response_topic) & set("+#\0"):
-            response_topic = None
+        # Nowhere else: who may ask must not be able to make this daemon say things in the name of a hand.
+        below = asked.removeprefix(f"{self._base}/")
+        sound = below != asked and len(below) > len("res/") and not set(asked) & set("+#\0")
+        response_topic = below if sound and below.startswith("res/") else None
         try:
             request = parse_request(verb, payload, response_topic=response_topic, correlation=correlation)
         except DecodeError as error:
             with self._lock:
                 self._counters["bad_requests"] += 1
             answer = encode_error(parse_transaction(payload), error.reason)
-            self._send_once("replies", response_topic or f"{self._base}/res/{verb}", answer, correlation)
+            self._send_once("replies", response_topic or f"res/{verb}", answer, correlation)
             return
         with self._lock:
             self._counters["requests"] += 1

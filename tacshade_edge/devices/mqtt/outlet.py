@@ -10,7 +10,7 @@ from typing import Literal
 
 from paho.mqtt.properties import Properties
 
-PayloadOutcome = Literal["published", "superseded", "failed"]
+PayloadOutcome = Literal["published", "superseded", "failed", "refused"]
 
 PROBE_PERIOD_NS = 1_000_000_000
 """So often a message of a stream asks whether anyone listens; a new subscriber is noticed as soon."""
@@ -47,6 +47,8 @@ class Outlet:
         When the latest message that asks for its listeners was sent, CLOCK_MONOTONIC; None for none.
     no_listener : bool
         The broker's answer to it was that there are none.
+    refused : bool or None
+        The broker's latest answer was that it does not take it; None before the first of a connection.
     """
 
     topic: str
@@ -59,6 +61,7 @@ class Outlet:
     busy: bool = False
     probed_ns: int | None = None
     no_listener: bool = False
+    refused: bool | None = None
     _newest: Item | None = None
 
     @property
@@ -105,7 +108,7 @@ class Outlet:
     def give_back(self) -> list[Item]:
         """Paho holds nothing any more. The newest item waits again unless a newer one does; the others have failed."""
         lost, self.handed = self.handed, []
-        self.probed_ns, self.no_listener = None, False
+        self.probed_ns, self.no_listener, self.refused = None, False, None
         if self.retain:
             self.waiting = self._newest
             return []

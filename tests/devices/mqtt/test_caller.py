@@ -51,6 +51,21 @@ def test_its_own_reply_is_found_among_others(tmp_path: Path) -> None:
         asking.stop()
 
 
+def test_a_request_that_the_access_rules_deny_is_told_at_once(tmp_path: Path) -> None:
+    rules = tmp_path / "acl"
+    rules.touch(0o600)
+    rules.write_text("topic read tacshade/#\n")
+    with Broker(tmp_path, more=(f"acl_file {rules}",)) as broker:
+        asking = caller(broker.port)
+        asking.start()
+        with pytest.raises(
+            DeviceError, match="may not publish tacshade/left/req/record: Not authorized, expected"
+        ) as no:
+            asking.ask({"action": "stop"}, 600)
+        assert no.value.code is ReasonCode.REFUSED
+        asking.stop()
+
+
 def test_a_broker_that_does_not_let_us_in_is_told(tmp_path: Path) -> None:
     with Broker(tmp_path, users={"hand": "secret"}) as broker:
         refused = caller(broker.port, "hand", "wrong")

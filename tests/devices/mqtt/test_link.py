@@ -24,6 +24,7 @@ from paho.mqtt.properties import Properties
 from support.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
 from support.patience import patience, promised, stretched, wait_until
 
+from tacshade_edge.devices.mqtt.client import packet_bytes, publish_properties
 from tacshade_edge.devices.mqtt.link import MqttLink
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.protocol import messages, wire
@@ -359,18 +360,39 @@ class TestRequests:
 
     def test_mqtt5_client_is_answered_where_it_asked(self, rig: Rig, broker: Broker) -> None:
         properties = Properties(PacketTypes.PUBLISH)
-        properties.ResponseTopic = "me/answers"
+        properties.ResponseTopic = asked = f"{BASE}/res/of/me"
         properties.CorrelationData = b"\x00\x01"
         with Subscriber(broker.port, "#", v5=True) as client:
             client.publish(f"{BASE}/req/status", b"{}", properties=properties)
             request = rig.requests.get(timeout=patience(5))
             rig.link.reply(request, b"fine")
             client.publish(f"{BASE}/req/status", b"garbage", properties=properties)
-            assert client.wait_for("me/answers", 2)[0] == b"fine"
-            answers = [m for m in client.messages if m.topic == "me/answers"]
+            assert client.wait_for(asked, 2)[0] == b"fine"
+            answers = [m for m in client.messages if m.topic == asked]
             assert [m.properties.CorrelationData for m in answers] == [b"\x00\x01"] * 2
             assert json.loads(answers[1].payload)["ok"] is False
             assert client.of(f"{BASE}/res/status") == []
+
+    @pytest.mark.parametrize(
+        "asked",
+        [
+            *(f"{BASE}/{topic}" for topic in ("state", "map/final", "req/status", "res", "res/", "resx/a", "RES/a")),
+            *("me/answers", "tacshade/other/res/a", "/", " ", f"/{BASE}/res/a"),
+        ],
+    )
+    def test_a_reply_goes_below_res_whatever_topic_is_asked_for(self, rig: Rig, broker: Broker, asked: str) -> None:
+        """Who may ask may not speak as the hand, nor make it speak elsewhere."""
+        properties = Properties(PacketTypes.PUBLISH)
+        properties.ResponseTopic = asked
+        with Subscriber(broker.port, "#", v5=True) as client:
+            before = len(client.messages)
+            for payload in (b"{}", b"garbage"):
+                client.publish(f"{BASE}/req/status", payload, properties=properties)
+            rig.link.reply(rig.requests.get(timeout=patience(5)), b"fine")
+            client.wait_for(f"{BASE}/res/status", 2)
+            topics = {m.topic for m in client.messages[before:] if not m.retain}
+            assert topics - {f"{BASE}/state"} == {f"{BASE}/req/status", f"{BASE}/res/status"}
+            assert set(client.of(f"{BASE}/state")) == {b"online"}
 
     def test_garbage_is_counted_and_answered(self, rig: Rig, subscriber: Subscriber) -> None:
         for verb, payload in (("status", b"\xff\x00"), ("profile", b'{"transaction": 5}'), ("explode", b"{}")):
@@ -433,6 +455,89 @@ class TestRefused:
             assert not wrong.link.connected
             wrong.link.stop(2)
             Rig(broker.port, username="sensor", password="right").connect().link.stop(2)
+
+    def test_what_the_access_rules_deny_is_told_once_and_never_counts_as_published(
+        self, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        """The rules as shipped, and a sensor_id that is not the user's name."""
+        caplog.set_level(logging.INFO)
+        rules = tmp_path / "acl"
+        rules.touch(0o600)
+        rules.write_text((Path(__file__).parents[3] / "systemd/mosquitto-tacshade.acl").read_text())
+        with Broker(tmp_path, users={"hand": "right"}, more=(f"acl_file {rules}",)) as broker:
+            rig = Rig(broker.port, username="hand", password="right").connect()
+            wait_until(lambda: rig.link.counters()["refused"] >= 1, 5, "the state is refused")
+            rig.link.set_retained("status/camera", b"{}")
+            offered = offer_for(rig, 2.0)
+            offered += offer_for(rig, 0.2, first=offered)
+            rig.link.reply(Request("status"), b"{}")
+            wait_until(lambda: rig.counts("height").total() == offered, 5, "all are settled")
+            counts = rig.counts("height")
+            assert counts["published"] == 0
+            assert counts["refused"] >= offered - 5
+            counters = rig.link.counters()
+            assert counters["refused"] >= counts["refused"] + 2  # state, status/camera
+            assert counters["published"] == 0
+            wait_until(lambda: rig.link.counters()["refused"] > counters["refused"], 5, "the reply is refused too")
+            rig.link.stop(2)
+        told = [record for record in caplog.records if record.levelno >= logging.WARNING]
+        assert [record.getMessage() for record in told] == [
+            f"127.0.0.1:{broker.port}: refuses {BASE}/state: Not authorized, expected access rules (ACL) that let this "
+            f"user write {BASE}/#; this is not told again of other topics"
+        ]
+
+    def test_a_stream_that_alone_is_denied_is_refused_and_the_others_go_out(self, tmp_path: Path) -> None:
+        rules = tmp_path / "acl"
+        rules.touch(0o600)
+        rules.write_text(f"topic readwrite {BASE}/#\ntopic deny {BASE}/cloud\n")
+        with Broker(tmp_path, more=(f"acl_file {rules}",)) as broker, Subscriber(broker.port, f"{BASE}/#") as seen:
+            rig = Rig(broker.port).connect()
+            rig.link.offer("cloud", b"0", 0)
+            wait_until(lambda: rig.outcomes["cloud"] == [(0, "refused")], 5, "refused")
+            for seq in range(1, 5):
+                rig.link.offer("height", b"%d" % seq, seq)
+                rig.link.offer("cloud", b"%d" % seq, seq)
+                wait_until(lambda seq=seq: rig.counts("cloud").total() == seq + 1, 5, "settled")
+            seen.wait_for(f"{BASE}/height", 4)
+            assert rig.counts("cloud") == {"refused": 5}
+            assert rig.counts("height") == {"published": 4}
+            rig.link.stop(2)
+
+    def test_a_message_larger_than_the_broker_takes_is_refused_and_the_connection_stays(
+        self, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        with Broker(tmp_path, more=("max_packet_size 2000",)) as broker:
+            rig = Rig(broker.port).connect()
+            with Subscriber(broker.port, f"{BASE}/#") as seen:
+                rig.link.set_retained("info", bytes(3000))
+                for seq, size in enumerate((38_000, 2000, 1800, 38_000)):
+                    rig.link.offer("height", bytes(size), seq)
+                    wait_until(lambda seq=seq: rig.counts("height").total() == seq + 1, 5, "settled")
+                rig.link.reply(Request("status"), bytes(5000))
+                rig.link.reply(Request("status"), b"small")
+                seen.wait_for(f"{BASE}/res/status")
+                assert [len(payload) for payload in seen.of(f"{BASE}/height")] == [1800]
+            assert [outcome for _, outcome in rig.outcomes["height"]] == ["refused", "refused", "published", "refused"]
+            assert rig.link.counters() | {"connects": 1, "losses": 0, "refused": 5} == rig.link.counters()
+            rig.link.stop(2)
+        told = [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]
+        assert len(told) == 1
+        assert f"takes packets of at most 2000 bytes (mosquitto: max_packet_size); {BASE}/info of 30" in told[0]
+
+    @pytest.mark.parametrize("extra", range(-9, 3))
+    def test_the_largest_packet_is_told_from_the_first_that_is_too_large(self, tmp_path: Path, extra: int) -> None:
+        """Never a connection lost, and no more than some bytes of the broker's bound given away."""
+        with Broker(tmp_path, more=("max_packet_size 1000",)) as broker:
+            rig = Rig(broker.port).connect()
+            around = packet_bytes(f"{BASE}/contact", b"", publish_properties("application/json", expiry_s=5))
+            for seq in range(2):  # with QoS 1, then 0
+                rig.link.offer("contact", bytes(1000 - around + extra), seq)
+                wait_until(lambda seq=seq: rig.counts("contact").total() == seq + 1, 5, "settled")
+            assert rig.counts("contact") == {"published" if extra <= 0 else "refused": 2}
+            rig.link.reply(Request("status"), b"")
+            wait_until(lambda: rig.link.counters()["replies"] == 1, 5, "still connected")
+            assert rig.link.counters()["losses"] == 0
+            rig.link.stop(2)
 
     def test_something_else_on_the_port(self) -> None:
         with socket.create_server(("127.0.0.1", 0)) as server:
