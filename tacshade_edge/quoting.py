@@ -12,3 +12,10 @@ def shown(text: object, chars_max: int = 300) -> str:
     """`text` as it stands where it prints and is short; else `quoted`. For names and paths."""
     said = str(text)
     return said if said.isprintable() and len(said) <= chars_max else quoted(said, chars_max)
+
+
+def escaped(text: str, chars_max: int = 1000) -> str:
+    """`text` without quotes, at most so much of it, what does not print as an escape: a line that is one line."""
+    if len(text) > chars_max:
+        text = text[:chars_max] + "…"
+    return text if text.isprintable() else "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)

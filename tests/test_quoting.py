@@ -5,7 +5,7 @@ from pathlib import Path
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tacshade_edge.quoting import quoted, shown
+from tacshade_edge.quoting import escaped, quoted, shown
 
 
 def test_what_a_terminal_would_obey_is_escaped() -> None:
@@ -20,3 +20,10 @@ def test_it_is_one_printable_line_of_bounded_length(text: str, most: int) -> Non
     for said in (quoted(text, most), shown(text, most)):
         assert said.isprintable()
         assert len(said) <= 10 * most + 3  # \\U0001f600
+
+
+@given(st.text(), st.integers(1, 50))
+def test_what_is_escaped_is_one_line_and_else_as_it_was(text: str, most: int) -> None:
+    said = escaped(text, most)
+    assert said.isprintable()
+    assert said == text or not text.isprintable() or len(text) > most

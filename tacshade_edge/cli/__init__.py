@@ -9,7 +9,9 @@ from collections.abc import Sequence
 
 from tacshade_edge import __version__
 from tacshade_edge.errors import ConfigError, TacshadeError
+from tacshade_edge.quoting import escaped
 
+_CHARS_MAX = 4000  # of an error: it may list what was expected
 EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_CONFIG = 0, 1, 2, 78
 
 # name -> (module with add_arguments(parser) and run(args) -> exit code, one line of help)
@@ -56,10 +58,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         return int(module.run(args))
     except ConfigError as error:
-        print(f"tacshade-edge: {error}", file=sys.stderr)
+        print(f"tacshade-edge: {escaped(str(error), _CHARS_MAX)}", file=sys.stderr)
         return EXIT_CONFIG
     except TacshadeError as error:
-        print(f"tacshade-edge: {error}", file=sys.stderr)
+        print(f"tacshade-edge: {escaped(str(error), _CHARS_MAX)}", file=sys.stderr)
         return EXIT_FAILED
     except BrokenPipeError:  # the reader of our output went away, as `| head` does
         sys.stderr.close()

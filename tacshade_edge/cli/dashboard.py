@@ -5,13 +5,13 @@ from __future__ import annotations
 import argparse
 import asyncio
 import ipaddress
-import logging
 import signal
 import ssl
 import sys
 from pathlib import Path
 from urllib.parse import urlsplit
 
+from tacshade_edge.cli.logs import start_logging
 from tacshade_edge.errors import ConfigError
 
 
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
         if error.name is None or error.name.partition(".")[0] != "websockets":
             raise
         raise ConfigError("the package websockets is missing: pip install 'tacshade-edge[dashboard]'") from None
-    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
+    start_logging()
     host, port = args.broker
     broker = Broker(host, port, _tls(args.ca_file) if args.ca_file else None)
 

@@ -15,6 +15,7 @@ from tacshade_edge.doctor.diagnose import diagnose
 from tacshade_edge.doctor.finding import Finding, State
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.doctor.settings import SETTINGS
+from tacshade_edge.quoting import escaped
 
 _COLOURS: dict[State, int] = {"ok": 32, "warning": 33, "fault": 31}
 _INDENT = " " * 9
@@ -50,8 +51,8 @@ def shown(finding: Finding, *, colour: bool) -> str:
     state = f"{finding.state:<7}"
     if colour:
         state = f"\x1b[{_COLOURS[finding.state]}m{state}\x1b[0m"
-    line = f"{state}  {finding.check:<17}  {finding.found}"
-    return f"{line}\n{_INDENT}-> {finding.mend}" if finding.mend else line
+    line = f"{state}  {finding.check:<17}  {escaped(finding.found)}"
+    return f"{line}\n{_INDENT}-> {escaped(finding.mend)}" if finding.mend else line
 
 
 def _summary(findings: list[Finding]) -> str:

@@ -97,5 +97,8 @@ def _over(status: dict[str, Any]) -> bool:
 
 def _status(caller: MqttCaller, folder: str) -> dict[str, Any]:
     """``status/recorder`` of this recording; empty before it comes."""
-    status: dict[str, Any] = json.loads(caller.latest(STATUS) or b"{}")
-    return status if status.get("folder") == folder else {}
+    try:
+        status = json.loads(caller.latest(STATUS) or b"{}")
+    except ValueError:
+        return {}
+    return status if isinstance(status, dict) and status.get("folder") == folder else {}

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import logging
 import os
 import signal
 from pathlib import Path
 
 from tacshade_edge.cli.check_config import DEFAULT_CONFIG
+from tacshade_edge.cli.logs import start_logging
 from tacshade_edge.daemon.app import App
 from tacshade_edge.devices import registry
 from tacshade_edge.settings import load
@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run until SIGTERM, SIGINT, or the end of a finite source; SIGHUP reloads, unless a terminal hangs up."""
-    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
+    start_logging()
     document = load(args.config)
     registry.check_files(document)
     calibration = registry.find_calibration(document, store=True)

@@ -16,6 +16,7 @@ from tacshade_edge.daemon.reference.references import References
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.protocol.messages import Request
 from tacshade_edge.protocol.results import ProfileChosen, RequestResult
+from tacshade_edge.quoting import shown
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import U8
 
@@ -105,7 +106,7 @@ class Requests:
             expected = f"one of {', '.join(self._active.choices)}"
             if request.profile == AUTO:
                 expected += "; the settings give no latency budget"
-            text = f"profile: found {request.profile}, expected {expected}"
+            text = f"profile: found {shown(request.profile, 60)}, expected {expected}"
             self._refuse(request, Reason(ReasonCode.UNKNOWN_PROFILE, text))
             return
         self._active.choose(request.profile)

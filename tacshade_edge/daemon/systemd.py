@@ -10,6 +10,7 @@ import os
 import time
 
 from tacshade_edge.daemon.pipeline.workers import Grab, Reconstruct, SourceState
+from tacshade_edge.quoting import escaped
 from tacshade_edge.reasons import Reason
 
 try:
@@ -103,4 +104,4 @@ class Service:
 
 def _notify(*lines: str) -> None:
     if daemon is not None:
-        daemon.notify("\n".join(lines))
+        daemon.notify("\n".join(map(escaped, lines)))  # a line end in a reason would be another message

@@ -17,6 +17,7 @@ from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol.results import NoSession, ReferenceTaken, RequestResult, SessionEnded, SessionStatus
 from tacshade_edge.protocol.serial.answers import error_word
 from tacshade_edge.protocol.wire import WIRE_VERSION
+from tacshade_edge.quoting import escaped
 from tacshade_edge.reasons import Reason, ReasonCode, code_of, reason_fields
 from tacshade_edge.types import Calibration, Reconstruction, TouchedObject
 
@@ -25,6 +26,7 @@ StitchAction = Literal["begin", "add", "end", "abort", "status"]
 Transaction = Annotated[str, msgspec.Meta(max_length=128)] | Annotated[int, msgspec.Meta(ge=-(2**53), le=2**53)] | None
 REQUEST_BYTES_MAX: Final = 4096
 RECORD_S_MAX: Final = 86400
+_ERROR_CHARS_MAX: Final = 200
 
 
 class _Reference(msgspec.Struct, forbid_unknown_fields=True):
@@ -125,7 +127,7 @@ def parse_request(
     """
     known = next((v for v in _BODIES if v == verb), None)
     if known is None:
-        found = f"req/{_one_line(verb)}: unknown verb, expected one of {', '.join(_BODIES)}"
+        found = f"req/{escaped(verb, _ERROR_CHARS_MAX)}: unknown verb, expected one of {', '.join(_BODIES)}"
         raise DecodeError(found, code=ReasonCode.BAD_REQUEST)
     if len(payload) > REQUEST_BYTES_MAX:
         found = f"req/{verb}: {len(payload)} bytes, expected at most {REQUEST_BYTES_MAX}"
@@ -133,7 +135,7 @@ def parse_request(
     try:
         body = msgspec.json.decode(payload or b"{}", type=_BODIES[known])
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        found = f"req/{verb}: {_one_line(str(error))}; expected {_expected(known)}"
+        found = f"req/{verb}: {escaped(str(error), _ERROR_CHARS_MAX)}; expected {_expected(known)}"
         raise DecodeError(found, code=ReasonCode.BAD_REQUEST) from error
     request = Request(known, body.transaction, response_topic=response_topic, correlation=correlation)
     if isinstance(body, _Profile):
@@ -321,11 +323,6 @@ def _plain(value: object) -> object:
     if isinstance(value, np.generic):
         return value.item()
     raise TypeError(f"{type(value).__name__} has no JSON form here")
-
-
-def _one_line(text: str) -> str:
-    """Text that came from outside, fit for one line of a log."""
-    return "".join(c if c.isprintable() else "?" for c in text[:200])
 
 
 def _expected(verb: Verb) -> str:

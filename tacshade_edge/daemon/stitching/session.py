@@ -15,6 +15,7 @@ from tacshade_edge.devices.files.map_files import write_map
 from tacshade_edge.devices.files.stitch_file import SessionInfo, StitchFile, open_session
 from tacshade_edge.devices.files.whole_files import disk_errors
 from tacshade_edge.protocol.results import PressAdded, SessionAborted, SessionBegun, SessionEnded, SessionStatus
+from tacshade_edge.quoting import quoted
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.rigid import Rigid
 from tacshade_edge.types import Calibration
@@ -63,7 +64,7 @@ class Session:
         """
         name = name or time.strftime("%Y%m%d-%H%M%S", time.gmtime())
         if len(name) > _NAME_MAX or name.startswith(".") or not all(map(_is_name_character, name)):
-            text = f"found {name[:80]!r}, expected letters, digits, . _ -, at most {_NAME_MAX}"
+            text = f"found {quoted(name)}, expected letters, digits, . _ -, at most {_NAME_MAX}"
             raise RefusedError(ReasonCode.BAD_NAME, text)
         with disk_errors(folder):
             exists = (folder / name).exists()

@@ -1,0 +1,99 @@
+"""The log of `run` and `dashboard`: each message one line, and no message so often that it hides the others.
+
+What is logged holds text of others: topics, requests, file names, headers. It is escaped here, in one place, so that
+no text can look like a line of its own or command a terminal.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from dataclasses import dataclass
+from typing import Final, TextIO
+
+from tacshade_edge.quoting import escaped
+
+AT_ONCE: Final = 10
+PERIOD_S: Final = 10.0
+"""Of one kind of message so many at once, then one in so long."""
+
+_KINDS_MAX: Final = 256
+
+
+def start_logging() -> None:
+    """Log to stderr."""
+    logging.basicConfig(level=logging.INFO, handlers=[OneLineHandler()])
+
+
+@dataclass(slots=True)
+class _Kind:
+    free: float
+    at_s: float
+    left_out: int = 0
+
+
+class Limit:
+    """Which messages are too many. Not locked: its handler guards it."""
+
+    def __init__(self) -> None:
+        self._kinds: dict[tuple[str, str], _Kind] = {}
+
+    def passes(self, kind: tuple[str, str], now_s: float) -> bool:
+        """Whether one more of a kind is logged; it is counted if not."""
+        if kind not in self._kinds and len(self._kinds) >= _KINDS_MAX:
+            kind = kind[0], ""
+        state = self._kinds.setdefault(kind, _Kind(AT_ONCE, now_s))
+        state.free = min(AT_ONCE, state.free + (now_s - state.at_s) / PERIOD_S)
+        state.at_s = now_s
+        if state.free < 1:
+            state.left_out += 1
+            return False
+        state.free -= 1
+        return True
+
+    def take_left_out(self, now_s: float, *, all_of_them: bool = False) -> list[tuple[tuple[str, str], int]]:
+        """What was left out and is over: kinds that one more of would pass, with how many. They count from 0 again."""
+        over = [
+            (kind, state)
+            for kind, state in self._kinds.items()
+            if state.left_out and (all_of_them or state.free + (now_s - state.at_s) / PERIOD_S >= 1)
+        ]
+        told = [(kind, state.left_out) for kind, state in over]
+        for _, state in over:
+            state.left_out = 0
+        return told
+
+
+class OneLineHandler(logging.StreamHandler[TextIO]):
+    """Writes ``LEVEL name: message`` to stderr."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.setFormatter(_Escaping("%(levelname)s %(name)s: %(message)s"))
+        self._limit = Limit()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write a message, or count it."""
+        now_s = time.monotonic()
+        self._tell(now_s)
+        if self._limit.passes((record.name, str(record.msg)), now_s):
+            super().emit(record)
+
+    def close(self) -> None:
+        """Write what was left out."""
+        self._tell(time.monotonic(), all_of_them=True)
+        super().close()
+
+    def _tell(self, now_s: float, *, all_of_them: bool = False) -> None:
+        for (name, message), count in self._limit.take_left_out(now_s, all_of_them=all_of_them):
+            text = "%d more like this were not logged: %s"
+            super().emit(logging.LogRecord(name, logging.WARNING, __file__, 0, text, (count, message), None))
+
+
+class _Escaping(logging.Formatter):
+    def formatMessage(self, record: logging.LogRecord) -> str:
+        return escaped(super().formatMessage(record))
+
+    def formatException(self, ei: object) -> str:
+        lines = super().formatException(ei).split("\n")  # type: ignore[arg-type]
+        return "\n".join(f"    {escaped(line)}" for line in lines)
