@@ -25,6 +25,8 @@ _log = logging.getLogger(__name__)
 FROM_PAGE_BYTES_MAX: Final = 1 << 16
 _CHUNK_BYTES: Final = 1 << 16
 _CONNECT_S: Final = 3.0
+STALL_S: Final = 10.0
+"""A page that takes no 64 KiB in so long is closed."""
 _TRY_AGAIN: Final = 1013  # WebSocket close code "try again later"
 _BINARY_ONLY: Final = 1003
 _REASON_BYTES_MAX: Final = 123
@@ -110,8 +112,15 @@ async def _to_broker(page: ServerConnection, writer: asyncio.StreamWriter) -> No
 
 
 async def _to_page(reader: asyncio.StreamReader, page: ServerConnection) -> None:
+    """The broker holds messages for a page that does not read, for as long as that page is there."""
     while chunk := await reader.read(_CHUNK_BYTES):
-        await page.send(chunk)
+        try:
+            async with asyncio.timeout(STALL_S):
+                await page.send(chunk)
+        except TimeoutError:
+            _log.warning("a page that read nothing for %.0f s was closed", STALL_S)
+            page.transport.abort()
+            return
 
 
 async def _until_first(*ways: Coroutine[Any, Any, None]) -> None:

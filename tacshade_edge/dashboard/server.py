@@ -7,7 +7,7 @@ import contextlib
 import logging
 import os
 import socket
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from http import HTTPStatus
 from typing import Final
 
@@ -17,12 +17,18 @@ from websockets.http11 import Request, Response
 from websockets.typing import Subprotocol
 
 from tacshade_edge.dashboard import access, files
+from tacshade_edge.dashboard.bounds import Bounds, bounded, tell_device_errors
 from tacshade_edge.dashboard.bridge import FROM_PAGE_BYTES_MAX, Bridge, Broker
 from tacshade_edge.errors import DeviceError
+from tacshade_edge.quoting import escaped
 
 _log = logging.getLogger(__name__)
 
 _WEBSOCKET: Final = "/mqtt"
+_METHODS: Final = ("GET", "HEAD")
+_SPEAK_S: Final = 5  # until a request is there
+_BACKLOG: Final = 16  # as many are accepted before the first is counted
+_FRAMES_WAITING_MAX: Final = 4
 _CLOSE_S: Final = 0.5
 _STOP_S: Final = 0.7
 
@@ -34,19 +40,30 @@ class Pages:
     ----------
     allowed_origins : collection of str
         See `access.refusal`.
+    bounds : Bounds
     """
 
-    def __init__(self, allowed_origins: Collection[str]) -> None:
+    def __init__(self, allowed_origins: Collection[str], bounds: Bounds) -> None:
         self._files = files.load()
         self._headers = files.security_headers(self._files)
         self._allowed_origins = allowed_origins
+        self._bounds = bounds
         self._refused = ""
 
-    def answer(self, _page: ServerConnection, request: Request) -> Response | None:
+    def answer(self, page: ServerConnection, request: Request) -> Response | None:
         """The response to a plain request or to one that may not pass; None opens the WebSocket."""
+        method = getattr(request, "method", "GET")  # before websockets 17 it refuses all others by itself
+        if method not in _METHODS:
+            return self._text(HTTPStatus.METHOD_NOT_ALLOWED, "GET or HEAD, please", {"Allow": ", ".join(_METHODS)})
+        response = self._get(page, request)
+        if response is not None and method == "HEAD":
+            response.body = b""
+        return response
+
+    def _get(self, page: ServerConnection, request: Request) -> Response | None:
         path = request.path.partition("?")[0]
         if path == _WEBSOCKET:
-            return self._check(request)
+            return self._check(page, request)
         file = self._files.get(path)
         if file is None:
             return self._text(HTTPStatus.NOT_FOUND, "not found")
@@ -54,7 +71,7 @@ class Pages:
             return self._response(HTTPStatus.NOT_MODIFIED, b"", {"ETag": file.etag})
         return self._response(HTTPStatus.OK, file.body, {"ETag": file.etag, "Content-Type": file.content_type})
 
-    def _check(self, request: Request) -> Response | None:
+    def _check(self, page: ServerConnection, request: Request) -> Response | None:
         if request.headers.get("Upgrade", "").lower() != "websocket":
             return self._text(HTTPStatus.UPGRADE_REQUIRED, "MQTT over WebSocket, for the page")
         try:
@@ -62,14 +79,16 @@ class Pages:
         except LookupError:  # a header twice
             refused = "Origin or Host more than once"
         if not refused:
-            return None
+            full = self._bounds.admit_page(page)
+            return self._text(HTTPStatus.SERVICE_UNAVAILABLE, full) if full else None
         if refused != self._refused:  # a browser hides the answer from its user, and asks again every second
-            _log.warning("WebSocket refused: %s", "".join(c if c.isprintable() else "?" for c in refused))
+            _log.warning("WebSocket refused: %s", escaped(refused))
         self._refused = refused
         return self._text(HTTPStatus.FORBIDDEN, refused)
 
-    def _text(self, status: HTTPStatus, text: str) -> Response:
-        return self._response(status, f"{text}\n".encode(), {"Content-Type": "text/plain; charset=utf-8"})
+    def _text(self, status: HTTPStatus, text: str, headers: Mapping[str, str] | None = None) -> Response:
+        typed = {"Content-Type": "text/plain; charset=utf-8", **(headers or {})}
+        return self._response(status, f"{text}\n".encode(), typed)
 
     def _response(self, status: HTTPStatus, body: bytes, headers: dict[str, str]) -> Response:
         length = {} if status is HTTPStatus.NOT_MODIFIED else {"Content-Length": str(len(body))}
@@ -105,13 +124,19 @@ async def run(
     # A port scanner or a browser that changed its mind is no news, and would be a traceback each.
     quiet = logging.getLogger("websockets.server")
     quiet.setLevel(logging.CRITICAL)
+    asyncio.get_running_loop().set_exception_handler(tell_device_errors)
+    bounds = Bounds()
     try:
         # Compression would cost the board more than it saves: docs/dashboard.md has the figures.
         server = await serve(
             Bridge(broker).carry,
             host,
             port,
-            process_request=Pages(allowed_origins).answer,
+            process_request=Pages(allowed_origins, bounds).answer,
+            create_connection=bounded(bounds),
+            backlog=_BACKLOG,
+            open_timeout=_SPEAK_S,
+            max_queue=_FRAMES_WAITING_MAX,
             subprotocols=[Subprotocol("mqtt")],
             compression=None,
             max_size=FROM_PAGE_BYTES_MAX,

@@ -19,8 +19,9 @@ from support.patience import patience, wait_until
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from tacshade_edge.dashboard import files, server
+from tacshade_edge.dashboard import bridge, files, server
 from tacshade_edge.dashboard.access import refusal
+from tacshade_edge.dashboard.bounds import CONNECTIONS_MAX, PAGES_MAX
 from tacshade_edge.dashboard.bridge import Broker as Address
 
 STATIC = Path(files.__file__).parent / "static"
@@ -330,6 +331,122 @@ def test_a_page_that_does_not_read_makes_the_broker_wait() -> None:
             page.transport.abort()
 
     run(test())
+
+
+async def answer(port: int, request: bytes) -> bytes:
+    """All that comes back; empty where the connection is closed."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    writer.write(request)
+    try:
+        return await reader.read()
+    except ConnectionError:
+        return b""
+    finally:
+        writer.close()
+
+
+@pytest.mark.parametrize("method", ["PUT", "POST", "DELETE", "TRACE", "OPTIONS", "PATCH", "get", "X"])
+@pytest.mark.parametrize("path", ["/", "/main.js", "/none", "/mqtt"])
+def test_other_methods_than_get_and_head_are_not_allowed(method: str, path: str) -> None:
+    async def test() -> None:
+        async with running() as port:
+            said = await answer(port, f"{method} {path} HTTP/1.1\r\nHost: a\r\n\r\n".encode())
+            assert said.startswith(b"HTTP/1.1 405 ")
+            assert b"\r\nAllow: GET, HEAD\r\n" in said
+
+    run(test())
+
+
+def test_head_is_get_without_the_body() -> None:
+    async def test() -> None:
+        async with running() as port:
+            for path in ("/main.js", "/none"):
+                got = await answer(port, f"GET {path} HTTP/1.1\r\nHost: a\r\n\r\n".encode())
+                head = await answer(port, f"HEAD {path} HTTP/1.1\r\nHost: a\r\n\r\n".encode())
+                assert head == got.partition(b"\r\n\r\n")[0] + b"\r\n\r\n"
+
+    run(test())
+
+
+def test_so_many_pages_and_no_more(caplog: pytest.LogCaptureFixture) -> None:
+    async def test() -> None:
+        async with tcp(echo) as broker, running(broker) as port:
+            pages = [await websocket(port).__aenter__() for _ in range(PAGES_MAX)]
+            with pytest.raises(InvalidStatus) as refused:
+                await websocket(port).__aenter__()
+            assert refused.value.response.status_code == 503
+            assert refused.value.response.body == b"16 pages are open, which is the most\n"
+            assert (await get(port, "/"))[0] == 200
+            await pages.pop().close()
+            async with websocket(port) as page:
+                await page.send(b"hello")
+                assert await page.recv() == b"hello"
+            for page in pages:
+                page.transport.abort()
+
+    run(test())
+    told = [record.getMessage() for record in caplog.records]
+    assert told == ["turned away, the 1. so far: 16 pages are open, which is the most"]
+
+
+def test_so_many_connections_and_no_more(caplog: pytest.LogCaptureFixture) -> None:
+    async def test() -> None:
+        async with running() as port:
+            mute = [await asyncio.open_connection("127.0.0.1", port) for _ in range(CONNECTIONS_MAX)]
+            assert await answer(port, b"GET / HTTP/1.1\r\nHost: a\r\n\r\n") == b""
+            for _, writer in mute:
+                writer.close()
+            while (await answer(port, b"GET / HTTP/1.1\r\nHost: a\r\n\r\n"))[:12] != b"HTTP/1.1 200":
+                await asyncio.sleep(0.01)
+
+    run(test())
+    assert caplog.records[0].getMessage() == "turned away, the 1. so far: 48 connections are open"
+
+
+def test_a_page_that_reads_nothing_is_closed_at_the_broker_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bridge, "STALL_S", 0.3)
+    ended = asyncio.Event()
+
+    async def flood(_reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        try:
+            while True:
+                writer.write(bytes(65536))
+                await writer.drain()
+        except ConnectionError:
+            ended.set()
+
+    async def test() -> None:
+        async with tcp(flood) as broker, running(broker) as port:
+            page = await websocket(port, max_queue=1).__aenter__()
+            await ended.wait()
+            page.transport.abort()
+
+    run(test())
+
+
+def test_pings_that_are_never_read_do_not_fill_the_memory(caplog: pytest.LogCaptureFixture) -> None:
+    ping = b"\x89\xfd\0\0\0\0" + bytes(125)
+
+    async def test() -> None:
+        async with tcp(echo) as broker, running(broker) as port:
+            reader, writer = await asyncio.open_connection("127.0.0.1", port, limit=1)
+            key = b"Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\nSec-WebSocket-Protocol: mqtt\r\n"
+            upgrade = b"Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+            writer.write(b"GET /mqtt HTTP/1.1\r\nHost: a\r\n" + upgrade + key + b"\r\n")
+            await reader.readexactly(12)
+            reader._transport.pause_reading()  # type: ignore[attr-defined]
+
+            async def flood() -> None:
+                while True:
+                    writer.write(ping * 1000)
+                    await writer.drain()
+
+            with pytest.raises(ConnectionError):
+                await flood()
+            assert (await get(port, "/"))[0] == 200
+
+    run(test())
+    assert len(caplog.records) < 10
 
 
 def test_it_stops_with_open_connections() -> None:

@@ -1,0 +1,82 @@
+"""How many connections the page's server holds, and how much for each: whoever reaches the port can open them."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from typing import Any, Final
+
+from websockets.asyncio.server import ServerConnection
+
+_log = logging.getLogger(__name__)
+
+CONNECTIONS_MAX: Final = 48
+"""Of pages and of requests for files; what is more is closed at once."""
+PAGES_MAX: Final = 16
+"""WebSockets; each is a connection to the broker too, which holds up to 20 messages for one that does not read."""
+UNSENT_BYTES_MAX: Final = 1 << 20
+"""What a peer may make us answer (pongs) without reading it; our own messages wait long before."""
+
+
+class Bounds:
+    """What is open now, and how many were turned away."""
+
+    def __init__(self) -> None:
+        self._open: set[ServerConnection] = set()
+        self._pages: set[ServerConnection] = set()
+        self.turned_away = 0
+
+    def admit(self, connection: ServerConnection) -> bool:
+        """Count a connection; False when there are too many."""
+        if len(self._open) >= CONNECTIONS_MAX:
+            self._turn_away(f"{CONNECTIONS_MAX} connections are open")
+            return False
+        self._open.add(connection)
+        return True
+
+    def admit_page(self, connection: ServerConnection) -> str:
+        """Count a connection as a page's; why not, when there are too many."""
+        if len(self._pages) >= PAGES_MAX:
+            return self._turn_away(f"{PAGES_MAX} pages are open, which is the most")
+        self._pages.add(connection)
+        return ""
+
+    def release(self, connection: ServerConnection) -> None:
+        """A connection is over."""
+        self._open.discard(connection)
+        self._pages.discard(connection)
+
+    def _turn_away(self, why: str) -> str:
+        self.turned_away += 1
+        _log.warning("turned away, the %d. so far: %s", self.turned_away, why)
+        return why
+
+
+def bounded(bounds: Bounds) -> type[ServerConnection]:
+    """The kind of connection that keeps to `bounds`."""
+
+    class Connection(ServerConnection):
+        def connection_made(self, transport: asyncio.BaseTransport) -> None:
+            super().connection_made(transport)
+            if not bounds.admit(self):
+                self.transport.abort()
+
+        def connection_lost(self, exc: Exception | None) -> None:
+            bounds.release(self)
+            super().connection_lost(exc)
+
+        def data_received(self, data: bytes) -> None:
+            super().data_received(data)
+            if self.transport.get_write_buffer_size() > UNSENT_BYTES_MAX:
+                _log.warning("a page that sends and does not read was closed")
+                self.transport.abort()
+
+    return Connection
+
+
+def tell_device_errors(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    """Exception handler of a loop: no traceback for what the system refuses, such as one more open file."""
+    if isinstance(error := context.get("exception"), OSError):
+        _log.warning("%s: %s", context.get("message", "the system refuses"), error.strerror or error)
+    else:
+        loop.default_exception_handler(context)
