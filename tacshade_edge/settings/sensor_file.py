@@ -15,6 +15,7 @@ from tacshade_edge.settings.load import expectation, read_struct
 from tacshade_edge.types import IDENTITY_POSE
 
 _UNIT_TOLERANCE = 1e-3
+_PLACE_MAX_MM = 1e6
 
 
 class SensorFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -67,6 +68,11 @@ def read_sensor(path: Path) -> Sensor:
     schema = msgspec.json.schema(SensorFile)
     root: dict[str, Any] = {**schema["$defs"]["SensorFile"], "$defs": schema["$defs"]}
     given, found = read_struct(path, SensorFile, root)
+    away_mm = max(abs(value) for value in given.flange_T_sensor[:3])
+    if away_mm > _PLACE_MAX_MM:
+        line = found["flange_T_sensor",].line
+        problem = f"found a place {away_mm:g} mm away, expected one within {_PLACE_MAX_MM:g}"
+        raise ConfigError(f"{path}:{line}: flange_T_sensor: {problem}")
     norm = math.sqrt(sum(q * q for q in given.flange_T_sensor[3:]))
     if abs(norm - 1) > _UNIT_TOLERANCE:
         line = found["flange_T_sensor",].line

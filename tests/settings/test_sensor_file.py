@@ -44,6 +44,16 @@ def test_everything_that_can_be_said(tmp_path: Path) -> None:
         (LEAST.replace("50", "90"), r":2: visible_half_angle_deg: found 90"),
         (LEAST.replace("bright", "up"), r":3: polarity: found up"),
         (LEAST + "camera_distance_mm: 0\n", r":4: camera_distance_mm: found 0"),
+        (LEAST + "flange_T_sensor: [0, 0, x, 1, 0, 0, 0]\n", r":4: flange_T_sensor\.2: found x, expected a number$"),
+        (
+            LEAST + "flange_T_sensor: [0, {}, 0, 1, 0, 0, 0]\n",
+            r":4: flange_T_sensor\.1: found a mapping, expected a nu",
+        ),
+        (
+            LEAST + "flange_T_sensor: [0, 1.0e+300, 0, 1, 0, 0, 0]\n",
+            r":4: flange_T_sensor: found a place 1e\+300 mm away, expected one within 1e\+06",
+        ),
+        (LEAST.replace("20", "9" * 400), r":1: skin_radius_mm: found '9{60}…', expected a number"),
         (LEAST + "flange_T_sensor: [0, 0, 0, 1, 0, 0]\n", r":4: flange_T_sensor: found "),
         (
             LEAST + "flange_T_sensor: [0, 0, 0, 1, 1, 0, 0]\n",

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -19,11 +20,13 @@ from tacshade_edge.devices.files.summary import summary
 from tacshade_edge.devices.files.whole_files import disk_errors, part, sync, write_whole
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.protocol import wire
+from tacshade_edge.regular_files import open_regular, read_regular
 from tacshade_edge.types import Reconstruction
 
 HEIGHTS, CLOUDS, SHEARS, SUMMARY, TIMINGS = "heights.bin", "clouds.bin", "shears.bin", "summary.json", "timings.json"
 _ENCODERS = {HEIGHTS: wire.encode_height, CLOUDS: wire.encode_cloud, SHEARS: wire.encode_shear}
 _PAYLOAD_BYTES_AT = 84
+_SUMMARY_BYTES_MAX = 1 << 28
 
 
 class RunWriter:
@@ -116,10 +119,10 @@ def read_summary(folder: Path) -> list[dict[str, Any]]:
     """
     path = folder / SUMMARY
     try:
-        records = json.loads(path.read_text(encoding="utf-8"))
+        records = json.loads(read_regular(path, _SUMMARY_BYTES_MAX))
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror or error}, expected a run written by `replay --out`") from None
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise DecodeError(f"{path}: no JSON: {error}, expected a run written by `replay --out`") from None
     if not (isinstance(records, list) and all(isinstance(r, dict) and "seq" in r for r in records)):
         raise DecodeError(f"{path}: found other JSON, expected a run written by `replay --out`")
@@ -138,10 +141,11 @@ def payloads(folder: Path, name: str) -> Iterator[bytes]:
     """
     path = folder / name
     try:
-        with path.open("rb") as stream:
+        with open_regular(path, sys.maxsize) as stream:
+            whole = os.fstat(stream.fileno()).st_size
             while head := stream.read(wire.HEADER_BYTES):
                 size = int.from_bytes(head[_PAYLOAD_BYTES_AT : _PAYLOAD_BYTES_AT + 4], "little")
-                body = stream.read(size)
+                body = stream.read(min(size, whole))
                 if len(head) < wire.HEADER_BYTES or len(body) < size:
                     raise DecodeError(f"{path}: cut short after {stream.tell()} bytes, expected a whole run")
                 yield head + body
