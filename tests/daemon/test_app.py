@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import msgspec
 import numpy as np
 import pytest
 from support.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
@@ -162,6 +163,28 @@ def paced_start(seen: Subscriber) -> list[Any]:
         wait_until(lambda: seen.of(f"{BASE}/info"), 10, "info")
 
     return [connected, GONE]
+
+
+def test_frames_that_the_access_rules_deny_are_none_that_were_published(
+    tmp_path: Path, calibration: Calibration, pictures: Any, scripted: Any
+) -> None:
+    """The rules as shipped: a user may write below the sensor_id of its own name only."""
+    rules, password = tmp_path / "acl", tmp_path / "password"
+    for path in (rules, password):
+        path.touch(0o600)
+    rules.write_text((Path(__file__).parents[2] / "systemd/mosquitto-tacshade.acl").read_text())
+    password.write_text("right\n")
+    with Broker(tmp_path, users={"left": "right"}, more=(f"acl_file {rules}",)) as broker:
+        settings = document(tmp_path, broker.port)
+        denied = msgspec.structs.replace(settings.settings.mqtt, username="left", password_file=str(password))
+        settings = replace(settings, settings=msgspec.structs.replace(settings.settings, mqtt=denied))
+        app = Running(settings, scripted(paced(pictures.touched)), calibration)
+        wait_until(lambda: app.app.link.counters()["refused"] > 20, 20, "refused")
+        app.end()
+    frames = app.app.ledger.counts().as_dict()
+    assert_accounted(frames)
+    assert frames["published"] == 0
+    assert frames["failed"] > 5
 
 
 def test_what_nobody_subscribes_to_is_not_computed_until_someone_does(
