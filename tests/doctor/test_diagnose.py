@@ -72,10 +72,14 @@ def test_a_check_that_breaks_is_one_fault(config: Path, machine: Any) -> None:
 
 
 @pytest.mark.broker  # for its seconds of waiting
-def test_a_camera_and_a_broker_that_hang_are_left(config: Path, machine: Any) -> None:
-    """A pipe without a writer hangs whoever opens it, as a broken driver does."""
+def test_a_driver_and_a_broker_that_hang_are_left(config: Path, machine: Any) -> None:
+    """A pipe without a writer hangs whoever opens it, as a broken driver does; where a file should be it is told."""
     pipe = config.with_name("pipe")
     os.mkfifo(pipe)
+    machine.put("/sys/devices/platform/soc/soc:firmware/get_throttled", "")
+    driver = machine.at("/sys/devices/platform/soc/soc:firmware/get_throttled")
+    driver.unlink()
+    os.mkfifo(driver)
     with socket.socket() as silent:
         silent.bind(("127.0.0.1", 0))
         silent.listen()
@@ -87,9 +91,10 @@ def test_a_camera_and_a_broker_that_hang_are_left(config: Path, machine: Any) ->
         found = checked(config, machine)
         took_s = time.monotonic() - began_s
     assert "says nothing" in found["broker"].found
-    assert (found["calibration"].state, found["calibration"].found) == ("fault", "no answer in time")
+    assert (found["board"].state, found["board"].found) == ("fault", "no answer in time")
+    assert "pipe: cannot read the calibration: found no regular file" in found["calibration"].found
     assert took_s < stretched(20)
-    os.close(os.open(pipe, os.O_RDWR | os.O_NONBLOCK))
+    os.close(os.open(driver, os.O_RDWR | os.O_NONBLOCK))
 
 
 def test_the_limits_keep_the_promise() -> None:
