@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from dataclasses import dataclass
@@ -109,8 +110,14 @@ class Live:
                 self._looking = False
                 return line
 
-    def still_frame(self) -> Frame | None:
-        """The first frame of a picture that stands still from now on; None when a line was typed instead."""
+    def still_frame(self, limit_s: float = math.inf) -> Frame | None:
+        """The first frame of a picture that stands still from now on; None when a line was typed instead.
+
+        Raises
+        ------
+        DeviceError
+            It did not within the limit, and as `frame`.
+        """
         self._past.clear()
         began_s, hinted = time.monotonic(), False
         while True:
@@ -120,6 +127,8 @@ class Live:
                 return frame
             if self._terminal.line() is not None:
                 return None
+            if time.monotonic() - began_s > limit_s:
+                raise DeviceError(f"the picture did not stand still within {limit_s:.0f} s")
             if not hinted and motion is not None and time.monotonic() - began_s > _HINT_S:
                 hinted = True
                 figures = f"{motion:.1f} grey levels, {self.rest_grey:.1f} at rest"

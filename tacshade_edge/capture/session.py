@@ -98,9 +98,7 @@ class Session:
         InputEnded, DeviceError, ConfigError
             What was taken until then is in the folder.
         """
-        images = self._folder.references()
-        unloaded = self._checked_again(images) if len(images) >= REFERENCES else None
-        check = PressCheck(unloaded or self._take_references())
+        check = PressCheck(self.unloaded())
         self._advise(check)
         while True:
             answer = self._live.ask(self._prompt())
@@ -120,6 +118,23 @@ class Session:
                     self._skip()
                 case words:
                     self._press(words, check)
+
+    def unloaded(self) -> Calibration:
+        """What the references tell, which are taken where there are none. Raises as `run`."""
+        images = self._folder.references()
+        checked = self._checked_again(images) if len(images) >= REFERENCES else None
+        return checked or self._take_references()
+
+    def keep(self, image: U8, press: Stated, check: PressCheck) -> str:
+        """Write a press down that `calibrate` would take: empty, or why it would not."""
+        judged = check.judge(image)
+        if reason := _refusal(judged):
+            return reason
+        added = self._folder.add(self._taken, image, press)
+        self._taken = [*self._taken, added]
+        warning = f"; {judged.changed} since the references" if judged.changed else ""
+        self._terminal.say(f"  {added.image}: {press}{warning}")
+        return ""
 
     def _checked_again(self, images: Sequence[U8]) -> Calibration | None:
         try:
@@ -223,17 +238,11 @@ class Session:
         except ConfigError as error:
             self._terminal.say(f"  not taken: {error}")
             return
-        image = np.array(frame.image)
-        judged = check.judge(image)
-        if reason := _refusal(judged):
+        if reason := self.keep(np.array(frame.image), press, check):
             self._terminal.say(f"  not taken: {reason}")
             self._taken_back = press if press is asked else None
             return
-        added = self._folder.add(self._taken, image, press)
-        self._taken = [*self._taken, added]
         self._taken_back = None
-        warning = f"; {judged.changed} since the references" if judged.changed else ""
-        self._terminal.say(f"  {added.image}: {press}{warning}")
         if self._robot and press is asked and (unknown := self._robot.learn(press.columns, frame)):
             self._terminal.say(f"  the robot's poses cannot tell the next place: {unknown}")
         self._advise(check)

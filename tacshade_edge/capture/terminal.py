@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import select
+import termios
+import tty
+from collections.abc import Iterator
 from typing import Final, TextIO
 
 _CLEAR: Final = "\r\x1b[K"
@@ -29,6 +33,21 @@ class Terminal:
         self._is_live = out.isatty()
         self._typed = b""
         self._shown = ""
+        self._keys = False
+
+    @contextlib.contextmanager
+    def keys(self) -> Iterator[None]:
+        """Within this, any key is a line of its own, and what was typed before is forgotten."""
+        before = termios.tcgetattr(self._descriptor) if os.isatty(self._descriptor) else None
+        if before is not None:
+            tty.setcbreak(self._descriptor)  # forgets what waits to be read
+        self._keys, self._typed = True, b""
+        try:
+            yield
+        finally:
+            self._keys, self._typed = False, b""
+            if before is not None:
+                termios.tcsetattr(self._descriptor, termios.TCSAFLUSH, before)
 
     def line(self) -> str | None:
         """A line that was typed meanwhile, stripped; None while there is none. Raises InputEnded."""
@@ -38,7 +57,7 @@ class Terminal:
                 raise InputEnded
             self._typed += data
         line, end, rest = self._typed.partition(b"\n")
-        if not end:
+        if not end and not (self._keys and line):
             return None
         self._typed, self._shown = rest, ""
         return line.decode(errors="replace").strip()

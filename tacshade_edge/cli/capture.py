@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import msgspec
@@ -13,24 +13,28 @@ import yaml
 
 from tacshade_edge.capture.live import Live
 from tacshade_edge.capture.page import Page
+from tacshade_edge.capture.printer.line import PrinterLine
+from tacshade_edge.capture.printer.plan import planned_presses
+from tacshade_edge.capture.printer.pressing import Pressing
 from tacshade_edge.capture.robot_place import RobotPlaces
 from tacshade_edge.capture.session import Session
 from tacshade_edge.capture.terminal import InputEnded, Terminal
 from tacshade_edge.cli.capture_robot import robot_poses
-from tacshade_edge.core.calibration.indenter import Indenter
 from tacshade_edge.core.calibration.inputs import Sensor
 from tacshade_edge.core.calibration.press_selection import MIN_PRESSES
 from tacshade_edge.devices import registry
 from tacshade_edge.devices.camera import v4l2_node
 from tacshade_edge.devices.camera.v4l2 import FOURCCS
 from tacshade_edge.devices.camera.v4l2_controls import Lock
-from tacshade_edge.devices.files.capture_folder import REFERENCES, CaptureFolder, Stated, read_plan
+from tacshade_edge.devices.files.capture_folder import REFERENCES, CaptureFolder, read_plan
 from tacshade_edge.devices.files.indenters import read_indenters, write_printables
 from tacshade_edge.devices.files.presses import BALL
+from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.doctor.cameras import CSI_MEND, found_cameras, has_csi_receiver
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.settings import Serial, Source, V4l2, load
+from tacshade_edge.settings.printer_file import read_printer
 from tacshade_edge.settings.sensor_file import check_value, read_sensor
 
 _CALIBRATION = "calibration.npz"
@@ -63,6 +67,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     camera.add_argument("--camera", metavar="DEVICE", help="the camera, where the machine has several")
     camera.add_argument("--config", type=Path, metavar="FILE", help="settings whose source is the camera")
     parser.add_argument("--plan", type=Path, metavar="PLAN.csv", help="presses to offer: a table like PRESSES.csv")
+    parser.add_argument(
+        "--printer",
+        metavar="PORT",
+        help="the presses of --plan by a 3-D printer on this serial port, as DIR/PRINTER.yaml says (docs/printer.md)",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -71,6 +80,8 @@ def run(args: argparse.Namespace) -> int:
         for path in write_printables(args.indenters):
             print(path)
         return 0
+    if args.printer is not None and args.plan is None:
+        raise ConfigError("--printer: found no --plan, expected the presses to take (--indenters DIR writes some)")
     terminal = Terminal(0, sys.stdout)
     folder = CaptureFolder(args.folder)
     source, serial = _source(args, folder)
@@ -79,7 +90,29 @@ def run(args: argparse.Namespace) -> int:
         sensor = _sensor(folder, terminal)
         indenters = read_indenters(folder.indenters) if folder.indenters.exists() else {}
         plan = read_plan(args.plan, indenters, sensor.skin_radius_mm) if args.plan else ()
-        _run(folder, source, serial, sensor, terminal, plan, indenters)
+        if args.printer is None:
+
+            def by_hand(live: Live) -> None:
+                with robot_poses(serial) as pose_at:
+                    robot = RobotPlaces(sensor, pose_at) if pose_at else None
+                    Session(folder, sensor, live, terminal, plan, indenters, robot).run()
+
+            _run(folder, source, serial, terminal, by_hand)
+        else:
+            limits = read_printer(folder.printer)
+            presses = planned_presses(plan, indenters, sensor, limits)
+            line = PrinterLine(SerialPort(args.printer, limits.baud))
+
+            def by_printer(live: Live) -> None:
+                session = Session(folder, sensor, live, terminal, (), indenters)
+                pressing = Pressing(session, live, terminal, line, limits, sensor, presses)
+                line.connect()
+                pressing.run()
+
+            try:
+                _run(folder, source, serial, terminal, by_printer)
+            finally:
+                line.close()
     except InputEnded:
         terminal.say("")
     except KeyboardInterrupt:
@@ -96,10 +129,8 @@ def _run(
     folder: CaptureFolder,
     chosen: Source,
     serial: Serial | None,
-    sensor: Sensor,
     terminal: Terminal,
-    plan: Sequence[Stated],
-    indenters: Mapping[str, Indenter | float],
+    session: Callable[[Live], None],
 ) -> None:
     source, page = registry.make_source(chosen), Page()
     try:
@@ -111,9 +142,7 @@ def _run(
         if not folder.settings.exists():
             folder.write(folder.settings, _settings_text(chosen, serial, described))
         terminal.say(f"the picture: {page.address}")
-        with robot_poses(serial) as pose_at:
-            robot = RobotPlaces(sensor, pose_at) if pose_at else None
-            Session(folder, sensor, Live(source, terminal, page), terminal, plan, indenters, robot).run()
+        session(Live(source, terminal, page))
     finally:
         source.close()
         page.close()

@@ -139,7 +139,7 @@ def _source_at(source: Source, folder: Path) -> Source:
 def _explain(message: str, value: dict[str, Any], found: dict[Key, Found], root: dict[str, Any]) -> tuple[Key, str]:
     """Key and ``found …, expected …`` of one msgspec error, which names a JSON path and one field."""
     path = re.search(r" - at `\$\.?([^`]*)`$", message)
-    key: Key = tuple(re.sub(r"\[(\d+)\]", r".\1", path[1]).split(".")) if path and path[1] else ()
+    key: Key = tuple(re.split(r"[.[]", path[1].replace("]", ""))) if path and path[1] else ()
     schema = _schema_at(key, value, root)
     if unknown := re.match(r"Object contains unknown field `(.*?)`", message, re.DOTALL):
         return (*key, unknown[1]), f"found an unknown key, expected one of {', '.join(schema['properties'])}"
@@ -155,11 +155,8 @@ def _schema_at(key: Key, value: Any, root: dict[str, Any]) -> dict[str, Any]:
     for name in key:
         if "discriminator" in schema:  # no known tag was given: the only key to name is the tag itself
             return {"enum": list(schema["discriminator"]["mapping"])}
-        if isinstance(value, list):
-            value, schema = value[int(name)], schema["items"]
-            continue
-        value = value.get(name)
-        schema = _resolved(schema["properties"][name], value, root)
+        value = value[int(name)] if isinstance(value, list) else value.get(name)
+        schema = _resolved(schema["items"] if "items" in schema else schema["properties"][name], value, root)
     return schema
 
 
@@ -182,6 +179,7 @@ def expectation(schema: dict[str, Any]) -> str:
         options = [expectation({**option}) for option in schema["anyOf"]]
         return " or ".join(options)
     kind = {"integer": "an integer", "number": "a number", "string": "a string", "boolean": "true or false"}
+    kind["array"] = "a list"
     text = kind.get(schema.get("type", ""), "null" if schema.get("type") == "null" else "a mapping")
     if "minimum" in schema:
         text += f" from {schema['minimum']} to {schema['maximum']}"

@@ -29,15 +29,20 @@ class Person:
     def hears(self, *texts: str) -> str:
         """Wait for one of the texts that was not waited for yet; which it was."""
         end_s = time.monotonic() + patience(60)
-        while not (said := [text for text in texts if text in self.heard]):
+        while not (found := [text for text in texts if text in self.heard]):
             assert time.monotonic() < end_s, f"did not say {' or '.join(texts)!r} but {self.heard!r}"
             if select.select([self._leader], [], [], 0.1)[0]:
-                self.heard += self._read()
-        self.before, _, self.heard = self.heard.partition(said[0])
-        return said[0]
+                said = self._read()
+                assert said, f"ended, and did not say {' or '.join(texts)!r} but {self.heard!r}"
+                self.heard += said
+        self.before, _, self.heard = self.heard.partition(found[0])
+        return found[0]
 
     def types(self, line: str) -> None:
         os.write(self._leader, f"{line}\n".encode())
+
+    def types_key(self, key: str) -> None:
+        os.write(self._leader, key.encode())
 
     def ends(self) -> int:
         """Wait for its end; its exit code."""

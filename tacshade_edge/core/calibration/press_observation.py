@@ -10,13 +10,14 @@ import numpy as np
 
 from tacshade_edge.core.calibration.indenter import Indenter, PlacedIndenter, place
 from tacshade_edge.core.calibration.inputs import KnownPress
+from tacshade_edge.core.calibration.references import PROFILE
 from tacshade_edge.core.calibration.screened_change import REACH_RADII, screened_brightening, screened_change
 from tacshade_edge.core.geometry.back_projection import skin_points
 from tacshade_edge.core.geometry.disc import DiscRays
 from tacshade_edge.core.image.grey_maps import GreyMapper
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.types import F64, Geometry
+from tacshade_edge.types import F64, Calibration, Geometry
 
 # Radius of a usual ball, in skin radii.
 _USUAL_BALL_RADII = 0.3
@@ -104,6 +105,14 @@ def observe_press(preprocessor: Preprocessor, mapper: GreyMapper, press: KnownPr
         touch_mm=touch_mm,
         reach_mm=reach_mm,
     )
+
+
+def pictured_places(unloaded: Calibration, presses: Sequence[KnownPress]) -> F64:
+    """Where the images show the balls of presses: float64 (N, 2), x and y in mm in the sensor frame."""
+    preprocessor = Preprocessor(unloaded, PROFILE)
+    mapper = GreyMapper(preprocessor)
+    observed = [observe_press(preprocessor, mapper, press) for press in presses]
+    return np.array([(o.located_x_mm, o.located_y_mm) for o in observed])
 
 
 def placed_indenter(press: KnownPress, indenter: Indenter, geometry: Geometry) -> PlacedIndenter:

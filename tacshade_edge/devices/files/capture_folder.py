@@ -18,6 +18,7 @@ from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.types import U8
 
 SENSOR, SETTINGS, PRESSES, INDENTERS = "SENSOR.yaml", "config.yaml", "PRESSES.csv", "INDENTERS.yaml"
+PRINTER = "PRINTER.yaml"
 REFERENCES = "reference_*.png"
 
 _PNG_OPTIONS = (cv2.IMWRITE_PNG_COMPRESSION, 3)
@@ -141,6 +142,11 @@ class CaptureFolder:
     def indenters(self) -> Path:
         """INDENTERS.yaml, which may be missing."""
         return self.path / INDENTERS
+
+    @property
+    def printer(self) -> Path:
+        """PRINTER.yaml, of a machine that presses."""
+        return self.path / PRINTER
 
     def make(self) -> None:
         """Make the folder where there is none."""

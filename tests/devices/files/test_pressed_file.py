@@ -28,6 +28,13 @@ def test_it_is_what_the_file_says_now(tmp_path: Path) -> None:
     assert script.at(3) == ()
 
 
+def test_an_object_may_be_turned(tmp_path: Path) -> None:
+    path = tmp_path / "hand.csv"
+    path.write_text("indenter,radius_mm,depth_mm,x_mm,y_mm,yaw_deg\ncube,,1,0,0,30\nball,6,1,0,0,\n")
+    cube, ball = PressedFile(path).at(0)
+    assert (cube.rotation_deg, ball.rotation_deg) == (30, 0)
+
+
 @pytest.mark.parametrize("row", ["ball,six,1,0,0", "egg,,1,0,0", "cube,3,1,0,0", "ball,-1,1,0,0", "ball,6,1"])
 def test_what_cannot_be_understood_is_told_once(tmp_path: Path, row: str) -> None:
     path = tmp_path / "hand.csv"

@@ -1,0 +1,121 @@
+"""What the camera sees of a step of the head: contact or none, or that it cannot be believed."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from tacshade_edge.capture.live import Live
+from tacshade_edge.capture.printer.doubt import Doubt, Stopped
+from tacshade_edge.capture.printer.hand import Hand
+from tacshade_edge.core.calibration.press_check import Judgement, PressCheck
+from tacshade_edge.core.calibration.stillness import REST_MOST_GREY, block_means, motion_grey
+from tacshade_edge.core.image.greyscale import to_grey
+from tacshade_edge.types import F32, U8, Frame
+
+# After a move the machine swings out so long; then so many frames are averaged.
+_SETTLE_S, _FRAMES, _FRAMES_MOST_S = 0.15, 4, 5.0
+# Contact changes a block's mean by more than rest does by this factor and so many grey levels. A ball 0.02 mm deep
+# makes 3.4 to 10 levels where rest makes 0.6 to 1.2 (four simulated sensors, 640x480).
+_REST_FACTOR, _CONTACT_GREY = 2.0, 2.0
+_REST_LOOKS = 6
+_FREE_WAIT_S, _STILL_MOST_S = 15.0, 20.0
+
+
+class Eyes:
+    """The camera as it watches the machine.
+
+    Parameters
+    ----------
+    live : Live
+    check : PressCheck
+        Of the references.
+    hand : Hand
+    """
+
+    def __init__(self, live: Live, check: PressCheck, hand: Hand) -> None:
+        self._live = live
+        self._check = check
+        self._hand = hand
+        self._free: F32 | None = None
+        self._contact_grey = 0.0
+
+    def learn_rest(self) -> None:
+        """Learn what the free skin changes by at rest; nothing moves. Raises as `look`."""
+        looks = [self._look()[0] for _ in range(_REST_LOOKS)]
+        rest_grey = max(motion_grey([a, looks[0]]) for a in looks)
+        if rest_grey > REST_MOST_GREY:
+            raise Doubt(
+                f"the picture changes by {rest_grey:.1f} grey levels at rest, expected {REST_MOST_GREY:g} at most"
+            )
+        self._contact_grey = _REST_FACTOR * rest_grey + _CONTACT_GREY
+
+    def learn_free(self) -> None:
+        """Wait until the skin has come to rest, and take it as free: the head is above it.
+
+        Raises
+        ------
+        Doubt
+            It still shows contact after a while, and as `look`.
+        """
+        end_s = time.monotonic() + _FREE_WAIT_S
+        before, _ = self._look()
+        while True:
+            now, judged = self._look()
+            if not judged.in_contact and motion_grey([before, now]) <= self._contact_grey / 2:
+                self._free = now
+                return
+            if time.monotonic() > end_s:
+                raise Doubt(
+                    "the picture shows contact, or does not come to rest, though the indenter is above the skin"
+                )
+            before = now
+
+    def look(self) -> bool:
+        """Whether anything touches, since `learn_free`.
+
+        Raises
+        ------
+        Doubt
+            The camera gives the same picture again and again, was moved, or what cannot be used.
+        Stopped
+        DeviceError
+            The camera is lost.
+        """
+        assert self._free is not None  # a search begins with a free skin
+        now, judged = self._look()
+        return judged.in_contact or motion_grey([self._free, now]) > self._contact_grey
+
+    def still_image(self) -> U8:
+        """The picture, once it stands still; of what touches. Raises as `look`, and Doubt when it never does."""
+        frame = self._live.still_frame(_STILL_MOST_S)
+        if frame is None:
+            self._hand.check()
+            raise Stopped("a key was pressed")
+        return np.array(frame.image)
+
+    def _look(self) -> tuple[F32, Judgement]:
+        """Block means of frames that were taken from now on, and what the last one shows."""
+        frames = self._frames()
+        blocks = [block_means(to_grey(frame.image)) for frame in frames]
+        if all(np.array_equal(frames[0].image, frame.image) for frame in frames[1:]):
+            raise Doubt("the camera gives the same picture again and again")
+        judged = self._check.judge(np.array(frames[-1].image))
+        if judged.unusable:
+            raise Doubt(f"the picture cannot be used: {judged.unusable}")
+        if judged.moved:
+            raise Doubt(f"{judged.moved} since the references")
+        return np.mean(blocks, axis=0, dtype=np.float32), judged
+
+    def _frames(self) -> list[Frame]:
+        from_ns = time.monotonic_ns() + round(1e9 * _SETTLE_S)
+        frames: list[Frame] = []
+        while len(frames) < _FRAMES:
+            self._hand.check()
+            if time.monotonic_ns() - from_ns > 1e9 * _FRAMES_MOST_S:
+                raise Doubt(f"the camera gave no {_FRAMES} new pictures within {_FRAMES_MOST_S:g} s")
+            frame = self._live.frame()
+            if frame.t_ns >= from_ns:
+                frames.append(frame)
+        return frames

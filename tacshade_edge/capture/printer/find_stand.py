@@ -1,0 +1,87 @@
+"""Where the sensor stands, from touches of a ball and pictures of it pressed."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tacshade_edge.capture.printer.doubt import Doubt
+from tacshade_edge.capture.printer.plan import BESIDE_START_MM
+from tacshade_edge.capture.printer.touch import Touch
+from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
+from tacshade_edge.core.calibration.press_observation import pictured_places
+from tacshade_edge.core.calibration.touches import Stand, first_touch_mm, skin_centre, stand, yaw_of
+from tacshade_edge.types import F64, Calibration
+
+# First touches around the start, then those around the axis (in skin radii), where the ball goes on by so much.
+_AROUND_START, _AROUND_START_RADII = 3, 0.2
+_AROUND_AXIS, _AROUND_AXIS_RADII, _TURNED_RAD, _PRESSED_MM = 6, 0.4, 0.35, 1.0
+_VISIBLE_PART = 0.6
+
+
+def reach_mm(sensor: Sensor) -> float:
+    """How far from the axis it touches."""
+    visible = math.sin(math.radians(sensor.visible_half_angle_deg))
+    return sensor.skin_radius_mm * min(_AROUND_AXIS_RADII, _VISIBLE_PART * visible)
+
+
+def find_stand(
+    touch: Touch, start_mm: tuple[float, float], ball_mm: float, sensor: Sensor, unloaded: Calibration
+) -> tuple[Stand, float]:
+    """Find where the sensor stands, with a ball in the head.
+
+    Parameters
+    ----------
+    touch : Touch
+        The head is over the start, and free.
+    start_mm : (x, y)
+    ball_mm : float
+        The ball's radius.
+    sensor : Sensor
+    unloaded : Calibration
+        From the references.
+
+    Returns
+    -------
+    stand : Stand
+    rms_mm : float
+        Of the touches beside the skin.
+
+    Raises
+    ------
+    ConfigError
+        The touches or pictures are not of such a sensor.
+    Stopped, Doubt, DeviceError
+    """
+    r, start = sensor.skin_radius_mm, np.array(start_mm)
+    touch.eyes.learn_rest()
+    touches = [(*start_mm, touch.from_afar())]
+    touch.free_over(touches[0][2])
+    for x, y in (start + _ring(_AROUND_START, _AROUND_START_RADII * r, 0.0)).tolist():
+        touches.append((x, y, touch.from_near(x, y, touches[0][2])))
+        touch.lift()
+    centre, _ = skin_centre(np.array(touches), r, ball_mm)
+    if (beside_mm := math.dist(centre[:2], start)) > BESIDE_START_MM:
+        found = f"the skin's axis is at x {centre[0]:.1f}, y {centre[1]:.1f} mm, {beside_mm:.1f} mm beside the start"
+        raise Doubt(f"{found}, expected {BESIDE_START_MM:g} mm at most: move it, or correct start_mm")
+    touch.free_over(centre[2] + r)
+    around, pressed = _ring(_AROUND_AXIS, reach_mm(sensor), _TURNED_RAD), []
+    for beside_x, beside_y in around.tolist():
+        x, y, first_mm = centre[0] + beside_x, centre[1] + beside_y, first_touch_mm(ball_mm, r, beside_x, beside_y)
+        z = touch.from_near(x, y, centre[2] + math.sqrt(r * r - beside_x**2 - beside_y**2) - first_mm)
+        touches.append((x, y, z))
+        touch.down(z, z - _PRESSED_MM)
+        image = touch.eyes.still_image()
+        touch.lift()
+        pressed.append(KnownPress("", image, ball_mm, first_mm + _PRESSED_MM, None, None))
+    centre, rms_mm = skin_centre(np.array(touches), r, ball_mm)
+    put = np.array(touches)[-_AROUND_AXIS:, :2] - centre[:2]
+    found_stand = stand(centre, yaw_of(put, pictured_places(unloaded, pressed)), r)
+    touch.free_over(centre[2] + r)
+    return found_stand, rms_mm
+
+
+def _ring(count: int, radius_mm: float, turned_rad: float) -> F64:
+    angle = turned_rad + 2 * math.pi * np.arange(count) / count
+    return radius_mm * np.column_stack((np.cos(angle), np.sin(angle)))

@@ -1,0 +1,136 @@
+"""The printer's head: moved in short parts within its limits, and where it was sent to after each."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tacshade_edge.capture.printer.doubt import Doubt
+from tacshade_edge.capture.printer.hand import Hand
+from tacshade_edge.capture.printer.line import PrinterLine
+from tacshade_edge.capture.printer.steps import segments
+from tacshade_edge.protocol.gcode import commands
+from tacshade_edge.settings.printer_file import PrinterFile
+from tacshade_edge.types import F64
+
+DOWN_MM_S = 4.0
+"""Of moves up and down."""
+
+# No move lasts longer: what a hand stops ends within it.
+_LONGEST_S = 0.5
+_HOME_S = 120.0
+# Printers tell hundredths.
+_POSITION_MM = 0.015
+
+
+class Head:
+    """The head over one sensor.
+
+    Parameters
+    ----------
+    line : PrinterLine
+        Connected.
+    limits : PrinterFile
+    hand : Hand
+
+    Attributes
+    ----------
+    is_certain : bool
+        Every command was answered, and the printer told the place that it was sent to.
+    was_moved : bool
+        It was told to move, or to home.
+    free_z_mm : float
+        At this height and above nothing is in its way; sideways it moves there alone.
+    """
+
+    def __init__(self, line: PrinterLine, limits: PrinterFile, hand: Hand) -> None:
+        self._line = line
+        self._limits = limits
+        self._hand = hand
+        self._place_mm: F64 = np.zeros(3)
+        self.is_certain = self.was_moved = False
+        self.free_z_mm = limits.start_mm[2]
+
+    @property
+    def z_mm(self) -> float:
+        """Where it is."""
+        return float(self._place_mm[2])
+
+    @property
+    def is_free(self) -> bool:
+        """Whether it certainly stands above the skin."""
+        return self.is_certain and self.z_mm >= self.free_z_mm - _POSITION_MM
+
+    def prepare(self, *, home: bool) -> None:
+        """Set units, keep the motors awake, home where that is wanted, and learn where it is. Raises as `to`."""
+        for command in (commands.MILLIMETRES, commands.ABSOLUTE, commands.stay_awake(self._line.firmware)):
+            self._line.do(command)
+        if home:
+            self.was_moved = True
+            self._line.do(commands.HOME, _HOME_S, self._hand.check)
+            self._line.do(commands.WAIT_FOR_MOTION)
+        self._place_mm = self._told()
+        self.is_certain = True
+
+    def to_start(self) -> None:
+        """Up first where it is lower, then sideways, then down to the start. Raises as `to`."""
+        x, y, z = self._limits.start_mm
+        here_x, here_y, here_z = self._place_mm.tolist()
+        high = max(z, here_z, self._limits.z_mm[0])
+        self._go((here_x, here_y, high), DOWN_MM_S)
+        self._go((x, y, high), self._limits.feed_mm_s)
+        self._go((x, y, z), DOWN_MM_S)
+
+    def over(self, x_mm: float, y_mm: float) -> None:
+        """Move sideways, as high as it is. Raises as `to`."""
+        if not self.is_free:
+            raise Doubt(f"a move sideways at z {self.z_mm:.2f} mm, expected {self.free_z_mm:.2f} mm or more")
+        self._go((x_mm, y_mm, self.z_mm), self._limits.feed_mm_s)
+
+    def to(self, z_mm: float) -> None:
+        """Move straight up or down.
+
+        Raises
+        ------
+        Stopped
+            Between two parts of the move.
+        Doubt
+            Outside the limits; an answer that is lost, an error, a place other than the one it was sent to.
+        DeviceError
+            The line is lost.
+        """
+        x, y, _ = self._place_mm.tolist()
+        self._go((x, y, z_mm), DOWN_MM_S)
+
+    def _go(self, to_mm: tuple[float, float, float], feed_mm_s: float) -> None:
+        self._check_limits(to_mm)
+        self._line.listen()  # it may have restarted, or have been moved by its own buttons, since
+        self._check_told()
+        # In whole µm, as it is sent: what is told is compared with it.
+        for part in segments(self._place_mm, np.round(to_mm, 3), feed_mm_s * _LONGEST_S):
+            self._hand.check()
+            if not self.is_certain:
+                raise Doubt("it is not certain where the head is")
+            self.is_certain, self.was_moved = False, True
+            x, y, z = part.tolist()
+            self._line.do(commands.straight(x, y, z, feed_mm_s))
+            self._line.do(commands.WAIT_FOR_MOTION)
+            self._place_mm = part
+            self._check_told()
+            self.is_certain = True
+
+    def _check_told(self) -> None:
+        told = self._told()
+        if float(np.abs(told - self._place_mm).max()) > _POSITION_MM:
+            self.is_certain = False
+            found, expected = (", ".join(f"{v:.2f}" for v in place.tolist()) for place in (told, self._place_mm))
+            raise Doubt(f"the printer says that it is at {found}, expected {expected} mm")
+
+    def _told(self) -> F64:
+        told = self._line.position()
+        return np.array((told.x_mm, told.y_mm, told.z_mm))
+
+    def _check_limits(self, to_mm: tuple[float, float, float]) -> None:
+        ranges = (self._limits.x_mm, self._limits.y_mm, self._limits.z_mm)
+        for name, here, value, (least, most) in zip("xyz", self._place_mm.tolist(), to_mm, ranges, strict=True):
+            if value != here and not least - _POSITION_MM <= value <= most + _POSITION_MM:
+                raise Doubt(f"a move to {name} {value:.2f} mm, expected {least:g} to {most:g} (PRINTER.yaml)")

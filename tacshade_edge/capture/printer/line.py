@@ -1,0 +1,157 @@
+"""The printer's serial line: one command, its answer, and a limit of time for it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from tacshade_edge.capture.printer.doubt import Doubt
+from tacshade_edge.devices.serial.port import SerialPort
+from tacshade_edge.errors import DeviceError
+from tacshade_edge.protocol.gcode import commands
+from tacshade_edge.protocol.gcode.answers import Position
+from tacshade_edge.protocol.gcode.exchange import Exchange
+
+# A board that resets when its port is opened answers after its boot loader, which takes seconds.
+_GREETINGS, _GREETING_S = 6, 3.0
+_QUIET_S = 0.5
+ANSWER_S = 10.0
+"""Of a command that moves nothing or hardly: half a second of motion at most."""
+
+# A printer that says that it is busy is waited for; not for ever.
+_BUSY_MOST_S = 180.0
+_STOP_S = 1.0
+
+
+class PrinterLine:
+    """The line to one printer.
+
+    Parameters
+    ----------
+    port : SerialPort
+    """
+
+    def __init__(self, port: SerialPort) -> None:
+        self._port = port
+        self._exchange = Exchange()
+        self.firmware = "unknown firmware"
+
+    @property
+    def has_restarted(self) -> bool:
+        """Whether it did since it was connected to, as many boards do for that: it is not homed any more."""
+        return self._exchange.has_restarted
+
+    def connect(self) -> None:
+        """Open the port, wait until the printer answers, and count lines from 0. Raises ConfigError, DeviceError."""
+        self._port.open()
+        self._write(b"\n")  # ends what a program before may have left half sent
+        if not any(self._greeted() for _ in range(_GREETINGS)):
+            found = f"found no answer in {_GREETINGS * _GREETING_S:.0f} s"
+            raise DeviceError(
+                f"printer {self._port.device}: {found}, expected ok from Marlin or Klipper; is baud right?"
+            )
+        self._until_quiet()
+        self._write(self._exchange.begin_anew())
+        self._wait(ANSWER_S, commands.first_number(0), None)
+        for said in self.do(commands.FIRMWARE):
+            if "FIRMWARE_NAME:" in said:
+                self.firmware = said.partition("FIRMWARE_NAME:")[2].strip()[:60]
+
+    def do(
+        self, command: str, limit_s: float = ANSWER_S, while_waiting: Callable[[], None] | None = None
+    ) -> tuple[str, ...]:
+        """Send a command and wait for its answer.
+
+        Parameters
+        ----------
+        command : str
+        limit_s : float
+            Without an answer, and without a word that the printer is busy.
+        while_waiting : callable, optional
+            Called meanwhile; what it raises ends the wait.
+
+        Returns
+        -------
+        tuple of str
+            What else was said.
+
+        Raises
+        ------
+        Doubt
+            No answer, an error, a reset, or an answer too many.
+        DeviceError
+            The port is lost.
+        """
+        self._check_failure(command)
+        self._write(self._exchange.begin(command))
+        self._wait(limit_s, command, while_waiting)
+        return self._exchange.said
+
+    def position(self) -> Position:
+        """Where the printer says that its head was sent to. Raises as `do`."""
+        self.do(commands.POSITION)
+        if self._exchange.position is None:
+            raise Doubt(f"the printer told no position to {commands.POSITION}")
+        return self._exchange.position
+
+    def listen(self) -> None:
+        """Take what came while nothing was asked: a reset, an error. Raises as `do`."""
+        if again := self._exchange.receive(self._port.read()):
+            raise Doubt(f"the printer asked again for what it had answered: {again!r}")
+        self._check_failure("rest")
+
+    def emergency_stop(self) -> str:
+        """Send M112, whatever is under way; what became of it, in words."""
+        try:
+            if not self._port.write(commands.EMERGENCY_STOP):
+                return "M112 could not be sent: switch the printer off"
+            end_s = time.monotonic() + _STOP_S
+            while time.monotonic() < end_s:
+                self._exchange.receive(self._port.read())
+        except DeviceError as error:
+            return f"M112 could not be sent or its answer not read ({error}): switch the printer off"
+        return "M112 was sent: the printer stands still until it is reset; look whether the indenter still presses"
+
+    def close(self) -> None:
+        """Let go of the port."""
+        self._port.close()
+
+    def _greeted(self) -> bool:
+        self._write(self._exchange.begin_anew())
+        end_s = time.monotonic() + _GREETING_S
+        while time.monotonic() < end_s:
+            self._exchange.receive(self._port.read())
+            if self._exchange.is_done:
+                return True
+        return False
+
+    def _until_quiet(self) -> None:
+        quiet_since_s = time.monotonic()
+        while time.monotonic() - quiet_since_s < _QUIET_S:
+            if data := self._port.read():
+                self._exchange.receive(data)
+                quiet_since_s = time.monotonic()
+
+    def _wait(self, limit_s: float, command: str, while_waiting: Callable[[], None] | None) -> None:
+        began_s = heard_s = time.monotonic()
+        busy = self._exchange.busy
+        while not self._exchange.is_done:
+            self._check_failure(command)
+            now_s = time.monotonic()
+            if now_s - heard_s > limit_s or now_s - began_s > _BUSY_MOST_S:
+                raise Doubt(f"the printer did not answer {command} within {now_s - began_s:.0f} s")
+            if while_waiting is not None:
+                while_waiting()
+            if again := self._exchange.receive(self._port.read()):
+                self._write(again)
+            if self._exchange.busy != busy:
+                busy, heard_s = self._exchange.busy, time.monotonic()
+        self._check_failure(command)
+
+    def _check_failure(self, command: str) -> None:
+        if self._exchange.failure:
+            raise Doubt(f"the printer at {command}: {self._exchange.failure}")
+
+    def _write(self, data: bytes) -> None:
+        if not self._port.write(data):
+            raise Doubt("the printer takes nothing from the line")

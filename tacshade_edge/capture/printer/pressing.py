@@ -1,0 +1,229 @@
+"""The order of it all: home, mount, find the sensor, and for each indenter touch, dry run, presses.
+
+Nothing goes on after a doubt. The head is lifted only where it certainly is where it should be; else M112 stops it.
+"""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from types import FrameType
+from typing import NoReturn
+
+from tacshade_edge.capture.live import Live
+from tacshade_edge.capture.printer.doubt import Doubt, Stopped
+from tacshade_edge.capture.printer.eyes import Eyes
+from tacshade_edge.capture.printer.find_stand import find_stand, reach_mm
+from tacshade_edge.capture.printer.hand import Hand
+from tacshade_edge.capture.printer.head import Head
+from tacshade_edge.capture.printer.line import PrinterLine
+from tacshade_edge.capture.printer.plan import PlannedPress, check_reach
+from tacshade_edge.capture.printer.steps import NEAR_MM
+from tacshade_edge.capture.printer.touch import Touch
+from tacshade_edge.capture.session import Session
+from tacshade_edge.capture.terminal import Terminal
+from tacshade_edge.core.calibration.inputs import Sensor
+from tacshade_edge.core.calibration.press_check import PressCheck
+from tacshade_edge.core.calibration.touches import Stand, first_touch_mm
+from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.settings.printer_file import PrinterFile
+from tacshade_edge.types import Calibration
+
+
+class Pressing:
+    """One start of ``capture --printer``.
+
+    Parameters
+    ----------
+    session : Session
+        Its references and its table.
+    live : Live
+    terminal : Terminal
+    line : PrinterLine
+        Connected.
+    limits : PrinterFile
+    sensor : Sensor
+    presses : sequence of PlannedPress
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        live: Live,
+        terminal: Terminal,
+        line: PrinterLine,
+        limits: PrinterFile,
+        sensor: Sensor,
+        presses: Sequence[PlannedPress],
+    ) -> None:
+        check_reach(reach_mm(sensor), "finding the sensor", limits)
+        self._session = session
+        self._live = live
+        self._terminal = terminal
+        self._line = line
+        self._limits = limits
+        self._sensor = sensor
+        self._hand = Hand(terminal)
+        self._head = Head(line, limits, self._hand)
+        self._left = _without_taken(presses, session)
+        self._ball, self._ball_mm = next((p.name, p.indenter) for p in presses if isinstance(p.indenter, float))
+
+    def run(self) -> None:
+        """Take the presses of the plan that are left.
+
+        Raises
+        ------
+        DeviceError
+            It was stopped: what for, and what was done about it. What was taken until then is in the folder.
+        InputEnded
+        """
+        try:
+            with _ended_by_signals():
+                self._run_until_doubt()
+        except KeyboardInterrupt:
+            if self._head.was_moved and not self._head.is_free:
+                self._terminal.say(self._line.emergency_stop())
+            raise
+
+    def _run_until_doubt(self) -> None:
+        try:
+            self._run()
+        except (Stopped, DeviceError, ConfigError) as error:
+            raise DeviceError(f"stopped: {error}; {self._leave()}") from None
+
+    def _run(self) -> None:
+        if not self._left:
+            self._terminal.say("all planned presses are taken")
+            return
+        self._home()
+        self._live.ask(
+            f"Mount the sensor under the head, its skin up, and {self._ball} in the head, which comes no lower "
+            "until you press Enter. While it moves any key stops and lifts it, Ctrl-C stops it at once (M112)."
+        )
+        unloaded = self._session.unloaded()
+        self._check = PressCheck(unloaded)
+        self._touch = Touch(self._head, Eyes(self._live, self._check, self._hand), self._limits.z_mm[0])
+        with self._terminal.keys():
+            self._stand = self._found_stand(unloaded)
+        mounted, lower_mm = self._ball, 0.0
+        for name in dict.fromkeys(press.name for press in self._left):
+            presses = [press for press in self._left if press.name == name]
+            if name != mounted:
+                with self._terminal.keys():
+                    self._head.to_start()
+                match self._live.ask(f"Mount {name}, its x along the printer's x; Enter goes on, skip, done:"):
+                    case "skip":
+                        continue
+                    case "done":
+                        break
+                with self._terminal.keys():
+                    lower_mm = self._lower_mm(presses[0])
+                mounted = name
+            with self._terminal.keys():
+                self._dry_run(presses, lower_mm)
+                for press in presses:
+                    self._press(press, lower_mm)
+        with self._terminal.keys():
+            self._head.to_start()
+
+    def _home(self) -> None:
+        self._terminal.say(f"printer: {self._line.firmware}")
+        text, answers = "Take the sensor off the bed and the indenter off the head, then type home (G28).", ["home"]
+        if not self._line.has_restarted:
+            text += " Only where the printer was homed before and has been on since, type homed:"
+            answers.append("homed")
+        while (answer := self._live.ask(text)) not in answers:
+            pass
+        with self._terminal.keys():
+            self._head.prepare(home=answer == "home")
+            self._head.to_start()
+
+    def _found_stand(self, unloaded: Calibration) -> Stand:
+        self._terminal.say("looking for the skin ...")
+        x, y, _ = self._limits.start_mm
+        found, rms_mm = find_stand(self._touch, (x, y), self._ball_mm, self._sensor, unloaded)
+        tip_x, tip_y, tip_z = found.head_mm(0.0, 0.0, 0.0)
+        place = f"its axis at x {tip_x:.2f}, y {tip_y:.2f}, its tip at z {tip_z:.2f} mm"
+        self._terminal.say(
+            f"the sensor: {place}, turned by {found.yaw_deg:.1f} degrees; touches fit by {rms_mm:.3f} mm"
+        )
+        return found
+
+    def _lower_mm(self, press: PlannedPress) -> float:
+        """Find how much lower the head must be with another indenter, from a touch at the axis."""
+        self._head.free_z_mm = self._limits.start_mm[2]
+        first_mm = first_touch_mm(press.indenter, self._sensor.skin_radius_mm, 0.0, 0.0)
+        x, y, z = self._stand.head_mm(0.0, 0.0, first_mm)
+        self._head.over(x, y)
+        touch_z = self._touch.from_afar()
+        self._touch.free_over(touch_z)
+        self._terminal.say(f"{press.name}: touches the tip at z {touch_z:.2f} mm")
+        return touch_z - z
+
+    def _dry_run(self, presses: Sequence[PlannedPress], lower_mm: float) -> None:
+        self._terminal.say(f"dry run, {NEAR_MM:g} mm above the skin at {len(presses)} places ...")
+        self._touch.eyes.learn_free()
+        for press in presses:
+            touch_z, _ = self._over(press, lower_mm)
+            self._touch.down(touch_z, touch_z + NEAR_MM)
+            self._touch.lift()
+
+    def _press(self, press: PlannedPress, lower_mm: float) -> None:
+        touch_z, to_z = self._over(press, lower_mm)
+        self._touch.eyes.learn_free()
+        self._touch.down(touch_z, to_z)
+        image = self._touch.eyes.still_image()
+        self._touch.lift()
+        if reason := self._session.keep(image, press.taken_as(self._stand.indenter_yaw_deg), self._check):
+            raise Doubt(f"{press.stated}: {reason}")
+        self._left.remove(press)
+
+    def _over(self, press: PlannedPress, lower_mm: float) -> tuple[float, float]:
+        """Move over a place: heights of the head at first touch and at full depth."""
+        x, y, yaw_deg = press.x_mm, press.y_mm, self._stand.indenter_yaw_deg
+        first_mm = first_touch_mm(press.indenter, self._sensor.skin_radius_mm, x, y, yaw_deg)
+        place_x, place_y, touch_z = self._stand.head_mm(x, y, first_mm)
+        self._head.over(place_x, place_y)
+        return touch_z + lower_mm, touch_z + lower_mm - (press.depth_mm - first_mm)
+
+    def _leave(self) -> str:
+        """Lift the indenter where that is certainly safe, else stop the printer; what was done, in words."""
+        if not self._head.was_moved:
+            return "nothing was moved"
+        if self._head.is_free:
+            return "the head stands still above the skin"
+        if self._head.is_certain:
+            try:
+                with self._terminal.keys():
+                    self._head.to(self._head.free_z_mm)
+            except (Stopped, DeviceError) as error:
+                return f"lifting it failed too ({error}); {self._line.emergency_stop()}"
+            return "the indenter was lifted off"
+        return self._line.emergency_stop()
+
+
+def _without_taken(presses: Sequence[PlannedPress], session: Session) -> list[PlannedPress]:
+    taken = [one.stated for one in session.taken]
+    left = []
+    for press in presses:
+        if (same := next((one for one in taken if press.is_taken_as(one)), None)) is not None:
+            taken.remove(same)
+        else:
+            left.append(press)
+    return left
+
+
+@contextmanager
+def _ended_by_signals() -> Iterator[None]:
+    """A terminal that was closed and a program that is told to end stop the printer as a hand does."""
+
+    def end(number: int, _frame: FrameType | None) -> NoReturn:
+        raise Stopped(f"the program was told to end ({signal.Signals(number).name})")
+
+    before = {number: signal.signal(number, end) for number in (signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

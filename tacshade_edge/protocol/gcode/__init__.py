@@ -1,0 +1,1 @@
+"""G-code on a serial line, as Marlin and Klipper understand it."""

@@ -1,0 +1,120 @@
+"""The camera as it watches: the simulated sensor, and a camera that hangs."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.fake_printer import FakePrinter, Faults, Sensor
+
+from tacshade_edge.capture.live import Live
+from tacshade_edge.capture.page import Page
+from tacshade_edge.capture.printer.doubt import Doubt
+from tacshade_edge.capture.printer.eyes import Eyes
+from tacshade_edge.capture.printer.hand import Hand
+from tacshade_edge.capture.printer.head import Head
+from tacshade_edge.capture.printer.line import PrinterLine
+from tacshade_edge.capture.printer.touch import Touch
+from tacshade_edge.capture.terminal import Terminal
+from tacshade_edge.core.calibration.calibrate import calibrate
+from tacshade_edge.core.calibration.inputs import Sensor as Stated
+from tacshade_edge.core.calibration.press_check import PressCheck
+from tacshade_edge.devices.camera.simulated import SimulatedSource
+from tacshade_edge.devices.files.pressed_file import PressedFile
+from tacshade_edge.devices.serial.port import SerialPort
+from tacshade_edge.settings.printer_file import PrinterFile
+from tacshade_edge.simulator.scene import SimulatedSensor
+from tacshade_edge.types import Frame
+
+LIMITS = PrinterFile(x_mm=[0, 220], y_mm=[0, 220], z_mm=[57, 200], start_mm=[100, 100, 64], feed_mm_s=50)
+UPRIGHT = Sensor(x_mm=100, y_mm=100, tip_z_mm=61.23, yaw_deg=0)
+
+
+@pytest.fixture(scope="module")
+def check() -> PressCheck:
+    images = [SimulatedSensor().frame((), 900 + k).image for k in range(10)]
+    return PressCheck(calibrate(Stated(20, 14, 50, "bright"), images).calibration)
+
+
+class Camera(SimulatedSource):
+    """The simulated one; at some time it may give the same picture for ever, or none that is new."""
+
+    change: Callable[[Frame], Frame] | None = None
+
+    def read(self) -> Frame:
+        frame = super().read()
+        return frame if self.change is None else self.change(frame)
+
+
+@contextlib.contextmanager
+def touch(folder: Path, check: PressCheck, faults: Faults | None = None) -> Iterator[tuple[Touch, FakePrinter, Camera]]:
+    """A ball 2.8 mm above the tip."""
+    with contextlib.ExitStack() as stack:
+        printer = stack.enter_context(FakePrinter(folder / "hand.csv", sensor=UPRIGHT, faults=faults or Faults()))
+        source = Camera(fps=30, script=PressedFile(folder / "hand.csv"))
+        source.open()
+        page = Page()
+        stack.callback(page.close)
+        read, _key = os.pipe()
+        terminal = Terminal(read, stack.enter_context(open(os.devnull, "w")))
+        live, hand, line = Live(source, terminal, page), Hand(terminal), PrinterLine(SerialPort(printer.port, 115200))
+        stack.callback(line.close)
+        stack.enter_context(terminal.keys())
+        head = Head(line, LIMITS, hand)
+        line.connect()
+        head.prepare(home=True)
+        head.to_start()
+        made = Touch(head, Eyes(live, check, hand), LIMITS.z_mm[0])
+        made.eyes.learn_rest()
+        yield made, printer, source
+
+
+@pytest.mark.slow
+def test_a_touch_is_found_within_a_twentieth_of_a_millimetre(tmp_path: Path, check: PressCheck) -> None:
+    with touch(tmp_path, check) as (one, printer, _):
+        found_mm = one.from_afar()
+        assert abs(found_mm - printer.sensor.tip_z_mm) < 0.05
+        one.free_over(found_mm)
+        assert abs(one.from_near(100, 100, found_mm + 0.4) - found_mm) < 0.05
+
+
+@pytest.mark.slow
+def test_where_the_picture_and_the_place_do_not_agree(tmp_path: Path, check: PressCheck) -> None:
+    with touch(tmp_path, check) as (one, printer, _):
+        one.eyes.learn_free()
+        with pytest.raises(Doubt, match=r"shows contact \+\d.\d\d mm from where it should touch, expected nothing"):
+            one.down(printer.sensor.tip_z_mm - 2, printer.sensor.tip_z_mm - 3)
+        assert one.head.z_mm > printer.sensor.tip_z_mm - 2.0  # one long step at most
+        one.lift()
+        one.eyes.learn_free()
+        printer.faults.loses_steps_below_mm = 63.0
+        with pytest.raises(Doubt, match=r"shows no contact -1\.00 mm from where it should touch, expected contact"):
+            one.down(printer.sensor.tip_z_mm, printer.sensor.tip_z_mm - 3)
+        one.lift()
+        one.eyes.learn_free()
+        printer.faults.loses_steps_below_mm = 100.0  # and no touch at all above the least height
+        printer.press()
+        with pytest.raises(Doubt, match=r"no touch was seen down to z 6\d"):
+            one.from_near(100, 100, printer.sensor.tip_z_mm + 2.5)
+
+
+@pytest.mark.slow
+def test_a_camera_that_cannot_be_believed(tmp_path: Path, check: PressCheck) -> None:
+    with touch(tmp_path, check) as (one, _, camera):
+        one.eyes.learn_free()
+        last = camera.read()
+        camera.change = lambda frame: Frame(frame.seq, frame.t_ns, frame.wall_ns, last.image)
+        with pytest.raises(Doubt, match="the same picture again and again"):
+            one.eyes.look()
+        began_ns = time.monotonic_ns()
+        camera.change = lambda frame: Frame(frame.seq, began_ns, frame.wall_ns, frame.image)
+        with pytest.raises(Doubt, match="no 4 new pictures within 5 s"):
+            one.eyes.look()
+        camera.change = lambda frame: Frame(frame.seq, frame.t_ns, frame.wall_ns, np.roll(frame.image, 25, axis=1))
+        with pytest.raises(Doubt, match=r"since the references|cannot be used"):
+            one.eyes.look()
