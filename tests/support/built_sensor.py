@@ -9,14 +9,19 @@ from tacshade_edge.core.image.binarise import binarise
 from tacshade_edge.types import U8, Binarisation, Calibration, Disc, Geometry, Polarity
 
 DARK, BRIGHT = 30, 200
+SPREAD = 1.16
 
 
 def marked(height_px: int, width_px: int, pitch_px: float, disc: Disc, *, pressed_px: float = 0.0) -> U8:
-    """Bright round markers on dark ground, with soft edges; larger within `pressed_px` of the disc's middle."""
+    """Bright round markers on dark ground, with soft edges; larger and spread within `pressed_px` of the disc's middle."""
     rows, cols = np.ogrid[:height_px, :width_px]
-    cell_rows, cell_cols = (np.mod(at, pitch_px) - pitch_px / 2 for at in (rows, cols))
-    from_marker = np.hypot(cell_rows, cell_cols) / pitch_px
     pressed = np.hypot(rows - disc.row_c, cols - disc.col_c) < pressed_px
+    spread = np.where(pressed, 1 / SPREAD, 1.0)
+    cell_rows, cell_cols = (
+        np.mod(middle + (at - middle) * spread, pitch_px) - pitch_px / 2
+        for at, middle in ((rows, disc.row_c), (cols, disc.col_c))
+    )
+    from_marker = np.hypot(cell_rows, cell_cols) / pitch_px
     cover = np.clip((np.where(pressed, 0.42, 0.28) - from_marker) * max(pitch_px / 2, 2) + 0.5, 0, 1)
     return np.asarray(np.rint(DARK + (BRIGHT - DARK) * cover), np.uint8)
 
