@@ -13,7 +13,7 @@ SPREAD = 1.16
 
 
 def marked(height_px: int, width_px: int, pitch_px: float, disc: Disc, *, pressed_px: float = 0.0) -> U8:
-    """Bright round markers on dark ground, with soft edges; larger and spread within `pressed_px` of the disc's middle."""
+    """Bright round markers on dark ground, with soft edges; larger and spread within `pressed_px` of its middle."""
     rows, cols = np.ogrid[:height_px, :width_px]
     pressed = np.hypot(rows - disc.row_c, cols - disc.col_c) < pressed_px
     spread = np.where(pressed, 1 / SPREAD, 1.0)
