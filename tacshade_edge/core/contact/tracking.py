@@ -16,12 +16,16 @@ import numpy as np
 
 from tacshade_edge.types import Reconstruction, Slip
 
-SPAN_NS = 70_000_000
-"""Over which a speed is measured, or over `LEAST_FRAMES` where those take longer: the promise is a slip told within
-100 ms at 30 frames a second and more."""
+SPANS_NS = (70_000_000, 150_000_000, 250_000_000)
+"""Over which a speed is measured, or over `LEAST_FRAMES` where those take longer: the shortest over which it stands out
+of the noise tells a slip, a fast one within 100 ms at 30 frames a second and more."""
 LEAST_FRAMES = 3
 SLIP_MM_S = 3.0
 """From this speed of the imprint over the material on it is a slip."""
+NOISE_SPREADS = 5.5
+"""What noise alone gives a speed is below so many standard deviations, in all but one of a million frames."""
+FIRST_NOISE_MM, NOISE_FRAMES = 0.06, 32
+"""Noise of an imprint's place along each axis before it is known, and over how many frames it is learned."""
 PARTIAL_STRAIN = 0.12
 """Strain over the displacement, from which the contact holds in a part only."""
 PARTIAL_MM = 0.15
@@ -41,15 +45,12 @@ class Contact:
         Mean displacement of the skin there.
     strain_mm : float
         `rigid_motion.RigidMotion.strain_mm`.
-    depth_mm : float
-        Its greatest h.
     """
 
     x_mm: float
     y_mm: float
     shear_mm: tuple[float, float]
     strain_mm: float
-    depth_mm: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +74,7 @@ class Tracked:
 def follow(tracker: ContactTracker, result: Reconstruction) -> Reconstruction:
     """A reconstruction whose objects have what tracking tells; one of a solver that tells no displacement as it is."""
     contacts = [
-        Contact(o.centroid_mm[0], o.centroid_mm[1], o.shear_mm, o.strain_mm or 0.0, o.depth_max_mm)
+        Contact(o.centroid_mm[0], o.centroid_mm[1], o.shear_mm, o.strain_mm or 0.0)
         for o in result.objects
         if o.shear_mm is not None
     ]
@@ -86,7 +87,8 @@ def follow(tracker: ContactTracker, result: Reconstruction) -> Reconstruction:
 @dataclass(slots=True)
 class _Track:
     number: int
-    seen: deque[tuple[int, float, float, float]] = field(default_factory=deque)
+    seen: deque[tuple[int, float, float]] = field(default_factory=deque)
+    noise_mm2: float = FIRST_NOISE_MM**2
     at_mm: tuple[float, float] = (0.0, 0.0)
     slip: Slip = Slip.STICK
 
@@ -133,12 +135,13 @@ def _followed(track: _Track, t_ns: int, contact: Contact) -> Tracked:
     held = contact.x_mm - contact.shear_mm[0], contact.y_mm - contact.shear_mm[1]
     if track.seen and t_ns <= track.seen[-1][0]:
         track.seen.clear()  # another stream
-    track.seen.append((t_ns, *held, contact.depth_mm))
-    while len(track.seen) > LEAST_FRAMES and track.seen[-1][0] - track.seen[0][0] > SPAN_NS:
+    track.seen.append((t_ns, *held))
+    while len(track.seen) > LEAST_FRAMES and track.seen[-1][0] - track.seen[0][0] > SPANS_NS[-1]:
         track.seen.popleft()
-    speed = _speed_mm_s(track.seen)
+    track.noise_mm2 += (_noise_mm2(track.seen, track.noise_mm2) - track.noise_mm2) / NOISE_FRAMES
+    slides, speed = _slide(track.seen, track.noise_mm2)
     size = math.hypot(*contact.shear_mm)
-    if speed is not None and speed >= SLIP_MM_S:
+    if slides:
         track.slip = Slip.FULL
     elif contact.strain_mm > max(PARTIAL_MM, PARTIAL_STRAIN * size):
         track.slip = Slip.PARTIAL
@@ -147,11 +150,27 @@ def _followed(track: _Track, t_ns: int, contact: Contact) -> Tracked:
     return Tracked(track.number, track.slip, speed)
 
 
-def _speed_mm_s(seen: deque[tuple[int, float, float, float]]) -> float | None:
-    """Least-squares speed of the imprint over the material."""
+def _noise_mm2(seen: deque[tuple[int, float, float]], known_mm2: float) -> float:
+    """Variance along an axis that the last second difference shows, which no even motion has."""
     if len(seen) < LEAST_FRAMES:
-        return None
-    t, x, y, _ = np.array(seen).T
-    t = (t - t.mean()) * 1e-9
-    spread = float(t @ t)
-    return float(math.hypot(t @ x, t @ y) / spread) if spread > 0 else None
+        return known_mm2
+    (_, *a), (_, *b), (_, *c) = list(seen)[-LEAST_FRAMES:]
+    return sum((p - 2 * q + r) ** 2 for p, q, r in zip(a, b, c, strict=True)) / 12
+
+
+def _slide(seen: deque[tuple[int, float, float]], noise_mm2: float) -> tuple[bool, float | None]:
+    """Whether the imprint moves over the material, and its least-squares speed, mm/s; None before it is known."""
+    if len(seen) < LEAST_FRAMES:
+        return False, None
+    t_ns, x, y = np.array(seen).T
+    speed = 0.0
+    for span_ns in SPANS_NS:
+        first = min(int(np.searchsorted(t_ns, t_ns[-1] - span_ns)), len(seen) - LEAST_FRAMES)
+        t = (t_ns[first:] - t_ns[first:].mean()) * 1e-9
+        spread = float(t @ t)
+        if spread <= 0:
+            return False, None
+        speed = math.hypot(t @ x[first:], t @ y[first:]) / spread
+        if speed >= max(SLIP_MM_S, NOISE_SPREADS * math.sqrt(noise_mm2 / spread)):
+            return True, speed
+    return False, speed

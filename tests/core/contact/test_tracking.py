@@ -1,3 +1,9 @@
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
 from tacshade_edge.core.contact.tracking import Contact, ContactTracker, Tracked
 from tacshade_edge.types import Slip
 
@@ -5,7 +11,7 @@ FRAME_NS = 16_666_667
 
 
 def contact(x_mm: float, y_mm: float = 0.0, dragged_mm: float = 0.0, strain_mm: float = 0.0) -> Contact:
-    return Contact(x_mm, y_mm, (dragged_mm, 0.0), strain_mm, 2.0)
+    return Contact(x_mm, y_mm, (dragged_mm, 0.0), strain_mm)
 
 
 def followed(tracker: ContactTracker, *objects: Contact, frame: int = 0) -> tuple[Tracked, ...]:
@@ -43,6 +49,35 @@ def test_an_imprint_that_moves_over_the_material_slips_at_its_speed() -> None:
     assert abs(found.slip_mm_s - speed_mm_s) < 0.01
     assert told.index(Slip.FULL) * FRAME_NS <= 10 * FRAME_NS + 100_000_000
     assert Slip.FULL not in told[:11]
+
+
+def noisy(speed_mm_s: float, noise_mm: float, frames: int, onset: int, seed: int = 0) -> list[bool]:
+    """Whether a slip is told of each frame, of an imprint that slides from one on."""
+    rng, tracker, told = np.random.default_rng(seed), ContactTracker(), []
+    for k in range(frames):
+        x, y = rng.normal(0, noise_mm, 2)
+        at = speed_mm_s * max(0, k - onset) * FRAME_NS * 1e-9
+        (found,) = followed(tracker, contact(2 + at + x, y, dragged_mm=2.0), frame=k)
+        told.append(found.slip is Slip.FULL)
+    return told
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise_mm", [0.012, 0.06, 0.2])
+def test_noise_alone_is_no_slip_in_ten_minutes(noise_mm: float) -> None:
+    told = noisy(0.0, noise_mm, 36_000, 0)
+    assert sum(b and not a for a, b in pairwise(told)) <= 1
+
+
+@pytest.mark.parametrize(("speed_mm_s", "noise_mm", "within_s"), [(5, 0.012, 0.1), (20, 0.06, 0.1), (5, 0.06, 0.25)])
+def test_a_slip_is_told_as_soon_as_it_stands_out_of_the_noise(
+    speed_mm_s: float, noise_mm: float, within_s: float
+) -> None:
+    late = []
+    for seed in range(40):
+        told = noisy(speed_mm_s, noise_mm, 80, 50, seed)
+        late.append(told.index(True, 50) - 50 if any(told[50:]) else math.inf)
+    assert np.quantile(late, 0.95) * FRAME_NS * 1e-9 <= within_s
 
 
 def test_skin_that_holds_in_a_part_only() -> None:
