@@ -222,6 +222,8 @@ def _ended_by_signals() -> Iterator[None]:
         raise Stopped(f"the program was told to end ({signal.Signals(number).name})")
 
     before = {number: signal.signal(number, end) for number in (signal.SIGTERM, signal.SIGHUP)}
+    # A shell's background jobs start with it ignored, and a hand must stop the head.
+    before[signal.SIGINT] = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         yield
     finally:
