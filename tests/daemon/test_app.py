@@ -367,7 +367,8 @@ def test_a_requested_reference_outlives_a_restart_and_a_reload(
     try:
         seen.wait_for(f"{BASE}/info", before + 1, 10)
         assert told() == ("request", crc)
-        newer = calibration_file.save(tmp_path / "cal.npz", replace(calibration, alpha=16.0))
+        other = replace(calibration, reference_grey=np.asarray(calibration.reference_grey // 2, np.uint8))
+        newer = calibration_file.save(tmp_path / "cal.npz", other)
         app.app.reload()
         wait_until(lambda: told() == ("calibration", newer.crc32), 5, "the new calibration's own")
         assert last(seen, "info")["reference"]["reason_code"] == "calibration_changed"

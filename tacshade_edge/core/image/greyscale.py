@@ -86,7 +86,8 @@ def normalise(values: F32, inside: Bool) -> F32:
     low, high = values[inside].min(), values[inside].max()
     if not high > low:
         return np.zeros_like(values)
-    result: F32 = np.where(inside, (values - low) / (high - low), np.float32(0)).astype(np.float32)
+    result = np.zeros(values.shape, np.float32)
+    np.divide(values - low, high - low, out=result, where=inside)  # outside a quotient may be beyond float32
     return result
 
 

@@ -80,6 +80,11 @@ def test_constants_normalise_to_zero(level: float) -> None:
     assert not greyscale.shape_grey(values, values, inside).any()
 
 
+def test_what_lies_outside_the_disc_is_not_divided() -> None:
+    values = np.array([[0.0, np.finfo(np.float32).tiny, 4.0]], np.float32)
+    np.testing.assert_array_equal(greyscale.normalise(values, np.array([[True, True, False]])), [[0, 1, 0]])
+
+
 def test_normalise_spans_zero_to_one_over_the_disc_alone() -> None:
     values = np.array([[-9, 1, 2, 3, 99]], np.float32)
     inside = np.array([[False, True, True, True, False]])
