@@ -36,10 +36,10 @@ class Progress:
     def __init__(self, grab: Grab, reconstruct: Reconstruct) -> None:
         self._grab = grab
         self._reconstruct = reconstruct
-        self._processed = self._attempts = 0
+        self._stages = self._attempts = 0
 
     def made(self, degraded: bool) -> bool:
-        """Frames were processed; or, where `degraded`, attempts to get some were made and no frame hangs.
+        """Stages of frames were worked through; or, where `degraded`, attempts to get some were made and no frame hangs.
 
         Parameters
         ----------
@@ -47,10 +47,10 @@ class Progress:
             Whether the daemon has published that no usable frames come.
         """
         # Before `taken`, so that a frame that comes in between cannot look like one that is done.
-        processed, attempts = self._reconstruct.processed, self._grab.attempts
+        processed, stages, attempts = self._reconstruct.processed, self._reconstruct.stages, self._grab.attempts
         hanging = self._reconstruct.taken > processed
-        made = processed > self._processed or (degraded and attempts > self._attempts and not hanging)
-        self._processed, self._attempts = processed, attempts
+        made = stages > self._stages or (degraded and attempts > self._attempts and not hanging)
+        self._stages, self._attempts = stages, attempts
         return made
 
 

@@ -158,6 +158,7 @@ class Reconstruct:
         self.observe: Callable[[str, int, float, float], None] | None = None
         self._tracker = ContactTracker()
         self.taken = self.processed = 0  # frames; they differ while one is in work
+        self.stages = 0  # that have ended, of all frames
         self._mailbox = mailbox
         self._ledger = ledger
         self._timings = timings
@@ -181,6 +182,7 @@ class Reconstruct:
             now_ns = time.monotonic_ns()
             ms[stage] = (now_ns - last_ns) / 1e6
             last_ns = now_ns
+            self.stages += 1
 
         reconstructor = self.reconstructor
         began_ns = last_ns
