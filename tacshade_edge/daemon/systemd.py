@@ -39,7 +39,7 @@ class Progress:
         self._stages = self._attempts = 0
 
     def made(self, degraded: bool) -> bool:
-        """Stages of frames were worked through; or, where `degraded`, attempts to get some were made and no frame hangs.
+        """Stages of frames have ended; or, where `degraded`, attempts to get some were made and no frame hangs.
 
         Parameters
         ----------

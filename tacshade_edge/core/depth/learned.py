@@ -8,7 +8,6 @@ run is the caller's choice (`devices.weights.network` takes ONNX Runtime).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -93,7 +92,12 @@ class LearnedSolver:
         self._cells = CellMeans(preprocessor.integrator, disc_map.map_grid(calibration.geometry.disc, profile.cells))
         reference: F32 = self._cells.means(preprocessor.reference_white) / np.float32(255)
         self._inverse = LearnedInverse(network, calibration.geometry, calibration.pitch_px, reference)
-        self._preprocessor, self._network = preprocessor, network.displacement
+        # Prepared here, so that no frame waits for it when somebody asks.
+        displacement = network.displacement
+        whole = disc_map.map_grid(calibration.geometry.disc, displacement.cells)
+        self._displacement_cells = CellMeans(preprocessor.integrator, whole)
+        at_rest: F32 = self._displacement_cells.means(preprocessor.reference_white) / np.float32(255)
+        self._displacement = LearnedDisplacement(displacement, calibration.geometry, calibration.pitch_px, at_rest)
         self._factor = np.float32(camera.factors.get(profile.name, 1.0))
         self._deepest_mm = np.float32(DEEPEST_RADII * camera.geometry.skin_radius_mm)
 
@@ -119,18 +123,6 @@ class LearnedSolver:
     def shear_mm(self, preprocessed: Preprocessed) -> F32 | None:
         """See `Solver`."""
         return self._displacement(self._displacement_cells.means(preprocessed.white), self.grid.rows)
-
-    @cached_property
-    def _displacement_cells(self) -> CellMeans:
-        grid = disc_map.map_grid(self._preprocessor.calibration.geometry.disc, self._network.cells)
-        return CellMeans(self._preprocessor.integrator, grid)
-
-    @cached_property
-    def _displacement(self) -> LearnedDisplacement:
-        """Prepared when it is asked for: few ask."""
-        calibration = self._preprocessor.calibration
-        reference: F32 = self._displacement_cells.means(self._preprocessor.reference_white) / np.float32(255)
-        return LearnedDisplacement(self._network, calibration.geometry, calibration.pitch_px, reference)
 
 
 def foreign_cells(inverse: Inverse, cells: int) -> Bool:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -37,12 +36,11 @@ def read_network(onnx: Path) -> Network:
 
 
 def read_displacement(onnx: Path) -> DisplacementNetwork:
-    """Read the network of displacement; it is loaded when it is first run."""
-    about = _about(onnx)
-    session = cache(lambda: _session(onnx))
+    """Read the network of displacement."""
+    session, about = _session(onnx), _about(onnx)
 
     def run(white: F32, sensor: F32) -> F32:
-        answer: F32 = session().run(None, {"white": white[None], "sensor": sensor[None]})[0][0]
+        answer: F32 = session.run(None, {"white": white[None], "sensor": sensor[None]})[0][0]
         return answer
 
     return DisplacementNetwork(int(about["fold"]), int(about["cells"]), _sensing(onnx), run)
