@@ -135,7 +135,7 @@ def streams_unprivileged(before: dict[str, str]) -> None:
     with Subscriber(1883) as seen:
         seen.wait_for("tacshade/tacshade/height", 5, START_S)
     now = in_status("streaming, ", 20)
-    assert now["MainPID"] == before["MainPID"], "plugging in takes no restart"
+    assert now["MainPID"] == before["MainPID"], journal()  # plugging in takes no restart
     who = process(now["MainPID"])
     assert "0" not in who["Uid"].split()
     assert (int(who["CapEff"], 16), who["NoNewPrivs"], who["Seccomp"]) == (0, "1", "2")
