@@ -32,7 +32,6 @@ class LearnedDisplacement:
         self._network = network
         self._mm = scale_mm(geometry)
         self._sensor = network.sense(known_maps(geometry, pitch_px, reference_white, network.fold))
-        self(reference_white, network.cells)  # the first run is the longest: no frame waits for it
 
     def __call__(self, white: F32, cells: int) -> F32:
         """Displacement along x and y, float32 (cells, cells, 2) on as many cells as are asked for, finite.

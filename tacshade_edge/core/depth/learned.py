@@ -62,7 +62,6 @@ class LearnedInverse:
         self._network = network
         self._mm = scale_mm(geometry)
         self._sensor = network.sense(known_maps(geometry, pitch_px, reference_white, network.fold))
-        self(reference_white)  # the first run is the longest: no frame waits for it
 
     def __call__(self, white: F32) -> Inverse:
         """Run it on a frame's white, float32 (cells, cells), 0 to 1."""
