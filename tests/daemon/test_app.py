@@ -587,8 +587,8 @@ def test_a_recording_goes_on_while_the_camera_is_lost_and_ends_with_its_referenc
         status = last(seen, "status/recorder")
         assert status["reason"] == status["ending"] == "another reference or calibration came into use"
         assert status["reason_code"] == status["ending_code"] == "calibration_changed"
-        wait_until(lambda: last(seen, "health")["recorder"]["written"] == status["frames"], 5, "health has them")
-        assert last(seen, "health")["recorder"] == {"written": status["frames"], "dropped": 0, "waiting": 0}
+        told = {"written": status["frames"], "dropped": 0, "waiting": 0}
+        wait_until(lambda: last(seen, "health")["recorder"] == told, 5, f"health tells {told}")
 
         # The next has the new reference beside it, and a stop that is answered when all is written.
         ask(seen, "record", action="start", seconds=600, name="two")
