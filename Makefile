@@ -1,10 +1,15 @@
 # make demo    a simulated hand, live in a browser (Python only, never root)
 # make check   format, lint, types, layers and the quick tests: under a minute
+# make lock    newer wheels for boards, on purpose: systemd/requirements.lock and the bill of what is in them
 # make test    everything, with the real broker and a guest with a real kernel's video devices
+# make test-arm  a board's processor, emulated: both Pythons, a minute of the daemon, instructions a frame; over an hour, root
+# make faults  the table of docs/reliability.md, about 4 minutes
 PYTHON ?= python3
 PY := .venv/bin/python
+# A version for processors alone: what else calls itself PyTorch brings 3 GB for GPUs. `--retries 0`: the index may be out of reach.
+CPU_TORCH := --extra-index-url https://download.pytorch.org/whl/cpu 'torch==2.13.0+cpu'
 
-.PHONY: demo lint check test format clean
+.PHONY: demo lint check test test-arm lock faults format clean
 .DELETE_ON_ERROR:
 
 # Two stamps, so that the demo installs only what a user needs.
@@ -31,9 +36,20 @@ check: .venv/dev.stamp
 
 test: .venv/dev.stamp
 	tools/install_debian.sh
-	$(PY) -m pip install --quiet --disable-pip-version-check -e '.[dev,systemd]' || \
-	  echo "tests: systemd-python could not be built: the service's tests will be skipped"
+	$(PY) -m pip install --quiet --disable-pip-version-check --retries 0 $(CPU_TORCH) || \
+	  echo "tests: PyTorch could not be installed: those of calibrate --fit will be skipped"
 	$(PY) tools/run_tests.py
+
+test-arm: .venv/dev.stamp
+	$(PY) -m pip install --quiet --disable-pip-version-check 'uv>=0.9,<1'
+	$(PY) tools/run_arm.py
+
+lock: .venv/dev.stamp
+	$(PY) -m pip install --quiet --disable-pip-version-check 'uv>=0.9,<1'
+	$(PY) tools/lock.py
+
+faults: .venv/dev.stamp
+	$(PY) tools/bench_faults.py table
 
 format: .venv/dev.stamp
 	.venv/bin/ruff format .

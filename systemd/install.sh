@@ -29,7 +29,7 @@ install_all() {
   done
   if live; then
     systemd-sysusers "${files[1]#* }"
-    python_environment
+    "$here/environment.sh" "$app" || exit 1
   fi
   install -d -m 750 "$dest/etc/tacshade-edge"
   for line in "${edited[@]}"; do
@@ -42,15 +42,6 @@ install_all() {
     systemctl enable --quiet tacshade-edge.service
     echo "installed; calibrate, edit /etc/tacshade-edge/config.yaml, then: systemctl restart tacshade-edge"
   fi
-}
-
-python_environment() {
-  local python=${PYTHON:-python3}
-  "$python" -c 'import sys; raise SystemExit(not (3, 11) <= sys.version_info[:2] < (3, 14))' 2>/dev/null ||
-    fail "found $("$python" --version 2>&1 || true), expected Python 3.11 to 3.13 (set PYTHON)"
-  [ -x "$app/bin/python" ] || "$python" -m venv "$app" || fail "expected python3-venv"
-  "$app/bin/python" -m pip install --quiet --disable-pip-version-check --upgrade "$here/..[systemd]" ||
-    fail "pip failed; systemd-python is built here and expects gcc, pkg-config, libsystemd-dev and python3-dev"
 }
 
 uninstall_all() {

@@ -1,3 +1,65 @@
-"""Metric shape from touch on a small board, for TacShade optical tactile sensors."""
+"""Metric shape from touch on a small board, for TacShade optical tactile sensors.
 
-__version__ = "0.1.0"
+What is listed here is the library (docs/library.md); all else is the program's own and may change at any time.
+Nothing is imported until it is asked for.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from tacshade_edge.errors import ConfigError, DecodeError, DeviceError, TacshadeError
+    from tacshade_edge.library.frames import open, read
+    from tacshade_edge.library.heard import listen
+    from tacshade_edge.library.result import Result, Results
+    from tacshade_edge.library.sensor import Sensor, load
+    from tacshade_edge.types import Geometry, Pose, Slip, TouchedObject
+
+    __version__: str
+
+__all__ = [
+    "ConfigError",
+    "DecodeError",
+    "DeviceError",
+    "Geometry",
+    "Pose",
+    "Result",
+    "Results",
+    "Sensor",
+    "Slip",
+    "TacshadeError",
+    "TouchedObject",
+    "__version__",
+    "listen",
+    "load",
+    "open",
+    "read",
+]
+
+_HOMES = {
+    "errors": ("ConfigError", "DecodeError", "DeviceError", "TacshadeError"),
+    "library.frames": ("open", "read"),
+    "library.heard": ("listen",),
+    "library.result": ("Result", "Results"),
+    "library.sensor": ("Sensor", "load"),
+    "types": ("Geometry", "Pose", "Slip", "TouchedObject"),
+}
+
+
+if not TYPE_CHECKING:  # for a checker every name would be there
+
+    def __getattr__(name: str) -> Any:
+        if name == "__version__":
+            from tacshade_edge.version import installed_version
+
+            return installed_version()
+        home = next((home for home, names in _HOMES.items() if name in names), None)
+        if home is None:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return getattr(importlib.import_module(f"{__name__}.{home}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -12,6 +12,7 @@ Anything else that is raised is a defect: it ends the process, and systemd resta
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import ClassVar
 
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -41,9 +42,21 @@ class TacshadeError(Exception):
 
 
 class ConfigError(TacshadeError):
-    """Settings, calibration or arguments that cannot work as they are (exit 78)."""
+    """Settings, calibration or arguments that cannot work as they are (exit 78).
+
+    Parameters
+    ----------
+    text : str
+    code : ReasonCode, optional
+    others : sequence of str
+        What else is wrong with the same file, a line each.
+    """
 
     _code = ReasonCode.CONFIG
+
+    def __init__(self, text: str, *, code: ReasonCode | None = None, others: Sequence[str] = ()) -> None:
+        super().__init__(text, code=code)
+        self.others = tuple(others)
 
 
 class DeviceError(TacshadeError):

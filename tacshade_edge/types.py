@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from enum import IntEnum
+from enum import Flag, IntEnum
 from typing import Literal
 
 import numpy as np
@@ -24,8 +24,8 @@ Bool = npt.NDArray[np.bool_]
 Polarity = Literal["bright", "dark"]
 Binarisation = Literal["adaptive", "global", "otsu"]
 
-_MOST = 1e6
-"""No length, scale or factor of a sensor comes near it, in mm or px."""
+_MOST, _LEAST = 1e6, 1e-6
+"""No length, scale or factor of a sensor comes near them, in mm or px; only its camera may lie at its middle."""
 
 IDENTITY_POSE = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
@@ -170,12 +170,14 @@ class ObjectCloud:
         freeze(self, "points_mm", "labels")
 
 
-class Need(IntEnum):
-    """How much of a frame is asked for; each has what is before it."""
+class Need(Flag):
+    """How much of a frame is asked for; both the displacement and the error of depth have depth with them."""
 
     CONTACT = 0
     DEPTH = 1
-    SHEAR = 2
+    SHEAR = 3
+    SIGMA = 5
+    ALL = 7
 
 
 class Slip(IntEnum):
@@ -258,6 +260,9 @@ class Reconstruction:
     shear_mm : float32 (rows, cols, 2) or None
         Displacement along x and y, from every cause, of the skin that a cell's ray meets; on the grid of `height`, NaN
         outside the disc, 0 without contact. None where the solver tells none.
+    sigma_mm : float32 (rows, cols) or None
+        Standard deviation of `height` where its `contact` is true, elsewhere NaN (`core.depth.sigma`). None where the
+        solver tells none.
     untrusted : bool (rows, cols) or None
         Cells that do not show the sensor's skin: their values say nothing, and they are no contact. None: no cell.
     """
@@ -277,10 +282,11 @@ class Reconstruction:
     volume_mm3: float = 0.0
     repaired_px: int = 0
     shear_mm: F32 | None = None
+    sigma_mm: F32 | None = None
     untrusted: Bool | None = None
 
     def __post_init__(self) -> None:
-        for name in ("shear_mm", "untrusted"):
+        for name in ("shear_mm", "sigma_mm", "untrusted"):
             if getattr(self, name) is not None:
                 freeze(self, name)
 
@@ -338,6 +344,49 @@ class Fit:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class FittedNetwork:
+    """A profile's network that was trained on with a sensor's own presses (``calibrate --fit``).
+
+    Attributes
+    ----------
+    layout : str
+        Of the shipped network that it began with (`devices.weights.onnx_weights`): it runs in no other.
+    weights : float32 (P,)
+        All of its weights, in the order of the shipped file's.
+    correction : float32 (channels, N, N)
+        Added to what the sensor's reference adds to the first layer (`core.depth.Network.sense`), whatever reference
+        the sensor has by then.
+    held_out : int
+        Presses that it was not trained with, by which it was chosen.
+    error_mm, shipped_error_mm : float
+        On those, at the cells where the indenter's surface is known: mean error of h, its own and that of the shipped
+        network with its one factor; each indenter counts alike.
+    error_scale : float or None
+        On σ, as those presses tell (`core.depth.sigma`); None where it was not measured.
+
+    Raises
+    ------
+    ValueError
+        A weight that is not finite, an `error_scale` that is not above 0 or beyond all measure.
+    """
+
+    layout: str
+    weights: F32
+    correction: F32
+    held_out: int
+    error_mm: float
+    shipped_error_mm: float
+    error_scale: float | None = None
+
+    def __post_init__(self) -> None:
+        freeze(self, "weights", "correction")
+        if self.error_scale is not None and not 0 < self.error_scale < _MOST:
+            raise ValueError(f"error_scale is {self.error_scale}, which no sensor has")
+        if not (np.isfinite(self.weights).all() and np.isfinite(self.correction).all()):
+            raise ValueError("a fitted weight is not finite")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
     """Everything that is known of one sensor; stored as one ``.npz`` by ``devices.files.calibration_file``.
 
@@ -365,6 +414,10 @@ class Calibration:
         On h, of each profile that was refitted to presses (`core.calibration.gain`).
     fit : Fit or None
         How good the fit to ball presses is; None without presses.
+    fitted : mapping of str to FittedNetwork
+        Of each profile that has weights of its own; its factor is not used.
+    error_scales : mapping of str to float
+        On σ, of each profile whose shipped network's errors presses have told (`core.depth.sigma`).
     flange_T_sensor : 7 floats
         x, y, z in mm, quaternion w, x, y, z.
     crc32 : int
@@ -388,6 +441,8 @@ class Calibration:
     alpha: float
     factors: Mapping[str, float] = field(default_factory=dict)
     fit: Fit | None = None
+    fitted: Mapping[str, FittedNetwork] = field(default_factory=dict)
+    error_scales: Mapping[str, float] = field(default_factory=dict)
     flange_T_sensor: tuple[float, ...] = IDENTITY_POSE
     crc32: int = 0
 
@@ -395,22 +450,28 @@ class Calibration:
         freeze(self, "reference_white", "reference_grey")
         _check_numbers(self)
 
+    def error_scale(self, profile: str) -> float | None:
+        """That of the network that the profile runs, fitted or shipped; None where no presses have told it."""
+        fitted = self.fitted.get(profile)
+        return self.error_scales.get(profile) if fitted is None else fitted.error_scale
+
 
 def _check_numbers(calibration: Calibration) -> None:
     geometry = calibration.geometry
     disc, distance_mm = geometry.disc, geometry.camera_distance_mm
     positive = {
         "skin_radius_mm": geometry.skin_radius_mm,
-        "camera_distance_mm": 1.0 if distance_mm is None else distance_mm,
         "radius_px": disc.radius_px,
         "pitch_px": calibration.pitch_px,
         **{f"factor of {name}": factor for name, factor in calibration.factors.items()},
+        **{f"error scale of {name}": scale for name, scale in calibration.error_scales.items()},
     }
     ranges = {
-        **{name: (value, 0 < value < _MOST) for name, value in positive.items()},
+        **{name: (value, _LEAST < value < _MOST) for name, value in positive.items()},
+        "camera_distance_mm": (distance_mm, distance_mm is None or 0 < distance_mm < _MOST),
         "row_c": (disc.row_c, abs(disc.row_c) < _MOST),
         "col_c": (disc.col_c, abs(disc.col_c) < _MOST),
-        "visible_half_angle_deg": (geometry.visible_half_angle_deg, 0 < geometry.visible_half_angle_deg <= 90),
+        "visible_half_angle_deg": (geometry.visible_half_angle_deg, _LEAST < geometry.visible_half_angle_deg <= 90),
         "alpha": (calibration.alpha, 0 <= calibration.alpha < _MOST),  # the least one halved is 0
         "noise_grey": (calibration.noise_grey, 0 <= calibration.noise_grey <= 255),
     }

@@ -76,6 +76,7 @@ def outcomes() -> dict[str, tuple[Any, list[str]]]:
     return found
 
 
+@pytest.mark.slow
 def test_rewording_every_text_of_the_core_changes_nothing_but_texts(monkeypatch: pytest.MonkeyPatch) -> None:
     plain = outcomes()
     count = 0

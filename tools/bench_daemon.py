@@ -17,8 +17,8 @@ Latency is from the frame's time stamp to the end of the subscriber's decode; bo
 First map: from the start of the process to the end of the first decode. CPU: of one core, all threads, without the
 first seconds. With several runs the rows take turns, and each figure is the best of its runs.
 
-With ``--record`` it is the daemon without and with a recording, to the folder for temporary files, and what encoding
-a frame costs is told for grey and for colour.
+With ``--record`` it is the daemon without a recording, with 10 s that are kept before one, and with one as a folder and
+as MCAP, to the folder for temporary files, and what encoding a frame costs is told for grey and for colour.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from __future__ import annotations
 import argparse
 import json
 import pickle
+import shutil
 import signal
 import subprocess
 import sys
@@ -62,7 +63,9 @@ ROWS = {  # name: program, ring, what the subscriber asks for
     "free, null": ("null_daemon", "free", "#"),
     "unasked": ("ring_daemon", "contact", ""),
 }
-RECORD_ROWS = {"contact": ROWS["contact"], "recording": ROWS["contact"]}
+RECORDING = {"recording": "folder", "recording, mcap": "mcap"}  # row: format
+BEFORE = "kept before"
+RECORD_ROWS = {"contact": ROWS["contact"], BEFORE: ROWS["contact"], **dict.fromkeys(RECORDING, ROWS["contact"])}
 
 
 def subscriber(port: int, warm_up: int, topics: str) -> None:
@@ -114,13 +117,16 @@ def measure(name: str, row: tuple[str, str, str], folder: Path, port: int, args:
     )
     assert listen.stdout is not None
     assert listen.stdout.readline() == "ready\n"
-    config, shown = folder / "config.yaml", folder / (f"{ring}.npy" if program == "ring_daemon" else f"{ring}.pickle")
+    config, shown = (
+        folder / ("before.yaml" if name == BEFORE else "config.yaml"),
+        folder / (f"{ring}.npy" if program == "ring_daemon" else f"{ring}.pickle"),
+    )
     pause = threading.Event()
     began_s = time.monotonic()
     worker = subprocess.Popen([sys.executable, str(TOOLS / f"{program}.py"), config, shown, str(args.fps)])
     try:
-        if name == "recording":
-            record(config, args.seconds)
+        if name in RECORDING:
+            record(config, args.seconds, RECORDING[name])
         pause.wait(began_s + SETTLE_S - time.monotonic())
         used_s, since_s = cpu_s(worker.pid), time.monotonic()
         pause.wait(began_s + args.seconds - since_s)
@@ -142,7 +148,7 @@ def measure(name: str, row: tuple[str, str, str], folder: Path, port: int, args:
     return {"cpu": cpu, "resident_mb": memory["resident"], "peak_mb": memory["peak"], **told, "accounted": accounted}
 
 
-def record(config: Path, seconds: float) -> None:
+def record(config: Path, seconds: float, format_: str) -> None:
     """Ask the daemon for a recording as soon as it runs; it ends a second before the run."""
     document, began_s = load(config), time.monotonic()
     caller = MqttCaller(
@@ -151,8 +157,16 @@ def record(config: Path, seconds: float) -> None:
     caller.start()
     if not caller.wait_for(lambda: caller.latest("state") == b"online", 20):
         raise SystemExit("bench_daemon: the daemon does not come online")
-    caller.ask({"action": "start", "seconds": seconds - (time.monotonic() - began_s) - 1.0}, 5)
+    left_s = seconds - (time.monotonic() - began_s) - 1.0
+    caller.ask({"action": "start", "name": format_, "format": format_, "seconds": left_s}, 5)
     caller.stop()
+
+
+def an_hour(folder: Path, recorded: dict[str, Any], fps: float) -> str:
+    """What a recording takes of the disk."""
+    files = [path.stat().st_size for path in folder.iterdir()]
+    hour = sum(files) / recorded["written"] * fps * 3600 / 1e9
+    return f"{folder.name}: {recorded}, {len(files)} files; an hour {hour:.1f} GB"
 
 
 def encoding(folder: Path) -> str:
@@ -174,10 +188,11 @@ def prepare(folder: Path, port: int, profile: str) -> None:
     """Images, calibration, settings, and for the null daemon what the real one makes of the images."""
     draw_rings(folder)
     calibration_file.save(folder / "c.npz", make_calibration())
-    (folder / "config.yaml").write_text(
-        f"sensor_id: bench\nprofile: {profile}\ncalibration: c.npz\nsource: {{kind: simulated}}\n"
-        f"mqtt: {{host: 127.0.0.1, port: {port}}}\nrecorder: {{folder: recs}}\n"
-    )
+    for file, before_s in (("config", 0), ("before", 10)):
+        (folder / f"{file}.yaml").write_text(
+            f"sensor_id: bench\nprofile: {profile}\ncalibration: c.npz\nsource: {{kind: simulated}}\n"
+            f"mqtt: {{host: 127.0.0.1, port: {port}}}\nrecorder: {{folder: recs, before_s: {before_s}}}\n"
+        )
     calibration = calibration_file.load(folder / "c.npz")
     reconstructor, crc32 = make_reconstructor(calibration, PROFILES[profile]), calibration.crc32
     for ring in ("contact", "free"):
@@ -258,13 +273,17 @@ def main() -> int:
         parser.error(f"--seconds: expected {SETTLE_S + 1:.0f} or more")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        rows = RECORD_ROWS if args.record else ROWS
+        rows, hours = RECORD_ROWS if args.record else ROWS, list[str]()
         runs: dict[str, list[dict[str, Any]]] = {row: [] for row in rows}
         with broker(folder) as port:
             prepare(folder, port, args.profile)
             for _ in range(args.runs):
                 for row, what in rows.items():
+                    shutil.rmtree(folder / "recs", ignore_errors=True)
                     runs[row].append(measure(row, what, folder, port, args))
+                    if row in RECORDING:
+                        recorded = runs[row][-1]["health"]["recorder"]
+                        hours.append(an_hour(folder / "recs" / RECORDING[row], recorded, args.fps))
         told = encoding(folder) if args.record else ""
     results = {row: best(made) for row, made in runs.items()}
     print(table(results))
@@ -274,7 +293,7 @@ def main() -> int:
         stages = results[row]["health"]["stages_ms"]
         print(f"{row}, p50 / p99 ms: " + ", ".join(f"{stage} {s['p50']} / {s['p99']}" for stage, s in stages.items()))
     if args.record:
-        print(f"recorder: {results['recording']['health']['recorder']}\n{told}")
+        print("\n".join((*hours, told)))
     if args.json:
         args.json.write_text(json.dumps(runs, indent=1) + "\n")
     return 0 if all(r["accounted"] for r in results.values()) else 1

@@ -7,8 +7,8 @@
 Five processes: mosquitto, a publisher of synthetic maps with their clouds, the dashboard, Chromium with its driver, and
 this one. With ``--step 1`` a map is 640x480 cells (614 KB), with 4 it is 160x120 (38 KB; the daemon sends 112x112).
 Drawn are maps with a sequence number of their own that were put onto the canvas, counted by the page; the age is from
-the map's time stamp until it was drawn, by one clock. There is no graphics card here: Chromium draws in software, on
-the same cores.
+the map's time stamp until it was drawn, by one clock. Superseded are maps that a newer one replaced in the page; what
+was heard and is neither is unaccounted. There is no graphics card here: Chromium draws in software, on the same cores.
 """
 
 from __future__ import annotations
@@ -98,7 +98,10 @@ def measure(fps: float, step_px: int, seconds: float) -> dict[str, Any]:
             try:
                 with browser(folder / "chromium") as page:
                     page.get(address)
-                    state = "const t = window.tacshade; return t ? [t.drawn, t.seq, t.age_ms, t.undecodable] : [0]"
+                    state = (
+                        "const t = window.tacshade, m = t && t.maps;"
+                        "return t ? [m.drawn, t.seq, t.age_ms, t.undecodable, m.heard, m.superseded, m.waiting] : [0]"
+                    )
                     wait_until(lambda: page.execute_script(state)[0] > 20, 60, "maps are drawn")
                     first, began, busy = page.execute_script(state), time.monotonic(), cpu_s(server)
                     ages, pause = [], threading.Event()
@@ -109,6 +112,9 @@ def measure(fps: float, step_px: int, seconds: float) -> dict[str, Any]:
                     return {
                         "published_per_s": round((last[1] - first[1]) / took_s, 2),
                         "drawn_per_s": round((last[0] - first[0]) / took_s, 2),
+                        "heard_per_s": round((last[4] - first[4]) / took_s, 2),
+                        "superseded": last[5] - first[5],
+                        "unaccounted": last[4] - last[0] - last[5] - last[6],
                         "age_ms": {"p50": round(statistics.median(ages), 1), "max": max(ages)},
                         "server_cpu_ratio": round((cpu_s(server) - busy) / took_s, 3),
                         "undecodable": last[3],

@@ -20,7 +20,7 @@ import numpy as np
 
 from tacshade_edge.cli.demo_sensor import make_calibration
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.devices.files.recorder import Recorder
+from tacshade_edge.devices.files.recorder import Recorder, png_of
 from tacshade_edge.devices.files.run_files import CLOUDS, HEIGHTS, SUMMARY
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.simulator.script import demonstration
@@ -41,7 +41,8 @@ def write_recording(folder: Path, frames: int, fps: float) -> None:
         grey = drawn[k % DRAWN] + NOISE_GREY * noise.standard_normal(drawn[0].shape, dtype=np.float32)
         t_ns = 10**9 + round(k * 1e9 / fps)
         pose = Pose(t_ns, 0.1 * k, -3.0, 40.0, 1.0, 0.0, 0.0, 0.0) if k % 2 else None
-        recorder.add(Frame(k, t_ns, 0, np.clip(grey, 0, 255).astype(np.uint8), pose))
+        image = np.clip(grey, 0, 255).astype(np.uint8)
+        recorder.add(Frame(k, t_ns, 0, image, pose), png_of(image))
     recorder.finish({"frames": frames})
 
 

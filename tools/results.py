@@ -105,6 +105,17 @@ mean displacement of a contact, direction and twist those of contacts that moved
         (*EVALUATE, "--drag", "--final"),
         drawn=("drag.png",),
     ),
+    "sigma": Page(
+        "Whether the standard deviation of each height holds",
+        """\
+Three simulated sensors of each family that were kept for final figures, calibrated on 8 references and 40 undragged
+ball presses. Four objects that the errors were not fitted to (`tools/fit_sigma.py`), at four places, 1, 2.75 and 4.5 mm
+deep, undragged and dragged by 2 mm (lengths on a skin of 20 mm). A cell is one that is found in contact; its 90 %
+interval is h ± 1.645 σ. The last columns are the part of all absolute error that the tenth of the cells with the
+greatest σ has, and the most that any tenth has. In the plot the grey band is 85 to 95 %.""",
+        (*EVALUATE, "--sigma", "--final", "--objects", "large_crescent,cone,edge,ring"),
+        drawn=("sigma.png",),
+    ),
     "slip": Page(
         "Slips and releases over time",
         """\
@@ -148,6 +159,16 @@ g_hn, on the same maps.""",
 Simulated sensors drawn at random, 5 references and 24 presses each: what is said of good sets, and of sets in which one
 thing was made wrong. Of a re-zero, "said" is the right answer, taken or refused.""",
         ("bench_calibration.py", "--sensors", "30", "--detect", "16", "--first", "8400"),
+    ),
+    "fit": Page(
+        "What `calibrate --fit` is worth",
+        """\
+Simulated sensors of the other family and the default one, calibrated on 5 references and 40 presses up to 4.5 mm deep
+(balls of three sizes, flat ends of two, a square, a lying bar; `/balls`: balls alone) that are stated with an error,
+and fitted to the same. Judged on the paper's five objects at 3 places, 1.5, 3 and 4.5 mm deep, and at 6 mm, a third
+deeper than the deepest press. Worst is the worst object's mean; way is the part of the way from the shipped weights
+to the trained ones that was kept. ME, SD and IoU as of [the paper's five objects](objects.md).""",
+        ("bench_fit.py", "--folder", "out/fit"),
     ),
     "stages": Page(
         "A frame, stage by stage",
@@ -198,6 +219,14 @@ map. `contact`: a ball goes in and out, all topics have a subscriber; `free`: no
         ("bench_daemon.py", "--seconds", "60", "--runs", "2"),
         idle=True,
     ),
+    "recording": Page(
+        "A recording beside the daemon",
+        """\
+The row `contact` of [the daemon](daemon.md), with the profile `fast`: without a recording, with the 10 s that
+`recorder.before_s` keeps before one, and while every frame is recorded as a folder and as MCAP.""",
+        ("bench_daemon.py", "--record", "--profile", "fast", "--seconds", "20", "--runs", "2"),
+        idle=True,
+    ),
     "memory": Page(
         "Memory of the daemon",
         "The command `run` as a service runs it, with images in a camera's place; MB, from /proc.",
@@ -209,6 +238,52 @@ map. `contact`: a ball goes in and out, all topics have a subscriber; `free`: no
         "The shipped networks, one thread, in turns.",
         ("bench_runtime.py",),
         idle=True,
+    ),
+    "arm": Page(
+        "On a board's processor, emulated",
+        """\
+QEMU's model of a Pi 5's processor, with Debian's Python 3.11 and 3.13 and the wheels of `systemd/requirements.lock`.
+"Other" is against the same frames on the machine below. Instructions are counted exactly; the times are an estimate
+from them, between what such processors complete of waiting scalar code and of vector code, right to a factor of two: no
+board was measured. The quick tests run by `make test-arm`.""",
+        ("run_arm.py", "--skip-quick"),
+    ),
+    "faults": Page(
+        "Faults in real parts",
+        """\
+Each row does one thing to a daemon at work: a process of its own, a real mosquitto, ptys, a small file system. Detected
+is from the fault until the daemon has told it, recovered from the fault's end until it works again, both in seconds.
+What is promised is in [reliability](../reliability.md).""",
+        ("bench_faults.py", "table"),
+    ),
+    "faults-damaged": Page(
+        "Damaged inputs",
+        """\
+Files with flipped bits, cuts, holes, words in the place of numbers, and wrong content behind right checksums, read as
+the program reads them. Told is another value with a warning in the log. Another valid value is what no reader can know,
+since these formats have no checksum, or what a right checksum was put over; never one of damage to a checked file.""",
+        ("bench_faults.py", "damage"),
+    ),
+    "faults-words": Page(
+        "Requests and serial lines of anything",
+        """\
+In process where paho hands requests over, through a real broker, and over a pty. What the daemon opens to write is
+seen by an audit hook of Python's, what it publishes by a subscriber to everything.""",
+        ("bench_faults.py", "words"),
+    ),
+    "faults-kills": Page(
+        "kill -9 at random moments",
+        """\
+One daemon after the other works on the same files at the rate that requests can be made, and is killed 0 to 3 s after
+its first frame; the next goes on. Everything that was acknowledged is looked for after each kill.""",
+        ("bench_faults.py", "kills"),
+    ),
+    "faults-soak": Page(
+        "A long run in which something is always wrong",
+        """\
+60 images a second of 640x480, a broker that is restarted once a minute, a subscriber that stalls, recordings one after
+the other, a session that is filled until the map takes no more, ended, and begun anew.""",
+        ("bench_faults.py", "soak", "--seconds", "3600"),
     ),
 }
 

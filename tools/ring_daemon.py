@@ -6,6 +6,7 @@ from pathlib import Path
 
 from bench_rig import RingSource
 
+from tacshade_edge.cli.entry import leave
 from tacshade_edge.daemon.app import App
 from tacshade_edge.devices import registry
 from tacshade_edge.settings import load
@@ -15,3 +16,4 @@ document = load(config)
 app = App(document, RingSource(ring, fps), registry.load_calibration(document))
 signal.signal(signal.SIGTERM, lambda *_: app.stop())
 app.run()
+leave(0)

@@ -156,6 +156,10 @@ class PtyRobot:
             os.close(fd)
         self._link.unlink(missing_ok=True)
 
+    def stop_talking(self) -> None:
+        """Hang, with the cable in."""
+        self._stop.set()
+
     def ask(self, text: str) -> None:
         """Send a command with the next number; its reply comes to `replies`, by number, without the checksum."""
         self._typed.append(text)

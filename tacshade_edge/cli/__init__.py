@@ -5,11 +5,12 @@ from __future__ import annotations
 import argparse
 import importlib
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
-from tacshade_edge import __version__
 from tacshade_edge.errors import ConfigError, TacshadeError
 from tacshade_edge.quoting import escaped
+from tacshade_edge.version import installed_version
 
 _CHARS_MAX = 4000  # of an error: it may list what was expected
 EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_CONFIG = 0, 1, 2, 78
@@ -25,12 +26,41 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "reconstruct": ("reconstruct", "images to height maps, clouds and a summary"),
     "record": ("record", "ask the running daemon for a recording that `replay` reads"),
     "replay": ("replay", "a recording through the reconstructor, to files or a broker; compare two runs"),
+    "export": ("export", "a recording as MCAP, LeRobot data set, CSV or PLY, for other people's tools"),
     "dashboard": ("dashboard", "a live page for the browser: height maps, 3-D view, health; works offline"),
+    "bridge": ("bridge", "live data for other tools: Foxglove and Lichtblick, Prometheus"),
     "evaluate": ("evaluate", "score profiles against ground truth: the paper's Experiment 1, or your own images"),
     "tradeoff": ("tradeoff", "speed against accuracy on this machine: which profile for a budget of milliseconds"),
     "stitch": ("stitch", "images and the robot's poses to one large map; score it against a known surface"),
+    "completion": ("completion", "what a shell needs to complete commands and options at TAB"),
     "simulate": ("simulate", "write simulated images with ground truth, a calibration set, or a scanned touchpad"),
 }
+
+
+class _Version(argparse.Action):
+    """Looks for the version only when it is asked for."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        print(f"{parser.prog} {installed_version()}")
+        parser.exit()
+
+
+def command_line(is_wanted: Callable[[str], bool]) -> tuple[argparse.ArgumentParser, dict[str, Any]]:
+    """The parser of the command line, and the modules of those commands that are wanted: others have no options."""
+    parser = argparse.ArgumentParser(
+        prog="tacshade-edge",
+        description="Metric shape from touch for TacShade sensors.",
+        epilog="tacshade-edge COMMAND --help tells a command's options.",
+    )
+    parser.add_argument("--version", action=_Version, nargs=0, help="tell the version and end")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    modules = {}
+    for name, (module_name, summary) in COMMANDS.items():
+        sub = commands.add_parser(name, help=summary, description=summary[0].upper() + summary[1:] + ".")
+        if is_wanted(name):
+            modules[name] = importlib.import_module(f"tacshade_edge.cli.{module_name}")
+            modules[name].add_arguments(sub)
+    return parser, modules
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -39,26 +69,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     0 done; 1 failed; 2 usage; 78 bad configuration, which systemd must not restart.
     """
     words = list(sys.argv[1:] if argv is None else argv)
-    parser = argparse.ArgumentParser(
-        prog="tacshade-edge",
-        description=f"Metric shape from touch for TacShade sensors (version {__version__}).",
-        epilog="tacshade-edge COMMAND --help tells a command's options.",
-    )
-    parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     chosen = next((w for w in words if not w.startswith("-")), None)
-    module = None
-    for name, (module_name, summary) in COMMANDS.items():
-        sub = commands.add_parser(name, help=summary, description=summary[0].upper() + summary[1:] + ".")
-        if name == chosen:
-            module = importlib.import_module(f"tacshade_edge.cli.{module_name}")
-            module.add_arguments(sub)
+    parser, modules = command_line(lambda name: name == chosen)
     args = parser.parse_args(words)
-    assert module is not None  # argparse has refused an unknown command
+    module = modules[args.command]
     try:
         return int(module.run(args))
     except ConfigError as error:
-        print(f"tacshade-edge: {escaped(str(error), _CHARS_MAX)}", file=sys.stderr)
+        for line in (str(error), *error.others):
+            print(f"tacshade-edge: {escaped(line, _CHARS_MAX)}", file=sys.stderr)
         return EXIT_CONFIG
     except TacshadeError as error:
         print(f"tacshade-edge: {escaped(str(error), _CHARS_MAX)}", file=sys.stderr)

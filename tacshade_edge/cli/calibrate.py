@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import json
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.making_again import inputs_of, with_new_reference
@@ -25,6 +27,9 @@ from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.settings.sensor_file import read_sensor
 from tacshade_edge.types import U8, Calibration
 
+if TYPE_CHECKING:
+    from tacshade_edge.fitting.fit import FitResult
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
@@ -40,6 +45,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--indenters", type=Path, metavar="INDENTERS.yaml", help="the shapes that PRESSES.csv names besides ball"
     )
+    parser.add_argument(
+        "--fit", action="store_true", help="train the networks on with the presses, some minutes; needs the extra fit"
+    )
     parser.add_argument("--out", type=Path, required=True, metavar="CAL.npz", help="the calibration to write")
     parser.add_argument(
         "--allow-loaded-reference", action="store_true", help="warn only when the reference seems taken under load"
@@ -54,7 +62,12 @@ def run(args: argparse.Namespace) -> int:
         if args.presses or args.indenters:
             given = "--presses" if args.presses else "--indenters"
             args.usage_error(f"{given} has no meaning with --rezero, which keeps what was fitted to presses")
+        if args.fit:
+            args.usage_error("--fit has no meaning with --rezero, which keeps what was fitted to presses")
         return _rezero(args)
+    if args.fit and not args.presses:
+        args.usage_error("--fit has no meaning without --presses")
+    fit = _fit() if args.fit else None
     sensor = read_sensor(args.sensor)
     references = _read_references(args.reference)
     if args.indenters and not args.presses:
@@ -64,16 +77,46 @@ def run(args: argparse.Namespace) -> int:
     if args.presses and not presses:
         raise ConfigError(f"{args.presses}: found no press, expected a row for each")
     try:
-        result = calibrate(sensor, references, presses, args.allow_loaded_reference, load_networks())
+        result = calibrate(
+            sensor, references, presses, args.allow_loaded_reference, load_networks(), list(map(str, args.reference))
+        )
     except ConfigError as error:
         raise ConfigError(_by_path(str(error), args)) from None
-    stored = calibration_file.save(args.out, result.calibration, inputs_of(sensor, references, presses))
-    _print(args, stored, (*notes, *result.warnings), _quality(result.quality))
+    fitted = fit(result.calibration, result.presses, _say) if fit else None
+    calibration = fitted.calibration if fitted else result.calibration
+    stored = calibration_file.save(args.out, calibration, inputs_of(sensor, references, presses))
+    _print(args, stored, (*notes, *result.warnings), _quality(result.quality) | _fitted(fitted))
     if not args.json:
-        print(result.quality.line)
-        for advice in result.quality.advice:
+        print(f"{'as shipped, ' if fitted else ''}{result.quality.line}")
+        for report in fitted.profiles if fitted else ():
+            print(report.line)
+        for advice in (*(fitted.advice if fitted else ()), *result.quality.advice):
             print(f"  to do: {advice}")
     return 0
+
+
+def _fit() -> Callable[..., FitResult]:
+    """What trains. Raises ConfigError: it cannot be imported."""
+    if importlib.util.find_spec("torch") is None:  # nothing else needs it, and it is large
+        raise ConfigError("--fit: found no PyTorch, expected the extra fit: pip install 'tacshade-edge[fit]'")
+    from tacshade_edge.fitting.fit import fit
+
+    return fit
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+def _fitted(fitted: FitResult | None) -> dict[str, Any]:
+    """For ``--json``."""
+    if fitted is None:
+        return {}
+    reports = {
+        report.profile: {"kept": report.kept, "shipped_mm": report.shipped_mm, "fitted_mm": report.fitted_mm}
+        for report in fitted.profiles
+    }
+    return {"fitted": reports, "fit_to_do": list(fitted.advice)}
 
 
 def _by_path(text: str, args: argparse.Namespace) -> str:
@@ -86,7 +129,9 @@ def _rezero(args: argparse.Namespace) -> int:
     old, inputs = calibrations.load(args.rezero), calibration_file.inputs_in(args.rezero)
     images = _read_references(args.reference)
     try:
-        renewed = rezero(old, images, args.allow_loaded_reference)
+        renewed = rezero(old, images, args.allow_loaded_reference, list(map(str, args.reference)))
+        # Those that cannot run are kept too: `doctor` asks for a new fit.
+        renewed = replace(renewed, fitted=calibration_file.fitted_in(args.rezero))
     except ConfigError as error:
         raise ConfigError(f"{args.rezero}: {error}") from None
     disc = old.geometry.disc

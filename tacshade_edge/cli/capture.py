@@ -20,6 +20,7 @@ from tacshade_edge.capture.robot_place import RobotPlaces
 from tacshade_edge.capture.session import Session
 from tacshade_edge.capture.terminal import InputEnded, Terminal
 from tacshade_edge.cli.capture_robot import robot_poses
+from tacshade_edge.cli.check_config import add_sensor
 from tacshade_edge.core.calibration.inputs import Sensor
 from tacshade_edge.core.calibration.press_selection import MIN_PRESSES
 from tacshade_edge.devices import registry
@@ -30,10 +31,10 @@ from tacshade_edge.devices.files.capture_folder import REFERENCES, CaptureFolder
 from tacshade_edge.devices.files.indenters import read_indenters, write_printables
 from tacshade_edge.devices.files.presses import BALL
 from tacshade_edge.devices.serial.port import SerialPort
-from tacshade_edge.doctor.cameras import CSI_MEND, found_cameras, has_csi_receiver
+from tacshade_edge.doctor.cameras import CSI_MEND, csi_cameras, found_cameras, has_csi_receiver
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.errors import ConfigError, DeviceError
-from tacshade_edge.settings import Serial, Source, V4l2, load
+from tacshade_edge.settings import Rpicam, Serial, Source, V4l2, load
 from tacshade_edge.settings.printer_file import read_printer
 from tacshade_edge.settings.sensor_file import check_value, read_sensor
 
@@ -66,6 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     camera = parser.add_mutually_exclusive_group()
     camera.add_argument("--camera", metavar="DEVICE", help="the camera, where the machine has several")
     camera.add_argument("--config", type=Path, metavar="FILE", help="settings whose source is the camera")
+    add_sensor(parser)
     parser.add_argument("--plan", type=Path, metavar="PLAN.csv", help="presses to offer: a table like PRESSES.csv")
     parser.add_argument(
         "--printer",
@@ -158,7 +160,7 @@ def _source(args: argparse.Namespace, folder: CaptureFolder) -> tuple[Source, Se
     device: str | None = args.camera
     path = folder.settings if args.config is None and folder.settings.exists() else args.config
     if path is not None:
-        document = load(path)
+        document = load(path, args.sensor)
         registry.check_source(document)
         registry.check_serial(document)
         source = document.settings.source
@@ -168,6 +170,8 @@ def _source(args: argparse.Namespace, folder: CaptureFolder) -> tuple[Source, Se
         return source, document.settings.serial
     if device is None:
         cameras = found_cameras(Machine())
+        if not cameras and len(numbers := list(csi_cameras())) == 1:
+            return Rpicam(camera=numbers[0]), None
         if len(cameras) != 1:
             raise ConfigError(_which(cameras))
         device = cameras[0]

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 from tacshade_edge.devices import registry
+from tacshade_edge.errors import ConfigError
 from tacshade_edge.reasons import Reason
-from tacshade_edge.settings import json_schema, load
+from tacshade_edge.settings import Document, file_schema, load_all
 
 DEFAULT_CONFIG = Path("/etc/tacshade-edge/config.yaml")
+
+
+def add_sensor(parser: argparse.ArgumentParser) -> None:
+    """Declare ``--sensor``."""
+    parser.add_argument("--sensor", metavar="ID", help="which, where the settings have several")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,17 +29,33 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print ``FILE: ok``, or raise the ConfigError that says what is wrong."""
+    """Print ``FILE: ok``, or raise the ConfigError that has all that is wrong."""
     if args.schema:
-        print(json.dumps(json_schema(), indent=2))
+        print(json.dumps(file_schema(), indent=2))
         return 0
-    document = load(args.file)
-    registry.check_files(document)
-    calibration = registry.find_calibration(document)
-    # What `run` makes, made and not started: a wrong certificate is found here.
-    registry.make_source(document.settings.source)
-    registry.make_link(document, on_request=lambda _: None, on_outcome=lambda *_: None)
-    print(f"{args.file}: ok")
-    if isinstance(calibration, Reason):
-        print(f"{document.where('calibration')}: warning: {calibration}")
+    documents = load_all(args.file)
+    checks: tuple[Callable[[Document], object], ...]
+    checks = (registry.check_source, registry.check_serial, _check_broker, registry.find_calibration)
+    mistakes: list[str] = []
+    warnings: list[str] = []
+    for document in documents:
+        for check in checks:
+            try:
+                found = check(document)
+            except ConfigError as error:
+                mistakes.append(str(error))
+            else:
+                if isinstance(found, Reason):
+                    warnings.append(f"{document.where('calibration')}: warning: {found}")
+    if mistakes := list(dict.fromkeys(mistakes)):
+        raise ConfigError(mistakes[0], others=mistakes[1:])
+    for document in documents:
+        registry.make_source(document.settings.source)
+    print(f"{args.file}: ok", *warnings, sep="\n")
     return 0
+
+
+def _check_broker(document: Document) -> None:
+    """Make what `run` makes, and do not start it: a wrong certificate is found here."""
+    registry.check_broker_files(document)
+    registry.make_link(document, on_request=lambda _: None, on_outcome=lambda *_: None)

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import ipaddress
 import signal
+import socket
 import ssl
 import sys
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from tacshade_edge.cli.logs import start_logging
+from tacshade_edge.cli.dashboard_access import is_loopback, make_token, read_token, server_tls
+from tacshade_edge.cli.logs import add_verbosity, start_logging
 from tacshade_edge.errors import ConfigError
+
+_ANY = ("0.0.0.0", "::")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's options."""
+    add_verbosity(parser)
     parser.add_argument(
         "--broker",
         type=_host_and_port,
@@ -28,8 +32,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--http", type=_port, default=8080, metavar="PORT", help="port of the page; 0: any free one (default: 8080)"
     )
     parser.add_argument(
-        "--host", default="127.0.0.1", metavar="ADDRESS", help="address to listen on (default: this machine only)"
+        "--host",
+        default="127.0.0.1",
+        metavar="ADDRESS",
+        help="address to listen on (default: this machine only); another one wants a token, and is read-only",
     )
+    parser.add_argument(
+        "--token-file",
+        type=Path,
+        metavar="FILE",
+        help="the token that opens the page, and makes it read-only; made where it is not there",
+    )
+    parser.add_argument("--allow-control", action="store_true", help="who has the token may command the hands too")
+    parser.add_argument("--certificate", type=Path, metavar="FILE", help="PEM file: serve the page over TLS")
+    parser.add_argument("--key", type=Path, metavar="FILE", help="PEM file of its key (default: in the same file)")
     parser.add_argument("--ca-file", type=Path, metavar="FILE", help="PEM file of the broker's CA: use TLS to it")
     parser.add_argument(
         "--origin",
@@ -50,17 +66,27 @@ def run(args: argparse.Namespace) -> int:
         if error.name is None or error.name.partition(".")[0] != "websockets":
             raise
         raise ConfigError("the package websockets is missing: pip install 'tacshade-edge[dashboard]'") from None
-    start_logging()
+    start_logging(args.log_level)
     host, port = args.broker
     broker = Broker(host, port, _tls(args.ca_file) if args.ca_file else None)
+    tls = server_tls(args.certificate, args.key)
+    is_opened = not is_loopback(args.host)
+    token = read_token(args.token_file) if args.token_file else None
+    is_new = token is None and (is_opened or args.token_file is not None)
+    if is_new:
+        token = make_token(args.token_file)
+    read_only = token is not None and not args.allow_control
 
     def listening(host: str, port: int) -> None:
-        shown = f"[{host}]" if ":" in host else host
-        print(f"dashboard: http://{shown}:{port}/ for the broker {broker}; Ctrl-C ends", flush=True)
-        if not ipaddress.ip_address(host).is_loopback:
+        name = socket.gethostname() if host in _ANY else host
+        page = f"{'https' if tls else 'http'}://{f'[{name}]' if ':' in name else name}:{port}/"
+        page += f"login#{token}" if is_new else ""
+        how = ", read-only" if read_only else ""
+        how += f", token in {args.token_file}" if args.token_file else ""
+        print(f"dashboard: {page} for the broker {broker}{how}; Ctrl-C ends", flush=True)
+        if is_opened and not tls:
             print(
-                "dashboard: other machines can open this page, unencrypted; a broker without passwords then "
-                "obeys anybody",
+                "dashboard: unencrypted: others on the network may read the token and what is shown (--certificate)",
                 file=sys.stderr,
             )
 
@@ -68,7 +94,17 @@ def run(args: argparse.Namespace) -> int:
         stop = asyncio.Event()
         for number in (signal.SIGTERM, signal.SIGINT):
             asyncio.get_running_loop().add_signal_handler(number, stop.set)
-        await server.run(broker, args.host, args.http, frozenset(args.origin), listening, stop)
+        await server.run(
+            broker,
+            args.host,
+            args.http,
+            frozenset(args.origin),
+            listening,
+            stop,
+            tls=tls,
+            token=token,
+            read_only=read_only,
+        )
 
     asyncio.run(serve())
     return 0

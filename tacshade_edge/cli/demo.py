@@ -1,8 +1,12 @@
-"""``tacshade-edge demo``: a simulated hand, the real daemon, a private broker and the dashboard, all on loopback."""
+"""``tacshade-edge demo``: simulated hands, the real daemon for each, a private broker and the dashboard.
+
+All are on loopback, but for the page with ``--listen``.
+"""
 
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import math
 import signal
 import socket
@@ -14,15 +18,20 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Final
 
+from tacshade_edge.cli import demo_map
+from tacshade_edge.cli.dashboard_access import is_loopback, make_token
 from tacshade_edge.cli.demo_broker import broker_command
 from tacshade_edge.cli.demo_child import Child, free_port, wait_for_port
 from tacshade_edge.cli.demo_sensor import make_calibration
 from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.errors import ConfigError
 
 FPS: Final = 20  # a laptop draws a simulated frame in 10 to 40 ms, few of them in up to 170
 PORT: Final = 8080
 START_S: Final = 30.0
 CHECK_PERIOD_S: Final = 0.5
+ANY: Final = ("0.0.0.0", "::")
+ELSEWHERE: Final = ("192.0.2.1", 9)  # an address of documentation (RFC 5737)
 STOP_SIGNALS: Final = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
 _SETTINGS = """\
@@ -37,11 +46,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's options."""
     add = parser.add_argument
     add("--http", type=int, metavar="PORT", help=f"the page's port (default: {PORT}, or any free one)")
+    add(
+        "--listen",
+        default="127.0.0.1",
+        metavar="ADDRESS",
+        help="where the page listens, such as 0.0.0.0 (this machine only)",
+    )
     add("--seconds", type=float, default=math.inf, metavar="N", help="end by itself after N seconds")
 
 
 def run(args: argparse.Namespace) -> int:
     """Run until Ctrl-C, SIGTERM, the terminal's end, or ``--seconds``."""
+    if importlib.util.find_spec("websockets") is None:  # the page's; said before a minute of work
+        raise ConfigError("demo: the package websockets is missing: pip install 'tacshade-edge[demo]'")
     asked = threading.Event()
 
     def stop(*_: object) -> None:
@@ -59,7 +76,8 @@ def run(args: argparse.Namespace) -> int:
     for number in STOP_SIGNALS:
         signal.signal(number, stop)
     me = [sys.executable, "-m", "tacshade_edge"]
-    http = _free(PORT) if args.http is None else args.http
+    host = args.listen
+    http = _free(host, PORT) if args.http is None else args.http
     with suppress(KeyboardInterrupt), ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tacshade-demo-")))
         children: list[Child] = []
@@ -72,7 +90,14 @@ def run(args: argparse.Namespace) -> int:
 
         mqtt = free_port()
         broker = start("broker", broker_command(folder, mqtt))
-        dashboard = start("dashboard", [*me, "dashboard", "--broker", f"127.0.0.1:{mqtt}", "--http", str(http)])
+        page = [*me, "dashboard", "--broker", f"127.0.0.1:{mqtt}", "--http", str(http), "--host", host]
+        login = ""
+        if not is_loopback(host):
+            # The hand is simulated: who was told the address may play with it.
+            token_file = folder / "token"
+            login = f"login#{make_token(token_file)}"
+            page += ["--token-file", str(token_file), "--allow-control"]
+        dashboard = start("dashboard", page)
         print("Calibrating a simulated sensor on simulated ball presses ...", flush=True)
         calibration_file.save(folder / "calibration.npz", make_calibration())
         end_if_asked()
@@ -80,24 +105,41 @@ def run(args: argparse.Namespace) -> int:
         settings.write_text(_SETTINGS.format(fps=FPS, port=mqtt), encoding="utf-8")
         wait_for_port(broker, mqtt, START_S)
         start("daemon", [*me, "run", "--config", str(settings)])
-        wait_for_port(dashboard, http, START_S)
-        print(f"A simulated hand presses one object after another: open http://127.0.0.1:{http}/", flush=True)
+        names = addresses(host)
+        wait_for_port(dashboard, http, START_S, "127.0.0.1" if host in ANY else host)
+        shown = " or ".join(f"http://{f'[{name}]' if ':' in name else name}:{http}/{login}" for name in names)
+        print(f"A simulated hand presses and drags objects, soon another one stitches a map: open {shown}", flush=True)
+        if login:
+            print("Unencrypted: others on the network may read the address and what is shown.", flush=True)
         print("Ctrl-C ends.", flush=True)
+        other = demo_map.hand(folder, mqtt, lambda config: start("map", [*me, "run", "--config", str(config)]))
+        stack.callback(other.close)
         deadline_s = time.monotonic() + args.seconds
         while (left_s := deadline_s - time.monotonic()) > 0:
             time.sleep(min(CHECK_PERIOD_S, left_s))
             end_if_asked()
             for child in children:
                 child.check()
+            next(other)
     return 0
 
 
-def _free(port: int) -> int:
+def addresses(host: str) -> tuple[str, ...]:
+    """What to open from where somebody sits: of an address for all networks, this machine's name and its own."""
+    if host not in ANY:
+        return (host,)
+    with socket.socket(type=socket.SOCK_DGRAM) as probe, suppress(OSError):
+        probe.connect(ELSEWHERE)  # sends nothing: it asks the routes
+        return probe.getsockname()[0], socket.gethostname()
+    return (socket.gethostname(),)
+
+
+def _free(host: str, port: int) -> int:
     """The port itself, or another one when it is taken."""
-    with socket.socket() as probe:
+    with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            probe.bind(("127.0.0.1", port))
+            probe.bind((host, port))
         except OSError:
             return free_port()
     return port

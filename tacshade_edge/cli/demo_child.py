@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -78,8 +79,8 @@ class Child:
             self._process.wait()
 
 
-def wait_for_port(child: Child, port: int, timeout_s: float) -> None:
-    """Wait until someone accepts connections on this loopback port.
+def wait_for_port(child: Child, port: int, timeout_s: float, host: str = "127.0.0.1") -> None:
+    """Wait until someone accepts connections on this port of this machine.
 
     Raises
     ------
@@ -89,9 +90,8 @@ def wait_for_port(child: Child, port: int, timeout_s: float) -> None:
     deadline_s = time.monotonic() + timeout_s
     while True:
         child.check()
-        with socket.socket() as probe:
-            if probe.connect_ex(("127.0.0.1", port)) == 0:
-                return
+        with suppress(OSError), socket.create_connection((host, port), timeout=timeout_s):
+            return
         if time.monotonic() > deadline_s:
             raise DeviceError(f"demo: the {child.name} does not listen on port {port} after {timeout_s:.0f} s")
         time.sleep(_POLL_S)

@@ -10,7 +10,8 @@ from dataclasses import asdict
 from pathlib import Path
 
 from tacshade_edge.cli import EXIT_CONFIG, EXIT_FAILED, EXIT_OK
-from tacshade_edge.cli.check_config import DEFAULT_CONFIG
+from tacshade_edge.cli.check_config import DEFAULT_CONFIG, add_sensor
+from tacshade_edge.doctor.bundle import Seen, write_bundle
 from tacshade_edge.doctor.diagnose import diagnose
 from tacshade_edge.doctor.finding import Finding, State
 from tacshade_edge.doctor.machine import Machine
@@ -26,20 +27,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--config", type=Path, default=DEFAULT_CONFIG, metavar="FILE", help="settings (default: %(default)s)"
     )
+    add_sensor(parser)
+    parser.add_argument("--bundle", type=Path, metavar="FILE", help="write what somebody needs who is to help, a zip")
+    parser.add_argument("--with-frame", action="store_true", help="the camera's picture is in the bundle too")
+    parser.set_defaults(refuse=parser.error)
     parser.add_argument("--json", action="store_true", help="print a list of {check, state, found, mend}")
 
 
 def run(args: argparse.Namespace) -> int:
     """Print every finding; 78 with bad settings, 1 with another fault."""
-    findings = []
-    for finding in diagnose(args.config, Machine()):
+    if args.with_frame and args.bundle is None:
+        args.refuse("--with-frame: found no --bundle FILE to put it in")
+    findings, seen = [], Seen()
+    for finding in diagnose(args.config, Machine(), seen, args.sensor):
         findings.append(finding)
         if not args.json:
             print(shown(finding, colour=sys.stdout.isatty() and "NO_COLOR" not in os.environ), flush=True)
+    if args.bundle is not None:
+        write_bundle(args.bundle, findings, seen, with_frame=args.with_frame)
     if args.json:
         print(json.dumps([asdict(finding) for finding in findings], indent=2))
     else:
         print(_summary(findings))
+        if args.bundle is not None:
+            print(f"{args.bundle} is written; look at it before you give it away")
     faults = {finding.check for finding in findings if finding.state == "fault"}
     if SETTINGS in faults:
         return EXIT_CONFIG

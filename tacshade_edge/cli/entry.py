@@ -1,25 +1,30 @@
-"""The process around a command: stopped before it has begun, and ended with its exit code whatever is left of it."""
+"""The process around a command: refused where it cannot work, and ended with its exit code whatever is left of it."""
 
 from __future__ import annotations
 
 import contextlib
 import logging
 import os
-import signal
+import resource
 import sys
 import threading
 from types import TracebackType
 from typing import NoReturn
 
-from tacshade_edge.cli import EXIT_FAILED, EXIT_OK, main
+from tacshade_edge.cli import EXIT_CONFIG, EXIT_FAILED, main
+
+# Most of it is never used: libraries, and the threads' stacks and heaps. Below, OpenCV ends in a segmentation fault
+# while it is loaded, and OpenBLAS ends the process later.
+ADDRESS_SPACE_BYTES_MIN = 1 << 30
 
 
 def entry() -> NoReturn:
-    """Be the console script and ``python -m tacshade_edge``."""
-    if sys.argv[1:2] == ["run"]:
-        # Its imports take seconds on a small board; until the daemon is there, a stop has nothing to finish.
-        for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, lambda *_: os._exit(EXIT_OK))
+    """Do what the command line says; the signals are ``tacshade_edge.__main__``'s."""
+    limit_bytes, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if 0 <= limit_bytes < ADDRESS_SPACE_BYTES_MIN:
+        found = f"found {limit_bytes >> 20} MiB of address space (ulimit -v, RLIMIT_AS)"
+        print(f"tacshade-edge: {found}, expected at least {ADDRESS_SPACE_BYTES_MIN >> 20} MiB", file=sys.stderr)
+        sys.exit(EXIT_CONFIG)
     sys.excepthook = _defect
     leave(main())
 

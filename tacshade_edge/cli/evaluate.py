@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tacshade_edge.cli import evaluate_labels, study
+from tacshade_edge.cli.progress import Progress
 from tacshade_edge.core.calibration.press_selection import MIN_PRESSES
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.devices.files import calibration_file
@@ -34,6 +35,11 @@ from tacshade_edge.studies.limits.summary import text as limits_text
 from tacshade_edge.studies.limits.work import Plan as LimitsPlan
 from tacshade_edge.studies.limits.work import limits
 from tacshade_edge.studies.parallel import usable_cores
+from tacshade_edge.studies.sigma.picture import draw as draw_sigma
+from tacshade_edge.studies.sigma.summary import text as sigma_text
+from tacshade_edge.studies.sigma.work import Plan as SigmaPlan
+from tacshade_edge.studies.sigma.work import SigmaRow
+from tacshade_edge.studies.sigma.work import study as sigma
 from tacshade_edge.studies.slip.summary import text as slip_text
 from tacshade_edge.studies.slip.work import HeldRow, ReleaseRow, SlideRow
 from tacshade_edge.studies.slip.work import Plan as SlipPlan
@@ -86,6 +92,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help=f"slips and releases instead: told how soon, and falsely ({LIMITS_SENSORS})",
     )
+    instead.add_argument(
+        "--sigma",
+        action="store_true",
+        help=f"whether the standard deviation of each height holds instead ({DRAG_SENSORS})",
+    )
     simulated, which = study.add_simulated(parser, WORKING_SENSORS, "all")
     which.add_argument(
         "--final",
@@ -109,13 +120,15 @@ def run(args: argparse.Namespace) -> int:
         return _drag(args)
     if args.slip:
         return _slip(args)
+    if args.sigma:
+        return _sigma(args)
     return _own(args) if study.is_own(args, SIMULATED) else _simulated(args)
 
 
 def _labels_checked(args: argparse.Namespace) -> argparse.Namespace:
     """Refuse what does not go with labels."""
     given = [name for name in SIMULATED if getattr(args, name) is not None]
-    given += [name for name in ("ablation", "limits", "drag", "slip") if getattr(args, name)]
+    given += [name for name in ("ablation", "limits", "drag", "slip", "sigma") if getattr(args, name)]
     if given:
         args.usage_error(f"--{given[0]} does not go with --labels")
     if args.images is None or args.labels is None:
@@ -146,7 +159,7 @@ def _ablation(args: argparse.Namespace) -> int:
         args.usage_error(f"--profile: found {' '.join((profile, *more))}, expected one that runs a network")
     sensors = args.sensors or study.sensors(ABLATION_SENSORS)
     study.make_folder(args.out)
-    found = ablate(AblationPlan(FINAL_SENSORS if args.final else sensors, profile), usable_cores(), study.progress)
+    found = ablate(AblationPlan(FINAL_SENSORS if args.final else sensors, profile), usable_cores(), Progress())
     study.publish(args, "ablation", ablation_text(found), {"": csv_text(AblationRow, object_rows(found))})
     return 0
 
@@ -157,7 +170,7 @@ def _limits(args: argparse.Namespace) -> int:
     plan = LimitsPlan(FINAL_SENSORS if args.final else sensors, _profiles(args))
     study.make_folder(args.out)
     drawn = study.will_draw(args, "the plots")
-    found = limits(plan, usable_cores(), study.progress)
+    found = limits(plan, usable_cores(), Progress())
     rows = {f"_{kind}": csv_text(type(some[0]), some) for kind, some in found.tables()}
     study.publish(args, "limits", limits_text(found, plan), rows)
     for name, content in (limits_picture.draw(found) if drawn else {}).items():
@@ -173,10 +186,29 @@ def _drag(args: argparse.Namespace) -> int:
     plan = DragPlan(sensors, _profiles(args), args.objects or tuple(OBJECTS), args.references or REFERENCES, presses)
     study.make_folder(args.out)
     drawn = study.will_draw(args, "drag.png")
-    rows = drag(plan, usable_cores(), study.progress)
+    rows = drag(plan, usable_cores(), Progress())
     study.publish(args, "drag", drag_text(rows), {"": csv_text(DragRow, rows)}, [asdict(row) for row in rows])
     if drawn:
         study.write(args.out / "drag.png", draw_drag(rows))
+    return 0
+
+
+def _sigma(args: argparse.Namespace) -> int:
+    if args.images is not None or args.calibration is not None:
+        args.usage_error("--sigma is for simulated sensors, not for your own images")
+    if args.json:
+        args.usage_error("--json does not go with --sigma")
+    if "paper" in (profiles := _profiles(args)):
+        args.usage_error("--profile: found paper, which tells no errors")
+    sensors = FINAL_SENSORS if args.final else args.sensors or study.sensors(DRAG_SENSORS)
+    presses = _presses(args)
+    plan = SigmaPlan(sensors, profiles, args.objects or tuple(OBJECTS), args.references or REFERENCES, presses)
+    study.make_folder(args.out)
+    drawn = study.will_draw(args, "sigma.png")
+    found = sigma(plan, usable_cores(), Progress())
+    study.publish(args, "sigma", sigma_text(found), {"": csv_text(SigmaRow, [each.row for each in found])})
+    if drawn:
+        study.write(args.out / "sigma.png", draw_sigma(found))
     return 0
 
 
@@ -187,7 +219,7 @@ def _slip(args: argparse.Namespace) -> int:
     if any(sensor.family != "tacshade" for sensor in plan.sensors):
         args.usage_error("--slip: only sensors of the family tacshade move in time")
     study.make_folder(args.out)
-    rows = slip(plan, usable_cores(), study.progress)
+    rows = slip(plan, usable_cores(), Progress())
     kinds = {"_slides": SlideRow, "_held": HeldRow, "_releases": ReleaseRow}
     files = {name: csv_text(kind, [row for row in rows if isinstance(row, kind)]) for name, kind in kinds.items()}
     study.publish(args, "slip", slip_text(rows), files)
@@ -195,9 +227,7 @@ def _slip(args: argparse.Namespace) -> int:
 
 
 def _simulated(args: argparse.Namespace) -> int:
-    presses = PRESSES if args.presses is None else args.presses
-    if 0 < presses < MIN_PRESSES:
-        args.usage_error(f"--presses: found {presses}, expected 0, or {MIN_PRESSES} or more")
+    presses = _presses(args)
     if args.references == 0:
         args.usage_error("--references: found 0, expected 1 or more")
     sensors = args.sensors or study.sensors(WORKING_SENSORS)
@@ -210,8 +240,8 @@ def _simulated(args: argparse.Namespace) -> int:
     )
     study.make_folder(args.out)
     drawn = study.will_draw(args, "figure6.png", picture.PACKAGES)
-    found = evaluate(plan, usable_cores(), study.progress)
-    timings = time_profiles(plan, found.calibrations[0].calibration, study.progress)
+    found = evaluate(plan, usable_cores(), Progress())
+    timings = time_profiles(plan, found.calibrations[0].calibration, Progress())
     _publish(args, found.rows, timings, _settings(plan, found))
     if drawn:
         profile = _best(found.rows)
@@ -220,6 +250,13 @@ def _simulated(args: argparse.Namespace) -> int:
         shown = picture.columns(plan.sensors[0], calibration, profile, names)
         study.write(args.out / "figure6.png", picture.draw(shown, calibration, profile))
     return 0
+
+
+def _presses(args: argparse.Namespace) -> int:
+    presses = PRESSES if args.presses is None else int(args.presses)
+    if 0 < presses < MIN_PRESSES:
+        args.usage_error(f"--presses: found {presses}, expected 0, or {MIN_PRESSES} or more")
+    return presses
 
 
 def _own(args: argparse.Namespace) -> int:

@@ -8,8 +8,9 @@ import sys
 from collections.abc import Sequence
 
 from tacshade_edge.cli import study
+from tacshade_edge.cli.progress import Progress
 from tacshade_edge.core.calibration.calibrate import calibrate
-from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.devices import calibrations
 from tacshade_edge.devices.files.images import read_image
 from tacshade_edge.devices.files.labels import LabelledImage, read_labels
 from tacshade_edge.errors import ConfigError, DecodeError
@@ -30,18 +31,19 @@ def run(args: argparse.Namespace, profiles: Sequence[str]) -> int:
     made = {profile: reconstructor(calibration, profile) for profile in profiles}
     rows: dict[str, list[FoundRow]] = {profile: [] for profile in profiles}
     used, mistakes = [], 0
+    progress = Progress()
     for k, each in enumerate(labelled):
-        study.progress("frames", k, len(labelled))
+        progress("frames", k, len(labelled))
         try:
             image = read_image(each.path)
         except DecodeError as error:
-            print(f"tacshade-edge: {error}", file=sys.stderr)
+            progress.say(f"tacshade-edge: {error}")
             mistakes += 1
             continue
         used.append(each)
         for profile, one in made.items():
             rows[profile].append(found_row(each.path.name, one.step(Frame(0, 0, 0, image))))
-    study.progress("frames", len(labelled), len(labelled))
+    progress("frames", len(labelled), len(labelled))
     if not used:
         raise ConfigError(f"{args.labels}: found no image that can be read, expected some in {args.images}")
     known = [each.known for each in used]
@@ -56,7 +58,7 @@ def run(args: argparse.Namespace, profiles: Sequence[str]) -> int:
 def _calibration(args: argparse.Namespace, labelled: Sequence[LabelledImage]) -> Calibration:
     """The user's; or one from what is known of the sensor and its references, in their place the least loaded frame."""
     if args.calibration is not None:
-        return calibration_file.load(args.calibration)
+        return calibrations.load(args.calibration, store=False)
     paths = args.reference or [min(labelled, key=_load).path]
     if not args.reference:
         print(f"tacshade-edge: {paths[0]} is taken as reference: the least loaded frame", file=sys.stderr)

@@ -6,9 +6,14 @@ no text can look like a line of its own or command a terminal.
 
 from __future__ import annotations
 
+import argparse
+import contextlib
 import logging
+import os
+import sys
 import time
 from dataclasses import dataclass
+from datetime import datetime
 from typing import Final, TextIO
 
 from tacshade_edge.quoting import escaped
@@ -20,9 +25,32 @@ PERIOD_S: Final = 10.0
 _KINDS_MAX: Final = 256
 
 
-def start_logging() -> None:
-    """Log to stderr."""
-    logging.basicConfig(level=logging.INFO, handlers=[OneLineHandler()])
+def add_verbosity(parser: argparse.ArgumentParser) -> None:
+    """Declare ``-v`` and ``-q``."""
+    how = parser.add_mutually_exclusive_group()
+    for short, name, level, text in (
+        ("-v", "--verbose", logging.DEBUG, "log more, for the search of a fault"),
+        ("-q", "--quiet", logging.WARNING, "log warnings and errors only"),
+    ):
+        how.add_argument(
+            short, name, action="store_const", dest="log_level", const=level, default=logging.INFO, help=text
+        )
+
+
+def start_logging(level: int, sensor_id: str = "") -> None:
+    """Log to stderr, with time stamps unless the journal makes its own; again, with a sensor's id in each line."""
+    logging.basicConfig(level=level, handlers=[OneLineHandler(stamped=not _is_journal(), of=sensor_id)], force=True)
+    # Theirs would be a line for every packet, with what is in it.
+    for name in ("asyncio", "websockets", "paho"):
+        logging.getLogger(name).setLevel(max(level, logging.INFO))
+
+
+def _is_journal() -> bool:
+    """Whether stderr goes to journald: systemd names the device and inode of its stream."""
+    with contextlib.suppress(OSError, ValueError):
+        found = os.fstat(sys.stderr.fileno())
+        return os.environ.get("JOURNAL_STREAM") == f"{found.st_dev}:{found.st_ino}"
+    return False
 
 
 @dataclass(slots=True)
@@ -65,11 +93,20 @@ class Limit:
 
 
 class OneLineHandler(logging.StreamHandler[TextIO]):
-    """Writes ``LEVEL name: message`` to stderr."""
+    """Writes ``LEVEL name: message`` to stderr.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    stamped : bool
+        With the local time before it, to 1 ms and with its zone.
+    of : str
+        A word before the message, of which letters, digits, - and _ are allowed.
+    """
+
+    def __init__(self, *, stamped: bool = False, of: str = "") -> None:
         super().__init__()
-        self.setFormatter(_Escaping("%(levelname)s %(name)s: %(message)s"))
+        head = ("%(asctime)s " if stamped else "") + "%(levelname)s %(name)s: "
+        self.setFormatter(_Escaping(f"{head}{of}: %(message)s" if of else f"{head}%(message)s"))
         self._limit = Limit()
 
     def emit(self, record: logging.LogRecord) -> None:
@@ -91,6 +128,9 @@ class OneLineHandler(logging.StreamHandler[TextIO]):
 
 
 class _Escaping(logging.Formatter):
+    def formatTime(self, record: logging.LogRecord, datefmt: str | None = None) -> str:
+        return datetime.fromtimestamp(record.created).astimezone().isoformat(timespec="milliseconds")
+
     def formatMessage(self, record: logging.LogRecord) -> str:
         return escaped(super().formatMessage(record))
 

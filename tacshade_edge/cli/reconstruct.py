@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from tacshade_edge.cli.profile_option import add_profile
+from tacshade_edge.cli.progress import Progress
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.devices import calibrations
@@ -20,6 +20,7 @@ from tacshade_edge.devices.files.panel import write_panel
 from tacshade_edge.devices.files.summary import summary
 from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
+from tacshade_edge.reasons import text_of
 from tacshade_edge.types import Frame, Reconstruction
 
 
@@ -34,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Reconstruct every image; an unreadable one, or one of another size, is told and the others go on."""
+    """Reconstruct every image; one that is unreadable or invalid is named and the others go on."""
     stems = [path.stem for path in args.images]
     twice = next((path for i, path in enumerate(args.images) if path.stem in stems[:i]), None)
     if twice is not None:
@@ -42,42 +43,42 @@ def run(args: argparse.Namespace) -> int:
             f"{twice}: another image is called {twice.stem} too; their results would overwrite each other"
         )
     calibration = calibrations.load(args.calibration)
-    size = (calibration.image_height_px, calibration.image_width_px)
     reconstructor = make_reconstructor(calibration, PROFILES[args.profile])
-    records, failed = [], 0
+    records, unreadable, invalid = [], 0, 0
+    progress = Progress()
     try:
         args.out.mkdir(parents=True, exist_ok=True)
         for index, path in enumerate(args.images):
             try:
                 image = read_image(path)
             except DecodeError as error:
-                print(f"tacshade-edge: {error}", file=sys.stderr)
-                failed += 1
+                progress.say(f"tacshade-edge: {error}")
+                unreadable += 1
                 continue
             result, elapsed_ms = _step(reconstructor, Frame(seq=index, t_ns=0, wall_ns=0, image=image))
             _write(args.out / f"{path.stem}.npz", result)
             if args.plot:
-                write_panel(args.out / f"{path.stem}.png", image, result)
+                write_panel(args.out / f"{path.stem}.png", image, result, calibration.geometry)
             records.append({"image": str(path), **summary(result), "elapsed_ms": elapsed_ms})
-            if image.shape[:2] != size:  # not this sensor's: a record like any invalid frame, but a mistake
-                found, expected = (f"{width}x{height} px" for height, width in (image.shape[:2], size))
-                reason = f"found {found}, expected {expected}, the size of the calibration's images"
-                print(f"tacshade-edge: {path}: {reason}", file=sys.stderr)
-                failed += 1
-            if sys.stderr.isatty():
-                print(f"\r{index + 1}/{len(args.images)}", end="", file=sys.stderr)
+            if not result.valid:  # its record says so too, and its height is 0 everywhere
+                progress.say(f"tacshade-edge: {path}: invalid: {text_of(result.reason)}")
+                invalid += 1
+            progress("images", index + 1, len(args.images))
         text = json.dumps(records, indent=2) + "\n"
         (args.out / "summary.json").write_text(text, encoding="utf-8")
     except OSError as error:
         raise DeviceError(f"{error.filename or args.out}: cannot be written: {error.strerror or error}") from None
-    if sys.stderr.isatty():
-        print(file=sys.stderr)
+    progress.end()
     if args.json:
         print(text, end="")
     else:
         touched = sum(record["contact"] for record in records)
-        print(f"{args.out}: {len(records)} images reconstructed, {touched} in contact, {failed} unusable")
-    return 1 if failed else 0
+        measured = len(records) - invalid
+        print(
+            f"{args.out}: {measured} of {len(args.images)} images reconstructed, {touched} in contact, "
+            f"{invalid} invalid, {unreadable} unreadable"
+        )
+    return 1 if invalid or unreadable else 0
 
 
 def _step(reconstructor: Reconstructor, frame: Frame) -> tuple[Reconstruction, dict[str, float]]:
@@ -99,12 +100,12 @@ def _step(reconstructor: Reconstructor, frame: Frame) -> tuple[Reconstruction, d
 
 def _write(path: Path, result: Reconstruction) -> None:
     height = result.height
-    arrays: dict[str, Any] = {} if result.shear_mm is None else {"shear_mm": result.shear_mm}
+    arrays: dict[str, Any] = {name: getattr(result, name) for name in ("shear_mm", "sigma_mm")}
     untrusted = np.zeros(height.contact.shape, bool) if result.untrusted is None else result.untrusted
     with path.open("wb") as stream:
         np.savez_compressed(
             stream,
-            **arrays,
+            **{name: array for name, array in arrays.items() if array is not None},
             height_mm=height.height_mm,
             contact=height.contact,
             untrusted=untrusted,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import signal
 import sys
 import threading
@@ -11,11 +12,12 @@ import time
 from pathlib import Path
 from typing import Any
 
-from tacshade_edge.cli.check_config import DEFAULT_CONFIG
+from tacshade_edge.cli.check_config import DEFAULT_CONFIG, add_sensor
 from tacshade_edge.cli.replay import positive
 from tacshade_edge.devices import registry
 from tacshade_edge.devices.mqtt.caller import MqttCaller
 from tacshade_edge.errors import DeviceError
+from tacshade_edge.protocol.messages import RECORD_NAME, RECORD_NAME_RULE, RECORD_S_MAX
 from tacshade_edge.settings import load
 
 ANSWER_S, WRITTEN_S, PERIOD_S = 3.0, 20.0, 0.5
@@ -26,13 +28,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add = parser.add_argument
     add("--config", type=Path, default=DEFAULT_CONFIG, metavar="FILE", help="the daemon's settings (%(default)s)")
-    add("--name", metavar="NAME", help="of the recording's folder (date and time)")
-    add("--seconds", type=positive, required=True, metavar="N", help="how long; Ctrl-C ends it earlier")
+    add_sensor(parser)
+    add("--name", type=_name, metavar="NAME", help=f"of its folder: {RECORD_NAME_RULE} (date and time)")
+    add("--format", choices=("folder", "mcap"), default="folder", help="of the frames (%(default)s)")
+    add("--seconds", type=_seconds, required=True, metavar="N", help="how long; Ctrl-C ends it earlier")
 
 
 def run(args: argparse.Namespace) -> int:
     """Record; 1 when something else than the time or a person ended it, or no frame came."""
-    document = load(args.config)
+    document = load(args.config, args.sensor)
     registry.check_broker_files(document)
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -46,7 +50,8 @@ def run(args: argparse.Namespace) -> int:
     try:
         caller.start()
         name = {} if args.name is None else {"name": args.name}
-        folder = caller.ask({"action": "start", "seconds": args.seconds, **name}, ANSWER_S)["folder"]
+        format_ = {} if args.format == "folder" else {"format": args.format}  # an older daemon knows no other
+        folder = caller.ask({"action": "start", "seconds": args.seconds, **name, **format_}, ANSWER_S)["folder"]
         ended = _follow(caller, folder, args.seconds, stop)
     finally:
         caller.stop()
@@ -57,6 +62,21 @@ def run(args: argparse.Namespace) -> int:
     if ended["frames"] == 0:
         raise DeviceError(f"{folder}: no frame came")
     return 0
+
+
+def _name(text: str) -> str:
+    if not re.match(RECORD_NAME, text):
+        raise argparse.ArgumentTypeError(f"found {text!r}, expected {RECORD_NAME_RULE}")
+    return text
+
+
+def _seconds(text: str) -> float:
+    if (value := positive(text)) > RECORD_S_MAX:
+        raise argparse.ArgumentTypeError(f"found {text}, expected at most {RECORD_S_MAX}")
+    return value
+
+
+_seconds.__name__ = "number"  # argparse's messages show it
 
 
 def _follow(caller: MqttCaller, folder: str, seconds: float, stop: threading.Event) -> dict[str, Any]:

@@ -7,7 +7,6 @@ import csv
 import io
 import itertools
 import math
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ import cv2
 import numpy as np
 import yaml
 
+from tacshade_edge.cli.progress import Progress
 from tacshade_edge.cli.simulate_pad import write_pad
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.simulator.calibration_set import ball_presses
@@ -95,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
                 varied=args.pad_varied,
                 seed=args.seed,
                 noise_seed=args.seed * _SEED_STRIDE + _PAD_SEED,
-                report=_progress,
+                report=Progress(),
             )
     except OSError as error:
         raise DeviceError(f"{error.filename}: cannot be written: {error.strerror}") from error
@@ -132,11 +132,12 @@ def _write_calibration_set(sensor: SimulatedSensor, folder: Path, count: int, se
     for k in range(REFERENCES):
         _write_png(folder / f"reference_{k:02d}.png", sensor.frame((), seed * _SEED_STRIDE + k).image)
     rows = []
+    progress = Progress()
     for k, (press, radius_mm) in enumerate(ball_presses(model, count, seed)):
         name = f"press_{k:03d}.png"
         _write_png(folder / name, _simulate(sensor, (press,), seed * _SEED_STRIDE + REFERENCES + k).image)
         rows.append((name, "ball", radius_mm, press.depth_mm, press.x_mm, press.y_mm))
-        _progress(k + 1, count)
+        progress("presses", k + 1, count)
     _write_csv(folder / "PRESSES.csv", ("image", "indenter", "radius_mm", "depth_mm", "x_mm", "y_mm"), rows)
     print(f"{folder}: {REFERENCES} references, {count} ball presses, SENSOR.yaml, PRESSES.csv")
 
@@ -154,6 +155,7 @@ def _write_scenes(sensor: SimulatedSensor, args: argparse.Namespace) -> None:
     scenes = [(name, each) for name in names for each in (presses if name != "none" else [(0.0,) * len(PRESS_KEYS)])]
     args.out.mkdir(parents=True, exist_ok=True)
     rows = []
+    progress = Progress()
     for k, (name, numbers) in enumerate(scenes):
         known = dict(zip(PRESS_KEYS, numbers, strict=True))
         pressed = () if name == "none" else (Press(OBJECTS[name](), **known),)
@@ -162,7 +164,7 @@ def _write_scenes(sensor: SimulatedSensor, args: argparse.Namespace) -> None:
         _write_png(args.out / f"{stem}.png", frame.image)
         depth_max_mm = _write_truth(args.out / f"{stem}.npz", frame, name, known)
         rows.append((f"{stem}.png", name, *numbers, round(depth_max_mm, 4)))
-        _progress(k + 1, len(scenes))
+        progress("images", k + 1, len(scenes))
     _write_csv(args.out / "scenes.csv", ("image", "object", *PRESS_KEYS, "depth_max_mm"), rows)
     print(f"{args.out}: {len(scenes)} images with ground truth, scenes.csv")
 
@@ -207,8 +209,3 @@ def _write_csv(path: Path, header: tuple[str, ...], rows: Sequence[Sequence[obje
         writer = csv.writer(file)
         writer.writerow(header)
         writer.writerows(rows)
-
-
-def _progress(done: int, total: int) -> None:
-    if sys.stderr.isatty():
-        print(f"\r{done}/{total}", end="\n" if done == total else "", file=sys.stderr, flush=True)

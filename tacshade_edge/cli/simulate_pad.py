@@ -44,7 +44,7 @@ def write_pad(
     varied: bool,
     seed: int,
     noise_seed: int,
-    report: Callable[[int, int], None],
+    report: Callable[[str, int, int], None],
 ) -> None:
     """Write an image for each press, POSES.csv (exact), POSES_NOISY.csv and PAD.npz (the truth). Raises OSError."""
     pad, radius_mm = pads.touchpad(), model.skin_radius_mm
@@ -61,7 +61,7 @@ def write_pad(
     tasks = [_Task(model, pose.seven(), noise_seed + k) for k, pose in enumerate(poses)]
     for k, data in enumerate(ordered_map(_image, tasks, usable_cores())):
         (folder / names[k]).write_bytes(data)
-        report(k + 1, len(tasks))
+        report("presses", k + 1, len(tasks))
     noisy = pads.disturbed(poses, radius_mm, NOISE_MM, NOISE_DEG, seed)
     for name, told in (("POSES.csv", poses), ("POSES_NOISY.csv", noisy)):
         _write_poses(folder / name, names, told)

@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from tacshade_edge.cli.profile_option import add_profile
+from tacshade_edge.cli.progress import Progress
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.stitching.stitcher import StitchedMap
 from tacshade_edge.core.stitching.surface_map import STEP_MM, Raster
 from tacshade_edge.devices import calibrations
-from tacshade_edge.devices.files.map_files import write_map
+from tacshade_edge.devices.files.map_files import press_record, write_map
 from tacshade_edge.devices.files.poses_table import read_poses
 from tacshade_edge.devices.files.recording import Recording
 from tacshade_edge.errors import ConfigError
@@ -48,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     calibration = calibrations.load(args.calibration)
     profile, known = PROFILES[args.profile], None if args.truth is None else read_known(args.truth)
     if args.recording is None:
-        presses = read_presses(calibration, profile, read_poses(args.poses), _progress)
+        presses = read_presses(calibration, profile, read_poses(args.poses), Progress())
     else:
         presses = read_recording(calibration, profile, Recording(args.recording), str(args.recording))
     failed = [p for p in presses if p.failed]
@@ -86,14 +87,7 @@ def _details(presses: list[Press], finished: StitchedMap) -> dict[str, Any]:
             "reason": text_of(press.skipped),
         }
         if not press.skipped:
-            one = next(placed)
-            record |= {
-                "used": one.rejected is None,
-                "reason": text_of(one.rejected),
-                "points": len(press.points.points_mm),
-                "moved_mm": round(one.correction_mm, 4),
-                "turned_deg": round(one.correction_deg, 4),
-            }
+            record |= press_record(next(placed))
         records.append(record)
     return {
         "refined": finished.refined,
@@ -127,8 +121,3 @@ def _line(s: dict[str, Any]) -> str:
         f"bars within {worst(s['bars'], 'angle_deg')}° and {worst(s['bars'], 'bent_mm')} mm, "
         f"circle within {worst(s['circles'], 'radius_percent')} %"
     )
-
-
-def _progress(done: int, total: int) -> None:
-    if sys.stderr.isatty():
-        print(f"\r{done}/{total}", end="\n" if done == total else "", file=sys.stderr, flush=True)

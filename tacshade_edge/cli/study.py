@@ -1,4 +1,4 @@
-"""What the commands of studies share: options, sensors and objects as words, own images, progress, files."""
+"""What the commands of studies share: options, sensors and objects as words, own images, files."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from tacshade_edge.cli.progress import Progress
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.devices import calibrations
 from tacshade_edge.errors import DeviceError
@@ -103,13 +104,13 @@ def own_images(args: argparse.Namespace) -> tuple[Calibration, Iterator[Case], l
     calibration, paths = calibrations.load(args.calibration), images_in(args.images)
     make_folder(args.out)
     mistakes: list[str] = []
+    report = Progress()
 
     def mistake(text: str) -> None:
         mistakes.append(text)
-        over = "\r\033[K" if sys.stderr.isatty() else ""  # the line of the progress
-        print(f"{over}tacshade-edge: {text}", file=sys.stderr)
+        report.say(f"tacshade-edge: {text}")
 
-    return calibration, read_images(calibration, args.calibration.name, paths, progress, mistake), mistakes
+    return calibration, read_images(calibration, args.calibration.name, paths, report, mistake), mistakes
 
 
 def will_draw(args: argparse.Namespace, files: str, packages: Sequence[str] = ("matplotlib",)) -> bool:
@@ -158,9 +159,3 @@ def write(path: Path, content: bytes) -> None:
         path.write_bytes(content)
     except OSError as error:
         raise DeviceError(f"{path}: cannot be written: {error.strerror or error}") from None
-
-
-def progress(what: str, done: int, total: int) -> None:
-    """Say how far it is, where someone looks."""
-    if sys.stderr.isatty():
-        print(f"\r{what}: {done}/{total} ", end="\n" if done == total else "", file=sys.stderr, flush=True)

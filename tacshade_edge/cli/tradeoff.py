@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from tacshade_edge.cli import study
+from tacshade_edge.cli.progress import Progress
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator.objects import PAPER_OBJECTS
@@ -55,10 +56,10 @@ def run(args: argparse.Namespace) -> int:
         sensors = args.sensors or study.sensors(SENSORS)
         objects = args.objects or tuple(PAPER_OBJECTS)
         data = {"sensors": [str(name) for name in sensors], "objects": list(objects)}
-        images = simulated(sensors, objects, usable_cores(), study.progress)
+        images = simulated(sensors, objects, usable_cores(), Progress())
     drawn = study.will_draw(args, "tradeoff.png")
     names = tuple(dict.fromkeys(args.profile or PROFILES))
-    found, busy = tradeoff(grid(names), images, usable_cores(), study.progress)
+    found, busy = tradeoff(grid(names), images, usable_cores(), Progress())
     if busy > BUSY:
         words = f"the machine was busy: frames took {busy:.1f} times as long as the processor time that is shown"
         print(f"tacshade-edge: {words}", file=sys.stderr)

@@ -11,6 +11,7 @@ from tacshade_edge.core.contact.gate import ContactGate
 from tacshade_edge.core.contact.objects import Objects, contact_of, find_objects
 from tacshade_edge.core.depth import SOLVERS, Depth, MakeSolver, Network
 from tacshade_edge.core.depth.base import Mark
+from tacshade_edge.core.depth.sigma import sigma_of_scale_1, terms
 from tacshade_edge.core.frame_check import foreign
 from tacshade_edge.core.frame_check.trust import doubt, refusal
 from tacshade_edge.core.frame_check.validity import invalid_reason, sensor_check, size_reason
@@ -31,7 +32,7 @@ from tacshade_edge.types import (
     Reconstruction,
 )
 
-STAGES = ("check", "grey", "gate", "denoise", "depth", "shear", "cloud")
+STAGES = ("check", "grey", "gate", "denoise", "depth", "shear", "cloud", "sigma")
 """All that a step may mark, in order; a stage that did not run is not marked."""
 
 FindObjects = Callable[[Bool, F32, F32 | None, DiscRays, Geometry], Objects | None]
@@ -82,6 +83,8 @@ class Reconstructor:
         self.grid = self._solver.grid
         self.rays = rays_in_image(self.grid, calibration)
         self._zero_mm = np.where(self.rays.inside, np.float32(0), np.float32(np.nan)).astype(np.float32)
+        self._sigma = None if network is None else network.sigma
+        self._no_sigma_mm = None if self._sigma is None else np.full(self._zero_mm.shape, np.nan, np.float32)
         self._no_shear_mm = np.repeat(self._zero_mm[..., None], 2, axis=2) if self._solver.tells_shear else None
         self._empty_map = self._map(self._zero_mm, np.zeros(self._zero_mm.shape, dtype=bool))
         self._empty_cloud = ObjectCloud(np.zeros((0, 3), dtype=np.float32), np.zeros(0, dtype=np.uint16))
@@ -94,7 +97,7 @@ class Reconstructor:
     @overload
     def step(self, frame: Frame, mark: Mark = ..., need: Need = ...) -> Reconstruction | None: ...
 
-    def step(self, frame: Frame, mark: Mark = no_mark, need: Need = Need.SHEAR) -> Reconstruction | None:
+    def step(self, frame: Frame, mark: Mark = no_mark, need: Need = Need.ALL) -> Reconstruction | None:
         """Reconstruct one frame.
 
         Parameters
@@ -103,7 +106,8 @@ class Reconstructor:
         mark : callable
             Called with a stage's name (`STAGES`) at its end; a caller with a clock times them so.
         need : Need
-            With ``CONTACT`` it ends where a frame in contact would get its depth: None for that one.
+            With ``CONTACT`` it ends where a frame in contact would get its depth: None for that one. Without ``SHEAR``
+            and ``SIGMA`` a frame in contact has none.
         """
         grey = self._preprocessor.grey(frame.image, self._grey_space)
         reason = size_reason(frame.image, self._shape) or invalid_reason(grey, self._frame_check)
@@ -135,8 +139,10 @@ class Reconstructor:
             return self._empty(frame, reason=reason)
 
         shear_mm = None
-        if need == Need.SHEAR:
+        if Need.SHEAR in need:
             shear_mm = self._solver.shear_mm(preprocessed)
+            if shear_mm is not None:
+                shear_mm += self._zero_mm[..., None]
             mark("shear")
 
         # Adding the map of no contact, 0 or NaN, puts NaN outside the disc.
@@ -147,11 +153,25 @@ class Reconstructor:
         if objects is None:
             reason = self._foreign_check.moved(preprocessed.white)
             return self._empty(frame, reason=reason, degraded=None if reason else degraded)
-        return self._whole(frame, degraded, depth, height_mm, shear_mm, objects)
+        sigma_mm = None
+        if Need.SIGMA in need:
+            sigma_mm = self._sigma_mm(depth, height_mm, objects.contact)
+            mark("sigma")
+        return self._whole(frame, degraded, depth, height_mm, shear_mm, sigma_mm, objects)
 
     def depth(self, image: U8) -> Depth:
         """What the solver makes of an image, without frame check and gate."""
         return self._solver.solve(self._preprocessor.preprocess(self._preprocessor.grey(image)), no_mark)
+
+    def _sigma_mm(self, depth: Depth, height_mm: F32, contact: Bool) -> F32 | None:
+        if self._sigma is None or depth.contact_logit is None or depth.foreign_logit is None:
+            return None
+        calibration = self.calibration
+        x = terms(height_mm, depth.contact_logit, depth.foreign_logit, contact, calibration.geometry)
+        scale = calibration.error_scale(self.profile.name) or self._sigma.scale_without_presses
+        made: F32 = np.full(contact.shape, np.nan, np.float32)
+        made[contact] = sigma_of_scale_1(self._sigma, x, calibration.geometry) * np.float32(scale)
+        return made
 
     def _whole(
         self,
@@ -160,6 +180,7 @@ class Reconstructor:
         depth: Depth,
         height_mm: F32,
         shear_mm: F32 | None,
+        sigma_mm: F32 | None,
         objects: Objects,
     ) -> Reconstruction:
         return Reconstruction(
@@ -177,7 +198,8 @@ class Reconstructor:
             objects=objects.described,
             volume_mm3=objects.volume_mm3,
             repaired_px=depth.repaired_px,
-            shear_mm=None if shear_mm is None else shear_mm + self._zero_mm[..., None],
+            shear_mm=shear_mm,
+            sigma_mm=sigma_mm,
             untrusted=depth.foreign & self.rays.inside if depth.foreign is not None and depth.foreign.any() else None,
         )
 
@@ -196,6 +218,7 @@ class Reconstructor:
             height=self._empty_map,
             cloud=self._empty_cloud,
             shear_mm=self._no_shear_mm,
+            sigma_mm=self._no_sigma_mm,
         )
 
     def _map(self, height_mm: F32, contact: Bool) -> HeightMap:

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from tacshade_edge import __version__
 from tacshade_edge.core.profiles import LADDER, PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.pipeline.ledger import FrameLedger
@@ -25,6 +24,7 @@ from tacshade_edge.daemon.pipeline.pipeline import Crash, Pipeline, crashes_to
 from tacshade_edge.daemon.pipeline.workers import Sink, SourceState
 from tacshade_edge.daemon.profiles.active_profile import ActiveProfile, Stepped
 from tacshade_edge.daemon.publishing.health import Health
+from tacshade_edge.daemon.publishing.home_assistant import HomeAssistant
 from tacshade_edge.daemon.publishing.publisher import Publisher
 from tacshade_edge.daemon.recording.record import DAEMON_STOPPED, SOURCE_ENDED, LiveRecorder, RecordingEnded
 from tacshade_edge.daemon.recording.record_requests import RecordRequests
@@ -44,6 +44,7 @@ from tacshade_edge.protocol.results import RequestResult
 from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
 from tacshade_edge.settings import Document, digest
 from tacshade_edge.types import Calibration
+from tacshade_edge.version import installed_version
 
 if TYPE_CHECKING:
     from tacshade_edge.daemon.robot.robot import Robot
@@ -107,9 +108,10 @@ class App:
         self._publisher = Publisher(
             self.link.offer, self.link.tell, self.link.has_listener, settings.displacement == "always"
         )
+        self._home_assistant = HomeAssistant(self.link, settings.sensor_id, wanted=settings.mqtt.home_assistant)
         self._robot = self._make_robot()
         self._sessions = self._make_sessions()
-        self._references = References(calibration, reference_file.path_beside(settings.calibration))
+        self._references = References(calibration, reference_file.path_beside(settings.calibration), settings.sensor_id)
         sink: Sink = self._references.frames.observing(self._publisher)
         sink = self._sessions.observing(sink) if self._sessions else sink
         profile, known = PROFILES.get(settings.profile, PROFILES[LADDER[-1]]), self._references.calibration
@@ -128,6 +130,7 @@ class App:
         self._recorder = LiveRecorder(
             self._pipeline.grab, self._events.put, self._robot.with_interpolated_pose if self._robot else None
         )
+        self._recorder.keep_before(settings.recorder.before_s)
         self._record = RecordRequests(
             self._recorder, self._reply, lambda status: self.link.set_retained("status/recorder", status)
         )
@@ -164,8 +167,9 @@ class App:
         # OpenCV's other threads spin between a frame's small images: a third of what it costs, for no time won.
         cv2.setNumThreads(1)
         with crashes_to(self._events.put):
-            self._publish_info()
+            self._changed()
             self._publish_camera()
+            self._record.mend(Path(self._document.settings.recorder.folder))
             self.link.start()
             self._pipeline.start()
             if self._robot:
@@ -237,6 +241,7 @@ class App:
             self._publisher.always_shear = settings.displacement == "always"
             self._references.reload(new.calibration, reference_file.path_beside(settings.calibration))
             self._active.reload(settings.profile, settings.latency_budget_ms, self._references.calibration)
+            self._recorder.keep_before(settings.recorder.before_s)
             self._recorder.event("reload", waiting=list(new.waiting))
             self._changed()
             note = new.reason
@@ -280,6 +285,7 @@ class App:
             self._sessions.stop(left_s(STITCHED_S))
             self._sessions.poll()
         self._record.poll()
+        self._references.close()
         self._publish_health()
         self._publish_camera(replace(self._camera, state="ended", reason=Reason(ReasonCode.STOPPED, "stopped")))
         self.link.stop(left_s(LINK_STOPPED_S))
@@ -325,7 +331,8 @@ class App:
             return None
         from tacshade_edge.daemon.stitching.session_requests import SessionRequests
 
-        return SessionRequests(Path(settings.stitching.folder), self.link.set_retained, self._reply, self._robot)
+        folder = Path(settings.stitching.folder)
+        return SessionRequests(folder, settings.sensor_id, self.link.set_retained, self._reply, self._robot)
 
     def _changed(self) -> None:
         """The reconstructor was replaced."""
@@ -380,7 +387,7 @@ class App:
     def _publish_info(self) -> None:
         reconstructor = self._active.reconstructor
         info = messages.encode_info(
-            version=__version__,
+            version=installed_version(),
             config_digest=digest(self._document.settings),
             profile=self._active.name,
             calibration=reconstructor if isinstance(reconstructor, Reason) else reconstructor.calibration,
@@ -389,6 +396,7 @@ class App:
             reference=self._references.info(),
         )
         self.link.set_retained("info", info)
+        self._home_assistant.announce(self._active.choices)
 
     def _status(self) -> dict[str, Any]:
         """The latest ``health`` and the state, for ``req/status``."""

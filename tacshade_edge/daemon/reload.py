@@ -54,7 +54,7 @@ def reload(running: Document, *, calibrated: bool) -> Reloaded:
     ConfigError
         They are bad, or the calibration does not fit the running source.
     """
-    new = load(running.path)
+    new = load(running.path, running.settings.sensor_id if running.several else None)
     registry.check_files(new)
     kept = {key: getattr(running.settings, key) for key in RESTART_KEYS}
     waiting = tuple(key for key, value in kept.items() if getattr(new.settings, key) != value)

@@ -75,6 +75,8 @@ class Requests:
         reconstructor = self._active.reconstructor
         if request.verb == "status":
             self._reply(request, self._status())
+        elif request.verb == "replay":  # of `replay --play` only
+            self._refuse(request, Reason(ReasonCode.UNAVAILABLE, "no recording is played here"))
         elif isinstance(reconstructor, Reason):
             self._refuse(request, reconstructor)
         elif request.verb == "record":

@@ -1,27 +1,25 @@
-"""Messages to the service manager, through systemd-python; without a service manager nothing happens here.
+"""Messages to the service manager; without one nothing happens here.
 
-The messages are those of sd_notify(3); docs/service.md lists when each is sent.
+The messages and their way are those of sdnotify(3); docs/service.md lists when each is sent.
 """
 
 from __future__ import annotations
 
 import logging
 import os
+import socket
 import time
 
 from tacshade_edge.daemon.pipeline.workers import Grab, Reconstruct, SourceState
 from tacshade_edge.quoting import escaped
 from tacshade_edge.reasons import Reason
 
-try:
-    from systemd import daemon
-except ImportError:  # it has no wheel: an extra of its own
-    daemon = None
-
 _log = logging.getLogger(__name__)
 
 STOP_USEC = 10_000_000
 """A stop is over in 2 s; a board that is starved of time gets this much before it is killed."""
+
+_SEND_S = 1.0  # for a manager that does not read
 
 
 class Progress:
@@ -65,12 +63,10 @@ class Service:
     def __init__(self, progress: Progress) -> None:
         self._progress = progress
         self._note: Reason | None = None
-        if daemon is None and "NOTIFY_SOCKET" in os.environ:
-            _log.warning("a service manager waits for a sign, expected the package systemd-python (extra systemd)")
 
     def ready(self) -> None:
         """Settings and calibration are loaded, and the threads run."""
-        _notify("READY=1")
+        notify("READY=1")
 
     def tick(self, source: SourceState, fps: float) -> None:
         """Tell the status; feed the watchdog if there was progress. At least twice per ``WatchdogSec``.
@@ -84,24 +80,33 @@ class Service:
         """
         reason = f" ({source.reason})" if source.reason else ""
         note = f"; {self._note}" if self._note else ""
-        _notify(f"STATUS={source.state}{reason}, {fps:.1f} frames/s{note}")
+        notify(f"STATUS={source.state}{reason}, {fps:.1f} frames/s{note}")
         if self._progress.made(degraded=source.state != "streaming"):
-            _notify("WATCHDOG=1")
+            notify("WATCHDOG=1")
 
     def reloading(self) -> None:
         """A reload begins; `reloaded` must follow."""
-        _notify("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
+        notify("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
 
     def reloaded(self, note: Reason | None) -> None:
         """A reload is over; `note` stays in the status until the next."""
         self._note = note
-        _notify("READY=1", f"STATUS={note or 'reloaded'}")
+        notify("READY=1", f"STATUS={note or 'reloaded'}")
 
     def stopping(self) -> None:
         """A stop begins; from here on the manager's time limit counts, not the watchdog's."""
-        _notify("STOPPING=1", f"EXTEND_TIMEOUT_USEC={STOP_USEC}", "STATUS=stopping")
+        notify("STOPPING=1", f"EXTEND_TIMEOUT_USEC={STOP_USEC}", "STATUS=stopping")
 
 
-def _notify(*lines: str) -> None:
-    if daemon is not None:
-        daemon.notify("\n".join(map(escaped, lines)))  # a line end in a reason would be another message
+def notify(*lines: str) -> None:
+    """Send lines of ``NAME=value`` to the service manager, where there is one."""
+    address = os.environ.get("NOTIFY_SOCKET")
+    if not address:
+        return
+    message = "\n".join(map(escaped, lines)).encode()  # a line end in a reason would be another message
+    try:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
+            sender.settimeout(_SEND_S)
+            sender.sendto(message, f"\0{address[1:]}" if address.startswith("@") else address)
+    except OSError as error:
+        _log.warning("the service manager does not hear: %s", error.strerror or error)

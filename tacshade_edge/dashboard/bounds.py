@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import socket
 from typing import Any, Final
 
 from websockets.asyncio.server import ServerConnection
@@ -11,7 +12,7 @@ from websockets.asyncio.server import ServerConnection
 _log = logging.getLogger(__name__)
 
 CONNECTIONS_MAX: Final = 48
-"""Of pages and of requests for files; what is more is closed at once."""
+"""Of pages, of requests for files, and of what has not said yet what it is; what is more is closed at once."""
 PAGES_MAX: Final = 16
 """WebSockets; each is a connection to the broker too, which holds up to 20 messages for one that does not read."""
 UNSENT_BYTES_MAX: Final = 1 << 20
@@ -22,16 +23,17 @@ class Bounds:
     """What is open now, and how many were turned away."""
 
     def __init__(self) -> None:
-        self._open: set[ServerConnection] = set()
+        self._open: list[socket.socket] = []
         self._pages: set[ServerConnection] = set()
         self.turned_away = 0
 
-    def admit(self, connection: ServerConnection) -> bool:
+    def admit(self, connection: socket.socket) -> bool:
         """Count a connection; False when there are too many."""
+        self._open = [other for other in self._open if other.fileno() >= 0]
         if len(self._open) >= CONNECTIONS_MAX:
             self._turn_away(f"{CONNECTIONS_MAX} connections are open")
             return False
-        self._open.add(connection)
+        self._open.append(connection)
         return True
 
     def admit_page(self, connection: ServerConnection) -> str:
@@ -42,8 +44,7 @@ class Bounds:
         return ""
 
     def release(self, connection: ServerConnection) -> None:
-        """A connection is over."""
-        self._open.discard(connection)
+        """A page is over."""
         self._pages.discard(connection)
 
     def _turn_away(self, why: str) -> str:
@@ -52,15 +53,41 @@ class Bounds:
         return why
 
 
+class Listener(socket.socket):
+    """A listening TCP socket that accepts no more than `bounds` admit.
+
+    It counts before a connection costs anything: with TLS it would cost 256 KiB before asyncio tells of it.
+
+    Raises
+    ------
+    OSError
+        There is no such address, or its port is taken.
+    """
+
+    def __init__(self, host: str, port: int, bounds: Bounds) -> None:
+        family, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
+        super().__init__(family, socket.SOCK_STREAM)
+        self._bounds = bounds
+        try:
+            self.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            self.bind(address)
+        except OSError:
+            self.close()
+            raise
+
+    def accept(self) -> tuple[socket.socket, Any]:
+        """The next connection, or ConnectionAbortedError, which asyncio passes over."""
+        connection, address = super().accept()
+        if not self._bounds.admit(connection):
+            connection.close()
+            raise ConnectionAbortedError
+        return connection, address
+
+
 def bounded(bounds: Bounds) -> type[ServerConnection]:
     """The kind of connection that keeps to `bounds`."""
 
     class Connection(ServerConnection):
-        def connection_made(self, transport: asyncio.BaseTransport) -> None:
-            super().connection_made(transport)
-            if not bounds.admit(self):
-                self.transport.abort()
-
         def connection_lost(self, exc: Exception | None) -> None:
             bounds.release(self)
             super().connection_lost(exc)

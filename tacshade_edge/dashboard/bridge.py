@@ -1,7 +1,8 @@
 """MQTT over WebSocket to the broker's TCP port, byte by byte.
 
 mosquitto has a WebSocket listener of its own, but Debian 12's stalls on messages above about 4 KB, and a height map has
-10 to 600. What passes here is not looked into: user, password and permissions are between the page and the broker.
+10 to 600. What passes here is not looked into, but where pages may only look (`read_only`): user, password and
+permissions are between the page and the broker.
 """
 
 from __future__ import annotations
@@ -19,6 +20,9 @@ from typing import Any, Final
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
+from tacshade_edge.dashboard.read_only import ReadOnly
+from tacshade_edge.errors import DecodeError
+
 _log = logging.getLogger(__name__)
 
 # From the page come requests of at most 4 KiB, an acknowledgement, a ping.
@@ -29,6 +33,7 @@ STALL_S: Final = 10.0
 """A page that takes no 64 KiB in so long is closed."""
 _TRY_AGAIN: Final = 1013  # WebSocket close code "try again later"
 _BINARY_ONLY: Final = 1003
+_NOT_ALLOWED: Final = 1008
 _REASON_BYTES_MAX: Final = 123
 # A broker whose machine went away without a word is noticed after about 20 s.
 _BROKER_SOCKET: Final = (
@@ -65,10 +70,17 @@ class Bridge:
 
     Both ways wait for the slower side with at most some 100 KB in between: to a page that does not keep up, the broker
     drops messages by its own rules.
+
+    Parameters
+    ----------
+    broker : Broker
+    read_only : bool
+        Pages may look, and request nothing.
     """
 
-    def __init__(self, broker: Broker) -> None:
+    def __init__(self, broker: Broker, *, read_only: bool) -> None:
         self._broker = broker
+        self._read_only = read_only
         self._away = False
 
     async def carry(self, page: ServerConnection) -> None:
@@ -86,7 +98,9 @@ class Bridge:
             _log.info("broker %s is back", self._broker)
         self._away = False
         try:
-            await _until_first(_to_broker(page, writer), _to_page(reader, page))
+            await _until_first(
+                _to_broker(page, writer, ReadOnly() if self._read_only else None), _to_page(reader, page)
+            )
         finally:
             writer.close()
         await page.close(_TRY_AGAIN, _short(f"broker {self._broker} closed the connection"))
@@ -102,12 +116,17 @@ class Bridge:
         return reader, writer
 
 
-async def _to_broker(page: ServerConnection, writer: asyncio.StreamWriter) -> None:
+async def _to_broker(page: ServerConnection, writer: asyncio.StreamWriter, only: ReadOnly | None) -> None:
     async for message in page:
         if isinstance(message, str):
             await page.close(_BINARY_ONLY, "MQTT is binary")
             return
-        writer.write(message)
+        try:
+            writer.write(only.passed(message) if only else message)
+        except DecodeError as refused:
+            _log.warning("a page was closed: %s", refused)
+            await page.close(_NOT_ALLOWED, _short(str(refused)))
+            return
         await writer.drain()
 
 

@@ -19,6 +19,8 @@ _TYPES: Final = {
     ".svg": "image/svg+xml",
     ".txt": "text/plain; charset=utf-8",
 }
+_HTML: Final = b'<html lang="en">'
+_HTML_READ_ONLY: Final = b'<html lang="en" data-read-only>'
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,10 +40,19 @@ class File:
     etag: str
 
 
-def load() -> dict[str, File]:
-    """Every file of the page by its path in the URL; ``/`` is ``/index.html``."""
+def load(*, read_only: bool = False) -> dict[str, File]:
+    """Every file of the page by its path in the URL; ``/`` is ``/index.html``, ``/login`` is ``/login.html``.
+
+    Parameters
+    ----------
+    read_only : bool
+        The page is told that it may request nothing.
+    """
     found = dict(_walk(resources.files(__package__) / "static", ""))
-    return {"/": found["/index.html"], **found}
+    index = found["/index.html"]
+    if read_only:
+        index = found["/index.html"] = _file(index.body.replace(_HTML, _HTML_READ_ONLY, 1), index.content_type)
+    return {"/": index, "/login": found["/login.html"], **found}
 
 
 def security_headers(files: Mapping[str, File]) -> dict[str, str]:
@@ -74,5 +85,8 @@ def _walk(folder: Traversable, path: str) -> Iterator[tuple[str, File]]:
             continue
         content_type = _TYPES.get(f".{entry.name.rpartition('.')[2]}")
         if content_type is not None:
-            body = entry.read_bytes()
-            yield name, File(body, content_type, f'"{hashlib.sha256(body).hexdigest()[:16]}"')
+            yield name, _file(entry.read_bytes(), content_type)
+
+
+def _file(body: bytes, content_type: str) -> File:
+    return File(body, content_type, f'"{hashlib.sha256(body).hexdigest()[:16]}"')

@@ -7,6 +7,8 @@ import contextlib
 import logging
 import os
 import socket
+import ssl
+import time
 from collections.abc import Callable, Collection, Mapping
 from http import HTTPStatus
 from typing import Final
@@ -16,9 +18,10 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 from websockets.typing import Subprotocol
 
-from tacshade_edge.dashboard import access, files
-from tacshade_edge.dashboard.bounds import Bounds, bounded, tell_device_errors
+from tacshade_edge.dashboard import access, files, login
+from tacshade_edge.dashboard.bounds import Bounds, Listener, bounded, tell_device_errors
 from tacshade_edge.dashboard.bridge import FROM_PAGE_BYTES_MAX, Bridge, Broker
+from tacshade_edge.dashboard.login import Login
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.quoting import escaped
 
@@ -26,8 +29,14 @@ _log = logging.getLogger(__name__)
 
 _WEBSOCKET: Final = "/mqtt"
 _METHODS: Final = ("GET", "HEAD")
-_SPEAK_S: Final = 5  # until a request is there
-_BACKLOG: Final = 16  # as many are accepted before the first is counted
+_INDEX: Final = ("/", "/index.html")
+_LOGIN: Final = "/login"
+_OPEN: Final = (_LOGIN, "/login.js", "/style.css", "/favicon.svg")  # without a token
+_REFUSED: Final = {
+    HTTPStatus.UNAUTHORIZED: "expected the token that this server told at its start, or that is in its file",
+    HTTPStatus.TOO_MANY_REQUESTS: f"too many wrong tokens from your address: wait {login.PERIOD_S:.0f} s",
+}
+_SPEAK_S: Final = 5  # until a request is there, and until TLS is
 _FRAMES_WAITING_MAX: Final = 4
 _CLOSE_S: Final = 0.5
 _STOP_S: Final = 0.7
@@ -41,10 +50,16 @@ class Pages:
     allowed_origins : collection of str
         See `access.refusal`.
     bounds : Bounds
+    tokens : Login or None
+        Without it everybody may see the page who reaches it.
+    read_only : bool
     """
 
-    def __init__(self, allowed_origins: Collection[str], bounds: Bounds) -> None:
-        self._files = files.load()
+    def __init__(
+        self, allowed_origins: Collection[str], bounds: Bounds, tokens: Login | None, *, read_only: bool
+    ) -> None:
+        self._tokens = tokens
+        self._files = files.load(read_only=read_only)
         self._headers = files.security_headers(self._files)
         self._allowed_origins = allowed_origins
         self._bounds = bounds
@@ -62,6 +77,10 @@ class Pages:
 
     def _get(self, page: ServerConnection, request: Request) -> Response | None:
         path = request.path.partition("?")[0]
+        if self._tokens is not None:
+            response = self._log_in(self._tokens, page, path, request.headers)
+            if response is not None:
+                return response
         if path == _WEBSOCKET:
             return self._check(page, request)
         file = self._files.get(path)
@@ -70,6 +89,24 @@ class Pages:
         if request.headers.get("If-None-Match") == file.etag:
             return self._response(HTTPStatus.NOT_MODIFIED, b"", {"ETag": file.etag})
         return self._response(HTTPStatus.OK, file.body, {"ETag": file.etag, "Content-Type": file.content_type})
+
+    def _log_in(self, tokens: Login, page: ServerConnection, path: str, headers: Headers) -> Response | None:
+        """The response to a request without the token, or to one that brings it; None where it may go on."""
+        try:
+            told, kept = login.told(headers.get("Authorization")), tokens.kept(headers.get("Cookie"))
+        except LookupError:
+            return self._text(HTTPStatus.BAD_REQUEST, "Authorization or Cookie more than once")
+        if path in _OPEN and told is None:
+            return None
+        address, before = str((page.remote_address or ("",))[0]), tokens.wrong
+        refused = tokens.refusal(kept if told is None else told, address, time.monotonic())
+        if tokens.wrong > before:
+            _log.warning("a wrong token from %s, the %d. so far", address, tokens.wrong)
+        if refused is HTTPStatus.UNAUTHORIZED and path in _INDEX and told is None:
+            return self._response(HTTPStatus.SEE_OTHER, b"", {"Location": _LOGIN.removeprefix("/")})
+        if refused is not None:
+            return self._text(refused, _REFUSED[refused], {"WWW-Authenticate": "Bearer"})
+        return self._response(HTTPStatus.NO_CONTENT, b"", {"Set-Cookie": tokens.set_cookie}) if path == _LOGIN else None
 
     def _check(self, page: ServerConnection, request: Request) -> Response | None:
         if request.headers.get("Upgrade", "").lower() != "websocket":
@@ -91,7 +128,8 @@ class Pages:
         return self._response(status, f"{text}\n".encode(), typed)
 
     def _response(self, status: HTTPStatus, body: bytes, headers: dict[str, str]) -> Response:
-        length = {} if status is HTTPStatus.NOT_MODIFIED else {"Content-Length": str(len(body))}
+        bodiless = status in (HTTPStatus.NOT_MODIFIED, HTTPStatus.NO_CONTENT)
+        length = {} if bodiless else {"Content-Length": str(len(body))}
         everything = Headers({**self._headers, **headers, **length, "Connection": "close"})
         return Response(status.value, status.phrase, everything, body)
 
@@ -103,6 +141,10 @@ async def run(
     allowed_origins: Collection[str],
     listening: Callable[[str, int], None],
     stop: asyncio.Event,
+    *,
+    tls: ssl.SSLContext | None = None,
+    token: str | None = None,
+    read_only: bool = False,
 ) -> None:
     """Serve until `stop` is set; less than a second later every connection is closed.
 
@@ -115,6 +157,12 @@ async def run(
     listening : callable
         ``listening(host, port)``, once, when the port is open.
     stop : asyncio.Event
+    tls : ssl.SSLContext, optional
+        The page is served over TLS, and nothing else.
+    token : str, optional
+        Nothing is shown without it.
+    read_only : bool
+        No requests of a page are passed on.
 
     Raises
     ------
@@ -127,14 +175,17 @@ async def run(
     asyncio.get_running_loop().set_exception_handler(tell_device_errors)
     bounds = Bounds()
     try:
+        listener = Listener(host, port, bounds)
+        tokens = Login(token, f"tacshade-{listener.getsockname()[1]}", secure=tls is not None) if token else None
         # Compression would cost the board more than it saves: docs/dashboard.md has the figures.
         server = await serve(
-            Bridge(broker).carry,
-            host,
-            port,
-            process_request=Pages(allowed_origins, bounds).answer,
+            Bridge(broker, read_only=read_only).carry,
+            sock=listener,
+            ssl=tls,
+            ssl_handshake_timeout=_SPEAK_S if tls else None,
+            ssl_shutdown_timeout=_CLOSE_S if tls else None,
+            process_request=Pages(allowed_origins, bounds, tokens, read_only=read_only).answer,
             create_connection=bounded(bounds),
-            backlog=_BACKLOG,
             open_timeout=_SPEAK_S,
             max_queue=_FRAMES_WAITING_MAX,
             subprotocols=[Subprotocol("mqtt")],

@@ -18,7 +18,7 @@ from tacshade_edge.errors import ConfigError
 from tacshade_edge.protocol.messages import Request
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.regular_files import read_regular
-from tacshade_edge.settings import Document, Files, Serial, Settings, Simulated, Source, V4l2
+from tacshade_edge.settings import Document, Files, Rpicam, Serial, Settings, Simulated, Source, V4l2
 from tacshade_edge.types import Calibration
 
 _PASSWORD_BYTES_MAX = 1 << 16
@@ -40,6 +40,19 @@ def _v4l2(source: V4l2) -> FrameSource:
     )
 
 
+def _rpicam(source: Rpicam) -> FrameSource:
+    from tacshade_edge.devices.camera.rpicam import RpicamSource
+
+    return RpicamSource(
+        camera=source.camera,
+        width_px=source.width_px,
+        height_px=source.height_px,
+        fps=source.fps,
+        exposure_us=source.exposure_us,
+        gain=source.gain,
+    )
+
+
 def _files(source: Files) -> FrameSource:
     from tacshade_edge.devices.files.image_source import FilesSource
 
@@ -57,7 +70,12 @@ def _simulated(source: Simulated) -> FrameSource:
 
 
 # The modules are imported on demand: a camera needs no simulator.
-SOURCES: dict[type, Callable[[Any], FrameSource]] = {V4l2: _v4l2, Files: _files, Simulated: _simulated}
+SOURCES: dict[type, Callable[[Any], FrameSource]] = {
+    V4l2: _v4l2,
+    Rpicam: _rpicam,
+    Files: _files,
+    Simulated: _simulated,
+}
 
 
 def make_source(source: Source) -> FrameSource:
@@ -125,10 +143,10 @@ def load_calibration(document: Document, *, store: bool = False) -> Calibration:
     source = settings.source
     expected = (calibration.image_width_px, calibration.image_height_px)
     size: tuple[int, int] | None = None
-    if isinstance(source, V4l2):
+    if isinstance(source, V4l2 | Rpicam):
         key, size = "width_px", (source.width_px, source.height_px)
     elif isinstance(source, Files):
-        key, size = "path", _first_size(source)
+        key, size = "path", _first_size(document, source)
     if size is not None and size != expected:
         raise ConfigError(
             f"{document.where('source', key)}: found {size[0]}x{size[1]} px, "
@@ -137,10 +155,13 @@ def load_calibration(document: Document, *, store: bool = False) -> Calibration:
     return calibration
 
 
-def _first_size(source: Files) -> tuple[int, int] | None:
+def _first_size(document: Document, source: Files) -> tuple[int, int] | None:
     from tacshade_edge.devices.files.image_source import first_size_px
 
-    return first_size_px(Path(source.path))
+    try:
+        return first_size_px(Path(source.path))
+    except ConfigError as error:
+        raise ConfigError(f"{document.where('source', 'path')}: {error}") from None
 
 
 def read_password(document: Document) -> str | None:
@@ -151,16 +172,21 @@ def read_password(document: Document) -> str | None:
     where = document.where("mqtt", "password_file")
     if mqtt.username is None:
         raise ConfigError(f"{where}: found a password without a user name, expected mqtt.username too")
+    return password_in(mqtt.password_file, where)
+
+
+def password_in(path: str | Path, where: str) -> str:
+    """First line of a password file that `where` names. Raises ConfigError."""
     try:
-        text = read_regular(mqtt.password_file, _PASSWORD_BYTES_MAX).decode()
+        text = read_regular(path, _PASSWORD_BYTES_MAX).decode()
         password = text.partition("\n")[0].rstrip("\r")
     except OSError as error:
         reason = error.strerror or str(error)
-        raise ConfigError(f"{where}: {mqtt.password_file}: {reason}, expected a file with the password") from error
+        raise ConfigError(f"{where}: {path}: {reason}, expected a file with the password") from error
     except UnicodeDecodeError as error:
-        raise ConfigError(f"{where}: {mqtt.password_file}: found no UTF-8 text, expected the password") from error
+        raise ConfigError(f"{where}: {path}: found no UTF-8 text, expected the password") from error
     if not password:
-        raise ConfigError(f"{where}: {mqtt.password_file}: found an empty first line, expected the password")
+        raise ConfigError(f"{where}: {path}: found an empty first line, expected the password")
     return password
 
 
@@ -186,14 +212,13 @@ def check_serial(document: Document) -> None:
 def check_source(document: Document) -> None:
     """Check the path of the source. Raises ConfigError."""
     source = document.settings.source
-    key = "device" if isinstance(source, V4l2) else "path"
-    try:
-        if isinstance(source, V4l2):
+    if isinstance(source, Files):
+        _first_size(document, source)
+    elif isinstance(source, V4l2):
+        try:
             v4l2_node.check_kind(source.device)
-        elif isinstance(source, Files):
-            _first_size(source)
-    except ConfigError as error:
-        raise ConfigError(f"{document.where('source', key)}: {error}") from None
+        except ConfigError as error:
+            raise ConfigError(f"{document.where('source', 'device')}: {error}") from None
 
 
 def check_broker_files(document: Document) -> None:

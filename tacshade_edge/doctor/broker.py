@@ -17,6 +17,7 @@ from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from tacshade_edge.devices.mqtt.client import make_client, packet_bytes_max
+from tacshade_edge.devices.mqtt.holder import place_of
 from tacshade_edge.doctor.finding import Finding, fault, ok, warning
 from tacshade_edge.doctor.machine import Process
 
@@ -28,6 +29,7 @@ _MESSAGE_BYTES = 38_000  # more than a height map (25 KB), or a cloud of 2700 po
 _HEADER_BYTES = 200
 _PACKET_BYTES = 1_000_000  # a map of 640x480 cells, and room
 _SLOW_MS = 20.0
+_TOLD = ("state", "info", "instance", "health", "status/+")
 _NOT_AUTHORISED = (0x86, 0x87)  # bad user name or password, not authorised
 _BAD_VERSION = 0x84
 # X509_V_ERR_* of OpenSSL: not yet valid, expired; another host name, another address.
@@ -47,11 +49,20 @@ class DaemonState:
         Why it is not online.
     fps : float
         Frames per second that it delivered last.
+    place : str
+        Where it runs.
+    rival : str
+        Where another runs that waits for the same name; empty without one.
+    told : dict
+        All that the broker holds of it: topic below the daemon's to payload.
     """
 
     state: str = ""
     reason: str = ""
     fps: float = 0.0
+    place: str = "which does not say where"
+    rival: str = ""
+    told: dict[str, bytes] = field(default_factory=dict, compare=False)
 
     @property
     def alive(self) -> bool:
@@ -112,6 +123,9 @@ def check_broker(
 
 def judge_daemon(daemon: DaemonState, process: Process | None, sensor_id: str) -> Finding:
     """Is a daemon running, and is it this machine's?"""
+    if daemon.alive and daemon.rival:
+        found = f"{sensor_id} is held by a daemon {daemon.place}; another waits for it, {daemon.rival}"
+        return warning("daemon", found, "stop one of the two, or give its sensor another sensor_id")
     if daemon.alive and process is None:
         mend = "stop that other daemon, or give this sensor another sensor_id"
         return warning("daemon", f"none runs here, yet {sensor_id} is {daemon.state} on this broker", mend)
@@ -232,9 +246,7 @@ def _round_trip(client: Client, session: _Session, base: str, username: str | No
     """Subscribe to what we and the daemon publish, publish, and time it."""
     topic = f"{base}/doctor"
     acl = _ACL.format(user=username or "(none)")
-    client.subscribe(
-        [(f"{base}/{name}", SubscribeOptions(1)) for name in ("doctor", "state", "health", "status/camera")]
-    )
+    client.subscribe([(f"{base}/{name}", SubscribeOptions(1)) for name in ("doctor", *_TOLD)])
     _pump(client, lambda: session.subscribed)
     if not session.subscribed or any(code.is_failure for code in session.subscribed):
         return fault("broker round trip", f"may not subscribe under {base}/", acl)
@@ -282,7 +294,15 @@ def _daemon_state(session: _Session, base: str) -> DaemonState:
     state = session.messages.get(f"{base}/state", b"").decode(errors="replace")[:20]
     fps = health.get("delivered_fps", 0.0)
     reason = camera.get("reason") or health.get("degraded_reason") or ""
-    return DaemonState(state, str(reason)[:200], float(fps) if isinstance(fps, int | float) else 0.0)
+    instance, rival = (_json(session.messages.get(f"{base}/{name}", b"")) for name in ("instance", "status/rival"))
+    return DaemonState(
+        state,
+        str(reason)[:200],
+        float(fps) if isinstance(fps, int | float) else 0.0,
+        place_of(instance),
+        place_of(rival) if rival else "",
+        {topic.removeprefix(f"{base}/"): payload for topic, payload in session.messages.items()},
+    )
 
 
 def _json(payload: bytes) -> dict[str, Any]:

@@ -10,8 +10,8 @@ from tacshade_edge.core.calibration import pattern
 from tacshade_edge.core.calibration.references import rezero
 from tacshade_edge.core.frame_check import registration
 from tacshade_edge.core.image.greyscale import to_grey
-from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.devices import registry
+from tacshade_edge.core.profiles import DEFAULT, PROFILES
+from tacshade_edge.devices import calibrations, registry
 from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.doctor.finding import Finding, fault, ok, warning
 from tacshade_edge.doctor.settings import AS_SERVICE
@@ -67,8 +67,14 @@ def load(document: Document) -> tuple[Calibration | None, tuple[Finding, ...]]:
     if not calibration.factors:
         mend = "take presses (tacshade-edge capture) and calibrate with --presses PRESSES.csv (docs/calibration.md)"
         return calibration, (warning("calibration", f"{found}; depth is not in true millimetres", mend),)
+    if renew := calibrations.fits_to_renew(path):
+        mend = "calibrate again with --presses PRESSES.csv --fit (docs/calibration.md)"
+        found = f"{found}; the networks of {', '.join(renew)} have changed since they were fitted: they run as shipped"
+        return calibration, (warning("calibration", found, mend),)
     accurate = calibration.fit.profiles.get("accurate") if calibration.fit else None
     depth_error = f", depth error {accurate.depth_mae_mm:.2f} mm" if accurate else ""
+    if fitted := calibration.fitted.get(DEFAULT):
+        depth_error = f", fitted: depth error {fitted.error_mm:.2f} mm"
     return calibration, (ok("calibration", found + depth_error),)
 
 

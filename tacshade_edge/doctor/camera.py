@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
 from dataclasses import replace
 from itertools import pairwise
 
@@ -10,14 +11,23 @@ from tacshade_edge.core.frame_check.validity import SATURATED_PART, frame_check,
 from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.devices.camera import v4l2_node
+from tacshade_edge.devices.camera.rpicam import PROGRAM
 from tacshade_edge.devices.camera.v4l2_controls import Lock
-from tacshade_edge.doctor.cameras import CSI_MEND, card_name, found_cameras, has_csi_receiver, is_csi, stable_name
+from tacshade_edge.doctor.cameras import (
+    CSI_MEND,
+    card_name,
+    csi_cameras,
+    found_cameras,
+    has_csi_receiver,
+    is_csi,
+    stable_name,
+)
 from tacshade_edge.doctor.capture import Captured
 from tacshade_edge.doctor.finding import Finding, fault, ok, warning
 from tacshade_edge.doctor.machine import Machine, may_use, permission_mend
 from tacshade_edge.errors import DeviceError, TacshadeError
-from tacshade_edge.reasons import ReasonCode
-from tacshade_edge.settings import V4l2
+from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.settings import Rpicam, V4l2
 from tacshade_edge.types import U8, Disc
 
 _FOURCCS = ("MJPG", "YUYV", "GREY")
@@ -26,6 +36,8 @@ _RATE_OFF = 0.01  # 29.97 is 30
 _LOST_PART = 0.05  # a stream's start may cost a frame
 _AGE_MAX_S = 0.5
 _SIZES_SHOWN = 8
+_CABLE = "is the ribbon cable in on both ends, contacts towards the contacts? rpicam-hello --list-cameras shows it"
+_STOP = "to look at the camera itself: sudo systemctl stop tacshade-edge, and start it again afterwards"
 _PICTURE_MENDS = {
     ReasonCode.BLACK: "switch the sensor's light on, take the lens cap off, or raise source.exposure",
     ReasonCode.SATURATED: "dim the sensor's light, or lower source.exposure",
@@ -35,9 +47,10 @@ _PICTURE_MENDS = {
 
 def list_cameras(machine: Machine) -> Finding:
     """Which cameras there are, while no settings name one."""
-    cameras = found_cameras(machine)
+    cameras = [_labelled(name, machine) for name in found_cameras(machine)]
+    cameras += [f"{{kind: rpicam, camera: {number}}} ({name})" for number, name in csi_cameras().items()]
     if cameras:
-        return ok("camera", f"found {', '.join(_labelled(name, machine) for name in cameras)}")
+        return ok("camera", f"found {', '.join(cameras)}")
     if has_csi_receiver(machine):
         return warning("camera", "found a CSI receiver and no USB camera", CSI_MEND)
     return warning("camera", "found none on this machine", "plug one in; lsusb shows whether USB sees it")
@@ -65,6 +78,18 @@ def check_device(source: V4l2, machine: Machine) -> tuple[Finding, ...]:
     return (*findings, *_check_offer(source, str(path)))
 
 
+def check_csi(source: Rpicam) -> tuple[Finding, ...]:
+    """Whether rpicam-vid lists the configured camera."""
+    if not shutil.which(PROGRAM):
+        return (fault("camera", f"found no program {PROGRAM}", "sudo apt install rpicam-apps-lite"),)
+    cameras = csi_cameras()
+    if name := cameras.get(source.camera):
+        return (ok("camera", f"camera {source.camera} of {PROGRAM}: {name}"),)
+    found = ", ".join(f"{number} ({name})" for number, name in cameras.items()) or "none"
+    mend = f"set source.camera to one of them; {_CABLE}" if cameras else _CABLE
+    return (fault("camera", f"{PROGRAM} has no camera {source.camera}, it lists {found}", mend),)
+
+
 def _check_offer(source: V4l2, node: str) -> tuple[Finding, ...]:
     """Is what the settings ask among the formats, sizes and rates that the driver lists?"""
     size = f"{source.width_px}x{source.height_px}"
@@ -89,23 +114,25 @@ def _check_offer(source: V4l2, node: str) -> tuple[Finding, ...]:
     return (ok("camera format", f"{source.fourcc} {size}" + (f" at {listed} frames/s" if listed else "")),)
 
 
-def check_frames(source: V4l2, captured: Captured, machine: Machine, daemon_state: str) -> tuple[Finding, ...]:
+def check_frames(source: V4l2 | Rpicam, captured: Captured, machine: Machine, daemon_state: str) -> tuple[Finding, ...]:
     """What a camera delivered, or why it did not.
 
     Parameters
     ----------
-    source : V4l2
+    source : V4l2 or Rpicam
     captured : Captured
     machine : Machine
     daemon_state : str
         What the running daemon publishes of itself; empty when none runs here.
     """
-    if captured.error and (busy := _busy(source.device, machine, daemon_state)):
+    if captured.error and (busy := _busy(source, captured.error, machine, daemon_state)):
         return (busy,)
     findings: list[Finding] = []
     if captured.error:
-        mend = "plug it in again, into another USB port or a powered hub; sudo dmesg tells what the kernel saw"
-        findings.append(fault("camera frames", str(captured.error).removeprefix(f"camera {source.device}: "), mend))
+        usb = "plug it in again, into another USB port or a powered hub; sudo dmesg tells what the kernel saw"
+        mend = usb if isinstance(source, V4l2) else _CABLE
+        name = f"camera {source.device}: " if isinstance(source, V4l2) else f"camera {source.camera} of {PROGRAM}: "
+        findings.append(fault("camera frames", str(captured.error).removeprefix(name), mend))
     if not captured.t_ns:
         return tuple(findings)
     findings += [_check_rate(source.fps, captured), _check_stamps(captured)]
@@ -137,15 +164,23 @@ def check_picture(image: U8) -> Finding:
     return fault("picture", reason.text, _PICTURE_MENDS.get(reason.code, _PICTURE_MENDS[ReasonCode.NO_CONTRAST]))
 
 
-def _busy(device: str, machine: Machine, daemon_state: str) -> Finding | None:
+def _busy(source: V4l2 | Rpicam, error: Reason, machine: Machine, daemon_state: str) -> Finding | None:
     """Who holds the camera; None when nobody does."""
+    if isinstance(source, Rpicam):
+        if error.code is not ReasonCode.IN_USE:
+            return None
+        if daemon_state:
+            return warning("camera frames", f"the running daemon holds the camera; it says: {daemon_state}", _STOP)
+        return fault(
+            "camera frames", "another program holds the camera", f"end it: pgrep -a {PROGRAM.partition('-')[0]}"
+        )
+    device = source.device
     with contextlib.suppress(TacshadeError):
         if not v4l2_node.is_busy(str(machine.at(device))):
             return None
         daemon, holders = machine.daemon(), machine.holders(device)
         if daemon_state and (daemon in holders or not holders):
-            mend = "to look at the camera itself: sudo systemctl stop tacshade-edge, and start it again afterwards"
-            return warning("camera frames", f"the running daemon holds the camera; it says: {daemon_state}", mend)
+            return warning("camera frames", f"the running daemon holds the camera; it says: {daemon_state}", _STOP)
         if not holders:
             mend = "run this with sudo to see which, and end it"
             return fault("camera frames", "another program holds the camera", mend)
@@ -174,7 +209,7 @@ def _check_stamps(captured: Captured) -> Finding:
     found = f"time stamps {captured.described.get('time_stamps', 'on arrival')}, frames up to {1e3 * age_s:.0f} ms old"
     if any(later <= earlier for earlier, later in pairwise(captured.t_ns)):
         return warning("camera time", f"{found}, not in order", "update the kernel, or use another camera")
-    if captured.described.get("time_stamps") != "kernel":
+    if captured.described.get("time_stamps") not in ("kernel", "sensor"):
         mend = "poses will match less well; a camera of the driver uvcvideo gives the kernel's time stamps"
         return warning("camera time", found, mend)
     if age_s > _AGE_MAX_S:

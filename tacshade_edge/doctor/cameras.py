@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
+import re
+import subprocess
 from pathlib import Path
 
+from tacshade_edge.devices.camera.rpicam import PROGRAM
 from tacshade_edge.doctor.machine import Machine
 
 # Best first. The second are the names by USB port that this project's udev rules add.
@@ -13,9 +16,20 @@ _NAMES = ("/dev/v4l/by-id", "/dev/tacshade", "/dev/v4l/by-path")
 CSI_RECEIVERS = ("unicam", "rp1-cfe")
 _OWN_NODES = (*CSI_RECEIVERS, "bcm2835-isp", "bcm2835-codec", "pispbe", "rpi-hevc-dec", "rpivid")
 CSI_MEND = (
-    "CSI (ribbon cable) cameras of a Raspberry Pi do not work through this interface: use a USB camera, or feed a "
-    "v4l2loopback device from rpicam-vid and set source.device to it"
+    "a Raspberry Pi's own (CSI, ribbon cable) camera is read through rpicam-vid: set source: {kind: rpicam, camera: 0}"
 )
+_LIST_S = 2.5
+
+
+def csi_cameras() -> dict[int, str]:
+    """Number and name of each CSI camera that ``rpicam-vid --list-cameras`` tells; none without the program."""
+    try:
+        words = (PROGRAM, "--list-cameras")
+        done = subprocess.run(words, capture_output=True, text=True, errors="replace", timeout=_LIST_S, check=False)
+    except (OSError, subprocess.TimeoutExpired):
+        return {}
+    found = re.findall(r"^(\d+) : (.*?)(?: \(/.*\))?$", done.stdout, re.MULTILINE)
+    return {int(number): name for number, name in found}
 
 
 def card_name(device: str, machine: Machine) -> str:

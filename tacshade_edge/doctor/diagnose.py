@@ -16,7 +16,8 @@ from tacshade_edge.devices import registry
 from tacshade_edge.doctor import calibration
 from tacshade_edge.doctor.board import check_board
 from tacshade_edge.doctor.broker import DaemonState, check_broker, judge_daemon
-from tacshade_edge.doctor.camera import check_device, check_frames, check_other_source, list_cameras
+from tacshade_edge.doctor.bundle import Seen
+from tacshade_edge.doctor.camera import check_csi, check_device, check_frames, check_other_source, list_cameras
 from tacshade_edge.doctor.capture import Captured, capture
 from tacshade_edge.doctor.clock import check_clock
 from tacshade_edge.doctor.disk import check_disk
@@ -25,24 +26,28 @@ from tacshade_edge.doctor.limits import start, wait_for
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.doctor.serial import check_serial
 from tacshade_edge.doctor.settings import check_settings
-from tacshade_edge.settings import Document, Source, V4l2
+from tacshade_edge.settings import Document, Rpicam, Source, V4l2
 
 T = TypeVar("T")
 Findings = tuple[Finding, ...]
 
-MACHINE_S, NODE_S, CAPTURE_S, JUDGE_S = 7.0, 2.0, 7.0, 3.0
+MACHINE_S, NODE_S, CSI_S, CAPTURE_S, JUDGE_S = 7.0, 2.0, 3.0, 7.0, 3.0
 _STATE_FOLDER = Path("/var/lib/tacshade-edge")
 _REPLUG = "unplug the camera and plug it in again; if it stays so, reboot"
 _AGAIN = "run it again; if it stays so, reboot; then report it with this line"
 
 
-def diagnose(config: Path, machine: Machine) -> Iterator[Finding]:
-    """Check all that can be checked; findings come as soon as they are known.
+def diagnose(
+    config: Path, machine: Machine, seen: Seen | None = None, sensor_id: str | None = None
+) -> Iterator[Finding]:
+    """Check all that can be checked; findings come as soon as they are known, and `seen` gets what they are of.
 
     The first is on the settings file; what needs no settings is checked without them too.
     """
-    finding, document, broker_usable = check_settings(config)
+    finding, document, broker_usable = check_settings(config, sensor_id)
     yield finding
+    seen = Seen() if seen is None else seen
+    seen.document = document
     settings = document.settings if document else None
     deadline_s = time.monotonic() + MACHINE_S
     folder = Path(settings.calibration).parent if settings else _STATE_FOLDER
@@ -58,32 +63,37 @@ def diagnose(config: Path, machine: Machine) -> Iterator[Finding]:
     daemon = DaemonState()
     if broker:
         findings, daemon = wait_for(broker, deadline_s, _no_broker)
+        seen.told = daemon.told
         yield from findings
     for name, check in running.items():
         yield from wait_for(check, deadline_s, _failed(name, _AGAIN))
     if document is None:
         yield from _limited(lambda: (list_cameras(machine),), NODE_S, _failed("camera", _AGAIN))
     else:
-        yield from _sensor(document, daemon, machine)
+        yield from _sensor(document, daemon, machine, seen)
 
 
-def _sensor(document: Document, daemon: DaemonState, machine: Machine) -> Iterator[Finding]:
+def _sensor(document: Document, daemon: DaemonState, machine: Machine, seen: Seen) -> Iterator[Finding]:
     """The source, and its frames against the calibration."""
     source = document.settings.source
     found: Findings = ()
     if isinstance(source, V4l2):
         found = _limited(partial(check_device, source, machine), NODE_S, _failed("camera", _REPLUG))
         yield from found
+    elif isinstance(source, Rpicam):
+        found = _limited(partial(check_csi, source), CSI_S, _failed("camera", _AGAIN))
+        yield from found
     captured = Captured()
     if not any(finding.state == "fault" for finding in found):
         captured, found = _limited(lambda: _watch(source, daemon, machine), CAPTURE_S, _no_frames)
+        seen.image = captured.images[-1] if captured.images else None
         yield from found
     yield from _limited(lambda: _judge(document, captured), JUDGE_S, _failed("calibration", _AGAIN))
 
 
 def _watch(source: Source, daemon: DaemonState, machine: Machine) -> tuple[Captured, Findings]:
     captured = capture(registry.make_source(source))
-    if not isinstance(source, V4l2):
+    if not isinstance(source, V4l2 | Rpicam):
         return captured, check_other_source(captured, source.fps)
     silent = "nothing, it is not on this broker" if machine.daemon() else ""
     return captured, check_frames(source, captured, machine, str(daemon) if daemon.alive else silent)
@@ -93,7 +103,8 @@ def _judge(document: Document, captured: Captured) -> Findings:
     known, findings = calibration.load(document)
     if known is None or not captured.images:
         return findings
-    return (*findings, *calibration.check_images(known, captured.images, isinstance(document.settings.source, V4l2)))
+    camera = isinstance(document.settings.source, V4l2 | Rpicam)
+    return (*findings, *calibration.check_images(known, captured.images, camera))
 
 
 def _ask_broker(document: Document, machine: Machine) -> tuple[Findings, DaemonState]:

@@ -16,8 +16,8 @@ AS_SERVICE = "sudo -u tacshade-edge /opt/tacshade-edge/bin/tacshade-edge doctor"
 _UNTIL = "until then {} not checked"
 
 
-def check_settings(config: Path) -> tuple[Finding, Document | None, bool]:
-    """Read the settings.
+def check_settings(config: Path, sensor_id: str | None = None) -> tuple[Finding, Document | None, bool]:
+    """Read the settings, of one sensor where they have several.
 
     Returns
     -------
@@ -28,10 +28,11 @@ def check_settings(config: Path) -> tuple[Finding, Document | None, bool]:
         Whether the broker's part can be used; its password and certificate files are checked here.
     """
     try:
-        document = load(config)
+        document = load(config, sensor_id)
     except ConfigError as error:
         until = _UNTIL.format("the configured camera, the calibration and the broker are")
-        return fault(SETTINGS, str(error), f"{_mend(config)}; {until}"), None, False
+        more = f" (and {len(error.others)} more: tacshade-edge check-config {config})" if error.others else ""
+        return fault(SETTINGS, f"{error}{more}", f"{_mend(config)}; {until}"), None, False
     try:
         registry.check_broker_files(document)
         registry.make_link(document, on_request=lambda _: None, on_outcome=lambda *_: None)

@@ -21,11 +21,13 @@ from tacshade_edge.quoting import escaped
 from tacshade_edge.reasons import Reason, ReasonCode, code_of, reason_fields
 from tacshade_edge.types import Calibration, Reconstruction, TouchedObject
 
-Verb = Literal["reference", "profile", "status", "record", "stitch"]
+Verb = Literal["reference", "profile", "status", "record", "stitch", "replay"]
 StitchAction = Literal["begin", "add", "end", "abort", "status"]
 Transaction = Annotated[str, msgspec.Meta(max_length=128)] | Annotated[int, msgspec.Meta(ge=-(2**53), le=2**53)] | None
 REQUEST_BYTES_MAX: Final = 4096
-RECORD_S_MAX: Final = 86400
+RECORD_S_MAX: Final = 3600  # 40 GB of grey 640x480 at 60 per second
+RECORD_NAME: Final = r"\A[A-Za-z0-9_-][A-Za-z0-9._-]{0,63}\Z"
+RECORD_NAME_RULE: Final = "up to 64 letters, digits, '.', '_' and '-', not a dot first"
 _ERROR_CHARS_MAX: Final = 200
 
 
@@ -42,13 +44,22 @@ class _Status(msgspec.Struct, forbid_unknown_fields=True):
     transaction: Transaction = None
 
 
+RecordingFormat = Literal["folder", "mcap"]
+
+
 class _RecordStart(msgspec.Struct, forbid_unknown_fields=True, tag_field="action", tag="start"):
     seconds: Annotated[float, msgspec.Meta(gt=0, le=RECORD_S_MAX)]
-    name: Annotated[str, msgspec.Meta(pattern=r"\A[A-Za-z0-9_-][A-Za-z0-9._-]{0,63}\Z")] | None = None
+    name: Annotated[str, msgspec.Meta(pattern=RECORD_NAME)] | None = None
+    format: RecordingFormat = "folder"
     transaction: Transaction = None
 
 
 class _RecordStop(msgspec.Struct, forbid_unknown_fields=True, tag_field="action", tag="stop"):
+    transaction: Transaction = None
+
+
+class _RecordMark(msgspec.Struct, forbid_unknown_fields=True, tag_field="action", tag="mark"):
+    text: Annotated[str, msgspec.Meta(max_length=200)] = ""
     transaction: Transaction = None
 
 
@@ -62,6 +73,15 @@ class _Stitch(msgspec.Struct, forbid_unknown_fields=True):
             raise ValueError(f"found a name with the action {self.action}")
 
 
+class _Replay(msgspec.Struct, forbid_unknown_fields=True):
+    paused: bool | None = None
+    step: bool = False
+    back: bool = False
+    seek_s: Annotated[float, msgspec.Meta(ge=0, le=1e9)] | None = None
+    speed: Annotated[float, msgspec.Meta(ge=0.01, le=100)] | None = None
+    transaction: Transaction = None
+
+
 class _Echo(msgspec.Struct):
     transaction: Transaction = None
 
@@ -70,14 +90,42 @@ _BODIES: Final[dict[Verb, Any]] = {
     "reference": _Reference,
     "profile": _Profile,
     "status": _Status,
-    "record": _RecordStart | _RecordStop,
+    "record": _RecordStart | _RecordStop | _RecordMark,
     "stitch": _Stitch,
+    "replay": _Replay,
 }
 _KEYS: Final[dict[Verb, str]] = {
     "profile": '"profile": NAME, ',
-    "record": '"action": "start", "seconds": NUMBER, "name": letters, digits, . _ - (optional), or "action": "stop", ',
+    "record": f'"action": "start", "seconds": NUMBER up to {RECORD_S_MAX}, "name": {RECORD_NAME_RULE} (optional), '
+    '"format": "folder" or "mcap" (optional), or "action": "mark", "text": TEXT (optional), or "action": "stop", ',
     "stitch": '"action": "begin", "name": TEXT (optional), or "action": "add", "end", "abort" or "status", ',
+    "replay": '"paused": true or false, "step": true, "back": true, "seek_s": NUMBER, "speed": 0.01 to 100 '
+    "(each optional), ",
 }
+
+
+@dataclass(frozen=True, slots=True)
+class PlaybackCommand:
+    """What ``req/replay`` asks of a recording that is played; None leaves as it is.
+
+    Attributes
+    ----------
+    paused : bool or None
+    step : bool
+        One frame more, and a pause.
+    back : bool
+        The frame before the one that is shown, and a pause.
+    seek_s : float or None
+        Go to this time after the first frame.
+    speed : float or None
+        Times the recording's pace.
+    """
+
+    paused: bool | None = None
+    step: bool = False
+    back: bool = False
+    seek_s: float | None = None
+    speed: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,17 +136,24 @@ class Request:
     ----------
     verb : str
         ``reference`` (take a new reference now), ``profile`` (change to `profile`), ``status`` (report),
-        ``record`` (start or stop a recording), ``stitch`` (a stitching session).
+        ``record`` (start, mark or stop a recording), ``stitch`` (a stitching session),
+        ``replay`` (to a recording that is played).
     transaction : str, int or None
         The caller's own mark, given back in the reply.
     profile : str
         Empty unless the verb is ``profile``.
     action : str
-        ``start`` or ``stop`` of the verb ``record``, a `StitchAction` of ``stitch``, else empty.
+        ``start``, ``mark`` or ``stop`` of the verb ``record``, a `StitchAction` of ``stitch``, else empty.
     name : str
         Of the recording to start or the session to begin; empty is for the daemon to choose.
     seconds : float
         How long it shall be.
+    text : str
+        What to write beside a mark; may be empty.
+    playback : PlaybackCommand or None
+        Of the verb ``replay``.
+    format : str
+        Of the frames in the recording: a folder of images with their table, or MCAP files.
     response_topic : str or None
         MQTT 5: where the caller wants the reply, ``res/...`` below the sensor's topics; None is ``res/<verb>``.
     correlation : bytes or None
@@ -110,9 +165,12 @@ class Request:
     profile: str = ""
     response_topic: str | None = None
     correlation: bytes | None = None
-    action: Literal["", "start", "stop"] | StitchAction = ""
+    action: Literal["", "start", "mark", "stop"] | StitchAction = ""
     name: str = ""
     seconds: float = 0.0
+    text: str = ""
+    playback: PlaybackCommand | None = None
+    format: RecordingFormat = "folder"
 
 
 def parse_request(
@@ -141,7 +199,11 @@ def parse_request(
     if isinstance(body, _Profile):
         return replace(request, profile=body.profile)
     if isinstance(body, _RecordStart):
-        return replace(request, action="start", name=body.name or "", seconds=body.seconds)
+        return replace(request, action="start", name=body.name or "", seconds=body.seconds, format=body.format)
+    if isinstance(body, _Replay):
+        return replace(request, playback=PlaybackCommand(body.paused, body.step, body.back, body.seek_s, body.speed))
+    if isinstance(body, _RecordMark):
+        return replace(request, action="mark", text=body.text)
     if isinstance(body, _Stitch):
         return replace(request, action=body.action, name=body.name or "")
     return replace(request, action="stop") if isinstance(body, _RecordStop) else request
@@ -184,6 +246,7 @@ def encode_contact(result: Reconstruction, *, fps: float) -> bytes:
     ``contact`` is 0 or 1, ``objects`` a count, ``area_mm2`` their sum; ``x_mm`` and ``y_mm`` are the centroid
     of the greatest object and null without one, since 0 is a place. Displacement, twist and slip (0 stick, 1 partial, 2
     full) are of the object that has the most of each, null where none is told. `fps` is the rate of delivery in 1/s.
+    `t_ns` and `wall_ns` are of the capture, on the daemon's monotonic clock and in Unix time.
     """
     x_mm, y_mm = result.objects[0].centroid_mm[:2] if result.objects else (None, None)
     shears = [o.shear_mm for o in result.objects if o.shear_mm is not None]
@@ -209,6 +272,7 @@ def encode_contact(result: Reconstruction, *, fps: float) -> bytes:
             "fps": fps,
             "reason_code": code_of(result.reason),
             "degraded_code": code_of(result.degraded),
+            "wall_ns": result.wall_ns,
         }
     )
 

@@ -23,7 +23,7 @@ OUTSIDE: Final = -32768
 _LIMIT: Final = 32767
 
 _MAGIC: Final = b"TCSH"
-_HEIGHT, _CLOUD, _SHEAR = 1, 2, 3
+_HEIGHT, _CLOUD, _SHEAR, _SIGMA = 1, 2, 3, 4
 _RAW: Final = 0
 _CONTACT, _INVALID, _SATURATED, _DEGRADED, _POSE = 1, 2, 4, 8, 16
 
@@ -34,7 +34,7 @@ _CHECK: Final = struct.Struct("<II")
 _U32: Final = 0xFFFFFFFF
 _NO_POSE: Final = (0.0,) * 7
 _POINT_BYTES, _LABEL_BYTES = 12, 2
-_VALUES: Final = {_HEIGHT: 1, _SHEAR: 2}
+_VALUES: Final = {_HEIGHT: 1, _SHEAR: 2, _SIGMA: 1}
 """Of a cell."""
 
 
@@ -121,6 +121,24 @@ class ShearMessage(_Message):
     step_px: float
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class SigmaMessage(_Message):
+    """A decoded ``sigma``.
+
+    Attributes
+    ----------
+    sigma_mm : float32 (rows, cols)
+        Standard deviation of the height in mm, in steps of the scale; NaN where nothing touches. Read-only.
+    row0, col0, step_px : float
+        As of `HeightMessage`.
+    """
+
+    sigma_mm: F32
+    row0: float
+    col0: float
+    step_px: float
+
+
 def encode_height(
     result: Reconstruction, *, calibration_crc32: int, pose: Pose | None = None, pose_error_us: int = 0
 ) -> bytes:
@@ -144,6 +162,16 @@ def encode_shear(
     return _pack(whose, _SHEAR, *_steps(result.shear_mm, result.height), pose, pose_error_us)
 
 
+def encode_sigma(
+    result: Reconstruction, *, calibration_crc32: int, pose: Pose | None = None, pose_error_us: int = 0
+) -> bytes:
+    """The ``sigma`` payload of a reconstruction that tells its errors, coded as heights."""
+    if result.sigma_mm is None:
+        raise ValueError(f"profile {result.profile} tells no error")
+    whose = _whose(result, calibration_crc32)
+    return _pack(whose, _SIGMA, *_steps(result.sigma_mm, result.height), pose, pose_error_us)
+
+
 def encode_cloud(
     result: Reconstruction, *, calibration_crc32: int, pose: Pose | None = None, pose_error_us: int = 0
 ) -> bytes:
@@ -163,8 +191,8 @@ def encode_map_cloud(points_mm: F32, *, revision: int, calibration_crc32: int, t
     return _pack(whose, _CLOUD, halves, (0.0, 0.0, 0.0), payload, None, 0)
 
 
-def decode(data: bytes | bytearray | memoryview) -> HeightMessage | CloudMessage | ShearMessage:
-    """Understand one ``height``, ``cloud`` or ``shear`` payload; the result owns its arrays.
+def decode(data: bytes | bytearray | memoryview) -> HeightMessage | CloudMessage | ShearMessage | SigmaMessage:
+    """Understand one ``height``, ``cloud``, ``shear`` or ``sigma`` payload; the result owns its arrays.
 
     Raises
     ------
@@ -198,7 +226,8 @@ def decode(data: bytes | bytearray | memoryview) -> HeightMessage | CloudMessage
     values_mm.setflags(write=False)
     if kind == _SHEAR:
         return ShearMessage(*common, values_mm.reshape(rows, cols, 2), row0, col0, step_px)
-    return HeightMessage(*common, values_mm.reshape(rows, cols), row0, col0, step_px)
+    made = HeightMessage if kind == _HEIGHT else SigmaMessage
+    return made(*common, values_mm.reshape(rows, cols), row0, col0, step_px)
 
 
 def _check(data: bytes) -> tuple[int, int, int]:
@@ -209,7 +238,7 @@ def _check(data: bytes) -> tuple[int, int, int]:
     for offset, name, found, expected in (
         (0, "magic", magic, (_MAGIC,)),
         (4, "wire version", version, (WIRE_VERSION,)),
-        (5, "kind", kind, (_HEIGHT, _CLOUD, _SHEAR)),
+        (5, "kind", kind, (_HEIGHT, _CLOUD, _SHEAR, _SIGMA)),
         (6, "codec", codec, (_RAW,)),
     ):
         if found not in expected:

@@ -1,16 +1,18 @@
 """Strict settings: one YAML file to one frozen `Settings`, or one line that says what is wrong and where."""
 
-from tacshade_edge.settings.load import Document, load, to_yaml
+from tacshade_edge.settings.load import Document, load, load_all, to_yaml
 from tacshade_edge.settings.model import (
     Files,
     Mqtt,
     Recorder,
+    Rpicam,
     Serial,
     Settings,
     Simulated,
     Source,
     V4l2,
     digest,
+    file_schema,
     json_schema,
 )
 
@@ -19,13 +21,16 @@ __all__ = [
     "Files",
     "Mqtt",
     "Recorder",
+    "Rpicam",
     "Serial",
     "Settings",
     "Simulated",
     "Source",
     "V4l2",
     "digest",
+    "file_schema",
     "json_schema",
     "load",
+    "load_all",
     "to_yaml",
 ]

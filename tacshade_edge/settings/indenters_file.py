@@ -44,7 +44,8 @@ def read_indenters_file(path: Path) -> dict[str, tuple[str, IndenterEntry]]:
     ConfigError
         ``FILE:LINE: NAME.key: found …, expected …``.
     """
-    value, found = strict_yaml.read(path)
+    value, found, mistakes = strict_yaml.read(path)
+    strict_yaml.refuse(mistakes)
     if not isinstance(value, dict):
         raise ConfigError(f"{path}:{found[()].line}: found {found[()].text}, expected names of indenters")
     schema = msgspec.json.schema(IndenterEntry)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import copy
+import difflib
 import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -10,13 +13,16 @@ from typing import Any, TypeVar
 import msgspec
 import yaml
 
-from tacshade_edge.core.profiles import AUTO
+from tacshade_edge.core.profiles import AUTO, DEFAULT
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.quoting import shown
 from tacshade_edge.settings import strict_yaml
-from tacshade_edge.settings.model import Files, Settings, Simulated, Source, json_schema
-from tacshade_edge.settings.strict_yaml import Found, Key, dotted
+from tacshade_edge.settings.model import SENSORS, Files, Settings, Simulated, Source, json_schema
+from tacshade_edge.settings.several import own_folders, split
+from tacshade_edge.settings.strict_yaml import Found, Key, Mistake, dotted
 
 T = TypeVar("T")
+_MISTAKES_MAX = 50  # one after another: what follows is found when these are mended
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,44 +36,81 @@ class Document:
         Its paths are absolute: a relative one counts from the file's folder.
     found : dict
         Where each given key stands.
+    several : bool
+        The file has more sensors than this one.
     """
 
     path: Path
     settings: Settings
     found: dict[Key, Found]
+    several: bool = False
 
     def where(self, *key: str) -> str:
         """``FILE:LINE: path.to.key`` (without a line for a key that was left at its default)."""
         return _where(self.path, self.found, key)
 
 
-def load(path: Path) -> Document:
-    """Read and check a settings file.
+def load(path: Path, sensor_id: str | None = None) -> Document:
+    """Read and check a settings file, and take a sensor of it; it must have no other where none is named.
 
     Raises
     ------
     ConfigError
         ``FILE:LINE: path.to.key: found …, expected …``.
     """
-    settings, found = read_struct(path, Settings, json_schema())
-    known = json_schema()["$defs"]["Settings"]["properties"]["profile"]
-    if settings.profile not in known["enum"]:  # msgspec cannot express names that are known only at run time
-        problem = f"found {found['profile',].text}, expected {expectation(known)}"
-        raise ConfigError(f"{_where(path, found, ('profile',))}: {problem}")
-    _check_budget(path, settings, found)
-    return Document(path, _absolute(settings, path.absolute().parent), found)
+    documents = load_all(path)
+    if sensor_id is None and len(documents) == 1:
+        return documents[0]
+    for document in documents:
+        if document.settings.sensor_id == sensor_id:
+            return document
+    ids = ", ".join(document.settings.sensor_id for document in documents)
+    if sensor_id is None:
+        raise ConfigError(f"{path}: found the sensors {ids}, expected --sensor with one of them")
+    raise ConfigError(f"--sensor: found {shown(sensor_id)}, expected one of {ids} ({path})")
 
 
-def _check_budget(path: Path, settings: Settings, found: dict[Key, Found]) -> None:
-    """A budget with `AUTO`, and with nothing else: it would have no effect."""
-    key, budget_ms = ("latency_budget_ms",), settings.latency_budget_ms
-    if settings.profile == AUTO and budget_ms is None:
-        expected = expectation(json_schema()["$defs"]["Settings"]["properties"]["latency_budget_ms"]["anyOf"][0])
-        text = found[key].text if key in found else "nothing"
-        raise ConfigError(f"{_where(path, found, key)}: found {text} with profile {AUTO}, expected {expected}")
-    if settings.profile != AUTO and budget_ms is not None:
-        problem = f"found {found[key].text} with profile {settings.profile}, expected it with profile {AUTO} only"
-        raise ConfigError(f"{_where(path, found, key)}: {problem}")
+def load_all(path: Path) -> tuple[Document, ...]:
+    """Read and check a settings file with one sensor or several. Raises ConfigError as `load`."""
+    schema = json_schema()
+    value, found, mistakes = strict_yaml.read(path)
+    several = isinstance(value, dict) and SENSORS in value
+    parts, wrong = split(path, value, found) if several else ([(value, found)], [])
+    documents = []
+    for value_of_one, found_of_one in parts:
+        settings, wrong_of_one = _converted(path, value_of_one, found_of_one, Settings, schema)
+        known = {m.key for m in (*mistakes, *wrong_of_one)}
+        wrong_of_one += _profile_mistakes(path, value_of_one, found_of_one, schema, known)
+        wrong += [mistake for mistake in wrong_of_one if mistake not in wrong]  # what all have is wrong once
+        if settings is not None:
+            settings = _absolute(settings, path.absolute().parent)
+            settings = own_folders(settings, found_of_one) if several else settings
+            documents.append(Document(path, settings, found_of_one, several))
+    strict_yaml.refuse(mistakes + wrong)
+    return tuple(documents)
+
+
+def _profile_mistakes(
+    path: Path, value: dict[str, Any], found: dict[Key, Found], schema: dict[str, Any], known: set[Key]
+) -> list[Mistake]:
+    """What msgspec cannot express: names that are known at run time, and a budget with `AUTO` and with nothing else."""
+    properties, budget = schema["$defs"]["Settings"]["properties"], ("latency_budget_ms",)
+    profile, budget_ms = value.get("profile", DEFAULT), value.get("latency_budget_ms")
+    if ("profile",) in known:
+        return []
+    if profile not in properties["profile"]["enum"]:
+        problem = f"found {found['profile',].text}, expected {expectation(properties['profile'], profile)}"
+        return [_mistake(path, found, ("profile",), problem)]
+    if budget in known:
+        return []
+    if profile == AUTO and budget_ms is None:
+        text = found[budget].text if budget in found else "nothing"
+        expected = expectation(properties["latency_budget_ms"]["anyOf"][0])
+        return [_mistake(path, found, budget, f"found {text} with profile {AUTO}, expected {expected}")]
+    if profile != AUTO and budget_ms is not None:
+        problem = f"found {found[budget].text} with profile {profile}, expected it with profile {AUTO} only"
+        return [_mistake(path, found, budget, problem)]
+    return []
 
 
 def to_yaml(settings: Settings) -> str:
@@ -84,30 +127,75 @@ def read_struct(path: Path, kind: type[T], schema: dict[str, Any]) -> tuple[T, d
     ConfigError
         ``FILE:LINE: path.to.key: found …, expected …``.
     """
-    value, found = strict_yaml.read(path)
-    return as_struct(path, value, found, kind, schema), found
+    value, found, mistakes = strict_yaml.read(path)
+    struct, wrong = _converted(path, value, found, kind, schema)
+    strict_yaml.refuse(mistakes + wrong)
+    assert struct is not None  # else something was wrong
+    return struct, found
 
 
 def as_struct(
     path: Path, document: Any, found: dict[Key, Found], kind: type[T], schema: dict[str, Any], at: Key = ()
 ) -> T:
     """Convert what stands at a key of a YAML document to a struct. Raises ConfigError as `read_struct`."""
+    struct, wrong = _converted(path, document, found, kind, schema, at)
+    strict_yaml.refuse(wrong)
+    assert struct is not None  # else something was wrong
+    return struct
+
+
+def _converted(
+    path: Path, document: Any, found: dict[Key, Found], kind: type[T], schema: dict[str, Any], at: Key = ()
+) -> tuple[T | None, list[Mistake]]:
+    """The struct, or None and all that is wrong.
+
+    msgspec stops at the first mistake: each is taken out of a copy, which is then tried again. What holds a struct
+    without a required key is taken out as a whole; msgspec looks for those last, so nothing in it is passed over.
+    """
     value = document
     for name in at:
         value = value[name]
     if not isinstance(value, dict):
         named = f"{dotted(at)}: " if at else ""
-        raise ConfigError(f"{path}:{found[at].line}: {named}found {found[at].text}, expected a mapping of settings")
-    try:
-        return msgspec.convert(value, kind)
-    except msgspec.ValidationError as error:
-        below = {key[len(at) :]: where for key, where in found.items() if key[: len(at)] == at}
-        key, problem = _explain(str(error), value, below, schema)
-        raise ConfigError(f"{_where(path, found, (*at, *key))}: {problem}") from error
+        text = f"{path}:{found[at].line}: {named}found {found[at].text}, expected a mapping of settings"
+        raise ConfigError(text)
+    below = {key[len(at) :]: where for key, where in found.items() if key[: len(at)] == at}
+    rest = copy.deepcopy(value)
+    mistakes: list[Mistake] = []
+    while len(mistakes) < _MISTAKES_MAX:
+        try:
+            struct = msgspec.convert(rest, kind)
+        except msgspec.ValidationError as error:
+            keys, problem, out = _explain(str(error), rest, below, schema)
+            mistakes += [_mistake(path, found, (*at, *key), problem(key)) for key in keys]
+            if not _take_out(rest, out):
+                return None, mistakes
+        else:
+            return (None if mistakes else struct), mistakes
+    return None, mistakes
+
+
+def _take_out(value: dict[str, Any], key: Key) -> bool:
+    """Remove the value of a key; the whole list where a list is on the way. False where there is nothing to remove."""
+    for k, name in enumerate(key):
+        if name not in value:
+            return False
+        if k == len(key) - 1 or not isinstance(value[name], dict):
+            del value[name]
+            return True
+        value = value[name]
+    return False
+
+
+def _mistake(path: Path, found: dict[Key, Found], key: Key, problem: str) -> Mistake:
+    line = found[key].line if key in found else None
+    return Mistake(key, f"{_where(path, found, key)}: {problem}", line)
 
 
 def _where(path: Path, found: dict[Key, Found], key: Key) -> str:
-    return f"{path}:{found[key].line}: {dotted(key)}" if key in found else f"{path}: {dotted(key)}"
+    if key in found:
+        return f"{path}:{found[key].line}: {dotted((*found[key].at, *key))}"
+    return f"{path}: {dotted((*found[()].at, *key) if () in found else key)}"
 
 
 def _absolute(settings: Settings, folder: Path) -> Settings:
@@ -136,17 +224,40 @@ def _source_at(source: Source, folder: Path) -> Source:
     return source
 
 
-def _explain(message: str, value: dict[str, Any], found: dict[Key, Found], root: dict[str, Any]) -> tuple[Key, str]:
-    """Key and ``found …, expected …`` of one msgspec error, which names a JSON path and one field."""
+def _explain(
+    message: str, value: dict[str, Any], found: dict[Key, Found], root: dict[str, Any]
+) -> tuple[list[Key], Callable[[Key], str], Key]:
+    """Of one msgspec error, which names a JSON path and one field: keys, what is wrong with each, and what to remove.
+
+    A key that is missing though the file has it was a mistake before, and is none again.
+    """
     path = re.search(r" - at `\$\.?([^`]*)`$", message)
     key: Key = tuple(re.split(r"[.[]", path[1].replace("]", ""))) if path and path[1] else ()
     schema = _schema_at(key, value, root)
-    if unknown := re.match(r"Object contains unknown field `(.*?)`", message, re.DOTALL):
-        return (*key, unknown[1]), f"found an unknown key, expected one of {', '.join(schema['properties'])}"
+    if unknown := re.match(r"Object contains unknown field `(.*?)`(?: - at `|$)", message, re.DOTALL):
+        names = list(schema["properties"])
+        problem = f"found an unknown key, expected one of {', '.join(names)}{_nearest(unknown[1], names)}"
+        return [(*key, unknown[1])], lambda _: problem, (*key, unknown[1])
     if missing := re.match(r"Object missing required field `(.*?)`", message):
-        key = (*key, missing[1])
-        return key, f"found nothing, expected {expectation(_schema_at(key, value, root))}"
-    return key, f"found {found[key].text}, expected {expectation(schema)}"
+        names = schema.get("required", [missing[1]])
+        keys = [(*key, name) for name in names if (*key, name) not in found]
+        return keys, lambda key: f"found nothing, expected {expectation(_schema_at(key, value, root))}", key
+    given = _at(value, key)
+    text = f"a list of {len(given)}" if isinstance(given, list) and schema.get("minItems") else found[key].text
+    problem = f"found {text}, expected {expectation(schema, given)}"
+    return [key], lambda _: problem, key
+
+
+def _at(value: Any, key: Key) -> Any:
+    for name in key:
+        value = value[int(name)] if isinstance(value, list) else value[name]
+    return value
+
+
+def _nearest(text: object, names: Sequence[object]) -> str:
+    """``; did you mean NAME?``, or nothing."""
+    near = difflib.get_close_matches(text, list(map(str, names)), 1) if isinstance(text, str) else []
+    return f"; did you mean {near[0]}?" if near else ""
 
 
 def _schema_at(key: Key, value: Any, root: dict[str, Any]) -> dict[str, Any]:
@@ -171,15 +282,17 @@ def _resolved(schema: dict[str, Any], value: Any, root: dict[str, Any]) -> dict[
     return root["$defs"][reference.rpartition("/")[2]] if reference else schema
 
 
-def expectation(schema: dict[str, Any]) -> str:
-    """What a person should write there."""
+def expectation(schema: dict[str, Any], given: object = None) -> str:
+    """What a person should write there in place of what is given."""
     if "enum" in schema:
-        return f"one of {', '.join(map(str, schema['enum']))}"
+        return f"one of {', '.join(map(str, schema['enum']))}{_nearest(given, schema['enum'])}"
     if "anyOf" in schema and "discriminator" not in schema:
         options = [expectation({**option}) for option in schema["anyOf"]]
         return " or ".join(options)
     kind = {"integer": "an integer", "number": "a number", "string": "a string", "boolean": "true or false"}
     kind["array"] = "a list"
+    if schema.get("type") == "array" and schema.get("minItems"):
+        kind["array"] = f"a list of {schema['minItems']} {kind[schema['items']['type']].split()[-1]}s"
     text = kind.get(schema.get("type", ""), "null" if schema.get("type") == "null" else "a mapping")
     if "minimum" in schema:
         text += f" from {schema['minimum']} to {schema['maximum']}"

@@ -24,6 +24,17 @@ class V4l2(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     ) = None
 
 
+class Rpicam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="kind", tag="rpicam"):
+    """A Raspberry Pi's own (CSI) camera, through the program rpicam-vid."""
+
+    camera: Annotated[int, Meta(ge=0, le=7, description="its number in rpicam-vid --list-cameras")] = 0
+    width_px: Annotated[int, Meta(ge=64, le=4096, multiple_of=64, description="image width")] = 640
+    height_px: Annotated[int, Meta(ge=16, le=4096, multiple_of=2, description="image height")] = 480
+    fps: Annotated[int, Meta(ge=1, le=240, description="frames per second asked of the camera")] = 30
+    exposure_us: Annotated[int, Meta(ge=1, le=1_000_000, description="locked exposure")] = 10_000
+    gain: Annotated[float, Meta(ge=1, le=64, description="locked gain of the image sensor")] = 1.0
+
+
 class Files(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="kind", tag="files"):
     """Images or a video file, as if a camera delivered them."""
 
@@ -41,7 +52,12 @@ class Simulated(
     pressed: Annotated[str, Meta(min_length=1, description="a CSV file of what presses it now")] | None = None
 
 
-Source = V4l2 | Files | Simulated
+Source = V4l2 | Rpicam | Files | Simulated
+
+SENSORS = "sensors"
+"""The key of a file with several sensors (`settings.several`)."""
+OWN = ("sensor_id", "calibration", "source", "serial")
+"""What no two sensors can have in common."""
 
 
 class Mqtt(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -54,6 +70,7 @@ class Mqtt(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     username: Annotated[str, Meta(min_length=1, description="user name")] | None = None
     password_file: Annotated[str, Meta(min_length=1, description="file whose first line is the password")] | None = None
     ca_file: Annotated[str, Meta(min_length=1, description="PEM file of the CA; TLS is used when given")] | None = None
+    home_assistant: Annotated[bool, Meta(description="announce this sensor to Home Assistant")] = False
 
 
 class Recorder(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -62,6 +79,7 @@ class Recorder(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     folder: Annotated[str, Meta(min_length=1, description="a folder for recordings, each in its own below")] = (
         "/var/lib/tacshade-edge/recordings"
     )
+    before_s: Annotated[float, Meta(ge=0, le=60, description="a recording begins so long before it is asked for")] = 0.0
 
 
 class Stitching(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -97,7 +115,7 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     displacement: Annotated[
         Literal["asked", "always"], Meta(description="when the skin's displacement, twist and slip are computed")
     ] = "asked"
-    source: Annotated[V4l2 | Files | Simulated, Meta(description="where frames come from")] = V4l2()
+    source: Annotated[V4l2 | Rpicam | Files | Simulated, Meta(description="where frames come from")] = V4l2()
     mqtt: Annotated[Mqtt, Meta(description="the broker")] = Mqtt()
     recorder: Annotated[Recorder, Meta(description="recordings")] = Recorder()
     serial: Annotated[Serial, Meta(description="the robot's serial line")] | None = None
@@ -114,6 +132,30 @@ def json_schema() -> dict[str, Any]:
         "if": {"properties": {"profile": {"enum": [AUTO]}}, "required": ["profile"]},
         "then": {"properties": {"latency_budget_ms": {"type": "number"}}, "required": ["latency_budget_ms"]},
         "else": {"properties": {"latency_budget_ms": {"type": "null"}}},
+    }
+
+
+def file_schema() -> dict[str, Any]:
+    """JSON Schema of a settings file with one sensor, or with several."""
+    one = json_schema()
+    definitions, head = one.pop("$defs"), {key: one.pop(key) for key in ("$schema", "title")}
+    whole = definitions["Settings"]["properties"]
+    common = {key: schema for key, schema in whole.items() if key not in OWN}
+    own = {key: schema for key, schema in whole.items() if key != "sensor_id"}
+    sensor = {"type": "object", "properties": own, "required": ["calibration", "source"], "additionalProperties": False}
+    sensors = {
+        "type": "object",
+        "propertyNames": {"pattern": whole["sensor_id"]["pattern"]},
+        "additionalProperties": sensor,
+        "minProperties": 1,
+    }
+    several = {"type": "object", "properties": {**common, SENSORS: sensors}, "additionalProperties": False}
+    return {
+        **head,
+        "if": {"properties": {SENSORS: {}}, "required": [SENSORS]},
+        "then": several,
+        "else": one,
+        "$defs": definitions,
     }
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,10 +23,40 @@ _VALUES_MAX = 10_000  # which the reader takes about a third of a second for
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """Where a key stands and the text of its value."""
+    """Where a key stands and the text of its value; `at` is the key that its path is told below."""
 
     line: int
     text: str
+    at: Key = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Mistake:
+    """What is wrong with the value of a key.
+
+    Attributes
+    ----------
+    key : Key
+    text : str
+        ``FILE:LINE: path.to.key: found …, expected …``.
+    line : int or None
+        None of a key that is missing.
+    """
+
+    key: Key
+    text: str
+    line: int | None
+
+
+def refuse(mistakes: Sequence[Mistake]) -> None:
+    """Raise ConfigError with every mistake in the order of their lines, the missing keys last; none is fine."""
+    if mistakes:
+        texts = [m.text for m in sorted(mistakes, key=lambda m: (m.line is None, m.line))]
+        raise ConfigError(texts[0], others=texts[1:])
+
+
+class _WrongError(Exception):
+    """Leaves a value whose mistake was noted."""
 
 
 class _Loader(yaml.SafeLoader):
@@ -44,18 +76,19 @@ class _Loader(yaml.SafeLoader):
         return super().compose_node(parent, index)
 
 
-def read(path: Path) -> tuple[Any, dict[Key, Found]]:
+def read(path: Path) -> tuple[Any, dict[Key, Found], list[Mistake]]:
     """Read a YAML file.
 
     Returns
     -------
-    value : the document as dicts, lists and scalars
+    value : the document as dicts, lists and scalars, without the values that are a mistake
     found : where each key path stands; list indices are keys too, the whole document is ``()``
+    mistakes : values outside the subset
 
     Raises
     ------
     ConfigError
-        Not readable, not YAML, or YAML outside the subset; ``FILE:LINE:`` leads the text.
+        Not readable, not YAML, or all of it outside the subset; ``FILE:LINE:`` leads the text.
     """
     try:
         data = read_regular(path, _BYTES_MAX)
@@ -68,8 +101,10 @@ def read(path: Path) -> tuple[Any, dict[Key, Found]]:
     try:
         loader = _Loader(text)
         node = loader.get_single_node()
-        found: dict[Key, Found] = {}
-        value = None if node is None else _value(path, loader, node, (), found)
+        reader = _Reader(path, loader)
+        value = None if node is None else reader.value(node, ())
+    except _WrongError:
+        refuse(reader.mistakes)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         where = f"{path}:{mark.line + 1}" if mark else str(path)
@@ -78,48 +113,66 @@ def read(path: Path) -> tuple[Any, dict[Key, Found]]:
         raise ConfigError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from error
     except RecursionError as error:
         raise ConfigError(f"{path}: nested too deeply for a settings file") from error
-    found.setdefault((), Found(1, "nothing"))
-    return value, found
+    reader.found.setdefault((), Found(1, "nothing"))
+    return value, reader.found, reader.mistakes
 
 
-def _value(path: Path, loader: _Loader, node: yaml.Node, key: Key, found: dict[Key, Found]) -> Any:
-    """Value of one node; fills `found` for it and everything below."""
-    line = node.start_mark.line + 1
-    if isinstance(node, yaml.MappingNode):
-        found.setdefault(key, Found(line, "a mapping"))
-        return _mapping(path, loader, node, key, found)
-    if isinstance(node, yaml.SequenceNode):
-        found.setdefault(key, Found(line, "a list"))
-        return [_value(path, loader, item, (*key, str(i)), found) for i, item in enumerate(node.value)]
-    # the source, so that an octal or a bare `yes` is shown as it was typed
-    source = node.start_mark.buffer[node.start_mark.pointer : node.end_mark.pointer] if node.start_mark.buffer else ""
-    text = shown(" ".join(source.split()), 60)
-    found.setdefault(key, Found(line, text or "nothing"))
-    if node.tag not in _SCALARS:
-        raise ConfigError(f"{path}:{line}: {dotted(key)}: found {text}, expected a plain value")
-    try:
-        value = loader.construct_object(node)
-    except ValueError as error:
-        raise ConfigError(f"{path}:{line}: {dotted(key)}: found {text}, expected a plain value") from error
-    if isinstance(value, float) and not math.isfinite(value):
-        raise ConfigError(f"{path}:{line}: {dotted(key)}: found {text}, expected a finite number")
-    return value
+class _Reader:
+    """Values of nodes; notes where each stands and what is wrong."""
 
+    def __init__(self, path: Path, loader: _Loader) -> None:
+        self._path = path
+        self._loader = loader
+        self.found: dict[Key, Found] = {}
+        self.mistakes: list[Mistake] = []
 
-def _mapping(path: Path, loader: _Loader, node: yaml.MappingNode, key: Key, found: dict[Key, Found]) -> dict[str, Any]:
-    values: dict[str, Any] = {}
-    for name_node, value_node in node.value:
-        line = name_node.start_mark.line + 1
-        if not isinstance(name_node, yaml.ScalarNode) or name_node.tag != "tag:yaml.org,2002:str":
-            raise ConfigError(f"{path}:{line}: {dotted(key)}: found a key that is no name, expected a setting's name")
-        name = name_node.value
-        child = (*key, name)
-        if name in values:
-            first = found[child].line
-            raise ConfigError(f"{path}:{line}: {dotted(child)}: found again, expected once (first on line {first})")
-        values[name] = _value(path, loader, value_node, child, found)
-        found[child] = Found(line, found[child].text)
-    return values
+    def value(self, node: yaml.Node, key: Key) -> Any:
+        """Value of one node and everything below. Raises _WrongError."""
+        line = node.start_mark.line + 1
+        if isinstance(node, yaml.MappingNode):
+            self.found.setdefault(key, Found(line, "a mapping"))
+            return self._mapping(node, key)
+        if isinstance(node, yaml.SequenceNode):
+            self.found.setdefault(key, Found(line, "a list"))
+            return [self.value(item, (*key, str(i))) for i, item in enumerate(node.value)]
+        # the source, so that an octal or a bare `yes` is shown as it was typed
+        mark = node.start_mark
+        source = mark.buffer[mark.pointer : node.end_mark.pointer] if mark.buffer else ""
+        text = shown(" ".join(source.split()), 60)
+        self.found.setdefault(key, Found(line, text or "nothing"))
+        if node.tag not in _SCALARS:
+            raise self._wrong(line, key, f"found {text}, expected a plain value")
+        try:
+            value = self._loader.construct_object(node)
+        except ValueError:
+            raise self._wrong(line, key, f"found {text}, expected a plain value") from None
+        if isinstance(value, float) and not math.isfinite(value):
+            raise self._wrong(line, key, f"found {text}, expected a finite number")
+        return value
+
+    def _mapping(self, node: yaml.MappingNode, key: Key) -> dict[str, Any]:
+        values: dict[str, Any] = {}
+        seen: dict[str, int] = {}
+        for name_node, value_node in node.value:
+            line = name_node.start_mark.line + 1
+            if not isinstance(name_node, yaml.ScalarNode) or name_node.tag != "tag:yaml.org,2002:str":
+                self._wrong(line, key, "found a key that is no name, expected a setting's name")
+                continue
+            name = name_node.value
+            child = (*key, name)
+            if name in seen:
+                self._wrong(line, child, f"found again, expected once (first on line {seen[name]})")
+                continue
+            seen[name] = line
+            with contextlib.suppress(_WrongError):
+                values[name] = self.value(value_node, child)
+            self.found[child] = Found(line, self.found[child].text)
+        return values
+
+    def _wrong(self, line: int, key: Key, problem: str) -> _WrongError:
+        """Note a mistake."""
+        self.mistakes.append(Mistake(key, f"{self._path}:{line}: {dotted(key)}: {problem}", line))
+        return _WrongError()
 
 
 def dotted(key: Key) -> str:

@@ -10,10 +10,12 @@ import cv2
 import numpy as np
 import pytest
 from support.calibrated_sensor import calibrated, pressed, presses, simulated, unloaded
+from support.fitted import fitted_with
 from support.patience import patience
 from support.sensor_files import write_files
 
 from tacshade_edge.cli import main
+from tacshade_edge.devices import calibrations
 from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.simulator.objects import Shape, ridge
@@ -47,6 +49,7 @@ def test_it_says_what_was_fitted(words: list[str], tmp_path: Path, capsys: pytes
     assert calibration.fit.presses > 15
 
 
+@pytest.mark.slow
 def test_json_is_what_was_stored(words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "cal.npz"
     assert main(["calibrate", *words, "--out", str(out), "--json"]) == 0
@@ -149,6 +152,7 @@ def pillar(radius_mm: float) -> Shape:
     return Shape("pillar", sdf)
 
 
+@pytest.mark.slow
 def test_the_quality_is_printed(words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     table = tmp_path / "PRESSES.csv"
     rows = Path(words[3]).read_text().splitlines()
@@ -167,6 +171,7 @@ def test_the_quality_is_printed(words: list[str], tmp_path: Path, capsys: pytest
     assert report["to_do"][0].startswith("10 presses")
 
 
+@pytest.mark.slow
 def test_rezero_keeps_all_but_the_reference(
     words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -189,6 +194,7 @@ def test_rezero_keeps_all_but_the_reference(
     assert after.reference_grey.mean() < 0.8 * before.reference_grey.mean()
 
 
+@pytest.mark.slow
 def test_rezero_refuses_in_one_line(words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     old, out = tmp_path / "old.npz", tmp_path / "new.npz"
     calibration_file.save(old, calibrated())
@@ -239,3 +245,61 @@ def test_what_is_wrong_with_a_whole_table_names_it(
     assert line.startswith(f"tacshade-edge: {table}: depth_mm: the images show presses about ")
     assert "are the depths in m? expected mm" in line
     assert not out.exists()
+
+
+@pytest.mark.parametrize("layout", [None, "another"])
+def test_a_new_reference_keeps_the_fit(words: list[str], tmp_path: Path, layout: str | None) -> None:
+    old, new = tmp_path / "old.npz", tmp_path / "new.npz"
+    calibration_file.save(old, fitted_with("fast", calibrated(), layout=layout))
+    assert main(["calibrate", "--rezero", str(old), *words[4:], "--out", str(new)]) == 0
+    assert set(calibrations.load(new).fitted) == (set() if layout else {"fast"})
+    assert calibrations.fits_to_renew(new) == (("fast",) if layout else ())
+
+
+def test_a_fit_without_pytorch_names_the_extra(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    assert main(["calibrate", *words, "--fit", "--out", str(tmp_path / "cal.npz")]) == 78
+    assert "--fit: found no PyTorch, expected the extra fit: pip install" in one_line(capsys.readouterr().err)
+    assert not (tmp_path / "cal.npz").exists()
+
+
+@pytest.mark.parametrize("kind", ["--rezero", "--sensor"])
+def test_a_fit_is_of_presses(tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str) -> None:
+    with pytest.raises(SystemExit):
+        main(["calibrate", kind, "x", "--reference", "r.png", "--fit", "--out", str(tmp_path / "cal.npz")])
+    assert "--fit has no meaning with" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.fit
+def test_a_fit_goes_into_the_file(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("torch", reason="PyTorch (the extra fit) is not installed")
+    from tacshade_edge.fitting import training
+
+    monkeypatch.setattr(training, "STEPS", 20)
+    out = tmp_path / "cal.npz"
+    assert main(["calibrate", *words, "--fit", "--out", str(out), "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert list(report["fitted"]) == ["balanced", "accurate", "fast"]
+    kept = {name for name, each in report["fitted"].items() if each["kept"]}
+    assert set(calibration_file.load(out).fitted) == kept
+    assert report["fit_to_do"]
+
+
+def test_a_reference_is_named_by_its_file(words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    at = words.index("--reference") + 2
+    pressed_file, dark = str(tmp_path / "pressed.png"), str(tmp_path / "dark.png")
+    cv2.imwrite(pressed_file, pressed("ball", 3.0).image)
+    cv2.imwrite(dark, unloaded() * 0)
+    given = [*words[:at], pressed_file, *words[at + 1 :]]
+    assert main(["calibrate", *given, "--out", str(tmp_path / "cal.npz")]) == 78
+    assert f"reference {pressed_file}: seems pressed" in one_line(capsys.readouterr().err)
+    assert main(["calibrate", *words, "--out", str(tmp_path / "cal.npz")]) == 0
+    capsys.readouterr()
+    again = ["calibrate", "--rezero", str(tmp_path / "cal.npz"), "--reference", words[at], dark]
+    assert main([*again, "--out", str(tmp_path / "new.npz")]) == 78
+    assert f"reference refused: {dark}: black" in one_line(capsys.readouterr().err)

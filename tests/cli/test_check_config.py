@@ -10,7 +10,7 @@ from support.painted_sensor import painted_calibration
 
 from tacshade_edge.cli import EXIT_CONFIG, main
 from tacshade_edge.devices.files import calibration_file
-from tacshade_edge.settings import json_schema
+from tacshade_edge.settings import file_schema
 
 GOOD = "calibration: c.npz\nsource: {kind: simulated}\n"
 
@@ -80,6 +80,45 @@ def test_a_mistake_is_one_line_and_exit_78(folder: Path, capsys: Any, text: str,
     assert printed.err.count("\n") == 1
 
 
+def test_every_mistake_is_told_at_once(folder: Path, capsys: Any) -> None:
+    text = """\
+sensr_id: hand
+profile: balancd
+latency_budget_ms: .inf
+mqtt: {prot: 1, port: 0}
+source: {kind: v4l2, fps: fast, widht_px: 3}
+serial: {baud: 1}
+"""
+    assert check(folder, text) == EXIT_CONFIG
+    lines = capsys.readouterr().err.splitlines()
+    path = f"tacshade-edge: {folder}/s.yaml"
+    expected = [
+        f"{path}:1: sensr_id: found an unknown key, expected one of ",
+        f"{path}:2: profile: found balancd, expected one of ",
+        f"{path}:3: latency_budget_ms: found .inf, expected a finite number",
+        f"{path}:4: mqtt.prot: found an unknown key, expected one of ",
+        f"{path}:4: mqtt.port: found 0, expected an integer from 1 to 65535",
+        f"{path}:5: source.fps: found fast, expected an integer from 1 to 240",
+        f"{path}:5: source.widht_px: found an unknown key, expected one of ",
+        f"{path}:6: serial.baud: found 1, expected an integer from 1200",
+        f"{path}: serial.device: found nothing, expected a string",
+    ]
+    assert [line[: len(start)] for line, start in zip(lines, expected, strict=True)] == expected
+    for k, nearest in ((0, "sensor_id"), (1, "balanced"), (3, "port"), (6, "width_px")):
+        assert lines[k].endswith(f"; did you mean {nearest}?")
+
+
+def test_every_file_that_is_wrong_is_told_at_once(folder: Path, capsys: Any) -> None:
+    text = "calibration: s.yaml\nsource: {kind: files, path: absent}\nmqtt: {ca_file: no.pem}\n"
+    assert check(folder, text) == EXIT_CONFIG
+    said = capsys.readouterr().err.splitlines()
+    assert [line.split(": ")[1:3] for line in said] == [
+        [f"{folder}/s.yaml:2", "source.path"],
+        [f"{folder}/s.yaml:3", "mqtt.ca_file"],
+        [f"{folder}/s.yaml:1", "calibration"],
+    ]
+
+
 def test_a_missing_file_is_one_line_and_exit_78(tmp_path: Path, capsys: Any) -> None:
     assert main(["check-config", str(tmp_path / "none.yaml")]) == EXIT_CONFIG
     expected = f"tacshade-edge: {tmp_path}/none.yaml: No such file or directory, expected a settings file\n"
@@ -88,4 +127,4 @@ def test_a_missing_file_is_one_line_and_exit_78(tmp_path: Path, capsys: Any) -> 
 
 def test_the_schema_is_printed_without_a_file(capsys: Any) -> None:
     assert main(["check-config", "--schema"]) == 0
-    assert json.loads(capsys.readouterr().out) == json_schema()
+    assert json.loads(capsys.readouterr().out) == file_schema()

@@ -1,13 +1,17 @@
 from __future__ import annotations
 
+import re
 import signal
 import socket
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from support.certificate import certificate
 from support.patience import patience, stretched
 
 from tacshade_edge import cli
@@ -90,3 +94,79 @@ def test_without_its_library_it_says_how_to_get_it() -> None:
     assert done.returncode == 78
     assert "pip install 'tacshade-edge[dashboard]'" in done.stderr
     assert done.stderr.count("\n") == 1
+
+
+@contextmanager
+def started(*words: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """The command's first line."""
+    child = subprocess.Popen(
+        [*COMMAND, "--http", "0", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert child.stdout is not None
+    try:
+        yield child.stdout.readline(), child
+    finally:
+        child.kill()
+        child.communicate()
+
+
+def test_opened_to_a_network_it_wants_a_token_and_is_read_only() -> None:
+    with started("--host", "0.0.0.0") as (line, child):
+        found = re.match(rf"dashboard: http://{re.escape(socket.gethostname())}:\d+/login#([\w-]{{32}}) for", line)
+        assert found, line
+        assert ", read-only; Ctrl-C ends" in line
+        child.send_signal(signal.SIGTERM)
+        assert "unencrypted" in child.communicate(timeout=patience(20))[1]
+
+
+def test_a_token_is_told_once_and_kept(tmp_path: Path) -> None:
+    cert, key = certificate(tmp_path)
+    words = ["--host", "0.0.0.0", "--token-file", str(tmp_path / "t"), "--certificate", str(cert), "--key", str(key)]
+    with started(*words) as (line, _):
+        assert f"/login#{(tmp_path / 't').read_text().strip()} for the broker" in line
+        assert f", read-only, token in {tmp_path / 't'}; Ctrl-C ends" in line
+    with started(*words, "--allow-control") as (line, child):
+        assert line.startswith("dashboard: https://")
+        assert "#" not in line
+        assert "read-only" not in line
+        child.send_signal(signal.SIGTERM)
+        assert child.communicate(timeout=patience(20))[1] == ""
+
+
+@pytest.mark.parametrize(
+    "text", ["", "short", "a token of several words", "x" * 129, "\x80" * 20, "a" * 20 + "\n" + "b" * 20]
+)
+def test_a_bad_token_is_one_line(text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "token"
+    path.write_text(text)
+    assert cli.main(["dashboard", "--http", "0", "--token-file", str(path)]) == 78
+    assert capsys.readouterr().err == (
+        f"tacshade-edge: --token-file {path}: expected one line of 16 to 128 letters, digits and . _ ~ -\n"
+    )
+
+
+def test_a_place_where_no_token_can_be_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for path, reason in ((tmp_path, "Is a directory"), (tmp_path / "none" / "token", "No such file or directory")):
+        assert cli.main(["dashboard", "--http", "0", "--token-file", str(path)]) == 78
+        assert f"--token-file {path}: {reason}, expected" in capsys.readouterr().err
+
+
+def test_what_is_no_certificate_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cert, key = certificate(tmp_path)
+    (tmp_path / "empty.pem").write_text("")
+    locked = tmp_path / "locked.pem"
+    command = ["openssl", "ec", "-in", key, "-aes256", "-passout", "pass:word", "-out", locked]
+    subprocess.run(command, check=True, capture_output=True)
+    for words in (
+        ["--certificate", str(tmp_path / "none.pem")],
+        ["--certificate", str(tmp_path / "empty.pem"), "--key", str(key)],
+        ["--certificate", str(cert)],
+        ["--certificate", str(cert), "--key", str(locked)],
+        ["--certificate", str(cert), "--key", str(cert)],
+        ["--key", str(key)],
+    ):
+        assert cli.main(["dashboard", "--http", "0", *words]) == 78
+        errors = capsys.readouterr().err
+        assert errors.startswith(f"tacshade-edge: {' '.join(words)}: ")
+        assert ", expected " in errors
+        assert errors.count("\n") == 1

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import contextlib
+import http.client
 import os
 import pty
 import re
@@ -83,6 +84,37 @@ def test_a_browser_sees_moving_maps_and_ctrl_c_leaves_nothing(broker: str, tmp_p
     assert len(set(depths)) > 5  # it moves
     assert running(tmp_path) == []
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_a_board_without_a_screen_is_opened_from_elsewhere_with_the_token_that_is_printed(tmp_path: Path) -> None:
+    if MOSQUITTO is None:
+        pytest.importorskip("iotcore")
+    done = subprocess.Popen(
+        [*COMMANDS["mosquitto"], "--listen", "0.0.0.0"],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "TMPDIR": str(tmp_path)},
+    )
+    try:
+        assert done.stdout is not None
+        assert done.stdout.readline().startswith("Calibrating")
+        addresses = re.findall(r"http://(\S+):(\d+)/login#(\S+)", done.stdout.readline())
+        assert addresses[-1][0] == socket.gethostname()
+        _, port, token = addresses[0]
+        for sent, answer in (({}, 401), ({"Authorization": "Bearer of-somebody-else"}, 401), (bearer(token), 200)):
+            page = http.client.HTTPConnection("127.0.0.1", int(port))
+            page.request("GET", "/main.js", headers=sent)
+            assert page.getresponse().status == answer
+            page.close()
+    finally:
+        done.send_signal(signal.SIGINT)
+        done.communicate(timeout=patience(20))
+    assert running(tmp_path) == []
+
+
+def bearer(token: str) -> dict[str, str]:
+    return {"Authorization": f"Bearer {token}"}
 
 
 @pytest.mark.slow
@@ -172,4 +204,11 @@ def test_the_page_draws_the_presses(broker: str, tmp_path: Path) -> None:
             return 0 in peaks and len(peaks) > 5 and 1.0 < max(peaks) < 8.0
 
         wait_until(moves, 60, "depths that change on the canvas")
+        if broker == "mosquitto":
+            wait_until(lambda: page.execute_script("return tacshade.arrows > 0"), 60, "the skin is dragged")
+            pad = "return [...document.querySelectorAll('#hands button')].find((tab) => tab.textContent === 'demo-map')"
+            wait_until(lambda: page.execute_script(pad), 60, "the other hand")
+            page.execute_script(pad).click()
+            presses = "return tacshade.stitched?.presses ?? 0"
+            wait_until(lambda: page.execute_script(presses) >= 4, 60, "a map grows on the page")
         assert errors(page) == []

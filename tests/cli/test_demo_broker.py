@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from support.mqtt_rig import MOSQUITTO, Subscriber
 
+from tacshade_edge.cli import main
 from tacshade_edge.cli.demo_broker import broker_command
 from tacshade_edge.cli.demo_child import Child, free_port, wait_for_port
 from tacshade_edge.errors import DeviceError
@@ -46,3 +47,12 @@ def test_without_any_broker_it_says_what_to_install(tmp_path: Path, monkeypatch:
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
     with pytest.raises(DeviceError, match=r"expected it or the extra: pip install 'tacshade-edge\[demo\]'"):
         broker_command(tmp_path, 1883)
+
+
+def test_without_the_page_it_names_the_extra_of_the_demo(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    assert main(["demo"]) == 78
+    said = "tacshade-edge: demo: the package websockets is missing: pip install 'tacshade-edge[demo]'\n"
+    assert capsys.readouterr() == ("", said)

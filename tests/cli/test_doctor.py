@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -66,3 +67,14 @@ def test_how_a_finding_is_shown() -> None:
     assert shown(ok("clock", "right"), colour=False) == "ok       clock              right"
     assert shown(warning("a", "b", "c"), colour=False) == "warning  a                  b\n         -> c"
     assert shown(fault("a", "b", "c"), colour=True).startswith("\x1b[31mfault  \x1b[0m  a ")
+
+
+def test_a_bundle_for_somebody_who_helps(tmp_path: Path, capsys: Any) -> None:
+    config = write(tmp_path, free_port())
+    assert main(["doctor", "--config", config, "--bundle", str(tmp_path / "b.zip"), "--with-frame"]) == EXIT_FAILED
+    assert capsys.readouterr().out.splitlines()[-1].startswith(f"{tmp_path / 'b.zip'} is written; look at it")
+    with zipfile.ZipFile(tmp_path / "b.zip") as bundle:
+        assert {"findings.json", "frame.png", "settings.yaml"} <= set(bundle.namelist())
+        assert json.loads(bundle.read("findings.json"))[0]["check"] == "settings"
+    with pytest.raises(SystemExit, match="2"):
+        main(["doctor", "--config", config, "--with-frame"])

@@ -40,6 +40,7 @@ def test_a_thread_inside_a_library_does_not_change_the_exit_code(code: int) -> N
     assert (done.returncode, done.stdout, done.stderr) == (code, "said", "")
 
 
+@pytest.mark.slow
 def test_a_stop_while_the_camera_hangs_in_its_library(tmp_path: Path) -> None:
     calibration_file.save(tmp_path / "c.npz", painted_calibration())
     cv2.imwrite(str(tmp_path / "0.png"), FREE)
@@ -65,11 +66,22 @@ def test_a_stop_while_the_camera_hangs_in_its_library(tmp_path: Path) -> None:
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_stop_before_the_daemon_is_there_is_a_stop(number: signal.Signals) -> None:
     code = (
-        "import os, sys\nfrom tacshade_edge.cli import entry\n"
-        f"entry.main = lambda: os.kill(os.getpid(), {number:d}) or 1\nentry.entry()"
+        "import os, sys\nfrom tacshade_edge.__main__ import entry\nassert 'argparse' not in sys.modules\n"
+        "from tacshade_edge.cli import entry as process\n"
+        f"process.main = lambda: os.kill(os.getpid(), {number:d}) or 1\nentry()"
     )
     assert python(code, "run").returncode == 0
     assert python(code, "replay").returncode in (-number, 1), "any other command tells that it was cut off"
+
+
+@pytest.mark.parametrize("mib", [500, 1023])
+def test_too_little_address_space_is_told_before_a_library_crashes(mib: int) -> None:
+    """OpenCV's loading ended in a segmentation fault at 500 MB."""
+    limit = f"import resource\nresource.setrlimit(resource.RLIMIT_AS, ({mib << 20}, resource.RLIM_INFINITY))\n"
+    done = python(f"{limit}from tacshade_edge.__main__ import entry\nentry()", "run", "--config", "/none")
+    assert done.returncode == 78
+    found = f"found {mib} MiB of address space (ulimit -v, RLIMIT_AS), expected at least 1024 MiB"
+    assert done.stderr == f"tacshade-edge: {found}\n"
 
 
 def test_a_defect_is_a_traceback_and_exit_1() -> None:

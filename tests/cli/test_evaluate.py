@@ -14,6 +14,7 @@ import pytest
 from support.half_family import half_family
 from support.painted_sensor import HEIGHT, TOUCHED, WIDTH, painted_calibration
 from support.patience import patience
+from support.progress_lines import only_progress
 
 from tacshade_edge.cli import evaluate, main, study
 from tacshade_edge.devices.files import calibration_file
@@ -55,7 +56,7 @@ def of_own(folder: Path, *more: str) -> list[str]:
 def test_the_files_and_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*SMALL, "--profile", "fast", "--sensors", "half:default", "--out", str(tmp_path / "out")]) == 0
     printed = capsys.readouterr()
-    assert printed.err == ""
+    assert only_progress(printed.err)
     assert "Table I (real sensor)" in printed.out
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [*WRITTEN, "figure6.png"]
     rows = table(tmp_path / "out" / "evaluation.csv")
@@ -88,7 +89,8 @@ def test_one_core_or_all_the_same_bytes(tmp_path: Path) -> None:
         done = subprocess.run(
             [*words, "--out", str(tmp_path / name)], capture_output=True, text=True, timeout=patience(300)
         )
-        assert (done.returncode, done.stderr) == (0, "")
+        assert done.returncode == 0, done.stderr
+        assert only_progress(done.stderr)
     first, second = ((tmp_path / name / "evaluation.csv").read_bytes() for name in ("one", "all"))
     assert first == second
 
@@ -96,7 +98,7 @@ def test_one_core_or_all_the_same_bytes(tmp_path: Path) -> None:
 def test_own_images(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(of_own(own, "--profile", "fast", "--out", str(own / "out"))) == 0
     printed = capsys.readouterr()
-    assert printed.err == ""
+    assert only_progress(printed.err)
     assert "coin" in printed.out
     (row,) = table(own / "out" / "evaluation.csv")
     assert (row["sensor"], row["image"], row["object"], row["contact"]) == ("cal.npz", "coin.png", "coin", "1")
@@ -201,7 +203,7 @@ def test_limits_writes_its_tables_and_plots(
     words = ["evaluate", "--limits", "--sensors", "half:default", "--profile", "accurate", "--out", str(tmp_path)]
     assert main(words) == 0
     printed = capsys.readouterr()
-    assert printed.err == ""
+    assert only_progress(printed.err)
     assert printed.out == (tmp_path / "limits.md").read_text(encoding="utf-8")
     kinds = ("deep", "disturbed", "faint", "fine", "nulls")
     assert sorted(p.name for p in tmp_path.glob("*.csv")) == [f"limits_{kind}.csv" for kind in kinds]
@@ -218,7 +220,7 @@ def test_ablation_writes_its_table(
     monkeypatch.setattr(evaluate, "AblationPlan", small)
     assert main(["evaluate", "--ablation", "--sensors", "half:default", "--out", str(tmp_path)]) == 0
     printed = capsys.readouterr()
-    assert printed.err == ""
+    assert only_progress(printed.err)
     assert printed.out == (tmp_path / "ablation.md").read_text(encoding="utf-8")
     assert {row["object"] for row in table(tmp_path / "ablation.csv")} == {"ball"}
 
@@ -229,10 +231,40 @@ def test_drag_writes_its_table_and_plot(tmp_path: Path, capsys: pytest.CaptureFi
     words = ["--sensors", "half:default", "--objects", "ball", "--profile", "fast", "--references", "1"]
     assert main(["evaluate", "--drag", *words, "--presses", "8", "--out", str(tmp_path)]) == 0
     printed = capsys.readouterr()
-    assert printed.err == ""
+    assert only_progress(printed.err)
     assert printed.out == (tmp_path / "drag.md").read_text(encoding="utf-8")
     assert len(table(tmp_path / "drag.csv")) == 5 * 4 * 3
     assert (tmp_path / "drag.png").stat().st_size > 10_000
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("half")
+def test_sigma_writes_its_table_and_plot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--sensors", "half:default", "--objects", "ball", "--profile", "fast", "--references", "1"]
+    assert main(["evaluate", "--sigma", *words, "--presses", "8", "--out", str(tmp_path)]) == 0
+    printed = capsys.readouterr()
+    assert only_progress(printed.err)
+    assert printed.out == (tmp_path / "sigma.md").read_text(encoding="utf-8")
+    assert len(table(tmp_path / "sigma.csv")) == 2 * 4 * 3
+    assert (tmp_path / "sigma.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--json"], "--json does not go with --sigma"),
+        (["--profile", "paper"], "found paper, which tells no errors"),
+        (["--presses", "3"], "--presses: found 3"),
+        (["--images", "x", "--calibration", "y"], "--sigma is for simulated sensors"),
+    ],
+)
+def test_sigma_refuses_what_it_would_not_heed(
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as left:
+        main(["evaluate", "--sigma", *words])
+    assert left.value.code == 2
+    assert message in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -2,6 +2,11 @@ from __future__ import annotations
 
 import io
 import logging
+import os
+import re
+import subprocess
+import sys
+import tempfile
 from collections.abc import Iterator
 
 import pytest
@@ -65,3 +70,38 @@ def test_how_many_pass_and_when_the_others_are_told() -> None:
     for number in range(10_000):  # of messages that are made, each another
         limit.passes(("c", str(number)), 0.0)
     assert len(limit._kinds) <= 258
+
+
+LOGS = """
+import argparse, logging, sys
+from tacshade_edge.cli.logs import add_verbosity, start_logging
+parser = argparse.ArgumentParser()
+add_verbosity(parser)
+start_logging(parser.parse_args(sys.argv[1:]).log_level)
+for level in (logging.DEBUG, logging.INFO, logging.WARNING):
+    logging.getLogger("test").log(level, "said")
+"""
+
+
+def logged(*words: str, journal: bool = False) -> list[str]:
+    """What a process with these words logs, to a file that is the journal's or not."""
+    with tempfile.TemporaryFile("w+") as stream:
+        found = os.fstat(stream.fileno())
+        # A shell below a service inherits the variable: only the very stream counts.
+        inode = found.st_ino if journal else found.st_ino + 1
+        environment = os.environ | {"JOURNAL_STREAM": f"{found.st_dev}:{inode}"}
+        subprocess.run([sys.executable, "-c", LOGS, *words], stderr=stream, env=environment, check=True)
+        stream.seek(0)
+        return stream.read().splitlines()
+
+
+def test_the_journal_gets_no_second_time_stamp() -> None:
+    assert logged(journal=True) == ["INFO test: said", "WARNING test: said"]
+    stamp = r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}[+-]\d\d:\d\d"
+    for line, said in zip(logged(), ("INFO test: said", "WARNING test: said"), strict=True):
+        assert re.fullmatch(f"{stamp} {said}", line)
+
+
+def test_more_and_less_is_logged() -> None:
+    assert [line.split()[0] for line in logged("-v", journal=True)] == ["DEBUG", "INFO", "WARNING"]
+    assert [line.split()[0] for line in logged("-q", journal=True)] == ["WARNING"]

@@ -15,6 +15,7 @@ from support.patience import patience
 from tacshade_edge.cli import main
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.devices.files.axes import BAR_PX, LEFT_PX, RIGHT_PX
 from tacshade_edge.types import U8
 
 
@@ -44,9 +45,10 @@ def summary(out: Path) -> dict[str, dict[str, Any]]:
     return {Path(record["image"]).stem: record for record in json.loads((out / "summary.json").read_text())}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("profile", PROFILES)
 def test_the_files_keep_their_contract(folder: Path, tmp_path: Path, profile: str) -> None:
-    assert main([*words(folder, tmp_path, "ball", "two", "free", "black"), "--profile", profile]) == 0
+    assert main([*words(folder, tmp_path, "ball", "two", "free", "black"), "--profile", profile]) == 1
     records = summary(tmp_path)
     assert list(records) == ["ball", "two", "free", "black"]
     grid, inside = reconstructor(profile).grid, reconstructor(profile).rays.inside
@@ -58,6 +60,10 @@ def test_the_files_keep_their_contract(folder: Path, tmp_path: Path, profile: st
         assert np.issubdtype(labels.dtype, np.integer)
         assert height.shape == contact.shape == inside.shape
         assert (content["row0"], content["col0"], content["step_px"]) == (grid.row0, grid.col0, grid.step_px)
+        assert ("sigma_mm" in content) == (profile != "paper")
+        if profile != "paper":
+            assert content["sigma_mm"].dtype == np.float32
+            np.testing.assert_array_equal(np.isfinite(content["sigma_mm"]), contact)
         np.testing.assert_array_equal(np.isnan(height), ~inside)
         assert points.shape == (np.count_nonzero(contact), 3)
         assert labels.shape == (len(points),)
@@ -102,6 +108,21 @@ def test_an_unreadable_image_does_not_stop_the_others(
     assert sorted(p.name for p in tmp_path.iterdir()) == ["ball.npz", "summary.json"]
 
 
+def test_invalid_images_are_counted_and_named(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(words(folder, tmp_path, "black", "ball", "other", "cut")) == 1
+    printed = capsys.readouterr()
+    assert printed.out == f"{tmp_path}: 1 of 4 images reconstructed, 1 in contact, 2 invalid, 1 unreadable\n"
+    black, other, cut = printed.err.splitlines()
+    assert black.startswith(f"tacshade-edge: {folder}/black.png: invalid: black")
+    assert other == f"tacshade-edge: {folder}/other.png: invalid: size: 320x220 px, calibrated for 320x240"
+    assert "cut.png: cut short" in cut
+    assert main(words(folder, tmp_path, "ball", "free")) == 0
+    assert capsys.readouterr() == (
+        f"{tmp_path}: 2 of 2 images reconstructed, 1 in contact, 0 invalid, 0 unreadable\n",
+        "",
+    )
+
+
 def test_an_image_of_another_size_is_an_invalid_frame(folder: Path, tmp_path: Path) -> None:
     main(words(folder, tmp_path, "other"))
     record = summary(tmp_path)["other"]
@@ -112,9 +133,9 @@ def test_an_image_of_another_size_is_an_invalid_frame(folder: Path, tmp_path: Pa
 
 
 def test_a_picture_per_image(folder: Path, tmp_path: Path) -> None:
-    assert main([*words(folder, tmp_path, "ball", "black"), "--plot"]) == 0
+    assert main([*words(folder, tmp_path, "ball", "black"), "--plot"]) == 1
     for name in ("ball", "black"):
-        assert cv2.imread(str(tmp_path / f"{name}.png")).shape[1] == 640
+        assert cv2.imread(str(tmp_path / f"{name}.png")).shape[1] == 2 * (LEFT_PX + 320 + RIGHT_PX) + BAR_PX
 
 
 def test_two_images_of_one_name_are_refused(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

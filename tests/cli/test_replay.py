@@ -77,9 +77,39 @@ def test_a_second_run_is_compared(folder: Path, capsys: pytest.CaptureFixture[st
     cv2.imwrite(str(folder / "rec" / "000002.png"), FREE)
     assert main(words(folder, "--out", second, "--against", first)) == 1
     said = f"{second} differs from {first}: frame 2 (000002.png): contact: False, against True"
-    assert capsys.readouterr().out.splitlines()[-1] == said
+    lines = capsys.readouterr().out.splitlines()[1:]
+    deep_mm = touched_depth_mm()
+    assert lines[:2] == [said, "  contact: differs in 1 of 5 frames, first frame 2 (000002.png)"]
+    depth, height = (
+        re.fullmatch(rf"  {name}: mean ([0-9.]+), worst ([0-9.]+) mm apart in (.*)", line)
+        for name, line in zip(("depth_max_mm", "height_mm"), lines[2:], strict=True)
+    )
+    assert depth is not None
+    assert height is not None
+    assert float(depth[1]) == pytest.approx(deep_mm / 5, abs=1e-3)
+    assert float(depth[2]) == pytest.approx(deep_mm, abs=1e-3)
+    assert depth[3] == "frame 2 (000002.png)"
+    assert 0 < float(height[1]) < float(height[2])
+    assert float(height[2]) == pytest.approx(deep_mm, abs=1e-3)
+    assert re.fullmatch(r"frame 2 \(000002\.png\) at image row \d+, col \d+", height[3])
     assert main(["replay", "--out", second, "--against", first]) == 1
-    assert capsys.readouterr().out.splitlines() == [said]
+    assert capsys.readouterr().out.splitlines() == lines
+
+
+def test_runs_on_other_cells_are_compared_by_depth(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    first, second = str(folder / "a"), str(folder / "b")
+    assert main(words(folder, "--out", first)) == 0
+    assert main(words(folder, "--out", second, "--profile", "fast", "--against", first)) == 1
+    *_, contact, depth, height = capsys.readouterr().out.splitlines()
+    assert contact.startswith("  contact: differs in ")
+    assert depth.startswith("  depth_max_mm: mean ")
+    assert height == "  height_mm: on other cells in frame 0 (000000.png), so not compared cell by cell"
+
+
+def test_the_recordings_own_calibration_is_taken(folder: Path) -> None:
+    assert main(words(folder, "--out", str(folder / "a"))) == 0
+    (folder / "rec" / "calibration.npz").write_bytes((folder / "cal.npz").read_bytes())
+    assert main(["replay", str(folder / "rec"), "--out", str(folder / "b"), "--against", str(folder / "a")]) == 0
 
 
 def test_a_loop_is_one_longer_run(folder: Path) -> None:

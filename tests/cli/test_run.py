@@ -98,6 +98,7 @@ def test_a_killed_daemon_leaves_its_last_will(folder: Path, start: Callable[[Pat
         wait_until(lambda: state(seen) == "offline", 5, "offline")
 
 
+@pytest.mark.slow
 def test_without_broker_and_camera_it_waits_and_stops_cleanly(folder: Path, start: Callable[[Path], Child]) -> None:
     source = "kind: v4l2, device: /dev/video99, width_px: 160, height_px: 120"
     child = start(settings(folder, free_port(), source))

@@ -25,7 +25,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         patch.setattr("tacshade_edge.simulator.pad.touchpad", lambda: SMALL)
         patch.setattr(simulate_pad, "usable_cores", lambda: 1)
         simulate_pad.write_pad(
-            HALF, folder, step_mm=5.0, depth_mm=2.5, varied=False, seed=0, noise_seed=0, report=lambda done, of: None
+            HALF, folder, step_mm=5.0, depth_mm=2.5, varied=False, seed=0, noise_seed=0, report=lambda *_: None
         )
     calibration_file.save(folder / "cal.npz", calibrated())
     return folder

@@ -38,7 +38,8 @@ def test_a_frame_allocates_no_image_and_leaves_nothing_behind(profile: str) -> N
             assert (result.valid, result.contact) == (True, frame.seq < len(contact))
             parts = (result.height.height_mm, result.height.contact, result.cloud.points_mm, result.cloud.labels)
             assert result.shear_mm is not None
-            parts = (*parts, result.shear_mm)
+            assert result.sigma_mm is not None
+            parts = (*parts, result.shear_mm, result.sigma_mm)
             own = sum(part.nbytes for part in parts) if result.contact else 0
             assert peak - own < IMAGE_BYTES
         del result, parts

@@ -26,6 +26,7 @@ from tacshade_edge.daemon.profiles import profile_chooser
 from tacshade_edge.daemon.reference import untouched
 from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.devices.files.frame_table import read_table
+from tacshade_edge.devices.files.recording import Recording
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
 from tacshade_edge.protocol import wire
 from tacshade_edge.settings import Document, load
@@ -62,6 +63,8 @@ def paced(image: U8, frames: int | None = None, period_s: float = 0.02) -> Itera
 
 def document(folder: Path, port: int, more: str = "") -> Document:
     path = folder / "settings.yaml"
+    if "calibration:" not in more:  # never the machine's own
+        more += "calibration: calibration.npz\n"
     path.write_text(
         f"sensor_id: hand-1\nsource: {{kind: simulated}}\nmqtt: {{host: 127.0.0.1, port: {port}}}\n"
         f"recorder: {{folder: recs}}\n{more}",
@@ -574,6 +577,8 @@ def test_a_recording_goes_on_while_the_camera_is_lost_and_ends_with_its_referenc
         assert again == {"ok": False, "error": f"busy: recording to {folder}", "reason_code": "busy"}
         wait_until(lambda: last(seen, "status/recorder")["frames"] > 5, 10, "frames")
         assert last(seen, "status/recorder")["state"] == "recording"
+        marked = ask(seen, "record", action="mark", text="now")
+        assert marked["result"]["folder"] == str(folder)
         lose.set()
         cameras = f"{BASE}/status/camera"
         wait_until(lambda: any(str(GONE).encode() in told for told in seen.of(cameras)), 10, "lost")
@@ -601,6 +606,7 @@ def test_a_recording_goes_on_while_the_camera_is_lost_and_ends_with_its_referenc
     finally:
         app.end()
     events = [json.loads(line) for line in (folder / "events.jsonl").read_text().splitlines()]
+    assert events.pop(1)["data"] == {"text": "now"}
     assert [event["kind"] for event in events] == ["start", "source", "source", *["reconstruction"] * 3]
     assert [event["data"]["state"] for event in events[:3]] == ["streaming", "away", "streaming"]
     assert (events[1]["data"]["reason"], events[1]["data"]["reason_code"]) == (str(GONE), "device")
@@ -611,3 +617,38 @@ def test_a_recording_goes_on_while_the_camera_is_lost_and_ends_with_its_referenc
     rows = read_table(folder / "frames.csv")
     lost_ns = events[1]["t_ns"]
     assert rows[0].t_ns < lost_ns < rows[-1].t_ns
+
+
+@pytest.mark.parametrize("format_", ["folder", "mcap"])
+def test_a_recording_begins_before_it_is_asked_for(
+    tmp_path: Path,
+    broker: Broker,
+    seen: Subscriber,
+    calibration: Calibration,
+    pictures: Any,
+    scripted: Any,
+    format_: str,
+) -> None:
+    if format_ == "mcap":
+        pytest.importorskip("mcap")
+        pytest.importorskip("foxglove_schemas_protobuf")
+    settings = document(tmp_path, broker.port)
+    settings.path.write_text(settings.path.read_text().replace("recs}", "recs, before_s: 30}"))
+    app = Running(load(settings.path), scripted(paced(pictures.free)), calibration)
+    try:
+        wait_until(lambda: last(seen, "health").get("recorder", {}).get("before", 0) > 20, 10, "frames are kept")
+        assert ask(seen, "record", action="start", seconds=600, name="one", format=format_)["ok"]
+        assert ask(seen, "record", action="mark")["ok"]
+        stopped = ask(seen, "record", action="stop")["result"]
+        told = {"written": stopped["frames"], "dropped": 0, "waiting": 0, "before_dropped": 0}
+        wait_until(lambda: told.items() <= last(seen, "health")["recorder"].items(), 5, f"health tells {told}")
+    finally:
+        app.end()
+    folder = tmp_path / "recs" / "one"
+    events = [json.loads(line) for line in (folder / "events.jsonl").read_text().splitlines()]
+    asked_ns = next(event["t_ns"] for event in events if event["kind"] == "start")
+    recording, times_ns = Recording(folder), list[int]()
+    while (read := recording.read()) is not None:
+        times_ns.append(read.frame.t_ns)
+    assert len(times_ns) == stopped["frames"]
+    assert sum(t_ns < asked_ns for t_ns in times_ns) > 20

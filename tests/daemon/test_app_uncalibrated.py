@@ -49,7 +49,8 @@ def test_the_picture_until_a_calibration_comes(
         PtyRobot(link, rate_hz=20, binary=True) as robot,
     ):
         path.write_text(
-            f"calibration: c.npz\nsource: {{kind: simulated}}\nmqtt: {{host: 127.0.0.1, port: {broker.port}}}\n"
+            "calibration: c.npz\nsource: {kind: simulated}\n"
+            f"mqtt: {{host: 127.0.0.1, port: {broker.port}, home_assistant: true}}\n"
             f"serial: {{device: {link}}}\nstitching: {{folder: sessions}}\n"
         )
         document = load(path)
@@ -80,6 +81,7 @@ def test_the_picture_until_a_calibration_comes(
             assert f"tacshade-edge capture DIR --config {path}" in told["reason"]
             assert f"--out {tmp_path}/c.npz" in told["reason"]
             assert seen.of(f"{BASE}/state")[-1] == b"degraded"
+            assert json.loads(seen.wait_for("homeassistant/button/tacshade/rezero/config")[0])["name"] == "Re-zero"
             info = last("info")
             assert (info["geometry"], info["reference"], info["reason_code"]) == (None, None, CODE)
             assert info["reason"] == told["reason"]

@@ -33,7 +33,7 @@ class Asked:
         self.requests = Requests(
             self.worker,
             self.active,
-            References(calibration, folder / "c.reference.npz"),
+            References(calibration, folder / "c.reference.npz", "left"),
             lambda request, outcome: self.replies.append(json.loads(encode_reply(request, outcome))),
             lambda: {"up": 1},
             self._changed,

@@ -124,6 +124,7 @@ def a_day(folder: Path, calibration: Calibration, pictures: Any, scripted: Any, 
     return daemon
 
 
+@pytest.mark.slow
 def test_rewording_every_message_changes_no_decision(
     tmp_path: Path, calibration: Calibration, pictures: Any, scripted: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -96,7 +96,7 @@ class Daemon:
         def reply(request: Request, outcome: Any) -> None:
             self.replies.append(json.loads(encode_reply(request, outcome)))
 
-        self.sessions = SessionRequests(folder, self.published.__setitem__, reply, self.robot)  # type: ignore[arg-type]
+        self.sessions = SessionRequests(folder, "left", self.published.__setitem__, reply, self.robot)  # type: ignore[arg-type]
         self.sink: Sink = self.sessions.observing(Nobody())
         self.sessions.start()
 

@@ -16,18 +16,16 @@ from support.painted_sensor import painted_calibration
 from support.patience import patience
 
 from tacshade_edge.daemon import app as app_module
-from tacshade_edge.daemon import systemd
 from tacshade_edge.daemon.app import App
 from tacshade_edge.daemon.pipeline.ledger import FrameLedger, Timings
 from tacshade_edge.daemon.pipeline.mailbox import Mailbox
 from tacshade_edge.daemon.pipeline.workers import Grab, Reconstruct
-from tacshade_edge.daemon.systemd import Progress, Service
+from tacshade_edge.daemon.systemd import STOP_USEC, Progress, Service
 from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.errors import DecodeError, DeviceError
 from tacshade_edge.settings import load
 from tacshade_edge.types import Calibration, Frame, Need
 
-needs_systemd = pytest.mark.skipif(systemd.daemon is None, reason="systemd-python is not installed (extra systemd)")
 GONE = DeviceError("camera /dev/video9: gone")
 
 
@@ -96,7 +94,6 @@ def paced(picture: Any, until: threading.Event | None = None) -> Iterator[Any]:
         yield lambda: pause.wait(0.02)
 
 
-@needs_systemd
 def test_ready_status_watchdog_stopping(
     manager: Manager, start: Any, pictures: Any, scripted: Any, wait_until: Any
 ) -> None:
@@ -107,10 +104,9 @@ def test_ready_status_watchdog_stopping(
     assert not manager.has("STOPPING=1")
     app.stop()
     wait_until(lambda: manager.has("STOPPING=1\n"))
-    assert manager.heard[-1] == f"STOPPING=1\nEXTEND_TIMEOUT_USEC={systemd.STOP_USEC}\nSTATUS=stopping"
+    assert manager.heard[-1] == f"STOPPING=1\nEXTEND_TIMEOUT_USEC={STOP_USEC}\nSTATUS=stopping"
 
 
-@needs_systemd
 def test_a_hung_read_is_not_fed_although_the_main_thread_lives(
     manager: Manager, start: Any, pictures: Any, scripted: Any, wait_until: Any
 ) -> None:
@@ -132,7 +128,6 @@ def hanging(pictures: Any, hang: threading.Event, release: threading.Event) -> I
     yield from paced(pictures.free)
 
 
-@needs_systemd
 def test_a_camera_that_is_away_is_told_and_its_attempts_feed_the_watchdog(
     manager: Manager, start: Any, scripted: Any, wait_until: Any
 ) -> None:
@@ -143,7 +138,6 @@ def test_a_camera_that_is_away_is_told_and_its_attempts_feed_the_watchdog(
     assert len(source.opened_ns) >= 2
 
 
-@needs_systemd
 def test_reload_takes_over_the_profile_and_the_calibration(
     manager: Manager, start: Any, settings: Path, pictures: Any, scripted: Any, wait_until: Any
 ) -> None:
@@ -163,7 +157,6 @@ def test_reload_takes_over_the_profile_and_the_calibration(
     assert after.calibration.crc32 == other.crc32 != before.calibration.crc32
 
 
-@needs_systemd
 def test_a_bad_reload_keeps_what_runs(
     manager: Manager,
     start: Any,
@@ -200,7 +193,6 @@ def test_a_bad_reload_keeps_what_runs(
     assert not manager.has("refused", told)
 
 
-@needs_systemd
 def test_a_new_source_or_broker_waits_for_a_restart_and_says_so(
     manager: Manager, start: Any, settings: Path, pictures: Any, scripted: Any, wait_until: Any
 ) -> None:
@@ -263,14 +255,27 @@ def test_a_hung_step_is_no_progress_even_while_a_lost_camera_is_tried(
         thread.join(patience(10))
 
 
-def test_without_the_package_one_warning_and_no_message(
-    manager: Manager, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+@pytest.mark.parametrize("address", ["", None])
+def test_without_a_manager_nothing_is_said(address: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
+    if address is not None:
+        monkeypatch.setenv("NOTIFY_SOCKET", address)
+    monkeypatch.setattr(socket, "socket", None)
+    Service(None).ready()  # type: ignore[arg-type]
+
+
+def test_a_manager_with_an_abstract_address_hears(monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind("")  # the kernel finds one
+        monkeypatch.setenv("NOTIFY_SOCKET", "@" + manager.getsockname()[1:].decode())
+        Service(None).ready()  # type: ignore[arg-type]
+        manager.settimeout(patience(5))
+        assert manager.recv(100) == b"READY=1"
+
+
+def test_a_manager_that_is_gone_is_told_and_no_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(systemd, "daemon", None)
-    service = Service(None)  # type: ignore[arg-type]
-    service.ready()
-    service.stopping()
-    assert [record.getMessage() for record in caplog.records] == [
-        "a service manager waits for a sign, expected the package systemd-python (extra systemd)"
-    ]
-    assert manager.heard == []
+    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "gone"))
+    Service(None).ready()  # type: ignore[arg-type]
+    assert [r.getMessage() for r in caplog.records] == ["the service manager does not hear: No such file or directory"]

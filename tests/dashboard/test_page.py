@@ -2,7 +2,7 @@
 
 ::
 
-    TACSHADE_SCREENSHOTS=docs/images .venv/bin/python -m pytest tests/dashboard/test_page.py
+    TACSHADE_SCREENSHOTS=docs/images .venv/bin/python -m pytest tests/dashboard/
 
 also writes the pictures of docs/dashboard.md.
 """
@@ -13,11 +13,8 @@ import json
 import math
 import os
 import re
-import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -27,124 +24,26 @@ import pytest
 from selenium.webdriver import ActionChains, Chrome
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.select import Select
-from support.browser import CHROMIUM, DRIVER, browser, errors
+from support.browser import browser, errors
+from support.certificate import certificate
 from support.dashboard_process import dashboard
 from support.growing_map import PAD, GrowingMap, scan
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
-from support.patience import patience, stretched, wait_until
-from support.published_hand import COLS, DISC, PublishedHand, bump, dragged
+from support.mqtt_rig import Broker, Subscriber, free_port
+from support.patience import patience, wait_until
+from support.published_hand import COLS, DISC, PublishedHand, bump, dragged, uncertain
 from support.published_hand import calibration as calibrated_hand
+from support.shown_page import NEEDS_A_BROWSER, daemon, drawn, js, opened, picture, shows, text, until_shown
 
-from tacshade_edge.cli.demo_sensor import make_calibration
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
-from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.protocol import messages, wire
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.simulator.script import demonstration
 from tacshade_edge.types import Slip
 
-MISSING = [
-    name for name, found in (("Chromium", CHROMIUM), ("its driver", DRIVER), ("mosquitto", MOSQUITTO)) if not found
-]
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.skipif(bool(MISSING), reason=f"{', '.join(MISSING)} not installed"),
-]
-PICTURES = os.environ.get("TACSHADE_SCREENSHOTS")
-FPS = 10
+pytestmark = NEEDS_A_BROWSER
 SCRIPT = demonstration()
 SOLVER_RATIO = 0.25  # what `fast` may be off on a ball; the daemon's own test on a camera has the same
-
-
-@pytest.fixture(scope="module")
-def calibration(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("sensor") / "calibration.npz"
-    calibration_file.save(path, make_calibration())
-    return path
-
-
-@pytest.fixture(scope="module")
-def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chrome]:
-    with browser(tmp_path_factory.mktemp("chromium")) as driver:
-        yield driver
-
-
-@pytest.fixture
-def page(chromium: Chrome) -> Iterator[Chrome]:
-    """The browser; a test that ends with a complaint in the console has failed."""
-    errors(chromium)
-    yield chromium
-    told = errors(chromium)
-    chromium.get("about:blank")
-    assert told == []
-
-
-@contextmanager
-def daemon(folder: Path, calibration: Path, port: int, sensor_id: str = "left-index", fps: int = FPS) -> Iterator[None]:
-    """The real daemon on the simulated sensor."""
-    config = folder / f"{sensor_id}.yaml"
-    config.write_text(
-        f"sensor_id: {sensor_id}\ncalibration: {calibration}\nsource: {{kind: simulated, fps: {fps}}}\n"
-        f"mqtt: {{host: 127.0.0.1, port: {port}}}\n"
-    )
-    command = [sys.executable, "-m", "tacshade_edge", "run", "--config", str(config)]
-    child = subprocess.Popen(command, stderr=subprocess.DEVNULL)
-    try:
-        yield
-        child.send_signal(signal.SIGTERM)
-        assert child.wait(patience(10)) == 0
-    finally:
-        child.kill()
-        child.wait()
-
-
-def js(page: Chrome, expression: str) -> Any:
-    return page.execute_script(f"return {expression}")
-
-
-def text(page: Chrome, element: str) -> str:
-    return str(page.find_element(By.ID, element).text)
-
-
-def shows(page: Chrome, element: str, part: str, timeout_s: float = 15) -> None:
-    wait_until(lambda: part in text(page, element), timeout_s, f"{part!r} in #{element}")
-
-
-def drawn(page: Chrome, timeout_s: float = 20) -> None:
-    """Wait until one more map is on the screen."""
-    before = js(page, "window.tacshade ? tacshade.drawn : 0")
-    wait_until(lambda: js(page, "window.tacshade ? tacshade.drawn : 0") > before, timeout_s, "a map is drawn")
-
-
-def opened(page: Chrome, address: str, sensor_id: str = "") -> None:
-    page.get(address + (f"#{sensor_id}" if sensor_id else ""))
-    shows(page, "link", "Connected")
-
-
-def until_shown(page: Chrome, hand: PublishedHand, result: Callable[[], Any], seq: int) -> None:
-    """Publish until it is on the screen: QoS 0, and the page may still be subscribing."""
-
-    def again() -> bool:
-        hand.show(result())
-        return bool(js(page, f"tacshade.seq === {seq}"))
-
-    wait_until(again, 15, f"map {seq} on the screen")
-
-
-def picture(page: Chrome, name: str, size_px: tuple[int, int] | None = None, top: str = "") -> None:
-    if PICTURES is None:
-        return
-    before = page.get_window_size()
-    if size_px is not None:
-        page.set_window_size(*size_px)
-        drawn_at = js(page, "performance.now()")
-        wait_until(lambda: js(page, "performance.now()") > drawn_at + 1000, 10, "the new size is drawn")
-    if top:
-        page.execute_script("document.getElementById(arguments[0]).scrollIntoView()", top)
-    Path(PICTURES).mkdir(parents=True, exist_ok=True)
-    page.save_screenshot(str(Path(PICTURES) / f"{name}.png"))
-    page.set_window_size(before["width"], before["height"])
 
 
 def pressed_mm(seq: int) -> float:
@@ -204,7 +103,7 @@ def test_every_cell_has_the_colour_of_its_depth(page: Chrome, tmp_path: Path) ->
         PublishedHand(broker.port) as hand,
     ):
         opened(page, address)
-        until_shown(page, hand, lambda: bump(7, 2.6, row, col), 7)
+        until_shown(page, hand, lambda: uncertain(bump(7, 2.6, row, col), 0.125), 7)
         truth = bump(7, 2.6, row, col).height.height_mm
         scale = js(page, "tacshade.scale_mm")
         assert scale == 3
@@ -218,6 +117,7 @@ def test_every_cell_has_the_colour_of_its_depth(page: Chrome, tmp_path: Path) ->
         to_screen = canvas.rect["width"] / (2 * DISC.radius_px)
         ActionChains(page).move_to_element_with_offset(canvas, round(-60 * to_screen), round(40 * to_screen)).perform()
         shows(page, "cursor", "2.6")
+        shows(page, "cursor", "± 0.13 mm")
         shows(page, "cursor", "x -")
         shows(page, "n-depth", "2.60")
         shows(page, "objects", "object 1")
@@ -295,13 +195,14 @@ def test_profile_and_zero_are_changed_through_requests(page: Chrome, tmp_path: P
     with (
         Broker(tmp_path) as broker,
         dashboard(f"127.0.0.1:{broker.port}") as address,
-        Subscriber(broker.port, "tacshade/left-index/+/+") as seen,
         daemon(tmp_path, calibration, broker.port),
     ):
         opened(page, address)
         profile = Select(page.find_element(By.ID, "profile"))
         wait_until(lambda: page.find_element(By.ID, "profile").is_enabled(), 15, "the hand is online")
-        assert [option.text for option in profile.options] == list(PROFILES)
+        *others, dearest = [option.text for option in profile.options]
+        assert others == [name for name in PROFILES if name != "paper"]
+        assert dearest == "paper (200 times slower, less exact)"
         profile.select_by_value("paper")
         shows(page, "answer", "The profile is paper.")
         wait_until(lambda: page.find_element(By.ID, "profile").is_enabled(), 15, "the answer")
@@ -309,8 +210,7 @@ def test_profile_and_zero_are_changed_through_requests(page: Chrome, tmp_path: P
         shows(page, "answer", "The profile is fast.")
 
         page.find_element(By.ID, "rezero").click()
-        reply = json.loads(seen.wait_for("tacshade/left-index/res/reference", 1, 15)[0])
-        shows(page, "answer", "Zero is new" if reply["ok"] else reply["error"])
+        shows(page, "answer", "Zero is new", 30)
         wait_until(lambda: page.find_element(By.ID, "rezero").is_enabled(), 15, "it may be asked again")
 
 
@@ -651,6 +551,44 @@ def test_a_broker_with_users_asks_for_one(page: Chrome, tmp_path: Path) -> None:
         js(page, "sessionStorage.clear()")
 
 
+@pytest.mark.parametrize("tls", [False, True])
+def test_a_page_that_is_opened_to_a_network_wants_its_token_and_only_looks(tmp_path: Path, tls: bool) -> None:
+    words = ["--host", "0.0.0.0", "--token-file", str(tmp_path / "token")]
+    if tls:
+        words += [f"--{name}={path}" for name, path in zip(("certificate", "key"), certificate(tmp_path), strict=True)]
+    with (
+        Broker(tmp_path) as broker,
+        dashboard(f"127.0.0.1:{broker.port}", *words) as told,
+        PublishedHand(broker.port) as hand,
+        Subscriber(broker.port, "tacshade/+/req/+") as seen,
+        browser(tmp_path / "chromium", "--ignore-certificate-errors") as page,
+    ):
+        address, _, token = re.sub(r"//[^:]+", "//127.0.0.1", told).partition("login#")
+        page.get(address)
+        wait_until(lambda: page.current_url == f"{address}login", 15, "the login")
+        page.find_element(By.NAME, "token").send_keys("of yesterday\n")
+        shows(page, "login-why", "expected the token")
+        assert [line for line in errors(page) if "401" not in line] == []
+        page.get("about:blank")
+        page.get(f"{address}login#{token}")
+        wait_until(lambda: page.current_url == address, 15, "the page")
+        shows(page, "link", "Connected")
+        assert js(page, "document.cookie") == ""
+        until_shown(page, hand, lambda: bump(1, 1.5, 200, 300, step_px=4), 1)
+        shows(page, "read-only", "Read-only")
+        wait_until(lambda: js(page, "tacshade.sensor"), 10, "the hand")
+        assert not page.find_element(By.ID, "rezero").is_enabled()
+        assert not page.find_element(By.ID, "profile").is_enabled()
+        until_shown(page, hand, lambda: bump(2, 0.0, 200, 300, step_px=4), 2)
+        page.execute_script("document.getElementById('rezero').disabled = false")
+        page.find_element(By.ID, "rezero").click()
+        shows(page, "link", "read-only: requests are not passed on here")
+        shows(page, "link", "Connected")
+        assert seen.messages == []
+        assert errors(page) == []
+        picture(page, "login-read-only", (760, 900), "control")
+
+
 def test_without_webgl_the_rest_goes_on(tmp_path: Path) -> None:
     with (
         Broker(tmp_path) as broker,
@@ -719,14 +657,16 @@ def test_it_fits_the_screen(tmp_path: Path, name: str, size_px: tuple[int, int],
 
 
 def test_maps_of_full_size_are_drawn_as_they_come() -> None:
-    """Thirty 640x480 maps a second, where the machine can. A loose bound: it has other work too."""
+    """Thirty 640x480 maps a second: what the machine cannot draw is dropped and counted, and does not queue up.
+
+    What comes is drawn or replaced by a newer one, and late by no more maps than broker (20 messages) and sockets (to
+    70 MB of buffers) can hold on the way: in maps, so that it holds at any machine's pace.
+    """
     root = Path(__file__).parents[2]
-    slow = stretched(1)
-    print(f"{30 / slow:.1f} maps a second")
-    command = [sys.executable, "tools/bench_dashboard.py", "--seconds", "5", "--json", "--fps", f"{30 / slow:.1f}"]
+    command = [sys.executable, "tools/bench_dashboard.py", "--seconds", "5", "--json"]
     environment = {**os.environ, "PYTHONPATH": str(root / "tests")}
     done = subprocess.run(command, cwd=root, env=environment, stdout=subprocess.PIPE, timeout=patience(120), check=True)
     figures = json.loads(done.stdout)
-    assert figures["drawn_per_s"] >= 10 / slow
-    assert figures["age_ms"]["p50"] < 1000 * slow  # the newest is drawn, nothing queues up
-    assert (figures["undecodable"], figures["console_errors"]) == (0, [])
+    assert (figures["unaccounted"], figures["undecodable"], figures["console_errors"]) == (0, 0, []), figures
+    assert figures["drawn_per_s"] > 0, figures
+    assert figures["age_ms"]["p50"] * figures["heard_per_s"] / 1000 < 130, figures

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import re
+import ssl
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -13,8 +14,9 @@ from typing import Any
 import pytest
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion
+from support.certificate import certificate
 from support.dashboard_process import dashboard
-from support.mqtt_rig import MOSQUITTO, Broker
+from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from support.patience import patience, wait_until
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
@@ -23,7 +25,9 @@ from tacshade_edge.dashboard import bridge, files, server
 from tacshade_edge.dashboard.access import refusal
 from tacshade_edge.dashboard.bounds import CONNECTIONS_MAX, PAGES_MAX
 from tacshade_edge.dashboard.bridge import Broker as Address
+from tacshade_edge.dashboard.login import WRONG_MAX
 
+TOKEN = "a-token-of-this-test"
 STATIC = Path(files.__file__).parent / "static"
 Serve = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
 
@@ -38,13 +42,15 @@ def run(test: Coroutine[Any, Any, None]) -> None:
 
 @asynccontextmanager
 async def running(
-    broker_port: int = 1, origins: frozenset[str] = frozenset(), host: str = "127.0.0.1"
+    broker_port: int = 1, origins: frozenset[str] = frozenset(), host: str = "127.0.0.1", **access: Any
 ) -> AsyncIterator[int]:
     """The server in this process; its port."""
     port: asyncio.Future[int] = asyncio.get_running_loop().create_future()
     stop = asyncio.Event()
     serving = asyncio.create_task(
-        server.run(Address(host, broker_port), "127.0.0.1", 0, origins, lambda _host, p: port.set_result(p), stop)
+        server.run(
+            Address(host, broker_port), "127.0.0.1", 0, origins, lambda _host, p: port.set_result(p), stop, **access
+        )
     )
     yield await port
     stop.set()
@@ -449,6 +455,115 @@ def test_pings_that_are_never_read_do_not_fill_the_memory(caplog: pytest.LogCapt
     assert len(caplog.records) < 10
 
 
+def test_without_the_token_there_is_a_login_and_nothing_else() -> None:
+    async def test() -> None:
+        async with tcp(echo) as broker, running(broker, token=TOKEN) as port:
+            for path in sorted(files.load()):
+                status, headers, body = await get(port, path)
+                if path in ("/", "/index.html"):
+                    assert (status, headers["location"], body) == (303, "login", b"")
+                elif path in ("/login", "/login.js", "/style.css", "/favicon.svg"):
+                    assert status == 200
+                else:
+                    assert (status, b"token" in body) == (401, True), path
+            with pytest.raises(InvalidStatus) as refused:
+                await websocket(port).__aenter__()
+            assert refused.value.response.status_code == 401
+
+            status, headers, _ = await get(port, "/login", f"Authorization: Bearer {TOKEN}")
+            assert status == 204
+            cookie, *flags = headers["set-cookie"].split("; ")
+            assert {"HttpOnly", "SameSite=Strict", "Path=/"} < set(flags)
+            assert "Secure" not in flags
+            assert (await get(port, "/", f"Cookie: other=1; {cookie}"))[0] == 200
+            assert (await get(port, "/main.js", f"Authorization: bearer {TOKEN}"))[0] == 200
+            assert (await get(port, "/", f"Cookie: {cookie}", f"Cookie: {cookie}"))[0] == 400
+            # a proxy's own login
+            assert (await get(port, "/", f"Cookie: {cookie}", "Authorization: Basic dTpw"))[0] == 200
+            async with websocket(port, additional_headers={"Cookie": cookie}) as page:
+                await page.send(b"hello")
+                assert await page.recv() == b"hello"
+
+    run(test())
+
+
+def test_wrong_tokens_are_counted_and_then_refused_unseen(caplog: pytest.LogCaptureFixture) -> None:
+    async def test() -> None:
+        async with running(token=TOKEN) as port:
+            for k in range(WRONG_MAX):
+                assert (await get(port, "/login", f"Authorization: Bearer wrong{k}"))[0] == 401
+            assert (await get(port, "/login", f"Authorization: Bearer {TOKEN}"))[0] == 429
+            assert (await get(port, "/login"))[0] == 200
+
+    run(test())
+    told = [record.getMessage() for record in caplog.records]
+    assert told == [f"a wrong token from 127.0.0.1, the {k}. so far" for k in range(1, WRONG_MAX + 1)]
+
+
+def test_over_tls_the_cookie_is_sent_over_nothing_else(tmp_path: Path) -> None:
+    cert, key = certificate(tmp_path)
+    offered = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    offered.load_cert_chain(cert, key)
+    trusted = ssl.create_default_context(cafile=cert)
+
+    async def test() -> None:
+        async with tcp(echo) as broker, running(broker, token=TOKEN, tls=offered) as port:
+            reader, writer = await asyncio.open_connection("127.0.0.1", port, ssl=trusted)
+            writer.write(f"GET /login HTTP/1.1\r\nHost: a\r\nAuthorization: Bearer {TOKEN}\r\n\r\n".encode())
+            said = await reader.read()
+            writer.close()
+            assert said.startswith(b"HTTP/1.1 204 ")
+            assert b"; Secure\r\n" in said
+            assert await answer(port, b"GET / HTTP/1.1\r\nHost: a\r\n\r\n") == b""  # without TLS
+            address = f"wss://127.0.0.1:{port}/mqtt"
+            words = {"Authorization": f"Bearer {TOKEN}"}
+            async with connect(address, ssl=trusted, subprotocols=["mqtt"], additional_headers=words) as page:
+                await page.send(b"hello")
+                assert await page.recv() == b"hello"
+
+    run(test())
+
+
+def test_handshakes_count_as_connections(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    cert, key = certificate(tmp_path)
+    offered = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    offered.load_cert_chain(cert, key)
+    trusted = ssl.create_default_context(cafile=cert)
+
+    async def index(port: int) -> bytes:
+        try:
+            reader, writer = await asyncio.open_connection("127.0.0.1", port, ssl=trusted)
+        except OSError:
+            return b""
+        writer.write(b"GET / HTTP/1.1\r\nHost: a\r\n\r\n")
+        said = await reader.read()
+        writer.close()
+        return said
+
+    async def test() -> None:
+        async with running(tls=offered) as port:
+            mute = [await asyncio.open_connection("127.0.0.1", port) for _ in range(CONNECTIONS_MAX)]
+            assert await index(port) == b""
+            for _, writer in mute:
+                writer.close()
+            while (await index(port))[:12] != b"HTTP/1.1 200":
+                await asyncio.sleep(0.01)
+
+    run(test())
+    assert caplog.records[0].getMessage() == "turned away, the 1. so far: 48 connections are open"
+
+
+def test_the_page_is_told_when_it_may_only_look() -> None:
+    async def test() -> None:
+        async with running() as port, running(read_only=True) as read_only:
+            _, told, plain = await get(port, "/")
+            _, other, marked = await get(read_only, "/")
+            assert plain.replace(b'<html lang="en">', b'<html lang="en" data-read-only>') == marked != plain
+            assert told["etag"] != other["etag"]
+
+    run(test())
+
+
 def test_it_stops_with_open_connections() -> None:
     async def test() -> None:
         async with tcp(echo) as broker:
@@ -524,3 +639,43 @@ def test_the_brokers_users_are_the_pages_users(tmp_path: Path) -> None:
             client.loop_stop()
     assert answers[0] is False
     assert answers[-1] is True
+
+
+@pytest.mark.broker
+@needs_broker
+def test_a_page_that_may_only_look_asks_for_nothing(tmp_path: Path) -> None:
+    """The page's own client goes on seeing; what it publishes reaches nobody, and ends its connection."""
+    with (
+        Broker(tmp_path) as broker,
+        dashboard(f"127.0.0.1:{broker.port}", "--token-file", str(tmp_path / "token")) as address,
+        Subscriber(broker.port) as seen,
+    ):
+        assert (tmp_path / "token").stat().st_mode & 0o777 == 0o600
+        token = address.partition("#")[2]
+        assert (tmp_path / "token").read_text() == f"{token}\n"
+        viewer = client_through(address.partition("login#")[0])
+        viewer.ws_set_options(path="/mqtt", headers=lambda defaults: {**without_origin(defaults), **bearer(token)})
+        received: list[bytes] = []
+        ended: list[int] = []
+        viewer.on_connect = lambda client, *_: client.subscribe("tacshade/#", qos=1)
+        viewer.on_subscribe = lambda *_: seen.publish("tacshade/a/state", b"online")
+        viewer.on_message = lambda _client, _data, message: received.append(message.payload)
+        viewer.on_disconnect = lambda *_: ended.append(1)
+        viewer.loop_start()
+        wait_until(lambda: received == [b"online"], 10, "the state")
+        assert ended == []
+        viewer.publish("tacshade/a/req/reference", b"{}", qos=1)
+        wait_until(lambda: bool(ended), 10, "closed")
+        viewer.loop_stop()
+        seen.publish("tacshade/a/state", b"last")
+        wait_until(lambda: b"last" in seen.of("tacshade/a/state"), 10, "the last message")
+        assert {message.topic for message in seen.messages} == {"tacshade/a/state"}
+
+
+def without_origin(headers: dict[str, str]) -> dict[str, str]:
+    """Paho tells an https origin whatever it connects to."""
+    return {name: value for name, value in headers.items() if name != "Origin"}
+
+
+def bearer(token: str) -> dict[str, str]:
+    return {"Authorization": f"Bearer {token}"}

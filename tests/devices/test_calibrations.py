@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import logging
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from support.calibrated_sensor import HALF, calibrated, presses, references, sensor_of, unloaded
+from support.fitted import fitted_network, fitted_with
 
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import Inputs
@@ -40,6 +42,7 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "hand.npz"
 
 
+@pytest.mark.slow
 def test_one_of_another_version_is_made_again_and_the_old_file_kept(
     path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -61,6 +64,7 @@ def test_one_of_another_version_is_made_again_and_the_old_file_kept(
     assert calibration_file.inputs_in(path) is not None
 
 
+@pytest.mark.slow
 def test_a_new_reference_is_made_again_too(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     images = [unloaded(noise_seed=seed) // 8 * 7 for seed in range(900, 905)]
     stored(path, monkeypatch, with_new_reference(INPUTS, images))
@@ -102,5 +106,43 @@ def test_what_can_no_longer_be_used_says_so(path: Path, monkeypatch: pytest.Monk
     with pytest.raises(ConfigError, match=f"{path}: cannot be made again by this version: .*; calibrate again"):
         calibrations.load(path)
     stored(path, monkeypatch, Inputs(INPUTS.sensor, (black[0][:-2],)))
-    with pytest.raises(ConfigError, match="what it was made of cannot be read: expected a grey PNG"):
+    with pytest.raises(ConfigError, match="what it was made of cannot be read: found 320x238 px, expected a grey PNG"):
         calibrations.load(path)
+
+
+@pytest.mark.slow
+def test_fitted_weights_stay_when_it_is_made_again(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(calibration_file, "VERSION", OLDER)
+        calibration_file.save(path, fitted_with("fast", calibrated()), INPUTS)
+    found = calibrations.load(path)
+    assert found.factors == made().factors
+    np.testing.assert_array_equal(found.fitted["fast"].weights, fitted_network("fast").weights)
+    assert calibrations.load(path).crc32 == found.crc32
+    assert calibrations.fits_to_renew(path) == ()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("version", [OLDER, calibration_file.VERSION])
+def test_those_of_another_layout_do_not_run_and_a_new_fit_is_asked_for(
+    path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, version: int
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(calibration_file, "VERSION", version)
+        calibration_file.save(path, fitted_with("fast", calibrated(), layout="another"), INPUTS)
+    for _ in range(2):
+        caplog.clear()
+        found = calibrations.load(path)
+        assert found.fitted == {}
+        assert found.crc32 == calibration_file.with_crc(made()).crc32
+        assert "calibrate --fit again" in caplog.records[-1].message
+        assert calibrations.fits_to_renew(path) == ("fast",)
+
+
+def test_weights_that_are_not_those_of_their_layout_do_not_run(path: Path) -> None:
+    network = fitted_network("fast")
+    for changed in ({"weights": network.weights[1:]}, {"correction": network.correction[:, 1:]}):
+        calibration_file.save(path, replace(calibrated(), fitted={"fast": replace(network, **changed)}))
+        assert calibrations.load(path).fitted == {}
+    calibration_file.save(path, replace(calibrated(), fitted={"other": network}))
+    assert calibrations.load(path).fitted == {}

@@ -74,4 +74,19 @@ def test_the_accuracy_of_the_profiles_is_what_the_command_printed() -> None:
         assert (me, me_worst, back, sd, iou, off, off_worst, missed) == expected, (title, profile)
 
 
+def test_how_well_errors_hold_is_what_the_command_printed() -> None:
+    """A line quotes a page's lines of all frames, undragged and dragged ones."""
+    quoted = [row for row in rows((ROOT / "docs" / "sigma.md").read_text()) if row[0] in FAMILIES]
+    assert len(quoted) == 6
+    page = (ROOT / "docs" / "results" / "sigma.md").read_text()
+    for title, profile, error, sigma, covered, undragged, dragged, told, most in quoted:
+        family = re.split(r"^Family ", page, flags=re.MULTILINE)[FAMILIES[title]].split("Both families")[0]
+        every, free, drawn = (
+            next(row for row in rows(family) if row[:2] == (what, profile))
+            for what in ("all", "0 mm of drag", "2 mm of drag")
+        )
+        expected = (*every[4:7], free[6], drawn[6], *every[7:9])
+        assert (error, sigma, covered, undragged, dragged, told, most) == expected, (title, profile)
+
+
 FAMILIES = {"as trained on": 1, "another family": 2}

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
+import shlex
 import shutil
 import subprocess
 from collections.abc import Callable
@@ -12,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from paho.mqtt.client import topic_matches_sub
 from support.patience import patience
 
 from tacshade_edge.core.stitching.surface_map import Raster
@@ -72,8 +75,9 @@ def by_javascript(payloads: list[bytes]) -> list[dict[str, Any]]:
     )
     answers = [json.loads(line) for line in done.stdout.splitlines()]
     for answer in answers:
-        if "t_ns" in answer:
-            answer["t_ns"] = int(answer["t_ns"])
+        for key in ("t_ns", "wall_ns"):
+            if key in answer:
+                answer[key] = int(answer[key])
     return answers
 
 
@@ -101,11 +105,11 @@ def test_decoder_understands_every_sound_vector(decode: Decoder) -> None:
     answers = decode([bytes.fromhex(v["hex"]) for v in sound])
     assert len(answers) == len(sound) >= 6
     for answer, expect in zip(answers, (v["expect"] for v in sound), strict=True):
-        assert (answer["seq"], answer["t_ns"]) == (expect["seq"], expect["t_ns"])
+        assert [answer[k] for k in ("seq", "t_ns", "wall_ns")] == [expect[k] for k in ("seq", "t_ns", "wall_ns")]
         flags = sum(bit for bit, name in enumerate_flags() if expect[name])
         assert answer["flags"] & 15 == flags
         assert (answer["pose"] and list(answer["pose"])) == expect["pose"]
-        if expect["kind"] in ("height", "shear"):
+        if expect["kind"] in ("height", "shear", "sigma"):
             name = f"{expect['kind']}_mm"
             np.testing.assert_allclose(values(answer[name]), values(expect[name]), rtol=1e-6)
             assert [answer[k] for k in ("row0", "col0", "step_px")] == [expect[k] for k in ("row0", "col0", "step_px")]
@@ -193,3 +197,18 @@ def test_header_table_is_without_a_gap() -> None:
         assert int(offset) == position
         position += sizes[kind]
     assert position == wire.HEADER_BYTES
+
+
+@pytest.mark.parametrize(
+    "path", [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))], ids=lambda path: path.name
+)
+def test_an_example_does_not_flood_a_terminal(path: Path) -> None:
+    """Where `mosquitto_sub` gets a stream, it ends after a count, and it prints nothing binary."""
+    streams = {f"tacshade/left-index/{name}" for name in ("height", "cloud", "shear", "sigma", "contact", "preview")}
+    binary = streams - {"tacshade/left-index/contact"} | {"tacshade/left-index/map/cloud"}
+    for line in re.findall(r"^    (?:.*\s)?mosquitto_sub\s.*$", path.read_text(), re.MULTILINE):
+        words = shlex.split(line, comments=True)
+        patterns = [word for flag, word in itertools.pairwise(words) if flag == "-t"]
+        got = {topic for topic in streams | binary for pattern in patterns if topic_matches_sub(pattern, topic)}
+        assert {"-C", "|"} & set(words) or not got & streams, line
+        assert "-F" in words or not got & binary, line

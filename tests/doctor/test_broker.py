@@ -102,6 +102,11 @@ def test_a_daemon_on_it(tmp_path: Path) -> None:
         other.publish(f"{BASE}/health", b"\xff{", retain=True)
         other.wait_for(f"{BASE}/health", 2)
         assert ask(broker.port)[1] == DaemonState("degraded", "no such device", 0.0)
+        for name, process in (("instance", 7), ("status/rival", 8)):
+            other.publish(f"{BASE}/{name}", json.dumps({"host": "bench", "process": process}).encode(), retain=True)
+            other.wait_for(f"{BASE}/{name}")
+        daemon = ask(broker.port)[1]
+        assert (daemon.place, daemon.rival) == ("on bench, process 7", "on bench, process 8")
 
 
 @broker_test
@@ -204,6 +209,7 @@ def test_a_broker_that_hangs(tmp_path: Path) -> None:
         (DaemonState("online", fps=29.9), True, "ok", "process 5 (tacshade-edge run): online, 29.9 frames/s"),
         (DaemonState("degraded", "no device", 0.0), True, "warning", "degraded, 0.0 frames/s, no device"),
         (DaemonState("online"), False, "warning", "none runs here, yet left is online on this broker"),
+        (DaemonState("online", place="on a", rival="on b"), True, "warning", "on a; another waits for it, on b"),
         (DaemonState("offline"), True, "warning", "the broker knows no left online"),
     ],
 )

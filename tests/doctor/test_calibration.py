@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
+from support.fitted import fitted_with
 from support.painted_sensor import painted_calibration
 
 from tacshade_edge.devices.files import calibration_file
@@ -27,6 +28,7 @@ def free(count: int = 5) -> list[U8]:
     return [unloaded(noise_seed=50 + k) for k in range(count)]
 
 
+@pytest.mark.slow
 def test_a_sensor_as_it_was_calibrated() -> None:
     findings = judged(free())
     assert [finding.state for finding in findings.values()] == ["ok", "ok"]
@@ -122,6 +124,15 @@ def test_the_file(tmp_path: Path) -> None:
     _, (finding,) = load(load_settings(config))
     assert finding.state == "warning"
     assert "--presses" in finding.mend
+    calibration_file.save(tmp_path / "c.npz", fitted_with("balanced", calibrated(HALF)))
+    _, (finding,) = load(load_settings(config))
+    assert finding.state == "ok"
+    assert finding.found.endswith(", fitted: depth error 0.20 mm")
+    calibration_file.save(tmp_path / "c.npz", fitted_with("balanced", calibrated(HALF), layout="another"))
+    _, (finding,) = load(load_settings(config))
+    assert finding.state == "warning"
+    assert "the networks of balanced have changed since they were fitted" in finding.found
+    assert "--fit" in finding.mend
     config.write_text("calibration: c.npz\n")
     known, (finding,) = load(load_settings(config))
     assert known is None

@@ -1,10 +1,16 @@
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
-from tacshade_edge.doctor.camera import check_device, list_cameras
-from tacshade_edge.doctor.cameras import found_cameras, has_csi_receiver, is_csi, stable_name
-from tacshade_edge.settings import V4l2
+import pytest
+from support import rpicam_vid
+
+from tacshade_edge.doctor.camera import check_csi, check_device, check_frames, list_cameras
+from tacshade_edge.doctor.cameras import csi_cameras, found_cameras, has_csi_receiver, is_csi, stable_name
+from tacshade_edge.doctor.capture import Captured
+from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.settings import Rpicam, V4l2
 
 
 def plug(machine: Any, node: str, name: str, index: int = 0) -> None:
@@ -38,7 +44,7 @@ def test_a_raspberry_pis_own_nodes_are_no_cameras(machine: Any) -> None:
     assert "CSI" in list_cameras(machine).mend
     (finding,) = check_device(V4l2(), machine)
     assert (finding.state, finding.found) == ("fault", "/dev/video0: is the Raspberry Pi's own rp1-cfe-csi2_ch0")
-    assert finding.mend.startswith("CSI (ribbon cable) cameras")
+    assert finding.mend.endswith("set source: {kind: rpicam, camera: 0}")
 
 
 def test_a_camera_that_is_not_there(machine: Any) -> None:
@@ -50,7 +56,31 @@ def test_a_camera_that_is_not_there(machine: Any) -> None:
     assert other.mend == "set source.device to one of: /dev/video2 (HD Camera)"
     machine.at("/sys/class/video4linux/video2/name").write_text("unicam-image\n")
     (csi,) = check_device(V4l2(), machine)
-    assert csi.mend.startswith("CSI")
+    assert "CSI" in csi.mend
+
+
+def test_csi_cameras_are_listed_by_the_boards_program(
+    machine: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    (missing,) = check_csi(Rpicam())
+    assert (missing.state, missing.mend) == ("fault", "sudo apt install rpicam-apps-lite")
+    monkeypatch.undo()
+    rpicam_vid.put_on_path(tmp_path, monkeypatch)
+    name = "imx219 [3280x2464 10-bit RGGB]"
+    assert csi_cameras() == {0: name}
+    assert list_cameras(machine).found == f"found {{kind: rpicam, camera: 0}} ({name})"
+    (good,) = check_csi(Rpicam())
+    assert (good.state, good.found) == ("ok", f"camera 0 of rpicam-vid: {name}")
+    (other,) = check_csi(Rpicam(camera=1))
+    assert (other.state, other.found) == ("fault", f"rpicam-vid has no camera 1, it lists 0 ({name})")
+
+
+def test_a_csi_camera_that_is_held(machine: Any) -> None:
+    held = Captured(error=Reason(ReasonCode.IN_USE, "camera 0 of rpicam-vid: failed to acquire camera"))
+    (finding,) = check_frames(Rpicam(), held, machine, "streaming")
+    assert (finding.state, finding.found) == ("warning", "the running daemon holds the camera; it says: streaming")
+    assert check_frames(Rpicam(), held, machine, "")[0].state == "fault"
 
 
 def test_a_file_in_its_place(machine: Any) -> None:

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol import messages
-from tacshade_edge.protocol.messages import Request
+from tacshade_edge.protocol.messages import PlaybackCommand, Request
 from tacshade_edge.protocol.results import (
     NoSession,
     PressAdded,
@@ -54,6 +54,7 @@ def test_contact_is_flat_numbers_with_the_promised_keys(
         "fps": 59.5,
         "reason_code": "",
         "degraded_code": "",
+        "wall_ns": 2_000,
     }
 
 
@@ -61,7 +62,7 @@ def test_contact_without_contact_has_no_place(make_result: Callable[..., Reconst
     decoded = json.loads(messages.encode_contact(make_result(contact=False), fps=0.0))
     assert ",".join(decoded) == (
         "t_ns,seq,contact,depth_max_mm,area_mm2,volume_mm3,objects,x_mm,y_mm,"
-        "shear_x_mm,shear_y_mm,twist_deg,slip,slip_mm_s,fps,reason_code,degraded_code"
+        "shear_x_mm,shear_y_mm,twist_deg,slip,slip_mm_s,fps,reason_code,degraded_code,wall_ns"
     )
     assert [decoded[k] for k in ("contact", "depth_max_mm", "objects", "x_mm", "y_mm")] == [0, 0.0, 0, None, None]
 
@@ -147,10 +148,18 @@ def test_status_and_health() -> None:
         ("record", b'{"action": "start", "seconds": 5}', Request("record", action="start", seconds=5.0)),
         (
             "record",
+            b'{"action": "start", "seconds": 5, "format": "mcap"}',
+            Request("record", action="start", seconds=5.0, format="mcap"),
+        ),
+        (
+            "record",
             b'{"action": "start", "name": "a.b-1", "seconds": 0.5, "transaction": 1}',
             Request("record", 1, action="start", name="a.b-1", seconds=0.5),
         ),
         ("record", b'{"action": "stop"}', Request("record", action="stop")),
+        ("record", b'{"action": "mark", "text": "now"}', Request("record", action="mark", text="now")),
+        ("replay", b'{"back": true}', Request("replay", playback=PlaybackCommand(back=True))),
+        ("replay", b'{"step": true, "seek_s": 2}', Request("replay", playback=PlaybackCommand(step=True, seek_s=2.0))),
         ("stitch", b'{"action": "begin", "name": "pad-1"}', Request("stitch", action="begin", name="pad-1")),
         ("stitch", b'{"action": "add", "transaction": 2}', Request("stitch", 2, action="add")),
         ("status", b" {} ", Request("status")),
@@ -169,7 +178,9 @@ def test_request_keeps_where_an_mqtt5_reply_goes() -> None:
 @pytest.mark.parametrize(
     ("verb", "payload", "told"),
     [
-        ("reboot", b"{}", "expected one of reference, profile, status, record, stitch"),
+        ("reboot", b"{}", "expected one of reference, profile, status, record, stitch, replay"),
+        ("replay", b'{"speed": 0}', ">= 0.01"),
+        ("record", b'{"action": "mark", "seconds": 1}', "unknown field `seconds`"),
         ("profile", b"{}", "missing required field `profile`"),
         ("profile", b'{"profile": ""}', "length >= 1"),
         ("profile", b'{"profile": 3}', "got `int`"),
@@ -177,7 +188,8 @@ def test_request_keeps_where_an_mqtt5_reply_goes() -> None:
         ("record", b'{"action": "pause"}', "Invalid value 'pause'"),
         ("record", b'{"action": "start"}', "missing required field `seconds`"),
         ("record", b'{"action": "start", "seconds": 0}', "> 0"),
-        ("record", b'{"action": "start", "seconds": 86401}', "<= 86400"),
+        ("record", b'{"action": "start", "seconds": 3601}', "<= 3600"),
+        ("record", b'{"action": "start", "seconds": 1, "format": "avi"}', "format"),
         ("record", b'{"action": "start", "seconds": 1, "name": ""}', "matching regex"),
         ("record", b'{"action": "start", "seconds": 1, "name": ".."}', "matching regex"),
         ("record", b'{"action": "start", "seconds": 1, "name": "a/b"}', "matching regex"),

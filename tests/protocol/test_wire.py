@@ -36,7 +36,8 @@ def from_vector(expect: dict[str, Any]) -> tuple[Reconstruction, Pose | None]:
     height = np.array([np.nan if h is None else h for h in expect.get("height_mm", [0.0])], np.float32)
     points = np.array(expect.get("points_mm", []), np.float32).reshape(-1, 3)
     shear = np.array([np.nan if s is None else s for s in expect.get("shear_mm", [])], np.float32)
-    if shear.size:
+    sigma = np.array([np.nan if s is None else s for s in expect.get("sigma_mm", [])], np.float32)
+    if shear.size or sigma.size:
         height = np.zeros((expect["rows"], expect["cols"]), np.float32)
     result = Reconstruction(
         *(expect["seq"], expect["t_ns"], expect["wall_ns"], "fast", not expect["invalid"], None, expect["contact"]),
@@ -49,6 +50,7 @@ def from_vector(expect: dict[str, Any]) -> tuple[Reconstruction, Pose | None]:
         ),
         cloud=ObjectCloud(points, np.array(expect.get("labels", []), np.uint16)),
         shear_mm=shear.reshape(*height.shape, 2) if shear.size else None,
+        sigma_mm=sigma.reshape(height.shape) if sigma.size else None,
     )
     return result, Pose(expect["t_ns"], *expect["pose"]) if expect["pose"] else None
 
@@ -71,6 +73,12 @@ def test_sound_vector_decodes_to_its_values(sound: dict[str, Any]) -> None:
         assert message.shear_mm.shape == (expect["rows"], expect["cols"], 2)
         wanted = np.array([np.nan if s is None else s for s in expect["shear_mm"]])
         np.testing.assert_allclose(message.shear_mm.ravel(), wanted, rtol=1e-6, atol=1e-7)
+    elif isinstance(message, wire.SigmaMessage):
+        assert expect["kind"] == "sigma"
+        assert (message.row0, message.col0, message.step_px) == (expect["row0"], expect["col0"], expect["step_px"])
+        assert message.sigma_mm.shape == (expect["rows"], expect["cols"])
+        wanted = np.array([np.nan if s is None else s for s in expect["sigma_mm"]])
+        np.testing.assert_allclose(message.sigma_mm.ravel(), wanted, rtol=1e-6, atol=1e-7)
     else:
         assert expect["kind"] == "cloud"
         assert message.points_mm.shape == (expect["n"], 3)
@@ -81,8 +89,7 @@ def test_sound_vector_decodes_to_its_values(sound: dict[str, Any]) -> None:
 def test_encoder_writes_the_vector_byte_for_byte(own: dict[str, Any]) -> None:
     expect = own["expect"]
     result, pose = from_vector(expect)
-    encode = {"height": wire.encode_height, "cloud": wire.encode_cloud, "shear": wire.encode_shear}[expect["kind"]]
-    data = encode(
+    data = getattr(wire, f"encode_{expect['kind']}")(
         result, calibration_crc32=expect["calibration_crc32"], pose=pose, pose_error_us=expect["pose_error_us"]
     )
     assert data.hex() == own["hex"]
@@ -120,6 +127,8 @@ def test_a_solver_that_tells_no_displacement_has_no_shear() -> None:
     result = reconstruction(np.zeros((1, 1), np.float32), np.zeros((0, 3), np.float32), np.zeros(0, np.uint16))
     with pytest.raises(ValueError, match="tells no displacement"):
         wire.encode_shear(result, calibration_crc32=0)
+    with pytest.raises(ValueError, match="tells no error"):
+        wire.encode_sigma(result, calibration_crc32=0)
 
 
 @given(st.integers(0, 40).flatmap(lambda n: st.tuples(*_cloud(n))), st.integers(0, 2**40))
@@ -155,7 +164,7 @@ def test_grid_that_the_header_cannot_hold_is_an_error_not_a_wrap() -> None:
 
 def test_decoded_arrays_are_read_only(sound: dict[str, Any]) -> None:
     message = wire.decode(bytearray.fromhex(sound["hex"]))
-    (name,) = (n for n in ("height_mm", "points_mm", "shear_mm") if hasattr(message, n))
+    (name,) = (n for n in ("height_mm", "points_mm", "shear_mm", "sigma_mm") if hasattr(message, n))
     array = getattr(message, name)
     assert not array.flags.writeable
 

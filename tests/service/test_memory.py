@@ -12,8 +12,9 @@ from support.mqtt_rig import MOSQUITTO
 
 BENCH = Path(__file__).parents[2] / "tools/bench_memory.py"
 FRAMES, FPS = 10_000, 150  # as fast as a busy machine of two cores reads them; what comes too fast is superseded
-# Measured: 108.5 MB after a tenth, 108.4 at the end, 109.2 at the peak. A kilobyte forgotten with each frame: 9 MB.
-RESIDENT_MAX_MB, GROWTH_MAX_MB = 120.0, 8.0
+# Measured with ONNX Runtime 1.32, which takes 8 MB more than 1.28: 120.6 MB after a tenth, 120.8 at the end and at the
+# peak. A kilobyte forgotten with each frame: 9 MB.
+RESIDENT_MAX_MB, GROWTH_MAX_MB = 128.0, 8.0
 
 
 @pytest.mark.slow

@@ -41,13 +41,14 @@ def test_systemd_finds_nothing_to_say_of_the_unit(tmp_path: Path) -> None:
 
 
 @needs_analyze
-def test_nor_of_what_lets_it_use_serial_ports(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["serial.conf", "rpicam.conf", "hand.conf"])
+def test_nor_of_what_lets_it_use_other_devices(tmp_path: Path, name: str) -> None:
     folder = tmp_path / "tacshade-edge.service.d"
     folder.mkdir()
-    text = (FILES / "serial.conf").read_text()
-    (folder / "serial.conf").write_text(text)
+    text = (FILES / name).read_text()
+    (folder / name).write_text(text)
     assert analyze("verify", unit(tmp_path)) == ""
-    (folder / "serial.conf").write_text(text.replace("DeviceAllow", "DevicesAllow"))
+    (folder / name).write_text(text.replace("MemoryMax", "MemoryMost"))
     assert "Unknown key" in analyze("verify", unit(tmp_path))
 
 

@@ -14,7 +14,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.settings import Files, Serial, Settings, Simulated, V4l2, digest, json_schema, load, to_yaml
+from tacshade_edge.settings import (
+    Files,
+    Rpicam,
+    Serial,
+    Settings,
+    Simulated,
+    V4l2,
+    digest,
+    file_schema,
+    json_schema,
+    load,
+    to_yaml,
+)
 
 DEFAULT = Path(__file__).parents[2] / "config" / "default.yaml"
 
@@ -37,6 +49,7 @@ def write(folder: Path, text: str | bytes) -> Path:
         ("mqtt:\n  port: yes\n", ":2: mqtt.port: found yes, expected an integer"),
         ("mqtt:\n  port: 99999999999999999999999\n", ":2: mqtt.port: found 999"),
         ("mqtt:\n  host: ''\n", ":2: mqtt.host: found '', expected a string"),
+        ("mqtt:\n  home_assistant: 1\n", ":2: mqtt.home_assistant: found 1, expected true or false"),
         ("mqtt:\n  username: 7\n", ":2: mqtt.username: found 7, expected a string (user name) or null"),
         ("mqtt:\n  host: bad host\n", ":2: mqtt.host: found bad host, expected a string (host name or address of the"),
         ("mqtt:\n  host: mqtt://a\n", ":2: mqtt.host: found mqtt://a, expected a string (host name or address"),
@@ -112,6 +125,37 @@ def test_a_mistake_is_one_line_with_its_place(tmp_path: Path, text: str | bytes,
     assert "\n" not in str(caught.value)
 
 
+@given(
+    st.dictionaries(
+        st.text("ab.[]`$0", max_size=4),
+        st.recursive(
+            st.integers(-1, 1) | st.text("a`", max_size=2),
+            lambda inner: (
+                st.lists(inner, max_size=2) | st.dictionaries(st.sampled_from(["kind", "path", "a`.b"]), inner)
+            ),
+        ),
+        max_size=3,
+    ).map(lambda more: {"source": more, "mqtt": more, **more})
+)
+def test_all_mistakes_of_any_mapping_are_single_lines(
+    tmp_path_factory: pytest.TempPathFactory, document: dict[str, Any]
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "any.yaml"
+    path.write_text(yaml.safe_dump(document))
+    try:
+        load(path)
+    except ConfigError as error:
+        lines = (str(error), *error.others)
+        assert all(line.startswith(f"{path}") and "\n" not in line for line in lines)
+        assert len(set(lines)) == len(lines)
+
+
+def test_mistakes_have_an_end(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load(write(tmp_path, "".join(f"k{n}: 1\n" for n in range(1000))))
+    assert len(caught.value.others) == 49
+
+
 def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"none\.yaml: No such file or directory, expected a settings file"):
         load(tmp_path / "none.yaml")
@@ -148,10 +192,12 @@ def test_the_default_file_is_the_defaults_and_names_every_key() -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "defaults"), [("files", Files(path="presses/")), ("simulated", Simulated())], ids=["files", "simulated"]
+    ("kind", "defaults"),
+    [("rpicam", Rpicam()), ("files", Files(path="presses/")), ("simulated", Simulated())],
+    ids=["rpicam", "files", "simulated"],
 )
 def test_the_commented_sources_of_the_default_file_are_their_defaults(
-    tmp_path: Path, kind: str, defaults: Files | Simulated
+    tmp_path: Path, kind: str, defaults: Rpicam | Files | Simulated
 ) -> None:
     path = write(tmp_path, uncommented(kind))
     assert yaml.safe_load(path.read_text())["source"] == msgspec.to_builtins(defaults)
@@ -193,6 +239,7 @@ def schema_errors(schema: dict[str, Any], value: Any, root: dict[str, Any]) -> l
     known = {"$schema", "$ref", "$defs", "title", "description", "default", "discriminator", "required"}
     known |= {"if", "then", "else", "exclusiveMinimum", "maximum"}
     known |= {"type", "properties", "additionalProperties", "enum", "anyOf", "minimum", "maximum", "pattern"}
+    known |= {"multipleOf", "propertyNames", "minProperties"}
     assert set(schema) <= known | {"minLength"}, schema
     types: dict[str, tuple[type, ...]] = {"object": (dict,), "string": (str,), "integer": (int,), "null": (type(None),)}
     types |= {"number": (int, float), "boolean": (bool,)}
@@ -214,6 +261,14 @@ def schema_errors(schema: dict[str, Any], value: Any, root: dict[str, Any]) -> l
         errors.append(f"{value!r} out of range")
     if "exclusiveMinimum" in schema and not schema["exclusiveMinimum"] < value <= schema["maximum"]:
         errors.append(f"{value!r} out of range")
+    if "multipleOf" in schema and value % schema["multipleOf"]:
+        errors.append(f"{value!r} is no multiple")
+    if "propertyNames" in schema:
+        errors += [error for name in value for error in schema_errors(schema["propertyNames"], name, root)]
+    if isinstance(schema.get("additionalProperties"), dict):
+        errors += [e for one in value.values() for e in schema_errors(schema["additionalProperties"], one, root)]
+    if len(value) < schema["minProperties"] if "minProperties" in schema else False:
+        errors.append("too few")
     if "pattern" in schema and not re.search(schema["pattern"], value):
         errors.append(f"{value!r} does not match")
     if "minLength" in schema and len(value) < schema["minLength"]:
@@ -233,11 +288,23 @@ def test_the_json_schema_accepts_the_default_file_and_refuses_mistakes() -> None
     assert schema_errors(schema, good, schema) == []
     assert schema_errors(schema, yaml.safe_load(uncommented("files")), schema) == []
     assert schema_errors(schema, good | {"profile": "auto", "latency_budget_ms": 20.5}, schema) == []
+    assert schema_errors(schema, yaml.safe_load(uncommented("rpicam")), schema) == []
     for wrong in (
         *({"x": 1}, {"mqtt": {"port": 0}}, {"profile": "slow"}, {"source": {"kind": "usb"}}, {"mqtt": None}),
         *({"profile": "auto"}, {"latency_budget_ms": 20}, {"profile": "auto", "latency_budget_ms": 0}),
     ):
         assert schema_errors(schema, good | wrong, schema), wrong
+
+
+def test_the_schema_of_files_takes_one_sensor_and_several() -> None:
+    schema, sensor = file_schema(), {"calibration": "c.npz", "source": {"kind": "simulated"}}
+    assert schema_errors(schema, yaml.safe_load(DEFAULT.read_text()), schema) == []
+    assert schema_errors(schema, {"sensors": {"a": sensor, "b": sensor | {"profile": "fast"}}}, schema) == []
+    for wrong in (
+        *({"sensors": {}}, {"sensors": {"a b": sensor}}, {"sensors": {"a": {"source": {"kind": "simulated"}}}}),
+        *({"sensors": {"a": sensor}, "serial": None}, {"sensors": {"a": sensor | {"sensor_id": "b"}}}, {"x": 1}),
+    ):
+        assert schema_errors(schema, wrong, schema), wrong
 
 
 def test_auto_is_loaded_with_its_budget(tmp_path: Path) -> None:

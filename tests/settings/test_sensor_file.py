@@ -79,3 +79,18 @@ def test_a_typed_value_is_checked_like_the_file(tmp_path: Path) -> None:
     for key, text in (("skin_radius_mm", "0.02"), ("skin_radius_mm", ""), ("polarity", "1"), ("skin_radius_mm", "nan")):
         with pytest.raises(ConfigError, match=f"^{key}: found {text or 'nothing'}, expected "):
             check_value(key, text)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ("[1, 2, 3]", "found a list of 3, expected a list of 7 numbers (x_mm, y_mm, z_mm, qw, qx, qy, qz)"),
+        ("1", "found 1, expected a list of 7 numbers (x_mm, y_mm, z_mm, qw, qx, qy, qz)"),
+    ],
+)
+def test_where_the_sensor_is_on_the_flange_is_seven_numbers(tmp_path: Path, given: str, said: str) -> None:
+    path = tmp_path / "SENSOR.yaml"
+    path.write_text(f"flange_T_sensor: {given}\nskin_radius_mm: 20\nvisible_half_angle_deg: 50\npolarity: bright\n")
+    with pytest.raises(ConfigError) as caught:
+        read_sensor(path)
+    assert str(caught.value) == f"{path}:1: flange_T_sensor: {said}"

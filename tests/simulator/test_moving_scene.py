@@ -66,6 +66,7 @@ def test_a_skin_that_crept_to_its_end_is_drawn_once() -> None:
     assert not np.array_equal(again.image, other.image)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("shape", "speed_mm_s"), [(ball(5.0), 5.0), (ball(5.0), 40.0), (OBJECTS["cylinder"](), 20.0)])
 def test_a_contact_sticks_then_slides_in_part_then_as_a_whole_at_the_object_s_speed(
     shape: Shape, speed_mm_s: float

@@ -20,7 +20,7 @@ def dashboard(broker: str, *words: str) -> Iterator[str]:
     try:
         assert child.stdout is not None
         told = child.stdout.readline()
-        found = re.search(r"http://\S+", told)
+        found = re.search(r"https?://\S+", told)
         assert found, told
         yield found[0]
         child.send_signal(signal.SIGTERM)

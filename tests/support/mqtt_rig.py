@@ -16,6 +16,7 @@ from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from paho.mqtt.properties import Properties
 
+from support.certificate import certificate
 from support.patience import patience, wait_until
 
 MOSQUITTO = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
@@ -39,11 +40,7 @@ class Broker:
         self._process: subprocess.Popen[bytes] | None = None
         lines = [f"listener {self.port} 127.0.0.1", "persistence false", "max_queued_messages 20", *more]
         if tls:
-            self.ca = folder / "cert.pem"
-            key = folder / "key.pem"
-            options = "req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 2 -subj /CN=localhost"
-            names = ["-addext", "subjectAltName=IP:127.0.0.1", "-keyout", str(key), "-out", str(self.ca)]
-            subprocess.run(["openssl", *options.split(), *names], check=True, capture_output=True)
+            self.ca, key = certificate(folder)
             lines += [f"certfile {self.ca}", f"keyfile {key}"]
         if os.getuid() == 0:
             lines.append("user root")

@@ -71,6 +71,12 @@ def dragged(result: Reconstruction, x_mm: float, y_mm: float, slip: Slip = Slip.
     return replace(result, shear_mm=shear, objects=objects)
 
 
+def uncertain(result: Reconstruction, sigma_mm: float) -> Reconstruction:
+    """The same, with one standard deviation for all of the contact."""
+    sigma = np.where(result.height.contact, np.float32(sigma_mm), np.float32(np.nan)).astype(np.float32)
+    return replace(result, sigma_mm=sigma)
+
+
 class PublishedHand:
     """Its retained topics are told when it is entered, its results when asked."""
 
@@ -120,4 +126,6 @@ class PublishedHand:
         self.tell("cloud", wire.encode_cloud(result, calibration_crc32=CRC))
         if result.shear_mm is not None:
             self.tell("shear", wire.encode_shear(result, calibration_crc32=CRC))
+        if result.sigma_mm is not None:
+            self.tell("sigma", wire.encode_sigma(result, calibration_crc32=CRC))
         self.tell("contact", messages.encode_contact(result, fps=30.0))

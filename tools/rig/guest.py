@@ -81,8 +81,11 @@ def kernel() -> tuple[Path, str]:
         _output("dpkg", "-x", str(next(Path(scratch).glob("*.deb"))), str(root))
         _output("depmod", "-b", str(root), version)
         final = CACHE / f"kernel-{version}"
-        if not final.exists():  # another run may have been faster
+        try:
             root.rename(final)
+        except OSError:
+            if not final.exists():  # another run was faster
+                raise
     return final, version
 
 

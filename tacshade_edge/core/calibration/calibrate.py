@@ -26,14 +26,19 @@ from tacshade_edge.types import U8, Calibration, Fit, Geometry
 UNLIKE_PART = 0.03
 """Of the median press's disc: more that the network cannot explain is worth a word."""
 
+UNUSUAL_ERRORS = 1.4
+"""Scale of σ of the graded profile: more is worth a word (at most 1.34 on six sensors of the trained family, 1.38 or
+more on six of the other)."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibrationResult:
-    """A calibration, warnings for the person who takes it, and how good it is."""
+    """A calibration, warnings for the person who takes it, how good it is, and the presses that were used."""
 
     calibration: Calibration
     warnings: tuple[str, ...]
     quality: Quality
+    presses: tuple[KnownPress, ...] = ()
 
 
 def calibrate(
@@ -42,6 +47,7 @@ def calibrate(
     presses: Sequence[KnownPress] = (),
     allow_loaded_reference: bool = False,
     networks: Mapping[str, Network] | None = None,
+    reference_names: Sequence[str] = (),
 ) -> CalibrationResult:
     """Fit everything that images can tell of a sensor.
 
@@ -56,6 +62,8 @@ def calibrate(
         Warn instead of refusing.
     networks : mapping of str to Network, optional
         Of each profile that is to be refitted to the presses.
+    reference_names : sequence of str
+        What the messages call each reference; their numbers from 1 if none are given.
 
     Raises
     ------
@@ -64,7 +72,7 @@ def calibrate(
     """
     greys = [greyscale.to_grey(image) for image in references]
     unloaded = _unloaded(sensor, greys)
-    warnings = check_references(unloaded, greys, allow_loaded_reference)
+    warnings = check_references(unloaded, greys, allow_loaded_reference, reference_names)
     if not presses:
         return CalibrationResult(unloaded, warnings, UNCALIBRATED)
     selection = select_presses(unloaded, presses, (networks or {}).get(GRADED_PROFILE))
@@ -82,7 +90,12 @@ def calibrate(
         position_mae_mm=position_mae_mm(selection.observations),
         profiles={name: refit.fit for name, refit in refits.items()},
     )
-    fitted = replace(fitted, fit=fit, factors={name: refit.factor for name, refit in refits.items()})
+    fitted = replace(
+        fitted,
+        fit=fit,
+        factors={name: refit.factor for name, refit in refits.items()},
+        error_scales={name: refit.error_scale for name, refit in refits.items() if refit.error_scale is not None},
+    )
     warnings += selection.warnings
     graded = refits.get(GRADED_PROFILE)
     if graded and (hint := zero_hint(graded.found_mm, graded.placed, geometry)):
@@ -92,9 +105,12 @@ def calibrate(
     if graded and graded.foreign_part > UNLIKE_PART:
         part = 100 * graded.foreign_part
         warnings += (f"unlike the sensors that the networks know: {part:.0f} % of the median press is not explained",)
+    if graded and graded.error_scale is not None and graded.error_scale > UNUSUAL_ERRORS:
+        words = f"off {graded.error_scale:.1f} times as far as on sensors that the networks know"
+        warnings += (f"heights are {words}: their intervals are as much wider; --fit may help",)
     missing = missing_coverage(selection.observations, geometry)
     quality = assess(fit, geometry, missing, graded.errors_mm if graded else ())
-    return CalibrationResult(fitted, warnings, quality)
+    return CalibrationResult(fitted, warnings, quality, selection.presses)
 
 
 def _unloaded(sensor: Sensor, greys: Sequence[U8]) -> Calibration:

@@ -21,7 +21,7 @@ from tacshade_edge.core.depth.learned import Inverse
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.back_projection import skin_points
 from tacshade_edge.core.geometry.disc import disc_rays
-from tacshade_edge.types import F32, F64, Geometry
+from tacshade_edge.types import F32, F64, Bool, Geometry
 
 # Pull towards "as it is": other shapes need a little less of the correction than balls.
 RIDGE = 0.1
@@ -118,10 +118,8 @@ def known_height(geometry: Geometry, placed: Placed, cells: int = disc_map.CELLS
 
 def press_rows(inverse: Inverse, geometry: Geometry, placed: Placed) -> PressRows | None:
     """One press for `fit_factor`; None where the network's contact and the indenter hardly meet."""
-    height, truth = inverse.height_mm, known_height(geometry, placed, len(inverse.height_mm))
-    scale = skin_scale(geometry)
-    use = (inverse.contact_logit > 0) & np.isfinite(height)
-    use &= (height > LEAST_FOUND_MM * scale) & (np.nan_to_num(truth) > LEAST_TRUE_MM * scale)
+    height, scale = inverse.height_mm, skin_scale(geometry)
+    truth, use = known_cells(inverse, geometry, placed)
     cells = int(np.count_nonzero(use))
     if cells < LEAST_CELLS:
         return None
@@ -129,6 +127,15 @@ def press_rows(inverse: Inverse, geometry: Geometry, placed: Placed) -> PressRow
     depth_mm = placed.depth_max_mm(geometry.skin_radius_mm) / scale
     weight = 1 / math.sqrt(cells * (PROPORTIONAL_MM + depth_mm))
     return PressRows(height[use].astype(np.float64) * weight, truth[use].astype(np.float64) * weight)
+
+
+def known_cells(inverse: Inverse, geometry: Geometry, placed: Placed) -> tuple[F32, Bool]:
+    """H of what is pressed as `known_height`, and the cells where the network's contact and the indenter meet."""
+    height, truth = inverse.height_mm, known_height(geometry, placed, len(inverse.height_mm))
+    scale = skin_scale(geometry)
+    use = (inverse.contact_logit > 0) & np.isfinite(height)
+    use &= (height > LEAST_FOUND_MM * scale) & (np.nan_to_num(truth) > LEAST_TRUE_MM * scale)
+    return truth, use
 
 
 def fit_factor(presses: Sequence[PressRows]) -> float | None:

@@ -8,15 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from tacshade_edge.core.calibration import gain
+from tacshade_edge.core.calibration.error_scale import error_scale, errors_in_sigma
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.press_observation import placed_indenter
-from tacshade_edge.core.depth import Network
+from tacshade_edge.core.depth import Network, SigmaModel
 from tacshade_edge.core.depth.learned import Inverse, LearnedSolver, foreign_cells
 from tacshade_edge.core.frame_check.foreign import FOREIGN_INVALID, foreign_part
 from tacshade_edge.core.geometry.disc import rays_in_image
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import Profile
-from tacshade_edge.types import Calibration, Geometry, ProfileFit
+from tacshade_edge.types import F64, Bool, Calibration, Geometry, ProfileFit
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +39,8 @@ class Refit:
         So much of the median press's disc the network cannot explain as this sensor's skin, 0 to 1.
     left_out : tuple of str
         Presses whose picture it would refuse, and why.
+    error_scale : float or None
+        Of σ, each press being left out of the refit; None where the network's errors were not measured.
     """
 
     factor: float
@@ -47,6 +50,7 @@ class Refit:
     placed: tuple[gain.Placed, ...]
     foreign_part: float
     left_out: tuple[str, ...]
+    error_scale: float | None
 
 
 def refit_profile(
@@ -56,7 +60,7 @@ def refit_profile(
     geometry = calibration.geometry
     preprocessor = Preprocessor(calibration, profile)
     solver = LearnedSolver(preprocessor, network)
-    rows, found_mm, placed, names, parts, left_out = [], [], [], [], [], []
+    rows, seen, found_mm, placed, names, parts, left_out = [], [], [], [], [], [], []
     inside = rays_in_image(solver.grid, calibration).inside
     for press in presses:
         inverse = solver.inverse(preprocessor.preprocess(preprocessor.grey(press.image)))
@@ -64,20 +68,23 @@ def refit_profile(
         if parts[-1] > FOREIGN_INVALID:
             left_out.append(f"{press.name}: {100 * parts[-1]:.0f} % of it does not show this sensor's skin; left out")
             continue
-        at = _placed(geometry, inverse, press)
+        at = placed_press(geometry, inverse, press)
         row = gain.press_rows(inverse, geometry, at) if at else None
         if at and row:
             rows.append(row)
+            seen.append(inverse)
             found_mm.append(inverse.height_mm[inverse.contact_logit > 0].max())
             placed.append(at)
             names.append(press.name)
     factor = gain.fit_factor(rows)
     if factor is None:
         return None
-    errors = []
+    errors, in_sigma = [], []
     for k, (found, at) in enumerate(zip(found_mm, placed, strict=True)):
         without = gain.fit_factor(rows[:k] + rows[k + 1 :]) or 1.0
         errors.append(float(found * np.float32(without)) - at.depth_max_mm(geometry.skin_radius_mm))
+        if network.sigma is not None:
+            in_sigma.append(_errors_in_sigma(network.sigma, seen[k], without, at, inside, geometry))
     off = np.abs(errors)
     fit = ProfileFit(len(rows), float(off.mean()), float(off.max()))
     return Refit(
@@ -88,10 +95,23 @@ def refit_profile(
         tuple(placed),
         float(np.median(parts)),
         tuple(left_out),
+        None if network.sigma is None else error_scale(network.sigma, in_sigma),
     )
 
 
-def _placed(geometry: Geometry, inverse: Inverse, press: KnownPress) -> gain.Placed | None:
+def _errors_in_sigma(
+    model: SigmaModel, inverse: Inverse, factor: float, placed: gain.Placed, inside: Bool, geometry: Geometry
+) -> F64:
+    """The cells are those of `gain.press_rows` that lie in the picture."""
+    height = np.where(inside, np.maximum(np.nan_to_num(inverse.height_mm * np.float32(factor)), 0), 0)
+    truth, use = gain.known_cells(inverse, geometry, placed)
+    return errors_in_sigma(
+        model, height.astype(np.float32), truth, inverse.contact_logit, inverse.foreign_logit, use, geometry
+    )
+
+
+def placed_press(geometry: Geometry, inverse: Inverse, press: KnownPress) -> gain.Placed | None:
+    """Where a press's indenter is by what is stated; a ball without a place is located. None where it cannot be."""
     if press.indenter is not None:
         return placed_indenter(press, press.indenter, geometry)
     return gain.placed_ball(geometry, inverse, press, press.radius_mm)

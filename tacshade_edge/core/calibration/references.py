@@ -65,7 +65,9 @@ def with_reference(calibration: Calibration, greys: Sequence[U8]) -> Calibration
     )
 
 
-def check_references(calibration: Calibration, greys: Sequence[U8], allow_loaded: bool) -> tuple[str, ...]:
+def check_references(
+    calibration: Calibration, greys: Sequence[U8], allow_loaded: bool, names: Sequence[str] = ()
+) -> tuple[str, ...]:
     """Look for a load on the references and for differences between them.
 
     Parameters
@@ -75,6 +77,8 @@ def check_references(calibration: Calibration, greys: Sequence[U8], allow_loaded
     greys : sequence of uint8 (H, W)
     allow_loaded : bool
         Warn of a load instead of refusing.
+    names : sequence of str
+        What the messages call each; their numbers from 1 if none are given.
 
     Returns
     -------
@@ -86,6 +90,7 @@ def check_references(calibration: Calibration, greys: Sequence[U8], allow_loaded
     ConfigError
         A load that is not allowed, or a camera that moved so far that no mean is a reference.
     """
+    names = names or [str(number) for number in range(1, len(greys) + 1)]
     warnings = []
     if len(greys) < NOISE_REFERENCES:
         warnings.append(f"{len(greys)} reference: noise assumed to be {ASSUMED_NOISE_GREY} grey levels; 5 are better")
@@ -93,17 +98,19 @@ def check_references(calibration: Calibration, greys: Sequence[U8], allow_loaded
         warnings.append(_allowed(load, allow_loaded))
     disc = calibration.geometry.disc
     first = registration.look(greys[0], disc, calibration.pitch_px)
-    for number, grey in enumerate(greys[1:], start=2):
+    for name, grey in zip(names[1:], greys[1:], strict=True):
         drift = registration.drift(first, grey)
         shift = registration.shift_reason(drift, disc)
         if registration.shifted_too_far(drift, disc):
-            raise ConfigError(f"reference {number}: {shift} since reference 1; fix the camera and take them all again")
+            raise ConfigError(
+                f"reference {name}: {shift} since reference {names[0]}; fix the camera and take them all again"
+            )
         if change := shift or registration.light_drift_reason(drift):
-            warnings.append(f"reference {number}: {change} against reference 1")
+            warnings.append(f"reference {name}: {change} against reference {names[0]}")
     # A pressed reference raises the measured noise, and would hide behind it.
     preprocessor = Preprocessor(replace(calibration, noise_grey=ASSUMED_NOISE_GREY), PROFILE)
     gate = ContactGate(preprocessor)
-    pressed = [str(number) for number, grey in enumerate(greys, start=1) if gate.opens(preprocessor.preprocess(grey))]
+    pressed = [name for name, grey in zip(names, greys, strict=True) if gate.opens(preprocessor.preprocess(grey))]
     if pressed:
         load = f"reference {', '.join(pressed)}: seems pressed, it differs from the mean of all references"
         warnings.append(_allowed(load, allow_loaded))
@@ -117,7 +124,9 @@ def _allowed(load: str, allow_loaded: bool) -> str:
     return load
 
 
-def rezero(calibration: Calibration, images: Sequence[U8], allow_loaded: bool = False) -> Calibration:
+def rezero(
+    calibration: Calibration, images: Sequence[U8], allow_loaded: bool = False, names: Sequence[str] = ()
+) -> Calibration:
     """The same calibration with a reference from new images of the unloaded skin.
 
     Parameters
@@ -126,6 +135,8 @@ def rezero(calibration: Calibration, images: Sequence[U8], allow_loaded: bool = 
     images : sequence of uint8 (H, W) or (H, W, 3)
     allow_loaded : bool
         Take it even when the skin seems touched.
+    names : sequence of str
+        What the messages call each image, where that helps.
 
     Raises
     ------
@@ -137,17 +148,19 @@ def rezero(calibration: Calibration, images: Sequence[U8], allow_loaded: bool = 
     greys = [greyscale.to_grey(image) for image in images]
     disc = calibration.geometry.disc
     check = sensor_check(calibration, unloaded=True)
-    for grey in greys:
+    refused = [f"reference refused: {name}: " for name in names] or ["reference refused: "] * len(greys)
+    for grey, lead in zip(greys, refused, strict=True):
         if reason := invalid_reason(grey, check):
-            raise ConfigError(f"reference refused: {reason}")
+            raise ConfigError(f"{lead}{reason}")
     old = registration.look(calibration.reference_grey, disc, calibration.pitch_px)
-    for drift in (registration.drift(old, grey) for grey in greys):
+    for grey, lead in zip(greys, refused, strict=True):
+        drift = registration.drift(old, grey)
         if registration.shifted_too_far(drift, disc):
             shift = registration.shift_reason(drift, disc)
-            raise ConfigError(f"reference refused: {shift}; fix the camera where it was, or calibrate again")
+            raise ConfigError(f"{lead}{shift}; fix the camera where it was, or calibrate again")
         if drift.contrast < _WORN_CONTRAST:
             raise ConfigError(
-                f"reference refused: {drift.contrast:.2f} times the contrast, expected {_WORN_CONTRAST} or more: "
+                f"{lead}{drift.contrast:.2f} times the contrast, expected {_WORN_CONTRAST} or more: "
                 "clean or focus the lens, or calibrate again"
             )
     renewed = with_reference(replace(calibration, crc32=0), greys)

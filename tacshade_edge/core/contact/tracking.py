@@ -2,7 +2,8 @@
 
 Skin that an object holds stays under it: the mean of where the touched skin was in the reference, the imprint's place
 in the material, stands still whatever the object does. When the object slides, its imprint moves over the material, and
-that mean moves with the speed of the slip.
+that mean moves with the speed of the slip. Friction drags the skin the way that the object slides: what moves over skin
+that is not dragged, or against the way it is dragged, is a contact that grows or shrinks on one side.
 """
 
 from __future__ import annotations
@@ -22,6 +23,10 @@ of the noise tells a slip, a fast one within 100 ms at 30 frames a second and mo
 LEAST_FRAMES = 3
 SLIP_MM_S = 3.0
 """From this speed of the imprint over the material on it is a slip."""
+LEAST_SHEAR_MM = 0.3
+"""A contact that slides drags the skin by so much."""
+FULL_PART = 0.6
+"""A contact slides as a whole when so much of its motion is over the material; where it holds in a part it is less."""
 NOISE_SPREADS = 5.5
 """What noise alone gives a speed is below so many standard deviations, in all but one of a million frames."""
 FIRST_NOISE_MM, NOISE_FRAMES = 0.06, 32
@@ -84,10 +89,14 @@ def follow(tracker: ContactTracker, result: Reconstruction) -> Reconstruction:
     return replace(result, objects=tuple(replace(o, id=t.id, slip=t.slip, slip_mm_s=t.slip_mm_s) for o, t in followed))
 
 
+_Seen = deque[tuple[int, float, float, float, float]]
+
+
 @dataclass(slots=True)
 class _Track:
     number: int
-    seen: deque[tuple[int, float, float]] = field(default_factory=deque)
+    seen: _Seen = field(default_factory=deque)
+    """Time, the imprint's place in the material, and its place."""
     noise_mm2: float = FIRST_NOISE_MM**2
     at_mm: tuple[float, float] = (0.0, 0.0)
     slip: Slip = Slip.STICK
@@ -135,11 +144,11 @@ def _followed(track: _Track, t_ns: int, contact: Contact) -> Tracked:
     held = contact.x_mm - contact.shear_mm[0], contact.y_mm - contact.shear_mm[1]
     if track.seen and t_ns <= track.seen[-1][0]:
         track.seen.clear()  # another stream
-    track.seen.append((t_ns, *held))
+    track.seen.append((t_ns, *held, *track.at_mm))
     while len(track.seen) > LEAST_FRAMES and track.seen[-1][0] - track.seen[0][0] > SPANS_NS[-1]:
         track.seen.popleft()
     track.noise_mm2 += (_noise_mm2(track.seen, track.noise_mm2) - track.noise_mm2) / NOISE_FRAMES
-    slides, speed = _slide(track.seen, track.noise_mm2)
+    slides, speed = _slide(track.seen, track.noise_mm2, contact.shear_mm)
     size = math.hypot(*contact.shear_mm)
     if slides:
         track.slip = Slip.FULL
@@ -150,19 +159,24 @@ def _followed(track: _Track, t_ns: int, contact: Contact) -> Tracked:
     return Tracked(track.number, track.slip, speed)
 
 
-def _noise_mm2(seen: deque[tuple[int, float, float]], known_mm2: float) -> float:
+def _noise_mm2(seen: _Seen, known_mm2: float) -> float:
     """Variance along an axis that the last second difference shows, which no even motion has."""
     if len(seen) < LEAST_FRAMES:
         return known_mm2
-    (_, *a), (_, *b), (_, *c) = list(seen)[-LEAST_FRAMES:]
+    a, b, c = (frame[1:3] for frame in list(seen)[-LEAST_FRAMES:])
     return sum((p - 2 * q + r) ** 2 for p, q, r in zip(a, b, c, strict=True)) / 12
 
 
-def _slide(seen: deque[tuple[int, float, float]], noise_mm2: float) -> tuple[bool, float | None]:
-    """Whether the imprint moves over the material, and its least-squares speed, mm/s; None before it is known."""
+def _slide(seen: _Seen, noise_mm2: float, shear_mm: tuple[float, float]) -> tuple[bool, float | None]:
+    """Whether the whole contact slides, and its imprint's least-squares speed over the material, mm/s.
+
+    None before it is known.
+    """
     if len(seen) < LEAST_FRAMES:
         return False, None
-    t_ns, x, y = np.array(seen).T
+    size = math.hypot(*shear_mm)
+    way = np.array(shear_mm) / size if size >= LEAST_SHEAR_MM else np.zeros(2)
+    t_ns, *places = np.array(seen).T
     speed = 0.0
     for span_ns in SPANS_NS:
         first = min(int(np.searchsorted(t_ns, t_ns[-1] - span_ns)), len(seen) - LEAST_FRAMES)
@@ -170,7 +184,10 @@ def _slide(seen: deque[tuple[int, float, float]], noise_mm2: float) -> tuple[boo
         spread = float(t @ t)
         if spread <= 0:
             return False, None
-        speed = math.hypot(t @ x[first:], t @ y[first:]) / spread
-        if speed >= max(SLIP_MM_S, NOISE_SPREADS * math.sqrt(noise_mm2 / spread)):
+        held, moved = np.array([t @ place[first:] for place in places]).reshape(2, 2) / spread
+        speed = math.hypot(*held)
+        slid = float(held @ way)
+        least = max(SLIP_MM_S, NOISE_SPREADS * math.sqrt(noise_mm2 / spread), FULL_PART * float(moved @ way))
+        if slid >= least:
             return True, speed
     return False, speed

@@ -3,10 +3,11 @@
 from tacshade_edge.core.depth.base import Depth, DisplacementNetwork, MakeSolver, Network, NetworkMaps, Solver
 from tacshade_edge.core.depth.hybrid_sfs import HybridSfs
 from tacshade_edge.core.depth.learned import LearnedSolver
+from tacshade_edge.core.depth.sigma import SigmaModel
 
 SOLVERS: dict[str, MakeSolver] = {
     "hybrid_sfs": HybridSfs,
     "learned": LearnedSolver,
 }
 
-__all__ = ["SOLVERS", "Depth", "DisplacementNetwork", "MakeSolver", "Network", "NetworkMaps", "Solver"]
+__all__ = ["SOLVERS", "Depth", "DisplacementNetwork", "MakeSolver", "Network", "NetworkMaps", "SigmaModel", "Solver"]

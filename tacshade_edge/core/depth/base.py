@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
+from tacshade_edge.core.depth.sigma import SigmaModel
 from tacshade_edge.core.geometry.disc import Grid
 from tacshade_edge.core.image.preprocess import Preprocessed, Preprocessor
 from tacshade_edge.types import F32, Bool, freeze
@@ -30,6 +31,9 @@ class Depth:
         Cells whose value was not finite and was replaced by 0.
     foreign : bool (rows, cols) or None
         Where something else is shown than this sensor's skin; outside the disc it says nothing. None: not told.
+    contact_logit : float32 (rows, cols) or None
+    foreign_logit : float32 (M, M) or None
+        Log odds of both, of foreign for fewer and wider cells.
     """
 
     height_mm: F32
@@ -37,10 +41,12 @@ class Depth:
     saturated: bool = False
     repaired_px: int = 0
     foreign: Bool | None = None
+    contact_logit: F32 | None = None
+    foreign_logit: F32 | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "height_mm")
-        for name in ("contact", "foreign"):
+        for name in ("contact", "foreign", "contact_logit", "foreign_logit"):
             if getattr(self, name) is not None:
                 freeze(self, name)
 
@@ -97,12 +103,15 @@ class Network:
         A frame's white folded, (fold², N, N), and what `sense` gave, to `NetworkMaps`.
     displacement : DisplacementNetwork
         Run beside it where displacement is asked for.
+    sigma : SigmaModel or None
+        Its errors, where they were measured.
     """
 
     fold: int
     sense: Callable[[F32], F32]
     run: Callable[[F32, F32], NetworkMaps]
     displacement: DisplacementNetwork
+    sigma: SigmaModel | None = None
 
 
 class Solver(Protocol):
@@ -125,7 +134,7 @@ class Solver(Protocol):
     def shear_mm(self, preprocessed: Preprocessed) -> F32 | None:
         """Displacement along x and y of the skin at the grid's cells, float32 (rows, cols, 2); None: not told.
 
-        Finite; outside the disc it says nothing.
+        The caller's own; finite; outside the disc it says nothing.
         """
         ...
 

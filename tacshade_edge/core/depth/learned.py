@@ -79,6 +79,11 @@ class LearnedSolver:
     preprocessor : Preprocessor
     network : Network
         ValueError where it is missing.
+
+    Attributes
+    ----------
+    reference : float32 (cells, cells), 0 to 1
+        White of the unloaded skin, as the network is given it.
     """
 
     tells_shear = True
@@ -90,20 +95,25 @@ class LearnedSolver:
         self.grid = disc_map.map_grid(camera.geometry.disc, profile.cells)
         self._inside = rays_in_image(self.grid, camera).inside
         self._cells = CellMeans(preprocessor.integrator, disc_map.map_grid(calibration.geometry.disc, profile.cells))
-        reference: F32 = self._cells.means(preprocessor.reference_white) / np.float32(255)
-        self._inverse = LearnedInverse(network, calibration.geometry, calibration.pitch_px, reference)
+        self.reference: F32 = self._cells.means(preprocessor.reference_white) / np.float32(255)
+        self._inverse = LearnedInverse(network, calibration.geometry, calibration.pitch_px, self.reference)
         # Prepared here, so that no frame waits for it when somebody asks.
         displacement = network.displacement
         whole = disc_map.map_grid(calibration.geometry.disc, displacement.cells)
         self._displacement_cells = CellMeans(preprocessor.integrator, whole)
         at_rest: F32 = self._displacement_cells.means(preprocessor.reference_white) / np.float32(255)
         self._displacement = LearnedDisplacement(displacement, calibration.geometry, calibration.pitch_px, at_rest)
-        self._factor = np.float32(camera.factors.get(profile.name, 1.0))
+        # A fitted network was trained to the truth itself.
+        self._factor = np.float32(1.0 if profile.name in camera.fitted else camera.factors.get(profile.name, 1.0))
         self._deepest_mm = np.float32(DEEPEST_RADII * camera.geometry.skin_radius_mm)
 
     def inverse(self, preprocessed: Preprocessed) -> Inverse:
         """What the network makes of an image, not refitted: for calibration."""
-        return self._inverse(self._cells.means(preprocessed.white))
+        return self._inverse(self.white(preprocessed))
+
+    def white(self, preprocessed: Preprocessed) -> F32:
+        """What the network is given of an image, not folded: float32 (cells, cells), 0 to 1."""
+        return self._cells.means(preprocessed.white)
 
     def solve(self, preprocessed: Preprocessed, mark: Mark) -> Depth:
         """See `Solver`."""
@@ -118,7 +128,15 @@ class LearnedSolver:
         contact &= self._inside
         deep = height > self._deepest_mm
         deep &= contact
-        return Depth(height, contact, bool(deep.any()), repaired_px, foreign_cells(inverse, len(height)))
+        return Depth(
+            height,
+            contact,
+            bool(deep.any()),
+            repaired_px,
+            foreign_cells(inverse, len(height)),
+            inverse.contact_logit,
+            inverse.foreign_logit,
+        )
 
     def shear_mm(self, preprocessed: Preprocessed) -> F32 | None:
         """See `Solver`."""

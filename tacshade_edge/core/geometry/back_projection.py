@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tacshade_edge.core.geometry.disc import DiscRays
-from tacshade_edge.types import F32, Geometry
+from tacshade_edge.core.geometry.disc import DiscRays, Grid
+from tacshade_edge.types import F32, Bool, Geometry
 
 
 def skin_points(height_mm: F32, rays: DiscRays, geometry: Geometry) -> F32:
@@ -51,6 +51,32 @@ def skin_planes(height_mm: F32, rays: DiscRays, geometry: Geometry) -> F32:
         np.multiply(s, u, out=x)
         np.multiply(s, v, out=y)
     return planes
+
+
+def cells_that_see(points_mm: F32, grid: Grid, geometry: Geometry) -> Bool:
+    """Cells whose rays pass nearest to points of the skin: the inverse of `skin_points` without the heights.
+
+    Parameters
+    ----------
+    points_mm : float32 (N, 3)
+        In the sensor frame; those outside the grid are nobody's.
+    grid : Grid
+    geometry : Geometry
+
+    Returns
+    -------
+    bool (grid.rows, grid.cols)
+    """
+    x, y, z = points_mm.astype(np.float64).T
+    d_mm = geometry.camera_distance_mm
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # a point beside the lens is nobody's either
+        px_per_mm = np.full_like(z, 1.0 / geometry.mm_per_px) if d_mm is None else geometry.f_px / (z + d_mm)
+        i = np.rint((geometry.disc.row_c + y * px_per_mm - grid.row0) / grid.step_px)
+        j = np.rint((geometry.disc.col_c + x * px_per_mm - grid.col0) / grid.step_px)
+    inside = (i >= 0) & (i < grid.rows) & (j >= 0) & (j < grid.cols)
+    seen = np.zeros((grid.rows, grid.cols), np.bool_)
+    seen[i[inside].astype(np.intp), j[inside].astype(np.intp)] = True
+    return seen
 
 
 def cell_area_mm2(planes_mm: F32) -> F32:

@@ -13,7 +13,7 @@ import numpy as np
 
 from tacshade_edge.core.stitching.press_points import PressPoints, height_weight
 from tacshade_edge.core.stitching.refinement import PoseError, correction, refine_poses, thin_points
-from tacshade_edge.core.stitching.surface_map import MIN_WEIGHT, STEP_MM, Raster, SurfaceMap
+from tacshade_edge.core.stitching.surface_map import MIN_WEIGHT, STEP_MM, Heights, Raster, SurfaceMap
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.rigid import Rigid
 from tacshade_edge.types import F32, F64
@@ -42,12 +42,15 @@ class PlacedPress:
         From the reported pose, at the apex.
     rejected : Reason or None
         Why its points are not in the map.
+    points : int
+        How many it has.
     """
 
     base_T_sensor: Rigid
     correction_mm: float
     correction_deg: float
     rejected: Reason | None
+    points: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,18 +151,18 @@ class Stitcher:
         exact = disagreement_mm <= EXACT_MM
         if exact:
             poses, error = reported, None
-        fused = self._fused(poses, [None] * len(poses), None)
-        placed = [self._placed(press, pose, fused, error) for press, pose in zip(self._presses, poses, strict=True)]
+        heights = self._fused(poses, [None] * len(poses), None).heights()
+        placed = [self._placed(press, pose, heights, error) for press, pose in zip(self._presses, poses, strict=True)]
         rejected = [p.rejected for p in placed]
         if any(rejected):
-            fused = self._fused(poses, rejected, None)
-        fused = self._fused(poses, rejected, fused)
+            heights = self._fused(poses, rejected, None).heights()
+        fused = self._fused(poses, rejected, heights)
         raster = fused.raster(MIN_WEIGHT if exact else _MIN_WEIGHT_REFINED)
         return StitchedMap(raster, tuple(placed), disagreement_mm, not exact)
 
-    def _placed(self, press: _Press, pose: Rigid, fused: SurfaceMap, error: PoseError | None) -> PlacedPress:
+    def _placed(self, press: _Press, pose: Rigid, heights: Heights, error: PoseError | None) -> PlacedPress:
         at = pose.apply(press.thinned[:, :3])
-        deviation_mm = float(np.median(np.abs(at[:, 2] - fused.z_at(at))))
+        deviation_mm = float(np.median(np.abs(at[:, 2] - heights.z_at(at))))
         correction_mm, correction_deg = correction(press.reported, pose, self._apex)
         rejected = None
         if deviation_mm > DEVIATION_MAX_MM:
@@ -168,11 +171,9 @@ class Stitcher:
             rejected = Reason(ReasonCode.PRESS_DISPLACED, f"would have to move by {correction_mm:.2f} mm")
         elif error is not None and correction_deg > CORRECTION_MAX_SIGMAS * error.rotation_deg:
             rejected = Reason(ReasonCode.PRESS_DISPLACED, f"would have to turn by {correction_deg:.1f} degrees")
-        return PlacedPress(pose, correction_mm, correction_deg, rejected)
+        return PlacedPress(pose, correction_mm, correction_deg, rejected, len(press.points_mm))
 
-    def _fused(
-        self, poses: Sequence[Rigid], rejected: Sequence[Reason | None], before: SurfaceMap | None
-    ) -> SurfaceMap:
+    def _fused(self, poses: Sequence[Rigid], rejected: Sequence[Reason | None], before: Heights | None) -> SurfaceMap:
         """The presses in a new map; with Cauchy's weight of each point's distance to a map that was fused before."""
         fused = SurfaceMap(self._step_mm, bounded=False)  # refined, presses lie a little elsewhere
         for press, pose, reason in zip(self._presses, poses, rejected, strict=True):

@@ -19,6 +19,7 @@ TILES_MAX = 1024
 _POSITION_MAX_MM = 1e6
 EXTENT_MAX_TILES = 4096
 """In the map's bounding box, a square metre: its raster has 64 MiB."""
+BAND_ROWS = 256
 MIN_WEIGHT = 0.07
 """A cell of less lies beside the contact."""
 
@@ -42,6 +43,12 @@ class Raster:
 
     def __post_init__(self) -> None:
         freeze(self, "z_mm")
+
+    def bands(self) -> Iterator[Raster]:
+        """The same, `BAND_ROWS` at a time: what is made of a large map needs little memory beside it."""
+        for first in range(0, len(self.z_mm), BAND_ROWS):
+            y0_mm = self.y0_mm + first * self.step_mm
+            yield Raster(self.z_mm[first : first + BAND_ROWS], self.x0_mm, y0_mm, self.step_mm)
 
     def points(self) -> F64:
         """The touched cells as points (N, 3), mm."""
@@ -81,6 +88,34 @@ def _spans(first: int, count: int) -> Iterator[tuple[int, slice, slice]]:
         yield tile, slice(start - tile * TILE, end - tile * TILE), slice(start - first, end - first)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Heights:
+    """The z of a map's nodes, a quarter of the map's memory.
+
+    Attributes
+    ----------
+    tiles : dict of (int, int) to float32 (TILE, TILE)
+        mm; NaN where the map has none.
+    step_mm : float
+    """
+
+    tiles: dict[tuple[int, int], F32]
+    step_mm: float
+
+    def z_at(self, points_mm: F64) -> F32:
+        """The z at the nodes nearest to points (N, 3), mm; NaN where there is none."""
+        if len(points_mm) == 0:
+            return np.zeros(0, np.float32)
+        j, i = np.rint(points_mm[:, :2].T / self.step_mm).astype(np.int64)
+        window = _window(i, j, self.step_mm)
+        z_mm = np.full((window.rows, window.cols), np.nan, np.float32)
+        for overlap in window.overlaps():
+            if overlap.tile in self.tiles:
+                z_mm[overlap.in_window] = self.tiles[overlap.tile][overlap.in_tile]
+        z: F32 = z_mm[i - window.row, j - window.col]
+        return z
+
+
 class SurfaceMap:
     """Weighted means of z at the nodes of a grid, each point shared bilinearly by the four around it.
 
@@ -115,7 +150,7 @@ class SurfaceMap:
         corner = np.floor(points_mm[:, :2] / self.step_mm)
         along, across = (points_mm[:, :2] / self.step_mm - corner).T
         j, i = corner.T.astype(np.int64)
-        window = self._window(i, j)
+        window = _window(i, j, self.step_mm)
         rows, cols = window.rows, window.cols
         cell = (i - window.row) * cols + (j - window.col)
         sums = np.zeros((2, rows * cols))
@@ -142,31 +177,18 @@ class SurfaceMap:
         for overlap in overlaps:
             self._tiles[overlap.tile][:, *overlap.in_tile] += sums.reshape(2, rows, cols)[:, *overlap.in_window]
 
-    def z_at(self, points_mm: F64) -> F64:
-        """The map's z at the nodes nearest to points (N, 3), mm; NaN where it has none."""
-        if len(points_mm) == 0:
-            return np.zeros(0)
-        j, i = np.rint(points_mm[:, :2].T / self.step_mm).astype(np.int64)
-        window = self._window(i, j)
-        sums = np.zeros((2, window.rows, window.cols))
-        for overlap in window.overlaps():
-            if overlap.tile in self._tiles:
-                sums[:, *overlap.in_window] = self._tiles[overlap.tile][:, *overlap.in_tile]
-        weight, total = sums[:, i - window.row, j - window.col]
-        z: F64 = np.divide(total, weight, out=np.full(len(points_mm), np.nan), where=weight > 0)
-        return z
-
-    def _window(self, i: I64, j: I64) -> _Window:
-        """The nodes from the least to one after the greatest row and column."""
-        top, left, bottom, right = int(i.min()), int(j.min()), int(i.max()), int(j.max())
-        if max(bottom - top, right - left) * self.step_mm > PRESS_WIDTH_MAX_MM:
-            raise ValueError(f"the points of one press are more than {PRESS_WIDTH_MAX_MM:g} mm apart")
-        return _Window(top, left, bottom - top + 2, right - left + 2)
-
     @property
     def tiles(self) -> int:
         """How many there are; each is 64 KiB."""
         return len(self._tiles)
+
+    def heights(self) -> Heights:
+        """What it is now, without the weights."""
+        tiles = {}
+        for at, (weight, total) in self._tiles.items():
+            tiles[at] = np.full((TILE, TILE), np.nan, np.float32)
+            np.divide(total, weight, out=tiles[at], where=weight > 0, casting="unsafe")
+        return Heights(tiles, self.step_mm)
 
     def raster(self, min_weight: float = MIN_WEIGHT) -> Raster:
         """The map's bounding box as one array; a single empty cell while nothing was touched.
@@ -176,23 +198,30 @@ class SurfaceMap:
         min_weight : float
             Cells of less weight are left out.
         """
-        whole = np.zeros((0, 0), np.float32)
-        top, left, bottom, right = self._extent or (0, 0, -1, -1)
-        if self._tiles:
-            whole = np.full(((bottom - top + 1) * TILE, (right - left + 1) * TILE), np.nan, np.float32)
-        for (i, j), (weight, total) in self._tiles.items():
-            tile = whole[(i - top) * TILE : (i - top + 1) * TILE, (j - left) * TILE : (j - left + 1) * TILE]
-            np.divide(total, weight, out=tile, where=weight >= min_weight, casting="unsafe")
-        known = np.isfinite(whole)
-        rows, cols = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
-        if not rows.size:
+        known = {at: weight >= min_weight for at, (weight, _) in self._tiles.items()}
+        known = {at: cells for at, cells in known.items() if cells.any()}
+        if not known:
             return Raster(np.full((1, 1), np.nan, np.float32), 0.0, 0.0, self.step_mm)
-        return Raster(
-            whole[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1].copy(),
-            (left * TILE + int(cols[0])) * self.step_mm,
-            (top * TILE + int(rows[0])) * self.step_mm,
-            self.step_mm,
-        )
+        spans = [(i * TILE + np.flatnonzero(cells.any(axis=1))[[0, -1]]) for (i, _), cells in known.items()]
+        top, bottom = min(int(first) for first, _ in spans), max(int(last) for _, last in spans)
+        spans = [(j * TILE + np.flatnonzero(cells.any(axis=0))[[0, -1]]) for (_, j), cells in known.items()]
+        left, right = min(int(first) for first, _ in spans), max(int(last) for _, last in spans)
+        window = _Window(top, left, bottom - top + 1, right - left + 1)
+        whole = np.full((window.rows, window.cols), np.nan, np.float32)
+        for overlap in window.overlaps():
+            if overlap.tile in known:
+                weight, total = self._tiles[overlap.tile][:, *overlap.in_tile]
+                where = known[overlap.tile][overlap.in_tile]
+                np.divide(total, weight, out=whole[overlap.in_window], where=where, casting="unsafe")
+        return Raster(whole, left * self.step_mm, top * self.step_mm, self.step_mm)
+
+
+def _window(i: I64, j: I64, step_mm: float) -> _Window:
+    """The nodes from the least to one after the greatest row and column."""
+    top, left, bottom, right = int(i.min()), int(j.min()), int(i.max()), int(j.max())
+    if max(bottom - top, right - left) * step_mm > PRESS_WIDTH_MAX_MM:
+        raise ValueError(f"the points of one press are more than {PRESS_WIDTH_MAX_MM:g} mm apart")
+    return _Window(top, left, bottom - top + 2, right - left + 2)
 
 
 def _box(tiles: list[tuple[int, int]], before: tuple[int, int, int, int] | None) -> tuple[int, int, int, int]:

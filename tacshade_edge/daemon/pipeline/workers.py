@@ -190,7 +190,7 @@ class Reconstruct:
         if isinstance(reconstructor, Reason):
             result, calibration = _not_reconstructed(frame, reconstructor), None
         else:
-            need = max(Need.DEPTH if self.watch else Need.CONTACT, self._sink.need())
+            need = (Need.DEPTH if self.watch else Need.CONTACT) | self._sink.need()
             result, calibration = reconstructor.step(frame, mark, need), reconstructor.calibration
             if result and result.valid:
                 result = follow(self._tracker, result)

@@ -56,6 +56,7 @@ class Health:
         reason, degraded = (latest.reason, latest.degraded) if latest else (None, None)
         self._judge(before, counts, reason)
         return {
+            "wall_ns": time.time_ns(),
             "uptime_s": round((now_ns - self._started_ns) / 1e9, 1),
             "frames": counts.as_dict(),
             "source_dropped": source_dropped,

@@ -14,11 +14,11 @@ CONTACT_PERIOD_NS = 100_000_000  # without contact; in contact every frame tells
 class Publisher:
     """The `Sink` of the daemon.
 
-    With contact: ``height``, ``cloud``, ``shear`` and ``contact`` of every frame, and one ``event/slip`` when an object
-    begins to slide. Without: one zero ``height`` when the contact ends (flagged when an invalid frame ended it), then
-    only ``contact`` at 10 Hz. A frame whose height is offered is settled by what becomes of that offer. What nobody
-    listens to is left out, but never the begin or end of a contact that is or was published: nobody is left with an
-    older truth.
+    With contact: ``height``, ``cloud``, ``shear``, ``sigma`` and ``contact`` of every frame, and one ``event/slip``
+    when an object begins to slide. Without: one zero ``height`` when the contact ends (flagged when an invalid frame
+    ended it), then only ``contact`` at 10 Hz. A frame whose height is offered is settled by what becomes of that offer.
+    What nobody listens to is left out, but never the begin or end of a contact that is or was published: nobody is left
+    with an older truth.
 
     Parameters
     ----------
@@ -58,9 +58,12 @@ class Publisher:
 
     def need(self) -> Need:
         """How much of a frame those who listen ask for."""
-        if self.always_shear or self._has_listener("shear"):
-            return Need.SHEAR
-        return Need.DEPTH if any(map(self._has_listener, ("height", "cloud", "contact"))) else Need.CONTACT
+        need = Need.SHEAR if self.always_shear or self._has_listener("shear") else Need.CONTACT
+        if self._has_listener("sigma"):
+            need |= Need.SIGMA
+        if any(map(self._has_listener, ("height", "cloud", "contact"))):
+            need |= Need.DEPTH
+        return need
 
     def deliver(
         self, frame: Frame, result: Reconstruction | None, calibration: Calibration | None
@@ -84,6 +87,9 @@ class Publisher:
         if result.shear_mm is not None and (result.contact or changed) and self._has_listener("shear"):
             shear = wire.encode_shear(result, calibration_crc32=crc32, pose=pose, pose_error_us=error_us)
             self._offer("shear", shear, result.seq)
+        if result.sigma_mm is not None and (result.contact or changed) and self._has_listener("sigma"):
+            sigma = wire.encode_sigma(result, calibration_crc32=crc32, pose=pose, pose_error_us=error_us)
+            self._offer("sigma", sigma, result.seq)
         sliding = {o.id: o for o in result.objects if o.slip is Slip.FULL}
         for began in sliding.keys() - self._sliding:
             self._tell("event/slip", messages.encode_slip(result, sliding[began]))

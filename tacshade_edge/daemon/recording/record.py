@@ -1,6 +1,7 @@
 """Recording beside the running daemon: one recording at a time, written by a thread of its own.
 
 `Grab` hands each captured frame to `_Job.tap`; the bounded queue behind it keeps the disk from ever delaying a frame.
+Where a recording begins with what was before, its thread runs already, and keeps what it will write first.
 """
 
 from __future__ import annotations
@@ -8,20 +9,25 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from tacshade_edge.daemon.pipeline.workers import Grab
+from tacshade_edge.daemon.recording.before import BEFORE_BYTES, EVENT_BYTES, Event, Kept, Shot
 from tacshade_edge.daemon.recording.byte_queue import ByteQueue
-from tacshade_edge.devices.files.recorder import FREE_FLOOR_BYTES, Recorder
+from tacshade_edge.devices.files.recorder import Recorder, png_of
+from tacshade_edge.devices.files.whole_files import FREE_FLOOR_BYTES
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
 from tacshade_edge.types import Calibration, Frame
 
 # 54 grey frames of 640x480: almost a second at 60 per second. Of the 150 MB that the service may use.
 QUEUE_BYTES = 16 * 2**20
-EVENT_BYTES, EVENTS_RESERVE_BYTES = 1024, 256 * 1024  # an event counts for a KiB, and fits where no frame does
+EVENTS_RESERVE_BYTES = 256 * 1024  # an event fits where no frame does
 SYNC_S = 1.0
+_NO_PIXELS = np.zeros((0, 0), np.uint8)
 Posed = Callable[[Frame], Frame]
 TIME, STOPPED = Reason(ReasonCode.TIME, "time"), Reason(ReasonCode.STOPPED, "stopped")
 SOURCE_ENDED = Reason(ReasonCode.SOURCE_ENDED, "source ended")
@@ -33,13 +39,6 @@ GOOD_ENDINGS = (ReasonCode.TIME, ReasonCode.STOPPED, ReasonCode.SOURCE_ENDED, Re
 @dataclass(frozen=True, slots=True)
 class RecordingEnded:
     """The thread of a recording is done: `LiveRecorder.poll` has its figures."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Event:
-    t_ns: int
-    kind: str
-    data: Mapping[str, object]
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,79 +76,133 @@ class Recorded:
         }
 
 
-class _Job:
-    """One recording. Its first ending counts."""
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    recorder: Recorder
+    settings_yaml: str
+    calibration: Calibration
+    about: Mapping[str, object]
+    oldest_ns: int
+    refused: int  # before
 
-    def __init__(
-        self, recorder: Recorder, seconds: float, settings_yaml: str, calibration: Calibration, posed: Posed | None
-    ) -> None:
-        self._posed = posed
-        self.calibration_crc32 = calibration.crc32
-        self.end_ns = time.monotonic_ns() + round(seconds * 1e9)
-        self.waiting: ByteQueue[Frame | _Event] = ByteQueue(QUEUE_BYTES)
+
+class _Job:
+    """One recording, or what is kept for it before it is asked for. Its first ending counts."""
+
+    def __init__(self, before_ns: int, posed: Posed | None) -> None:
+        self.asked: _Asked | None = None
+        self.end_ns = 0
+        self.waiting: ByteQueue[Frame | Event] = ByteQueue(QUEUE_BYTES)
+        self.kept = Kept()
         self.ending: Reason | None = None
         self.done = False
-        self._recorder = recorder
-        self._begin = settings_yaml, calibration
+        self._before_ns = before_ns
+        self._oldest_ns = 0
+        self._posed = posed
         self._lost = 0  # accepted, and not written
         self._first: tuple[int, int] | None = None
 
+    def start(
+        self,
+        recorder: Recorder,
+        seconds: float,
+        settings_yaml: str,
+        calibration: Calibration,
+        about: Mapping[str, object],
+    ) -> None:
+        """Write what is kept, and what comes."""
+        now_ns = time.monotonic_ns()
+        self.end_ns = now_ns + round(seconds * 1e9)
+        oldest_ns = max(now_ns - self._before_ns, self._oldest_ns) if self._before_ns else 0
+        self.asked = _Asked(recorder, settings_yaml, calibration, about, oldest_ns, self.waiting.refused)
+
     def tap(self, frame: Frame) -> None:
         """See the next captured frame; called in the grab thread."""
-        if frame.t_ns <= self.end_ns:
+        if self.asked is None or frame.t_ns <= self.end_ns:
             self.waiting.put(frame, frame.image.nbytes)
+
+    def forget(self) -> None:
+        """Keep nothing of what was until now."""
+        self._oldest_ns = time.monotonic_ns()
 
     def end(self, ending: Reason) -> None:
         """Take nothing more; the thread writes what waits."""
         self.ending = self.ending or ending
         self.waiting.close()
 
-    def now(self) -> Recorded:
-        """The figures of this instant."""
-        recorder = self._recorder
-        dropped = self.waiting.refused + self._lost
-        return Recorded(recorder.folder, recorder.frames, recorder.bytes, dropped, self.ending)
+    def now(self) -> Recorded | None:
+        """The figures of this instant; None when nothing was asked for."""
+        if (asked := self.asked) is None:
+            return None
+        dropped = self.waiting.refused - asked.refused + self._lost
+        return Recorded(asked.recorder.folder, asked.recorder.frames, asked.recorder.bytes, dropped, self.ending)
 
-    def write(self, about: Mapping[str, object]) -> None:
-        """The thread: write until the end."""
+    def dropped_before(self) -> int:
+        """Frames that are not kept though they are not too old, until the recording was asked for."""
+        return self.kept.given_up + (self.asked.refused if self.asked else self.waiting.refused)
+
+    def work(self) -> bool:
+        """The thread: keep until it is asked for, write until the end; whether it was asked for."""
+        while self.asked is None and not self.waiting.drained:
+            if (item := self._take(SYNC_S)) is not None:
+                self.kept.add(item)
+                self.kept.forget(max(item.t_ns - self._before_ns, self._oldest_ns))
+                self.kept.bound(BEFORE_BYTES)
+        if self.asked is not None:
+            self._write(self.asked)
+        return self.asked is not None
+
+    def _take(self, timeout_s: float) -> Shot | Event | None:
+        item = self.waiting.take(timeout_s)
+        if not isinstance(item, Frame):
+            return item
+        frame = item if self._posed is None else self._posed(item)
+        return Shot(replace(frame, image=_NO_PIXELS), png_of(frame.image))
+
+    def _write(self, asked: _Asked) -> None:
+        self.kept.forget(asked.oldest_ns)
         try:
-            self._recorder.begin(*self._begin)
-            self._write_all()
+            asked.recorder.begin(asked.settings_yaml, asked.calibration)
+            self._write_all(asked.recorder)
         except DeviceError as error:
             self.end(error.reason)
         self._lost += sum(isinstance(self.waiting.take(0), Frame) for _ in range(len(self.waiting)))
+        self._lost += sum(isinstance(self.kept.take(), Shot) for _ in range(len(self.kept)))
         times = dict(zip(("first_t_ns", "first_wall_ns"), self._first or (None, None), strict=True))
+        now = self.now()
+        assert now is not None
         try:
-            self._recorder.finish({**self.now().as_dict(), **times, **about})
+            asked.recorder.finish({**now.as_dict(), **times, **asked.about})
         except DeviceError as error:
-            if not self.now().failed:
+            if not now.failed:
                 self.ending = error.reason
-            self._recorder.close()
+            asked.recorder.close()
         self.done = True
 
-    def _write_all(self) -> None:
+    def _write_all(self, recorder: Recorder) -> None:
+        """One in, one out, so that what was kept never grows, and is written while nothing comes."""
         synced_s = time.monotonic()
-        while not self.waiting.drained:
-            item = self.waiting.take(SYNC_S)
-            if isinstance(item, _Event):
-                self._recorder.event(item.t_ns, item.kind, item.data)
-            elif item is not None:
-                self._add(item)
+        while self.kept or not self.waiting.drained:
+            if (item := self._take(0 if self.kept else SYNC_S)) is not None:
+                self.kept.add(item)
+            if self.kept:
+                self._add(recorder, self.kept.take())
             if time.monotonic() - synced_s >= SYNC_S:
-                self._recorder.sync()
+                recorder.sync()
                 synced_s = time.monotonic()
 
-    def _add(self, frame: Frame) -> None:
-        if self._posed is not None:
-            frame = self._posed(frame)
+    def _add(self, recorder: Recorder, item: Shot | Event) -> None:
+        if isinstance(item, Event):
+            recorder.event(item.t_ns, item.kind, item.data)
+            return
         try:
-            if not self._recorder.add(frame):
+            if not recorder.add(item.frame, item.png):
                 found = f"less than {FREE_FLOOR_BYTES // 2**20} MiB free on the disk"
                 raise DeviceError(found, code=ReasonCode.DISK_FULL)
         except DeviceError:
             self._lost += 1
             raise
-        self._first = self._first or (frame.t_ns, frame.wall_ns)
+        self._first = self._first or (item.frame.t_ns, item.frame.wall_ns)
 
 
 class LiveRecorder:
@@ -171,10 +224,26 @@ class LiveRecorder:
         self._report = report
         self._job: _Job | None = None
         self._thread: threading.Thread | None = None
-        self._written = self._dropped = 0  # of recordings that ended
+        self._written = self._dropped = self._dropped_before = 0  # of recordings that ended
+        self._before_ns = 0
+        self._calibration_crc32: int | None = None
+
+    def keep_before(self, before_s: float) -> None:
+        """Have recordings begin so long before they are asked for, from the next on; 0: then."""
+        before_ns = round(before_s * 1e9)
+        if before_ns != self._before_ns and self._job is not None and self._job.asked is None:
+            self._grab.tap = None
+            self._close(self._job)
+        self._before_ns = before_ns
 
     def start(
-        self, folder: Path, seconds: float, settings_yaml: str, calibration: Calibration, about: Mapping[str, object]
+        self,
+        folder: Path,
+        seconds: float,
+        settings_yaml: str,
+        calibration: Calibration,
+        about: Mapping[str, object],
+        make: Callable[..., Recorder] = Recorder,
     ) -> None:
         """Begin a recording.
 
@@ -188,6 +257,8 @@ class LiveRecorder:
             What a replay must use.
         about : mapping
             More for ``recording.json``.
+        make : callable
+            `Recorder` or one like it.
 
         Raises
         ------
@@ -199,16 +270,26 @@ class LiveRecorder:
         if (now := self.now()) is not None:
             doing = "the latest is still being written to" if now.ending else "recording to"
             raise DeviceError(f"busy: {doing} {now.folder}", code=ReasonCode.BUSY)
-        recorder = Recorder(folder, free_floor_bytes=FREE_FLOOR_BYTES)
-        job = _Job(recorder, seconds, settings_yaml, calibration, self._posed)
+        recorder = make(folder, free_floor_bytes=FREE_FLOOR_BYTES)
+        job = self._job or _Job(0, self._posed)
+        job.start(recorder, seconds, settings_yaml, calibration, about)
+        if job is not self._job:
+            self._run(job)
 
+    def _run(self, job: _Job) -> None:
         def run() -> None:
-            job.write(about)
-            self._report(RecordingEnded())
+            if job.work():
+                self._report(RecordingEnded())
 
         self._job, self._thread = job, threading.Thread(target=run, name="record", daemon=True)
         self._thread.start()
         self._grab.tap = job.tap
+
+    def _close(self, job: _Job) -> None:
+        """Take the figures of a job that is over, or that shall keep nothing more."""
+        job.waiting.close()
+        self._dropped_before += job.dropped_before()
+        self._job = None
 
     def end(self, ending: Reason) -> None:
         """End the recording that goes on, if one does; `poll` tells when it is written."""
@@ -219,22 +300,27 @@ class LiveRecorder:
     def event(self, kind: str, **data: object) -> None:
         """Something happened that a person who looks at the recording must know."""
         if self._job is not None:
-            event = _Event(time.monotonic_ns(), kind, data)
+            event = Event(time.monotonic_ns(), kind, data)
             self._job.waiting.put(event, EVENT_BYTES, reserve_bytes=EVENTS_RESERVE_BYTES)
 
     def reconstructs_with(self, profile: str, calibration_crc32: int) -> None:
         """The profile or the calibration may have changed: another reference ends a recording, which has the old."""
+        other, self._calibration_crc32 = calibration_crc32 != self._calibration_crc32, calibration_crc32
         if (job := self._job) is None:
             return
         self.event("reconstruction", profile=profile, calibration_crc32=calibration_crc32)
-        if calibration_crc32 != job.calibration_crc32:
+        if job.asked is None and other:
+            job.forget()
+        elif job.asked and calibration_crc32 != job.asked.calibration.crc32:
             text = "another reference or calibration came into use"
             self.end(Reason(ReasonCode.CALIBRATION_CHANGED, text))
 
     def poll(self) -> Recorded | None:
         """End what is over; the recording that was finished since the last call."""
+        if self._job is None and self._before_ns:
+            self._run(_Job(self._before_ns, self._posed))
         job = self._job
-        if job is None:
+        if job is None or job.asked is None:
             return None
         if not job.ending and time.monotonic_ns() > job.end_ns:
             self.end(TIME)
@@ -243,9 +329,10 @@ class LiveRecorder:
         if not job.done:
             return None
         recorded = job.now()
+        assert recorded is not None
         self._written += recorded.frames
         self._dropped += recorded.dropped
-        self._job = None
+        self._close(job)
         return recorded
 
     def now(self) -> Recorded | None:
@@ -253,10 +340,15 @@ class LiveRecorder:
         return self._job.now() if self._job else None
 
     def counts(self) -> dict[str, int]:
-        """For ``health``: frames written, dropped and waiting, since the daemon's start."""
-        now, waiting = self.now(), len(self._job.waiting) if self._job else 0
+        """For ``health``: frames written, dropped and waiting, since the daemon's start; and what is kept."""
+        job, now = self._job, self.now()
+        waiting = len(job.waiting) + len(job.kept) if job and now else 0
         written, dropped = (now.frames, now.dropped) if now else (0, 0)
-        return {"written": self._written + written, "dropped": self._dropped + dropped, "waiting": waiting}
+        counts = {"written": self._written + written, "dropped": self._dropped + dropped, "waiting": waiting}
+        if not self._before_ns:
+            return counts
+        kept, given_up = (0 if now or not job else job.kept.frames), job.dropped_before() if job else 0
+        return {**counts, "before": kept, "before_dropped": self._dropped_before + given_up}
 
     def join(self, timeout_s: float) -> None:
         """Wait for the recording's thread."""

@@ -5,20 +5,24 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import msgspec
 
-from tacshade_edge import __version__
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.pipeline.workers import SourceState
 from tacshade_edge.daemon.recording.record import STOPPED, LiveRecorder, Recorded
 from tacshade_edge.daemon.requests import Reply
-from tacshade_edge.devices.files.recorder import CALIBRATION_NAME
+from tacshade_edge.devices.files.mcap.mend import mend_recordings
+from tacshade_edge.devices.files.mcap_recorder import McapRecorder
+from tacshade_edge.devices.files.recorder import Recorder
+from tacshade_edge.devices.files.recording_content import CALIBRATION_NAME
 from tacshade_edge.errors import DeviceError, TacshadeError
 from tacshade_edge.protocol.messages import Request, encode_status
 from tacshade_edge.reasons import ReasonCode, reason_fields
 from tacshade_edge.settings import Settings, to_yaml
+from tacshade_edge.version import installed_version
 
 FIGURES_PERIOD_S = 1.0
 _log = logging.getLogger(__name__)
@@ -43,6 +47,16 @@ class RecordRequests:
         self._latest: Recorded | None = None
         self._published, self._published_s = b"", 0.0
         self._published_folder: Path | None = None
+        self._began_s = self._length_s = 0.0
+
+    @staticmethod
+    def mend(folder: Path) -> None:
+        """End the recordings in MCAP that a daemon who died has left; before the first one begins."""
+        try:
+            for path in mend_recordings(folder):
+                _log.warning("%s: its writer died; ended after its last whole record", path)
+        except DeviceError as error:
+            _log.warning("%s", error)
 
     def handle(self, request: Request, settings: Settings, reconstructor: Reconstructor, source: SourceState) -> None:
         """Do or refuse one request."""
@@ -50,6 +64,8 @@ class RecordRequests:
             if request.action == "start":
                 folder = self._start(request, settings, reconstructor, source)
                 self._reply(request, {"folder": str(folder)})
+            elif request.action == "mark":
+                self._reply(request, self._mark(request.text))
             else:
                 self._end(request)
         except TacshadeError as error:
@@ -68,7 +84,8 @@ class RecordRequests:
                 self._reply(request, recorded.as_dict())
         now, latest = self._recorder.now(), self._latest
         if now is not None:
-            status = encode_status("recording", None, now.as_dict())
+            seconds = {"seconds": round(time.monotonic() - self._began_s, 1), "of_seconds": self._length_s}
+            status = encode_status("recording", None, {**now.as_dict(), **seconds})
         elif latest is None:
             status = encode_status("idle")
         else:
@@ -85,12 +102,21 @@ class RecordRequests:
         name = request.name or time.strftime("%Y%m%d-%H%M%S", time.gmtime())
         folder = Path(settings.recorder.folder) / name
         calibration, profile = reconstructor.calibration, reconstructor.profile.name
-        about = {"version": __version__, "profile": profile, "calibration_crc32": calibration.crc32}
-        self._recorder.start(folder, request.seconds, _replayable(settings), calibration, about)
+        about = {"version": installed_version(), "profile": profile, "calibration_crc32": calibration.crc32}
+        make = Recorder if request.format == "folder" else partial(McapRecorder, sensor_id=settings.sensor_id)
+        self._recorder.start(folder, request.seconds, _replayable(settings), calibration, about, make)
+        self._began_s, self._length_s = time.monotonic(), request.seconds
         state = {"state": source.state, **reason_fields(source.reason)}
-        self._recorder.event("start", **state, source=source.details, **about)
+        self._recorder.event("start", wall_ns=time.time_ns(), **state, source=source.details, **about)
         _log.info("recording to %s", folder)
         return folder
+
+    def _mark(self, text: str) -> dict[str, str | int]:
+        now = self._recorder.now()
+        if now is None:
+            raise DeviceError("found no recording to mark", code=ReasonCode.NO_RECORDING)
+        self._recorder.event("mark", text=text)
+        return {"folder": str(now.folder), "frames": now.frames}
 
     def _end(self, request: Request) -> None:
         if self._stop is not None:

@@ -14,6 +14,7 @@ from typing import Any
 from tacshade_edge.core.contact.tracking import ContactTracker, follow
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.pipeline.ledger import Timings
+from tacshade_edge.daemon.recording.playback import Playback
 from tacshade_edge.devices.files.recording import RecordedFrame, Recording
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.types import Reconstruction
@@ -69,7 +70,7 @@ class Progress:
 
 
 def replay(
-    recording: Recording,
+    recording: Recording | Playback,
     reconstructor: Reconstructor,
     sinks: Sequence[Deliver],
     progress: Progress,
@@ -81,7 +82,7 @@ def replay(
 
     Parameters
     ----------
-    recording : Recording
+    recording : Recording or Playback
     reconstructor : Reconstructor
     sinks : sequence of callables
     progress : Progress

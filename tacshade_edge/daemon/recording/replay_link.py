@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import threading
 import time
+from typing import Any
 
-from tacshade_edge import __version__
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.publishing.publisher import Publisher
+from tacshade_edge.daemon.recording.playback import Playback
 from tacshade_edge.devices.files.recording import RecordedFrame
 from tacshade_edge.devices.mqtt.client import BrokerAddress
 from tacshade_edge.devices.mqtt.link import MqttLink
@@ -17,8 +18,10 @@ from tacshade_edge.protocol import messages
 from tacshade_edge.protocol.messages import Request
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Reconstruction
+from tacshade_edge.version import installed_version
 
 CONNECT_S, HAND_OVER_S, STOP_S = 2.0, 5.0, 2.0
+PLAYBACK_PERIOD_S = 0.25
 REPLAY = Reason(ReasonCode.REPLAY, "replay")
 
 
@@ -55,12 +58,24 @@ class ReplayLink:
             on_request=self._on_request,
             on_outcome=self._on_outcome,
         )
+        self._playback: Playback | None = None
+        self._told_s = 0.0
         self._publisher = Publisher(self._offer, self._link.tell)
+
+    def obey(self, playback: Playback) -> None:
+        """Do what ``req/replay`` asks of it."""
+        self._playback = playback
+
+    def tell_playback(self, status: dict[str, Any]) -> None:
+        """The retained ``status/replay``."""
+        state = "paused" if status["paused"] else "playing"
+        details = {key: value for key, value in status.items() if key != "paused"}
+        self._link.set_retained("status/replay", messages.encode_status(state, None, details))
 
     def start(self) -> None:
         """Connect. Raises DeviceError: unlike the daemon, a replay does not wait for a broker that is away."""
         info = messages.encode_info(
-            version=__version__, config_digest="replay", profile=self._profile, calibration=self._calibration
+            version=installed_version(), config_digest="replay", profile=self._profile, calibration=self._calibration
         )
         self._link.set_retained("info", info)
         self._link.set_retained("status/camera", messages.encode_status("streaming", REPLAY))
@@ -80,6 +95,9 @@ class ReplayLink:
         self._frames += 1
         self._publisher.fps = self._frames / max(1e-3, time.monotonic() - self._began_s)
         self._publisher.deliver(recorded.frame, result, self._calibration)
+        if self._playback is not None and (now_s := time.monotonic()) > self._told_s + PLAYBACK_PERIOD_S:
+            self._told_s = now_s
+            self.tell_playback(self._playback.status())
         if self._wait:
             with self._changed:
                 if not self._changed.wait_for(lambda: self._open == 0, HAND_OVER_S):
@@ -93,6 +111,8 @@ class ReplayLink:
     def stop(self) -> None:
         """Say goodbye and disconnect."""
         self._link.set_retained("status/camera", messages.encode_status("ended", REPLAY))
+        if self._playback is not None:
+            self._link.set_retained("status/replay", messages.encode_status("ended", REPLAY))
         self._link.stop(STOP_S)
 
     def _offer(self, stream: str, payload: bytes, seq: int) -> None:
@@ -106,5 +126,10 @@ class ReplayLink:
             self._changed.notify_all()
 
     def _on_request(self, request: Request) -> None:
-        refusal = Reason(ReasonCode.UNAVAILABLE, "a replay takes no requests")
+        if request.playback is not None and self._playback is not None:
+            self._told_s = 0.0
+            status = self._playback.command(request.playback)
+            self._link.reply(request, messages.encode_result(request.transaction, status))
+            return
+        refusal = Reason(ReasonCode.UNAVAILABLE, "a replay takes no such requests (replay --play takes req/replay)")
         self._link.reply(request, messages.encode_error(request.transaction, refusal))

@@ -54,28 +54,29 @@ class Origin:
         }
 
 
-def restored(calibrated: Calibration, path: Path) -> Origin:
+def restored(calibrated: Calibration, path: Path, unowned: Reason | None = None) -> Origin:
     """The reference that was stored for a calibration, or the calibration's own.
 
-    That of another calibration is deleted: it is told once, and no later file can meet it again.
+    That of another calibration is deleted: it is told once, and no later file can meet it again. Not where it is
+    another's, `unowned`.
     """
     try:
         stored = reference_file.load(path, calibrated)
     except ConfigError as error:
         _log.warning("%s; the calibration's own reference is used", error)
-        if error.code is ReasonCode.CALIBRATION_CHANGED:
+        if error.code is ReasonCode.CALIBRATION_CHANGED and unowned is None:
             with contextlib.suppress(OSError):
                 path.unlink()
         return Origin(calibrated, calibrated, reason=error.reason)
     if stored is None:
-        return Origin(calibrated, calibrated)
+        return Origin(calibrated, calibrated, reason=unowned)
     taken = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime(stored.wall_ns / 1e9))
     _log.info("reference of %s from %s", taken, path)
-    return Origin(calibrated, stored.calibration, "request", stored.wall_ns)
+    return Origin(calibrated, stored.calibration, "request", stored.wall_ns, unowned)
 
 
-def requested(calibrated: Calibration, images: Sequence[U8], path: Path) -> Origin:
-    """A new reference, stored where that can be done.
+def requested(calibrated: Calibration, images: Sequence[U8], path: Path, unowned: Reason | None = None) -> Origin:
+    """A new reference, stored where that can be done, and not where another owns the file, `unowned`.
 
     Raises
     ------
@@ -83,10 +84,13 @@ def requested(calibrated: Calibration, images: Sequence[U8], path: Path) -> Orig
         The images cannot be used.
     """
     taken = StoredReference(with_crc(rezero(calibrated, images)), time.time_ns())
-    reason = None
-    try:
-        reference_file.save(path, calibrated, taken)
-    except DeviceError as error:
-        reason = Reason(error.code, f"{error}; the reference lasts until the next start or reload")
+    reason = unowned
+    if reason is None:
+        try:
+            reference_file.save(path, calibrated, taken)
+        except DeviceError as error:
+            reason = error.reason
+    if reason is not None:
+        reason = Reason(reason.code, f"{reason}; the reference lasts until the next start or reload")
     _log.info("new reference from %d frames%s", len(images), f": {reason}" if reason else "")
     return Origin(calibrated, taken.calibration, "request", taken.wall_ns, reason)

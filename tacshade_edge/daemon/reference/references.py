@@ -12,9 +12,10 @@ from tacshade_edge.core.calibration.following import Distance
 from tacshade_edge.daemon.reference.origin import Origin, requested, restored
 from tacshade_edge.daemon.reference.untouched import UntouchedFrames
 from tacshade_edge.devices.files.calibration_file import with_crc
-from tacshade_edge.errors import ConfigError
+from tacshade_edge.devices.files.folder_lock import FolderLock
+from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.protocol.results import ReferenceTaken
-from tacshade_edge.reasons import Reason, code_of, reason_fields
+from tacshade_edge.reasons import Reason, ReasonCode, code_of, reason_fields
 from tacshade_edge.types import U8, Calibration
 
 _log = logging.getLogger(__name__)
@@ -31,6 +32,8 @@ class References:
         As its file has it, or why there is none.
     path : Path
         Of the stored reference.
+    sensor_id : str
+        Told to another daemon that wants the same file.
 
     Attributes
     ----------
@@ -40,7 +43,11 @@ class References:
         Must see every frame.
     """
 
-    def __init__(self, calibrated: Calibration | Reason, path: Path) -> None:
+    def __init__(self, calibrated: Calibration | Reason, path: Path, sensor_id: str) -> None:
+        self._sensor_id = sensor_id
+        self._path = path
+        self._lock: FolderLock | None = None
+        self._unowned: Reason | None = None
         self.frames = UntouchedFrames()
         self._looks = self._renewals = 0
         self._state: State = "waiting"
@@ -52,11 +59,32 @@ class References:
 
     def reload(self, calibrated: Calibration | Reason, path: Path) -> None:
         """Begin again from what the files say."""
-        self._path = path
+        if path != self._path:
+            self.close()
+            self._path = path
         if isinstance(calibrated, Reason):
             self._origin = self.calibration = calibrated
         else:
-            self._begin(restored(calibrated, path))
+            self._own_file()
+            self._begin(restored(calibrated, path, self._unowned))
+
+    def close(self) -> None:
+        """Let another daemon have the stored reference."""
+        if self._lock is not None:
+            self._lock.release()
+            self._lock = None
+
+    def _own_file(self) -> None:
+        """Be the one daemon that stores references here, or know why not."""
+        if self._lock is not None:
+            return
+        self._unowned = None
+        try:
+            self._lock = FolderLock(self._path.parent, f"sensor {self._sensor_id}", file=self._path.name)
+        except DeviceError as error:
+            if error.code is ReasonCode.IN_USE:  # a folder that cannot be written is told when something is stored
+                _log.warning("%s; a reference that is taken here is not stored", error)
+                self._unowned = error.reason
 
     def take(self, images: Sequence[U8]) -> ReferenceTaken:
         """Begin anew from images of the resting sensor.
@@ -68,7 +96,8 @@ class References:
         """
         if isinstance(self._origin, Reason):
             raise ConfigError(self._origin.text, code=self._origin.code)
-        origin = requested(self._origin.calibrated, images, self._path)
+        self._own_file()
+        origin = requested(self._origin.calibrated, images, self._path, self._unowned)
         self._begin(origin)
         taken = origin.calibration
         return ReferenceTaken(len(images), taken.crc32, taken.noise_grey, unstored=origin.reason)

@@ -126,7 +126,7 @@ class _PoseSink:
         self._robot = robot
 
     def need(self) -> Need:
-        return max(Need.DEPTH if self._robot.commands.capture_pending else Need.CONTACT, self._sink.need())
+        return (Need.DEPTH if self._robot.commands.capture_pending else Need.CONTACT) | self._sink.need()
 
     def deliver(
         self, frame: Frame, result: Reconstruction | None, calibration: Calibration | None

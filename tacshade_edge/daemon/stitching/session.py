@@ -11,7 +11,7 @@ import numpy as np
 from tacshade_edge.core.stitching.press_points import PressPoints
 from tacshade_edge.core.stitching.stitcher import Stitcher
 from tacshade_edge.daemon.stitching.map_revision import MapRevision
-from tacshade_edge.devices.files.map_files import write_map
+from tacshade_edge.devices.files.map_files import press_record, write_map
 from tacshade_edge.devices.files.stitch_file import SessionInfo, StitchFile, open_session
 from tacshade_edge.devices.files.whole_files import disk_errors
 from tacshade_edge.protocol.results import PressAdded, SessionAborted, SessionBegun, SessionEnded, SessionStatus
@@ -52,7 +52,7 @@ class Session:
         self.revision = stitcher.presses
 
     @classmethod
-    def begin(cls, folder: Path, name: str, calibration: Calibration) -> Session:
+    def begin(cls, folder: Path, name: str, calibration: Calibration, sensor_id: str) -> Session:
         """Begin a session in a new folder below `folder`; an empty `name` is the time in UTC.
 
         Raises
@@ -70,12 +70,12 @@ class Session:
             exists = (folder / name).exists()
         if exists:
             raise RefusedError(ReasonCode.NAME_TAKEN, f"{folder / name} is there already")
-        info = SessionInfo(name, time.time_ns(), calibration.crc32, calibration.geometry.skin_radius_mm)
+        info = SessionInfo(name, time.time_ns(), calibration.crc32, calibration.geometry.skin_radius_mm, sensor_id)
         return cls(StitchFile.create(folder / name, info), Stitcher(info.skin_radius_mm))
 
     @classmethod
-    def resume(cls, folder: Path) -> Session | None:
-        """Go on with the session below `folder` that was not ended; None where there is none.
+    def resume(cls, folder: Path, sensor_id: str) -> Session | None:
+        """Go on with the sensor's session below `folder` that was not ended; None where there is none.
 
         Raises
         ------
@@ -83,7 +83,7 @@ class Session:
             It cannot be read or written.
         """
         with disk_errors(folder):
-            path = open_session(folder)
+            path = open_session(folder, sensor_id)
         if path is None:
             return None
         file, presses = StitchFile.resume(path)
@@ -102,6 +102,11 @@ class Session:
     def folder(self) -> Path:
         """Of its files."""
         return self._file.folder
+
+    @property
+    def gone(self) -> bool:
+        """Whether somebody deleted its files."""
+        return self._file.gone
 
     @property
     def presses(self) -> int:
@@ -132,11 +137,12 @@ class Session:
         DeviceError
             The disk failed; nothing was added.
         """
-        # On the disk first: what is acknowledged is there. A press that the map refuses is refused again on resuming.
+        # On the disk first: what is acknowledged is there. After a crash here the map refuses it again on resuming.
         self._file.append(points, base_T_sensor)
         try:
             self._stitcher.add(points, base_T_sensor)
         except ValueError as error:
+            self._file.take_back()
             raise RefusedError(ReasonCode.MAP_FULL, str(error)) from None
         self.revision += 1
         return PressAdded(self.presses, frame_seq, len(points.points_mm))
@@ -156,19 +162,17 @@ class Session:
         """
         final = self._stitcher.finish()
         raster, crc32 = final.raster, self._file.info.calibration_crc32
-        rejected = [k + 1 for k, press in enumerate(final.presses) if press.rejected]
-        used = self.presses - len(rejected)
+        used = sum(press.rejected is None for press in final.presses)
         self.revision += 1
         details = {
             "name": self.name,
             "revision": self.revision,
-            "presses": self.presses,
             "used": used,
-            "rejected": rejected,
             "missed": missed,
             "refined": final.refined,
             "disagreement_mm": round(final.disagreement_mm, 4),
             "calibration_crc32": crc32,
+            "presses": [{"press": k, **press_record(press)} for k, press in enumerate(final.presses, start=1)],
         }
         write_map(self.folder, raster, details)
         self._file.end()

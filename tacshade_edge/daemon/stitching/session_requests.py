@@ -27,6 +27,8 @@ class SessionRequests:
     ----------
     folder : Path
         For sessions.
+    sensor_id : str
+        Whose they are.
     publish : callable
         ``publish(topic, payload)``, retained; from any thread.
     reply : Reply
@@ -35,13 +37,15 @@ class SessionRequests:
         Gives frames their poses and commands sessions too; without one the source's frames have poses.
     """
 
-    def __init__(self, folder: Path, publish: Callable[[str, bytes], None], reply: Reply, robot: Robot | None) -> None:
+    def __init__(
+        self, folder: Path, sensor_id: str, publish: Callable[[str, bytes], None], reply: Reply, robot: Robot | None
+    ) -> None:
         publish_map = MapPublisher(publish).publish
         if robot:
-            self._worker = SessionWorker(folder, publish_map, robot.with_interpolated_pose)
+            self._worker = SessionWorker(folder, sensor_id, publish_map, robot.with_interpolated_pose)
             robot.commands.sessions = self._worker
         else:
-            self._worker = SessionWorker(folder, publish_map)
+            self._worker = SessionWorker(folder, sensor_id, publish_map)
         self._publish = publish
         self._reply = reply
         self._robot = robot
@@ -100,7 +104,7 @@ class _ObservingSink:
         self._worker = worker
 
     def need(self) -> Need:
-        return max(Need.DEPTH if self._worker.open else Need.CONTACT, self._sink.need())
+        return (Need.DEPTH if self._worker.open else Need.CONTACT) | self._sink.need()
 
     def deliver(
         self, frame: Frame, result: Reconstruction | None, calibration: Calibration | None

@@ -22,6 +22,8 @@ from tacshade_edge.core.stitching.rest import RestDetector
 from tacshade_edge.daemon.stitching.map_revision import MapRevision
 from tacshade_edge.daemon.stitching.pending_adds import WAITING_MAX, PendingAdds, Reply
 from tacshade_edge.daemon.stitching.session import RefusedError, Session
+from tacshade_edge.devices.files.folder_lock import FolderLock
+from tacshade_edge.devices.files.whole_files import disk_errors
 from tacshade_edge.errors import TacshadeError
 from tacshade_edge.protocol.results import NoSession, PressAdded, SessionAborted, SessionEnded, SessionResult
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -84,7 +86,10 @@ class SessionWorker:
     Parameters
     ----------
     folder : Path
-        Sessions lie below it, each in its own folder. One that was open when the daemon died goes on.
+        Sessions lie below it, each in its own folder. One that was open when the daemon died goes on. While another
+        process has the folder, there are none here.
+    sensor_id : str
+        Whose sessions they are.
     publish_map : callable
         ``publish_map(revision)`` after each press and at the end, in this object's thread; True: it was deferred, and
         is to be published in a moment, as it is then.
@@ -97,12 +102,15 @@ class SessionWorker:
     def __init__(
         self,
         folder: Path,
+        sensor_id: str,
         publish_map: Callable[[MapRevision], bool | None],
         with_pose: Callable[[Frame], Frame] = lambda frame: frame,
         *,
         automatic: bool = True,
     ) -> None:
         self._folder = folder
+        self._sensor_id = sensor_id
+        self._folder_lock: FolderLock | None = None
         self._publish_map = publish_map
         self._with_pose = with_pose
         self._automatic = automatic
@@ -224,6 +232,8 @@ class SessionWorker:
             job.reply(outcome)
         if self._session is not None:
             self._session.close()
+        if self._folder_lock is not None:
+            self._folder_lock.release()
 
     def _next_job(self) -> _Command | _Add | Literal["stop"] | None:
         """None when it is time to publish a map that was deferred."""
@@ -237,7 +247,11 @@ class SessionWorker:
 
     def _resume(self) -> None:
         try:
-            session = Session.resume(self._folder)
+            with disk_errors(self._folder):
+                if not self._folder.is_dir():  # it is made with the first session
+                    return
+            self._own_folder()
+            session = Session.resume(self._folder, self._sensor_id)
         except TacshadeError as error:
             _log.warning("session not resumed: %s", error)
             return
@@ -248,6 +262,10 @@ class SessionWorker:
         if session.presses:
             self._publish(session.map_revision())
         _log.info("session %s goes on with %d presses", session.name, session.presses)
+
+    def _own_folder(self) -> None:
+        if self._folder_lock is None:
+            self._folder_lock = FolderLock(self._folder, f"sensor {self._sensor_id}")
 
     def _command(self, command: _Command) -> SessionResult:
         session = self._session
@@ -264,12 +282,19 @@ class SessionWorker:
         raise RefusedError(ReasonCode.NO_SESSION, "the session has just begun, add again")
 
     def _begin(self, name: str) -> SessionResult:
+        if self._folder_lock is None:
+            self._own_folder()
+            self._resume()
+        if self._session is not None and self._session.gone:
+            _log.warning("session %s was deleted with %d presses", self._session.name, self._session.presses)
+            self._session.close()
+            self._clear_session()
         if self._session is not None:
             text = f"session {self._session.name} is open, end or abort it first"
             raise RefusedError(ReasonCode.BUSY, text)
         if self._calibration is None:
             raise RefusedError(ReasonCode.NO_FRAME, "no frame was reconstructed yet")
-        session = Session.begin(self._folder, name, self._calibration)
+        session = Session.begin(self._folder, name, self._calibration, self._sensor_id)
         self._session, self._rest = session, RestDetector()
         with self._lock:
             self._missed, self._missed_reason = 0, None

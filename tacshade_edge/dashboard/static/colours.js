@@ -40,6 +40,13 @@ export function depthOf(red, green, blue, scale_mm) {
   return NaN;
 }
 
+// Differences: blue below 0, nearly white at 0, red above.
+export const DIFFERENCES = Uint32Array.from({ length: STEPS }, (_, i) => {
+  const part = (2 * i) / (STEPS - 1) - 1, end = part < 0 ? [33, 102, 172] : [178, 24, 43];
+  const [red, green, blue] = end.map((value) => Math.round(240 + Math.abs(part) * (value - 240)));
+  return ((255 << 24) | (blue << 16) | (green << 8) | red) >>> 0;
+});
+
 // Objects, from label 1: Okabe and Ito's, apart for the colour-blind and apart from viridis' blues and greens.
 const OBJECTS = ["#e69f00", "#ff5fa2", "#f4f4f4", "#d55e00", "#56b4e9", "#cc79a7", "#8c8c8c", "#f0e442"];
 

@@ -33,3 +33,14 @@ export function zeroMap(geometry) {
   }
   return { seq: null, flags: 0, rows, cols, row0: 0, col0: 0, step_px, height_mm, calibration_crc32: geometry.calibration_crc32 };
 }
+
+/** Height in mm between four cells; a cell outside the disc, or of the edge that the grid leaves out, counts as 0. */
+export function heightAt(map, row, col) {
+  const y = (row - map.row0) / map.step_px, x = (col - map.col0) / map.step_px, i = Math.floor(y), j = Math.floor(x);
+  const cell = (r, c) => {
+    const h = r >= 0 && c >= 0 && r < map.rows && c < map.cols ? map.height_mm[r * map.cols + c] : 0;
+    return h !== h ? 0 : h;
+  };
+  const above = cell(i, j) + (x - j) * (cell(i, j + 1) - cell(i, j)), below = cell(i + 1, j) + (x - j) * (cell(i + 1, j + 1) - cell(i + 1, j));
+  return above + (y - i) * (below - above);
+}

@@ -19,6 +19,7 @@ export class HeightView {
     this.range = document.getElementById("range");
     this.scale_mm = AUTO_LEAST_MM;
     this.map = null;
+    this.sigma = null; // the newest, of this map or of one before it
     this.geometry = null;
     this.cell = null; // of the pointer: [i, j] in the map
     this.peaks = []; // [time, mm], for the automatic scale
@@ -34,7 +35,7 @@ export class HeightView {
 
   /** Forget another hand's map. */
   clear() {
-    this.map = this.geometry = this.cell = null;
+    this.map = this.sigma = this.geometry = this.cell = null;
     this.peaks = [];
     this.context.clearRect(0, 0, this.canvas.width, this.canvas.height);
     this.disc.setAttribute("r", 0);
@@ -118,7 +119,13 @@ export class HeightView {
     this.read();
   }
 
-  /** Tell the depth under the pointer. */
+  /** Take a decoded `sigma`; null where it was damaged. */
+  setSigma(sigma) {
+    this.sigma = sigma;
+    this.read();
+  }
+
+  /** Tell the depth under the pointer, and its standard deviation where the skin is touched. */
   read() {
     const { map, geometry, cell } = this;
     if (!map || !cell) {
@@ -137,7 +144,8 @@ export class HeightView {
     const mm = geometry ? ` · x ${at[0].toFixed(1)}, y ${at[1].toFixed(1)} mm` : "";
     this.readout.innerHTML = "";
     const depth = document.createElement("b");
-    depth.textContent = `${h.toFixed(3)} mm`;
+    const sigma = this.sigma?.rows === map.rows && this.sigma.cols === map.cols ? this.sigma.sigma_mm[i * map.cols + j] : NaN;
+    depth.textContent = Number.isNaN(sigma) ? `${h.toFixed(3)} mm` : `${h.toFixed(3)} ± ${sigma.toFixed(2)} mm`;
     this.readout.append(depth, `${mm} · ${px}`);
   }
 

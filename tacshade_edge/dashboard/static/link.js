@@ -10,7 +10,8 @@ export class Link {
   /**
    * told(level, text): how the connection is; level is "good", "wait" or "bad".
    * refused(text): the broker wants another user or password.
-   * message(topic, payload): everything that is subscribed; payload is a view into a larger buffer.
+   * message(topic, payload, retained): everything that is subscribed; payload is a view into a larger buffer, and
+   * retained what the broker kept from before.
    */
   constructor({ told, refused, message }) {
     this.told = told;
@@ -42,6 +43,7 @@ export class Link {
     this.told("wait", "Connecting …");
     const client = mqtt.connect(url.href, {
       ...user,
+      clientId: `page-${crypto.getRandomValues(new Uint32Array(2)).join("-")}`, // read_only.py wants it so
       protocolVersion: 5, // what a request needs from the daemon, and the one version that the demo's broker speaks
       keepalive: KEEPALIVE_S,
       reconnectPeriod: RETRY_MS,
@@ -52,7 +54,7 @@ export class Link {
       createWebsocket: (address, protocols) => {
         const socket = new WebSocket(address, protocols);
         socket.binaryType = "arraybuffer";
-        socket.addEventListener("close", (event) => { reason = event.reason || "the dashboard's server does not answer, or does not know this address (it then says so)"; });
+        socket.addEventListener("close", (event) => { reason = event.reason || "the dashboard's server does not answer, or refuses this page (it says why; reload to log in)"; });
         return socket;
       },
     });
@@ -61,8 +63,8 @@ export class Link {
       this.told("good", "Connected");
       if (this.topics.size) client.subscribe([...this.topics], { qos: 0 });
     });
-    client.on("message", (topic, payload) => {
-      if (!this.answered(topic, payload)) this.message(topic, payload);
+    client.on("message", (topic, payload, packet) => {
+      if (!this.answered(topic, payload)) this.message(topic, payload, packet.retain);
     });
     client.on("close", () => {
       if (client !== this.client || client.disconnecting) return;
@@ -90,7 +92,7 @@ export class Link {
     if (this.connected) this.client.unsubscribe(topics);
   }
 
-  /** Ask a hand; resolves to its result, rejects with an Error whose message is for a person. */
+  /** Ask a hand; resolves to its result, rejects with an Error whose message is for a person, and its `code`. */
   request(sensor, verb, body, answer_ms = ANSWER_MS) {
     if (!this.connected) return Promise.reject(new Error("not connected"));
     const transaction = `page-${crypto.getRandomValues(new Uint32Array(2)).join("-")}`;
@@ -118,7 +120,7 @@ export class Link {
       this.waiting.delete(reply.transaction);
       clearTimeout(asked.timer);
       if (reply.ok) asked.resolve(reply.result);
-      else asked.reject(new Error(String(reply.error)));
+      else asked.reject(Object.assign(new Error(String(reply.error)), { code: reply.reason_code }));
     }
     return true;
   }

@@ -3,63 +3,90 @@
 import { drawArrows } from "./arrows.js";
 import { DepthChart } from "./chart.js";
 import { objectColour } from "./colours.js";
-import { zeroMap } from "./geometry.js";
+import { Compare } from "./compare.js";
+import { freshness } from "./freshness.js";
 import { HeightView } from "./heightmap.js";
 import { Link } from "./link.js";
 import { MapView } from "./mapview.js";
+import { CONTACT, nextMap } from "./newest.js";
 import { element, levelOf, number, showContact, showHealth, showParts, showRates, showState } from "./panels.js";
 import { SkinView } from "./skin3d.js";
+import { commandPlayback, isPaused, isPlayed, tellPlayback } from "./playback.js";
+import { commandRecordings, tellRecording } from "./record.js";
+import { isRemoved, remove, restore } from "./retired.js";
+import { Rezero } from "./rezero.js";
 import { decode } from "./wire.js";
 
-const CONTACT = 1, INVALID = 2, SATURATED = 4, DEGRADED = 8;
+const INVALID = 2, SATURATED = 4, DEGRADED = 8;
 const FULL_SLIP = 2;
-const STALE_MS = 3000, RELEASE_LOST_MS = 500;
+const DEAREST = "paper", COST = "200 times slower, less exact"; // docs/speed.md, docs/accuracy.md
 const MAP_MS = 60000; // a board takes seconds for the final map of a thousand presses
-const STREAMS = ["height", "cloud", "shear", "contact", "health", "preview", "status/+", "res/+", "map/+"];
+const STREAMS = ["height", "cloud", "shear", "sigma", "contact", "health", "preview", "status/+", "res/+", "map/+"];
+const READ_ONLY = "readOnly" in document.documentElement.dataset; // the server passes no requests on
 const $ = (id) => document.getElementById(id);
 const text = new TextDecoder();
 
 const hands = new Map(); // sensor id -> { state, info }
-let chosen = null, view = emptyView(), undecodable = 0, drawn = 0, arrows = 0, drawTimes = [], scheduled = false, picture = "";
+let chosen = null, view = emptyView(), undecodable = 0, heard = 0, superseded = 0, drawn = 0, arrows = 0, drawTimes = [], scheduled = false, picture = "";
 let link = null, asking = false;
 
-const heights = new HeightView(), stitched = new MapView(), skin = new SkinView(), chart = new DepthChart();
+const heights = new HeightView(), stitched = new MapView(), skin = new SkinView(schedule), chart = new DepthChart();
+const compare = new Compare({ link: () => link, decoded, changed: schedule });
+const rezero = new Rezero({
+  ask: () => ask("reference", {}, "Taking a new reference; do not touch the skin …", (result) => `Zero is new, from ${result.frames} frames.`),
+  told: (words) => {
+    $("rezero").textContent = rezero.waiting && !rezero.taking ? "Cancel re-zero" : "Re-zero";
+    if (rezero.waiting && !rezero.taking) tellAnswer("wait", "Re-zero waits until nothing touches …");
+    if (words) tellAnswer("off", words);
+    tellControls();
+  },
+});
 link = new Link({ told: tellLink, refused: askLogin, message: take });
 link.subscribe("tacshade/+/state", "tacshade/+/info");
 
 /** All that is known of the chosen hand. */
 function emptyView() {
   return {
-    height: null, cloud: null, shear: null, map: null, mapPayload: null, mapCloud: null, told: {}, contact: null, health: null, parts: new Map(), heard_ms: null, height_ms: 0, age_ms: null,
+    height: null, cloud: null, shear: null, sigma: null, map: null, mapPayload: null, mapCloud: null, told: {}, contact: null, health: null, parts: new Map(), heard_ms: null, health_ms: null, chosen_ms: performance.now(), height_ms: 0, age_ms: null,
   };
 }
 
 // What arrives. Binary payloads are kept, newest only, and decoded when they are drawn.
 
-function take(topic, payload) {
+function take(topic, payload, retained) {
   const [, sensor, ...rest] = topic.split("/"), what = rest.join("/");
   if (what === "state") tell(sensor, { state: text.decode(payload) || undefined });
   else if (what === "info") json(payload, (info) => tell(sensor, { info }));
-  else if (sensor === chosen) takeChosen(what, payload);
+  else if (sensor === chosen) takeChosen(what, payload, retained);
+  else if (sensor === compare.sensor) compare.take(what, payload, json);
 }
 
-function takeChosen(what, payload) {
-  if (what === "height" || what === "cloud" || what === "shear") {
+function takeChosen(what, payload, retained) {
+  if (what === "height" || what === "cloud" || what === "shear" || what === "sigma") {
+    if (what === "height") {
+      heard++;
+      if (view.height) superseded++;
+      view.heard_ms = view.height_ms = performance.now();
+    }
     view[what] = payload;
-    if (what === "height") view.heard_ms = view.height_ms = performance.now();
     schedule();
   } else if (what === "contact") {
     json(payload, (contact) => {
       view.contact = contact;
       view.heard_ms = performance.now();
       chart.add(contact.depth_max_mm, contact.slip === FULL_SLIP);
+      rezero.heard(contact);
       schedule();
     });
   } else if (what === "health") {
     json(payload, (health) => {
       view.health = health;
+      if (!retained) view.health_ms = performance.now();
       tellHealth();
     });
+  } else if (what.startsWith("status/") && payload.length === 0) { // a part that is gone: a rival
+    view.parts.delete(what.slice(7));
+    showParts(view.parts);
   } else if (what.startsWith("status/")) {
     json(payload, (part) => {
       view.parts.set(what.slice(7), part);
@@ -108,6 +135,8 @@ function tell(sensor, news) {
   const known = hands.has(sensor);
   if ("state" in news && news.state === undefined) hands.delete(sensor); // the retained state was taken away
   else hands.set(sensor, { ...hands.get(sensor), ...news });
+  if (works(sensor)) restore(sensor);
+  if (isRemoved(sensor)) return tellHands();
   // The hand of the address; without one the first that is there, rather than one that was here last week.
   const wanted = decodeURIComponent(location.hash.slice(1));
   if (wanted ? !known && sensor === wanted : works(sensor) && !works(chosen) && view.heard_ms === null) choose(sensor);
@@ -120,11 +149,27 @@ function tell(sensor, news) {
   }
 }
 
+/** Take it from this page; another one is shown, or none. */
+function retire(sensor) {
+  remove(sensor);
+  const other = [...hands.keys()].sort().find((name) => !isRemoved(name));
+  if (other !== undefined) {
+    location.hash = encodeURIComponent(other);
+    choose(other);
+  } else {
+    link.unsubscribe(...STREAMS.map((stream) => `tacshade/${sensor}/${stream}`));
+    chosen = null;
+    $("hand").hidden = true;
+    tellHands();
+  }
+}
+
 const works = (sensor) => ["online", "degraded"].includes(hands.get(sensor)?.state);
 
 function choose(sensor) {
   if (sensor === chosen) return;
   if (chosen !== null) link.unsubscribe(...STREAMS.map((stream) => `tacshade/${chosen}/${stream}`));
+  rezero.cancel();
   chosen = sensor;
   view = emptyView();
   drawTimes = [];
@@ -149,13 +194,17 @@ function choose(sensor) {
 }
 
 function tellHands() {
-  const tabs = [...hands].sort(([a], [b]) => a.localeCompare(b)).map(([sensor, hand]) => {
+  const tabs = [...hands].filter(([sensor]) => !isRemoved(sensor)).sort(([a], [b]) => a.localeCompare(b)).map(([sensor, hand]) => {
     const tab = element("button", { type: "button", role: "tab", title: link?.connected ? hand.state ?? "unknown" : "not connected", onclick: () => { location.hash = encodeURIComponent(sensor); choose(sensor); } }, sensor);
     tab.dataset.level = link?.connected ? levelOf(hand.state) : "off";
     tab.setAttribute("aria-selected", sensor === chosen);
     return tab;
   });
   $("hands").replaceChildren(...tabs);
+  compare.offer([...hands].filter(([sensor, { info }]) => sensor !== chosen && info?.geometry && !isRemoved(sensor)).map(([sensor]) => sensor).sort());
+  const removed = [...hands.keys()].filter(isRemoved).length;
+  $("restore").hidden = removed === 0;
+  $("restore").textContent = `Show ${removed} removed`;
 }
 
 window.addEventListener("hashchange", () => {
@@ -166,15 +215,17 @@ window.addEventListener("hashchange", () => {
 // Drawing: at most once per picture of the screen, always the newest.
 
 function schedule() {
-  if (scheduled) return;
+  if (scheduled || skin.busy) return; // the skin in space tells when it is drawn: what came last is drawn then, in both
   scheduled = true;
   requestAnimationFrame(draw);
 }
 
 function draw() {
   scheduled = false;
+  if (skin.busy || chosen === null) return;
   const geometry = hands.get(chosen)?.info?.geometry ?? null;
-  const map = nextMap(geometry);
+  const map = nextMap(view, geometry, decoded);
+  let redraw = map !== null;
   if (map) {
     if (map.seq !== null) {
       drawn++;
@@ -192,10 +243,17 @@ function draw() {
       arrows = drawArrows($("arrows"), null, null);
     }
   }
+  if (view.sigma) {
+    heights.setSigma(decoded(view.sigma));
+    view.sigma = null;
+  }
   if (view.cloud) {
     const cloud = decoded(view.cloud);
     view.cloud = null;
-    if (cloud && view.map && view.map.flags & CONTACT) tellObjects(cloud);
+    if (cloud && view.map && view.map.flags & CONTACT) {
+      tellObjects(cloud);
+      redraw = true;
+    }
   }
   if (view.shear) {
     const shear = decoded(view.shear);
@@ -203,6 +261,8 @@ function draw() {
     if (shear && view.map && view.map.flags & CONTACT) arrows = drawArrows($("arrows"), shear, geometry);
   }
   drawStitched();
+  compare.draw({ name: chosen, view, info: hands.get(chosen)?.info }, hands.get(compare.sensor) ?? {}, heights);
+  if (redraw) skin.render();
   showContact(view.contact);
   tellStale();
 }
@@ -222,20 +282,6 @@ function drawStitched() {
     undecodable++;
     view.mapCloud = null;
   }
-}
-
-/** The map to draw now, or null when the one that is shown is right. */
-function nextMap(geometry) {
-  if (view.height) {
-    const map = decoded(view.height);
-    view.height = null;
-    if (map) return map;
-  }
-  const free = view.contact?.contact === 0;
-  if (!view.map) return free && geometry ? zeroMap(geometry) : null;
-  // The one height map of a release can be lost; `contact` goes on to say that nothing touches.
-  if (free && view.map.flags & CONTACT && geometry && performance.now() - view.height_ms > RELEASE_LOST_MS) return zeroMap(geometry);
-  return geometry !== view.drawnFor ? view.map : null;
 }
 
 function tellObjects(cloud) {
@@ -266,12 +312,14 @@ function tellLink(level, words) {
   $("link").dataset.level = level;
   $("link").textContent = words;
   if (level === "good") $("login").hidden = true;
+  if (level !== "good") rezero.cancel();
   if (chosen !== null) tellState();
   tellHands();
 }
 
 function tellState() {
-  showState(hands.get(chosen)?.state, view.parts, view.health, link?.connected);
+  if (!works(chosen)) rezero.cancel();
+  showState(hands.get(chosen)?.state, view.parts, view.health, link?.connected, !works(chosen));
   $("hand").classList.toggle("is-raw", uncalibrated());
   tellControls();
 }
@@ -280,10 +328,11 @@ function tellHealth() {
   showRates(view.health);
   tellState();
   showHealth(view.health, [
-    ["maps drawn", drawn], ["maps drawn per second", number(drawnPerSecond(), 1)],
+    ["maps drawn", drawn], ["maps replaced by a newer one before", superseded], ["maps drawn per second", number(drawnPerSecond(), 1)],
     ["camera to screen, if both clocks agree", view.age_ms === null ? "–" : `${number(view.age_ms)} ms`],
     ["messages not understood", undecodable],
   ]);
+  tellStale();
 }
 
 function drawnPerSecond() {
@@ -292,16 +341,16 @@ function drawnPerSecond() {
 }
 
 function tellStale() {
-  const age_ms = view.heard_ms === null ? null : performance.now() - view.heard_ms;
-  const stale = age_ms !== null && age_ms > STALE_MS;
-  $("hand").classList.toggle("is-stale", stale);
-  $("stale").hidden = !stale;
-  if (stale) $("stale").textContent = `Last frame ${Math.floor(age_ms / 1000)} s ago: what is shown is old.`;
+  const state = hands.get(chosen)?.state, { gone, frames, health, words } = freshness(view, { connected: link?.connected, works: works(chosen), state, paused: isPaused(view.parts) });
+  for (const [name, old] of [["is-stale", frames], ["is-unheard", health], ["is-gone", gone]]) $("hand").classList.toggle(name, old);
+  $("stale").hidden = words === "";
+  $("stale").textContent = words;
 }
 
 setInterval(() => {
-  tellStale();
-  if (!view.health || performance.now() - (view.heard_ms ?? 0) > STALE_MS) tellHealth();
+  if (chosen === null) return;
+  tellHealth();
+  schedule(); // a release that was lost
 }, 500);
 
 function askLogin(why) {
@@ -320,8 +369,11 @@ $("login").addEventListener("submit", (event) => {
 // Requests.
 
 function tellControls() {
-  const able = link?.connected && works(chosen) && !asking && !uncalibrated();
-  $("rezero").disabled = !able;
+  const may = !READ_ONLY && link?.connected && works(chosen) && !asking && !uncalibrated(), able = may && !isPlayed(view.parts);
+  tellPlayback(view.parts, may);
+  $("rezero").disabled = !able && !(rezero.waiting && !rezero.taking);
+  $("retired").hidden = !link?.connected || hands.get(chosen)?.state === undefined || works(chosen);
+  tellRecording(view.parts.get("recorder"), able);
   $("profile").disabled = !able || !hands.get(chosen).info;
   tellSession(able);
 }
@@ -344,18 +396,24 @@ function tellSession(able) {
 
 function tellProfiles() {
   const info = hands.get(chosen)?.info, choice = info?.choice ?? info?.profile; // an older daemon tells no choice
-  const names = [...new Set([...(info?.profiles ?? []), ...(info ? [choice] : [])])];
-  const label = (name) => (name === choice && choice !== info.profile ? `${name} (now ${info.profile})` : name);
+  const names = [...new Set([...(info?.profiles ?? []), ...(info ? [choice] : [])])].sort((a, b) => (a === DEAREST) - (b === DEAREST));
+  const label = (name) => (name === choice && choice !== info.profile ? `${name} (now ${info.profile})` : name === DEAREST ? `${name} (${COST})` : name);
   $("profile").replaceChildren(...names.map((name) => element("option", { textContent: label(name), value: name })));
   $("profile").value = choice ?? "";
 }
 
+function tellAnswer(level, words) {
+  $("answer").dataset.level = level;
+  $("answer").textContent = words;
+}
+
+/** Resolves to the reason's code; empty when it was done. */
 async function ask(verb, body, doing, done, answer_ms) {
   const sensor = chosen, say = (level, words) => {
     if (sensor !== chosen) return;
-    $("answer").dataset.level = level;
-    $("answer").textContent = words;
+    tellAnswer(level, words);
   };
+  let code = "";
   asking = true;
   tellControls();
   say("wait", doing);
@@ -363,10 +421,12 @@ async function ask(verb, body, doing, done, answer_ms) {
     say("good", done(await link.request(sensor, verb, body, answer_ms)));
   } catch (error) {
     say("bad", error.message);
+    code = error.code ?? "";
   }
   asking = false;
   tellControls();
   tellProfiles();
+  return code;
 }
 
 $("profile").addEventListener("change", (event) => {
@@ -374,8 +434,19 @@ $("profile").addEventListener("change", (event) => {
   ask("profile", { profile }, `Changing to ${profile} …`, (result) => `The profile is ${result.profile}.`);
 });
 $("rezero").addEventListener("click", () => {
-  ask("reference", {}, "Taking a new reference; do not touch the skin …", (result) => `Zero is new, from ${result.frames} frames.`);
+  rezero.toggle(view.contact);
 });
+$("remove").addEventListener("click", () => retire(chosen));
+$("restore").addEventListener("click", () => {
+  restore();
+  tellHands();
+  if (chosen === null) choose([...hands.keys()].sort()[0]);
+});
+commandPlayback((body) => ask("replay", body, "", (result) => {
+  compare.follow(body, result);
+  return "";
+}));
+commandRecordings((body, doing, done) => ask("record", body, doing, done));
 $("session").addEventListener("submit", (event) => {
   event.preventDefault();
   const name = event.target.elements.session.value.trim();
@@ -393,6 +464,7 @@ $("session").elements.abort.addEventListener("click", () => {
   ask("stitch", { action: "abort" }, "Ending …", (result) => `Session ${result.name} is gone.`);
 });
 
+$("read-only").hidden = !READ_ONLY;
 $("range").value = localStorage.getItem("tacshade-range") ?? "auto";
 if ($("range").value === "") $("range").value = "auto";
 $("range").addEventListener("change", () => {
@@ -400,18 +472,22 @@ $("range").addEventListener("change", () => {
   if (!view.map) return;
   heights.draw(view.map, view.drawnFor);
   skin.setSkin(view.map, view.drawnFor, heights.scale_mm);
+  skin.render();
 });
 
 /** What the page shows, for tests and for the browser's console; it changes nothing. */
 window.tacshade = Object.freeze({
   get drawn() { return drawn; },
+  get maps() { return { heard, drawn, superseded, waiting: view.height ? 1 : 0 }; },
   get arrows() { return arrows; },
   get slips() { return chart.slips.filter((depth) => depth !== null).length; },
   get undecodable() { return undecodable; },
   get sensor() { return chosen; },
   get seq() { return view.map?.seq ?? null; },
+  get skinSeq() { return skin.seq; },
   get scale_mm() { return heights.scale_mm; },
   get age_ms() { return view.age_ms; },
+  get compared() { return compare.seen; },
   get stitched() { return stitched.about; },
   get webgl() { return skin.available; },
   depthAt: (row, col) => heights.depthAt(row, col),

@@ -1,6 +1,6 @@
 // What is told in words and numbers. Text from the broker goes into the page as text, never as HTML.
 
-const LEVELS = { online: "good", streaming: "good", open: "good", degraded: "warn", away: "warn", unusable: "warn", stopped: "off", ended: "off", idle: "off", offline: "bad" };
+const LEVELS = { online: "good", streaming: "good", playing: "good", paused: "warn", open: "good", degraded: "warn", away: "warn", unusable: "warn", stopped: "off", ended: "off", idle: "off", offline: "bad" };
 const FRAMES = {
   published: "with contact, sent", without_contact: "without contact", unasked: "with contact, nobody listened",
   superseded: "replaced by a newer one",  invalid: "not usable", failed: "failed or lost", pending: "on their way",
@@ -36,7 +36,7 @@ export function showRates(health) {
 }
 
 /** The state of the hand with every reason that is known for it. */
-export function showState(state, parts, health, connected) {
+export function showState(state, parts, health, connected, gone) {
   const reasons = [...parts].filter(([, part]) => part.reason).map(([name, part]) => `${name}: ${part.reason}`);
   const told = [...parts.values()].some((part) => part.reason === health?.invalid_reason);
   if (health?.invalid_reason && !told) reasons.push(`latest frame not usable: ${health.invalid_reason}`);
@@ -48,7 +48,7 @@ export function showState(state, parts, health, connected) {
     return;
   }
   line.dataset.level = reasons.length && state === "online" ? "warn" : levelOf(state);
-  line.replaceChildren(element("b", { textContent: state ?? "unknown" }), reasons.length ? ` ${reasons.join("; ")}` : "");
+  line.replaceChildren(element("b", { textContent: state ?? "unknown" }), reasons.length ? `${gone ? " last told:" : ""} ${reasons.join("; ")}` : "");
 }
 
 /** One line per `status/<part>`: its state, its reason, then its own details; codes are for programs. */
@@ -84,7 +84,7 @@ export function showHealth(health, page) {
   document.getElementById("tables").replaceChildren(...tables);
 }
 
-function table(title, rows, head) {
+export function table(title, rows, head) {
   const body = rows.map(([name, ...values]) => element("tr", {}, element("th", { textContent: name, scope: "row" }), ...values.map((value) => element("td", { textContent: value }))));
   if (head) body.unshift(element("tr", {}, ...head.map((text) => element("th", { textContent: text, scope: "col" }))));
   return element("table", {}, element("caption", { textContent: title }), element("tbody", {}, ...body));

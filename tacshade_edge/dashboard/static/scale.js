@@ -3,9 +3,9 @@
 import { PIXELS, STEPS } from "./colours.js";
 
 /** Every colour, once. */
-export function drawBar(canvas) {
+export function drawBar(canvas, pixels = PIXELS) {
   const context = canvas.getContext("2d"), image = context.createImageData(STEPS, 1);
-  new Uint32Array(image.data.buffer).set(PIXELS);
+  new Uint32Array(image.data.buffer).set(pixels);
   context.putImageData(image, 0, 0);
 }
 

@@ -3,7 +3,7 @@
 import * as THREE from "three";
 import { OrbitControls } from "./vendor/OrbitControls.js";
 import { VIRIDIS, objectColour, stepOf } from "./colours.js";
-import { skinPoint } from "./geometry.js";
+import { heightAt, skinPoint } from "./geometry.js";
 
 // The surface: rings around the middle of the disc, so that its edge is the skin's and its cost does not depend on the map.
 const RINGS = 64, SPOKES = 144, VERTICES = 1 + RINGS * SPOKES;
@@ -20,23 +20,15 @@ for (let ring = 1; ring <= RINGS; ring++) {
 }
 // What a screen shows for 0 to 255, as amounts of light: light is what the lamp is multiplied with.
 const LINEAR = Float32Array.from({ length: 256 }, (_, v) => (v <= 10 ? v / 255 / 12.92 : ((v / 255 + 0.055) / 1.055) ** 2.4));
-const PERIOD_MS = 60; // between two pictures that only new data asks for; turning by hand is smooth
-const SHARE = 4; // of the renderer's time that such pictures may take: a quarter, the rest is the height map's
+const SLOW_MS = 40; // a picture that takes longer is drawn with fewer pixels from then on
+const COARSEST = 0.5; // of the screen's pixels per side
 const POINTS_MAX = 20000;
 
-/** Height in mm between four cells; a cell outside the disc, or of the edge that the grid leaves out, counts as 0. */
-function heightAt(map, row, col) {
-  const y = (row - map.row0) / map.step_px, x = (col - map.col0) / map.step_px, i = Math.floor(y), j = Math.floor(x);
-  const cell = (r, c) => {
-    const h = r >= 0 && c >= 0 && r < map.rows && c < map.cols ? map.height_mm[r * map.cols + c] : 0;
-    return h !== h ? 0 : h;
-  };
-  const above = cell(i, j) + (x - j) * (cell(i, j + 1) - cell(i, j)), below = cell(i + 1, j) + (x - j) * (cell(i + 1, j + 1) - cell(i + 1, j));
-  return above + (y - i) * (below - above);
-}
-
 export class SkinView {
-  constructor() {
+  /** free(): the picture that was being drawn is done. */
+  constructor(free) {
+    this.free = free;
+    this.seq = null; // of the map that the picture shows
     this.host = document.getElementById("view");
     this.available = document.createElement("canvas").getContext("webgl2") !== null;
     if (!this.available) {
@@ -87,14 +79,14 @@ export class SkinView {
     this.skin.geometry.setDrawRange(0, 0);
     this.cloud.geometry.setDrawRange(0, 0);
     this.rim.visible = this.axes.visible = false;
-    this.drawn_ms = -Infinity;
-    this.period_ms = PERIOD_MS;
+    this.map = null;
     this.render();
   }
 
   setSkin(map, geometry, scale_mm) {
     if (!this.available || !geometry) return;
     if (geometry !== this.geometry) this.place(geometry);
+    this.map = map;
     const { position, color } = this.skin.geometry.attributes;
     for (let n = 0, at = 0; n < VERTICES; n++, at += 3) {
       const row = geometry.row_c + UNIT[2 * n] * geometry.radius_px, col = geometry.col_c + UNIT[2 * n + 1] * geometry.radius_px;
@@ -106,7 +98,6 @@ export class SkinView {
     position.needsUpdate = color.needsUpdate = true;
     this.skin.geometry.setDrawRange(0, Infinity);
     this.skin.geometry.computeVertexNormals();
-    this.later();
   }
 
   setCloud(cloud) {
@@ -124,7 +115,6 @@ export class SkinView {
     }
     position.needsUpdate = color.needsUpdate = true;
     this.cloud.geometry.setDrawRange(0, shown);
-    this.later();
   }
 
   /** Rim, axes and eye for a sensor. */
@@ -161,24 +151,19 @@ export class SkinView {
     this.render();
   }
 
-  /** Ask for a picture of new data, once the last one is done and has been paid for. */
-  later() {
-    this.wanted = true;
-    if (this.timer || this.fence) return;
-    this.timer = setTimeout(() => {
-      this.timer = 0;
-      this.render();
-    }, Math.max(0, this.drawn_ms + this.period_ms - performance.now()));
+  /** Whether a picture is still being drawn: a map that came meanwhile waits, here and in the map beside. */
+  get busy() {
+    return Boolean(this.fence);
   }
 
   render() {
-    this.wanted = false;
-    this.drawn_ms = performance.now();
+    if (!this.available) return;
     this.renderer.render(this.scene, this.camera);
+    this.seq = this.map?.seq ?? null;
     if (this.fence) return;
-    // Commands return at once and are carried out elsewhere: only a fence tells what a picture costs. Without a graphics
-    // card it is a hundred times more, and whoever does not wait has a browser that is always behind.
-    const gl = this.renderer.getContext(), began_ms = this.drawn_ms;
+    // Commands return at once and are carried out elsewhere: only a fence tells when a picture is there. Without a
+    // graphics card it takes a hundred times longer, and whoever does not wait has a browser that is always behind.
+    const gl = this.renderer.getContext(), began_ms = performance.now();
     this.fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
     gl.flush();
     const done = () => {
@@ -188,8 +173,11 @@ export class SkinView {
       }
       gl.deleteSync(this.fence);
       this.fence = null;
-      this.period_ms = Math.max(PERIOD_MS, SHARE * (performance.now() - began_ms));
-      if (this.wanted) this.later();
+      if (performance.now() - began_ms > SLOW_MS && this.renderer.getPixelRatio() > COARSEST) {
+        this.renderer.setPixelRatio(COARSEST);
+        this.render();
+      }
+      this.free();
     };
     setTimeout(done, 5);
   }

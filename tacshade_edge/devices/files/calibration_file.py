@@ -8,11 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from tacshade_edge.core.calibration.inputs import Inputs
-from tacshade_edge.devices.files import calibration_inputs, checked_npz
+from tacshade_edge.devices.files import calibration_content, calibration_inputs, checked_npz, fitted_networks
 from tacshade_edge.devices.files.checked_npz import Content
 from tacshade_edge.devices.files.whole_files import write_whole
 from tacshade_edge.errors import ConfigError, DeviceError
-from tacshade_edge.types import Calibration, Disc, Fit, Geometry, ProfileFit
+from tacshade_edge.quoting import shown
+from tacshade_edge.types import Calibration, Disc, Fit, FittedNetwork, Geometry, ProfileFit
 
 _log = logging.getLogger(__name__)
 
@@ -78,7 +79,13 @@ def _content(calibration: Calibration) -> Content:
         "fit": fit_figures(calibration.fit),
         "flange_T_sensor": list(calibration.flange_T_sensor),
     }
-    return Content(meta, {name: getattr(calibration, name) for name in REFERENCE_ARRAYS})
+    if calibration.error_scales:  # older files have none, and keep their checksum
+        meta["error_scales"] = dict(calibration.error_scales)
+    arrays = {name: getattr(calibration, name) for name in REFERENCE_ARRAYS}
+    if not calibration.fitted:
+        return Content(meta, arrays)
+    packed = fitted_networks.pack(calibration.fitted)
+    return Content({**meta, "fitted": packed[0]}, {**arrays, **packed[1]})
 
 
 def with_crc(calibration: Calibration) -> Calibration:
@@ -133,13 +140,14 @@ def load(path: str | os.PathLike[str]) -> Calibration:
     try:
         return _from_content(name, content)
     except ValueError as error:
-        raise ConfigError(f"{name}: {error}: calibrate again") from None
+        raise ConfigError(f"{name}: {shown(error)}: calibrate again") from None
 
 
-def version_of(path: str | os.PathLike[str]) -> object:
-    """What a file says of its version. Raises ConfigError: absent, not a calibration, damaged."""
+def version_of(path: str | os.PathLike[str]) -> int | None:
+    """What a file says of its version; None where that is none. Raises ConfigError: absent, damaged, something else."""
     content, _ = checked_npz.read(os.fspath(path), "calibration", "`tacshade-edge calibrate`")
-    return content.meta.get("version")
+    version = content.meta.get("version")
+    return version if type(version) is int else None
 
 
 def inputs_in(path: str | os.PathLike[str]) -> Inputs | None:
@@ -156,22 +164,38 @@ def inputs_in(path: str | os.PathLike[str]) -> Inputs | None:
         return None
     try:
         shape = content.arrays["reference_grey"].shape
+        if len(shape) != 2:
+            raise ValueError("expected an image in reference_grey")
         return calibration_inputs.unpack(content.meta["inputs"], content.arrays, shape)
     except (ValueError, KeyError) as error:
-        raise ConfigError(f"{name}: what it was made of cannot be read: {error}: calibrate again") from None
+        raise ConfigError(f"{name}: what it was made of cannot be read: {shown(error)}: calibrate again") from None
+
+
+def fitted_in(path: str | os.PathLike[str]) -> dict[str, FittedNetwork]:
+    """The fitted networks of a calibration of this version or another. Raises ConfigError as `inputs_in`."""
+    name = os.fspath(path)
+    content, _ = checked_npz.read(name, "calibration", "`tacshade-edge calibrate`")
+    try:
+        return fitted_networks.unpack(content.meta.get("fitted", {}), content.arrays)
+    except ValueError as error:
+        raise ConfigError(f"{name}: {shown(error)}: calibrate again") from None
 
 
 def _from_content(name: str, content: Content) -> Calibration:
     meta, arrays = content.meta, content.arrays
     if meta.get("version") not in (VERSION, OTHER_NETWORKS):
-        raise ConfigError(f"{name}: calibration version {meta.get('version')}, expected {VERSION}: calibrate again")
-    arrays = {key: array for key, array in arrays.items() if key not in calibration_inputs.ARRAYS}
+        found = shown(meta.get("version"), 20)
+        raise ConfigError(f"{name}: calibration version {found}, expected {VERSION}: calibrate again")
+    fitted = fitted_networks.unpack(meta.get("fitted", {}), arrays)
+    others = {*calibration_inputs.ARRAYS, *map(fitted_networks.array_name, fitted)}
+    arrays = {key: array for key, array in arrays.items() if key not in others}
     if set(arrays) != set(REFERENCE_ARRAYS):
         raise ConfigError(f"{name}: not a calibration; expected a file written by `tacshade-edge calibrate`")
+    calibration_content.check(content, REFERENCE_ARRAYS)
     height, width = arrays["reference_white"].shape
     if meta["version"] == OTHER_NETWORKS and meta["factors"]:
         _log.warning("%s: fitted to presses with older networks: read without that fit; calibrate again", name)
-        meta = {**meta, "factors": {}, "fit": {}}
+        meta = {**meta, "factors": {}, "fit": {}, "error_scales": {}}
     calibration = Calibration(
         geometry=Geometry(
             skin_radius_mm=meta["skin_radius_mm"],
@@ -189,6 +213,8 @@ def _from_content(name: str, content: Content) -> Calibration:
         fit=_fit(meta["fit"]),
         flange_T_sensor=tuple(meta["flange_T_sensor"]),
         factors=meta["factors"],
+        fitted=fitted,
+        error_scales=meta.get("error_scales", {}),
         **arrays,
     )
     return with_crc(calibration)

@@ -13,6 +13,8 @@ import numpy as np
 
 from tacshade_edge.core.calibration.indenter import Indenter
 from tacshade_edge.core.calibration.inputs import Inputs, KnownPress, Sensor
+from tacshade_edge.devices.image_bytes import decode_image
+from tacshade_edge.errors import DecodeError
 from tacshade_edge.types import U8
 
 IMAGES, TRIANGLES = "input_images", "input_triangles"
@@ -87,9 +89,14 @@ def unpack(meta: Mapping[str, Any], arrays: Mapping[str, Any], shape: tuple[int,
     known = msgspec.convert(meta, _Inputs)
     if len(known.pressed) != len(known.presses):
         raise ValueError("expected an image for each press")
+    files, solids = arrays[IMAGES], arrays[TRIANGLES]
+    if files.dtype != np.uint8 or files.ndim != 1:
+        raise ValueError(f"expected the bytes of images in {IMAGES}")
+    if solids.dtype != np.float64 or solids.shape[1:] != (3, 3) or not np.isfinite(solids).all():
+        raise ValueError(f"expected triangles in {TRIANGLES}")
     lengths = [*known.references, *known.renewed, *known.pressed]
-    images = [_grey(part, shape) for part in _parts(arrays[IMAGES], lengths)]
-    triangles = _parts(arrays[TRIANGLES], [each.triangles for each in known.indenters])
+    images = [_grey(part, shape) for part in _parts(files, lengths)]
+    triangles = _parts(solids, [each.triangles for each in known.indenters])
     indenters = [Indenter(each.name, part) for each, part in zip(known.indenters, triangles, strict=True)]
     first, second = len(known.references), len(known.references) + len(known.renewed)
     if any(p.indenter is not None and not 0 <= p.indenter < len(indenters) for p in known.presses):
@@ -119,9 +126,11 @@ def _png(image: U8) -> bytes:
 
 
 def _grey(file: U8, shape: tuple[int, int]) -> U8:
-    # The width and height of a PNG's header, before a decoder believes it.
-    size = (int.from_bytes(file[20:24].tobytes(), "big"), int.from_bytes(file[16:20].tobytes(), "big"))
-    image = cv2.imdecode(file, cv2.IMREAD_GRAYSCALE) if size == shape else None
-    if image is None or image.shape != shape:
-        raise ValueError(f"expected a grey PNG image of {shape[1]}x{shape[0]} px")
-    return np.asarray(image, np.uint8)
+    expected = f"expected a grey PNG image of {shape[1]}x{shape[0]} px"
+    try:
+        image = decode_image(file.tobytes(), cv2.IMREAD_GRAYSCALE)
+    except DecodeError as error:
+        raise ValueError(f"{error}; {expected}") from None
+    if image.shape != shape:
+        raise ValueError(f"found {image.shape[1]}x{image.shape[0]} px, {expected}")
+    return image

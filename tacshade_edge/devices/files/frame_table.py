@@ -9,14 +9,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import overload
 
-from tacshade_edge.devices.files.tables import iter_rows, number
+from tacshade_edge.devices.files.tables import CRC_COLUMN, iter_rows, number
 from tacshade_edge.devices.files.whole_files import part
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.quoting import quoted
 from tacshade_edge.types import Pose
 
 HEADER = ("image", "t_ns", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
-ERROR_COLUMN = "pose_error_us"  # may be missing: older tables have none
+ERROR_COLUMN = "pose_error_us"
+MORE = (ERROR_COLUMN, CRC_COLUMN)  # may be missing: older tables have none of them, or the first
 TABLE_NAME = "frames.csv"
 T_NS_MAX = 2**62  # a looped recording goes on from here, and the wire holds 64 bits
 ROWS_MAX = 1 << 21  # 9.7 h at 60 frames/s; 150 bytes of memory each
@@ -35,9 +36,19 @@ class Row:
 
 
 class FrameTable(Sequence[Row]):
-    """The rows of a table, packed: a row of its own for each would take three times the memory."""
+    """The rows of a table, packed: a row of its own for each would take three times the memory.
+
+    Attributes
+    ----------
+    damaged : int
+        How many lines were left out because their checksum is not theirs.
+    first_damaged : str
+        ``FILE:LINE`` of the first of them; empty where none was.
+    """
 
     def __init__(self) -> None:
+        self.damaged = 0
+        self.first_damaged = ""
         self._images: list[str] = []
         self._t_ns = array("q")
         self._poses = array("d")
@@ -51,6 +62,14 @@ class FrameTable(Sequence[Row]):
         self._t_ns.append(row.t_ns)
         self._poses.extend(values)
         self._errors_us.append(row.pose_error_us if pose else -1)
+
+    @property
+    def damage(self) -> str:
+        """What was left out, for a person; empty where nothing was."""
+        if not self.damaged:
+            return ""
+        lines = "a damaged line is" if self.damaged == 1 else f"{self.damaged} damaged lines are"
+        return f"{self.first_damaged}: {lines} left out, with their frames; the checksum is not theirs"
 
     def __len__(self) -> int:
         """How many."""
@@ -81,7 +100,7 @@ def table_in(folder: Path) -> Path | None:
 def read_table(path: Path, *, cut_off: bool = False) -> FrameTable:
     """Read ``image,t_ns,x_mm,y_mm,z_mm,qw,qx,qy,qz``; the seven columns of the pose may be empty, all or none.
 
-    ``pose_error_us`` may be the last column: empty is 0.
+    ``pose_error_us`` may follow: empty is 0. ``crc32`` may follow that: lines with a wrong one are left out, counted.
 
     `cut_off` leaves out a last line without an end: of a recording whose writer died.
 
@@ -92,7 +111,12 @@ def read_table(path: Path, *, cut_off: bool = False) -> FrameTable:
     """
     rows = FrameTable()
     last_ns = -1
-    read = iter_rows(path, HEADER, "frames", more=(ERROR_COLUMN,), cut_off=cut_off, rows_max=ROWS_MAX)
+
+    def leave_out(where: str) -> None:
+        rows.damaged += 1
+        rows.first_damaged = rows.first_damaged or where
+
+    read = iter_rows(path, HEADER, "frames", more=MORE, cut_off=cut_off, rows_max=ROWS_MAX, on_damage=leave_out)
     for where, columns in read:
         row = _row(where, columns)
         if row.t_ns <= last_ns:
@@ -100,7 +124,8 @@ def read_table(path: Path, *, cut_off: bool = False) -> FrameTable:
         rows.append(row)
         last_ns = row.t_ns
     if not rows:
-        raise ConfigError(f"{path}: found no row, expected one for each frame")
+        damage = f" ({rows.damage})" if rows.damage else ""
+        raise ConfigError(f"{path}: found no row, expected one for each frame{damage}")
     return rows
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import logging
+import os
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,15 +14,25 @@ import numpy as np
 
 from tacshade_edge.devices.files.frame_table import FrameTable, Row, read_table, table_in
 from tacshade_edge.devices.files.images import SUFFIXES, read_image
+from tacshade_edge.devices.files.mcap import is_mcap, mcap_frames
 from tacshade_edge.devices.image_bytes import PIXELS_MAX, SIDE_MAX_PX
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.types import U8, Frame
 
+_log = logging.getLogger(__name__)
+_Picture = Path | U8 | Callable[[], U8]
+
+# OpenCV hands this to FFmpeg, and has no other way. Left to itself FFmpeg also takes playlists, which name files and
+# addresses of others.
+_FFMPEG_OPTIONS = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
+_FILES_ONLY = "protocol_whitelist;file|format_whitelist;avi,matroska,webm,mov,mp4,m4a,3gp,3g2,mj2"
+
 
 class FilesSource:
-    """A `FrameSource` of a folder of images, one image, or a video file.
+    """A `FrameSource` of a folder of images, one image, a video file, or an MCAP file.
 
-    A folder's images come in the order of its table (`frame_table`) with the poses that it has, or of their names.
+    A folder's images come in the order of its table (`frame_table`) with the poses that it has, or of their names; an
+    MCAP file's in its order, with its poses.
 
     Parameters
     ----------
@@ -41,7 +53,7 @@ class FilesSource:
         self._images: list[Path] = []
         self._rows: FrameTable | None = None
         self._video: cv2.VideoCapture | None = None
-        self._items: Iterator[tuple[Path | U8, Row | None]] = iter(())
+        self._items: Iterator[tuple[_Picture, Row | None]] = iter(())
 
     @property
     def dropped(self) -> int:
@@ -51,8 +63,11 @@ class FilesSource:
     def open(self) -> None:
         """Find the files. Raises ConfigError when there is nothing to show, or the table is wrong."""
         self.close()
-        self._images, self._video = look_at(self._path)
+        if not is_mcap(self._path):
+            self._images, self._video = look_at(self._path)
         self._rows = _rows(self._path)
+        if self._rows is not None and self._rows.damage:
+            _log.warning("%s", self._rows.damage)
         self._items = self._next_items()
         self._due_ns = time.monotonic_ns()
 
@@ -93,9 +108,12 @@ class FilesSource:
         images = len(self._images if self._rows is None else self._rows)
         return about | ({"images": images} if images else {})
 
-    def _next_items(self) -> Iterator[tuple[Path | U8, Row | None]]:
+    def _next_items(self) -> Iterator[tuple[_Picture, Row | None]]:
+        mcap = mcap_frames(self._path) if is_mcap(self._path) else None
         while True:
-            if self._rows is not None:
+            if mcap is not None:
+                yield from ((picture, row) for row, picture, _ in mcap)
+            elif self._rows is not None:
                 yield from ((self._path / row.image, row) for row in self._rows)
             else:
                 yield from ((image, None) for image in self._images)
@@ -106,16 +124,18 @@ class FilesSource:
             if not self._loop:
                 return
 
-    def _checked(self, item: Path | U8) -> U8:
-        if not isinstance(item, Path):
+    def _checked(self, item: _Picture) -> U8:
+        if isinstance(item, np.ndarray):
             return item
-        image = read_image(item)
+        image = read_image(item) if isinstance(item, Path) else item()
         height, width = image.shape[:2]
         if self._size is None:
             self._size = (height, width)
         if self._size != (height, width):
             expected = f"{self._size[1]}x{self._size[0]} px as the first"
-            raise DecodeError(f"{item}: found {width}x{height} px, expected {expected}")
+            raise DecodeError(
+                f"{item if isinstance(item, Path) else self._path}: found {width}x{height} px, expected {expected}"
+            )
         return image
 
 
@@ -127,6 +147,8 @@ def first_size_px(path: Path) -> tuple[int, int] | None:
     ConfigError
         There is nothing to show, or the table is wrong.
     """
+    if is_mcap(path):
+        return _first_size_of_mcap(path)
     images, video = look_at(path)
     if video is not None:
         size_px = int(video.get(cv2.CAP_PROP_FRAME_WIDTH)), int(video.get(cv2.CAP_PROP_FRAME_HEIGHT))
@@ -138,6 +160,16 @@ def first_size_px(path: Path) -> tuple[int, int] | None:
     except DecodeError:
         return None
     return image.shape[1], image.shape[0]
+
+
+def _first_size_of_mcap(path: Path) -> tuple[int, int] | None:
+    for _, picture, _ in mcap_frames(path):
+        try:
+            image = picture()
+        except DecodeError:
+            return None
+        return image.shape[1], image.shape[0]
+    raise ConfigError(f"{path}: found no image, expected an MCAP file with images")
 
 
 def _rows(path: Path) -> FrameTable | None:
@@ -156,6 +188,7 @@ def look_at(path: Path) -> tuple[list[Path], cv2.VideoCapture | None]:
         raise ConfigError(f"{path}: found nothing, expected a folder of images, an image or a video file")
     if path.suffix.lower() in SUFFIXES:
         return [path], None
+    os.environ[_FFMPEG_OPTIONS] = _FILES_ONLY
     video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     if not video.isOpened():
         raise ConfigError(f"{path}: found no video that OpenCV can read, expected a folder of images, or a video file")

@@ -12,21 +12,25 @@ from typing import BinaryIO
 import cv2
 
 from tacshade_edge.devices.files import calibration_file
-from tacshade_edge.devices.files.frame_table import ERROR_COLUMN, HEADER, TABLE_NAME
-from tacshade_edge.devices.files.whole_files import disk_errors, part, sync, write_whole
-from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.devices.files.frame_table import HEADER, MORE, TABLE_NAME
+from tacshade_edge.devices.files.recording_content import CALIBRATION_NAME, EVENTS_NAME, SETTINGS_NAME
+from tacshade_edge.devices.files.tables import line_crc32
+from tacshade_edge.devices.files.whole_files import FREE_FLOOR_BYTES, disk_errors, part, require_free, sync, write_whole
+from tacshade_edge.errors import ConfigError
 from tacshade_edge.reasons import ReasonCode
-from tacshade_edge.types import Calibration, Frame
+from tacshade_edge.types import U8, Calibration, Frame
 
-CALIBRATION_NAME, SETTINGS_NAME, EVENTS_NAME = "calibration.npz", "settings.yaml", "events.jsonl"
-# A full disk harms more than this recording.
-FREE_FLOOR_BYTES = 256 * 2**20
 # Lossless. Of grey images, 2.5 times as fast as zlib's level 1 and no larger (docs/replay.md).
 PNG_OPTIONS = (
     *(cv2.IMWRITE_PNG_COMPRESSION, 1),
     *(cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY),
     *(cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_UP),
 )
+
+
+def png_of(image: U8) -> bytes:
+    """What `Recorder.add` writes of a frame's image."""
+    return cv2.imencode(".png", image, PNG_OPTIONS)[1].tobytes()
 
 
 class Recorder:
@@ -59,13 +63,7 @@ class Recorder:
         self._lines: dict[str, BinaryIO] = {}
         with disk_errors(folder):
             folder.parent.mkdir(parents=True, exist_ok=True)
-            free = shutil.disk_usage(folder.parent).free
-            if free < free_floor_bytes:
-                found, expected = free // 2**20, free_floor_bytes // 2**20
-                raise DeviceError(
-                    f"{folder.parent}: found {found} MiB free on the disk, expected {expected} at least",
-                    code=ReasonCode.DISK_FULL,
-                )
+            require_free(folder.parent, free_floor_bytes)
             try:
                 folder.mkdir()
             except FileExistsError:
@@ -78,23 +76,26 @@ class Recorder:
         calibration_file.save(self.folder / CALIBRATION_NAME, calibration)
         with disk_errors(self.folder):
             write_whole(self.folder / SETTINGS_NAME, settings_yaml.encode())
-            for name in (TABLE_NAME, EVENTS_NAME):
-                self._lines[name] = part(self.folder / name).open("wb", buffering=0)
-            self._lines[TABLE_NAME].write((",".join((*HEADER, ERROR_COLUMN)) + "\n").encode())
+            self._lines[EVENTS_NAME] = part(self.folder / EVENTS_NAME).open("wb", buffering=0)
+            self._begin_frames()
             sync(self.folder)
 
-    def add(self, frame: Frame) -> bool:
-        """Write a frame; False, and nothing written, when the disk is down to the floor."""
+    def _begin_frames(self) -> None:
+        self._lines[TABLE_NAME] = part(self.folder / TABLE_NAME).open("wb", buffering=0)
+        self._lines[TABLE_NAME].write((",".join((*HEADER, *MORE)) + "\n").encode())
+
+    def add(self, frame: Frame, png: bytes) -> bool:
+        """Write a frame, whose image is the `png`; False, and nothing written, when the disk is down to the floor."""
         with disk_errors(self.folder):
             if shutil.disk_usage(self.folder).free < self._floor:
                 return False
             name = f"{self.frames:06d}.png"
-            _, png = cv2.imencode(".png", frame.image, PNG_OPTIONS)
-            write_whole(self.folder / name, png.tobytes(), sync=False)
+            write_whole(self.folder / name, png, sync=False)
             self._unsynced.append(self.folder / name)
-            self._lines[TABLE_NAME].write(f"{name},{frame.t_ns},{_columns(frame)}\n".encode())
+            columns = f"{name},{frame.t_ns},{_columns(frame)}"
+            self._lines[TABLE_NAME].write(f"{columns},{line_crc32(columns)}\n".encode())
             self.frames += 1
-            self.bytes += png.size
+            self.bytes += len(png)
         return True
 
     def event(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:

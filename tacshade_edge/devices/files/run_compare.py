@@ -1,4 +1,4 @@
-"""Two runs of `replay`, frame by frame: the first difference in words."""
+"""Two runs of `replay`, frame by frame: the first difference in words, and how far they are apart in all."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tacshade_edge.devices.files.run_files import CLOUDS, HEIGHTS, SHEARS, paylo
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol import wire
 
-Message = wire.HeightMessage | wire.CloudMessage | wire.ShearMessage
+Message = wire.HeightMessage | wire.CloudMessage | wire.ShearMessage | wire.SigmaMessage
 
 
 def first_difference(folder: Path, against: Path) -> str:
@@ -46,6 +46,52 @@ def first_difference(folder: Path, against: Path) -> str:
     if len(records) != len(others):
         return f"frames: {len(records)}, against {len(others)}"
     return ""
+
+
+def figures(folder: Path, against: Path) -> list[str]:
+    """How far depth and contact are apart over the frames that both runs have: mean, worst, and where; a line each.
+
+    Raises
+    ------
+    ConfigError
+        One of the folders has no whole run.
+    DecodeError
+        One of the runs is damaged.
+    """
+    records, others = (read_summary(run) for run in (folder, against))
+    places = [f"frame {k} ({record.get('image')})" for k, record in enumerate(records[: len(others)])]
+    pairs = list(zip(records, others, strict=False))
+    if not pairs:
+        return []
+    changed = [k for k, (one, two) in enumerate(pairs) if one.get("contact") != two.get("contact")]
+    first = f", first {places[changed[0]]}" if changed else ""
+    lines = [f"contact: differs in {len(changed)} of {len(pairs)} frames{first}"]
+    depths_mm = np.array([[one.get("depth_max_mm", 0.0), two.get("depth_max_mm", 0.0)] for one, two in pairs], float)
+    apart_mm = np.abs(depths_mm[:, 0] - depths_mm[:, 1])
+    worst = int(np.argmax(apart_mm))
+    lines.append(f"depth_max_mm: mean {apart_mm.mean():.4f}, worst {apart_mm[worst]:.4f} mm apart in {places[worst]}")
+    return [*lines, _height_figures(folder, against, places)]
+
+
+def _height_figures(folder: Path, against: Path, places: list[str]) -> str:
+    """The same of every cell of the height maps."""
+    total_mm, cells, worst_mm, where = 0.0, 0, -1.0, ""
+    for place, *pair in zip(places, payloads(folder, HEIGHTS), payloads(against, HEIGHTS), strict=False):
+        one, two = (wire.decode(payload) for payload in pair)
+        if not isinstance(one, wire.HeightMessage) or not isinstance(two, wire.HeightMessage):
+            raise DecodeError(f"{folder / HEIGHTS} or {against / HEIGHTS}: found other payloads than heights")
+        grids = [(m.row0, m.col0, m.step_px, *m.height_mm.shape) for m in (one, two)]
+        if grids[0] != grids[1]:
+            return f"height_mm: on other cells in {place}, so not compared cell by cell"
+        apart_mm = np.abs(one.height_mm - two.height_mm)
+        total_mm += float(np.nansum(apart_mm, dtype=np.float64))
+        cells += int(np.count_nonzero(np.isfinite(apart_mm)))
+        if np.nanmax(apart_mm, initial=-1.0) > worst_mm:
+            worst_mm = float(np.nanmax(apart_mm))
+            row, col = np.unravel_index(int(np.nanargmax(apart_mm)), apart_mm.shape)
+            at_px = f"image row {one.row0 + row * one.step_px:.0f}, col {one.col0 + col * one.step_px:.0f}"
+            where = f" in {place} at {at_px}"
+    return f"height_mm: mean {total_mm / max(cells, 1):.4f}, worst {max(worst_mm, 0.0):.4f} mm apart{where}"
 
 
 def _record_difference(record: dict[str, Any], other: dict[str, Any]) -> str:

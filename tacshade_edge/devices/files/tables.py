@@ -7,7 +7,8 @@ import csv
 import io
 import itertools
 import math
-from collections.abc import Iterable, Iterator
+import zlib
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, TextIO
@@ -19,6 +20,8 @@ from tacshade_edge.regular_files import open_regular
 ROWS_MAX: Final = 10_000
 NUMBER_MAX: Final = 1e6
 """No length in mm, no angle and no time in s of a table comes near it."""
+
+CRC_COLUMN: Final = "crc32"
 
 _BYTES_A_ROW_MAX: Final = 512  # on the average
 _ROW_CHARS_MAX: Final = 1 << 16
@@ -39,8 +42,12 @@ def iter_rows(
     more: tuple[str, ...] = (),
     cut_off: bool = False,
     rows_max: int = ROWS_MAX,
+    on_damage: Callable[[str], None] | None = None,
 ) -> Iterator[tuple[str, list[str]]]:
     """Read a table with exactly this header, row by row; empty lines are passed over.
+
+    Where the header ends with `CRC_COLUMN` each line has its `line_crc32`, which is not given on. Lines of which it is
+    not that are left out; so is a header that is none, where lines after it have theirs.
 
     Parameters
     ----------
@@ -49,10 +56,12 @@ def iter_rows(
     what : str
         What the rows are, for a person.
     more : tuple of str
-        Columns after those of `header`, all of which a table has or none.
+        Columns after those of `header`; a table may end after any of them.
     cut_off : bool
         Its writer died: a last line without an end is left out.
     rows_max : int
+    on_damage : callable, optional
+        Gets ``FILE:LINE`` of each line that is left out.
 
     Yields
     ------
@@ -63,17 +72,67 @@ def iter_rows(
     ConfigError
         Not readable, not CSV, another header, a row of another length, or too many of them.
     """
-    with _opened(path, what, rows_max) as stream:
+    with _opened(path, what, rows_max, "surrogateescape") as stream:
         text = _text(path, stream)
-        lines = _lines(path, _whole_lines(text) if cut_off else text, ",", rows_max)
-        line0, first = next(lines, (1, []))
-        if tuple(first) not in (header, header + more):
-            found = shown(",".join(first), 80) if first else "nothing"
-            raise ConfigError(f"{path}:{line0}: found the header {found}, expected {','.join(header + more)}")
+        start = list(itertools.islice(text, 3))  # the header, of which damage may make two lines
+        text = itertools.chain(start, text)
+        kept = _Kept(path, _whole_lines(text) if cut_off else text)
+        kept.on_damage = (lambda line: on_damage(f"{path}:{line}")) if on_damage else None
+        lines = _lines(path, kept, ",", rows_max)
+        headers = {header + more[:count] for count in range(len(more) + 1)}
+        checked = CRC_COLUMN in more and any(map(_is_checked, start[1:]))
+        if checked and start[0].rstrip("\r\n") not in map(",".join, headers):
+            kept.checked, first = True, [*header, *more]
+        else:
+            line0, first = next(lines, (1, []))
+            if tuple(first) not in headers:
+                found = shown(",".join(first), 80) if first else "nothing"
+                raise ConfigError(f"{path}:{line0}: found the header {found}, expected {','.join(header + more)}")
+            kept.checked = checked = first[-1] == CRC_COLUMN
         for line, row in lines:
             if len(row) != len(first):
-                raise ConfigError(f"{path}:{line}: found {len(row)} columns, expected {len(first)}")
-            yield f"{path}:{line}", row
+                raise ConfigError(f"{path}:{line + kept.left_out}: found {len(row)} columns, expected {len(first)}")
+            yield f"{path}:{line + kept.left_out}", row[:-1] if checked else row
+
+
+def line_crc32(columns: str) -> str:
+    """The last cell of a line: CRC-32 (zlib's) of all before its last comma, eight hexadecimal digits."""
+    return f"{zlib.crc32(columns.encode(errors='surrogateescape')):08x}"
+
+
+def _is_checked(line: str) -> bool:
+    columns, _, crc32 = line.rstrip("\r\n").rpartition(",")
+    return crc32 == line_crc32(columns)
+
+
+class _Kept:
+    """The lines of a table without those whose checksum is not theirs, once `checked` is set."""
+
+    def __init__(self, path: Path, lines: Iterable[str]) -> None:
+        self._path = path
+        self._lines = lines
+        self.checked = False
+        self.left_out = 0
+        self.on_damage: Callable[[int], None] | None = None
+
+    def __iter__(self) -> Iterator[str]:
+        for number, line in enumerate(self._lines, 1):
+            if not self.checked:
+                self._require_text(line)
+                yield line
+                continue
+            if _is_checked(line):
+                yield line
+                continue
+            self.left_out += 1
+            if self.on_damage is not None:
+                self.on_damage(number)
+
+    def _require_text(self, line: str) -> None:
+        try:
+            line.encode(errors="surrogateescape").decode()
+        except UnicodeDecodeError as error:
+            raise ConfigError(f"{self._path}: not a CSV file: {error}") from None
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +198,7 @@ def number(where: str, column: str, text: str) -> float:
     return value
 
 
-def _opened(path: Path, what: str, rows_max: int) -> TextIO:
+def _opened(path: Path, what: str, rows_max: int, errors: str = "strict") -> TextIO:
     """A table's text, in UTF-8 or, with its byte order mark, UTF-16. Raises ConfigError."""
     try:
         stream = open_regular(path, rows_max * _BYTES_A_ROW_MAX)
@@ -148,7 +207,7 @@ def _opened(path: Path, what: str, rows_max: int) -> TextIO:
     except OSError as error:
         raise ConfigError(f"{shown(path)}: {error.strerror or error}, expected a CSV file of {what}") from None
     encoding = "utf-16" if start in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8-sig"
-    return io.TextIOWrapper(stream, encoding, newline="")
+    return io.TextIOWrapper(stream, encoding, errors, newline="")
 
 
 def _text(path: Path, stream: TextIO) -> Iterator[str]:

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator
+import shutil
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.reasons import ReasonCode
+
+FREE_FLOOR_BYTES = 256 * 2**20
+"""Recordings and sessions leave this much free: a full disk harms more than them."""
 
 
 @contextlib.contextmanager
@@ -21,25 +25,50 @@ def disk_errors(folder: Path) -> Iterator[None]:
         raise DeviceError(f"{where}: cannot be written: {error.strerror or error}", code=ReasonCode.DISK) from None
 
 
+def require_free(folder: Path, floor_bytes: int | None = None) -> None:
+    """Refuse to write more to a disk that is nearly full.
+
+    Parameters
+    ----------
+    folder : Path
+        It, or the first of its parents that is there, tells the disk.
+    floor_bytes : int, optional
+        `FREE_FLOOR_BYTES`.
+
+    Raises
+    ------
+    DeviceError
+        DISK_FULL.
+    """
+    floor_bytes = FREE_FLOOR_BYTES if floor_bytes is None else floor_bytes
+    existing = next(path for path in (folder, *folder.parents) if path.exists())
+    free = shutil.disk_usage(existing).free
+    if free < floor_bytes:
+        found, expected = free // 2**20, floor_bytes // 2**20
+        raise DeviceError(
+            f"{existing}: found {found} MiB free on the disk, expected {expected} at least", code=ReasonCode.DISK_FULL
+        )
+
+
 def part(path: Path) -> Path:
     """Where a file is while it is not whole."""
     return path.with_name(path.name + ".part")
 
 
-def write_whole(path: Path, data: bytes, *, sync: bool = True) -> None:
+def write_whole(path: Path, data: bytes | Iterable[bytes], *, sync: bool = True) -> None:
     """Write beside the place, and rename. Raises OSError, and nothing is left then.
 
     Parameters
     ----------
     path : Path
-    data : bytes
+    data : bytes, or an iterable of them
     sync : bool
         Wait for the disk; False for one of many, which `sync` is called for later.
     """
     partial = part(path)
     try:
         with partial.open("wb") as stream:
-            stream.write(data)
+            stream.writelines((data,) if isinstance(data, bytes) else data)
             if sync:
                 stream.flush()
                 os.fsync(stream.fileno())

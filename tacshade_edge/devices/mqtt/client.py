@@ -68,15 +68,25 @@ def make_client(
     return client
 
 
-def connect(client: Client, host: str, port: int) -> None:
+def connect(client: Client, host: str, port: int, *, incoming_bytes_max: int = _INCOMING_BYTES_MAX) -> None:
     """Start the client's network thread, which connects and reconnects by itself.
 
-    A packet of more than 64 KiB is never sent to us: requests are small, and memory is bounded.
+    A larger packet is never sent to us: requests are small, and memory is bounded.
     """
-    limits = _properties(PacketTypes.CONNECT)
-    limits.MaximumPacketSize = _INCOMING_BYTES_MAX
-    client.connect_async(host, port, _KEEPALIVE_S, clean_start=True, properties=limits)
+    client.connect_async(host, port, _KEEPALIVE_S, clean_start=True, properties=_limits(incoming_bytes_max))
     client.loop_start()
+
+
+def connect_now(
+    client: Client,
+    host: str,
+    port: int,
+    *,
+    incoming_bytes_max: int = _INCOMING_BYTES_MAX,
+    keepalive_s: int = _KEEPALIVE_S,
+) -> None:
+    """Connect as `connect`, without a thread: the caller has the client read and write. Raises OSError."""
+    client.connect(host, port, keepalive_s, clean_start=True, properties=_limits(incoming_bytes_max))
 
 
 def publish_properties(
@@ -102,6 +112,12 @@ def packet_bytes(topic: str, payload: bytes, properties: Properties) -> int:
 def packet_bytes_max(connack: Properties | None) -> int | None:
     """The largest packet that the broker takes, as its answer to CONNECT tells; None where it sets no bound."""
     return getattr(connack, "MaximumPacketSize", None)
+
+
+def _limits(incoming_bytes_max: int) -> Properties:
+    limits = _properties(PacketTypes.CONNECT)
+    limits.MaximumPacketSize = incoming_bytes_max
+    return limits
 
 
 def _properties(packet_type: int) -> Properties:

@@ -9,6 +9,7 @@ callback of ours is called, since paho calls back with locks of its own held.
 
 from __future__ import annotations
 
+import json
 import logging
 import socket
 import sys
@@ -31,6 +32,7 @@ from tacshade_edge.devices.mqtt.client import (
     packet_bytes_max,
     publish_properties,
 )
+from tacshade_edge.devices.mqtt.holder import Holder, new_instance
 from tacshade_edge.devices.mqtt.outlet import Item, Outlet, PayloadOutcome
 from tacshade_edge.devices.mqtt.refusals import Refusals
 from tacshade_edge.errors import DecodeError
@@ -66,7 +68,8 @@ class MqttLink:
     base_topic : str
         ``tacshade/<sensor-id>``, without a slash at either end.
     client_id : str
-        Fixed per sensor: a new connection must take over from a dead one, will included.
+        Fixed per sensor: a new connection must take over from a dead one, will included. From a living one it does
+        not: while another daemon has the sensor's name, this one waits.
     username, password : str or None
     tls_ca : str or None
         PEM file of the authority that signed the broker's certificate; None is no TLS.
@@ -105,19 +108,25 @@ class MqttLink:
         self._by_mid: dict[int, tuple[Outlet, Item, int] | None] = {}  # with its QoS; None: sent once
         self._early: dict[int, MqttCode] = {}  # what paho's thread reported before publish() had returned the number
         self._answers_open = 0
+        self._watched: dict[str, Callable[[bytes], None]] = {}
         self._refusals = Refusals(self._where)
         self._packet_bytes_max: int | None = None
         self._told_too_large = False
         self._counters: Counter[str] = Counter()
         self._thread: threading.Thread | None = None
-        self._client = make_client(
-            host=host,
-            base_topic=base_topic,
-            client_id=client_id,
-            username=username,
-            password=password,
-            tls_ca=tls_ca,
+        instance = new_instance()
+        self._client, asking = (
+            make_client(
+                host=host,
+                base_topic=base_topic,
+                client_id=name,
+                username=username,
+                password=password,
+                tls_ca=tls_ca,
+            )
+            for name in (client_id, "")
         )
+        self._holder = Holder(asking, host, port, base_topic, instance)
         self._client.will_set(f"{base_topic}/state", b"offline", qos=1, retain=True)
         self._client.on_pre_connect = self._on_pre_connect
         self._client.on_connect = self._on_connect
@@ -127,6 +136,7 @@ class MqttLink:
         self._client.on_subscribe = self._on_subscribe
         self._client.on_message = self._on_message
         self.set_retained("state", b"online")
+        self.set_retained("instance", json.dumps(instance).encode())
 
     @property
     def connected(self) -> bool:
@@ -174,8 +184,18 @@ class MqttLink:
             left = self._lose(None) + [(o.topic, i) for o in streams for i in o.drain()]
         self._settle("failed", left)
 
+    def watch(self, topic: str, on_payload: Callable[[bytes], None]) -> None:
+        """Hear what is retained under a topic below the base, on every connection; call before `start`.
+
+        `on_payload` is called as `on_request`; what this link publishes there itself is left out.
+        """
+        self._watched[topic] = on_payload
+
     def set_retained(self, topic: str, payload: bytes, *, qos: Literal[0, 1] = 1) -> None:
-        """Publish a retained value under the base topic, now and again on every connection; the newest wins."""
+        """Publish a retained value, now and again on every connection; the newest wins.
+
+        The topic is below the base topic; with a slash at its beginning it is from the broker's root.
+        """
         with self._lock:
             outlet = self._outlet(topic, qos, True)
             outlet.put(Item(payload, 0))
@@ -220,6 +240,9 @@ class MqttLink:
 
     # -- sending --------------------------------------------------------------------------------------------------
 
+    def _path(self, topic: str) -> str:
+        return topic[1:] if topic.startswith("/") else f"{self._base}/{topic}"
+
     def _outlet(self, topic: str, qos: int, retain: bool) -> Outlet:
         """The topic's outlet, made on first use. Lock held."""
         if topic not in self._outlets:
@@ -247,9 +270,7 @@ class MqttLink:
                 if not outlet.retain:
                     self._settle("refused", [(outlet.topic, item)])
                 continue
-            info = self._client.publish(
-                f"{self._base}/{outlet.topic}", item.payload, qos, outlet.retain, outlet.properties
-            )
+            info = self._client.publish(self._path(outlet.topic), item.payload, qos, outlet.retain, outlet.properties)
             settled: tuple[PayloadOutcome, Item] | None = None
             with self._lock:
                 outlet.busy = False
@@ -283,7 +304,7 @@ class MqttLink:
             self._answers_open += 1
             self._counters[kind] += 1
             epoch = self._epoch
-        info = self._client.publish(f"{self._base}/{topic}", payload, 1, False, properties)
+        info = self._client.publish(self._path(topic), payload, 1, False, properties)
         with self._lock:
             if epoch != self._epoch:
                 return
@@ -316,19 +337,20 @@ class MqttLink:
     def _note(self, topic: str, code: MqttCode) -> None:
         """Keep whether the broker takes a topic. Lock held."""
         if code.is_failure:
-            expected = f"expected access rules (ACL) that let this user write {self._base}/#"
-            self._refusals.refused(f"{self._base}/{topic}", f"{code}, {expected}")
+            which = self._path(topic) if topic.startswith("/") else f"{self._base}/#"
+            expected = f"expected access rules (ACL) that let this user write {which}"
+            self._refusals.refused(self._path(topic), f"{code}, {expected}")
         else:
-            self._refusals.taken(f"{self._base}/{topic}")
+            self._refusals.taken(self._path(topic))
 
     def _too_large(self, topic: str, payload: bytes, properties: Properties) -> bool:
         """Whether the broker would end the connection for this message. Lock held."""
-        size, most = packet_bytes(f"{self._base}/{topic}", payload, properties), self._packet_bytes_max
+        size, most = packet_bytes(self._path(topic), payload, properties), self._packet_bytes_max
         if most is None or size <= most:
             return False
         if not self._told_too_large:
-            text = "%s: takes packets of at most %d bytes (mosquitto: max_packet_size); %s/%s of %d is not sent"
-            _log.warning(text + "; this is not told again", self._where, most, self._base, topic, size)
+            text = "%s: takes packets of at most %d bytes (mosquitto: max_packet_size); %s of %d is not sent"
+            _log.warning(text + "; this is not told again", self._where, most, self._path(topic), size)
         self._told_too_large = True
         return True
 
@@ -377,6 +399,15 @@ class MqttLink:
         self._thread, self._refused = threading.current_thread(), False
         if self._connected:  # paho can lose a connection without on_disconnect
             self._drop(self._with_address(ReasonCode.LOST, "connection lost"))
+        self._holder.wait_until_gone(self._tell_holder, lambda: self._stopping)
+        if self._stopping:
+            raise ConnectionAbortedError("stopped")
+
+    def _tell_holder(self, reason: Reason) -> None:
+        if reason != self._reason:
+            _log.warning("%s; waiting until it is gone", reason)
+        with self._lock:
+            self._reason = reason
 
     def _on_connect(
         self, client: Client, _userdata: Any, _flags: Any, code: MqttCode, properties: Properties | None
@@ -387,7 +418,12 @@ class MqttLink:
                 self._set_reason(self._with_address(ReasonCode.REFUSED, f"refused: {code}"))
             return
         client.drop_out_messages()  # or paho would send old retained values after the new ones
-        client.subscribe(f"{self._base}/req/+", options=SubscribeOptions(1, noLocal=True, retainHandling=2))
+        client.subscribe(
+            [
+                (f"{self._base}/req/+", SubscribeOptions(1, noLocal=True, retainHandling=2)),
+                *((f"{self._base}/{topic}", SubscribeOptions(1, noLocal=True)) for topic in self._watched),
+            ]
+        )
         with self._lock:
             self._connected = not self._stopping
             self._packet_bytes_max = packet_bytes_max(properties)
@@ -403,7 +439,8 @@ class MqttLink:
         error = sys.exception()  # paho calls this while it handles the error, and does not pass it on
         text = str(getattr(error, "strerror", None) or error or "no connection")
         with self._lock:
-            self._set_reason(self._with_address(ReasonCode.UNREACHABLE, text))
+            if not self._stopping:
+                self._set_reason(self._with_address(ReasonCode.UNREACHABLE, text))
 
     def _on_disconnect(self, _client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
         if self._connected:
@@ -437,23 +474,28 @@ class MqttLink:
         self, _client: Client, _userdata: Any, _mid: int, codes: list[MqttCode], _properties: Any
     ) -> None:
         with self._lock:
-            for code in codes:
-                self._note("req/+", code)
+            for topic, code in zip(("req/+", *self._watched), codes, strict=True):
+                self._note(topic, code)
 
     def _on_message(self, _client: Client, _userdata: Any, message: MQTTMessage) -> None:
+        if (on_payload := self._watched.get(message.topic.removeprefix(f"{self._base}/"))) is not None:
+            on_payload(bytes(message.payload))
+            return
         verb = message.topic.removeprefix(f"{self._base}/req/")
         payload = bytes(message.payload)
         asked = str(getattr(message.properties, "ResponseTopic", None) or "")
         correlation = getattr(message.properties, "CorrelationData", None)
         # Nowhere else: who may ask must not be able to make this daemon say things in the name of a hand.
         below = asked.removeprefix(f"{self._base}/")
-        sound = below != asked and len(below) > len("res/") and not set(asked) & set("+#\0")
+        sound = below != asked and len(below) > len("res/") and asked.isprintable() and not set(asked) & set("+#")
         response_topic = below if sound and below.startswith("res/") else None
         try:
             request = parse_request(verb, payload, response_topic=response_topic, correlation=correlation)
         except DecodeError as error:
             with self._lock:
                 self._counters["bad_requests"] += 1
+            if not verb.isprintable():  # brokers end a connection that publishes on such a topic
+                return
             answer = encode_error(parse_transaction(payload), error.reason)
             self._send_once("replies", response_topic or f"res/{verb}", answer, correlation)
             return

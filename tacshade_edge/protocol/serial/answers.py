@@ -38,6 +38,7 @@ ERROR_WORDS: Final[dict[ReasonCode, str]] = {
     ReasonCode.DEVICE: "FAILED",
     ReasonCode.DECODE: "FAILED",
     ReasonCode.DISK: "FAILED",
+    ReasonCode.IN_USE: "FAILED",
     ReasonCode.DISK_FULL: "FAILED",
     ReasonCode.FRAME_INVALID: "INVALID",
     ReasonCode.NO_SESSION: "NOSESSION",

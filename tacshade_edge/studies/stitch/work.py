@@ -54,7 +54,7 @@ class Press:
 
 
 def read_presses(
-    calibration: Calibration, profile: Profile, posed: Sequence[PosedImage], report: Callable[[int, int], None]
+    calibration: Calibration, profile: Profile, posed: Sequence[PosedImage], report: Callable[[str, int, int], None]
 ) -> list[Press]:
     """Reconstruct every image."""
     reconstructor = make_reconstructor(calibration, profile)
@@ -62,7 +62,7 @@ def read_presses(
     size = (calibration.image_height_px, calibration.image_width_px)
     presses = []
     for k, one in enumerate(posed):
-        report(k, len(posed))
+        report("presses", k, len(posed))
         base_T_sensor = one.base_T_flange @ flange_T_sensor
         try:
             image = read_image(one.path)
@@ -73,7 +73,7 @@ def read_presses(
         points = press_points(result.height, calibration.geometry) if result.contact else NO_POINTS
         skipped = result.reason or (None if len(points.points_mm) else _NO_CONTACT)
         presses.append(Press(one.path.name, one.where, base_T_sensor, points, skipped, failed=image.shape[:2] != size))
-    report(len(posed), len(posed))
+    report("presses", len(posed), len(posed))
     return presses
 
 

@@ -37,6 +37,7 @@ def found_and_others(change: Change) -> tuple[int, int, int]:
     return trials, hits, others
 
 
+@pytest.mark.slow
 def test_good_presses_pass() -> None:
     """Of 720 presses `tools/bench_calibration.py --sensors 30 --detect 16 --first 8400` calls one wrong."""
     false = sum(len(outliers(*observed(seed))) for seed in SEEDS)

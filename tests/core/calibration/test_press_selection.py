@@ -109,6 +109,7 @@ def test_a_wrong_polarity_is_named(model: SensorModel, found: Polarity, expected
         calibrate(replace(sensor_of(model), polarity=found), references(model), presses(model))
 
 
+@pytest.mark.slow
 def test_a_true_table_is_not_refused() -> None:
     assert calibrate(sensor_of(HALF), references(), presses(), networks=ACCURATE).warnings == ()
     without_places = [replace(p, x_mm=None, y_mm=None) for p in presses()]

@@ -80,6 +80,24 @@ def test_a_slip_is_told_as_soon_as_it_stands_out_of_the_noise(
     assert np.quantile(late, 0.95) * FRAME_NS * 1e-9 <= within_s
 
 
+@pytest.mark.parametrize("dragged_mm", [0.0, -2.0])
+def test_a_contact_that_grows_on_one_side_does_not_slip(dragged_mm: float) -> None:
+    """Its mean moves over skin that is not dragged, or against the way it is dragged."""
+    tracker = ContactTracker()
+    for k in range(20):
+        (found,) = followed(tracker, contact(0.2 * k, dragged_mm=dragged_mm), frame=k)
+    assert found.slip is not Slip.FULL
+    assert found.slip_mm_s == pytest.approx(12.0, abs=0.01)
+
+
+def test_a_contact_that_slides_in_a_part_only_does_not_slip_as_a_whole() -> None:
+    tracker = ContactTracker()
+    for k in range(20):
+        (found,) = followed(tracker, contact(0.2 * k, dragged_mm=1.0 + 0.1 * k), frame=k)
+    assert found.slip is not Slip.FULL
+    assert found.slip_mm_s == pytest.approx(6.0, abs=0.01)
+
+
 def test_skin_that_holds_in_a_part_only() -> None:
     tracker = ContactTracker()
     (found,) = followed(tracker, contact(0, dragged_mm=2.0, strain_mm=0.5))

@@ -136,6 +136,7 @@ def test_tiny_images_have_an_answer(size: tuple[int, int]) -> None:
     invalid_reason(grey, frame_check(grey, disc_mask(*size, disc), disc))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shift_px", [5, 10, 20])
 @pytest.mark.parametrize("row", [150, 240, 330])
 def test_a_small_tear_is_seen_where_two_frames_meet(row: int, shift_px: int) -> None:

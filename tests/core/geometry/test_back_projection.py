@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tacshade_edge.core.geometry.back_projection import cell_area_mm2, skin_planes, skin_points
+from tacshade_edge.core.geometry.back_projection import cell_area_mm2, cells_that_see, skin_planes, skin_points
 from tacshade_edge.core.geometry.disc import DiscRays, Grid, disc_rays
 from tacshade_edge.simulator.render import project
 from tacshade_edge.types import Disc, Geometry
@@ -89,3 +89,21 @@ def test_areas_are_those_of_plain_gradients() -> None:
 def test_a_line_of_points_has_no_area() -> None:
     assert cell_area_mm2(np.zeros((3, 1, 5), np.float32)).tolist() == [[0.0] * 5]
     assert cell_area_mm2(np.zeros((3, 1, 1), np.float32)).tolist() == [[0.0]]
+
+
+@given(st.none() | st.floats(5.0, 60.0), st.floats(10.0, 40.0), st.integers(0, 2**32 - 1), st.floats(0.5, 8.0))
+def test_points_are_seen_by_the_cells_that_they_are_of(d_mm: float | None, r_mm: float, seed: int, step: float) -> None:
+    geometry = Geometry(r_mm, d_mm, 50.0, DISC)
+    random = np.random.default_rng(seed)
+    grid = Grid(9, 11, *(random.uniform(60.0, 120.0, 2).tolist()), step)
+    height_mm = random.uniform(0, r_mm / 2, (9, 11)).astype(np.float32)
+    chosen = random.random((9, 11)) < 0.3
+    points = skin_points(height_mm, disc_rays(grid, geometry), geometry)[chosen]
+    np.testing.assert_array_equal(cells_that_see(points, grid, geometry), chosen)
+
+
+@given(st.none() | st.floats(5.0, 60.0), st.lists(st.tuples(*[st.floats(width=32)] * 3)))
+def test_no_point_breaks_it(d_mm: float | None, points: list[tuple[float, float, float]]) -> None:
+    given_mm = np.array(points, np.float32).reshape(-1, 3)
+    seen = cells_that_see(given_mm, Grid(5, 5, 1.0, 1.0, 4.0), Geometry(20.0, d_mm, 50.0, DISC))
+    assert seen.shape == (5, 5)

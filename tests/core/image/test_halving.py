@@ -83,6 +83,7 @@ def test_nothing_has_changed_in_a_reference_that_is_halved(rows: int, cols: int)
     assert np.abs(cells).max() < 0.5
 
 
+@pytest.mark.slow
 def test_a_camera_that_moved_by_a_pixel_costs_a_fifth_of_the_depth_at_most() -> None:
     """Pixels are paired another way then.
 

@@ -7,6 +7,7 @@ from tacshade_edge.rigid import shift, turn
 from tacshade_edge.types import HeightMap
 
 
+@pytest.mark.slow
 def test_the_points_are_the_contacts() -> None:
     result = step("accurate", pressed("ball", 3.0).image)
     touch = press_points(result.height, calibrated().geometry)

@@ -27,7 +27,7 @@ def test_weights_are_the_means() -> None:
     fused = SurfaceMap()
     fused.add(np.array(((0.0, 0.0, 1.0),)), np.array((3.0,)))
     fused.add(np.array(((0.0, 0.0, 2.0),)), np.array((1.0,)))
-    assert fused.z_at(np.array(((0.01, -0.01, 0.0),))) == pytest.approx([1.25])
+    assert fused.heights().z_at(np.array(((0.01, -0.01, 0.0),))) == pytest.approx([1.25])
 
 
 @given(st.floats(-300, 300), st.floats(-300, 300), st.floats(-5, 5))
@@ -51,7 +51,7 @@ def test_holes_stay_holes() -> None:
     fused.add(cells(x[~hole], y[~hole], 1.0), np.ones(np.count_nonzero(~hole)))
     z = fused.raster().z_mm
     np.testing.assert_array_equal(np.isnan(z.ravel()), hole)
-    assert np.isnan(fused.z_at(np.array(((10.0, 10.0, 0.0), (200.0, 0.0, 0.0))))).all()
+    assert np.isnan(fused.heights().z_at(np.array(((10.0, 10.0, 0.0), (200.0, 0.0, 0.0))))).all()
 
 
 def test_a_slope_is_not_shifted() -> None:

@@ -86,7 +86,7 @@ def test_a_known_pose_goes_with_height_and_cloud(calibration: Calibration, pictu
     for frame in frames:
         publisher.deliver(frame, reconstructor.step(frame), calibration)
     decoded = [wire.decode(payload) for stream, payload in offers if stream != "contact"]
-    assert [(m.pose, m.pose_error_us) for m in decoded] == [(POSE, 70)] * 3 + [(None, 0)] * 3
+    assert [(m.pose, m.pose_error_us) for m in decoded] == [(POSE, 70)] * 4 + [(None, 0)] * 4
 
 
 def test_an_output_that_nobody_wants_is_left_out_but_for_begin_and_end_of_a_contact(
@@ -129,6 +129,20 @@ def test_displacement_is_asked_for_while_it_has_a_subscriber_or_always() -> None
     assert need() is Need.CONTACT
     assert need("contact") is need("height") is need("cloud") is Need.DEPTH
     assert need("shear") is need("shear", "height") is need(always=True) is Need.SHEAR
+    assert need("sigma") is need("sigma", "height") is Need.SIGMA
+    assert need("shear", "sigma") is need("sigma", always=True) is Need.ALL
+
+
+def test_errors_go_out_while_they_have_a_subscriber_and_once_more_at_release(
+    calibration: Calibration, pictures: Any
+) -> None:
+    images = [pictures.free, pictures.touched, pictures.touched, pictures.free, pictures.free]
+    played = Played(calibration, images, ("sigma",))
+    assert played.seqs("sigma") == [1, 2, 3]
+    contact, _, released = played.decoded("sigma")
+    assert np.isfinite(contact.sigma_mm).any()
+    assert np.isnan(released.sigma_mm).all()
+    assert Played(calibration, images, ("height",)).seqs("sigma") == []
 
 
 def test_a_slip_is_told_once_at_its_onset(calibration: Calibration, pictures: Any) -> None:

@@ -6,7 +6,9 @@ import json
 import os
 import re
 import threading
+import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +23,7 @@ from tacshade_edge.daemon.pipeline.workers import Grab
 from tacshade_edge.daemon.recording import record
 from tacshade_edge.daemon.recording.record import STOPPED, TIME, LiveRecorder, Recorded, RecordingEnded
 from tacshade_edge.devices.files.frame_table import read_table
+from tacshade_edge.devices.files.recorder import png_of
 from tacshade_edge.devices.files.recording import Recording
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -46,7 +49,7 @@ class Live:
             if tap := self.grab.tap:
                 tap(frame)
 
-    def ended(self) -> Recorded:
+    def poll_until_ended(self) -> Recorded:
         found: list[Recorded] = []
 
         def poll() -> bool:
@@ -54,10 +57,14 @@ class Live:
             return bool(found)
 
         wait_until(poll, 20, "the recording has ended")
+        return found[0]
+
+    def ended(self) -> Recorded:
+        recorded = self.poll_until_ended()
         self.recorder.join(patience(20))
         assert not any(thread.name == "record" for thread in threading.enumerate())
         assert self.grab.tap is None
-        return found[0]
+        return recorded
 
     def about(self) -> dict[str, Any]:
         read: dict[str, Any] = json.loads((self.folder / "recording.json").read_text())
@@ -113,10 +120,10 @@ def test_a_disk_that_is_too_slow_loses_frames_and_counts_them(live: Live, monkey
     go_on, writing = threading.Event(), threading.Event()
     real = record.Recorder.add
 
-    def slow(self: record.Recorder, frame: Frame) -> bool:
+    def slow(self: record.Recorder, frame: Frame, png: bytes) -> bool:
         writing.set()
         assert go_on.wait(patience(20))
-        return real(self, frame)
+        return real(self, frame, png)
 
     monkeypatch.setattr(record.Recorder, "add", slow)
     monkeypatch.setattr(record, "QUEUE_BYTES", 3 * FREE.nbytes)
@@ -172,7 +179,7 @@ def test_a_disk_at_its_floor(live: Live, monkeypatch: pytest.MonkeyPatch, tmp_pa
 def test_a_disk_that_comes_to_its_floor_ends_it(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     full = threading.Event()
     real = record.Recorder.add
-    monkeypatch.setattr(record.Recorder, "add", lambda self, frame: not full.is_set() and real(self, frame))
+    monkeypatch.setattr(record.Recorder, "add", lambda self, *shot: not full.is_set() and real(self, *shot))
     live.start()
     live.give(*frames(2))
     wait_until(lambda: live.recorder.counts()["written"] == 2, 20, "two frames")
@@ -212,3 +219,87 @@ def test_a_folder_that_goes_away_ends_it_with_its_error(live: Live, happen: Call
     assert left.cut_off
     assert left.read() is not None
     assert left.read() is None
+
+
+def now(count: int, first: int = 0) -> list[Frame]:
+    return [replace(frame, t_ns=time.monotonic_ns()) for frame in frames(count, first)]
+
+
+def keeping(live: Live, before_s: float) -> None:
+    live.recorder.keep_before(before_s)
+    assert live.recorder.poll() is None
+
+
+def kept(live: Live, count: int) -> None:
+    wait_until(lambda: live.recorder.counts()["before"] == count, 20, f"{count} frames are kept")
+
+
+def written(folder: Path) -> list[int]:
+    """Capture times; the images are the painted pictures in turn."""
+    recording, times_ns = Recording(folder), list[int]()
+    while (read := recording.read()) is not None:
+        np.testing.assert_array_equal(read.frame.image, (FREE, TOUCHED)[len(times_ns) % 2])
+        times_ns.append(read.frame.t_ns)
+    return times_ns
+
+
+def test_a_recording_begins_with_what_was_before(live: Live, calibration: Calibration) -> None:
+    live.recorder.reconstructs_with("fast", calibration.crc32)
+    keeping(live, 30.0)
+    too_old = replace(frames(1)[0], t_ns=time.monotonic_ns() - 40 * 10**9)
+    before = now(4)
+    live.give(too_old, *before)
+    live.recorder.event("source", state="away")
+    kept(live, 4)
+    live.start()
+    live.recorder.event("start")
+    after = now(3, 4)
+    live.give(*after)
+    live.recorder.end(STOPPED)
+    recorded = live.poll_until_ended()
+    assert (recorded.frames, recorded.dropped, recorded.ending) == (7, 0, STOPPED)
+    assert written(live.folder) == [frame.t_ns for frame in (*before, *after)]
+    events = [json.loads(line) for line in (live.folder / "events.jsonl").read_text().splitlines()]
+    assert [event["kind"] for event in events] == ["source", "start"]
+    assert before[-1].t_ns < events[1]["t_ns"] < after[0].t_ns
+    assert live.about()["first_t_ns"] == before[0].t_ns
+    assert live.recorder.counts() == {"written": 7, "dropped": 0, "waiting": 0, "before": 0, "before_dropped": 0}
+    live.recorder.poll()
+    live.give(*now(2))  # what a recording has is not kept for the next one
+    kept(live, 2)
+    live.recorder.keep_before(0.0)
+    live.recorder.join(patience(20))
+    assert live.grab.tap is None
+
+
+def test_what_is_kept_is_bounded_and_what_finds_no_room_is_counted(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    size = len(png_of(FREE)) + len(png_of(TOUCHED))
+    monkeypatch.setattr(record, "BEFORE_BYTES", 2 * size)
+    keeping(live, 30.0)
+    given = now(10)
+    live.give(*given)
+    wait_until(lambda: live.recorder.counts()["before_dropped"] == 6, 20, "the oldest six are given up")
+    kept(live, 4)
+    live.start()
+    live.recorder.end(STOPPED)
+    assert live.poll_until_ended().dropped == 0
+    assert written(live.folder) == [frame.t_ns for frame in given[6:]]
+    assert live.recorder.counts()["before_dropped"] == 6
+    live.recorder.end(STOPPED)
+
+
+def test_frames_of_another_reference_are_not_before(live: Live, calibration: Calibration) -> None:
+    live.recorder.reconstructs_with("fast", 77)
+    keeping(live, 30.0)
+    live.give(*now(3))
+    kept(live, 3)
+    live.recorder.reconstructs_with("accurate", 77)
+    live.recorder.reconstructs_with("accurate", calibration.crc32)
+    after = now(2)
+    live.give(*after)
+    kept(live, 2)
+    live.start()
+    live.recorder.end(STOPPED)
+    live.poll_until_ended()
+    assert written(live.folder) == [frame.t_ns for frame in after]
+    live.recorder.end(STOPPED)

@@ -11,6 +11,7 @@ from tacshade_edge.core.calibration.following import bounds
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.daemon.reference.references import References
 from tacshade_edge.daemon.reference.untouched import PERIOD_S, REST_S, UNTOUCHED_FRAMES
+from tacshade_edge.devices.files.calibration_file import with_crc
 from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.simulator import nuisance
@@ -23,7 +24,7 @@ class Resting:
     """`References` and a stream of frames on the test's clock."""
 
     def __init__(self, calibration: Calibration, path: Path) -> None:
-        self.references = References(calibration, path)
+        self.references = References(calibration, path, "left")
         self._reconstructor = make_reconstructor(calibration, PROFILES["fast"])
         self._s = 0.0
 
@@ -99,6 +100,7 @@ def test_it_stays_while_it_is_held_and_amid_a_contact(resting: Resting, pictures
     assert resting.look(darker)
 
 
+@pytest.mark.slow
 def test_a_doubt_or_a_spot_stops_it_with_its_reason(resting: Resting, calibration: Calibration, pictures: Any) -> None:
     doubt = Reason(ReasonCode.GLARE, "glare: 3 % of the disc unseen")
     assert resting.look(pictures.free, doubt=doubt)
@@ -119,9 +121,31 @@ def test_a_request_is_a_new_beginning_that_outlives_a_restart(
     assert taken.calibration_crc32 == resting.references.calibration.crc32 != calibration.crc32
     assert resting.look(nuisance.gain(pictures.free, 0.6))  # 0.86 of the beginning's
     assert resting.health["state"] == "following"
-    again = References(calibration, tmp_path / "c.reference.npz")
+    resting.references.close()
+    again = References(calibration, tmp_path / "c.reference.npz", "left")
     assert again.calibration.crc32 == taken.calibration_crc32
     assert again.info() == {**resting.references.info(), "state": "waiting"}
     again.reload(calibration, tmp_path / "another.reference.npz")
     assert again.calibration is calibration
     assert again.info()["origin"] == "calibration"
+
+
+def test_the_stored_reference_has_one_owner(
+    resting: Resting, calibration: Calibration, pictures: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    taken = resting.references.take([pictures.free] * 10)
+    stored = (tmp_path / "c.reference.npz").read_bytes()
+    other = References(calibration, tmp_path / "c.reference.npz", "right")
+    assert "c.reference.npz: found it in use by 'sensor left, process" in caplog.text
+    assert (other.info() or {})["reason_code"] == "in_use"
+    assert other.calibration.crc32 == taken.calibration_crc32, "it may be read"
+    unstored = other.take([nuisance.gain(pictures.free, 0.7)] * 10).unstored
+    assert unstored is not None
+    assert unstored.code is ReasonCode.IN_USE
+    assert "the reference lasts until the next start or reload" in unstored.text
+    newer = with_crc(replace(calibration, reference_grey=calibration.reference_grey // 2))
+    other.reload(newer, tmp_path / "c.reference.npz")
+    assert (tmp_path / "c.reference.npz").read_bytes() == stored, "nor deleted"
+    resting.references.close()
+    assert other.take([pictures.free // 2 + 20] * 10).unstored is None
+    other.close()

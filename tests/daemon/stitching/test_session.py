@@ -11,6 +11,7 @@ from support.bumpy_surface import grid_poses, press_of
 from support.painted_sensor import painted_calibration
 
 from tacshade_edge.daemon.stitching.session import RefusedError, Session
+from tacshade_edge.devices.files.stitch_file import StitchFile
 from tacshade_edge.protocol.results import PressAdded, SessionAborted, SessionBegun
 from tacshade_edge.reasons import ReasonCode
 
@@ -18,18 +19,18 @@ POSES = grid_poses()[:3]
 
 
 def begun(folder: Path, name: str = "pad") -> Session:
-    session = Session.begin(folder, name, painted_calibration())
+    session = Session.begin(folder, name, painted_calibration(), "left")
     for k, pose in enumerate(POSES):
         assert session.add(press_of(pose, k), pose, 10 + k) == PressAdded(k + 1, 10 + k, 600)
     return session
 
 
 def test_a_session_is_resumed_as_it_was(tmp_path: Path) -> None:
-    assert Session.resume(tmp_path) is None
+    assert Session.resume(tmp_path, "left") is None
     session = begun(tmp_path)
     assert session.begun() == SessionBegun("pad")
     session.close()
-    again = Session.resume(tmp_path)
+    again = Session.resume(tmp_path, "left")
     assert again is not None
     assert again.status(0) == session.status(0)
     (ended, final), (_, other) = session.finish(2), again.finish(2)
@@ -37,8 +38,13 @@ def test_a_session_is_resumed_as_it_was(tmp_path: Path) -> None:
     assert (final.revision, final.folder) == (4, str(tmp_path / "pad"))
     np.testing.assert_array_equal(final.raster().z_mm, other.raster().z_mm)
     about = json.loads((tmp_path / "pad" / "map.json").read_text())
-    assert (about["presses"], about["missed"], about["rejected"]) == (3, 2, [])
-    assert Session.resume(tmp_path) is None
+    assert (about["used"], about["missed"]) == (3, 2)
+    assert [record["press"] for record in about["presses"]] == [1, 2, 3]
+    for record in about["presses"]:
+        assert set(record) == {"press", "used", "reason", "points", "moved_mm", "turned_deg"}
+        assert record["used"]
+        assert record["points"] > 0
+    assert Session.resume(tmp_path, "left") is None
 
 
 def test_the_files_of_a_session_are_those_of_every_version(tmp_path: Path) -> None:
@@ -51,7 +57,7 @@ def test_the_files_of_a_session_are_those_of_every_version(tmp_path: Path) -> No
     points = [(x, 0.0, 20.0, 0, 0, 1, 0.5) for x in (0.0, 0.25, 0.5)]
     body = struct.pack("<12d", *pose) + b"".join(struct.pack("<7f", *point) for point in points)
     (folder / "presses.bin").write_bytes(struct.pack("<4sII", b"TCSP", len(body), zlib.crc32(body)) + body)
-    session = Session.resume(tmp_path)
+    session = Session.resume(tmp_path, "left")
     assert session is not None
     assert (session.name, session.presses, session.points) == ("old", 1, 3)
     np.testing.assert_allclose(session.map_revision().raster().points()[0], (100, 200, 20))
@@ -68,7 +74,7 @@ def test_the_files_of_a_session_are_those_of_every_version(tmp_path: Path) -> No
 def test_names_that_are_refused(tmp_path: Path, name: str, code: ReasonCode) -> None:
     begun(tmp_path).close()
     with pytest.raises(RefusedError) as caught:
-        Session.begin(tmp_path, name, painted_calibration())
+        Session.begin(tmp_path, name, painted_calibration(), "left")
     assert caught.value.reason.code == code
 
 
@@ -79,5 +85,7 @@ def test_a_full_map_refuses_and_an_aborted_session_is_gone(tmp_path: Path, monke
         session.add(press_of(POSES[0], 0), POSES[0], 13)
     assert caught.value.reason.code == ReasonCode.MAP_FULL
     assert session.status(1).presses == 3
+    session.close()
+    assert len(StitchFile.resume(tmp_path / "pad")[1]) == 3  # it is not on the disk either
     assert session.abort() == SessionAborted("pad", 3)
     assert [*tmp_path.iterdir()] == []

@@ -43,6 +43,7 @@ class Daemon:
         self.replies: list[dict[str, Any]] = []
         self.sessions = SessionRequests(
             folder,
+            "left",
             self.published.__setitem__,
             lambda request, outcome: self.replies.append(json.loads(encode_reply(request, outcome))),
             None,
@@ -78,6 +79,7 @@ def daemon(tmp_path: Path) -> Iterator[Daemon]:
     one.sessions.stop(20)
 
 
+@pytest.mark.slow
 def test_a_session_over_mqtt(daemon: Daemon, tmp_path: Path) -> None:
     ball = step("fast", pressed("ball", 3.0).image)
     assert daemon.ask(BEGIN)["reason_code"] == "no_frame"
@@ -145,6 +147,6 @@ def test_a_stop_does_not_wait_for_a_map(daemon: Daemon, tmp_path: Path, monkeypa
     wait_until(lambda: daemon.status()["state"] == "ending", 20, "ending")
     daemon.sessions.stop(0.01)
     assert daemon.status()["state"] == "ending"
-    assert open_session(tmp_path) == tmp_path / "pad"  # for the next daemon
+    assert open_session(tmp_path, "left") == tmp_path / "pad"  # for the next daemon
     go_on.set()
     wait_until(lambda: daemon.status()["state"] == "idle", 20, "idle")

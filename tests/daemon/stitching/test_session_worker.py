@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import json
+import os
+import shutil
 import threading
 import time
 from collections.abc import Iterator
@@ -40,7 +42,7 @@ class Robot:
 
     def __init__(self, folder: Path, *, automatic: bool = False) -> None:
         self.maps: list[MapRevision] = []
-        self.worker = SessionWorker(folder, self.maps.append, automatic=automatic)
+        self.worker = SessionWorker(folder, "left", self.maps.append, automatic=automatic)
         self.thread = threading.Thread(target=self.worker.run)
         self.thread.start()
         self.seq = 0
@@ -129,7 +131,7 @@ def test_a_session_from_begin_to_end(robot: Robot, ball: Reconstruction, tmp_pat
     assert robot.ask("STATUS") == NoSession()
     folder = tmp_path / "sessions" / "pad-1"
     about = json.loads((folder / "map.json").read_text())
-    assert (about["presses"], about["used"], about["rejected"]) == (3, 3, [])
+    assert [record["used"] for record in about["presses"]] == [True] * 3
     assert [r.revision for r in robot.maps] == [1, 2, 3, 4]
     assert [bool(r.folder) for r in robot.maps] == [False, False, False, True]
     with np.load(folder / "map.npz") as npz:
@@ -148,6 +150,37 @@ def test_the_map_is_the_offline_one(robot: Robot, ball: Reconstruction) -> None:
     np.testing.assert_array_equal(robot.maps[-1].raster().z_mm, offline.finish().raster.z_mm)
 
 
+def test_a_folder_of_another_owner(tmp_path: Path, ball: Reconstruction) -> None:
+    first = Robot(tmp_path)
+    first.show(ball)
+    assert first.ask("BEGIN", "one") == SessionBegun("one")
+    second = Robot(tmp_path)
+    second.show(ball)
+    refused = second.ask("BEGIN", "two")
+    assert isinstance(refused, Reason)
+    assert refused.code == ReasonCode.IN_USE
+    assert f"sensor left, process {os.getpid()}" in refused.text
+    assert isinstance(first.add(ball), PressAdded)
+    first.end()
+    # Free now: the session that is open there is of this sensor.
+    assert code(second.ask("BEGIN", "two")) == ReasonCode.BUSY
+    assert status(second).presses == 1
+    second.end()
+
+
+def test_a_session_whose_folder_was_deleted_keeps_nobody_out(tmp_path: Path, ball: Reconstruction) -> None:
+    robot = Robot(tmp_path)
+    robot.show(ball)
+    for name in ("one", "two"):
+        assert robot.ask("BEGIN", name) == SessionBegun(name)
+        assert isinstance(robot.add(ball), PressAdded)
+        shutil.rmtree(tmp_path / name)
+        assert code(robot.add(ball, 3.0)) == ReasonCode.DISK
+    assert isinstance(robot.ask("ABORT"), SessionAborted)
+    assert robot.ask("BEGIN", "three") == SessionBegun("three")
+    robot.end()
+
+
 def test_a_killed_session_goes_on(tmp_path: Path, ball: Reconstruction) -> None:
     folder = tmp_path / "sessions"
     first, whole = Robot(folder), Robot(tmp_path / "whole")
@@ -157,7 +190,7 @@ def test_a_killed_session_goes_on(tmp_path: Path, ball: Reconstruction) -> None:
         robot.add(ball, 0.0)
         robot.add(ball, 3.0)
     first.end()  # as a kill does, it leaves the session open on the disk
-    assert open_session(folder) == folder / "pad"
+    assert open_session(folder, "left") == folder / "pad"
     second = Robot(folder)
     assert (status(second).name, status(second).presses) == ("pad", 2)
     for robot in (second, whole):
@@ -224,7 +257,7 @@ def test_an_aborted_session_leaves_nothing(robot: Robot, ball: Reconstruction, t
     waiting = robot.begin("ADD")
     assert robot.ask("ABORT") == SessionAborted("x", 1)
     assert code(wait(waiting)) == ReasonCode.NO_SESSION
-    assert list((tmp_path / "sessions").iterdir()) == []
+    assert [path.name for path in (tmp_path / "sessions").iterdir()] == [".owner"]
     assert code(robot.ask("BEGIN", "x")) is None
 
 
@@ -290,7 +323,7 @@ def test_the_pose_is_asked_for_when_the_press_is_added(tmp_path: Path, ball: Rec
 
     robot = Robot(tmp_path)
     robot.end()
-    robot.worker = SessionWorker(tmp_path, maps.append, with_pose)
+    robot.worker = SessionWorker(tmp_path, "left", maps.append, with_pose)
     robot.thread = threading.Thread(target=robot.worker.run)
     robot.thread.start()
     robot.show(ball)
@@ -334,7 +367,7 @@ def test_a_deferred_map_is_published_though_nothing_more_comes(
 
     robot = Robot(tmp_path)
     robot.end()
-    robot.worker = SessionWorker(tmp_path, publish)
+    robot.worker = SessionWorker(tmp_path, "left", publish)
     robot.thread = threading.Thread(target=robot.worker.run)
     robot.thread.start()
     robot.show(ball)

@@ -40,6 +40,7 @@ def test_what_is_stored_comes_back(tmp_path: Path) -> None:
         (
             calibrated(),
             calibrated(count=0),
+            replace(painted_calibration(), error_scales={"fast": 1.25, "balanced": 0.5}),
             replace(painted_calibration(), flange_T_sensor=(1.5, -2.0, 30.0, 0.6, 0.0, 0.8, 0.0)),
             replace(painted_calibration(), geometry=replace(painted_calibration().geometry, camera_distance_mm=None)),
         )

@@ -95,3 +95,14 @@ def test_images_of_another_size_are_refused_before_they_are_decoded() -> None:
     blank[40:] = 0
     with pytest.raises(ValueError, match="expected a grey PNG"):
         unpack(packed[0], {**packed[1], IMAGES: blank}, SHAPE)
+
+
+@pytest.mark.parametrize("name", [IMAGES, TRIANGLES])
+@pytest.mark.parametrize(
+    "array", [np.zeros(()), np.zeros(3), np.zeros((17, 3, 3), np.float32), np.full((17, 3, 3), np.nan)]
+)
+def test_other_arrays_are_refused(name: str, array: np.ndarray) -> None:
+    packed = pack(INPUTS)
+    assert packed is not None
+    with pytest.raises(ValueError, match="expected"):
+        unpack(packed[0], {**packed[1], name: array}, SHAPE)

@@ -3,9 +3,11 @@ from __future__ import annotations
 import tracemalloc
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from tacshade_edge.devices.files.frame_table import ERROR_COLUMN, HEADER, Row, read_table, table_in
+from tacshade_edge.devices.files.frame_table import ERROR_COLUMN, HEADER, MORE, Row, read_table, table_in
+from tacshade_edge.devices.files.tables import line_crc32
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import Pose
 
@@ -90,3 +92,58 @@ def test_a_row_takes_150_bytes_of_memory(tmp_path: Path) -> None:
     assert most < kept + (1 << 20)
     pose = Pose(19_999, 1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0)
     assert table[-1] == table[19_999:][0] == Row("frame_019999.png", 19_999, pose, 7)
+
+
+def checked_table(rows: int) -> bytes:
+    lines = [f"{i:06d}.png,{81_200_000_000 + i * 33_333_333},120.5,-3,{i}.25,1,0,0,0,412" for i in range(rows)]
+    header = ",".join((*HEADER, *MORE))
+    return "\n".join((header, *(f"{line},{line_crc32(line)}" for line in lines), "")).encode()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_flipped_bit_goes_unnoticed(tmp_path: Path, seed: int) -> None:
+    """Rows before and after it are the ones that were written; those of the damaged line are left out and counted."""
+    good, path = checked_table(12), tmp_path / "frames.csv"
+    path.write_bytes(good)
+    written = list(read_table(path))
+    assert len(written) == 12
+    rng = np.random.default_rng(seed)
+    places = [*range(good.index(b"\n") + 1), *rng.integers(len(good), size=200)]
+    for at, bit in zip(places, rng.integers(8, size=len(places)), strict=True):
+        bad = bytearray(good)
+        bad[at] ^= 1 << bit
+        path.write_bytes(bad)
+        table = read_table(path)
+        assert set(table) <= set(written)
+        if at < len(good) - 1:  # without the last line's end it is still that line
+            assert table.damaged in (1, 2)  # two where a line's end is hit
+            assert len(table) >= 10
+            assert f"{path}:" in table.damage
+
+
+def test_where_and_how_many_lines_were_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "frames.csv"
+    lines = checked_table(6).splitlines(keepends=True)
+    lines[2] = lines[2].replace(b"120.5", b"121.5")
+    lines[5] = b"\xff\x00" + lines[5]
+    path.write_bytes(b"".join(lines))
+    table = read_table(path)
+    assert [row.image for row in table] == [f"{i:06d}.png" for i in (0, 2, 3, 5)]
+    assert table.damage == f"{path}:3: 2 damaged lines are left out, with their frames; the checksum is not theirs"
+    lines[4] = lines[4].replace(b"120.5", b"x")
+    columns = lines[4].rpartition(b",")[0].decode()
+    lines[4] = f"{columns},{line_crc32(columns)}\n".encode()
+    path.write_bytes(b"".join(lines))
+    with pytest.raises(ConfigError, match=":5: x_mm: found 'x'"):
+        read_table(path)
+    path.write_bytes(lines[0] + lines[2])
+    with pytest.raises(
+        ConfigError, match=r"found no row, expected one for each frame \(.*:2: a damaged line is left out"
+    ):
+        read_table(path)
+
+
+def test_text_that_is_none_is_refused_without_checksums(tmp_path: Path) -> None:
+    (tmp_path / "frames.csv").write_bytes(ERRORS.encode() + b"\xff.png,5,,,,,,,,\n")
+    with pytest.raises(ConfigError, match="not a CSV file: 'utf-8' codec can't decode byte 0xff"):
+        read_table(tmp_path / "frames.csv")

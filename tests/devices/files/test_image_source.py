@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import socket
 from pathlib import Path
 
 import cv2
@@ -131,3 +132,20 @@ def test_what_can_never_work_is_refused(tmp_path: Path) -> None:
     ):
         with pytest.raises(ConfigError, match=said):
             FilesSource(path=path, fps=30, loop=False).open()
+
+
+@pytest.mark.parametrize("name", ["list.m3u8", "list.mp4", "list.avi"])
+def test_a_list_of_videos_is_none(name: str, tmp_path: Path) -> None:
+    """FFmpeg would take one, and open the files and addresses that it names."""
+    writer = cv2.VideoWriter(str(tmp_path / "part.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 30, (64, 48))
+    writer.write(picture(40))
+    writer.release()
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(0)
+        for part in ("part.avi", f"http://127.0.0.1:{server.getsockname()[1]}/part.avi"):
+            for text in (f"#EXTM3U\n#EXTINF:1,\n{part}\n#EXT-X-ENDLIST\n", f"ffconcat version 1.0\nfile {part}\n"):
+                (tmp_path / name).write_text(text)
+                with pytest.raises(ConfigError, match="no video that OpenCV can read"):
+                    first_size_px(tmp_path / name)
+        with pytest.raises(BlockingIOError):
+            server.accept()

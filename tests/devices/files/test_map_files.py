@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from tacshade_edge.core.stitching.surface_map import Raster
-from tacshade_edge.devices.files.map_files import ply, preview, write_map
+from tacshade_edge.devices.files.map_files import preview, write_map
+from tacshade_edge.devices.files.ply import ply
 
 
 def raster(rows: int = 30, cols: int = 40, height_mm: float = 2.0) -> Raster:
@@ -41,6 +42,6 @@ def test_the_preview_has_y_upwards_and_holes_in_grey() -> None:
 
 
 def test_the_ply_says_how_many() -> None:
-    data = ply(raster())
+    data = ply(raster().points(), "millimetres, base frame")
     assert data.startswith(b"ply\nformat binary_little_endian 1.0\n")
     assert len(data.split(b"end_header\n", 1)[1]) == 12 * (30 * 40 - 9)

@@ -9,7 +9,7 @@ from support.painted_sensor import painted_calibration
 
 from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.devices.files.frame_table import read_table
-from tacshade_edge.devices.files.recorder import Recorder
+from tacshade_edge.devices.files.recorder import Recorder, png_of
 from tacshade_edge.devices.files.recording import Recording
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.types import U8, Frame, Pose
@@ -35,7 +35,7 @@ def test_what_is_recorded_is_replayed_bit_by_bit(tmp_path: Path, shape: tuple[in
     folder = tmp_path / "new" / "rec"
     recorder = begun(folder)
     for k, image in enumerate(images):
-        assert recorder.add(Frame(10 + k, 1000 + 7 * k, 5, image, *((POSE, 431) if k == 1 else ())))
+        assert recorder.add(Frame(10 + k, 1000 + 7 * k, 5, image, *((POSE, 431) if k == 1 else ())), png_of(image))
     recorder.event(1001, "source", {"state": "away"})
     recorder.finish({"frames": recorder.frames})
     recording = Recording(folder)
@@ -63,11 +63,12 @@ def test_what_is_recorded_is_replayed_bit_by_bit(tmp_path: Path, shape: tuple[in
 def test_a_recording_of_a_recording_is_the_same(tmp_path: Path) -> None:
     first = begun(tmp_path / "a")
     for k in range(3):
-        first.add(Frame(k, 1000 + 7 * k, 5, picture(8, 8), POSE if k == 1 else None))
+        image = picture(8, 8)
+        first.add(Frame(k, 1000 + 7 * k, 5, image, POSE if k == 1 else None), png_of(image))
     first.finish({})
     again, recording = begun(tmp_path / "b"), Recording(tmp_path / "a")
     while (recorded := recording.read()) is not None:
-        again.add(recorded.frame)
+        again.add(recorded.frame, png_of(recorded.frame.image))
     again.finish({})
     for path in (tmp_path / "a").iterdir():
         assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes(), path.name
@@ -77,7 +78,7 @@ def test_a_recording_of_a_recording_is_the_same(tmp_path: Path) -> None:
 def test_after_a_crash_whole_frames_are_read(tmp_path: Path, lost: int) -> None:
     recorder = begun(tmp_path / "rec")
     for k in range(130):
-        recorder.add(Frame(k, k, 0, picture(8, 8)))
+        recorder.add(Frame(k, k, 0, picture(8, 8)), png_of(picture(8, 8)))
     recorder.close()
     table = tmp_path / "rec" / "frames.csv.part"
     table.write_bytes(table.read_bytes()[: -lost or None])
@@ -102,7 +103,7 @@ def test_a_disk_at_its_floor_takes_no_frame(tmp_path: Path) -> None:
         Recorder(tmp_path / "rec", free_floor_bytes=2**62)
     recorder = begun(tmp_path / "rec")
     recorder._floor = 2**62
-    assert not recorder.add(Frame(0, 0, 0, picture(8, 8)))
+    assert not recorder.add(Frame(0, 0, 0, picture(8, 8)), b"")
     assert recorder.frames == 0
     assert not list((tmp_path / "rec").glob("*.png*"))
     recorder.close()
@@ -115,3 +116,22 @@ def test_a_folder_that_cannot_be_taken(tmp_path: Path) -> None:
     (tmp_path / "used" / "a").touch()
     with pytest.raises(DeviceError, match=r"a: cannot be written: (File exists|Not a directory)"):
         Recorder(tmp_path / "used" / "a" / "rec", free_floor_bytes=0)
+
+
+def test_a_damaged_line_costs_its_frame_and_is_told(tmp_path: Path) -> None:
+    recorder = begun(tmp_path / "rec")
+    images = [picture(8, 8) for _ in range(4)]
+    for k, image in enumerate(images):
+        recorder.add(Frame(k, 1000 + k, 0, image, POSE, 5), png_of(image))
+    recorder.finish({})
+    table = tmp_path / "rec" / "frames.csv"
+    assert Recording(tmp_path / "rec").damage == ""
+    table.write_bytes(table.read_bytes().replace(b"000001.png,1001", b"000002.png,1001"))
+    recording = Recording(tmp_path / "rec")
+    assert recording.damage.startswith(f"{table}:3: a damaged line is left out")
+    for k in (0, 2, 3):
+        recorded = recording.read()
+        assert recorded is not None
+        assert (recorded.name, recorded.frame.t_ns) == (f"00000{k}.png", 1000 + k)
+        np.testing.assert_array_equal(recorded.frame.image, images[k])
+    assert recording.read() is None

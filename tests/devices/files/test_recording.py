@@ -28,6 +28,16 @@ def folder(tmp_path: Path) -> Path:
     return write_recording(tmp_path / "rec", [picture(10 * k) for k in range(3)])
 
 
+def test_it_is_wound_forward_without_reading_what_lies_between(folder: Path) -> None:
+    (folder / "000000.png").write_bytes(b"no image")
+    recording = Recording(folder)
+    assert recording.length_ns == 20_000_000
+    recording.skip_to(500 + 5_000_000)
+    assert [recorded.frame.seq for recorded in every(recording)] == [1, 2]
+    recording.skip_to(0)
+    assert recording.read() is None
+
+
 @pytest.fixture
 def video(tmp_path: Path) -> Path:
     path = tmp_path / "v.avi"

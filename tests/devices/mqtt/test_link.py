@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import queue
 import socket
 import ssl
 import subprocess
@@ -12,15 +11,15 @@ import sys
 import threading
 import time
 import tracemalloc
-from collections import Counter, defaultdict
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from paho.mqtt.client import MQTTMessage
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
+from support.link_rig import BASE, Rig, code
 from support.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
 from support.patience import patience, promised, stretched, wait_until
 
@@ -32,40 +31,9 @@ from tacshade_edge.protocol.messages import Request
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import HeightMap, ObjectCloud, Reconstruction
 
-BASE = "tacshade/test"
 BACK_S = 3.0
 broker_test = pytest.mark.broker
 needs_mosquitto = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
-
-
-class Rig:
-    """A link whose requests and outcomes are kept."""
-
-    def __init__(self, port: int, **options: Any) -> None:
-        self.requests: queue.SimpleQueue[Request] = queue.SimpleQueue()
-        self.outcomes: dict[str, list[tuple[int, str]]] = defaultdict(list)
-        self.link = MqttLink(
-            host="127.0.0.1",
-            port=port,
-            base_topic=BASE,
-            client_id="tacshade-test",
-            on_request=self.requests.put,
-            on_outcome=lambda stream, seq, outcome: self.outcomes[stream].append((seq, outcome)),
-            **options,
-        )
-
-    def connect(self) -> Rig:
-        self.link.start()
-        wait_until(lambda: self.link.connected, 10, "connected")
-        return self
-
-    def counts(self, stream: str) -> Counter[str]:
-        return Counter(outcome for _, outcome in list(self.outcomes[stream]))
-
-
-def code(rig: Rig) -> ReasonCode | None:
-    reason = rig.link.reason
-    return reason.code if reason else None
 
 
 @pytest.fixture
@@ -393,6 +361,18 @@ class TestRequests:
             topics = {m.topic for m in client.messages[before:] if not m.retain}
             assert topics - {f"{BASE}/state"} == {f"{BASE}/req/status", f"{BASE}/res/status"}
             assert set(client.of(f"{BASE}/state")) == {b"online"}
+
+    def test_a_reply_never_costs_the_connection(self, rig: Rig, subscriber: Subscriber) -> None:
+        """Mosquitto ends one that publishes on a topic with control characters; others may let such a request pass."""
+        properties = Properties(PacketTypes.PUBLISH)
+        properties.ResponseTopic = f"{BASE}/res/a\nb"
+        for verb, asked in (("status", properties), ("sta\ntus", None), ("explode", properties)):
+            message = MQTTMessage(0, f"{BASE}/req/{verb}".encode())
+            message.payload, message.properties = b"garbage", asked
+            rig.link._on_message(rig.link._client, None, message)
+        subscriber.wait_for(f"{BASE}/res/status")
+        subscriber.wait_for(f"{BASE}/res/explode")
+        assert rig.link.counters() | {"replies": 2, "bad_requests": 3, "losses": 0} == rig.link.counters()
 
     def test_garbage_is_counted_and_answered(self, rig: Rig, subscriber: Subscriber) -> None:
         for verb, payload in (("status", b"\xff\x00"), ("profile", b'{"transaction": 5}'), ("explode", b"{}")):

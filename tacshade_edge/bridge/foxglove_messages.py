@@ -1,0 +1,191 @@
+"""A hand's messages in Foxglove's schemas: lengths and places in metres and times in Unix time, as its viewers expect.
+
+Values that are only read as numbers stay in mm: a pixel of the image is h in mm.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, Literal
+
+import numpy as np
+from foxglove.messages import (
+    Color,
+    CompressedImage,
+    FrameTransform,
+    FrameTransforms,
+    Log,
+    LogLevel,
+    PackedElementField,
+    PackedElementFieldNumericType,
+    Point3,
+    PointCloud,
+    Pose,
+    Quaternion,
+    RawImage,
+    SceneEntity,
+    SceneUpdate,
+    Timestamp,
+    TriangleListPrimitive,
+    Vector3,
+)
+
+from tacshade_edge.core.geometry.back_projection import skin_points
+from tacshade_edge.core.geometry.disc import Grid, disc_rays
+from tacshade_edge.protocol.received import Info
+from tacshade_edge.protocol.wire import CloudMessage, HeightMessage
+from tacshade_edge.types import F32
+from tacshade_edge.types import Pose as RobotPose
+
+M_PER_MM: Final = 0.001
+SKIN_CELLS_MAX: Final = 48
+"""A side of the mesh: each of its corners is an object, and a thousand of them a viewer's frame."""
+
+_DEEPEST_MM: Final = 3.0
+_COLOURS: Final = [
+    Color(r=0.35 + 0.6 * t, g=0.4 + 0.45 * t, b=0.55 - 0.4 * t, a=1.0) for t in np.linspace(0.0, 1.0, 64)
+]
+_FLOAT: Final = PackedElementFieldNumericType.Float32
+_CLOUD_FIELDS: Final = [
+    *(PackedElementField(name=axis, offset=4 * i, type=_FLOAT) for i, axis in enumerate("xyz")),
+    PackedElementField(name="object", offset=12, type=PackedElementFieldNumericType.Uint16),
+]
+_CLOUD_POINT: Final = np.dtype([("xyz", "<f4", 3), ("object", "<u2")])
+
+CONTACT_SCHEMA: Final = {
+    "title": "tacshade.Contact",
+    "type": "object",
+    # All but the codes may be null, which the viewers' JSON Schema has no word for.
+    "properties": {
+        name: {"type": "number"}
+        for name in (
+            *("t_ns", "seq", "contact", "depth_max_mm", "area_mm2", "volume_mm3", "objects", "x_mm", "y_mm"),
+            *("shear_x_mm", "shear_y_mm", "twist_deg", "slip", "slip_mm_s", "fps"),
+        )
+    }
+    | {name: {"type": "string"} for name in ("reason_code", "degraded_code")},
+}
+
+Frame = Literal["base", "flange", "sensor"]
+
+
+def frame_name(sensor_id: str, frame: Frame) -> str:
+    """A hand's own frame: two hands' robots need not have one base."""
+    return f"{sensor_id}/{frame}"
+
+
+def timestamp(wall_ns: int) -> Timestamp:
+    """Unix time."""
+    sec, nsec = divmod(wall_ns, 1_000_000_000)
+    return Timestamp(sec=min(sec, 0xFFFFFFFF), nsec=nsec)
+
+
+def image(message: HeightMessage, sensor_id: str) -> RawImage:
+    """Of each cell h in mm as ``32FC1``; NaN outside the disc."""
+    rows, cols = message.height_mm.shape
+    return RawImage(
+        timestamp=timestamp(message.wall_ns),
+        frame_id=frame_name(sensor_id, "sensor"),
+        width=cols,
+        height=rows,
+        encoding="32FC1",
+        step=4 * cols,
+        data=message.height_mm.astype("<f4", copy=False).tobytes(),
+    )
+
+
+def cloud(message: CloudMessage, sensor_id: str, frame: Frame = "sensor") -> PointCloud:
+    """Points in m, each with the number of its object."""
+    points = np.empty(len(message.labels), _CLOUD_POINT)
+    points["xyz"], points["object"] = message.points_mm * np.float32(M_PER_MM), message.labels
+    return PointCloud(
+        timestamp=timestamp(message.wall_ns),
+        frame_id=frame_name(sensor_id, frame),
+        pose=Pose(position=Vector3(), orientation=Quaternion(w=1.0)),
+        point_stride=_CLOUD_POINT.itemsize,
+        fields=_CLOUD_FIELDS,
+        data=points.tobytes(),
+    )
+
+
+def skin(height_mm: F32, grid: Grid, info: Info, sensor_id: str, wall_ns: int) -> SceneUpdate:
+    """The skin as a mesh in m, coloured by its depth; empty before there is a calibration.
+
+    Parameters
+    ----------
+    height_mm : float32 (rows, cols)
+        Of every cell of `grid`; NaN outside the disc.
+    """
+    if info.geometry is None:
+        return SceneUpdate()
+    every = max(1, math.ceil(max(grid.rows, grid.cols) / SKIN_CELLS_MAX))
+    height_mm = height_mm[::every, ::every]
+    rows, cols = height_mm.shape
+    coarse = Grid(rows, cols, grid.row0, grid.col0, grid.step_px * every)
+    points = skin_points(height_mm, disc_rays(coarse, info.geometry.geometry), info.geometry.geometry) * M_PER_MM
+    there = np.isfinite(points).all(axis=-1)
+    number = np.cumsum(there).reshape(there.shape) - 1
+    quads = there[:-1, :-1] & there[1:, :-1] & there[:-1, 1:] & there[1:, 1:]
+    a, b, c, d = (number[i : i + quads.shape[0], j : j + quads.shape[1]][quads] for i in (0, 1) for j in (0, 1))
+    depth = np.clip(height_mm[there] / _DEEPEST_MM * len(_COLOURS), 0, len(_COLOURS) - 1).astype(int)
+    triangles = TriangleListPrimitive(
+        pose=Pose(position=Vector3(), orientation=Quaternion(w=1.0)),
+        points=[Point3(x=x, y=y, z=z) for x, y, z in points[there].tolist()],
+        colors=[_COLOURS[i] for i in depth.tolist()],
+        indices=np.stack((a, b, c, b, d, c), axis=-1).ravel().tolist(),
+    )
+    frame_id = frame_name(sensor_id, "sensor")
+    entity = SceneEntity(
+        timestamp=timestamp(wall_ns), frame_id=frame_id, id=frame_id, frame_locked=True, triangles=[triangles]
+    )
+    return SceneUpdate(entities=[entity])
+
+
+def untouched(info: Info) -> tuple[F32, Grid]:
+    """The height map of a skin at rest, 0 in the disc; one cell of NaN before there is a calibration."""
+    if info.geometry is None:
+        return np.full((1, 1), np.nan, np.float32), Grid(1, 1, 0.0, 0.0, 1.0)
+    geometry = info.geometry.geometry
+    step_px = 2 * geometry.disc.radius_px / (SKIN_CELLS_MAX - 1)
+    corner = geometry.disc.row_c - geometry.disc.radius_px, geometry.disc.col_c - geometry.disc.radius_px
+    grid = Grid(SKIN_CELLS_MAX, SKIN_CELLS_MAX, *corner, step_px)
+    inside = disc_rays(grid, geometry).inside
+    return np.where(inside, np.float32(0), np.float32(np.nan)), grid
+
+
+def flange_T_sensor(info: Info, sensor_id: str, wall_ns: int) -> FrameTransforms:
+    """Where the sensor is on the robot; empty before there is a calibration."""
+    if info.geometry is None:
+        return FrameTransforms()
+    transform = _transform(info.geometry.flange_T_sensor, sensor_id, "flange", "sensor", wall_ns)
+    return FrameTransforms(transforms=[transform])
+
+
+def base_T_flange(pose: RobotPose, sensor_id: str, wall_ns: int) -> FrameTransforms:
+    """Where the robot was when a frame was taken."""
+    values = (pose.x_mm, pose.y_mm, pose.z_mm, pose.qw, pose.qx, pose.qy, pose.qz)
+    return FrameTransforms(transforms=[_transform(values, sensor_id, "base", "flange", wall_ns)])
+
+
+def picture(jpeg: bytes, sensor_id: str, wall_ns: int) -> CompressedImage:
+    """The camera's picture."""
+    return CompressedImage(
+        timestamp=timestamp(wall_ns), frame_id=frame_name(sensor_id, "sensor"), data=jpeg, format="jpeg"
+    )
+
+
+def log(topic: str, text: str, wall_ns: int, *, warns: bool) -> Log:
+    """A line of the log panel, of the topic it came from."""
+    level = LogLevel.Warning if warns else LogLevel.Info
+    return Log(timestamp=timestamp(wall_ns), level=level, message=text, name=topic)
+
+
+def _transform(values: tuple[float, ...], sensor_id: str, parent: Frame, child: Frame, wall_ns: int) -> FrameTransform:
+    x, y, z, qw, qx, qy, qz = values
+    return FrameTransform(
+        timestamp=timestamp(wall_ns),
+        parent_frame_id=frame_name(sensor_id, parent),
+        child_frame_id=frame_name(sensor_id, child),
+        translation=Vector3(x=x * M_PER_MM, y=y * M_PER_MM, z=z * M_PER_MM),
+        rotation=Quaternion(x=qx, y=qy, z=qz, w=qw),
+    )

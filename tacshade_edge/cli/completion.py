@@ -1,0 +1,31 @@
+"""``tacshade-edge completion``: a file for bash, zsh or tcsh; nothing of ours runs when TAB is pressed."""
+
+from __future__ import annotations
+
+import argparse
+
+from tacshade_edge.cli import command_line
+from tacshade_edge.errors import ConfigError
+
+SHELLS = ("bash", "zsh", "tcsh")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's options."""
+    parser.epilog = (
+        "bash: tacshade-edge completion bash > ~/.local/share/bash-completion/completions/tacshade-edge; "
+        "zsh: tacshade-edge completion zsh > DIR/_tacshade-edge, in a DIR of $fpath. Then open a new shell."
+    )
+    parser.add_argument("shell", choices=SHELLS)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the shell's file."""
+    try:
+        import shtab
+    except ImportError:
+        found = "completion: found no package shtab"
+        raise ConfigError(f"{found}, expected: pip install 'tacshade-edge[completion]'") from None
+    parser, _ = command_line(lambda _: True)
+    print(shtab.complete(parser, args.shell))
+    return 0

@@ -1,0 +1,75 @@
+"""What opens the dashboard to others: its token and its certificate."""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+import re
+import secrets
+import ssl
+from pathlib import Path
+from typing import Final
+
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.regular_files import read_regular
+
+_TOKEN: Final = re.compile(r"[A-Za-z0-9._~-]{16,128}")  # as it stands in an address and in a cookie
+_TOKEN_BYTES: Final = 24
+_FILE_BYTES_MAX: Final = 4096
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine reaches an address; of a name but ``localhost`` that is not known."""
+    try:
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def read_token(path: Path) -> str | None:
+    """The token in a file; None where there is no file. Raises ConfigError."""
+    try:
+        text = read_regular(path, _FILE_BYTES_MAX).decode("ascii", "replace").strip()
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise ConfigError(f"--token-file {path}: {error.strerror}, expected a file with the token") from None
+    if not _TOKEN.fullmatch(text):
+        raise ConfigError(f"--token-file {path}: expected one line of 16 to 128 letters, digits and . _ ~ -")
+    return text
+
+
+def make_token(path: Path | None) -> str:
+    """A new token, kept in a file that only this user can read; without one until the program ends.
+
+    Raises
+    ------
+    ConfigError
+        The file cannot be written.
+    """
+    token = secrets.token_urlsafe(_TOKEN_BYTES)
+    if path is not None:
+        try:
+            descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+            with os.fdopen(descriptor, "w") as stream:
+                stream.write(f"{token}\n")
+        except OSError as error:
+            raise ConfigError(f"--token-file {path}: {error.strerror}, expected a place for the token") from None
+    return token
+
+
+def server_tls(certificate: Path | None, key: Path | None) -> ssl.SSLContext | None:
+    """What serves over TLS; None without a certificate. Raises ConfigError."""
+    if certificate is None:
+        if key is not None:
+            raise ConfigError(f"--key {key}: found no --certificate, expected both")
+        return None
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    shown = f"--certificate {certificate}" + (f" --key {key}" if key else "")
+    try:
+        # Asked for a password, OpenSSL would wait at the terminal.
+        context.load_cert_chain(certificate, key, password=lambda: "")
+    except (OSError, ssl.SSLError) as error:
+        reason = error.strerror if type(error) is not ssl.SSLError and error.strerror else "not usable together"
+        raise ConfigError(f"{shown}: {reason}, expected PEM files of a certificate and its key, no password") from None
+    return context

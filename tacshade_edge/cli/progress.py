@@ -1,0 +1,92 @@
+"""How far a long command is, on stderr: one line that renews itself on a terminal, a line every 10 s elsewhere."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Callable
+from typing import Final, TextIO
+
+PERIOD_S: Final = 10.0
+_TERMINAL_PERIOD_S: Final = 0.1
+_TELLING_S: Final = 1.0  # of work, before which nothing is said of the time that is left
+
+
+class Progress:
+    """Tells how many of how many are done, and the time left if the rest goes on as what was done.
+
+    Parameters
+    ----------
+    stream : text stream
+        Where it is written.
+    clock : callable
+        Seconds that only grow.
+    """
+
+    def __init__(self, stream: TextIO | None = None, clock: Callable[[], float] = time.monotonic) -> None:
+        self._stream = stream or sys.stderr
+        self._clock = clock
+        self._live = self._stream.isatty()
+        self._what = ""
+        self._began_s = self._said_s = clock()
+        self._is_open = False  # a line on the terminal that has no end yet
+
+    def __call__(self, what: str, done: int, total: int | None) -> None:
+        """Say it if it is time.
+
+        Parameters
+        ----------
+        what : str
+            What is counted; another one begins anew.
+        done : int
+        total : int or None
+            None where nobody knows.
+        """
+        now_s = self._clock()
+        if what != self._what:
+            self.end()
+            self._what, self._began_s = what, now_s
+            self._said_s = -math.inf if self._live else now_s
+        is_last = done == total
+        if now_s - self._said_s < self._period_s and not (is_last and self._is_open):
+            return
+        self._said_s = now_s
+        counted = f"{done}" if total is None else f"{done}/{total}"
+        text = f"{what}: {counted}{self._left(now_s - self._began_s, done, total)}"
+        if self._live:
+            print(f"\r\033[K{text}", end="", file=self._stream, flush=True)
+            self._is_open = True
+            if is_last:
+                self.end()
+        else:
+            print(text, file=self._stream, flush=True)
+
+    def say(self, line: str) -> None:
+        """Write a line of its own, over the one that renews itself."""
+        print(f"\r\033[K{line}" if self._is_open else line, file=self._stream, flush=True)
+        self._is_open = False
+
+    def end(self) -> None:
+        """Nothing more is counted."""
+        if self._is_open:
+            print(file=self._stream, flush=True)
+            self._is_open = False
+
+    @property
+    def _period_s(self) -> float:
+        return _TERMINAL_PERIOD_S if self._live else PERIOD_S
+
+    @staticmethod
+    def _left(passed_s: float, done: int, total: int | None) -> str:
+        if total is None or not 0 < done < total or passed_s < _TELLING_S:
+            return ""
+        return f", {duration(passed_s * (total - done) / done)} left"
+
+
+def duration(seconds: float) -> str:
+    """``40 s``, ``12 min``, ``2 h 5 min``."""
+    minutes = round(seconds / 60)
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"

@@ -1,0 +1,59 @@
+"""How far off a network's heights are on a sensor, from its presses: the scale of σ (`core.depth.sigma`).
+
+The errors of presses that the heights were not fitted to, in σ of scale 1; q is the quantile that the 90 % interval has
+to hold of them, as in split conformal prediction (Vovk, Gammerman and Shafer, Algorithmic Learning in a Random World,
+2005). Presses are not what will be touched: other shapes are farther off, and a sensor with few presses is less unusual
+than it seems. So log q is taken on to the scale by a line that was fitted on simulated sensors.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from tacshade_edge.core.depth.sigma import INTERVAL_90, SigmaModel, sigma_of_scale_1, terms
+from tacshade_edge.types import F32, F64, Bool, Geometry
+
+_SCALE_RANGE = (0.2, 20.0)
+
+
+def errors_in_sigma(
+    model: SigmaModel,
+    height_mm: F32,
+    true_mm: F32,
+    contact_logit: F32,
+    foreign_logit: F32,
+    known: Bool,
+    geometry: Geometry,
+) -> F64:
+    """|error| over σ of scale 1 of a press, at the cells where its height is known: float64 (N,).
+
+    Parameters
+    ----------
+    model : SigmaModel
+    height_mm, true_mm, contact_logit : float32 (cells, cells)
+    foreign_logit : float32 (M, M)
+    known : bool (cells, cells)
+    geometry : Geometry
+    """
+    x = terms(height_mm, contact_logit, foreign_logit, known, geometry)
+    off = np.abs(height_mm[known].astype(np.float64) - true_mm[known])
+    return np.asarray(off / sigma_of_scale_1(model, x, geometry))
+
+
+def error_scale(model: SigmaModel, presses: Sequence[F64]) -> float:
+    """The scale of a sensor from the `errors_in_sigma` of at least one press, each with a cell; presses count alike."""
+    scale = math.exp(model.press_offset + model.press_slope * math.log(press_q(presses)))
+    return min(max(scale, _SCALE_RANGE[0]), _SCALE_RANGE[1])
+
+
+def press_q(presses: Sequence[F64]) -> float:
+    """What 90 % of the errors of presses lie below, in halves of the 90 % interval of scale 1; above 0."""
+    errors = np.concatenate(presses)
+    weights = np.concatenate([np.full(len(each), 1 / len(each)) for each in presses])
+    order = np.argsort(errors)
+    below = np.cumsum(weights[order])
+    found = float(errors[order][np.searchsorted(below, 0.9 * below[-1])])
+    return max(found / INTERVAL_90, 1e-3)

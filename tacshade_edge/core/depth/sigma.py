@@ -1,0 +1,115 @@
+"""How far off a height is: one standard deviation for every cell of a contact.
+
+A log-linear model of what a network itself tells, fitted on simulated sensors of two families (tools/fit_sigma.py),
+times a scale of the sensor, which its presses tell (`core.calibration.error_scale`). With k the skin's radius over
+20 mm,
+
+    log(σ / k) = log scale + Σ w_i x_i,    x = (1, log(0.1 + h / k), min(|∇h|, 2), l_c, l_f),
+
+the slope ∇h by Sobel's differences over the disc seen flat, l_c the log odds of contact between -2 and 8, l_f those of
+something foreign between -12 and 0. Errors are no Gaussian ones: σ is what makes ±1.645 σ hold 90 % of them, by
+quantile regression (Koenker and Bassett, Econometrica 46, 1978).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from tacshade_edge.core.geometry import disc_map
+from tacshade_edge.types import F32, Bool, Geometry
+
+TERMS = ("constant", "height", "slope", "contact", "foreign")
+"""Names of the x_i."""
+INTERVAL_90 = 1.645
+"""Half of the 90 % interval, in σ."""
+_NOMINAL_RADIUS_MM = 20.0
+_LEAST_HEIGHT_MM = 0.1
+_STEEPEST = 2.0
+_CONTACT_RANGE, _FOREIGN_RANGE = (-2.0, 8.0), (-12.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class SigmaModel:
+    """The errors of a network. Scale 1 is what sensors of the family that it was trained on have in the mean.
+
+    Attributes
+    ----------
+    weights : tuple of float
+        Of `TERMS`.
+    scale_without_presses : float
+        Of a sensor of which nothing is known but its references: that of the other family.
+    press_offset, press_slope : float
+        Of a sensor whose presses are off by q σ of scale 1 (`core.calibration.error_scale`):
+        log scale = press_offset + press_slope · log q.
+
+    Raises
+    ------
+    ValueError
+        A number too many or too few, not finite, or a scale that is not above 0.
+    """
+
+    weights: tuple[float, ...]
+    scale_without_presses: float
+    press_offset: float
+    press_slope: float
+
+    def __post_init__(self) -> None:
+        numbers = (*self.weights, self.scale_without_presses, self.press_offset, self.press_slope)
+        if not all(map(math.isfinite, numbers)) or self.scale_without_presses <= 0 or len(self.weights) != len(TERMS):
+            raise ValueError(f"found {self}, expected finite numbers, a weight for each of {', '.join(TERMS)}")
+
+
+def terms(height_mm: F32, contact_logit: F32, foreign_logit: F32, where: Bool, geometry: Geometry) -> F32:
+    """The x_i of some cells, float32 (N, len(TERMS)), finite.
+
+    Parameters
+    ----------
+    height_mm : float32 (cells, cells)
+        h on `disc_map.map_grid`, finite and not below 0; NaN or 0 outside the disc.
+    contact_logit : float32 (cells, cells)
+    foreign_logit : float32 (M, M)
+    where : bool (cells, cells)
+        The cells.
+    geometry : Geometry
+    """
+    cells = len(height_mm)
+    left, top, width, height = cv2.boundingRect(where.view(np.uint8))
+    first_row, first_col = max(top - 1, 0), max(left - 1, 0)
+    box = slice(first_row, top + height + 1), slice(first_col, left + width + 1)  # with the neighbours of each
+    near, chosen = np.nan_to_num(height_mm[box], nan=0.0), where[box]
+    along, across = (
+        cv2.Sobel(near, cv2.CV_32F, *order, ksize=3, borderType=cv2.BORDER_REPLICATE)[chosen]
+        for order in ((1, 0), (0, 1))
+    )
+    disc_mm = geometry.skin_radius_mm * math.sin(math.radians(geometry.visible_half_angle_deg))
+    cell_mm = 2 * disc_map.REACH * disc_mm / cells
+    row, col = np.nonzero(chosen)
+    each = cells // len(foreign_logit)
+    x = np.empty((len(row), len(TERMS)), np.float32)
+    x[:, 0] = 1
+    x[:, 1] = np.log(_LEAST_HEIGHT_MM + near[chosen] / np.float32(_size(geometry)))
+    x[:, 2] = np.minimum(np.hypot(along, across) / (8 * cell_mm), _STEEPEST)
+    x[:, 3] = _within(contact_logit[box][chosen], _CONTACT_RANGE)
+    x[:, 4] = _within(foreign_logit[(row + first_row) // each, (col + first_col) // each], _FOREIGN_RANGE)
+    return x
+
+
+def sigma_of_scale_1(model: SigmaModel, x: F32, geometry: Geometry) -> F32:
+    """σ in mm of cells with these `terms`, for a sensor of scale 1: float32 (N,)."""
+    # No matmul: BLAS leaves floating-point flags of lanes that it only pads with, and NumPy warns of them.
+    sigma: F32 = np.exp((x * np.array(model.weights, np.float32)).sum(axis=1)) * np.float32(_size(geometry))
+    return sigma
+
+
+def _size(geometry: Geometry) -> float:
+    """The k above."""
+    return geometry.skin_radius_mm / _NOMINAL_RADIUS_MM
+
+
+def _within(logit: F32, low_high: tuple[float, float]) -> F32:
+    """What is not finite counts as the end of more doubt where foreign, of contact where touching."""
+    return np.clip(np.nan_to_num(logit, nan=low_high[1]), *low_high)

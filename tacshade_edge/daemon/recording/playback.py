@@ -1,0 +1,159 @@
+"""A recording as a person plays it: paused, frame by frame, from anywhere, faster and slower (``req/replay``)."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Any, Final
+
+from tacshade_edge.devices.files.recording import RecordedFrame, Recording
+from tacshade_edge.protocol.messages import PlaybackCommand
+
+Changed = Callable[[dict[str, Any]], None]
+_MS: Final = 3  # decimals of a second
+TOLD_S: Final = 1.0
+"""While it is paused it says so once in so long: a page that is slow loses what comes faster than it takes it."""
+
+
+class Playback:
+    """Frames when they are due; the end is a pause, after which it can go on anywhere.
+
+    `read` belongs to one thread, `command` and `status` to any.
+
+    Parameters
+    ----------
+    reopen : callable
+        The recording from its first frame on.
+    speed : float
+        Times the recording's pace.
+    changed : callable
+        ``changed(status)`` after every command, and at the end.
+    """
+
+    def __init__(self, reopen: Callable[[], Recording], speed: float, changed: Changed) -> None:
+        self._reopen = reopen
+        self._recording = reopen()
+        self._changed = changed
+        self._wake = threading.Condition()
+        self._speed = speed
+        self._paused = False
+        self._steps = self._backs = 0
+        self._seek_ns: int | None = None  # after the first frame
+        self._start: tuple[int, int] | None = None  # our time and the recording's, from where the pace is kept
+        self._first_ns: int | None = None
+        self._last_ns = 0  # of the frame that was shown
+        self._seq: int | None = None
+
+    def command(self, command: PlaybackCommand) -> dict[str, Any]:
+        """Do it; the status that it makes."""
+        with self._wake:
+            self._start = None
+            if command.paused is not None:
+                self._paused = command.paused
+            if command.step:
+                self._paused = True
+                self._steps += 1
+            if command.back:
+                self._paused = True
+                self._backs += 1
+            if command.speed is not None:
+                self._speed = command.speed
+            if command.seek_s is not None:
+                self._seek_ns = round(command.seek_s * 1e9)
+            self._wake.notify_all()
+        status = self.status()
+        self._changed(status)
+        return status
+
+    def status(self) -> dict[str, Any]:
+        """For ``status/replay``, without its state and reason."""
+        with self._wake:
+            return {
+                "paused": self._paused,
+                "speed": self._speed,
+                "position_s": round((self._last_ns - (self._first_ns or 0)) / 1e9, _MS),
+                "length_s": round(self._recording.length_ns / 1e9, _MS),
+                "frame": self._seq,
+            }
+
+    def read(self) -> RecordedFrame:
+        """Wait for the next frame that is to be shown.
+
+        Raises
+        ------
+        DecodeError
+            Its image cannot be used; the next call goes on with the next.
+        ConfigError
+            As `Recording`'s.
+        """
+        ahead: RecordedFrame | None = None
+        still_paused = False
+        while True:
+            if still_paused:
+                self._changed(self.status())
+            with self._wake:
+                target_ns, self._seek_ns = self._seek_ns, None
+                backs, self._backs = self._backs, 0
+            wound = target_ns is not None or backs > 0
+            if target_ns is not None:
+                ahead = self._from(target_ns, ahead)
+            elif backs:
+                ahead = self._before(backs)
+            ahead = ahead or self._recording.read()
+            if ahead is None:
+                self._end()
+                continue
+            t_ns = ahead.frame.t_ns
+            with self._wake:
+                if self._first_ns is None:
+                    self._first_ns = t_ns
+                if self._wound:
+                    continue
+                wait_s = 0.0 if wound else self._wait_s(t_ns)
+                if wait_s > 0:
+                    still_paused = not self._wake.wait(min(wait_s, TOLD_S)) and self._paused
+                    continue
+                self._steps = max(self._steps - 1, 0)
+                self._last_ns, self._seq = t_ns, ahead.frame.seq
+            return ahead
+
+    @property
+    def _wound(self) -> bool:
+        """Whether another frame than the next is to be shown."""
+        return self._seek_ns is not None or self._backs > 0
+
+    def _wait_s(self, t_ns: int) -> float:
+        if self._paused:
+            return 0.0 if self._steps else float("inf")
+        now_ns = time.monotonic_ns()
+        self._start = self._start or (now_ns, t_ns)
+        return (self._start[0] + (t_ns - self._start[1]) / self._speed - now_ns) / 1e9
+
+    def _from(self, target_ns: int, ahead: RecordedFrame | None) -> RecordedFrame | None:
+        """The first frame at that time or later."""
+        target_ns += self._first_ns or 0
+        if target_ns <= max(self._last_ns, ahead.frame.t_ns if ahead else 0):
+            self._recording = self._reopen()
+        self._recording.skip_to(target_ns)
+        with self._wake:
+            self._start = None
+        return self._recording.read()
+
+    def _before(self, frames: int) -> RecordedFrame | None:
+        """So many frames before the one that is shown, or the first."""
+        self._recording = self._reopen()
+        self._recording.skip_to_before(self._last_ns, frames)
+        return self._recording.read()
+
+    def _end(self) -> None:
+        with self._wake:
+            self._paused, self._steps = True, 0
+        again = False
+        while not again:
+            self._changed(self.status())
+            with self._wake:
+                again = bool(self._wake.wait_for(lambda: not self._paused or self._steps or self._wound, TOLD_S))
+        with self._wake:
+            if not self._wound:
+                self._seek_ns = 0  # played again

@@ -1,0 +1,86 @@
+"""Who may see a page that is opened to a network: whoever has its token."""
+
+from __future__ import annotations
+
+import hmac
+from dataclasses import dataclass
+from http import HTTPStatus
+from typing import Final
+
+WRONG_MAX: Final = 10
+PERIOD_S: Final = 60.0
+"""From one address so many wrong tokens in so long; what comes after is refused unseen."""
+
+_ADDRESSES_MAX: Final = 256
+_COOKIE_S: Final = 30 * 24 * 3600
+
+
+@dataclass(slots=True)
+class _Tries:
+    since_s: float
+    latest: bytes | None = None
+    wrong: int = 0
+
+
+def told(authorization: str | None) -> str | None:
+    """The token in a request's header ``Authorization: Bearer``; None without one, such as with a proxy's own login."""
+    scheme, _, token = (authorization or "").partition(" ")
+    return token if scheme.lower() == "bearer" else None
+
+
+class Login:
+    """Compares tokens, and counts the wrong ones of each address.
+
+    Parameters
+    ----------
+    token : str
+    cookie : str
+        Name of the cookie that keeps the token in the browser. Browsers do not part the servers of one machine by
+        their ports, so it is told by the port.
+    secure : bool
+        The page is served over TLS, so the cookie is sent over nothing else.
+
+    Attributes
+    ----------
+    wrong : int
+        Wrong tokens so far.
+    """
+
+    def __init__(self, token: str, cookie: str, *, secure: bool) -> None:
+        self._token = token.encode()
+        self._cookie = cookie
+        flags = "; Secure" if secure else ""
+        self.set_cookie = f"{cookie}={token}; Path=/; Max-Age={_COOKIE_S}; HttpOnly; SameSite=Strict{flags}"
+        self._tries: dict[str, _Tries] = {}
+        self.wrong = 0
+
+    def kept(self, cookies: str | None) -> str | None:
+        """The token in a request's header ``Cookie``; None without one."""
+        pairs = (pair.strip().partition("=") for pair in (cookies or "").split(";"))
+        return next((value for name, _, value in pairs if name == self._cookie), None)
+
+    def refusal(self, offered: str | None, address: str, now_s: float) -> HTTPStatus | None:
+        """Why a request is refused; None when it may go on.
+
+        The same wrong token again is no new try: a page that was open when the token changed asks every second.
+        """
+        tries = self._tries.get(address)
+        if tries is not None and now_s - tries.since_s > PERIOD_S:
+            del self._tries[address]
+            tries = None
+        if offered is None:
+            return HTTPStatus.UNAUTHORIZED
+        if tries is not None and tries.wrong >= WRONG_MAX:
+            return HTTPStatus.TOO_MANY_REQUESTS
+        guess = offered.encode(errors="surrogateescape")
+        if hmac.compare_digest(guess, self._token):
+            return None
+        if tries is None:
+            if len(self._tries) >= _ADDRESSES_MAX:
+                del self._tries[next(iter(self._tries))]
+            tries = self._tries[address] = _Tries(now_s)
+        if guess != tries.latest:
+            tries.latest = guess
+            tries.wrong += 1
+            self.wrong += 1
+        return HTTPStatus.UNAUTHORIZED

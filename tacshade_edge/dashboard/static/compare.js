@@ -1,0 +1,153 @@
+// Another hand beside the chosen one, such as the same recording with another profile: both maps and their difference.
+
+import { DIFFERENCES, PIXELS, STEPS, stepOf } from "./colours.js";
+import { heightAt } from "./geometry.js";
+import { nextMap } from "./newest.js";
+import { number, table } from "./panels.js";
+import { isPlayed } from "./playback.js";
+import { drawBar, drawTicks } from "./scale.js";
+
+const STREAMS = ["height", "contact", "status/replay"];
+const NICE_MM = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 40];
+const BEFORE_S = 0.001; // positions are told in whole milliseconds
+const SAME_PX = 2, SAME_MM = 0.1;
+const $ = (id) => document.getElementById(id);
+
+export class Compare {
+  /** link: its subscriptions and requests. decoded(payload): null where it is damaged. changed(): there is news. */
+  constructor({ link, decoded, changed }) {
+    this.link = link;
+    this.decoded = decoded;
+    this.changed = changed;
+    this.sensor = null;
+    this.seen = null; // what the difference that is shown says
+    drawBar($("difference-bar"), DIFFERENCES);
+    $("against").addEventListener("change", () => {
+      this.choose($("against").value || null);
+      changed();
+    });
+  }
+
+  /** The hands that there are to compare with. */
+  offer(names) {
+    if (this.sensor !== null && !names.includes(this.sensor)) this.choose(null);
+    $("against").replaceChildren(new Option("nothing", ""), ...names.map((name) => new Option(name, name)));
+    $("against").value = this.sensor ?? "";
+    $("compare-with").hidden = names.length === 0;
+  }
+
+  choose(sensor) {
+    if (sensor === this.sensor) return;
+    const topics = (name) => STREAMS.map((stream) => `tacshade/${name}/${stream}`);
+    if (this.sensor !== null) this.link().unsubscribe(...topics(this.sensor));
+    this.sensor = sensor;
+    this.view = { height: null, contact: null, map: null, height_ms: 0, drawnFor: null, parts: new Map() };
+    this.seen = this.drawn = null;
+    $("compare").hidden = sensor === null;
+    $("compare-maps").hidden = true;
+    $("compare-words").textContent = "Nothing was heard of it yet.";
+    $("compare-numbers").replaceChildren();
+    if (sensor !== null) this.link().subscribe(...topics(sensor));
+  }
+
+  take(what, payload, json) {
+    if (what === "height") {
+      this.view.height = payload;
+      this.view.height_ms = performance.now();
+    } else if (what === "contact") json(payload, (contact) => { this.view.contact = contact; });
+    else if (what === "status/replay") json(payload, (status) => { this.view.parts.set("replay", status); });
+    else return;
+    this.changed();
+  }
+
+  /** What was asked of the chosen recording is asked of the other; a pause is one at the same time of both. */
+  follow(body, { position_s }) {
+    if (this.sensor === null || !isPlayed(this.view.parts)) return;
+    const pause = body.paused === true ? { seek_s: Math.max(position_s - BEFORE_S, 0) } : {};
+    this.link().request(this.sensor, "replay", { ...body, ...pause }).catch((error) => {
+      $("compare-words").textContent = `${this.sensor}: ${error.message}`;
+    });
+  }
+
+  /** first: name, view and info of the chosen hand; other: info and state. heights: the view of the chosen hand's map. */
+  draw(first, other, heights) {
+    if (this.sensor === null) return;
+    const { view } = this, geometry = other.info?.geometry ?? null;
+    const map = nextMap(view, geometry, this.decoded);
+    if (map) {
+      view.map = map;
+      view.drawnFor = geometry;
+    }
+    const key = [first.view.map, view.map, first.view.contact, view.contact, heights.scale_mm];
+    if (!first.view.map || !view.map || (this.drawn && key.every((part, k) => part === this.drawn[k]))) return;
+    this.drawn = key;
+    $("compare-maps").hidden = !isSame(first.info?.geometry, geometry);
+    if ($("compare-maps").hidden) {
+      this.seen = null;
+      $("compare-words").textContent = `${this.sensor} has another camera or skin, so its cells are not those of ${first.name}.`;
+    } else this.paint(first.view.map, heights);
+    $("first-name").textContent = first.name;
+    $("other-name").textContent = ["online", "degraded"].includes(other.state) ? this.sensor : `${this.sensor} (${other.state ?? "unknown"})`;
+    $("difference-name").textContent = `${this.sensor} less ${first.name}`;
+    this.tell(first, other);
+  }
+
+  /** Both maps in the cells of the first, and what the other has more. */
+  paint(map, { crop, scale_mm }) {
+    const { top, left, rows, cols } = crop, count = rows * cols, difference = new Float32Array(count);
+    const pictures = ["first", "other", "difference"].map((name) => {
+      const canvas = $(`${name}-cells`);
+      if (canvas.width !== cols) canvas.width = cols;
+      if (canvas.height !== rows) canvas.height = rows;
+      const context = canvas.getContext("2d"), image = context.createImageData(cols, rows);
+      return { context, image, pixels: new Uint32Array(image.data.buffer) };
+    });
+    const [first, other, apart] = pictures;
+    let cells = 0, sum_mm = 0, worst_mm = 0, worst_at = 0;
+    for (let i = 0, at = 0; i < rows; i++) {
+      for (let j = 0; j < cols; j++, at++) {
+        const a = map.height_mm[(top + i) * map.cols + left + j];
+        difference[at] = NaN;
+        if (a !== a) continue;
+        const b = heightAt(this.view.map, map.row0 + (top + i) * map.step_px, map.col0 + (left + j) * map.step_px);
+        first.pixels[at] = PIXELS[stepOf(a, scale_mm)];
+        other.pixels[at] = PIXELS[stepOf(b, scale_mm)];
+        difference[at] = b - a;
+        cells++;
+        sum_mm += Math.abs(b - a);
+        if (Math.abs(b - a) > Math.abs(worst_mm)) {
+          worst_mm = b - a;
+          worst_at = at;
+        }
+      }
+    }
+    const end_mm = NICE_MM.find((nice) => nice >= Math.abs(worst_mm)) ?? NICE_MM.at(-1);
+    for (let at = 0; at < count; at++) {
+      if (difference[at] === difference[at]) apart.pixels[at] = DIFFERENCES[stepOf(difference[at] + end_mm, 2 * end_mm)];
+    }
+    for (const { context, image } of pictures) context.putImageData(image, 0, 0);
+    drawTicks($("difference-ticks"), -end_mm, end_mm);
+    const row = map.row0 + (top + Math.floor(worst_at / cols)) * map.step_px, col = map.col0 + (left + (worst_at % cols)) * map.step_px;
+    this.seen = { mean_mm: sum_mm / Math.max(cells, 1), worst_mm, row, col };
+    const sign = worst_mm > 0 ? "+" : "";
+    $("compare-words").textContent = `Heights are ${number(this.seen.mean_mm, 3)} mm apart in the mean, ${sign}${number(worst_mm, 3)} mm at worst, at row ${number(row)}, col ${number(col)} px.`;
+  }
+
+  tell(first, other) {
+    const a = first.view.contact, b = this.view.contact;
+    const numbers = [["greatest depth, mm", "depth_max_mm", 2], ["area, mm²", "area_mm2", 1], ["volume, mm³", "volume_mm3", 1], ["objects", "objects", 0]];
+    const rows = numbers.map(([name, key, digits]) => {
+      const more = a && b ? b[key] - a[key] : NaN;
+      return [name, number(a?.[key], digits), number(b?.[key], digits), `${more > 0 ? "+" : ""}${number(more, digits)}`];
+    });
+    rows.unshift(["profile", first.info?.profile ?? "–", other.info?.profile ?? "–", ""], ["frame", number(a?.seq), number(b?.seq), ""]);
+    $("compare-numbers").replaceChildren(table("", rows, ["", first.name, this.sensor, "more"]));
+  }
+}
+
+/** Whether two hands see the same skin through the same camera, but for what two calibrations of it differ by. */
+function isSame(a, b) {
+  if (!a || !b) return false;
+  const near = (key, most) => Math.abs(a[key] - b[key]) <= most;
+  return near("image_height_px", 0) && near("image_width_px", 0) && near("row_c", SAME_PX) && near("col_c", SAME_PX) && near("radius_px", SAME_PX) && near("skin_radius_mm", SAME_MM);
+}

@@ -1,0 +1,25 @@
+// The token goes to the server in a header and comes back as a cookie that no script can read.
+
+const form = document.getElementById("login"), why = document.getElementById("login-why");
+
+async function login(token) {
+  try {
+    const answer = await fetch("login", { headers: { Authorization: `Bearer ${token}` }, cache: "no-store" });
+    if (answer.ok) location.replace("./");
+    else why.textContent = await answer.text();
+  } catch {
+    why.textContent = "the dashboard's server does not answer";
+  }
+}
+
+form.addEventListener("submit", (event) => {
+  event.preventDefault();
+  login(form.elements.token.value.trim());
+});
+
+// The address that the server told has the token behind its #, which no server and no other site is sent.
+if (location.hash.length > 1) {
+  const token = location.hash.slice(1);
+  history.replaceState(null, "", "login");
+  login(token);
+}

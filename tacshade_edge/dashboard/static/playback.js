@@ -1,0 +1,42 @@
+// A recording that is played: the buttons of `req/replay`, for a hand that tells `status/replay`.
+
+import { number } from "./panels.js";
+
+const form = document.getElementById("playback");
+let winding = false; // the person has the slider
+
+/** Whether what comes is a recording that a page commands. */
+export const isPlayed = (parts) => ["playing", "paused"].includes(parts.get("replay")?.state);
+export const isPaused = (parts) => parts.get("replay")?.state === "paused";
+
+/** ask(body): asks the replay; resolves when it answered. */
+export function commandPlayback(ask) {
+  const { step, back, position, speed } = form.elements;
+  form.addEventListener("submit", (event) => {
+    event.preventDefault();
+    ask({ paused: form.dataset.state === "playing" });
+  });
+  step.addEventListener("click", () => ask({ step: true }));
+  back.addEventListener("click", () => ask({ back: true }));
+  speed.addEventListener("change", () => ask({ speed: Number(speed.value) }));
+  position.addEventListener("input", () => { winding = true; });
+  position.addEventListener("change", async () => {
+    await ask({ seek_s: Number(position.value) });
+    winding = false;
+  });
+}
+
+export function tellPlayback(parts, able) {
+  form.hidden = !isPlayed(parts);
+  if (form.hidden) return;
+  const status = parts.get("replay"), { play, step, back, position, speed } = form.elements;
+  form.dataset.state = status.state;
+  play.textContent = status.state === "playing" ? "Pause" : "Play";
+  for (const control of [play, step, back, position, speed]) control.disabled = !able;
+  position.hidden = !(status.length_s > 0);
+  position.max = status.length_s;
+  if (!winding) position.value = status.position_s;
+  if (![...speed.options].some((option) => Number(option.value) === status.speed)) speed.add(new Option(`${status.speed} ×`, status.speed));
+  speed.value = status.speed;
+  form.querySelector("output").textContent = `${number(status.position_s, 2)} s${status.length_s > 0 ? ` of ${number(status.length_s, 2)} s` : ""}, frame ${status.frame}`;
+}

@@ -1,0 +1,48 @@
+// A new zero, once nothing touches. The page waits, not the hand: who closes it, or loses the connection, has asked nothing.
+
+const REST_MS = 500;
+
+export class Rezero {
+  /** ask(): takes the new zero; resolves to the reason code of a refusal. told(words): something changed. */
+  constructor({ ask, told }) {
+    this.ask = ask;
+    this.told = told;
+    this.waiting = false;
+    this.rest_ms = null; // since when nothing touches
+  }
+
+  /** A click: take it, wait, or wait no more. */
+  toggle(contact) {
+    if (this.waiting) return this.cancel();
+    this.waiting = true;
+    this.rest_ms = null;
+    if (contact === null || rests(contact)) this.take();
+    else this.told();
+  }
+
+  cancel() {
+    if (!this.waiting || this.taking) return;
+    this.waiting = false;
+    this.told("No new zero.");
+  }
+
+  /** What touches now. */
+  heard(contact) {
+    if (!this.waiting || this.taking) return;
+    if (!rests(contact)) this.rest_ms = null;
+    else this.rest_ms ??= performance.now();
+    if (this.rest_ms !== null && performance.now() - this.rest_ms >= REST_MS) this.take();
+  }
+
+  async take() {
+    this.taking = true;
+    this.told();
+    const code = await this.ask();
+    this.taking = false;
+    this.rest_ms = null;
+    if (code !== "frame_in_contact") this.waiting = false; // touched meanwhile: the next rest will do
+    this.told();
+  }
+}
+
+const rests = (contact) => contact.contact === 0 && !contact.reason_code;

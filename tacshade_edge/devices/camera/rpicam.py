@@ -1,0 +1,299 @@
+"""Frames of a Raspberry Pi's own (CSI, ribbon cable) camera: the program ``rpicam-vid`` writes them into a pipe.
+
+libcamera alone knows these cameras, and OpenCV does not know libcamera; ``rpicam-vid`` comes with the board's system.
+It writes each frame as raw YUV 4:2:0, whose first plane is the grey image, and after each frame a record of metadata
+into a second pipe (rpicam-apps, output/output.cpp): the sensor's time stamp, and the exposure and gain that the frame
+really had. So frames and records come in pairs, and a stream that lost its step is noticed at the next record.
+
+Limits. The program does not say how long a line is: it is the width where that is a multiple of 64, and no other is
+asked. A sensor's time stamp is the start of its first line's exposure, on the clock that does not stop while a board
+sleeps; a board that was never suspended has one clock. White balance is fixed, since the grey image is made after it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import logging
+import os
+import select
+import signal
+import subprocess
+import time
+
+import numpy as np
+
+from tacshade_edge.devices.camera.frame_gaps import FrameGaps
+from tacshade_edge.devices.camera.v4l2_controls import Control, Lock
+from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.reasons import ReasonCode
+from tacshade_edge.types import U8, Frame
+
+_log = logging.getLogger(__name__)
+
+PROGRAM = "rpicam-vid"
+_STALL_S = 2.0
+_START_S = 5.0  # a cold board loads libcamera and tunes the sensor
+_END_S = 1.0
+_STAMP_AGE_MAX_NS = 1_000_000_000
+_SETTLING = 30  # first frames that may still have another exposure than was asked
+_EXPOSURE_OFF = 0.05  # of what was asked: a sensor exposes whole lines
+_PIPE_BYTES = 1 << 20  # the most that a user may ask; a frame of 640x480 has 460 800
+_SAID_BYTES = 4096
+
+
+class RpicamSource:
+    """A `FrameSource` (devices.base) on ``rpicam-vid``; frames are grey, the luma of YUV 4:2:0 in full range.
+
+    All methods belong to one thread, except `dropped` and `describe`.
+
+    Parameters
+    ----------
+    camera : int
+        As ``rpicam-vid --list-cameras`` numbers them.
+    width_px, height_px : int
+        A width of a multiple of 64.
+    fps : float
+    exposure_us : int
+        What the shutter is locked at.
+    gain : float
+        What the sensor's gain is locked at.
+    """
+
+    def __init__(self, camera: int, width_px: int, height_px: int, fps: float, exposure_us: int, gain: float) -> None:
+        self._name = f"camera {camera} of {PROGRAM}"
+        self._shape = (height_px, width_px)
+        self._exposure_us, self._gain = exposure_us, gain
+        self._command = (
+            *(PROGRAM, "--camera", str(camera), "--width", str(width_px), "--height", str(height_px)),
+            *("--framerate", f"{fps:g}", "--shutter", str(exposure_us), "--gain", f"{gain:g}", "--awbgains", "1,1"),
+            *("--denoise", "cdn_off", "--codec", "yuv420", "--timeout", "0", "--nopreview", "--verbose", "0"),
+            *("--flush", "--output", "-", "--metadata-format", "txt", "--metadata"),
+        )
+        self._stated: dict[str, str | int | float] = {"width_px": width_px, "height_px": height_px, "fps_asked": fps}
+        self._stream: _Stream | None = None
+        self._pending: Frame | None = None
+        self._proven = False
+        self._sensor_stamps = False
+        self._gaps = FrameGaps()
+        self._seq = -1
+        self._dropped = 0
+
+    @property
+    def dropped(self) -> int:
+        """Frames inferred from gaps between the sensor's time stamps, since the first open."""
+        return self._dropped
+
+    def open(self) -> None:
+        """Start the program and read until a frame has the exposure that was asked; the next `read` returns it.
+
+        Raises
+        ------
+        DeviceError
+            No such program or camera, in use, or it gives no frame.
+        ConfigError
+            The camera does not take the exposure or the gain; or its lines are longer than the image is wide.
+        """
+        self.close()
+        self._gaps = FrameGaps()
+        self._stream = _Stream(self._name, self._command, self._shape)
+        try:
+            self._pending = self._first(self._stream)
+        except DeviceError as error:
+            self.close()
+            if error.code is ReasonCode.NOT_OFFERED and not self._proven:
+                raise ConfigError(str(error), code=error.code) from None
+            raise
+        self._proven = True
+        _log.info("%s: %s", self._name, ", ".join(f"{name} {got}" for name, got in self._stated.items()))
+
+    def read(self) -> Frame | None:
+        """Wait for the next frame, at most two seconds. Raises DeviceError when the program ended or stalls."""
+        if self._stream is None:
+            raise DeviceError(f"{self._name}: is not open")
+        frame, self._pending = self._pending, None
+        return frame or self._framed(*self._stream.next(_STALL_S))
+
+    def close(self) -> None:
+        """End the program; safe to call twice."""
+        self._pending = None
+        if self._stream is not None:
+            self._stream.close()
+            self._stream = None
+
+    def describe(self) -> dict[str, str | int | float]:
+        """What was asked and what the frames' records say; ``fps_measured`` is 0 until there are frames."""
+        period_ns = self._gaps.period_ns
+        measured = round(1e9 / period_ns, 2) if period_ns else 0.0
+        return {"device": self._name, **self._stated, "fps_measured": measured}
+
+    def _first(self, stream: _Stream) -> Frame:
+        """The first frame with the exposure that was asked, and with no bytes too many."""
+        in_step, exposure_us, gain = False, float("nan"), float("nan")
+        for _ in range(_SETTLING):
+            image, record = stream.next(_START_S)
+            exposure_us, gain = _number(record, "ExposureTime"), _number(record, "AnalogueGain")
+            in_step = stream.in_step()
+            if self._is_asked(exposure_us, gain) and in_step:
+                break
+        else:
+            if not in_step:
+                raise stream.other_size()
+            raise DeviceError(
+                f"{self._name}: asked an exposure of {self._exposure_us} us and a gain of {self._gain:g}, "
+                f"got {exposure_us:g} us and {gain:g}",
+                code=ReasonCode.NOT_OFFERED,
+            )
+        period_us = _number(record, "FrameDuration")
+        age_ns = time.monotonic_ns() - _number(record, "SensorTimestamp")
+        self._sensor_stamps = -1000 * period_us <= age_ns < _STAMP_AGE_MAX_NS
+        exposure, white_balance = Control(Lock.LOCKED, exposure_us), Control(Lock.LOCKED)
+        self._stated |= {
+            "format": "YUV420",
+            "fps_stated": round(1e6 / period_us, 2) if period_us > 0 else 0.0,
+            **{"exposure": f"{exposure} us", "exposure_lock": exposure.lock, "exposure_value": exposure_us},
+            **{"gain": round(gain, 3), "white_balance": str(white_balance), "white_balance_lock": white_balance.lock},
+            "time_stamps": "sensor" if self._sensor_stamps else "on arrival",
+            "drops": "inferred from time stamps" if self._sensor_stamps else "not known",
+        }
+        return self._framed(image, record)
+
+    def _is_asked(self, exposure_us: float, gain: float) -> bool:
+        """Whether a record is of the exposure that was asked; one that tells none cannot say otherwise."""
+        pairs = ((exposure_us, self._exposure_us), (gain, self._gain))
+        return all(np.isnan(got) or abs(got - asked) <= _EXPOSURE_OFF * asked for got, asked in pairs)
+
+    def _framed(self, image: U8, record: dict[str, str]) -> Frame:
+        now_ns, wall_ns = time.monotonic_ns(), time.time_ns()
+        t_ns, lost = now_ns, 0
+        stamp_ns = _number(record, "SensorTimestamp")
+        if self._sensor_stamps and not np.isnan(stamp_ns):
+            lost = self._gaps.add(int(stamp_ns))
+            t_ns = min(int(stamp_ns), now_ns)
+        else:
+            self._gaps.add(now_ns)
+        self._seq += 1 + lost
+        self._dropped += lost
+        return Frame(self._seq, t_ns, wall_ns - (now_ns - t_ns), image)
+
+
+class _Stream:
+    """The running program: pairs of an image and its record."""
+
+    def __init__(self, name: str, command: tuple[str, ...], shape: tuple[int, int]) -> None:
+        self._name = name
+        self._shape = shape
+        self._bytes = shape[0] * shape[1] * 3 // 2
+        self._told, self._said = b"", b""  # records not yet used; the end of what it wrote to its standard error
+        told, write_end = os.pipe()
+        try:
+            self._process = subprocess.Popen(
+                (*command, f"/dev/fd/{write_end}"),
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                bufsize=0,
+                pass_fds=(write_end,),
+                process_group=0,  # a terminal's Ctrl-C is for us
+            )
+        except OSError as error:
+            os.close(told)
+            missing = isinstance(error, FileNotFoundError)
+            why = "no such program, expected it from apt's rpicam-apps-lite" if missing else error.strerror
+            raise DeviceError(f"{name}: {why}", code=ReasonCode.ABSENT if missing else ReasonCode.PERMISSION) from None
+        finally:
+            os.close(write_end)
+        assert self._process.stdout
+        assert self._process.stderr
+        self._frames, self._records, self._errors = self._process.stdout.fileno(), told, self._process.stderr.fileno()
+        with contextlib.suppress(OSError):  # more than the user's share: smaller steps
+            fcntl.fcntl(self._frames, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
+        self._others = [self._records, self._errors]
+
+    def next(self, limit_s: float) -> tuple[U8, dict[str, str]]:
+        """The next image, uint8 (H, W), and what the program tells of it. Raises DeviceError."""
+        content = np.empty(self._bytes, np.uint8)
+        view, have = content.data, 0
+        while have < self._bytes or b"\n\n" not in self._told:
+            whole = have == self._bytes
+            ready = select.select([*self._others, *(() if whole else (self._frames,))], [], [], limit_s)[0]
+            if not ready:
+                raise self.other_size() if whole and _is_readable(self._frames) else self._stalled()
+            if self._errors in ready:
+                self._hear()
+            if self._records in ready:
+                if not (words := os.read(self._records, 1 << 16)):
+                    raise self._ended()
+                self._told += words
+            if self._frames in ready:
+                if not (count := os.readv(self._frames, [view[have:]])):
+                    raise self._ended()
+                have += count
+            elif not whole and b"\n\n" in self._told and not _is_readable(self._frames):
+                raise self.other_size()  # a record comes after the whole of its frame
+        lines, _, self._told = self._told.partition(b"\n\n")
+        pairs = (line.partition("=") for line in lines.decode("ascii", "replace").splitlines())
+        image = content[: self._shape[0] * self._shape[1]].reshape(self._shape)
+        return image, {key: value for key, _, value in pairs}
+
+    def in_step(self) -> bool:
+        """Whether nothing is left of the frame and of its record; False also where the next have come already."""
+        return b"\n\n" not in self._told and not _is_readable(self._frames) and not _is_readable(self._records)
+
+    def close(self) -> None:
+        """End it: nobody reads, so it cannot block, and it stops the camera on SIGINT."""
+        process = self._process
+        assert process.stdout
+        assert process.stderr
+        process.stdout.close()
+        process.stderr.close()
+        os.close(self._records)
+        process.send_signal(signal.SIGINT)
+        try:
+            process.wait(_END_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+    def _hear(self) -> None:
+        words = os.read(self._errors, _SAID_BYTES)
+        self._said = (self._said + words)[-_SAID_BYTES:]
+        if not words:
+            self._others.remove(self._errors)
+
+    def _ended(self) -> DeviceError:
+        """It closed its pipes: why, in its own words."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(_END_S)
+        while _is_readable(self._errors, 0.0) and (words := os.read(self._errors, _SAID_BYTES)):
+            self._said = (self._said + words)[-_SAID_BYTES:]
+        lines = [line.strip() for line in self._said.decode("utf-8", "replace").splitlines() if line.strip()]
+        why = next((line for line in reversed(lines) if line.startswith("ERROR")), lines[-1] if lines else "no word")
+        why = why.removeprefix("ERROR:").strip(" *")
+        codes = {"acquire": ReasonCode.IN_USE, "available": ReasonCode.ABSENT}
+        code = next((code for word, code in codes.items() if word in why), ReasonCode.LOST)
+        status = self._process.returncode
+        return DeviceError(f"{self._name}: the program ended with {status}: {why!r}", code=code)
+
+    def _stalled(self) -> DeviceError:
+        return DeviceError(f"{self._name}: no frame comes, it stalls", code=ReasonCode.STALLED)
+
+    def other_size(self) -> DeviceError:
+        """The program's frames are not as large as ours."""
+        height_px, width_px = self._shape
+        return DeviceError(
+            f"{self._name}: found other frames than of {self._bytes} bytes, {width_px}x{height_px} YUV 4:2:0",
+            code=ReasonCode.NOT_OFFERED,
+        )
+
+
+def _is_readable(fd: int, limit_s: float = 0.0) -> bool:
+    return bool(select.select([fd], [], [], limit_s)[0])
+
+
+def _number(record: dict[str, str], key: str) -> float:
+    """A value of a record; NaN when it has none."""
+    try:
+        return float(record.get(key, "nan"))
+    except ValueError:
+        return float("nan")

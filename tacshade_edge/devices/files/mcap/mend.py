@@ -1,0 +1,88 @@
+"""MCAP files whose writer died: cut after their last whole record, and ended."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import struct
+from pathlib import Path
+from typing import BinaryIO, Final
+
+from tacshade_edge.devices.files.whole_files import sync
+from tacshade_edge.errors import DeviceError
+from tacshade_edge.reasons import ReasonCode
+
+_MAGIC: Final = b"\x89MCAP0\r\n"
+_RECORD: Final = struct.Struct("<BQ")  # opcode, length
+_HEADER, _FOOTER, _DATA_END, _LAST = 0x01, 0x02, 0x0F, 0x0F
+# Of a data section without a checksum, and no summary: readers go through the file.
+_END: Final = _RECORD.pack(_DATA_END, 4) + bytes(4) + _RECORD.pack(_FOOTER, 20) + bytes(20) + _MAGIC
+_SUFFIX: Final = ".mcap.part"
+
+
+def mend_recordings(folder: Path) -> list[Path]:
+    """Mend every recording below `folder` that nobody writes to.
+
+    Returns
+    -------
+    list of Path
+        The files that were mended, by their new names.
+
+    Raises
+    ------
+    DeviceError
+        The disk refuses; what was not mended is as it was.
+    """
+    try:
+        found = (mend(path) for path in sorted(folder.glob(f"*/*{_SUFFIX}")))
+        return [path for path in found if path is not None]
+    except OSError as error:
+        where = error.filename or folder
+        raise DeviceError(f"{where}: cannot be mended: {error.strerror or error}", code=ReasonCode.DISK) from None
+
+
+def mend(path: Path) -> Path | None:
+    """Make ``NAME.mcap`` of ``NAME.mcap.part``; None where it is being written to, or has not even a header.
+
+    Raises OSError.
+    """
+    with path.open("r+b") as stream:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return None
+        if (end := _end_of_records(stream)) is None:
+            return None
+        stream.truncate(end)
+        stream.seek(end)
+        stream.write(_END)
+        stream.flush()
+        os.fsync(stream.fileno())
+        whole = path.with_name(path.name.removesuffix(".part"))
+        path.rename(whole)
+        sync(path.parent)
+    return whole
+
+
+def _end_of_records(stream: BinaryIO) -> int | None:
+    """Where the last whole record of the data section ends."""
+    size = stream.seek(0, os.SEEK_END)
+    stream.seek(0)
+    if stream.read(len(_MAGIC)) != _MAGIC:
+        return None
+    end = None
+    at = len(_MAGIC)
+    while len(head := stream.read(_RECORD.size)) == _RECORD.size:
+        opcode, length = _RECORD.unpack(head)
+        at += _RECORD.size + length
+        # Blocks that a power cut left empty are zeros, which no opcode is.
+        if (
+            at > size
+            or not 0 < opcode <= _LAST
+            or opcode in (_DATA_END, _FOOTER)
+            or (end is None) != (opcode == _HEADER)
+        ):
+            break
+        stream.seek(at)
+        end = at
+    return end

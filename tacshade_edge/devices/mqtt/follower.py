@@ -1,0 +1,114 @@
+"""Hears what hands publish; what is heard can change at any time, so that nobody asks a hand for what nobody reads."""
+
+from __future__ import annotations
+
+import logging
+import secrets
+import sys
+import threading
+from collections.abc import Callable, Collection
+from typing import Any, Final
+
+from paho.mqtt.client import Client, MQTTMessage
+from paho.mqtt.reasoncodes import ReasonCode as MqttCode
+
+from tacshade_edge.devices.mqtt.client import BrokerAddress, connect, make_client
+
+_log = logging.getLogger(__name__)
+
+_INCOMING_BYTES_MAX: Final = 1 << 26
+"""More than any camera's `height` or `cloud`."""
+
+
+class Follower:
+    """One client at the broker, back by itself; whatever fails on the way is one line of the log.
+
+    Parameters
+    ----------
+    broker : BrokerAddress
+    on_message : callable
+        ``on_message(topic, payload, retained)``, in paho's thread; what it raises leaves that.
+
+    Raises
+    ------
+    ConfigError
+        A host name or authority file that can never work.
+    """
+
+    def __init__(self, broker: BrokerAddress, on_message: Callable[[str, bytes, bool], None]) -> None:
+        self._where, self._address = f"{broker['host']}:{broker['port']}", (broker["host"], broker["port"])
+        self._on_message = on_message
+        self._lock = threading.Lock()
+        self._topics: frozenset[str] = frozenset()
+        self._connected = False
+        self._told = ""
+        self._client = make_client(
+            host=broker["host"],
+            base_topic="tacshade",
+            client_id=f"tacshade-bridge-{secrets.token_hex(6)}",
+            username=broker["username"],
+            password=broker["password"],
+            tls_ca=broker["tls_ca"],
+        )
+        self._client.on_connect = self._on_connect
+        self._client.on_connect_fail = self._on_connect_fail
+        self._client.on_disconnect = self._on_disconnect
+        self._client.on_subscribe = self._on_subscribe
+        self._client.on_message = self._on_paho_message
+
+    def start(self) -> None:
+        """Begin to connect, and go on for ever; an absent broker is no error."""
+        connect(self._client, *self._address, incoming_bytes_max=_INCOMING_BYTES_MAX)
+
+    def follow(self, topics: Collection[str]) -> None:
+        """Hear these topics and no others from now on; callable from any thread."""
+        with self._lock:
+            wanted = frozenset(topics)
+            new, old, self._topics = wanted - self._topics, self._topics - wanted, wanted
+            if self._connected:  # else the next connection subscribes to all of them
+                self._subscribe(new)
+                if old:
+                    self._client.unsubscribe(sorted(old))
+
+    def stop(self) -> None:
+        """Disconnect."""
+        self._client.disconnect()
+        self._client.loop_stop()
+
+    def _subscribe(self, topics: Collection[str]) -> None:
+        if topics:
+            self._client.subscribe([(topic, 1) for topic in sorted(topics)])
+
+    def _tell(self, text: str) -> None:
+        """A change is logged, a repetition is not."""
+        if text != self._told:
+            self._told = text
+            _log.info("%s: %s", self._where, text)
+
+    # -- called by paho, in its thread ----------------------------------------------------------------------------
+
+    def _on_connect(self, _client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
+        self._tell(f"refused: {code}" if code.is_failure else "connected")
+        with self._lock:
+            self._connected = not code.is_failure
+            if self._connected:
+                self._subscribe(self._topics)
+
+    def _on_connect_fail(self, _client: Client, _userdata: Any) -> None:
+        error = sys.exception()  # paho calls this while it handles the error, and does not pass it on
+        self._tell(f"{getattr(error, 'strerror', None) or error or 'no connection'}; trying again")
+
+    def _on_disconnect(self, _client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
+        with self._lock:
+            was, self._connected = self._connected, False
+        if was:
+            self._tell(f"connection lost ({code})")
+
+    def _on_subscribe(self, _client: Client, _userdata: Any, _mid: int, codes: list[MqttCode], _p: Any) -> None:
+        if refused := next((code for code in codes if code.is_failure), None):
+            self._tell(
+                f"subscription refused: {refused}, expected access rules (ACL) that let this user read tacshade/#"
+            )
+
+    def _on_paho_message(self, _client: Client, _userdata: Any, message: MQTTMessage) -> None:
+        self._on_message(message.topic, bytes(message.payload), message.retain)

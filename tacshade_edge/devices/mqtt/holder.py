@@ -1,0 +1,182 @@
+"""Who holds a sensor's name at the broker: asked before each connection, since connecting takes it from whoever has it.
+
+A broker gives a client's id to the newest connection. Two daemons under one `sensor_id` would take it from each other
+for ever; so one that finds another there waits until that one is gone, and says so.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import secrets
+import select
+import socket
+import time
+from collections.abc import Callable
+from typing import Any, Final
+
+from paho.mqtt.client import Client, MQTTMessage
+from paho.mqtt.enums import MQTTErrorCode
+from paho.mqtt.reasoncodes import ReasonCode as MqttCode
+from paho.mqtt.subscribeoptions import SubscribeOptions
+
+from tacshade_edge.devices.mqtt.client import connect_now
+from tacshade_edge.protocol.messages import encode_status
+from tacshade_edge.quoting import shown
+from tacshade_edge.reasons import Reason, ReasonCode
+
+_ANSWER_S: Final = 2.0
+_UNKNOWN_S: Final = 0.3  # a broker that holds nothing of this name says nothing
+_LIFE_S: Final = 3.0  # three times the period of `health`
+_GONE_S: Final = 10.0  # a holder that restarts, or a broker, has its name back before another takes it
+_POLL_S: Final = 0.05
+_ALIVE: Final = (b"online", b"degraded")
+
+
+def new_instance() -> dict[str, str | int]:
+    """What tells this daemon from another under the same name: retained as ``instance``."""
+    return {"id": secrets.token_hex(8), "host": socket.gethostname(), "process": os.getpid()}
+
+
+class Holder:
+    """Watches a name with a connection under another; used by one thread, paho's of the link.
+
+    Parameters
+    ----------
+    client : Client
+        Without a client's id, not connected.
+    host, port : str, int
+    base_topic : str
+    instance : dict
+        Ours.
+    """
+
+    def __init__(self, client: Client, host: str, port: int, base_topic: str, instance: dict[str, str | int]) -> None:
+        self._client = client
+        self._where, self._host, self._port, self._base = f"{host}:{port}", host, port, base_topic
+        self._instance = instance
+        self._rival = f"{base_topic}/status/rival"
+        self._waited = False
+        self._begin()
+        client.on_connect, client.on_subscribe = self._on_connect, self._on_subscribe
+        client.on_message = self._on_message
+
+    def _begin(self) -> None:
+        self._asked: bool = False
+        self._living: bool = False
+        self._told: bool = False
+        self._state: bytes | None = None
+        self._holder: dict[str, Any] = {}
+        self._seen_s = 0.0
+
+    def wait_until_gone(self, tell: Callable[[Reason], None], stopped: Callable[[], bool]) -> None:
+        """Return when the name may be taken, at once where nobody has it, or where `stopped`.
+
+        Also where the broker does not let us ask: connecting will tell why.
+
+        Parameters
+        ----------
+        tell : callable
+            Gets who holds the name, again and again.
+        stopped : callable
+
+        Raises
+        ------
+        OSError
+            No connection, or it was lost; ask again.
+        """
+        self._begin()
+        self._client.will_set(self._rival, b"", qos=1, retain=True)
+        try:
+            connect_now(self._client, self._host, self._port)
+            if not self._pump(lambda: stopped() or self._asked, _ANSWER_S) or not self._asked:
+                return
+            self._seen_s = time.monotonic()
+            self._pump(lambda: stopped() or self._free(tell), None)
+            if not stopped():
+                self._waited = False
+        finally:
+            if self._told:
+                self._client.publish(self._rival, b"", 0, True)
+            self._hang_up()
+
+    def _free(self, tell: Callable[[Reason], None]) -> bool:
+        """Whether nobody else has the name, as far as is known now."""
+        quiet_s = time.monotonic() - self._seen_s
+        if self._state not in _ALIVE:
+            return quiet_s >= (_GONE_S if self._waited else _UNKNOWN_S if self._state is None else 0.0)
+        if self._holder.get("id") == self._instance["id"]:
+            return True
+        if not self._living:  # what a broker kept of a daemon that died unseen
+            return quiet_s >= _LIFE_S
+        self._waited = True
+        reason = Reason(
+            ReasonCode.IN_USE, f"{self._where}: {self._base} is held by another daemon, {place_of(self._holder)}"
+        )
+        tell(reason)
+        if not self._told:
+            self._told = True
+            self._client.publish(self._rival, encode_status("waiting", reason, self._instance), 0, True)
+        return False
+
+    def _pump(self, done: Callable[[], bool], limit_s: float | None) -> bool:
+        """Send and receive until `done` or the limit; False where the broker hung up before it let us ask."""
+        end_s = None if limit_s is None else time.monotonic() + limit_s
+        while not done() and (end_s is None or time.monotonic() < end_s):
+            if not self._step():
+                if self._asked:
+                    raise ConnectionResetError("connection lost")
+                return False
+        return True
+
+    def _hang_up(self) -> None:
+        self._client.disconnect()
+        sock = self._client.socket()
+        if sock is not None:
+            with contextlib.suppress(OSError):
+                sock.shutdown(socket.SHUT_RDWR)  # type: ignore[attr-defined]
+        while self._step():  # reads the end, and closes
+            pass
+
+    def _step(self) -> bool:
+        """Send and receive once; False without a connection. Not `Client.loop`, whose pair of sockets stays open."""
+        client = self._client
+        if (sock := client.socket()) is None:
+            return False
+        select.select([sock], [sock] if client.want_write() else [], [], _POLL_S)
+        for once in (client.loop_read, client.loop_write, client.loop_misc):
+            if once() != MQTTErrorCode.MQTT_ERR_SUCCESS:
+                return False
+        return client.socket() is not None
+
+    def _on_connect(self, client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
+        if not code.is_failure:
+            names = ("state", "instance", "health")
+            client.subscribe([(f"{self._base}/{name}", SubscribeOptions(1)) for name in names])
+
+    def _on_subscribe(self, *_: Any) -> None:
+        self._asked = True
+
+    def _on_message(self, _client: Client, _userdata: Any, message: MQTTMessage) -> None:
+        name, payload = message.topic.removeprefix(f"{self._base}/"), bytes(message.payload)
+        self._living |= not message.retain
+        if name == "state":
+            self._state, self._seen_s = payload, time.monotonic()
+        elif name == "instance":
+            self._holder = decode_instance(payload)
+
+
+def decode_instance(payload: bytes) -> dict[str, Any]:
+    """An ``instance`` of somebody; empty where it is none."""
+    try:
+        value = json.loads(payload)
+    except ValueError:
+        return {}
+    return value if isinstance(value, dict) else {}
+
+
+def place_of(instance: dict[str, Any]) -> str:
+    """Where it runs, for a person."""
+    host, process = instance.get("host"), instance.get("process")
+    return f"on {shown(host, 64)}, process {shown(process, 20)}" if host else "which does not say where"

@@ -1,0 +1,180 @@
+"""One file for somebody who is to help: what the doctor found and saw, without what must stay secret."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import io
+import json
+import os
+import platform
+import re
+import shutil
+import subprocess
+import zipfile
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import cv2
+import msgspec
+
+from tacshade_edge.devices import calibrations, registry
+from tacshade_edge.devices.files.whole_files import disk_errors, write_whole
+from tacshade_edge.doctor.finding import Finding
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.protocol.messages import encode_info
+from tacshade_edge.settings import Document, Settings, to_yaml
+from tacshade_edge.types import U8
+from tacshade_edge.version import installed_version
+
+_LOG_LINES, _LOG_BYTES_MAX, _LOG_S = 2000, 4 << 20, 10.0
+_UNIT = "tacshade-edge"
+_LEFT_OUT = "(left out)"
+_HOME = re.compile(r"(?<=/home/)[^/\s\"',]+")
+_IN_URL = re.compile(r"(?<=://)[^/\s@\"']+(?=@)")
+
+
+@dataclass(slots=True)
+class Seen:
+    """What the checks came by, filled while they run.
+
+    Attributes
+    ----------
+    document : Document or None
+    told : dict
+        Topic below the daemon's to the payload that the broker holds.
+    image : uint8 (H, W) or (H, W, 3) or None
+        The latest frame.
+    """
+
+    document: Document | None = None
+    told: dict[str, bytes] = field(default_factory=dict)
+    image: U8 | None = None
+
+
+def write_bundle(path: Path, findings: Sequence[Finding], seen: Seen, *, with_frame: bool) -> None:
+    """Write the zip file whole.
+
+    Parameters
+    ----------
+    path : Path
+    findings : sequence of Finding
+    seen : Seen
+    with_frame : bool
+        A camera's picture may show what is not ours to give away.
+
+    Raises
+    ------
+    DeviceError
+        It cannot be written.
+    """
+    texts = {
+        "findings.json": _json([asdict(finding) for finding in findings]),
+        "versions.json": _json(versions()),
+        "published.json": _json({topic: _payload(payload) for topic, payload in sorted(seen.told.items())}),
+        "log.txt": _log(),
+    }
+    secrets: tuple[str, ...] = ()
+    if seen.document is not None:
+        texts["settings.yaml"] = to_yaml(_without_user(seen.document.settings))
+        texts["calibration.json"] = _json(_calibration(seen.document))
+        secrets = _secrets(seen.document)
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as bundle:
+        for name, text in texts.items():
+            bundle.writestr(name, without_secrets(text, secrets))
+        if with_frame and seen.image is not None:
+            _, png = cv2.imencode(".png", seen.image)
+            bundle.writestr("frame.png", png.tobytes())
+    with disk_errors(path.parent):
+        write_whole(path, packed.getvalue())
+
+
+def without_secrets(text: str, secrets: Sequence[str]) -> str:
+    """`text` without these words, the users' names in addresses, and the names of home folders."""
+    for secret in sorted(secrets, key=len, reverse=True):
+        text = text.replace(secret, _LEFT_OUT)
+    return _HOME.sub(_LEFT_OUT, _IN_URL.sub(_LEFT_OUT, text))
+
+
+def versions() -> dict[str, Any]:
+    """Of this program, what it stands on, and the machine."""
+    release = platform.freedesktop_os_release() if os.path.exists("/etc/os-release") else {}
+    required = importlib.metadata.requires("tacshade-edge") or []
+    names = sorted({re.split(r"[^\w.-]", text, maxsplit=1)[0] for text in required})
+    return {
+        "tacshade_edge": installed_version(),
+        "python": platform.python_version(),
+        "packages": {name: _version(name) for name in names},
+        "system": release.get("PRETTY_NAME", platform.system()),
+        "kernel": platform.release(),
+        "machine": platform.machine(),
+        "processors": os.cpu_count(),
+        "memory_bytes": os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"),
+    }
+
+
+def _version(name: str) -> str | None:
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def _without_user(settings: Settings) -> Settings:
+    mqtt = settings.mqtt
+    hidden = msgspec.structs.replace(
+        mqtt,
+        username=mqtt.username and _LEFT_OUT,
+        password_file=mqtt.password_file and _LEFT_OUT,
+    )
+    return msgspec.structs.replace(settings, mqtt=hidden)
+
+
+def _secrets(document: Document) -> tuple[str, ...]:
+    """Words that must not be in any text; not the user's name where it is the sensor's, as the shipped ACL wants."""
+    settings = document.settings
+    try:
+        password = registry.read_password(document)
+    except ConfigError:
+        password = None
+    username = settings.mqtt.username
+    words = (password, settings.mqtt.password_file, username if username != settings.sensor_id else None)
+    return tuple(form for word in words if word for form in (word, json.dumps(word)[1:-1]))
+
+
+def _calibration(document: Document) -> dict[str, Any]:
+    """The facts of the calibration's file, or why there are none."""
+    try:
+        found = calibrations.load(document.settings.calibration)
+    except ConfigError as error:
+        return {"reason": str(error)}
+    info = encode_info(version=installed_version(), config_digest="", profile="", calibration=found)
+    fit = {name: asdict(errors) for name, errors in found.fit.profiles.items()} if found.fit else None
+    fitted = {name: networks.error_mm for name, networks in found.fitted.items()}
+    facts = {"factors": dict(found.factors), "fit": fit, "fitted_error_mm": fitted, "noise_grey": found.noise_grey}
+    return {"geometry": json.loads(info)["geometry"], "pitch_px": found.pitch_px, **facts}
+
+
+def _log() -> str:
+    """The service's latest lines, or why there are none."""
+    if (program := shutil.which("journalctl")) is None:
+        return "no journalctl here\n"
+    command = [program, "--unit", _UNIT, "--lines", str(_LOG_LINES), "--no-pager", "--output", "short-iso"]
+    try:
+        done = subprocess.run(command, capture_output=True, timeout=_LOG_S, check=False)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return f"journalctl: {error}\n"
+    return (done.stdout or done.stderr)[-_LOG_BYTES_MAX:].decode(errors="replace")
+
+
+def _payload(payload: bytes) -> Any:
+    try:
+        return json.loads(payload)
+    except ValueError:
+        return payload.decode(errors="replace")
+
+
+def _json(value: object) -> str:
+    return json.dumps(value, indent=2, default=str) + "\n"

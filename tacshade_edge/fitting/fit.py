@@ -1,0 +1,195 @@
+"""``calibrate --fit``: the network of every profile trained on with a sensor's own presses, and whether that helped."""
+
+from __future__ import annotations
+
+import time
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tacshade_edge.core.calibration.inputs import KnownPress
+from tacshade_edge.core.calibration.press_targets import (
+    Targets,
+    fitted_error_scale,
+    held_out,
+    known_errors_mm,
+    press_targets,
+)
+from tacshade_edge.core.profiles import DEFAULT, LADDER, PROFILES
+from tacshade_edge.devices.weights.network import load_network, network_files, shipped_layout
+from tacshade_edge.devices.weights.onnx_weights import values_of
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.fitting import training
+from tacshade_edge.fitting.torch_network import TorchNetwork
+from tacshade_edge.types import Calibration, FittedNetwork
+
+LEAST_PRESSES, ENOUGH_PRESSES = 16, 40
+"""Fewer are refused; with fewer, more would help."""
+LEAST_GAIN = 0.05
+"""Part of the shipped network's error: the training was chosen by the same presses, so less may be chance."""
+ORDER = (DEFAULT, *(name for name in LADDER if name != DEFAULT))
+"""The default profile's network first."""
+_SAY_S = 5.0
+
+Say = Callable[[str], None]
+"""Told what is done and how long it will take, every few seconds."""
+
+
+@dataclass(frozen=True, slots=True)
+class ProfileReport:
+    """A profile on the presses that were held out: errors of h where the indenter's surface is known.
+
+    Attributes
+    ----------
+    profile : str
+    shipped_mm, fitted_mm : mapping of str to float
+        Of each indenter; `fitted_mm` is what was trained, kept or not.
+    kept : bool
+        Whether it is better than the shipped network, so that it goes into the calibration.
+    part : float
+        Of the way from the shipped weights to the trained ones, (0, 1]: where the fitted network lies.
+    """
+
+    profile: str
+    shipped_mm: dict[str, float]
+    fitted_mm: dict[str, float]
+    kept: bool
+    part: float
+
+    @property
+    def line(self) -> str:
+        """For a person."""
+        each = ", ".join(f"{name} {error:.2f}" for name, error in sorted(self.fitted_mm.items()))
+        kept = "" if self.kept else "; no better, so the shipped network stays"
+        return (
+            f"fit of {self.profile}: off by {_mean(self.fitted_mm):.2f} mm on presses that were held out, "
+            f"{_mean(self.shipped_mm):.2f} mm as shipped ({each}){kept}"
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FitResult:
+    """The calibration with what was kept, what was measured of each profile, and which presses would help most."""
+
+    calibration: Calibration
+    profiles: tuple[ProfileReport, ...]
+    advice: tuple[str, ...]
+
+
+def fit(calibration: Calibration, presses: Sequence[KnownPress], say: Say) -> FitResult:
+    """Train every profile's network on.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Made of them, not fitted.
+    presses : sequence of KnownPress
+        Those that `calibrate` used.
+    say : callable
+
+    Raises
+    ------
+    ConfigError
+        Too few presses.
+    """
+    if len(presses) < LEAST_PRESSES:
+        raise ConfigError(
+            f"--fit needs {LEAST_PRESSES} presses that can be used ({ENOUGH_PRESSES} are better), found {len(presses)}"
+        )
+    train, judge = held_out(presses)
+    runs = [_Run(calibration, name, train, judge) for name in ORDER if name in calibration.factors]
+    if not runs:
+        raise ConfigError("--fit: the networks see a contact where the indenter is in too few presses")
+    fitted, reports = {}, []
+    for number, run in enumerate(runs):
+        _train(run, runs[number + 1 :], f"fit of {run.name} ({number + 1} of {len(runs)})", say)
+        made, report = run.result()
+        reports.append(report)
+        if report.kept:
+            fitted[run.name] = made
+    return FitResult(replace(calibration, fitted=fitted), tuple(reports), _advice(presses, reports))
+
+
+class _Run:
+    """The training of one profile."""
+
+    def __init__(
+        self, calibration: Calibration, name: str, train: Sequence[KnownPress], judge: Sequence[KnownPress]
+    ) -> None:
+        self.name = name
+        self._geometry = calibration.geometry
+        profile = PROFILES[name]
+        self._weights = profile.network or name
+        self._shipped = load_network(self._weights)
+        self._factor = calibration.factors[name]
+        self._judge = press_targets(calibration, profile, self._shipped, judge)
+        trained = press_targets(calibration, profile, self._shipped, train)
+        if not trained.presses or not self._judge.presses:
+            raise ConfigError(f"--fit: {name} sees a contact where the indenter is in too few presses")
+        frame, self._once = network_files(self._weights)
+        self._network = TorchNetwork(frame, trained.sensors, self._factor)
+        self.training = training.Training(self._network, self._shipped.fold, self._factor, trained, self._judge)
+
+    def result(self) -> tuple[FittedNetwork, ProfileReport]:
+        """What was trained, measured as it will run."""
+        correction = self._network.correction.detach()[0].numpy()
+        made = FittedNetwork(
+            shipped_layout(self._weights),
+            np.concatenate((self._network.flat(), values_of(self._once))),
+            correction,
+            len(self._judge.presses),
+            error_mm=0.0,
+            shipped_error_mm=0.0,
+        )
+        network, sensor = load_network(self._weights, made), self._judge.sensors[0]
+        before = _of_each(self._judge, known_errors_mm(self._judge, self._shipped, sensor, self._factor))
+        after = _of_each(self._judge, known_errors_mm(self._judge, network, sensor + correction))
+        error_mm, shipped_mm = _mean(after), _mean(before)
+        scale = fitted_error_scale(self._judge, network, sensor + correction, self._geometry)
+        made = FittedNetwork(made.layout, made.weights, correction, made.held_out, error_mm, shipped_mm, scale)
+        kept = error_mm < (1 - LEAST_GAIN) * shipped_mm
+        return made, ProfileReport(self.name, before, after, kept, self.training.part)
+
+
+def _train(run: _Run, later: Sequence[_Run], what: str, say: Say) -> None:
+    began_s = said_s = time.monotonic()
+    later_s = sum(training.STEPS * each.training.step_s for each in later)
+    for step in run.training.steps():
+        now_s = time.monotonic()
+        if now_s - said_s >= _SAY_S:
+            said_s = now_s
+            left_s = (training.STEPS - step) * (now_s - began_s) / step + later_s
+            say(f"{what}: step {step} of {training.STEPS}, {left_s:.0f} s left at most")
+
+
+def _of_each(targets: Targets, errors_mm: Sequence[float]) -> dict[str, float]:
+    """Mean error of each indenter."""
+    errors = defaultdict(list)
+    for press, error in zip(targets.presses, errors_mm, strict=True):
+        errors[press.indenter].append(error)
+    return {name: float(np.mean(each)) for name, each in errors.items()}
+
+
+def _mean(errors_mm: dict[str, float]) -> float:
+    """Each indenter alike."""
+    return float(np.mean(list(errors_mm.values())))
+
+
+def _advice(presses: Sequence[KnownPress], reports: Sequence[ProfileReport]) -> tuple[str, ...]:
+    """Which presses would help most, the most useful first."""
+    advice = []
+    if all(press.indenter is None for press in presses):
+        advice.append("press flat ends, a box and a lying bar too: with balls alone the fit is a quarter worse")
+    if len(presses) < ENOUGH_PRESSES:
+        advice.append(f"take {ENOUGH_PRESSES - len(presses)} presses more")
+    errors = reports[0].fitted_mm
+    if len(errors) > 1:
+        worst = max(errors, key=lambda name: errors[name])
+        advice.append(f"take more presses with {worst}, which is off most ({errors[worst]:.2f} mm)")
+    deepest = max(press.depth_mm for press in presses)
+    advice.append(
+        f"what presses deeper than {deepest:.1f} mm, the deepest of these, is not fitted: press as deep as you work"
+    )
+    return tuple(advice)

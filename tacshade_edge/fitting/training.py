@@ -1,0 +1,191 @@
+"""Training a network on with presses: the loss, the steps, and when to stop."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from tacshade_edge.core.calibration.press_targets import VIEWS, PressTarget, Targets
+from tacshade_edge.fitting.torch_network import TorchNetwork
+
+STEPS, BATCH = 300, 12
+RATE = 5e-4
+"""The greatest of a one-cycle schedule (Smith and Topin, 2019) for Adam."""
+OWN_PART = 0.3
+"""Of the steps that see the sensor as it is at least; the others draw one of `VIEWS`."""
+WAY_PARTS = (0.25, 0.5, 0.75, 1.0)
+"""Of the way from the shipped weights to the trained ones: what lies between generalises better at times."""
+LOOK_STEPS, PATIENCE_STEPS = 20, 120
+"""How often the presses that are held out are looked at, and how long after the best look it goes on."""
+HIGH_PART = 0.4
+"""Of the steps until which nobody looks: at a high rate what a few presses show is chance."""
+OUTLINE_WEIGHT, FAR_WEIGHT, FOREIGN_WEIGHT = 2.0, 1.0, 0.5
+MORE_CELLS = 20
+"""A press weighs its cells and so many: one of few cells is not to weigh as much as a wide one."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Batch:
+    """Presses as tensors; see `PressTarget`."""
+
+    white: Tensor
+    surface: Tensor
+    known: Tensor
+    above: Tensor
+    far: Tensor
+    inside: Tensor
+    height: Tensor
+    contact: Tensor
+    foreign: Tensor
+
+    @classmethod
+    def of(cls, presses: Sequence[PressTarget]) -> Batch:
+        """Stack presses."""
+
+        def stacked(name: str) -> Tensor:
+            return torch.from_numpy(np.stack([getattr(press, name) for press in presses])).float()
+
+        surface, known = stacked("surface"), stacked("known")
+        # Beside where the indenter is inside the undeformed skin, by a cell, nothing can touch.
+        touchable = functional.max_pool2d((surface > 0).float(), 3, 1, 1)
+        return cls(
+            stacked("white"),
+            surface,
+            known,
+            (surface > 0).float() - known,
+            stacked("far"),
+            stacked("inside"),
+            stacked("height"),
+            stacked("contact_logit").sigmoid() * touchable,
+            stacked("foreign_logit").sigmoid()[:, None],
+        )
+
+    def some(self, which: Tensor) -> Batch:
+        """Those of the given numbers."""
+        return Batch(*(getattr(self, name)[which] for name in self.__slots__))
+
+    def seen_as(self, view: int, fold: int) -> Batch:
+        """The same as another of `VIEWS` shows it."""
+        turns, mirrored = VIEWS[view]
+
+        def seen(x: Tensor) -> Tensor:
+            turned = torch.rot90(x, turns, (-2, -1))
+            return turned.flip(-1) if mirrored else turned
+
+        white = functional.pixel_unshuffle(seen(functional.pixel_shuffle(self.white, fold)), fold)
+        return Batch(white, *(seen(getattr(self, name)) for name in self.__slots__[1:]))
+
+
+def loss(network: TorchNetwork, fold: int, batch: Batch, factor: float, view: int = 0) -> Tensor:
+    """How far a network is from what it is to say of presses; `factor` is that on the shipped network's heights."""
+    folded, foreign = network(batch.white, view)
+    height, logit = functional.pixel_shuffle(folded, fold).unbind(1)
+    level = _per_press((height - batch.surface).abs(), batch.known)
+    # Where the skin has lifted off the indenter it is deeper than its surface.
+    lifted = _per_press(functional.relu(batch.surface - height), batch.above)
+    far = _per_press((height - factor * batch.height).abs(), batch.far)
+    outline = functional.binary_cross_entropy_with_logits(logit, batch.contact, reduction="none")
+    strange = functional.binary_cross_entropy_with_logits(foreign, batch.foreign)
+    return (
+        level
+        + lifted
+        + FAR_WEIGHT * far
+        + OUTLINE_WEIGHT * _per_press(outline, batch.inside)
+        + FOREIGN_WEIGHT * strange
+    )
+
+
+def _per_press(values: Tensor, weight: Tensor) -> Tensor:
+    return ((values * weight).sum((1, 2)) / (weight.sum((1, 2)) + MORE_CELLS)).mean()
+
+
+class Training:
+    """A network in training.
+
+    Parameters
+    ----------
+    network : TorchNetwork
+    fold : int
+    factor : float
+        On the shipped network's heights.
+    train, held_out : Targets
+        At least one press each.
+
+    Attributes
+    ----------
+    part : float
+        One of `WAY_PARTS`, once `steps` have ended.
+    """
+
+    def __init__(self, network: TorchNetwork, fold: int, factor: float, train: Targets, held_out: Targets) -> None:
+        self._network, self._fold, self._factor = network, fold, factor
+        self._train, self._held_out = Batch.of(train.presses), Batch.of(held_out.presses)
+        self._count = len(train.presses)
+        self._optimizer = torch.optim.Adam(network.parameters(), lr=RATE)
+        self._schedule = torch.optim.lr_scheduler.OneCycleLR(self._optimizer, RATE, total_steps=STEPS)
+        self._draw = torch.Generator().manual_seed(0)
+        self.part = 1.0
+        self.step_s = self._step_s()
+
+    def steps(self) -> Iterator[int]:
+        """Train; after every step, how many are done. At the end the network is at its best part of the way."""
+        shipped = weights = self._network.copy()
+        best, best_step = self._look(), round(HIGH_PART * STEPS)
+        for step in range(1, STEPS + 1):
+            self._step()
+            yield step
+            if step > HIGH_PART * STEPS and (step % LOOK_STEPS == 0 or step == STEPS):
+                now = self._look()
+                if now < best:
+                    best, best_step, weights = now, step, self._network.copy()
+                if step - best_step >= PATIENCE_STEPS:
+                    break
+        self._network.restore(self._best_part(shipped, weights))
+
+    def _best_part(self, shipped: Sequence[Tensor], trained: Sequence[Tensor]) -> list[Tensor]:
+        """Weights on the straight way from one to the other (Wortsman et al., CVPR 2022)."""
+
+        def at(part: float) -> list[Tensor]:
+            return [torch.lerp(a, b, part) for a, b in zip(shipped, trained, strict=True)]
+
+        def look(part: float) -> float:
+            self._network.restore(at(part))
+            return self._look()
+
+        self.part = min(WAY_PARTS, key=look)
+        return at(self.part)
+
+    def _step(self) -> None:
+        which = torch.randperm(self._count, generator=self._draw)[:BATCH]
+        self._optimizer.zero_grad(set_to_none=True)
+        own = float(torch.rand((), generator=self._draw)) < OWN_PART
+        view = 0 if own else int(torch.randint(len(VIEWS), (), generator=self._draw))
+        batch = self._train.some(which).seen_as(view, self._fold)
+        loss(self._network, self._fold, batch, self._factor, view).backward()
+        self._optimizer.step()
+        self._schedule.step()
+
+    def _look(self) -> float:
+        """Mean error at the known cells of the presses that are held out, each press alike."""
+        with torch.no_grad():
+            folded, _ = self._network(self._held_out.white)
+        off = (functional.pixel_shuffle(folded, self._fold)[:, 0] - self._held_out.surface).abs()
+        known = self._held_out.known
+        return float(((off * known).sum((1, 2)) / known.sum((1, 2))).mean())
+
+    def _step_s(self) -> float:
+        """How long a step takes; nothing is learned from it."""
+        which = torch.arange(min(BATCH, self._count))
+        taken = []
+        for _ in range(3):
+            began_s = time.monotonic()
+            loss(self._network, self._fold, self._train.some(which), self._factor).backward()
+            taken.append(time.monotonic() - began_s)
+        self._optimizer.zero_grad(set_to_none=True)
+        return min(taken)

@@ -1,0 +1,175 @@
+"""Results of a camera and of a recording: frames are read when a result is asked for, by who asks."""
+
+from __future__ import annotations
+
+import logging
+import os
+import time
+from pathlib import Path
+from typing import Final
+
+from tacshade_edge.core.contact.tracking import ContactTracker
+from tacshade_edge.core.profiles import AUTO, DEFAULT
+from tacshade_edge.devices import calibrations, registry
+from tacshade_edge.devices.base import FrameSource
+from tacshade_edge.devices.files.recording import Recording
+from tacshade_edge.devices.files.recording_content import CALIBRATION_NAME
+from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
+from tacshade_edge.library.result import Result, Results
+from tacshade_edge.library.sensor import Sensor, load
+from tacshade_edge.settings import Settings, V4l2
+from tacshade_edge.settings import load as load_settings
+from tacshade_edge.types import Frame
+
+_log = logging.getLogger(__name__)
+
+_STALE_PERIODS: Final = 2
+"""A frame that is older when it is read waited behind a newer one."""
+_WAITING_MAX: Final = 8
+"""More than a driver's buffers: a camera whose every frame is late is taken as it is."""
+
+
+def open(source: str | os.PathLike[str], sensor: Sensor | None = None) -> Results:
+    """Open a camera, and reconstruct its newest frame whenever a result is asked for.
+
+    A reader that is slower than the camera gets the newest frame; the others are passed over.
+
+    Parameters
+    ----------
+    source : path
+        A device such as ``/dev/video0``, or a settings file (``.yaml``) that names a camera, a folder or the simulated
+        sensor.
+    sensor : Sensor, optional
+        By default of the calibration and the profile that the settings name, which for a device are the service's.
+
+    Raises
+    ------
+    ConfigError
+        It can never work as it is.
+    DeviceError
+        There is no camera, it is in use, or gives no frame. Later, from ``next``: it was lost; the next call opens it
+        again.
+    """
+    path = Path(source)
+    if path.suffix.lower() in (".yaml", ".yml"):
+        document = load_settings(path)
+        registry.check_source(document)
+        settings = document.settings
+        if sensor is None:
+            if settings.profile == AUTO:
+                where = document.where("profile")
+                raise ConfigError(f"{where}: found {AUTO}, which the daemon alone has, expected a profile or a sensor")
+            sensor = Sensor(registry.load_calibration(document), settings.profile)
+    elif path.is_relative_to("/dev"):
+        sensor = sensor or load(Settings().calibration)
+        height_px, width_px = sensor.image_size_px
+        settings = Settings(source=V4l2(device=str(path), width_px=width_px, height_px=height_px))
+    else:
+        raise ConfigError(f"{path}: found neither a settings file (.yaml) nor a device, such as /dev/video0")
+    return _Live(registry.make_source(settings.source), sensor, settings.source.fps)
+
+
+def read(recording: str | os.PathLike[str], sensor: Sensor | None = None) -> Results:
+    """Read a recording, and reconstruct every frame in order.
+
+    Parameters
+    ----------
+    recording : path
+        A folder or MCAP file that ``tacshade-edge record`` made, any folder of images, an image, or a video
+        (docs/replay.md).
+    sensor : Sensor, optional
+        By default of the recording's own calibration, with the profile ``balanced``.
+
+    Raises
+    ------
+    ConfigError
+        There is nothing to read, or no calibration.
+    """
+    path = Path(recording)
+    frames = Recording(path)
+    if sensor is None:
+        if (own := calibrations.of_recording(path)) is None:
+            raise ConfigError(
+                f"{path}: found no {CALIBRATION_NAME} in it, expected a sensor too: read(recording, sensor)"
+            )
+        sensor = Sensor(own, DEFAULT)
+    return _Recorded(frames, sensor)
+
+
+class _Live(Results):
+    def __init__(self, source: FrameSource, sensor: Sensor, fps: float) -> None:
+        self._source, self._sensor, self._tracker = source, sensor, ContactTracker()
+        self._stale_ns = _STALE_PERIODS * 1e9 / fps
+        self._skipped = 0
+        self._ended = self._opened = False
+        self._open()
+
+    @property
+    def passed_over(self) -> int:
+        return self._source.dropped + self._skipped
+
+    def __next__(self) -> Result:
+        if self._ended:
+            raise StopIteration
+        try:
+            if not self._opened:
+                self._open()
+            frame = self._newest()
+        except DeviceError:
+            self._source.close()
+            self._opened = False
+            raise
+        if frame is None:
+            self.close()
+            raise StopIteration
+        return self._sensor.step(frame, self._tracker)
+
+    def close(self) -> None:
+        self._ended = True
+        self._source.close()
+
+    def _open(self) -> None:
+        self._source.open()
+        self._opened = True
+
+    def _newest(self) -> Frame | None:
+        waiting = 0
+        while True:
+            try:
+                frame = self._source.read()
+            except DecodeError as error:
+                _log.debug("%s", error)
+                self._skipped += 1
+                continue
+            waiting += 1
+            if frame is None or waiting > _WAITING_MAX or time.monotonic_ns() - frame.t_ns <= self._stale_ns:
+                return frame
+            self._skipped += 1
+
+
+class _Recorded(Results):
+    def __init__(self, recording: Recording, sensor: Sensor) -> None:
+        self._recording: Recording | None = recording
+        self._sensor, self._tracker = sensor, ContactTracker()
+        self._skipped = 0
+
+    @property
+    def passed_over(self) -> int:
+        return self._skipped
+
+    def __next__(self) -> Result:
+        while self._recording is not None:
+            try:
+                recorded = self._recording.read()
+            except DecodeError as error:
+                _log.warning("%s", error)
+                self._skipped += 1
+                continue
+            if recorded is None:
+                break
+            return self._sensor.step(recorded.frame, self._tracker)
+        self.close()
+        raise StopIteration
+
+    def close(self) -> None:
+        self._recording = None

@@ -1,0 +1,169 @@
+"""From the messages of a daemon to results: what it published of one frame, put together again."""
+
+from __future__ import annotations
+
+import contextlib
+import struct
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from tacshade_edge.core.contact.objects import find_objects
+from tacshade_edge.core.contact.tracking import ContactTracker, follow
+from tacshade_edge.core.geometry.back_projection import cells_that_see
+from tacshade_edge.core.geometry.disc import Grid, disc_rays
+from tacshade_edge.errors import DecodeError
+from tacshade_edge.library.result import Result, result_of
+from tacshade_edge.protocol import wire
+from tacshade_edge.protocol.received import Contact, Info, decode_contact, decode_info
+from tacshade_edge.protocol.wire import CloudMessage, HeightMessage, ShearMessage, SigmaMessage
+from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.types import F32, Geometry, HeightMap, ObjectCloud, Reconstruction, TouchedObject
+
+_STREAMS: Final = ("height", "cloud", "shear", "sigma")
+TOPICS: Final = (*_STREAMS, "contact", "info", "state")
+_SEQ: Final = struct.Struct("<8xI")
+
+
+@dataclass(frozen=True, slots=True)
+class _Whole:
+    """All that was published of one frame; without contact nothing but `contact` need be there."""
+
+    contact: Contact
+    streams: dict[str, bytes]
+
+
+class FramesHeard:
+    """Takes one daemon's messages in the order in which it sent them; keeps the newest frame that is whole.
+
+    Attributes
+    ----------
+    info : Info
+    state : str
+        Both as last told.
+    passed_over : int
+        Frames that a newer one replaced, that came in part, or whose calibration is not the told one.
+    """
+
+    def __init__(self) -> None:
+        self.info, self.state, self.passed_over = Info(), "", 0
+        self._height = HeightMap(np.zeros((0, 0), np.float32), np.zeros((0, 0), np.bool_), 0.0, 0.0, 1.0)
+        self._tracker = ContactTracker()
+        self.forget()
+
+    def forget(self) -> None:
+        """Drop what is not whole: the messages that follow are another connection's."""
+        self._latest: dict[str, bytes] = {}
+        self._newest: _Whole | None = None
+
+    @property
+    def whole(self) -> bool:
+        """Whether there is a frame to take."""
+        return self._newest is not None
+
+    def add(self, topic: str, payload: bytes) -> None:
+        """Take a message; what cannot be understood is nobody's."""
+        with contextlib.suppress(DecodeError):
+            if topic in _STREAMS:
+                self._latest[topic] = payload
+            elif topic == "state":
+                self.state = payload.decode(errors="replace")
+            elif topic == "info":
+                self.info = decode_info(payload)
+            elif topic == "contact":
+                self._add(decode_contact(payload))
+
+    def _add(self, contact: Contact) -> None:
+        """``contact`` is the last that a daemon sends of a frame."""
+        seq = contact.seq & 0xFFFFFFFF
+        streams = {
+            name: data
+            for name, data in self._latest.items()
+            if len(data) >= _SEQ.size and _SEQ.unpack_from(data)[0] == seq
+        }
+        if contact.contact and not {"height", "cloud"} <= streams.keys():
+            self.passed_over += 1
+            return
+        self.passed_over += self._newest is not None
+        self._newest = _Whole(contact, streams)
+
+    def take(self) -> Result | None:
+        """The result of the newest frame; None where there is none that can be understood."""
+        whole, self._newest = self._newest, None
+        if whole is None:
+            return None
+        try:
+            result = self._result(whole)
+        except DecodeError:
+            result = None
+        self.passed_over += result is None
+        return result
+
+    def _result(self, whole: _Whole) -> Result | None:
+        if (known := self.info.geometry) is None:
+            return None
+        contact, geometry = whole.contact, known.geometry
+        messages = {name: wire.decode(data) for name, data in whole.streams.items()}
+        height, cloud, shear, sigma = (messages.get(name) for name in _STREAMS)
+        if not isinstance(height, HeightMessage):
+            height = None
+        elif height.calibration_crc32 != known.calibration_crc32:
+            return None
+        shear_mm = shear.shear_mm if isinstance(shear, ShearMessage) else None
+        points = ObjectCloud(np.zeros((0, 3), np.float32), np.zeros(0, np.uint16))
+        if isinstance(cloud, CloudMessage):
+            points = ObjectCloud(cloud.points_mm, cloud.labels)
+        objects: tuple[TouchedObject, ...] = ()
+        volume_mm3 = 0.0
+        if height is None:
+            self._height = _untouched(self._height)
+        else:
+            self._height, objects, volume_mm3 = _touched(height, points, shear_mm, geometry)
+        made = Reconstruction(
+            seq=contact.seq,
+            t_ns=contact.t_ns,
+            wall_ns=contact.wall_ns or (height.wall_ns if height else 0),
+            profile=self.info.profile,
+            valid=not contact.reason_code,
+            reason=_reason(contact.reason_code),
+            contact=bool(contact.contact),
+            saturated=height is not None and height.saturated,
+            degraded=_reason(contact.degraded_code),
+            height=self._height,
+            cloud=points,
+            objects=objects,
+            volume_mm3=volume_mm3,
+            shear_mm=shear_mm,
+            sigma_mm=sigma.sigma_mm if isinstance(sigma, SigmaMessage) else None,
+        )
+        if made.valid:
+            made = follow(self._tracker, made)
+        return result_of(made, geometry, height.pose if height else None, None)
+
+
+def _touched(
+    message: HeightMessage, cloud: ObjectCloud, shear_mm: F32 | None, geometry: Geometry
+) -> tuple[HeightMap, tuple[TouchedObject, ...], float]:
+    """The map, its objects and their volume. The contact itself is not sent: its points are, each of one cell."""
+    height_mm = message.height_mm
+    rows, cols = height_mm.shape
+    grid = Grid(rows, cols, message.row0, message.col0, message.step_px)
+    contact = cells_that_see(cloud.points_mm, grid, geometry) & ~np.isnan(height_mm)
+    found = find_objects(contact, height_mm, shear_mm, disc_rays(grid, geometry), geometry)
+    made = HeightMap(height_mm, contact, message.row0, message.col0, message.step_px)
+    return (made, (), 0.0) if found is None else (made, found.described, found.volume_mm3)
+
+
+def _untouched(last: HeightMap) -> HeightMap:
+    """0 on the grid of the last map that came, which has no cell before the first."""
+    zero_mm = np.where(np.isnan(last.height_mm), np.float32(np.nan), np.float32(0))
+    return HeightMap(zero_mm, np.zeros(zero_mm.shape, np.bool_), last.row0, last.col0, last.step_px)
+
+
+def _reason(code: str) -> Reason | None:
+    """Its code is all that is told of it."""
+    if not code:
+        return None
+    known = next((reason for reason in ReasonCode if reason.value == code), None)
+    return Reason(known or ReasonCode.DECODE, code)

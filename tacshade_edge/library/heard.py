@@ -1,0 +1,190 @@
+"""Results of a daemon on the network: its messages are received when a result is asked for, by who asks."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+import select
+import time
+from typing import Any, Final
+
+from paho.mqtt.client import Client, MQTTMessage
+from paho.mqtt.enums import MQTTErrorCode
+from paho.mqtt.reasoncodes import ReasonCode as MqttCode
+
+from tacshade_edge.devices.mqtt.client import connect_now, make_client
+from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.library.frames_heard import TOPICS, FramesHeard
+from tacshade_edge.library.result import Result, Results
+from tacshade_edge.quoting import escaped, shown
+from tacshade_edge.reasons import ReasonCode
+
+_SILENT_S: Final = 5.0
+"""A daemon with a camera says ten times a second that nothing touches."""
+_KEEPALIVE_S: Final = 60
+_POLL_S: Final = 0.1
+_BYTES_MAX: Final = 1 << 26
+_REASON_CHARS_MAX: Final = 500
+
+
+def listen(
+    broker: str,
+    sensor_id: str,
+    *,
+    username: str | None = None,
+    password: str | None = None,
+    ca_file: str | os.PathLike[str] | None = None,
+) -> Results:
+    """Listen to a running daemon (docs/mqtt.md).
+
+    A result is given for each frame in contact, for the end of a contact, and ten times a second while nothing touches.
+    A reader that is slower gets the newest; the others are passed over.
+
+    Parameters
+    ----------
+    broker : str
+        ``HOST`` or ``HOST:PORT``; the port is 1883 without one.
+    sensor_id : str
+        Of the daemon's settings.
+    username, password : str, optional
+        For a broker that asks who listens.
+    ca_file : path, optional
+        TLS is used when given: the authority that signed the broker's certificate.
+
+    Raises
+    ------
+    ConfigError
+        Arguments that can never work.
+    DeviceError
+        No broker, or it does not let us in. Later, from ``next``: nothing that gives a result came for 5 s, or the
+        connection was lost; the next call connects again.
+    """
+    host, port = _host_and_port(broker)
+    if not sensor_id or set(sensor_id) & set("/+#\0"):
+        raise ConfigError(f"sensor {sensor_id!r}: expected the sensor_id of a daemon's settings, such as left-index")
+    client = make_client(
+        host=host,
+        base_topic=f"tacshade/{sensor_id}",
+        client_id=f"tacshade-listen-{secrets.token_hex(6)}",
+        username=username,
+        password=password,
+        tls_ca=None if ca_file is None else os.fspath(ca_file),
+    )
+    return _Heard(client, host, port, sensor_id)
+
+
+def _host_and_port(broker: str) -> tuple[str, int]:
+    host, colon, port = broker.rpartition(":")
+    if not colon:
+        return broker, 1883
+    if not (host and port.isascii() and port.isdecimal() and 0 < int(port) < 65536):
+        raise ConfigError(f"broker {broker!r}: expected HOST or HOST:PORT, such as localhost:1883")
+    return host.strip("[]"), int(port)
+
+
+class _Heard(Results):
+    def __init__(self, client: Client, host: str, port: int, sensor_id: str) -> None:
+        self._client, self._address = client, (host, port)
+        self._where, self._base = f"{host}:{port}", f"tacshade/{sensor_id}"
+        self._failure = ""
+        self._connected = self._closed = False
+        self._frames = FramesHeard()
+        client.on_connect, client.on_subscribe = self._on_connect, self._on_subscribe
+        client.on_message = self._on_message
+        self._connect()
+
+    @property
+    def passed_over(self) -> int:
+        return self._frames.passed_over
+
+    def __next__(self) -> Result:
+        if self._closed:
+            raise StopIteration
+        if not self._connected:
+            self._connect()
+        end_s = time.monotonic() + _SILENT_S
+        while time.monotonic() < end_s:
+            if not self._step(0.0 if self._frames.whole else _POLL_S):
+                raise self._lost(self._failure or "connection lost", ReasonCode.LOST)
+            # The newest wins: what has come since is read first.
+            if self._frames.whole and not self._waits() and (result := self._frames.take()) is not None:
+                return result
+        raise self._silence()
+
+    def close(self) -> None:
+        if self._closed:
+            return
+        self._closed = True
+        self._hang_up()
+
+    def _connect(self) -> None:
+        self._failure = ""
+        self._frames.forget()
+        try:
+            connect_now(self._client, *self._address, incoming_bytes_max=_BYTES_MAX, keepalive_s=_KEEPALIVE_S)
+        except OSError as error:
+            raise self._lost(f"{error.strerror or error}", ReasonCode.UNREACHABLE) from None
+        end_s = time.monotonic() + _SILENT_S
+        while not (self._connected or self._failure) and time.monotonic() < end_s:
+            if not self._step(_POLL_S):
+                break
+        if not self._connected:
+            code = ReasonCode.REFUSED if self._failure else ReasonCode.NO_ANSWER
+            raise self._lost(self._failure or "the broker does not answer", code)
+
+    def _step(self, timeout_s: float) -> bool:
+        """Send and receive once; False without a connection. Not `Client.loop`, whose pair of sockets stays open."""
+        client = self._client
+        if (sock := client.socket()) is None:
+            return False
+        if not self._waits():
+            select.select([sock], [sock] if client.want_write() else [], [], timeout_s)
+        for once in (client.loop_read, client.loop_write, client.loop_misc):
+            if once() != MQTTErrorCode.MQTT_ERR_SUCCESS:
+                return False
+        return client.socket() is not None
+
+    def _waits(self) -> bool:
+        """Whether something that came was not read yet."""
+        sock: Any = self._client.socket()
+        if sock is None:
+            return False
+        pending = getattr(sock, "pending", None)  # what TLS has decrypted already
+        return bool(pending and pending()) or bool(select.select([sock], [], [], 0)[0])
+
+    def _hang_up(self) -> None:
+        self._connected = False
+        with contextlib.suppress(OSError):
+            self._client.disconnect()
+        while self._step(0.0):  # sends the goodbye, and closes
+            pass
+
+    def _lost(self, found: str, code: ReasonCode) -> DeviceError:
+        self._hang_up()
+        return DeviceError(f"{self._where}: {found}; expected a broker with {self._base}", code=code)
+
+    def _silence(self) -> DeviceError:
+        """Nothing came for long: why, as far as it is known."""
+        state = f"its state is {shown(self._frames.state)}" if self._frames.state else "nobody has told its state"
+        reason = self._frames.info.reason
+        known = f"; {escaped(reason, _REASON_CHARS_MAX)}" if reason else ""
+        text = f"{self._where}: {self._base}: no result for {_SILENT_S:.0f} s, {state}{known}"
+        return DeviceError(text, code=ReasonCode.NO_ANSWER)
+
+    # -- called by paho, in the thread of who asked ------------------------------------------------------------------
+
+    def _on_connect(self, client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
+        if code.is_failure:
+            self._failure = f"refused: {code}"
+        else:
+            client.subscribe([(f"{self._base}/{topic}", 0) for topic in TOPICS])
+
+    def _on_subscribe(self, _client: Client, _userdata: Any, _mid: int, codes: list[MqttCode], _p: Any) -> None:
+        if refused := next((code for code in codes if code.is_failure), None):
+            self._failure = f"subscription refused: {refused}"
+        else:
+            self._connected = True
+
+    def _on_message(self, _client: Client, _userdata: Any, message: MQTTMessage) -> None:
+        self._frames.add(message.topic.removeprefix(f"{self._base}/"), bytes(message.payload))

@@ -1,0 +1,164 @@
+"""What every part of the library gives: one frame's result, and a stream of them."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
+
+from tacshade_edge.core.geometry.back_projection import skin_points
+from tacshade_edge.core.geometry.disc import Grid, disc_rays
+from tacshade_edge.reasons import code_of, text_of
+from tacshade_edge.types import F32, U16, Bool, Geometry, Pose, Reconstruction, TouchedObject, freeze
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Result:
+    """What one image or frame gave; arrays are read-only, lengths in mm.
+
+    Attributes
+    ----------
+    seq : int
+        The frame's number in its source; of an image 0.
+    t_ns, wall_ns : int
+        When it was captured: CLOCK_MONOTONIC of the machine with the camera, or the recording's clock; and Unix time. 0
+        where nobody knows.
+    profile : str
+    valid : bool
+        False: the frame could not be used; every height is 0.
+    reason, reason_code : str
+        Why not, for a person and for a program (docs/mqtt.md, Reasons); empty when valid.
+    degraded, degraded_code : str
+        Why the result deserves less trust; empty when all is well.
+    in_contact : bool
+        Whether anything touches.
+    saturated : bool
+        The grey left the range that the calibration covers: depth is a lower bound.
+    height_mm : float32 (rows, cols)
+        h, by how much the skin is pressed in; NaN outside the visible disc, exactly 0 inside without contact.
+    contact : bool (rows, cols)
+        Cells whose skin touches an object.
+    untrusted : bool (rows, cols) or None
+        Cells that do not show the sensor's skin; None where it is not told.
+    shear_mm : float32 (rows, cols, 2) or None
+        By how much the skin is dragged along x and y; None where it is not told.
+    sigma_mm : float32 (rows, cols) or None
+        Standard deviation of `height_mm` where `contact` is true, elsewhere NaN; None where it is not told.
+    row0, col0, step_px : float
+        Cell (i, j) is image pixel (row0 + i·step_px, col0 + j·step_px).
+    points_mm : float32 (N, 3)
+        x, y, z in the sensor frame of the skin that touches.
+    labels : uint16 (N,)
+        The object of each point, from 1.
+    objects : tuple of TouchedObject
+        In the order of their labels, the greatest first.
+    volume_mm3 : float
+        Displaced under the contacts.
+    pose : Pose or None
+        ``base_T_flange`` at `t_ns`, where a robot tells it.
+    geometry : Geometry
+        Skin, camera and visible circle.
+    """
+
+    seq: int
+    t_ns: int
+    wall_ns: int
+    profile: str
+    valid: bool
+    reason: str
+    reason_code: str
+    degraded: str
+    degraded_code: str
+    in_contact: bool
+    saturated: bool
+    height_mm: F32
+    contact: Bool
+    untrusted: Bool | None
+    shear_mm: F32 | None
+    sigma_mm: F32 | None
+    row0: float
+    col0: float
+    step_px: float
+    points_mm: F32
+    labels: U16
+    objects: tuple[TouchedObject, ...]
+    volume_mm3: float
+    pose: Pose | None
+    geometry: Geometry
+
+    def __post_init__(self) -> None:
+        if self.untrusted is not None:  # the others come as they are to be
+            freeze(self, "untrusted")
+
+    @property
+    def depth_max_mm(self) -> float:
+        """Greatest h of the touched objects; 0 without contact."""
+        return max((o.depth_max_mm for o in self.objects), default=0.0)
+
+    def skin_mm(self) -> F32:
+        """Where each cell's skin is: x, y, z in the sensor frame, float32 (rows, cols, 3); NaN outside the disc."""
+        rows, cols = self.height_mm.shape
+        grid = Grid(rows, cols, self.row0, self.col0, self.step_px)
+        return skin_points(self.height_mm, disc_rays(grid, self.geometry), self.geometry)
+
+
+def result_of(made: Reconstruction, geometry: Geometry, pose: Pose | None, untrusted: Bool | None) -> Result:
+    """A reconstruction as people take it."""
+    height, cloud = made.height, made.cloud
+    return Result(
+        seq=made.seq,
+        t_ns=made.t_ns,
+        wall_ns=made.wall_ns,
+        profile=made.profile,
+        valid=made.valid,
+        reason=text_of(made.reason),
+        reason_code=code_of(made.reason),
+        degraded=text_of(made.degraded),
+        degraded_code=code_of(made.degraded),
+        in_contact=made.contact,
+        saturated=made.saturated,
+        height_mm=height.height_mm,
+        contact=height.contact,
+        untrusted=untrusted,
+        shear_mm=made.shear_mm,
+        sigma_mm=made.sigma_mm,
+        row0=height.row0,
+        col0=height.col0,
+        step_px=height.step_px,
+        points_mm=cloud.points_mm,
+        labels=cloud.labels,
+        objects=made.objects,
+        volume_mm3=made.volume_mm3,
+        pose=pose,
+        geometry=geometry,
+    )
+
+
+class Results(ABC, Iterator[Result]):
+    """Results one after the other, each made in the caller's thread when it is asked for.
+
+    What raised goes on with the next call of ``next``. It is to be closed: by ``with``, by `close`, or at its end.
+    """
+
+    @property
+    @abstractmethod
+    def passed_over(self) -> int:
+        """Frames that gave no result: a newer one was there, or they were lost or damaged on their way."""
+
+    @abstractmethod
+    def __next__(self) -> Result:
+        """The next result. Raises DeviceError, ConfigError."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Release what is behind it; safe to call twice."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

@@ -1,0 +1,88 @@
+"""A calibrated sensor: images in, results out."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from tacshade_edge.core.contact.tracking import ContactTracker, follow
+from tacshade_edge.core.profiles import DEFAULT, PROFILES
+from tacshade_edge.devices import calibrations
+from tacshade_edge.devices.files.images import read_image
+from tacshade_edge.devices.weights.network import make_reconstructor
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.library.result import Result, result_of
+from tacshade_edge.types import U8, Calibration, Frame, Geometry
+
+
+def load(calibration: str | os.PathLike[str], *, profile: str = DEFAULT) -> Sensor:
+    """Load a sensor's calibration, the file that ``tacshade-edge calibrate`` wrote.
+
+    Parameters
+    ----------
+    calibration : path
+        Never written: one of an older version is made again each time, which the log tells.
+    profile : str
+        ``fast``, ``balanced``, ``accurate`` or ``paper``.
+
+    Raises
+    ------
+    ConfigError
+        It cannot be used, or there is no such profile.
+    """
+    return Sensor(calibrations.load(calibration, store=False), profile)
+
+
+class Sensor:
+    """One sensor with one profile; for one thread at a time.
+
+    Attributes
+    ----------
+    profile : str
+    geometry : Geometry
+        Skin, camera and visible circle.
+    image_size_px : (int, int)
+        Rows and columns that its images have.
+    """
+
+    def __init__(self, calibration: Calibration, profile: str) -> None:
+        if profile not in PROFILES:
+            raise ConfigError(f"profile {profile!r}: expected one of {', '.join(sorted(PROFILES))}")
+        self._reconstructor = make_reconstructor(calibration, PROFILES[profile])
+        self.profile = profile
+        self.geometry: Geometry = calibration.geometry
+        self.image_size_px = (calibration.image_height_px, calibration.image_width_px)
+
+    def reconstruct(self, image: str | os.PathLike[str] | U8) -> Result:
+        """Reconstruct one image by itself; an image that cannot be used gives a result that is not `valid`.
+
+        Parameters
+        ----------
+        image : path, or uint8 (rows, cols) grey or (rows, cols, 3) BGR
+            As the camera gives it; never written.
+
+        Raises
+        ------
+        DecodeError
+            The file cannot be read.
+        ConfigError
+            The array is none of these.
+        """
+        if isinstance(image, np.ndarray):
+            if image.dtype != np.uint8 or not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)):
+                found = f"found {image.dtype} {image.shape}"
+                raise ConfigError(f"image: {found}, expected uint8 (rows, cols) or (rows, cols, 3), blue first")
+            pixels: U8 = np.ascontiguousarray(image)
+        else:
+            pixels = read_image(Path(image))
+        return self.step(Frame(0, 0, 0, pixels), None)
+
+    def step(self, frame: Frame, tracker: ContactTracker | None) -> Result:
+        """Reconstruct a frame of a stream, whose objects the tracker follows; for the library itself."""
+        made = self._reconstructor.step(frame)
+        if tracker is not None and made.valid:
+            made = follow(tracker, made)
+        untrusted = np.zeros(made.height.contact.shape, np.bool_) if made.untrusted is None else made.untrusted
+        return result_of(made, self.geometry, frame.pose, untrusted)

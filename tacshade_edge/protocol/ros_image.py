@@ -1,0 +1,87 @@
+"""Images of ROS 2 as their bags hold them: ``sensor_msgs/msg/Image`` and ``CompressedImage`` in CDR (XCDR1)."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+from tacshade_edge.errors import DecodeError
+
+_ENCAPSULATION_BYTES = 4
+
+
+@dataclass(frozen=True, slots=True)
+class PixelRows:
+    """An image that is not compressed, row by row.
+
+    Attributes
+    ----------
+    height_px, width_px : int
+    encoding : str
+        ``mono8``, ``bgr8`` and the like, as both ROS 2 and Foxglove name them.
+    step_bytes : int
+        Of a row, what pads it included.
+    data : bytes
+    """
+
+    height_px: int
+    width_px: int
+    encoding: str
+    step_bytes: int
+    data: bytes
+
+
+def decode_image(payload: bytes) -> PixelRows:
+    """Understand a ``sensor_msgs/msg/Image``. Raises DecodeError."""
+    cursor = _Cursor(payload)
+    cursor.skip_header()
+    height_px, width_px = cursor.u32(), cursor.u32()
+    encoding = cursor.text()
+    cursor.skip(1)  # the order of bytes, of which these encodings have one
+    return PixelRows(height_px, width_px, encoding, cursor.u32(), cursor.octets())
+
+
+def decode_compressed_image(payload: bytes) -> bytes:
+    """The file (JPEG, PNG) in a ``sensor_msgs/msg/CompressedImage``. Raises DecodeError."""
+    cursor = _Cursor(payload)
+    cursor.skip_header()
+    cursor.text()
+    return cursor.octets()
+
+
+class _Cursor:
+    """Reads values, each aligned to its own size from the end of the encapsulation on (DDSI-RTPS 10, XCDR1)."""
+
+    def __init__(self, payload: bytes) -> None:
+        if len(payload) < _ENCAPSULATION_BYTES or payload[0] != 0 or payload[1] > 1:
+            raise DecodeError(f"found {payload[:4].hex() or 'nothing'} at the start of a ROS 2 message, expected CDR")
+        self._u32 = struct.Struct("<I" if payload[1] == 1 else ">I")
+        self._payload, self._at = payload, _ENCAPSULATION_BYTES
+
+    def skip(self, count: int) -> None:
+        self._at += count
+
+    def skip_header(self) -> None:
+        """``std_msgs/Header``: a time of 8 bytes, and the name of a frame."""
+        self.skip(8)
+        self.text()
+
+    def u32(self) -> int:
+        self._at += -self._at % 4
+        try:
+            (value,) = self._u32.unpack_from(self._payload, self._at)
+        except struct.error:
+            raise DecodeError(f"cut short after {len(self._payload)} bytes, expected a whole image") from None
+        self._at += 4
+        return int(value)
+
+    def octets(self) -> bytes:
+        count = self.u32()
+        found = self._payload[self._at : self._at + count]
+        if len(found) < count:
+            raise DecodeError(f"cut short after {len(self._payload)} bytes, expected a whole image")
+        self._at += count
+        return found
+
+    def text(self) -> str:
+        return self.octets().rstrip(b"\0").decode("utf-8", "replace")

@@ -1,0 +1,16 @@
+"""The version of what is installed."""
+
+from __future__ import annotations
+
+from functools import cache
+
+
+@cache
+def installed_version() -> str:
+    """As it was built (``tools/release_version.py``); of a checkout that is not installed nothing is known."""
+    from importlib import metadata  # 10 ms that most commands do without
+
+    try:
+        return metadata.version("tacshade-edge")
+    except metadata.PackageNotFoundError:
+        return "0+unknown"

@@ -1,0 +1,48 @@
+"""What a shell completes, asked of a real bash."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tacshade_edge.cli import COMMANDS, EXIT_CONFIG, main
+
+pytest.importorskip("shtab", reason="shtab is not installed")
+
+
+def completed(script: Path, *words: str) -> list[str]:
+    """What bash offers for the last word."""
+    typed = " ".join(words)
+    asked = "; ".join(
+        (
+            f"source {script}",
+            f"COMP_WORDS=({typed})",
+            f"COMP_CWORD={len(words) - 1}",
+            f"COMP_LINE='{typed}'",
+            "COMP_POINT=${#COMP_LINE}",
+            '$(complete -p tacshade-edge | sed "s/.*-F \\([^ ]*\\) .*/\\1/")',
+            'printf "%s\\n" "${COMPREPLY[@]}"',
+        )
+    )
+    return subprocess.run(("bash", "-c", asked), capture_output=True, text=True, check=True).stdout.split()
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="bash is not installed")
+def test_bash_completes_commands_and_options(tmp_path: Path, capsys: Any) -> None:
+    assert main(["completion", "bash"]) == 0
+    script = tmp_path / "tacshade-edge"
+    script.write_text(capsys.readouterr().out)
+    assert set(completed(script, "tacshade-edge", "re")) == {name for name in COMMANDS if name.startswith("re")}
+    assert completed(script, "tacshade-edge", "replay", "--cal") == ["--calibration"]
+    assert completed(script, "tacshade-edge", "completion", "z") == ["zsh"]
+
+
+def test_without_its_package_it_names_the_extra(monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    monkeypatch.setitem(sys.modules, "shtab", None)
+    assert main(["completion", "bash"]) == EXIT_CONFIG
+    assert "pip install 'tacshade-edge[completion]'" in capsys.readouterr().err

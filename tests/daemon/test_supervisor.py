@@ -1,0 +1,163 @@
+"""Several sensors of one file: the command as its users run it, a real broker, and a service manager's socket."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import pytest
+from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from support.painted_sensor import FREE, TOUCHED, painted_calibration
+from support.patience import patience, wait_until
+
+from tacshade_edge.cli import EXIT_CONFIG
+from tacshade_edge.devices.files import calibration_file
+
+pytestmark = [pytest.mark.broker, pytest.mark.slow]
+needs_broker = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
+
+
+class Running:
+    """The command, and what it tells a service manager."""
+
+    def __init__(self, folder: Path) -> None:
+        self._manager = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._manager.bind(str(folder / "notify"))
+        self._manager.setblocking(False)
+        self._told: list[str] = []
+        self.log = folder / "log"
+        with self.log.open("w") as log:
+            self.process = subprocess.Popen(
+                (sys.executable, "-m", "tacshade_edge", "run", "--config", str(folder / "hand.yaml")),
+                env={**os.environ, "NOTIFY_SOCKET": str(folder / "notify")},
+                stderr=log,
+                stdin=subprocess.DEVNULL,
+            )
+
+    def told(self) -> list[str]:
+        """Every line so far."""
+        while True:
+            try:
+                self._told += self._manager.recv(65536).decode().split("\n")
+            except BlockingIOError:
+                return self._told
+
+    def children(self) -> set[int]:
+        """Its processes."""
+        found = subprocess.run(("pgrep", "-P", str(self.process.pid)), capture_output=True, check=False)
+        return {int(word) for word in found.stdout.split()}
+
+    def close(self) -> None:
+        self.process.kill()
+        self.process.wait()
+        self._manager.close()
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Calibrations of three sensors, the third damaged, and looped images of a press."""
+    for name in ("thumb", "index"):
+        calibration_file.save(tmp_path / f"{name}.npz", painted_calibration())
+        (tmp_path / name).mkdir()
+        for i, image in enumerate([FREE] * 3 + [TOUCHED] * 5):
+            cv2.imwrite(str(tmp_path / name / f"{i}.png"), image)
+    (tmp_path / "ring.npz").write_bytes(b"no calibration")
+    (tmp_path / "ring").symlink_to("index")
+    return tmp_path
+
+
+def write(folder: Path, port: int, *names: str) -> None:
+    lines = [f"mqtt: {{host: 127.0.0.1, port: {port}}}", "recorder: {folder: recs}", "stitching: {folder: maps}"]
+    lines += ["sensors:"]
+    for name in names:
+        lines += [f"  {name}: {{calibration: {name}.npz, source: {{kind: files, path: {name}, fps: 60, loop: true}}}}"]
+    (folder / "hand.yaml").write_text("\n".join(lines) + "\n")
+
+
+@pytest.fixture
+def broker(folder: Path) -> Iterator[Broker]:
+    with Broker(folder) as made:
+        yield made
+
+
+def health(seen: Subscriber, name: str) -> dict[str, Any]:
+    payloads = seen.of(f"tacshade/{name}/health")
+    return dict(json.loads(payloads[-1])) if payloads else {}
+
+
+@needs_broker
+def test_one_that_dies_or_cannot_start_touches_no_other(folder: Path, broker: Broker) -> None:
+    write(folder, broker.port, "thumb", "index", "ring")
+    with Subscriber(broker.port) as seen:
+        running = Running(folder)
+        try:
+            wait_until(lambda: "READY=1" in running.told(), 20, "up with one that cannot start")
+            wait_until(lambda: all(health(seen, name) for name in ("thumb", "index")), 20, "both publish")
+            first = running.children()
+            assert len(first) == 2
+            states = {name: len(seen.of(f"tacshade/{name}/state")) for name in ("thumb", "index")}
+            victim = min(first)
+            os.kill(victim, signal.SIGKILL)
+            wait_until(lambda: len(running.children() - {victim}) == 2, 20, "started again")
+            wait_until(
+                lambda: any("thumb: streaming" in t and "index: streaming" in t for t in running.told()[-4:]),
+                20,
+                "both stream",
+            )
+            assert any("ring: bad configuration" in line for line in running.told())
+            disturbed = [name for name in states if len(seen.of(f"tacshade/{name}/state")) > states[name]]
+            assert len(disturbed) == 1, "the other never left the broker"
+            (other,) = set(states) - set(disturbed)
+            frames = health(seen, other)["frames"]
+            assert frames["captured"] == sum(n for key, n in frames.items() if key != "captured")
+            assert health(seen, other)["source_dropped"] == 0
+
+            calibration_file.save(folder / "ring.npz", painted_calibration())
+            running.process.send_signal(signal.SIGHUP)
+            wait_until(lambda: bool(health(seen, "ring")), 20, "the mended one runs after a reload")
+            running.process.send_signal(signal.SIGTERM)
+            assert running.process.wait(patience(10)) == 0
+            assert seen.of("tacshade/ring/state")[-1] == b"stopped"
+        finally:
+            running.close()
+    text = running.log.read_text()
+    assert "sensors.ring.calibration: " in text
+    assert "its process ended with -9" in text
+    assert {"thumb", "index", "ring"} <= {line.split(": ")[1] for line in text.splitlines() if "INFO" in line}
+
+
+@needs_broker
+def test_one_that_hangs_says_where_and_is_started_again(
+    folder: Path, broker: Broker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write(folder, broker.port, "thumb", "index")
+    with Subscriber(broker.port) as seen:
+        running = Running(folder)
+        try:
+            wait_until(lambda: all(health(seen, name) for name in ("thumb", "index")), 20, "both publish")
+            victim = min(running.children())
+            os.kill(victim, signal.SIGSTOP)
+            wait_until(lambda: victim not in running.children(), 40, "ended")
+            wait_until(lambda: len(running.children()) == 2, 20, "started again")
+            assert "hangs for 10 s, ended" in running.log.read_text()
+        finally:
+            running.close()
+        wait_until(lambda: seen.of("tacshade/thumb/state")[-1:] == [b"offline"], 20, "they end with their supervisor")
+
+
+def test_no_settings_that_can_work_is_bad_configuration(folder: Path) -> None:
+    write(folder, 1, "ring")
+    running = Running(folder)
+    try:
+        assert running.process.wait(patience(20)) == EXIT_CONFIG
+        assert "not a calibration, or damaged" in running.log.read_text()
+    finally:
+        running.close()

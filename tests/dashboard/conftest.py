@@ -1,0 +1,39 @@
+"""One browser, and one calibration, for all tests of the page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from selenium.webdriver import Chrome
+from support.browser import browser, errors
+
+from tacshade_edge.cli.demo_sensor import make_calibration
+from tacshade_edge.devices.files import calibration_file
+
+
+@pytest.fixture(scope="session")
+def calibration(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("sensor") / "calibration.npz"
+    calibration_file.save(path, make_calibration())
+    return path
+
+
+@pytest.fixture(scope="session")
+def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chrome]:
+    with browser(tmp_path_factory.mktemp("chromium")) as driver:
+        yield driver
+
+
+@pytest.fixture
+def page(chromium: Chrome) -> Iterator[Chrome]:
+    """The browser; a test that ends with a complaint in the console has failed.
+
+    But for the browser's own about an acknowledgement under way while the test's server ended, before the page.
+    """
+    errors(chromium)
+    yield chromium
+    told = [e for e in errors(chromium) if "WebSocket is already in CLOSING or CLOSED state" not in e]
+    chromium.get("about:blank")
+    assert told == []

@@ -1,0 +1,51 @@
+"""Two hands beside each other."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from selenium.webdriver import Chrome
+from selenium.webdriver.common.by import By
+from selenium.webdriver.support.select import Select
+from support.browser import errors
+from support.dashboard_process import dashboard
+from support.mqtt_rig import Broker
+from support.patience import wait_until
+from support.published_hand import PublishedHand, bump
+from support.shown_page import NEEDS_A_BROWSER, js, opened, shows, until_shown
+
+pytestmark = NEEDS_A_BROWSER
+ROW, COL = 236.0, 300.0
+
+
+def test_two_hands_are_compared_cell_by_cell_in_the_cells_of_the_first(page: Chrome, tmp_path: Path) -> None:
+    with (
+        Broker(tmp_path) as broker,
+        dashboard(f"127.0.0.1:{broker.port}") as address,
+        PublishedHand(broker.port, "run-a") as first,
+        PublishedHand(broker.port, "run-b") as other,
+    ):
+        opened(page, address, "run-a")
+        wait_until(lambda: len(Select(page.find_element(By.ID, "against")).options) == 2, 15, "there is another")
+        Select(page.find_element(By.ID, "against")).select_by_value("run-b")
+        shows(page, "compare-words", "Nothing was heard")
+        until_shown(page, first, lambda: bump(7, 2.0, ROW, COL, 4), 7)
+
+        def compared() -> bool:
+            other.show(bump(8, 1.5, ROW, COL, 2))  # another profile's cells are smaller
+            return js(page, "tacshade.compared") is not None
+
+        wait_until(compared, 15, "both are there")
+        seen = js(page, "tacshade.compared")
+        assert seen["worst_mm"] == pytest.approx(-0.5, abs=0.01)
+        assert (seen["row"], seen["col"]) == (ROW, COL)
+        heights = [bump(0, depth_mm, ROW, COL, 4).height.height_mm for depth_mm in (2.0, 1.5)]
+        assert seen["mean_mm"] == pytest.approx(np.nanmean(np.abs(heights[1] - heights[0])), rel=0.02)
+        shows(page, "compare-words", "-0.500 mm at worst, at row 236, col 300 px")
+        shows(page, "compare-numbers", "greatest depth, mm 2.00 1.50 -0.50")
+        shows(page, "compare-numbers", "frame 7 8")
+        other.tell("state", b"", retain=True)  # gone
+        wait_until(lambda: not page.find_element(By.ID, "compare").is_displayed(), 15, "nothing to compare with")
+        assert errors(page) == []

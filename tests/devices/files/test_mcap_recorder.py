@@ -1,0 +1,143 @@
+from __future__ import annotations
+
+import errno
+import os
+import random
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mcap")
+pytest.importorskip("foxglove_schemas_protobuf")
+from mcap.reader import make_reader
+from support.painted_sensor import painted_calibration
+
+from tacshade_edge.devices.files import mcap_recorder
+from tacshade_edge.devices.files.mcap.mend import mend_recordings
+from tacshade_edge.devices.files.mcap_recorder import McapRecorder
+from tacshade_edge.devices.files.recorder import png_of
+from tacshade_edge.devices.files.recording import Recording
+from tacshade_edge.devices.files.recording_content import CALIBRATION_NAME, content_of, events_in
+from tacshade_edge.errors import DeviceError
+from tacshade_edge.types import U8, Frame, Pose
+
+WALL_NS, PERIOD_NS = 1_790_000_000_000_000_000, 16_666_667
+
+
+def picture(seq: int) -> U8:
+    return np.random.default_rng(seq).integers(0, 256, (120, 160), dtype=np.uint8)
+
+
+def frame(seq: int) -> Frame:
+    t_ns = 1000 + seq * PERIOD_NS
+    return Frame(seq, t_ns, WALL_NS + t_ns, picture(seq), Pose(t_ns, 1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0), 5)
+
+
+def begun(folder: Path, frames: int) -> McapRecorder:
+    recorder = McapRecorder(folder, "left")
+    recorder.begin("sensor_id: left\n", painted_calibration())
+    recorder.event(5, "start", {})
+    for seq in range(frames):
+        assert recorder.add(frame(seq), png_of(frame(seq).image))
+    recorder.sync()
+    return recorder
+
+
+def seqs(folder: Path) -> list[int]:
+    recording, found = Recording(folder), []
+    while (recorded := recording.read()) is not None:
+        seq = int(recorded.name[:6])
+        np.testing.assert_array_equal(recorded.frame.image, picture(seq))
+        assert (recorded.frame.t_ns, recorded.frame.pose) == (frame(seq).t_ns, frame(seq).pose)
+        found.append(seq)
+    return found
+
+
+def test_a_recording_opens_whole_and_each_of_its_files_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mcap_recorder, "FILE_NS_MAX", 10 * PERIOD_NS)
+    folder = tmp_path / "rec"
+    begun(folder, 25).finish({"frames": 25})
+    files = sorted(path.name for path in folder.glob("*.mcap*"))
+    assert files == ["000.mcap", "001.mcap", "002.mcap"]
+    assert seqs(folder) == list(range(25))
+    assert not Recording(folder).cut_off
+    assert [event.kind for event in events_in(content_of(folder))] == ["start"]
+    for name in files:
+        with (folder / name).open("rb") as stream:
+            reader = make_reader(stream, validate_crcs=True)
+            assert {found.name for found in reader.iter_attachments()} == {CALIBRATION_NAME, "settings.yaml"}
+            summary = reader.get_summary()
+            assert summary is not None
+            assert len(summary.chunk_indexes) >= 3
+
+
+def test_after_a_cut_at_any_of_100_bytes_the_next_start_mends_it(tmp_path: Path) -> None:
+    recorder = begun(tmp_path / "rec", 30)  # half a second
+    part = tmp_path / "rec" / "000.mcap.part"
+    whole = part.read_bytes()
+    assert mend_recordings(tmp_path) == []  # it is being written to
+    recorder.close()
+    draw = random.Random(3)
+    for at in (draw.randrange(100, len(whole)) for _ in range(100)):
+        part.write_bytes(whole[:at])
+        assert len(mend_recordings(tmp_path)) == 1
+        assert mend_recordings(tmp_path) == []
+        mended = part.with_suffix("")
+        with mended.open("rb") as stream:
+            frames = sum(
+                channel.topic == "/tacshade/left/camera" for _, channel, _ in make_reader(stream).iter_messages()
+            )
+        assert frames >= 30 * at // len(whole) - 2
+        if at % 10 == 0 and frames:
+            assert seqs(tmp_path / "rec") == list(range(frames))
+            assert not Recording(tmp_path / "rec").cut_off
+        mended.unlink()
+
+
+def test_blocks_that_a_power_cut_left_empty_end_it(tmp_path: Path) -> None:
+    recorder = begun(tmp_path / "rec", 5)
+    recorder.close()
+    part = tmp_path / "rec" / "000.mcap.part"
+    with part.open("ab") as stream:
+        stream.write(bytes(70_000))
+    (mended,) = mend_recordings(tmp_path)
+    assert b"\0" * 60_000 not in mended.read_bytes()
+    assert seqs(tmp_path / "rec") == [0, 1, 2, 3, 4]
+
+
+def test_what_is_not_even_begun_stays(tmp_path: Path) -> None:
+    for name, content in (("a", b""), ("b", b"\x89MCAP0\r\n"), ("c", b"something else")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "000.mcap.part").write_bytes(content)
+    assert mend_recordings(tmp_path) == []
+    assert len(list(tmp_path.glob("*/*.part"))) == 3
+    assert mend_recordings(tmp_path / "none") == []
+
+
+def test_a_disk_that_fails_amid_a_record_leaves_the_frames_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recorder = begun(tmp_path / "rec", 3)
+
+    def fail(*_args: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        writer = recorder._open[1]  # type: ignore[index]
+        patch.setattr(writer, "frame", fail)
+        with pytest.raises(DeviceError, match="No space left"):
+            recorder.add(frame(3), b"")
+    recorder.finish({"frames": 3})
+    assert [path.name for path in (tmp_path / "rec").glob("*.mcap*")] == ["000.mcap"]
+    assert seqs(tmp_path / "rec") == [0, 1, 2]
+
+
+def test_the_floor_of_free_space(tmp_path: Path) -> None:
+    recorder = McapRecorder(tmp_path / "rec", "left")
+    recorder.begin("", painted_calibration())
+    recorder._floor = shutil.disk_usage(tmp_path).total
+    assert not recorder.add(frame(0), b"")
+    recorder.finish({})
+    assert list((tmp_path / "rec").glob("*.mcap*")) == []

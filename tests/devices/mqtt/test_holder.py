@@ -1,0 +1,113 @@
+"""Two under one name at a real mosquitto: the first keeps the broker, the second waits and says for whom."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from support.link_rig import BASE, Rig, code
+from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from support.patience import wait_until
+
+from tacshade_edge.devices.mqtt.holder import decode_instance
+from tacshade_edge.reasons import ReasonCode
+
+pytestmark = [pytest.mark.broker, pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")]
+
+
+@pytest.fixture
+def broker(tmp_path: Path) -> Iterator[Broker]:
+    with Broker(tmp_path) as running:
+        yield running
+
+
+@contextmanager
+def daemon(port: int) -> Iterator[Rig]:
+    """A link that tells its health as a daemon does."""
+    rig, ended = Rig(port), threading.Event()
+
+    def tell() -> None:
+        while not ended.wait(0.5):
+            rig.link.set_retained("health", b"{}", qos=0)
+
+    teller = threading.Thread(target=tell)
+    teller.start()
+    rig.link.start()
+    try:
+        yield rig
+    finally:
+        ended.set()
+        teller.join()
+        rig.link.stop(2)
+
+
+def test_the_second_waits_says_for_whom_and_takes_nothing(broker: Broker, caplog: pytest.LogCaptureFixture) -> None:
+    with daemon(broker.port) as first, Subscriber(broker.port, f"{BASE}/#") as subscriber:
+        wait_until(lambda: first.link.connected, 10, "connected")
+        with daemon(broker.port) as second:
+            wait_until(lambda: code(second) is ReasonCode.IN_USE, 10, "told")
+            told = f"{BASE} is held by another daemon, on {socket.gethostname()}, process {os.getpid()}"
+            assert told in str(second.link.reason)
+            status = json.loads(subscriber.wait_for(f"{BASE}/status/rival")[-1])
+            assert (status["state"], status["reason_code"]) == ("waiting", "in_use")
+            assert status["process"] == os.getpid()
+            have = len(subscriber.of(f"{BASE}/health"))
+            subscriber.wait_for(f"{BASE}/health", have + 6, 10)
+            assert not second.link.connected
+        wait_until(lambda: subscriber.of(f"{BASE}/status/rival")[-1] == b"", 5, "the rival is gone")
+        assert first.link.counters()["losses"] == 0
+        assert set(subscriber.of(f"{BASE}/state")) == {b"online"}
+    assert caplog.text.count("is held by another daemon") == 1
+
+
+def test_the_second_follows_when_the_first_is_gone_for_good(broker: Broker) -> None:
+    with daemon(broker.port) as first:
+        wait_until(lambda: first.link.connected, 10, "connected")
+        with daemon(broker.port) as second:
+            wait_until(lambda: code(second) is ReasonCode.IN_USE, 10, "told")
+            first.link.stop(2)
+            wait_until(lambda: second.link.connected, 20, "connected")
+
+
+def test_a_broker_that_restarts_gives_the_name_back_to_the_first(broker: Broker) -> None:
+    with daemon(broker.port) as first:
+        wait_until(lambda: first.link.connected, 10, "connected")
+        with daemon(broker.port) as second:
+            wait_until(lambda: code(second) is ReasonCode.IN_USE, 10, "told")
+            broker.kill()
+            wait_until(lambda: not first.link.connected and code(second) is not ReasonCode.IN_USE, 10, "lost")
+            broker.start()
+            wait_until(lambda: code(second) is ReasonCode.IN_USE, 10, "waits again")
+            assert first.link.connected
+            assert not second.link.connected
+
+
+def test_two_that_start_at_once_settle(broker: Broker) -> None:
+    with daemon(broker.port) as one, daemon(broker.port) as two:
+        rigs = {one, two}
+        wait_until(lambda: {code(rig) for rig in rigs} == {None, ReasonCode.IN_USE}, 15, "one has it")
+        losses = sum(rig.link.counters()["losses"] for rig in rigs)
+        with Subscriber(broker.port, f"{BASE}/health") as subscriber:
+            subscriber.wait_for(f"{BASE}/health", 8, 10)
+        assert losses <= 1
+        assert sum(rig.link.counters()["losses"] for rig in rigs) == losses
+
+
+def test_what_a_dead_daemon_left_does_not_keep_anybody_out(broker: Broker) -> None:
+    with Subscriber(broker.port) as other:
+        for name, payload in (("state", b"online"), ("instance", b'{"id": "x"}'), ("health", b"{}")):
+            other.publish(f"{BASE}/{name}", payload, retain=True)
+            other.wait_for(f"{BASE}/{name}")
+    with daemon(broker.port) as late:
+        wait_until(lambda: late.link.connected, 10, "connected")
+
+
+@pytest.mark.parametrize("payload", [b"", b"{", b"[]", b"\xff", b"7"])
+def test_an_instance_that_is_none(payload: bytes) -> None:
+    assert decode_instance(payload) == {}

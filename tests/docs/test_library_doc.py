@@ -1,0 +1,115 @@
+"""docs/library.md: its examples run as they are written, with the simulated sensor and a real broker."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from support.calibrated_sensor import FULL, calibrated, pressed, unloaded
+from support.mqtt_rig import MOSQUITTO, Broker
+from support.patience import patience
+
+from tacshade_edge.cli import main
+from tacshade_edge.devices.files import calibration_file
+
+TEXT = (Path(__file__).parents[2] / "docs" / "library.md").read_text()
+EXAMPLES = dict(re.findall(r"^## ([^\n]+)\n[^#]*?```python\n(.*?)```", TEXT, re.DOTALL | re.MULTILINE))
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder as a person would have it: calibration, settings, an image, a recording."""
+    pytest.importorskip("matplotlib", reason="the extra studies is not installed")
+    folder = tmp_path_factory.mktemp("library")
+    (recording := folder / "recording").mkdir()
+    for path in (folder / "cal.npz", recording / "calibration.npz"):
+        calibration_file.save(path, calibrated(FULL, 0))
+    for path in (folder / "press.png", recording / "1.png"):
+        cv2.imwrite(str(path), pressed("cube", 2.0, FULL).image)
+    cv2.imwrite(str(recording / "0.png"), unloaded(FULL))
+    (folder / "config.yaml").write_text("calibration: cal.npz\nsource: {kind: simulated}\nsensor_id: left-index\n")
+    return folder
+
+
+def run(title: str, folder: Path, monkeypatch: pytest.MonkeyPatch, **other: str) -> dict[str, Any]:
+    """What an example leaves behind."""
+    code = EXAMPLES[title]
+    for written, here in other.items():
+        assert code.count(written) == 1
+        code = code.replace(written, here)
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    names: dict[str, Any] = {}
+    exec(compile(code, title, "exec"), names)
+    return names
+
+
+def test_every_example_is_one_of_these() -> None:
+    assert list(EXAMPLES) == [
+        "An image to a picture",
+        "A camera",
+        "A running hand",
+        "A recording",
+        "From a cell to millimetres",
+    ]
+    assert TEXT.count("```python") == len(EXAMPLES)
+    assert len(EXAMPLES["An image to a picture"].split("\n\n")[1].splitlines()) + 2 <= 10
+
+
+def test_an_image(made: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    run("An image to a picture", made, monkeypatch)
+    assert re.fullmatch(r"1 objects, deepest [12]\.\d\d mm\n", capsys.readouterr().out)
+    drawn = cv2.imread(str(made / "press_height.png"))
+    assert drawn is not None
+    assert drawn.std() > 10
+
+
+def test_a_camera(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    names = run("A camera", made, monkeypatch)
+    assert names["r"].depth_max_mm > 0.1
+    assert names["hand"].passed_over >= 0
+
+
+def test_a_recording(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    depth_mm = run("A recording", made, monkeypatch)["depth_mm"]
+    assert depth_mm[0] == 0
+    assert depth_mm[1] > 1
+
+
+def test_a_cell(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    names = run("From a cell to millimetres", made, monkeypatch)
+    np.testing.assert_allclose(names["xyz_mm"], names["r"].skin_mm(), atol=1e-3)
+
+
+def test_the_marked_keys_are_those_that_the_command_writes(made: Path, tmp_path: Path) -> None:
+    rows = re.findall(r"^\| ([^|]*•[^|]*)\|", TEXT, re.MULTILINE)
+    words = ["--calibration", str(made / "cal.npz"), "--out", str(tmp_path), str(made / "press.png")]
+    assert main(["reconstruct", *words]) == 0
+    with np.load(tmp_path / "press.npz") as written:
+        assert sorted(re.findall(r"`(\w+)`", " ".join(rows))) == sorted(written.files)
+
+
+@pytest.mark.broker
+@pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
+def test_a_running_hand(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with Broker(tmp_path) as broker:
+        settings = made / "run.yaml"
+        settings.write_text((made / "config.yaml").read_text() + f"mqtt: {{host: 127.0.0.1, port: {broker.port}}}\n")
+        daemon = subprocess.Popen([sys.executable, "-m", "tacshade_edge", "run", "--config", str(settings)])
+        try:
+            address = {"localhost:1883": f"127.0.0.1:{broker.port}"}
+            names = run("A running hand", made, monkeypatch, **address)
+        finally:
+            daemon.send_signal(signal.SIGTERM)
+            daemon.wait(patience(10))
+    assert names["r"].points_mm.shape[0] > 10
+    assert names["r"].geometry.skin_radius_mm == FULL.skin_radius_mm

@@ -1,0 +1,91 @@
+"""Short trainings of a simulated sensor's presses; what a whole one is worth says tools/bench_fit.py."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.calibrated_sensor import calibrated, presses
+
+from tacshade_edge.core.profiles import DEFAULT, PROFILES
+from tacshade_edge.devices.weights.network import make_reconstructor, shipped_layout
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.types import Calibration, Frame
+
+pytest.importorskip("torch", reason="PyTorch (the extra fit) is not installed")
+pytestmark = pytest.mark.fit
+
+from tacshade_edge.fitting import training  # noqa: E402
+from tacshade_edge.fitting.fit import fit  # noqa: E402
+
+
+@pytest.fixture
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(training, "STEPS", 40)
+
+
+def only(*profiles: str) -> Calibration:
+    factors = {name: factor for name, factor in calibrated().factors.items() if name in profiles}
+    return replace(calibrated(), factors=factors)
+
+
+def wrong(part: float) -> Calibration:
+    """As if the shipped network were off: its factor is."""
+    return replace(only("fast"), factors={"fast": part * calibrated().factors["fast"]})
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("short")
+def test_what_is_better_on_presses_that_were_held_out_is_kept_and_runs() -> None:
+    result = fit(wrong(0.8), presses(), lambda _: None)
+    (report,) = result.profiles
+    made = result.calibration.fitted["fast"]
+    assert report.kept
+    assert report.part in training.WAY_PARTS
+    assert made.error_mm < made.shipped_error_mm
+    assert made.held_out == 4
+    assert made.error_scale is not None
+    assert 0.2 < made.error_scale < 3
+    assert made.layout == shipped_layout("fast")
+    assert f"off by {made.error_mm:.2f} mm" in report.line
+    press = presses()[2]
+    frame = Frame(0, 0, 0, press.image)
+    found = make_reconstructor(result.calibration, PROFILES["fast"]).step(frame).depth_max_mm
+    before = make_reconstructor(wrong(0.8), PROFILES["fast"]).step(frame).depth_max_mm
+    right = make_reconstructor(calibrated(), PROFILES["fast"]).step(frame).depth_max_mm
+    assert abs(found - right) < abs(before - right)
+
+
+@pytest.mark.slow
+def test_what_is_no_better_is_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(training, "STEPS", 4)
+    monkeypatch.setattr(training, "RATE", 1e-12)
+    result = fit(only("fast"), presses(), lambda _: None)
+    assert result.calibration.fitted == {}
+    assert "the shipped network stays" in result.profiles[0].line
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("short")
+def test_it_is_the_same_every_time() -> None:
+    weights = [fit(wrong(0.8), presses(), lambda _: None).calibration.fitted["fast"].weights for _ in range(2)]
+    np.testing.assert_array_equal(*weights)
+
+
+@pytest.mark.slow
+def test_the_default_profile_is_the_first_and_its_time_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(training, "STEPS", 4)
+    monkeypatch.setattr("tacshade_edge.fitting.fit._SAY_S", 0.0)
+    said: list[str] = []
+    result = fit(only("fast", DEFAULT), presses(), said.append)
+    assert [report.profile for report in result.profiles] == [DEFAULT, "fast"]
+    assert said[0].startswith(f"fit of {DEFAULT} (1 of 2): step 1 of 4, ")
+    assert said[-1] == "fit of fast (2 of 2): step 4 of 4, 0 s left at most"
+    assert "flat ends" in result.advice[0]
+    assert result.advice[1] == "take 20 presses more"
+
+
+def test_too_few_presses_are_refused() -> None:
+    with pytest.raises(ConfigError, match=r"--fit needs 16 presses .* found 15"):
+        fit(calibrated(), presses()[:15], lambda _: None)

@@ -1,0 +1,97 @@
+"""listen: a real broker; what cannot be heard is an error that says why, and the next call begins again."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import pytest
+from support.mqtt_rig import MOSQUITTO, Broker, free_port
+from support.published_hand import PublishedHand, bump
+
+import tacshade_edge as ts
+from tacshade_edge.library import heard
+from tacshade_edge.reasons import Reason, ReasonCode
+
+pytestmark = [
+    pytest.mark.broker,
+    pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed"),
+]
+
+
+@pytest.mark.parametrize("broker", ["host:port", "host:0", ":1883"])
+def test_a_wrong_address_is_told(broker: str) -> None:
+    with pytest.raises(ts.ConfigError, match="expected"):
+        ts.listen(broker, "left-index")
+
+
+def test_a_wrong_name_and_an_absent_broker_are_told() -> None:
+    with pytest.raises(ts.ConfigError, match="expected the sensor_id"):
+        ts.listen("localhost", "tacshade/+")
+    with pytest.raises(ts.DeviceError, match="Connection refused; expected a broker with tacshade/drawn"):
+        ts.listen(f"127.0.0.1:{free_port()}", "drawn")
+
+
+def test_the_newest_wins_and_no_thread_is_made(tmp_path: Path) -> None:
+    with Broker(tmp_path) as broker, PublishedHand(broker.port) as hand:
+        before = threading.active_count()
+        with ts.listen(f"127.0.0.1:{broker.port}", "drawn") as results:
+            hand.show(bump(1, 2.0, 230, 320, 4))
+            first = next(results)
+            for seq in range(2, 10):
+                hand.show(bump(seq, 2.0, 230, 320, 4))
+            hand.show(bump(10, 0.0, 230, 320, 4))
+            last = first
+            while last.seq < 10:
+                last = next(results)
+            assert (first.seq, first.in_contact, last.in_contact) == (1, True, False)
+            assert threading.active_count() == before
+        assert next(results, None) is None
+
+
+def test_a_broker_that_went_is_told_and_found_again(tmp_path: Path) -> None:
+    with Broker(tmp_path) as broker, ts.listen(f"127.0.0.1:{broker.port}", "drawn") as results:
+        broker.stop()
+        with pytest.raises(ts.DeviceError, match="connection lost"):
+            next(results)
+        with pytest.raises(ts.DeviceError, match="Connection refused"):
+            next(results)
+        broker.start()
+        ended = threading.Event()
+        with PublishedHand(broker.port) as hand:
+
+            def show() -> None:
+                while not ended.wait(0.02):
+                    hand.show(bump(1, 2.0, 230, 320, 8))
+
+            showing = threading.Thread(target=show)
+            showing.start()
+            try:
+                assert next(results).in_contact
+            finally:
+                ended.set()
+                showing.join()
+
+
+def test_silence_says_what_is_known(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(heard, "_SILENT_S", 1.0)
+    with Broker(tmp_path) as broker, PublishedHand(broker.port) as hand:
+        missing = Reason(ReasonCode.NOT_CALIBRATED, "not calibrated: found no file")
+        hand.tell_info("fast", profiles=("fast",), missing=missing)
+        with ts.listen(f"127.0.0.1:{broker.port}", "drawn") as results:
+            said = "tacshade/drawn: no result for 1 s, its state is online; not calibrated: found no file"
+            with pytest.raises(ts.DeviceError, match=said):
+                next(results)
+        with (
+            ts.listen(f"127.0.0.1:{broker.port}", "nobody") as results,
+            pytest.raises(ts.DeviceError, match="nobody has told its state"),
+        ):
+            next(results)
+
+
+def test_a_broker_that_does_not_let_us_in_is_told(tmp_path: Path) -> None:
+    with Broker(tmp_path, users={"dashboard": "word"}) as broker:
+        where = f"127.0.0.1:{broker.port}"
+        with pytest.raises(ts.DeviceError, match="refused: Not authorized"):
+            ts.listen(where, "drawn", username="dashboard", password="wrong")
+        ts.listen(where, "drawn", username="dashboard", password="word").close()

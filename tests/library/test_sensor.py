@@ -1,0 +1,85 @@
+"""load and reconstruct: what the command `reconstruct` writes, in memory."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import FrozenInstanceError
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
+
+import tacshade_edge as ts
+from tacshade_edge.cli import main
+from tacshade_edge.devices.files import calibration_file
+
+
+@pytest.fixture(scope="module")
+def calibration(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("sensor") / "cal.npz"
+    calibration_file.save(path, calibrated())
+    return path
+
+
+@pytest.fixture(scope="module")
+def sensor(calibration: Path) -> ts.Sensor:
+    return ts.load(calibration)
+
+
+def test_it_is_what_the_command_writes(sensor: ts.Sensor, calibration: Path, tmp_path: Path) -> None:
+    image = tmp_path / "press.png"
+    cv2.imwrite(str(image), pressed("cube", 2.0).image)
+    result = sensor.reconstruct(image)
+    assert main(["reconstruct", "--calibration", str(calibration), "--out", str(tmp_path), str(image)]) == 0
+    with np.load(tmp_path / "press.npz") as written:
+        for key in written.files:
+            np.testing.assert_array_equal(getattr(result, key), written[key], err_msg=key)
+    assert (result.valid, result.reason, result.reason_code, result.in_contact) == (True, "", "", True)
+    assert result.depth_max_mm == result.objects[0].depth_max_mm == pytest.approx(2.0, rel=0.2)
+    assert result.profile == sensor.profile == "balanced"
+
+
+def test_a_file_and_its_pixels_give_the_same(sensor: ts.Sensor, tmp_path: Path) -> None:
+    image = np.array(pressed("ball", 2.0).image)
+    cv2.imwrite(str(tmp_path / "a.png"), image)
+    of_file, of_pixels = sensor.reconstruct(str(tmp_path / "a.png")), sensor.reconstruct(image)
+    colour = np.asfortranarray(image if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
+    for other in (of_pixels, sensor.reconstruct(colour)):
+        np.testing.assert_array_equal(of_file.height_mm, other.height_mm)
+
+
+def test_the_skin_lies_where_the_points_are(sensor: ts.Sensor) -> None:
+    result = sensor.reconstruct(np.array(pressed("ball", 2.0).image))
+    skin_mm = result.skin_mm()
+    assert skin_mm.shape == (*result.height_mm.shape, 3)
+    touched = {tuple(point) for point in skin_mm[result.contact].tolist()}
+    assert touched == {tuple(point) for point in result.points_mm.tolist()}
+
+
+def test_results_are_frozen_and_no_thread_is_left(sensor: ts.Sensor) -> None:
+    before = threading.active_count()
+    result = sensor.reconstruct(np.array(unloaded()))
+    with pytest.raises(FrozenInstanceError):
+        result.valid = False  # type: ignore[misc]
+    for name in ("height_mm", "contact", "untrusted", "shear_mm", "sigma_mm", "points_mm", "labels"):
+        assert not getattr(result, name).flags.writeable, name
+    assert not result.in_contact
+    assert np.nanmax(np.abs(result.height_mm)) == 0
+    assert threading.active_count() == before
+
+
+def test_what_cannot_be_used_says_so(sensor: ts.Sensor, tmp_path: Path) -> None:
+    black = sensor.reconstruct(np.zeros((HALF.image_height_px, HALF.image_width_px), np.uint8))
+    small = sensor.reconstruct(np.zeros((10, 10), np.uint8))
+    assert [(r.valid, r.reason_code, bool(r.reason)) for r in (black, small)] == [
+        (False, "black", True),
+        (False, "size", True),
+    ]
+    with pytest.raises(ts.ConfigError, match=r"float64 \(3, 3\), expected uint8"):
+        sensor.reconstruct(np.zeros((3, 3)))  # type: ignore[arg-type]
+    with pytest.raises(ts.DecodeError, match=r"nothing\.png: No such file"):
+        sensor.reconstruct(tmp_path / "nothing.png")
+    with pytest.raises(ts.ConfigError, match="profile 'auto': expected one of accurate, balanced, fast, paper"):
+        ts.Sensor(calibrated(), "auto")

@@ -1,0 +1,93 @@
+"""One file with several sensors: what each gets, and where what is wrong stands."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.settings import Rpicam, Simulated, load, load_all
+
+TWO = """\
+profile: fast
+mqtt: {host: board, username: hand}
+recorder: {folder: recs}
+sensors:
+  thumb: {calibration: t.npz, source: {kind: simulated, fps: 20}}
+  index:
+    calibration: i.npz
+    source: {kind: rpicam, camera: 1}
+    profile: accurate
+    mqtt: {username: index}
+    stitching: {folder: maps}
+"""
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "s.yaml"
+    path.write_text(text)
+    return path
+
+
+def test_what_all_have_with_what_each_has_over_it(tmp_path: Path) -> None:
+    thumb, index = (document.settings for document in load_all(write(tmp_path, TWO)))
+    assert (thumb.sensor_id, thumb.profile, thumb.source) == ("thumb", "fast", Simulated(fps=20))
+    assert (index.sensor_id, index.profile, index.source) == ("index", "accurate", Rpicam(camera=1))
+    assert [(s.mqtt.host, s.mqtt.username) for s in (thumb, index)] == [("board", "hand"), ("board", "index")]
+    assert (thumb.calibration, index.calibration) == (str(tmp_path / "t.npz"), str(tmp_path / "i.npz"))
+
+
+def test_folders_of_all_have_one_below_for_each_and_its_own_are_as_they_are(tmp_path: Path) -> None:
+    thumb, index = (document.settings for document in load_all(write(tmp_path, TWO)))
+    assert (thumb.recorder.folder, index.recorder.folder) == (f"{tmp_path}/recs/thumb", f"{tmp_path}/recs/index")
+    assert thumb.stitching.folder == "/var/lib/tacshade-edge/sessions/thumb"
+    assert index.stitching.folder == f"{tmp_path}/maps"
+
+
+def test_one_of_them_is_taken_by_its_id(tmp_path: Path) -> None:
+    path = write(tmp_path, TWO)
+    assert load(path, "index").settings.sensor_id == "index"
+    assert load(path, "index").where("source", "camera") == f"{path}:8: sensors.index.source.camera"
+    assert load(path, "thumb").where("mqtt", "host") == f"{path}:2: mqtt.host"
+    with pytest.raises(ConfigError, match="found the sensors thumb, index, expected --sensor with one of them"):
+        load(path)
+    with pytest.raises(ConfigError, match=r"--sensor: found ring, expected one of thumb, index \("):
+        load(path, "ring")
+
+
+def test_every_mistake_is_told_with_its_line_and_what_all_have_once(tmp_path: Path) -> None:
+    text = """\
+serial: {device: /dev/ttyACM0}
+mqtt: {port: 0}
+sensors:
+  thumb: {calibration: t.npz, source: {kind: v4l2, device: /dev/video0}}
+  index:
+    calibration: t.npz
+    source: {kind: v4l2, device: /dev/video0}
+    profile: slow
+  bad id: {sensor_id: x, source: {kind: simulated}}
+  none:
+"""
+    path = write(tmp_path, text)
+    with pytest.raises(ConfigError) as caught:
+        load_all(path)
+    assert [line.removeprefix(f"{path}:") for line in (str(caught.value), *caught.value.others)] == [
+        "1: serial: found beside sensors, expected in each of them",
+        "2: mqtt.port: found 0, expected an integer from 1 to 65535 (TCP port of the broker)",
+        "6: sensors.index.calibration: found that of sensors.thumb.calibration again, expected another",
+        "7: sensors.index.source: found that of sensors.thumb.source again, expected another",
+        "8: sensors.index.profile: found slow, expected one of paper, fast, balanced, accurate, auto",
+        "9: sensors.bad id.sensor_id: found a second id, expected bad id alone",
+        "9: sensors.bad id.sensor_id: found bad id, expected a string (letters, digits, - and _; part of every topic)",
+        "10: sensors.none: found nothing, expected a mapping of settings",
+        " sensors.bad id.calibration: found nothing, expected its own",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"), [("sensors:\n", "nothing"), ("sensors: {}\n", "0"), ("sensors: [a]\n", "a list")]
+)
+def test_no_sensors(tmp_path: Path, text: str, said: str) -> None:
+    with pytest.raises(ConfigError, match=f":1: sensors: found {said}, expected 1 to 16 sensors"):
+        load_all(write(tmp_path, text))

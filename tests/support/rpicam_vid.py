@@ -1,0 +1,97 @@
+#!/usr/bin/env python3
+"""A stand-in for a Raspberry Pi's ``rpicam-vid``: the same arguments, the same two streams, the same words.
+
+It writes what rpicam-apps' output/output.cpp and file_output.cpp write: a frame, flushed, then its metadata as lines of
+``Name=value`` and an empty one. `STAND_IN` in the environment, a JSON object, says what it does otherwise:
+
+frames : str       a .npy file of uint8 (N, H, W), shown one after the other, again and again
+count : int        ends after so many
+lose : [int]       frames that the sensor takes and nobody gets
+settle : int       so many first frames have another exposure
+exposure : float   times what was asked
+extra_bytes : int  more (or fewer) in each frame
+records : bool     whether it tells of frames
+says : str         written to its standard error before it ends with 255, at once
+stalls : int       after so many frames it writes nothing more
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import pytest
+
+
+def put_on_path(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make it the program that is found."""
+    program = folder / "rpicam-vid"
+    program.write_text(f'#!/bin/sh\nexec {sys.executable} {__file__} "$@"\n')
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{folder}:{os.environ['PATH']}")
+
+
+def main() -> int:
+    """Write frames until nobody reads."""
+    parser = argparse.ArgumentParser()
+    for name in ("camera", "width", "height", "shutter", "timeout", "verbose"):
+        parser.add_argument(f"--{name}", type=int)
+    for name in ("framerate", "gain"):
+        parser.add_argument(f"--{name}", type=float)
+    for name in ("awbgains", "denoise", "codec", "output", "metadata", "metadata-format"):
+        parser.add_argument(f"--{name}")
+    for name in ("nopreview", "flush", "list-cameras"):
+        parser.add_argument(f"--{name}", action="store_true")
+    args = parser.parse_args()
+    do = json.loads(os.environ.get("STAND_IN", "{}"))
+    if says := do.get("says"):
+        print(says, file=sys.stderr)
+        return 255
+    if args.list_cameras:
+        print("Available cameras\n-----------------")
+        print("0 : imx219 [3280x2464 10-bit RGGB] (/base/soc/i2c0mux/i2c@1/imx219@10)")
+        print("    Modes: 'SRGGB10_CSI2P' : 640x480 [206.65 fps - (1000, 752)/1280x960 crop]")
+        return 0
+    assert (args.codec, args.output, args.metadata_format, args.flush) == ("yuv420", "-", "txt", True)
+    shape = (args.height, args.width)
+    images = np.load(do["frames"]) if "frames" in do else np.arange(4, dtype=np.uint8)[:, None, None] * np.ones(shape)
+    colour = bytes([128]) * max(shape[0] * shape[1] // 2 + do.get("extra_bytes", 0), 0)
+    cut = min(shape[0] * shape[1] // 2 + do.get("extra_bytes", 0), 0) or None
+    period_ns = round(1e9 / args.framerate)
+    with Path(args.metadata).open("wb", buffering=0) as records:
+        began_ns = time.monotonic_ns()
+        for n in range(do.get("count", 1 << 62)):
+            stamp_ns = began_ns + n * period_ns
+            time.sleep(max(0, stamp_ns + period_ns // 2 - time.monotonic_ns()) / 1e9)
+            if n in do.get("lose", ()):
+                continue
+            if n == do.get("stalls"):
+                time.sleep(60)
+            sys.stdout.buffer.write(images[n % len(images)].astype(np.uint8).tobytes()[:cut] + colour)
+            sys.stdout.buffer.flush()
+            exposure = do.get("exposure", 1) * args.shutter * (2 if n < do.get("settle", 0) else 1)
+            told = {
+                "SensorTimestamp": stamp_ns,
+                "ExposureTime": round(exposure),
+                "AnalogueGain": f"{args.gain:.6f}",
+                "FrameDuration": period_ns // 1000,
+                "ColourGains": "[ 1.000000, 1.000000 ]",
+            }
+            if do.get("records", True):
+                records.write("".join(f"{key}={value}\n" for key, value in told.items()).encode() + b"\n")
+    return 0
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main())
+    except BrokenPipeError:
+        os._exit(255)  # as when nobody reads: ERROR: *** failed to write output bytes ***

@@ -1,0 +1,149 @@
+"""Disks and files with state."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from pathlib import Path
+
+from faults.rig import Cell, Seen, small_disk
+from tacshade_edge.devices.files.recording import Recording
+from tacshade_edge.devices.files.stitch_file import PRESSES, SESSION
+from tacshade_edge.devices.files.whole_files import FREE_FLOOR_BYTES
+
+FLOOR_MB = FREE_FLOOR_BYTES >> 20
+
+
+def _fill(disk: Path, leave_mb: int) -> Path:
+    """Leave so much."""
+    filler = disk / "filler"
+    with filler.open("wb") as stream:
+        for _ in range((shutil.disk_usage(disk).free >> 20) - leave_mb):
+            stream.write(bytes(1 << 20))
+    return filler
+
+
+def full_while_recording(cell: Cell) -> Seen:
+    """The disk of the recordings fills up."""
+    disk = cell.enter(small_disk(cell.folder / "recs", FLOOR_MB + 40))
+    cell.serve()
+    cell.start()
+    assert cell.ask("record", action="start", seconds=600, name="r")["ok"]
+    cell.until(lambda: cell.last("status/recorder").get("frames", 0) > 20, 20, "a recording")
+    since_s = cell.mark()
+    filler = _fill(disk, FLOOR_MB - 5)
+    cell.until(lambda: cell.last("status/recorder").get("state") == "stopped", 30, "the recording's end")
+    detected_s = time.monotonic() - since_s
+    status = cell.last("status/recorder")
+    assert status["ending_code"] == "disk_full", status
+    read = 0
+    recording = Recording(disk / "r")
+    while recording.read() is not None:
+        read += 1
+    assert read == status["frames"]
+    cell.maps_again(time.monotonic())
+    filler.unlink()
+    since_s = time.monotonic()
+    assert cell.ask("record", action="start", seconds=1, name="r2")["ok"]
+    recovered_s = time.monotonic() - since_s
+    lost = f"{status['dropped']} frames, counted; all {read} before are there"
+    return Seen(detected_s, recovered_s, lost, "`status/recorder`, log")
+
+
+def full_at_begin(cell: Cell) -> Seen:
+    """No room for a session, then room; under the same name."""
+    disk = cell.enter(small_disk(cell.folder / "maps", FLOOR_MB + 20))
+    cell.serve()
+    cell.start()
+    filler = _fill(disk, FLOOR_MB - 5)
+    since_s = cell.mark()
+    answer = cell.ask("stitch", action="begin", name="one")
+    detected_s = time.monotonic() - since_s
+    assert not answer["ok"], answer
+    assert answer["reason_code"] == "disk_full", answer
+    filler.unlink()
+    since_s = time.monotonic()
+    answer = cell.ask("stitch", action="begin", name="one")
+    assert answer["ok"], answer
+    return Seen(detected_s, time.monotonic() - since_s, "nothing", "the answer to BEGIN")
+
+
+def full_in_a_session(cell: Cell) -> Seen:
+    """No room for more presses, then room."""
+    disk = cell.enter(small_disk(cell.folder / "maps", FLOOR_MB + 20))
+    cell.serve()
+    cell.start()
+    cell.session("one")
+    filler = _fill(disk, FLOOR_MB - 5)
+    since_s = cell.mark()
+    detected_s = cell.told("a settled contact was not added", since_s)
+    status = cell.ask("stitch", action="status")["result"]
+    filler.unlink()
+    since_s = time.monotonic()
+    cell.until(lambda: cell.last("status/stitching").get("presses", 0) > status["presses"], 20, "one press more")
+    recovered_s = time.monotonic() - since_s
+    missed = cell.last("status/stitching")["missed"]
+    return Seen(detected_s, recovered_s, f"{missed} presses, each refused", "log, `status/stitching.missed`")
+
+
+def session_deleted(cell: Cell) -> Seen:
+    """Somebody deletes the open session's folder."""
+    cell.serve()
+    cell.start()
+    cell.session("one")
+    since_s = cell.mark()
+    shutil.rmtree(cell.folder / "maps/one")
+    detected_s = cell.told("the session's files are gone", since_s)
+    since_s = time.monotonic()
+    answer = cell.ask("stitch", action="begin", name="two")
+    assert answer["ok"], answer
+    return Seen(detected_s, time.monotonic() - since_s, "what was deleted", "log, answers")
+
+
+def _after_a_stop(cell: Cell) -> int:
+    cell.serve()
+    cell.start()
+    count = cell.session("one", 4)
+    cell.kill()
+    cell.mark()
+    return count
+
+
+def flipped_bit(cell: Cell) -> Seen:
+    """In the first press of a session, while no daemon runs."""
+    count = _after_a_stop(cell)
+    path = cell.folder / "maps/one" / PRESSES
+    data = bytearray(path.read_bytes())
+    data[200] ^= 4
+    path.write_bytes(data)
+    began_s = time.monotonic()
+    cell.start()
+    detected_s = cell.told("are no whole press", began_s)
+    found = cell.presses(1)
+    assert found >= count - 1, (found, count)
+    assert path.with_name(f"{PRESSES}.damaged-1").read_bytes() == data
+    recovered_s = time.monotonic() - began_s
+    return Seen(detected_s, recovered_s, f"1 press of {count}; the file is kept beside", "log")
+
+
+def cut_description(cell: Cell) -> Seen:
+    """Of a session, while no daemon runs."""
+    _after_a_stop(cell)
+    path = cell.folder / "maps/one" / SESSION
+    path.write_bytes(path.read_bytes()[:40])
+    began_s = time.monotonic()
+    cell.start()
+    detected_s = cell.told("session passed over", began_s)
+    assert cell.ask("stitch", action="begin", name="two")["ok"]
+    assert (cell.folder / "maps/one" / PRESSES).stat().st_size > 0
+    return Seen(detected_s, time.monotonic() - began_s, "the session is not resumed; its presses stay", "log")
+
+
+FAULTS = {
+    "disk full while recording": full_while_recording,
+    "disk full at BEGIN": full_at_begin,
+    "disk full in a session": full_in_a_session,
+    "an open session's folder deleted": session_deleted,
+    "a bit flipped in a session's presses": flipped_bit,
+    "a session's description cut": cut_description,
+}

@@ -1,0 +1,110 @@
+"""The daemon's own process; its watchdog and restarts are tried under systemd in the guest (tests/service)."""
+
+from __future__ import annotations
+
+import resource
+import signal
+import time
+
+from faults.rig import Cell, Seen, ended, pause
+from tacshade_edge.devices.files.recording import Recording
+
+FROZEN_S = 5.0
+
+
+def killed(cell: Cell) -> Seen:
+    """While it records and has a session."""
+    cell.serve()
+    cell.start()
+    count = cell.session("one")
+    assert cell.ask("record", action="start", seconds=600, name="r")["ok"]
+    cell.until(lambda: cell.last("status/recorder").get("frames", 0) > 30, 20, "a recording")
+    told = cell.last("status/recorder")["frames"]
+    count = max(count, cell.last("status/stitching")["presses"])
+    since_s = cell.mark()
+    cell.kill()
+    cell.daemon = None
+    cell.until(lambda: cell.seen.of("tacshade/hand/state")[-1:] == [b"offline"], 30, "the last will")
+    detected_s = time.monotonic() - since_s
+    recording, read = Recording(cell.folder / "recs/r"), 0
+    while recording.read() is not None:
+        read += 1
+    assert read >= told, (read, told)
+    since_s = cell.mark()
+    cell.start()
+    assert cell.presses(1) >= count
+    return Seen(detected_s, time.monotonic() - since_s, "nothing that was told", "`state` offline")
+
+
+def frozen(cell: Cell) -> Seen:
+    """It gets no processor for a while."""
+    cell.serve()
+    cell.start()
+    assert cell.daemon is not None
+    before = cell.frames()
+    cell.daemon.send_signal(signal.SIGSTOP)
+    pause(FROZEN_S)
+    cell.daemon.send_signal(signal.SIGCONT)
+    recovered_s = cell.maps_again(time.monotonic())
+    after = cell.frames()
+    assert after["captured"] > before["captured"]
+    return Seen(None, recovered_s, "what the camera showed meanwhile", "`health.source_dropped` of a camera")
+
+
+def stopped_early(cell: Cell) -> Seen:
+    """SIGTERM at moments of the start."""
+    path = cell.settings()
+    codes = []
+    for after_s in (0.05, 0.3, 0.6, 0.9, 1.2, 1.8):
+        process = cell.spawn(path)
+        pause(after_s)
+        process.send_signal(signal.SIGTERM)
+        codes.append(ended(process))
+    # Before the program's first line the kernel ends it, which systemd takes as clean.
+    assert set(codes) <= {0, -signal.SIGTERM}, codes
+    return Seen(None, None, "nothing", f"exit codes {', '.join(map(str, codes))}")
+
+
+def little_memory(cell: Cell) -> Seen:
+    """`ulimit -v` of 500 MB."""
+    limit = 500 << 20
+    began_s = time.monotonic()
+    process = cell.spawn(cell.settings(), before=lambda: resource.setrlimit(resource.RLIMIT_AS, (limit, limit)))
+    code = ended(process, 30)
+    said = cell.log()
+    assert code > 0, f"ended by signal {-code}: {said[-300:]!r}"
+    assert "Traceback" not in said, said[-300:]
+    return Seen(time.monotonic() - began_s, None, "it does not run", f"one line, exit code {code}")
+
+
+def shared_folder(cell: Cell) -> Seen:
+    """A second daemon, another sensor_id, the same folder for sessions."""
+    cell.serve()
+    cell.start()
+    count = cell.session("one")
+    text = cell.settings(name="other.yaml").read_text().replace("sensor_id: hand", "sensor_id: other")
+    path = cell.folder / "other.yaml"
+    path.write_text(text)
+    began_s = time.monotonic()
+    other = cell.spawn(path, "other")
+    try:
+        while "in use by" not in cell.log("other") and time.monotonic() < began_s + 15:
+            pause(0.02)
+        detected_s = time.monotonic() - began_s
+        assert "in use by 'sensor hand, process" in cell.log("other"), cell.log("other")[-300:]
+        other.kill()
+        other.wait()
+        assert cell.presses(count + 2) > count
+    finally:
+        other.kill()
+        other.wait()
+    return Seen(detected_s, None, "nothing", "log: who holds it")
+
+
+FAULTS = {
+    "daemon killed (-9) in a session and a recording": killed,
+    f"daemon gets no processor for {FROZEN_S:.0f} s": frozen,
+    "SIGTERM during the start": stopped_early,
+    "500 MB of address space": little_memory,
+    "two daemons, one folder for sessions": shared_folder,
+}

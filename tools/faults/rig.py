@@ -1,0 +1,308 @@
+"""What the faults happen to: a daemon process on cheap frames, its broker, its log, what it publishes."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+from support.mqtt_rig import Broker, Subscriber
+from support.painted_sensor import FREE, TOUCHED, painted_calibration
+from support.patience import patience, wait_until
+
+from tacshade_edge.devices.files import calibration_file
+
+FREE_FRAMES, TOUCHED_FRAMES = 32, 32
+"""At 60 a second: a contact comes to rest (0.3 s), and between two of them a reference can be taken."""
+SENSOR_ID = "hand"
+BASE = f"tacshade/{SENSOR_ID}"
+COMMAND = (sys.executable, "-m", "tacshade_edge")
+
+
+def write_posed_images(folder: Path) -> None:
+    """Frames of a skin that is left alone and touched, each with the pose of another place."""
+    folder.mkdir(parents=True)
+    cv2.imwrite(str(folder / "free.png"), FREE)
+    cv2.imwrite(str(folder / "touched.png"), TOUCHED)
+    rows = ["image,t_ns,x_mm,y_mm,z_mm,qw,qx,qy,qz"]
+    for k in range(FREE_FRAMES + TOUCHED_FRAMES):
+        name = "free.png" if k < FREE_FRAMES else "touched.png"
+        rows.append(f"{name},{k * 16_666_667},1.5,-2,60,0,1,0,0")
+    (folder / "frames.csv").write_text("\n".join(rows) + "\n")
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What came of a fault.
+
+    Attributes
+    ----------
+    detected_s : float or None
+        Until the daemon told it; None where there is nothing to tell.
+    recovered_s : float or None
+        From the fault's end until it worked again; None where nothing stops working.
+    lost : str
+    told : str
+        Where.
+    """
+
+    detected_s: float | None
+    recovered_s: float | None
+    lost: str
+    told: str
+
+
+class SkippedError(Exception):
+    """A fault that cannot be made here, and why."""
+
+
+class Cell:
+    """One daemon and what is around it; every path is below its folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Its images, calibration, recordings and sessions.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self.folder = folder
+        self.broker = Broker(folder)
+        self.daemon: subprocess.Popen[bytes] | None = None
+        self._closing = contextlib.ExitStack()
+        self._mark = 0
+        write_posed_images(folder / "images")
+        calibration_file.save(folder / "c.npz", painted_calibration())
+
+    def __enter__(self) -> Cell:
+        self.seen = Subscriber(self.broker.port, f"{BASE}/#")
+        self._closing.callback(self.broker.stop)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.daemon is not None:
+            self.daemon.send_signal(signal.SIGCONT)
+            self.daemon.kill()
+            self.daemon.wait()
+        self._closing.close()
+
+    def enter(self, manager: Any) -> Any:
+        """Something that ends with the cell."""
+        return self._closing.enter_context(manager)
+
+    def serve(self, **options: Any) -> None:
+        """Start the broker and listen; `options` are those of `Broker`."""
+        if options:
+            self.broker = Broker(self.folder, **options)
+            self.seen = Subscriber(self.broker.port, f"{BASE}/#")
+            self._closing.callback(self.broker.stop)
+        self.broker.start()
+        self.enter(self.seen)
+
+    def settings(
+        self, more: str = "", *, port: int | None = None, name: str = "s.yaml", images: str = "images", mqtt: str = ""
+    ) -> Path:
+        """Write them."""
+        path = self.folder / name
+        path.write_text(
+            f"sensor_id: {SENSOR_ID}\nprofile: fast\ncalibration: c.npz\n"
+            f"source: {{kind: files, path: {images}, fps: 60, loop: true}}\n"
+            f"mqtt: {{host: 127.0.0.1, port: {port or self.broker.port}{mqtt}}}\n"
+            f"recorder: {{folder: recs}}\nstitching: {{folder: maps}}\n{more}"
+        )
+        return path
+
+    def start(self, path: Path | None = None, *, streams: bool = True) -> None:
+        """Start the daemon, and wait for its frames."""
+        self._mark = len(self.log())
+        self.daemon = self.spawn(path or self.settings())
+        if streams:
+            self.until(lambda: "source streaming" in self.new_log(), 30, "frames")
+            self.until(lambda: self.last("health").get("frames", {}).get("captured", 0) > 5, 30, "health")
+
+    def spawn(self, path: Path, log: str = "log", before: Callable[[], None] | None = None) -> subprocess.Popen[bytes]:
+        """A daemon."""
+        with (self.folder / log).open("a") as stream:
+            return subprocess.Popen([*COMMAND, "run", "--config", str(path)], stderr=stream, preexec_fn=before)
+
+    def kill(self) -> None:
+        """With SIGKILL."""
+        assert self.daemon is not None
+        self.daemon.kill()
+        self.daemon.wait()
+
+    def log(self, name: str = "log") -> str:
+        """Of all daemons."""
+        path = self.folder / name
+        return path.read_text(errors="replace") if path.exists() else ""
+
+    def new_log(self) -> str:
+        """Since `mark`."""
+        return self.log()[self._mark :]
+
+    def mark(self) -> float:
+        """Forget what was said until now; the time in s."""
+        self._mark = len(self.log())
+        self.seen.messages.clear()
+        return time.monotonic()
+
+    def told(self, pattern: str, since_s: float, seconds: float = 20) -> float:
+        """Wait until a new line of the log matches; s since then."""
+        self.until(lambda: re.search(pattern, self.new_log()), seconds, f"{pattern} in {self.new_log()[-300:]!r}")
+        return time.monotonic() - since_s
+
+    def until(self, condition: Callable[[], object], seconds: float, what: str) -> None:
+        """Poll; a daemon that ended fails it at once."""
+
+        def holds() -> object:
+            assert self.daemon is None or self.daemon.poll() is None, f"the daemon ended: {self.log()[-500:]}"
+            return condition()
+
+        wait_until(holds, seconds, what)
+
+    def last(self, topic: str) -> Any:
+        """The latest message, from JSON; empty without one."""
+        payloads = self.seen.of(f"{BASE}/{topic}")
+        return json.loads(payloads[-1]) if payloads else {}
+
+    def maps_again(self, since_s: float, seconds: float = 20) -> float:
+        """Wait for height maps of frames from now on; s since then."""
+        now_ns = time.monotonic_ns()
+        self.seen.messages.clear()
+
+        def fresh() -> int:
+            return sum(int.from_bytes(p[16:24], "little") > now_ns for p in self.seen.of(f"{BASE}/height"))
+
+        self.until(lambda: fresh() > 2, seconds, "height maps")
+        return time.monotonic() - since_s
+
+    def frames(self) -> dict[str, int]:
+        """Of the next health message, which must add up."""
+        before = len(self.seen.of(f"{BASE}/health"))
+        self.until(lambda: len(self.seen.of(f"{BASE}/health")) > before, 10, "health")
+        frames: dict[str, int] = self.last("health")["frames"]
+        assert frames["captured"] == sum(n for name, n in frames.items() if name != "captured"), frames
+        return frames
+
+    def ask(self, verb: str, **body: Any) -> dict[str, Any]:
+        """A request's answer."""
+        before = len(self.seen.of(f"{BASE}/res/{verb}"))
+        self.seen.publish(f"{BASE}/req/{verb}", json.dumps(body).encode())
+        self.until(lambda: len(self.seen.of(f"{BASE}/res/{verb}")) > before, 20, f"an answer to {verb} {body}")
+        answer: dict[str, Any] = self.last(f"res/{verb}")
+        return answer
+
+    def presses(self, count: int) -> int:
+        """Wait until a session has so many, of contacts that came to rest; how many were acknowledged."""
+        self.until(lambda: self.last("status/stitching").get("presses", 0) >= count, 30, f"{count} presses")
+        found: int = self.last("status/stitching")["presses"]
+        return found
+
+    def session(self, name: str, count: int = 3) -> int:
+        """Begin one, with so many presses at least."""
+        answer = self.ask("stitch", action="begin", name=name)
+        assert answer["ok"], answer
+        return self.presses(count)
+
+
+class Proxy:
+    """A TCP line to the broker that can stall, as a network does, or be cut."""
+
+    def __init__(self, port: int) -> None:
+        self._to = port
+        self._flows, self._over = threading.Event(), threading.Event()
+        self._flows.set()
+        self._pairs: list[socket.socket] = []
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.port = int(self._listener.getsockname()[1])
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def __enter__(self) -> Proxy:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._flows.set()
+        self._listener.close()
+        self.cut()
+
+    def stall(self) -> None:
+        """Nothing goes through, and nobody is told."""
+        self._flows.clear()
+
+    def flow(self) -> None:
+        """Go on."""
+        self._flows.set()
+
+    def cut(self) -> None:
+        """Close what is open, with a reset."""
+        for one in self._pairs:
+            with contextlib.suppress(OSError):
+                one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\x01\x00\x00\x00\x00\x00\x00\x00")
+                one.shutdown(socket.SHUT_RDWR)
+            one.close()
+        self._pairs.clear()
+
+    def _accept(self) -> None:
+        while not self._over.is_set():
+            try:
+                client, _ = self._listener.accept()
+            except OSError:
+                return
+            try:
+                broker = socket.create_connection(("127.0.0.1", self._to), 2)
+            except OSError:
+                client.close()
+                continue
+            broker.settimeout(None)
+            self._pairs += (client, broker)
+            for source, sink in ((client, broker), (broker, client)):
+                threading.Thread(target=self._carry, args=(source, sink), daemon=True).start()
+
+    def _carry(self, source: socket.socket, sink: socket.socket) -> None:
+        with contextlib.suppress(OSError):
+            while data := source.recv(65536):
+                self._flows.wait()
+                sink.sendall(data)
+        for one in (source, sink):
+            with contextlib.suppress(OSError):
+                one.shutdown(socket.SHUT_RDWR)
+
+
+@contextlib.contextmanager
+def small_disk(at: Path, megabytes: int) -> Iterator[Path]:
+    """A file system of its own, as only root can make one."""
+    if os.getuid() != 0 or shutil.which("mount") is None:
+        raise SkippedError("needs root: a small file system")
+    at.mkdir(parents=True, exist_ok=True)
+    words = ["mount", "-t", "tmpfs", "-o", f"size={megabytes}m", "tmpfs", str(at)]
+    if subprocess.run(words, capture_output=True, check=False).returncode:
+        raise SkippedError("a file system cannot be mounted here")
+    try:
+        yield at
+    finally:
+        subprocess.run(["umount", "-l", str(at)], check=False)
+
+
+def pause(seconds: float) -> None:
+    """A fault's own time."""
+    threading.Event().wait(seconds)
+
+
+def ended(process: subprocess.Popen[bytes], seconds: float = 20) -> int:
+    """Wait for an exit code."""
+    return process.wait(patience(seconds))

@@ -1,0 +1,188 @@
+#!/usr/bin/env python3
+"""Run a command as root in an arm64 user space: Debian's, on QEMU's model of a Pi 5's processor (Cortex-A76).
+
+::
+
+    tools/rig/arm64.py [--python 3.11|3.13] COMMAND [ARGUMENT...]
+    tools/rig/arm64.py --count SCRIPT [ARGUMENT...]     prints the instructions that a Python script executes
+
+The tree (Debian bookworm for Python 3.11, trixie for 3.13) is made once below ``.rig/``: Debian's packages unpacked,
+the wheels of ``systemd/requirements.lock`` installed, checked by their hashes, and what the tests need beside them.
+COMMAND runs in it with this tree at ``/src``, its folder; the machine's network is its network. Needs root, and the
+Debian packages debootstrap, qemu-user-static, and for --count qemu-user and gcc. 77 says that it cannot be run here.
+
+The processor is emulated instruction by instruction: its speed says nothing of a board's, the count does. The kernel's
+files that tell what processor there is (/proc/cpuinfo, /sys) are those of a Pi 5, since libraries choose their code by
+them; /sys has nothing else.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+TREE = HERE.parents[1]
+CACHE = TREE / ".rig"
+SUITES = {"3.11": "bookworm", "3.13": "trixie"}
+PROCESSOR = "cortex-a76"
+PROGRAMS = {"debootstrap": "debootstrap", "qemu-aarch64-static": "qemu-user-static", "dpkg-deb": "dpkg"}
+COUNT_PROGRAMS = {"qemu-aarch64": "qemu-user", "cc": "gcc"}
+EXIT_CANNOT = 77
+UV = (sys.executable, "-m", "uv", "pip", "--quiet")
+PACKAGES = "python3,libgomp1,libstdc++6,ca-certificates,procps"
+BINFMT = Path("/proc/sys/fs/binfmt_misc")
+CPUINFO = "".join(
+    f"""\
+processor\t: {core}
+BogoMIPS\t: 108.00
+Features\t: fp asimd evtstrm aes pmull sha1 sha2 crc32 atomics fphp asimdhp cpuid asimdrdm lrcpc dcpop asimddp
+CPU implementer\t: 0x41
+CPU architecture: 8
+CPU variant\t: 0x4
+CPU part\t: 0xd0b
+CPU revision\t: 1
+
+"""
+    for core in range(4)
+)
+ENVIRONMENT = {
+    "HOME": "/root",
+    "PATH": "/usr/local/bin:/usr/bin:/bin:/usr/sbin:/sbin",
+    "LANG": "C.UTF-8",
+    "QEMU_CPU": PROCESSOR,
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+}
+ENTER = """\
+set -e
+mount --bind "$2" "$1/src"
+mount -t proc proc "$1/proc"
+mount --bind "$1/opt/cpuinfo" "$1/proc/cpuinfo"
+mount --rbind /dev "$1/dev"
+mount -t tmpfs tmpfs "$1/tmp"
+exec chroot "$1" /bin/bash -c "cd /src && exec $3"
+"""
+
+
+class CannotRunError(Exception):
+    """It cannot be run on this machine; one line says why."""
+
+
+def check(programs: dict[str, str]) -> None:
+    """Raise CannotRunError when something that this needs is not here."""
+    if os.geteuid():
+        raise CannotRunError("expected root (to mount, and to enter another user space)")
+    missing = sorted({package for program, package in programs.items() if not shutil.which(program)})
+    if missing:
+        raise CannotRunError(f"missing Debian packages: {' '.join(missing)}")
+
+
+def emulator() -> None:
+    """Have the kernel run arm64 programs by QEMU, also those that programs start."""
+    if not (BINFMT / "register").exists():
+        _run("mount", "-t", "binfmt_misc", "binfmt_misc", str(BINFMT))
+    if not (BINFMT / "qemu-aarch64").exists():
+        (BINFMT / "register").write_bytes(Path("/usr/lib/binfmt.d/qemu-aarch64.conf").read_bytes().strip())
+
+
+def user_space(python: str) -> Path:
+    """Make the tree for a Python once; return its folder."""
+    final = CACHE / f"arm64-{python}"
+    if final.exists():
+        return final
+    CACHE.mkdir(exist_ok=True)
+    root = CACHE / f"arm64-{python}.part"
+    shutil.rmtree(root, ignore_errors=True)
+    print(f"arm64: unpacking Debian {SUITES[python]} and the wheels of the lock (900 MB, once)", file=sys.stderr)
+    words = ("--arch=arm64", "--foreign", "--variant=minbase", f"--include={PACKAGES}")
+    _run("debootstrap", *words, SUITES[python], str(root))
+    for package in sorted((root / "var/cache/apt/archives").glob("*.deb")):
+        _run("dpkg-deb", "-x", str(package), str(root))  # unpacked, not configured: no program of it has run
+        package.unlink()
+    (root / "etc/passwd").write_text("root:x:0:0:root:/root:/bin/bash\nnobody:x:65534:65534::/:/bin/false\n")
+    (root / "etc/group").write_text("root:x:0:\nnogroup:x:65534:\n")
+    (root / "etc/hosts").write_text("127.0.0.1 localhost\n")
+    for name in ("src", "opt"):
+        (root / name).mkdir(exist_ok=True)
+    (root / "opt/cpuinfo").write_text(CPUINFO)
+    for name in ("possible", "present"):
+        file = root / "sys/devices/system/cpu" / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text("0-3\n")
+    install(python, root)
+    root.rename(final)
+    return final
+
+
+def install(python: str, root: Path) -> None:
+    """The lock's wheels, as systemd/environment.sh does, into ``/opt/lock``; what tests need into ``/opt/dev``."""
+    board = ("--python-platform", "aarch64-manylinux_2_28", "--python-version", python, "--only-binary", ":all:")
+    lock = str(TREE / "systemd/requirements.lock")
+    _run(*UV, "install", *board, "--target", str(root / "opt/lock"), "--require-hashes", "--no-deps", "-r", lock)
+    words = ("--target", str(root / "opt/dev"), "-r", str(TREE / "pyproject.toml"), "--extra", "dev")
+    _run(*UV, "install", *board, *words)
+
+
+def enter(python: str, command: list[str]) -> None:
+    """Become the command in the tree: its signals and its exit status are ours."""
+    check(PROGRAMS)
+    emulator()
+    root = user_space(python)
+    environment = ENVIRONMENT | {"PYTHONPATH": "/src/tests:/src/tools:/src:/opt/lock:/opt/dev"}
+    words = ("unshare", "--mount", "--propagation", "private", "bash", "-c", ENTER, "arm64", str(root), str(TREE))
+    os.execvpe(words[0], (*words, shlex.join(command)), environment)
+
+
+def counted(script: list[str]) -> int:
+    """Run a script by Python 3.11, and print the instructions that it executed; return its exit status."""
+    check(PROGRAMS | COUNT_PROGRAMS)
+    root = user_space("3.11")
+    plugin = CACHE / "count_instructions.so"
+    if not plugin.exists():
+        _run("cc", "-shared", "-fPIC", "-O2", "-o", str(plugin), str(HERE / "count_instructions.c"))
+    (root / "proc/cpuinfo").write_text(CPUINFO)
+    paths = (TREE / "tests", TREE / "tools", TREE, root / "opt/lock", root / "opt/dev")
+    environment = os.environ | ENVIRONMENT | {"PYTHONPATH": ":".join(map(str, paths)), "PATH": os.environ["PATH"]}
+    words = ("qemu-aarch64", "-plugin", str(plugin), "-L", str(root), str(root / "usr/bin/python3.11"), "-B")
+    done = subprocess.run((*words, *script), env=environment, stderr=subprocess.PIPE, text=True, check=False)
+    found = re.search(r"^instructions: (\d+)$", done.stderr, re.MULTILINE)
+    print(done.stderr, end="", file=sys.stderr)
+    if found:
+        print(found[1])
+    return done.returncode
+
+
+def _run(*command: str) -> None:
+    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
+    if done.returncode:
+        last = (done.stdout.strip().splitlines() or ["no message"])[-1]
+        raise CannotRunError(f"{shlex.join(command[:4])} ...: {last}")
+
+
+def main() -> int:
+    """Parse the command line and run."""
+    parser = argparse.ArgumentParser(prog="arm64.py", description="Run COMMAND in an emulated arm64 user space.")
+    parser.add_argument("--python", choices=list(SUITES), default="3.11")
+    parser.add_argument("--count", action="store_true", help="COMMAND is a Python script; print its instructions")
+    parser.add_argument("command", nargs=argparse.REMAINDER, metavar="COMMAND", help="with its arguments")
+    args = parser.parse_args()
+    if not args.command:
+        parser.error("COMMAND is missing")
+    try:
+        if args.count:
+            return counted(args.command)
+        enter(args.python, args.command)
+    except CannotRunError as error:
+        print(f"arm64: {error}", file=sys.stderr)
+    return EXIT_CANNOT
+
+
+if __name__ == "__main__":
+    sys.exit(main())
