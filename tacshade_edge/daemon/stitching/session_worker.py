@@ -24,6 +24,7 @@ from tacshade_edge.daemon.stitching.pending_adds import WAITING_MAX, PendingAdds
 from tacshade_edge.daemon.stitching.session import RefusedError, Session
 from tacshade_edge.devices.files.folder_lock import FolderLock
 from tacshade_edge.devices.files.whole_files import disk_errors
+from tacshade_edge.devices.free_memory import return_free_memory
 from tacshade_edge.errors import TacshadeError
 from tacshade_edge.protocol.results import NoSession, PressAdded, SessionAborted, SessionEnded, SessionResult
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -230,6 +231,8 @@ class SessionWorker:
                 outcome = error.reason
             self._state = self._current_state()
             job.reply(outcome)
+            if isinstance(outcome, SessionEnded | SessionAborted):
+                return_free_memory()  # a full map took 300 MB
         if self._session is not None:
             self._session.close()
         if self._folder_lock is not None:

@@ -17,6 +17,7 @@ from support.patience import patience, wait_until
 
 from tacshade_edge.core.stitching.press_points import press_points
 from tacshade_edge.core.stitching.stitcher import Stitcher
+from tacshade_edge.daemon.stitching import session_worker
 from tacshade_edge.daemon.stitching.map_revision import MapRevision
 from tacshade_edge.daemon.stitching.session_worker import SessionWorker
 from tacshade_edge.devices.files.stitch_file import open_session
@@ -259,6 +260,20 @@ def test_an_aborted_session_leaves_nothing(robot: Robot, ball: Reconstruction, t
     assert code(wait(waiting)) == ReasonCode.NO_SESSION
     assert [path.name for path in (tmp_path / "sessions").iterdir()] == [".owner"]
     assert code(robot.ask("BEGIN", "x")) is None
+
+
+@pytest.mark.parametrize("action", ["END", "ABORT"])
+def test_what_a_session_took_goes_back_to_the_system(
+    robot: Robot, ball: Reconstruction, action: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    returned: SimpleQueue[None] = SimpleQueue()
+    monkeypatch.setattr(session_worker, "return_free_memory", lambda: returned.put(None))
+    robot.show(ball)
+    robot.ask("BEGIN", "x")
+    assert isinstance(robot.add(ball), PressAdded)
+    assert returned.empty()
+    robot.ask(action)
+    returned.get(timeout=patience(DEADLINE_S))
 
 
 @pytest.mark.parametrize("name", ["../x", "a/b", ".x", "a b", "é", "x" * 65])
