@@ -120,7 +120,10 @@ def daemon(python: str) -> list[str]:
     frames = health[-1]["frames"] if health else {}
     print(f"daemon: {frames}, {seen} height maps received, exit status {code}")
     wrong = [] if code == 0 else [f"the daemon ended with {code}"]
-    if frames.get("published", 0) < DAEMON_S * FPS / 4 or seen == 0:
+    # How many it manages is the emulation's; that none is lost without a word is the daemon's.
+    if not seen or frames["captured"] != sum(n for outcome, n in frames.items() if outcome != "captured"):
+        wrong.append("frames are not accounted for")
+    if frames.get("published") != seen:
         wrong.append(f"{frames.get('published', 0)} frames were published, {seen} maps received")
     return wrong
 
