@@ -121,9 +121,9 @@ class Recording:
 
     @property
     def length_ns(self) -> int:
-        """From the first frame of a pass to its last; 0 where nothing tells it: MCAP, a video without a table."""
+        """From the first frame of a pass to its last; 0 where nothing tells it: a video, MCAP that was cut off."""
         if self._mcap is not None:
-            return 0
+            return self._mcap.length_ns
         if self._rows is not None:
             return self._rows[-1].t_ns - self._rows[0].t_ns if len(self._rows) else 0
         images, video = look_at(self._path)

@@ -12,7 +12,7 @@ from mcap.records import Attachment, Channel, Message, Schema
 
 from tacshade_edge.devices.files.frame_table import ERROR_US_MAX, T_NS_MAX, UNIT_TOLERANCE, Row
 from tacshade_edge.devices.files.mcap.images import DECODERS, image_of
-from tacshade_edge.devices.files.mcap.records import Damage, ends_whole, records_of, summary_of
+from tacshade_edge.devices.files.mcap.records import Damage, ends_whole, records_of, summary_of, times_of
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.quoting import shown
 from tacshade_edge.types import U8, Pose
@@ -50,6 +50,13 @@ class McapFrames:
         whole = [ends_whole(path) for path in paths]
         self.cut_off = not all(whole)
         self.topic = _topic_of(paths[0])
+
+    @property
+    def length_ns(self) -> int:
+        """From the first message to the last, of whichever topic; 0 where a file was cut off, and so does not tell."""
+        spans = [times_of(path) for path in self._paths]
+        told = [span for span in spans if span is not None]
+        return told[-1][1] - told[0][0] if len(told) == len(spans) else 0
 
     def __iter__(self) -> Iterator[tuple[Row, Picture, int]]:
         """Every frame, its picture, which raises DecodeError where it cannot be used, and the time of its message."""

@@ -15,6 +15,7 @@ from mcap.exceptions import McapError
 from mcap.reader import SeekingReader
 from mcap.records import Attachment, Channel, Chunk, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.summary import Summary
 
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.quoting import shown
@@ -56,12 +57,25 @@ def records_of(path: Path) -> Iterator[Schema | Channel | Message | Attachment |
 
 def summary_of(path: Path) -> list[Schema | Channel]:
     """Schemas, then channels, as the end of a whole file repeats them; empty where it does not, or is damaged."""
+    summary = _summary(path)
+    return [] if summary is None else [*summary.schemas.values(), *summary.channels.values()]
+
+
+def times_of(path: Path) -> tuple[int, int] | None:
+    """Times of the first and the last message in ns, as the end of a whole file has them; None where it has not."""
+    summary = _summary(path)
+    found = None if summary is None else summary.statistics
+    if found is None or found.message_count == 0:
+        return None
+    return found.message_start_time, found.message_end_time
+
+
+def _summary(path: Path) -> Summary | None:
     with _opened(path) as stream:
         try:
-            summary = SeekingReader(stream, record_size_limit=RECORD_BYTES_MAX).get_summary()
+            return SeekingReader(stream, record_size_limit=RECORD_BYTES_MAX).get_summary()
         except _DAMAGED:
-            return []
-    return [] if summary is None else [*summary.schemas.values(), *summary.channels.values()]
+            return None
 
 
 def _records(path: Path, stream: BinaryIO) -> Iterator[Schema | Channel | Message | Attachment | Metadata | Damage]:

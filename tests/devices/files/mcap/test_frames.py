@@ -73,6 +73,14 @@ def test_ours_gives_back_times_poses_and_pixels(tmp_path: Path) -> None:
     assert not Recording(path).cut_off
 
 
+def test_it_tells_its_length_unless_it_was_cut_off(tmp_path: Path) -> None:
+    path = tmp_path / "rec.mcap"
+    path.write_bytes(ours(5))
+    assert Recording(path).length_ns == 4 * PERIOD_NS
+    path.write_bytes(ours(5)[:-20])
+    assert Recording(path).length_ns == 0
+
+
 def test_a_loop_goes_on_in_time(tmp_path: Path) -> None:
     path = tmp_path / "rec.mcap"
     path.write_bytes(ours(2))
