@@ -45,7 +45,7 @@ def test_a_recording_is_made_and_marked_and_a_daemon_that_died_is_told_at_once(
         press(page, "record")
         shows(page, "answer", "Recording to ")
         folder = Path(text(page, "answer").removeprefix("Recording to ").removesuffix("."))
-        shows(page, "recording", "Recording 0:0")
+        shows(page, "recording", "Recording ")
         shows(page, "recording", "of 10:00")
         page.find_element(By.NAME, "words").send_keys("it <b>slips</b>")
         press(page, "mark")
