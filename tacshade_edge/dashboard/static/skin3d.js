@@ -22,6 +22,7 @@ for (let ring = 1; ring <= RINGS; ring++) {
 const LINEAR = Float32Array.from({ length: 256 }, (_, v) => (v <= 10 ? v / 255 / 12.92 : ((v / 255 + 0.055) / 1.055) ** 2.4));
 const SLOW_MS = 40; // a picture that takes longer is drawn with fewer pixels from then on
 const COARSEST = 0.5; // of the screen's pixels per side
+const REST = 1; // of what a picture took, before the next: without a graphics card it takes all cores, and the page falls behind
 const POINTS_MAX = 20000;
 
 export class SkinView {
@@ -151,7 +152,7 @@ export class SkinView {
     this.render();
   }
 
-  /** Whether a picture is still being drawn: a map that came meanwhile waits, here and in the map beside. */
+  /** Whether a picture is still being drawn or rested from: a map that came meanwhile waits, here and in the map beside. */
   get busy() {
     return Boolean(this.fence);
   }
@@ -172,12 +173,15 @@ export class SkinView {
         return;
       }
       gl.deleteSync(this.fence);
-      this.fence = null;
-      if (performance.now() - began_ms > SLOW_MS && this.renderer.getPixelRatio() > COARSEST) {
-        this.renderer.setPixelRatio(COARSEST);
-        this.render();
-      }
-      this.free();
+      const took_ms = performance.now() - began_ms, slow = took_ms > SLOW_MS && this.renderer.getPixelRatio() > COARSEST;
+      setTimeout(() => {
+        this.fence = null;
+        if (slow) {
+          this.renderer.setPixelRatio(COARSEST);
+          this.render();
+        }
+        this.free();
+      }, REST * took_ms);
     };
     setTimeout(done, 5);
   }
