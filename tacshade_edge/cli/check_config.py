@@ -10,7 +10,7 @@ from pathlib import Path
 from tacshade_edge.devices import registry
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.reasons import Reason
-from tacshade_edge.settings import Document, file_schema, load_all
+from tacshade_edge.settings import Document, file_schema, load_all, load_hand
 
 DEFAULT_CONFIG = Path("/etc/tacshade-edge/config.yaml")
 
@@ -47,6 +47,11 @@ def run(args: argparse.Namespace) -> int:
             else:
                 if isinstance(found, Reason):
                     warnings.append(f"{document.where('calibration')}: warning: {found}")
+    if hand := load_hand(args.file):
+        try:
+            registry.make_hand_link(hand, on_request=lambda _: None, on_outcome=lambda *_: None)
+        except ConfigError as error:
+            mistakes.append(str(error))
     if mistakes := list(dict.fromkeys(mistakes)):
         raise ConfigError(mistakes[0], others=mistakes[1:])
     for document in documents:

@@ -10,9 +10,9 @@ from pathlib import Path
 from tacshade_edge.cli.check_config import DEFAULT_CONFIG
 from tacshade_edge.cli.logs import add_verbosity, start_logging
 from tacshade_edge.daemon.app import App
-from tacshade_edge.daemon.supervisor import Supervisor
+from tacshade_edge.daemon.supervisor import Supervisor, name_of
 from tacshade_edge.devices import registry
-from tacshade_edge.settings import load_all
+from tacshade_edge.settings import Hand, load_all, load_hand
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -30,16 +30,25 @@ def run(args: argparse.Namespace) -> int:
     """
     start_logging(args.log_level)
     documents = load_all(args.config)
-    document = documents[0]
+    document, line = documents[0], None
     if document.several:
-        mine = Supervisor(documents).run()
+        from tacshade_edge.daemon.hand import process  # needed nowhere else, and by no single sensor
+        from tacshade_edge.daemon.hand.lines import Lines
+
+        hand = load_hand(args.config)
+        lines = Lines(hand.fingers if hand else ())
+        mine = Supervisor(documents, hand, lines.end).run()
         if isinstance(mine, int):
+            lines.close()
             return mine
-        start_logging(args.log_level, mine.settings.sensor_id)
-        document = mine
+        start_logging(args.log_level, name_of(mine))
+        if isinstance(mine, Hand):
+            process.run(mine, lines)
+            return 0
+        document, line = mine, lines.fingers.get(mine.settings.sensor_id)
     registry.check_files(document)
     calibration = registry.find_calibration(document, store=True)
-    app = App(document, registry.make_source(document.settings.source), calibration)
+    app = App(document, registry.make_source(document.settings.source), calibration, line)
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: app.stop())
     if not os.isatty(0):

@@ -42,11 +42,14 @@ from tacshade_edge.protocol import messages
 from tacshade_edge.protocol.messages import Request
 from tacshade_edge.protocol.results import RequestResult
 from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
+from tacshade_edge.rigid import from_seven
 from tacshade_edge.settings import Document, digest
 from tacshade_edge.types import Calibration
 from tacshade_edge.version import installed_version
 
 if TYPE_CHECKING:
+    from tacshade_edge.daemon.hand.finger import TellingFinger
+    from tacshade_edge.daemon.hand.lines import FingerLine
     from tacshade_edge.daemon.robot.robot import Robot
     from tacshade_edge.daemon.stitching.session_requests import SessionRequests
 
@@ -90,6 +93,8 @@ class App:
     source : FrameSource
     calibration : Calibration or Reason
         Or why there is none yet: the camera's picture is all that is served until `reload` finds one.
+    line : FingerLine or None
+        To its hand, where it is a finger of one.
 
     Attributes
     ----------
@@ -97,7 +102,13 @@ class App:
     link : MqttLink
     """
 
-    def __init__(self, document: Document, source: FrameSource, calibration: Calibration | Reason) -> None:
+    def __init__(
+        self,
+        document: Document,
+        source: FrameSource,
+        calibration: Calibration | Reason,
+        line: FingerLine | None = None,
+    ) -> None:
         settings = document.settings
         self._document = document
         # SimpleQueue: the one queue that a signal handler may put into.
@@ -114,6 +125,8 @@ class App:
         self._references = References(calibration, reference_file.path_beside(settings.calibration), settings.sensor_id)
         sink: Sink = self._references.frames.observing(self._publisher)
         sink = self._sessions.observing(sink) if self._sessions else sink
+        self._finger = self._make_finger(line)
+        sink = self._finger.observing(sink) if self._finger else sink
         profile, known = PROFILES.get(settings.profile, PROFILES[LADDER[-1]]), self._references.calibration
         self._pipeline = Pipeline(
             source,
@@ -242,6 +255,8 @@ class App:
             self._references.reload(new.calibration, reference_file.path_beside(settings.calibration))
             self._active.reload(settings.profile, settings.latency_budget_ms, self._references.calibration)
             self._recorder.keep_before(settings.recorder.before_s)
+            if self._finger and settings.hand_T_sensor:
+                self._finger.hand_T_sensor = from_seven(settings.hand_T_sensor)
             self._recorder.event("reload", waiting=list(new.waiting))
             self._changed()
             note = new.reason
@@ -334,6 +349,15 @@ class App:
         folder = Path(settings.stitching.folder)
         return SessionRequests(folder, settings.sensor_id, self.link.set_retained, self._reply, self._robot)
 
+    def _make_finger(self, line: FingerLine | None) -> TellingFinger | None:
+        """Imported only where there is a hand."""
+        seven = self._document.settings.hand_T_sensor
+        if line is None or seven is None:
+            return None
+        from tacshade_edge.daemon.hand.finger import TellingFinger
+
+        return TellingFinger(line, from_seven(seven))
+
     def _changed(self) -> None:
         """The reconstructor was replaced."""
         reconstructor = self._active.reconstructor
@@ -381,6 +405,8 @@ class App:
         self._recorder.event("source", state=camera.state, **reason_fields(camera.reason))
         _log.info("source %s%s", camera.state, f": {camera.reason}" if camera.reason else "")
         self.link.set_retained("status/camera", messages.encode_status(camera.state, camera.reason, camera.details))
+        if self._finger and camera.reason:
+            self._finger.lose(camera.reason)
         if camera.state != "ended":
             self.link.set_retained("state", b"online" if camera.state == "streaming" else b"degraded")
 
@@ -394,6 +420,8 @@ class App:
             profiles=self._active.choices,
             choice=self._active.choice,
             reference=self._references.info(),
+            hand_id=self._document.settings.hand_id,
+            hand_T_sensor=self._document.settings.hand_T_sensor,
         )
         self.link.set_retained("info", info)
         self._home_assistant.announce(self._active.choices)

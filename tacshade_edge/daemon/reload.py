@@ -12,7 +12,7 @@ from tacshade_edge.settings import Document, load
 from tacshade_edge.types import Calibration
 
 # The source, the link and its topics, and the robot's line are made once.
-RESTART_KEYS = ("sensor_id", "source", "mqtt", "serial", "stitching")
+RESTART_KEYS = ("sensor_id", "source", "mqtt", "serial", "stitching", "hand_id")
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,5 +1,7 @@
 """Several sensors on one machine: a process for each, forked from this one, which starts it again when it ends.
 
+Where they are the fingers of a hand, the hand has a process too (`daemon.hand.process`).
+
 Forked after everything is imported, the processes share the libraries' memory (docs/decisions/0010-several-sensors.md);
 and what happens in one, however bad, happens in no other. This process has no thread and does nothing with frames. It
 is the service manager of its sensors and speaks with the real one for all: each gets a ``NOTIFY_SOCKET`` of ours.
@@ -24,7 +26,7 @@ from tacshade_edge.daemon.systemd import STOP_USEC, notify
 from tacshade_edge.devices.weights.network import runtime
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.quoting import escaped
-from tacshade_edge.settings import Document, load_all
+from tacshade_edge.settings import Document, Hand, load_all, load_hand
 
 _log = logging.getLogger(__name__)
 
@@ -38,11 +40,12 @@ _SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGCHLD)
 
 
 @dataclass(slots=True, eq=False)
-class _Sensor:
-    """A sensor and its process.
+class _Part:
+    """A sensor, or the hand, and its process.
 
     Attributes
     ----------
+    of : Document or Hand
     pid : int
         0 while there is none.
     ready : bool
@@ -53,7 +56,7 @@ class _Sensor:
         When it is to be started again; None where it is not.
     """
 
-    document: Document
+    of: Document | Hand
     notices: socket.socket
     pid: int = 0
     ready: bool = False
@@ -65,34 +68,42 @@ class _Sensor:
 
     @property
     def name(self) -> str:
-        return self.document.settings.sensor_id
+        return name_of(self.of)
 
 
 class Supervisor:
-    """Keeps a process for each sensor.
+    """Keeps a process for each sensor, and for the hand that they are.
 
     Parameters
     ----------
     documents : sequence of Document
         Of one file.
+    hand : Hand or None
+    ended : callable
+        Gets the id of a sensor whose process has ended.
     """
 
-    def __init__(self, documents: Sequence[Document]) -> None:
+    def __init__(
+        self, documents: Sequence[Document], hand: Hand | None = None, ended: Callable[[str], None] = lambda name: None
+    ) -> None:
         self._path = documents[0].path
+        self._ended = ended
         self._selector = selectors.DefaultSelector()
-        self._sensors = [_Sensor(document, _notice_socket()) for document in documents]
-        for sensor in self._sensors:
-            self._selector.register(sensor.notices, selectors.EVENT_READ, sensor)
+        self._sensors = [_Part(document, _notice_socket()) for document in documents]
+        self._parts = [*self._sensors, *([_Part(hand, _notice_socket())] if hand else [])]
+        for part in self._parts:
+            self._selector.register(part.notices, selectors.EVENT_READ, part)
         self._told_ready = False
         self._note = ""
         self._stopping_s: float | None = None
 
-    def run(self) -> Document | int:
-        """Keep them until a signal ends all, or none is left to start again.
+    def run(self) -> Document | Hand | int:
+        """Keep them until a signal ends all, or no sensor is left to start again.
 
         Returns
         -------
-        In a sensor's process its document; in this one the exit code: 78 where no sensor's settings can work, else 0.
+        In a sensor's process its document, in the hand's the hand; in this one the exit code: 78 where no sensor's
+        settings can work, else 0.
         """
         reader, writer = socket.socketpair()
         reader.setblocking(False)
@@ -101,7 +112,8 @@ class Supervisor:
         previous = {number: signal.signal(number, lambda *_: None) for number in numbers}
         wakeup = signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False)
         self._selector.register(reader, selectors.EVENT_READ)
-        if any(PROFILES.get(sensor.document.settings.profile, PROFILES[DEFAULT]).network for sensor in self._sensors):
+        profiles = [part.of.settings.profile for part in self._sensors if isinstance(part.of, Document)]
+        if any(PROFILES.get(profile, PROFILES[DEFAULT]).network for profile in profiles):
             runtime()  # here, since each that imports it by itself has it for itself
         gc.collect()
         gc.freeze()  # the collector would write to every page, and so copy it
@@ -111,8 +123,8 @@ class Supervisor:
             for number, handler in previous.items():
                 signal.signal(number, handler)
             self._selector.close()
-            for part in (reader, writer, *(sensor.notices for sensor in self._sensors)):
-                part.close()
+            for end in (reader, writer, *(part.notices for part in self._parts)):
+                end.close()
 
         try:
             return self._supervise(reader, let_go)
@@ -120,143 +132,159 @@ class Supervisor:
             if self._selector.get_map() is not None:
                 let_go()
 
-    def _supervise(self, signals: socket.socket, let_go: Callable[[], None]) -> Document | int:
-        for sensor in self._sensors:
-            sensor.again_s = 0.0
+    def _supervise(self, signals: socket.socket, let_go: Callable[[], None]) -> Document | Hand | int:
+        for part in self._parts:
+            part.again_s = 0.0
         next_tick_s = 0.0
         while True:
             now_s = time.monotonic()
-            for sensor in self._sensors:
-                is_due = sensor.again_s is not None and now_s >= sensor.again_s
-                if is_due and not self._start(sensor):
+            for part in self._parts:
+                is_due = part.again_s is not None and now_s >= part.again_s
+                if is_due and not self._start(part):
                     let_go()
-                    return sensor.document
+                    return part.of
             if now_s >= next_tick_s:
                 next_tick_s = now_s + TICK_S
                 self._watch(now_s)
                 self._tell()
-            if self._is_over():
-                return self._code()
+            if self._is_over(self._sensors):
+                if self._is_over(self._parts):
+                    return self._code()
+                self._stop()
             for key, _ in self._selector.select(0.1):
-                if isinstance(key.data, _Sensor):
+                if isinstance(key.data, _Part):
                     self._hear(key.data)
                 else:
                     self._handle(set(signals.recv(4096)))
             self._reap()
 
-    def _start(self, sensor: _Sensor) -> bool:
+    def _start(self, part: _Part) -> bool:
         """Fork; True in this process."""
-        sensor.again_s = sensor.heard_s = sensor.aborted_s = None
-        sensor.status = "starting"
+        part.again_s = part.heard_s = part.aborted_s = None
+        part.status = "starting"
         parent = os.getpid()
-        sensor.pid = os.fork()
-        if sensor.pid:
+        part.pid = os.fork()
+        if part.pid:
             return True
-        os.environ["NOTIFY_SOCKET"] = "@" + sensor.notices.getsockname()[1:].decode()
+        os.environ["NOTIFY_SOCKET"] = "@" + part.notices.getsockname()[1:].decode()
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
         if os.getppid() != parent:  # it ended just now
             os._exit(0)
         return False
 
-    def _hear(self, sensor: _Sensor) -> None:
-        """Take a message that sensor's process means for the service manager."""
+    def _hear(self, part: _Part) -> None:
+        """Take a message that a part's process means for the service manager."""
         with contextlib.suppress(OSError):
-            for line in sensor.notices.recv(4096).decode(errors="replace").split("\n"):
+            for line in part.notices.recv(4096).decode(errors="replace").split("\n"):
                 key, _, value = line.partition("=")
                 if key == "STATUS":
-                    sensor.status = value
+                    part.status = value
                 elif key == "STOPPING":
-                    sensor.heard_s = None
+                    part.heard_s = None
                 elif key in ("READY", "WATCHDOG"):
-                    sensor.heard_s = time.monotonic()
-                    sensor.ready = True
+                    part.heard_s = time.monotonic()
+                    part.ready = True
 
     def _handle(self, numbers: set[int]) -> None:
-        if numbers & {signal.SIGTERM, signal.SIGINT} and self._stopping_s is None:
-            self._stopping_s = time.monotonic()
-            notify("STOPPING=1", f"EXTEND_TIMEOUT_USEC={STOP_USEC}", "STATUS=stopping")
-            for sensor in self._sensors:
-                sensor.again_s = sensor.heard_s = None
-                _signal(sensor, signal.SIGTERM)
+        if numbers & {signal.SIGTERM, signal.SIGINT}:
+            self._stop()
         elif signal.SIGHUP in numbers and self._stopping_s is None:
             self._reload()
 
+    def _stop(self) -> None:
+        """End all, once."""
+        if self._stopping_s is not None:
+            return
+        self._stopping_s = time.monotonic()
+        notify("STOPPING=1", f"EXTEND_TIMEOUT_USEC={STOP_USEC}", "STATUS=stopping")
+        for part in self._parts:
+            part.again_s = part.heard_s = None
+            _signal(part, signal.SIGTERM)
+
     def _reload(self) -> None:
-        """Have each sensor read the file again; start those that ended over their settings."""
+        """Have each part read the file again; start those that ended over their settings."""
         notify("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
         try:
-            documents = {document.settings.sensor_id: document for document in load_all(self._path)}
+            documents = load_all(self._path)
+            hand = load_hand(self._path)
         except ConfigError as error:
             self._note = f"reload refused, the running settings stay: {error}"
         else:
-            names = [sensor.name for sensor in self._sensors]
-            self._note = "" if list(documents) == names else "restart to use the new sensors"
-            for sensor in self._sensors:
-                if document := documents.get(sensor.name):
-                    sensor.document = document
-                    if sensor.pid:
-                        _signal(sensor, signal.SIGHUP)
+            of_file: list[Document | Hand] = [*documents, *([hand] if hand else [])]
+            now = {name_of(of): of for of in of_file}
+            self._note = "" if list(now) == [part.name for part in self._parts] else "restart to use the new sensors"
+            for part in self._parts:
+                if of := now.get(part.name):
+                    part.of = of
+                    if part.pid:
+                        _signal(part, signal.SIGHUP)
                     else:
-                        sensor.again_s = 0.0
+                        part.again_s = 0.0
         _log.log(logging.WARNING if self._note else logging.INFO, "%s", self._note or "reloaded")
         notify("READY=1")
 
     def _watch(self, now_s: float) -> None:
         """End what hangs."""
-        for sensor in self._sensors:
-            if sensor.aborted_s is not None and now_s > sensor.aborted_s + ABORT_S:
-                _signal(sensor, signal.SIGKILL)
-            elif sensor.aborted_s is None and sensor.heard_s is not None and now_s > sensor.heard_s + WATCHDOG_S:
-                _log.error("%s: hangs for %.0f s, ended", sensor.name, WATCHDOG_S)
-                sensor.aborted_s = now_s
-                _signal(sensor, signal.SIGABRT)
+        for part in self._parts:
+            if part.aborted_s is not None and now_s > part.aborted_s + ABORT_S:
+                _signal(part, signal.SIGKILL)
+            elif part.aborted_s is None and part.heard_s is not None and now_s > part.heard_s + WATCHDOG_S:
+                _log.error("%s: hangs for %.0f s, ended", part.name, WATCHDOG_S)
+                part.aborted_s = now_s
+                _signal(part, signal.SIGABRT)
         if self._stopping_s is not None and now_s > self._stopping_s + STOP_USEC / 1e6:
-            for sensor in self._sensors:
-                _signal(sensor, signal.SIGKILL)
+            for part in self._parts:
+                _signal(part, signal.SIGKILL)
 
     def _reap(self) -> None:
         """Decide what follows on a process that ended."""
-        for sensor in self._sensors:
-            if not sensor.pid:
+        for part in self._parts:
+            if not part.pid:
                 continue
-            pid, status = os.waitpid(sensor.pid, os.WNOHANG)
+            pid, status = os.waitpid(part.pid, os.WNOHANG)
             if not pid:
                 continue
-            sensor.pid, sensor.code = 0, os.waitstatus_to_exitcode(status)
-            sensor.ready, sensor.heard_s, sensor.aborted_s = True, None, None
-            if self._stopping_s is not None or sensor.code == 0:
-                sensor.status = "ended"
-            elif sensor.code == EXIT_CONFIG:
-                sensor.status = "bad configuration, see the log; reload when it is mended"
+            part.pid, part.code = 0, os.waitstatus_to_exitcode(status)
+            part.ready, part.heard_s, part.aborted_s = True, None, None
+            self._ended(part.name)
+            if self._stopping_s is not None or part.code == 0:
+                part.status = "ended"
+            elif part.code == EXIT_CONFIG:
+                part.status = "bad configuration, see the log; reload when it is mended"
             else:
-                sensor.status = f"ended with {sensor.code}, starts again"
-                sensor.again_s = time.monotonic() + RESTART_S
-                _log.error("%s: its process ended with %d, starts again in %.0f s", sensor.name, sensor.code, RESTART_S)
+                part.status = f"ended with {part.code}, starts again"
+                part.again_s = time.monotonic() + RESTART_S
+                _log.error("%s: its process ended with %d, starts again in %.0f s", part.name, part.code, RESTART_S)
 
     def _tell(self) -> None:
-        """Status and watchdog, for all; readiness once each sensor came up or ended."""
-        if not self._told_ready and all(sensor.ready for sensor in self._sensors):
+        """Status and watchdog, for all; readiness once each part came up or ended."""
+        if not self._told_ready and all(part.ready for part in self._parts):
             self._told_ready = True
             notify("READY=1")
-        told = "; ".join(f"{sensor.name}: {sensor.status}" for sensor in self._sensors)
+        told = "; ".join(f"{part.name}: {part.status}" for part in self._parts)
         notify("WATCHDOG=1", f"STATUS={escaped(told)}{f'; {self._note}' if self._note else ''}")
 
-    def _is_over(self) -> bool:
-        return all(not sensor.pid and sensor.again_s is None for sensor in self._sensors)
+    def _is_over(self, parts: Sequence[_Part]) -> bool:
+        return all(not part.pid and part.again_s is None for part in parts)
 
     def _code(self) -> int:
         codes = {sensor.code for sensor in self._sensors}
         return EXIT_CONFIG if codes == {EXIT_CONFIG} else 0
 
 
+def name_of(part: Document | Hand) -> str:
+    """A sensor's id, or the hand's, which no sensor can have."""
+    return f"hand/{part.hand_id}" if isinstance(part, Hand) else part.settings.sensor_id
+
+
 def _notice_socket() -> socket.socket:
-    """For one sensor's messages, at a name that the kernel chooses."""
+    """For one part's messages, at a name that the kernel chooses."""
     notices = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     notices.bind("")
     notices.setblocking(False)
     return notices
 
 
-def _signal(sensor: _Sensor, number: signal.Signals) -> None:
-    if sensor.pid:
-        os.kill(sensor.pid, number)
+def _signal(part: _Part, number: signal.Signals) -> None:
+    if part.pid:
+        os.kill(part.pid, number)

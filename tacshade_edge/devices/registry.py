@@ -18,7 +18,7 @@ from tacshade_edge.errors import ConfigError
 from tacshade_edge.protocol.messages import Request
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.regular_files import read_regular
-from tacshade_edge.settings import Document, Files, Rpicam, Serial, Settings, Simulated, Source, V4l2
+from tacshade_edge.settings import Document, Files, Hand, Rpicam, Serial, Settings, Simulated, Source, V4l2
 from tacshade_edge.types import Calibration
 
 _PASSWORD_BYTES_MAX = 1 << 16
@@ -234,11 +234,34 @@ def make_link(
 ) -> MqttLink:
     """The link to the broker that the settings name, not started. Raises ConfigError."""
     sensor_id = document.settings.sensor_id
+    return _link(document, f"tacshade/{sensor_id}", f"tacshade-{sensor_id}", on_request, on_outcome)
+
+
+def make_hand_link(
+    hand: Hand, on_request: Callable[[Request], None], on_outcome: Callable[[str, int, PayloadOutcome], None]
+) -> MqttLink:
+    """The link of the hand's own topics, not started; its client's id is none that a sensor can have.
+
+    Raises
+    ------
+    ConfigError
+    """
+    hand_id = hand.hand_id
+    return _link(hand.common, f"tacshade/hand/{hand_id}", f"tacshade-hand.{hand_id}", on_request, on_outcome)
+
+
+def _link(
+    document: Document,
+    base_topic: str,
+    client_id: str,
+    on_request: Callable[[Request], None],
+    on_outcome: Callable[[str, int, PayloadOutcome], None],
+) -> MqttLink:
     try:
         return MqttLink(
             **broker_address(document),
-            base_topic=f"tacshade/{sensor_id}",
-            client_id=f"tacshade-{sensor_id}",
+            base_topic=base_topic,
+            client_id=client_id,
             on_request=on_request,
             on_outcome=on_outcome,
         )

@@ -301,6 +301,8 @@ def encode_info(
     profiles: Sequence[str] = (),
     choice: str | None = None,
     reference: Mapping[str, Any] | None = None,
+    hand_id: str | None = None,
+    hand_T_sensor: Sequence[float] | None = None,
 ) -> bytes:
     """The ``info`` payload: what a subscriber needs to place every pixel of ``height`` in mm.
 
@@ -308,7 +310,8 @@ def encode_info(
 
     `profiles` are the names that ``req/profile`` takes; empty where it takes none. `choice` is that of them which was
     chosen: `profile` where it is None. `reference` is where the reference began and how far it may follow from there;
-    None where it does not follow.
+    None where it does not follow. `hand_id` is of the hand that the sensor is a finger of, `hand_T_sensor` (x, y, z
+    in mm, quaternion w, x, y, z) where it is there; None without a hand.
     """
     missing, known = (calibration, None) if isinstance(calibration, Reason) else (None, calibration)
     return _encode(
@@ -321,6 +324,8 @@ def encode_info(
             "choice": choice or profile,
             "reference": reference,
             "geometry": _geometry_json(known) if known else None,
+            "hand_id": hand_id,
+            "hand_T_sensor": hand_T_sensor,
             **reason_fields(missing),
         }
     )

@@ -1,6 +1,6 @@
 """Strict settings: one YAML file to one frozen `Settings`, or one line that says what is wrong and where."""
 
-from tacshade_edge.settings.load import Document, load, load_all, to_yaml
+from tacshade_edge.settings.load import Document, Hand, load, load_all, load_hand, to_yaml
 from tacshade_edge.settings.model import (
     Files,
     Mqtt,
@@ -19,6 +19,7 @@ from tacshade_edge.settings.model import (
 __all__ = [
     "Document",
     "Files",
+    "Hand",
     "Mqtt",
     "Recorder",
     "Rpicam",
@@ -32,5 +33,6 @@ __all__ = [
     "json_schema",
     "load",
     "load_all",
+    "load_hand",
     "to_yaml",
 ]

@@ -17,7 +17,8 @@ from tacshade_edge.core.profiles import AUTO, DEFAULT
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.quoting import shown
 from tacshade_edge.settings import strict_yaml
-from tacshade_edge.settings.model import SENSORS, Files, Settings, Simulated, Source, json_schema
+from tacshade_edge.settings.model import FINGER, HAND, SENSORS, Files, Settings, Simulated, Source, json_schema
+from tacshade_edge.settings.placed import wrong_with
 from tacshade_edge.settings.several import own_folders, split
 from tacshade_edge.settings.strict_yaml import Found, Key, Mistake, dotted
 
@@ -48,6 +49,24 @@ class Document:
     def where(self, *key: str) -> str:
         """``FILE:LINE: path.to.key`` (without a line for a key that was left at its default)."""
         return _where(self.path, self.found, key)
+
+
+@dataclass(frozen=True, slots=True)
+class Hand:
+    """The hand that a file's sensors are the fingers of.
+
+    Attributes
+    ----------
+    common : Document
+        What stands beside the sensors: the broker, as the hand itself logs in.
+    hand_id : str
+    fingers : tuple of str
+        The sensors' ids, in the file's order.
+    """
+
+    common: Document
+    hand_id: str
+    fingers: tuple[str, ...]
 
 
 def load(path: Path, sensor_id: str | None = None) -> Document:
@@ -81,6 +100,7 @@ def load_all(path: Path) -> tuple[Document, ...]:
         settings, wrong_of_one = _converted(path, value_of_one, found_of_one, Settings, schema)
         known = {m.key for m in (*mistakes, *wrong_of_one)}
         wrong_of_one += _profile_mistakes(path, value_of_one, found_of_one, schema, known)
+        wrong_of_one += _hand_mistakes(path, value_of_one, found_of_one, known, several)
         wrong += [mistake for mistake in wrong_of_one if mistake not in wrong]  # what all have is wrong once
         if settings is not None:
             settings = _absolute(settings, path.absolute().parent)
@@ -88,6 +108,33 @@ def load_all(path: Path) -> tuple[Document, ...]:
             documents.append(Document(path, settings, found_of_one, several))
     strict_yaml.refuse(mistakes + wrong)
     return tuple(documents)
+
+
+def load_hand(path: Path) -> Hand | None:
+    """Read a settings file for the hand that it names; None where it names none. Raises ConfigError as `load`."""
+    fingers = tuple(document.settings.sensor_id for document in load_all(path))
+    value, found, _ = strict_yaml.read(path)
+    kept = {key: value[key] for key in (HAND, "mqtt") if value.get(key) is not None}
+    settings = _absolute(msgspec.convert(kept, Settings), path.absolute().parent)
+    return Hand(Document(path, settings, found, True), settings.hand_id, fingers) if settings.hand_id else None
+
+
+def _hand_mistakes(
+    path: Path, value: dict[str, Any], found: dict[Key, Found], known: set[Key], several: bool
+) -> list[Mistake]:
+    """A finger belongs to a hand, and a hand has several sensors."""
+    hand_id, seven = value.get(HAND), value.get(FINGER)
+    if hand_id is not None and not several:
+        return [_mistake(path, found, (HAND,), f"found {found[HAND,].text}, expected it beside {SENSORS} only")]
+    if any(key[:1] == (FINGER,) for key in known) or (seven is None and hand_id is None):
+        return []
+    if hand_id is None:
+        return [_mistake(path, found, (FINGER,), f"found it without {HAND}, expected it in a hand's sensors only")]
+    if seven is None:
+        text = f"found nothing with {HAND}, expected a place"
+        return [_mistake(path, found, (FINGER,), text)] if FINGER in value else []  # else it was told
+    problem = wrong_with(seven)
+    return [_mistake(path, found, (FINGER,), problem)] if problem else []
 
 
 def _profile_mistakes(
@@ -275,6 +322,8 @@ def _resolved(schema: dict[str, Any], value: Any, root: dict[str, Any]) -> dict[
     """`schema` with its reference followed, and the struct that the tag in `value` chooses."""
     if "anyOf" in schema and "discriminator" not in schema and isinstance(value, dict):  # a struct, or null
         schema = next((option for option in schema["anyOf"] if "$ref" in option), schema)
+    if "anyOf" in schema and isinstance(value, list):  # a list, or null
+        schema = next((option for option in schema["anyOf"] if "items" in option), schema)
     reference = schema.get("$ref")
     if "discriminator" in schema and isinstance(value, dict):
         tag = value.get(schema["discriminator"]["propertyName"])

@@ -9,6 +9,7 @@ import msgspec
 from msgspec import Meta
 
 from tacshade_edge.core.profiles import AUTO, DEFAULT, PROFILES
+from tacshade_edge.settings.placed import Placed
 
 
 class V4l2(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="kind", tag="v4l2"):
@@ -56,8 +57,11 @@ Source = V4l2 | Rpicam | Files | Simulated
 
 SENSORS = "sensors"
 """The key of a file with several sensors (`settings.several`)."""
-OWN = ("sensor_id", "calibration", "source", "serial")
+OWN = ("sensor_id", "calibration", "source", "serial", "hand_T_sensor")
 """What no two sensors can have in common."""
+HAND, FINGER = "hand_id", "hand_T_sensor"
+"""Of the hand that several sensors are, and of each of them there; not in a file with one sensor."""
+_ID = "^[A-Za-z0-9_-]{1,64}$"
 
 
 class Mqtt(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -100,9 +104,9 @@ class Serial(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Everything that a user can set."""
 
-    sensor_id: Annotated[
-        str, Meta(pattern="^[A-Za-z0-9_-]{1,64}$", description="letters, digits, - and _; part of every topic")
-    ] = "tacshade"
+    sensor_id: Annotated[str, Meta(pattern=_ID, description="letters, digits, - and _; part of every topic")] = (
+        "tacshade"
+    )
     calibration: Annotated[str, Meta(min_length=1, description="file that `tacshade-edge calibrate` wrote")] = (
         "/var/lib/tacshade-edge/calibration.npz"
     )
@@ -120,6 +124,10 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     recorder: Annotated[Recorder, Meta(description="recordings")] = Recorder()
     serial: Annotated[Serial, Meta(description="the robot's serial line")] | None = None
     stitching: Annotated[Stitching, Meta(description="stitching sessions")] = Stitching()
+    hand_id: (
+        Annotated[str, Meta(pattern=_ID, description="letters, digits, - and _; part of the hand's topics")] | None
+    ) = None
+    hand_T_sensor: Placed | None = None
 
 
 def json_schema() -> dict[str, Any]:
@@ -141,7 +149,7 @@ def file_schema() -> dict[str, Any]:
     definitions, head = one.pop("$defs"), {key: one.pop(key) for key in ("$schema", "title")}
     whole = definitions["Settings"]["properties"]
     common = {key: schema for key, schema in whole.items() if key not in OWN}
-    own = {key: schema for key, schema in whole.items() if key != "sensor_id"}
+    own = {key: schema for key, schema in whole.items() if key not in ("sensor_id", HAND)}
     sensor = {"type": "object", "properties": own, "required": ["calibration", "source"], "additionalProperties": False}
     sensors = {
         "type": "object",
@@ -149,14 +157,26 @@ def file_schema() -> dict[str, Any]:
         "additionalProperties": sensor,
         "minProperties": 1,
     }
-    several = {"type": "object", "properties": {**common, SENSORS: sensors}, "additionalProperties": False}
+    several = {
+        "type": "object",
+        "properties": {**common, SENSORS: sensors},
+        "additionalProperties": False,
+        # A hand's sensors all have their place in it, and without a hand there is none.
+        "if": {"properties": {HAND: {"type": "string"}}, "required": [HAND]},
+        "then": _each({"properties": {FINGER: {"type": "array"}}, "required": [FINGER]}),
+        "else": _each({"properties": {FINGER: {"type": "null"}}}),
+    }
     return {
         **head,
         "if": {"properties": {SENSORS: {}}, "required": [SENSORS]},
         "then": several,
-        "else": one,
+        "else": {**one, "properties": {HAND: {"type": "null"}, FINGER: {"type": "null"}}},
         "$defs": definitions,
     }
+
+
+def _each(sensor: dict[str, Any]) -> dict[str, Any]:
+    return {"properties": {SENSORS: {"additionalProperties": sensor}}}
 
 
 def digest(settings: Settings) -> str:

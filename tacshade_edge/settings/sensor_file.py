@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -12,10 +11,8 @@ from msgspec import Meta
 from tacshade_edge.core.calibration.inputs import Sensor
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.settings.load import expectation, read_struct
+from tacshade_edge.settings.placed import Placed, wrong_with
 from tacshade_edge.types import IDENTITY_POSE
-
-_UNIT_TOLERANCE = 1e-3
-_PLACE_MAX_MM = 1e6
 
 
 class SensorFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -27,9 +24,7 @@ class SensorFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     camera_distance_mm: Annotated[float, Meta(gt=0, le=1000, description="lens behind the skin's centre")] | None = None
     alpha: Annotated[float, Meta(gt=0, le=10000, description="the paper's depth scale, without presses")] = 15.0
     binarisation: Literal["adaptive", "global", "otsu"] = "adaptive"
-    flange_T_sensor: Annotated[
-        list[float], Meta(min_length=7, max_length=7, description="x_mm, y_mm, z_mm, qw, qx, qy, qz")
-    ] = msgspec.field(default_factory=lambda: list(IDENTITY_POSE))
+    flange_T_sensor: Placed = msgspec.field(default_factory=lambda: list(IDENTITY_POSE))
 
 
 def check_value(key: str, text: str) -> float | str:
@@ -68,15 +63,8 @@ def read_sensor(path: Path) -> Sensor:
     schema = msgspec.json.schema(SensorFile)
     root: dict[str, Any] = {**schema["$defs"]["SensorFile"], "$defs": schema["$defs"]}
     given, found = read_struct(path, SensorFile, root)
-    away_mm = max(abs(value) for value in given.flange_T_sensor[:3])
-    if away_mm > _PLACE_MAX_MM:
-        line = found["flange_T_sensor",].line
-        problem = f"found a place {away_mm:g} mm away, expected one within {_PLACE_MAX_MM:g}"
-        raise ConfigError(f"{path}:{line}: flange_T_sensor: {problem}")
-    norm = math.sqrt(sum(q * q for q in given.flange_T_sensor[3:]))
-    if abs(norm - 1) > _UNIT_TOLERANCE:
-        line = found["flange_T_sensor",].line
-        raise ConfigError(f"{path}:{line}: flange_T_sensor: found a quaternion of length {norm:.4g}, expected 1")
+    if problem := wrong_with(given.flange_T_sensor):
+        raise ConfigError(f"{path}:{found['flange_T_sensor',].line}: flange_T_sensor: {problem}")
     return Sensor(
         skin_radius_mm=given.skin_radius_mm,
         camera_distance_mm=given.camera_distance_mm,

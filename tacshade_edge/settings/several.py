@@ -7,6 +7,8 @@
     sensors:
       left-thumb: {calibration: thumb.npz, source: {kind: v4l2, device: /dev/v4l/by-id/thumb}}
       left-index: {calibration: index.npz, source: {kind: v4l2, device: /dev/v4l/by-id/index}, profile: fast}
+
+With ``hand_id`` beside them they are the fingers of a hand, and each has its ``hand_T_sensor``.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from typing import Any
 
 import msgspec
 
-from tacshade_edge.settings.model import OWN, SENSORS, Settings
+from tacshade_edge.settings.model import FINGER, HAND, OWN, SENSORS, Settings
 from tacshade_edge.settings.strict_yaml import Found, Key, Mistake, dotted
 
 SENSORS_MAX = 16
@@ -62,7 +64,9 @@ def split(path: Path, value: dict[str, Any], found: dict[Key, Found]) -> tuple[l
             continue
         if "sensor_id" in own:
             wrong((*at, "sensor_id"), f"found a second id, expected {sensor_id} alone")
-        for key in _NEEDED:
+        if HAND in own:
+            wrong((*at, HAND), f"found in a sensor, expected beside {SENSORS}")
+        for key in (*_NEEDED, *[FINGER] * (common.get(HAND) is not None)):
             if key not in own:
                 wrong((*at, key), "found nothing, expected its own")
         for key, place in _places(own).items():

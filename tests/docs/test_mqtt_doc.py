@@ -27,6 +27,7 @@ from tacshade_edge.types import HeightMap, ObjectCloud, Pose, Reconstruction
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "docs" / "mqtt.md").read_text()
 VECTORS = json.loads((ROOT / "tests" / "protocol" / "vectors" / "wire.json").read_text())
+HAND_VECTORS = json.loads((ROOT / "tests" / "protocol" / "vectors" / "hand.json").read_text())
 NODE = shutil.which("node")
 
 # Reads lines of hex; each is decoded from a view at an odd offset of a larger buffer, as mqtt.js delivers it.
@@ -42,8 +43,9 @@ for (const line of require("fs").readFileSync(0, "latin1").trimEnd().split("\\n"
 """
 
 
-def code(language: str) -> str:
-    found = re.findall(rf"```{language}\n(.*?)```", TEXT, re.DOTALL)
+def code(language: str, section: str = "Height, cloud, shear and sigma") -> str:
+    (text,) = re.findall(rf"(?ms)^## {section}$.*?(?=^## |\Z)", TEXT)
+    found = re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
     assert len(found) == 1
     return str(found[0])
 
@@ -157,7 +159,59 @@ def test_decoder_understands_what_the_encoder_writes_now(decode: Decoder) -> Non
 
 def test_the_dashboard_decodes_with_the_same_lines() -> None:
     page = (ROOT / "tacshade_edge" / "dashboard" / "static" / "wire.js").read_text()
-    assert page == code("javascript") + "\nexport { decode };\n"
+    hand = f"// A hand's objects.\n{code('javascript', 'A hand')}"
+    assert page == f"{code('javascript')}\n{hand}\nexport {{ decode, decodeHand }};\n"
+
+
+def hand_by_python(payloads: list[bytes]) -> list[Any]:
+    names: dict[str, Any] = {}
+    exec(code("python", "A hand"), names)
+    answers: list[Any] = []
+    for payload in payloads:
+        try:
+            answers.append(names["decode_hand"](payload))
+        except (ValueError, KeyError, TypeError, AttributeError):
+            answers.append(None)
+    return answers
+
+
+def hand_by_javascript(payloads: list[bytes]) -> list[Any]:
+    assert NODE is not None
+    harness = (
+        code("javascript", "A hand")
+        + """
+for (const line of require("fs").readFileSync(0, "latin1").trimEnd().split("\\n")) {
+  let answer = null;
+  try { answer = decodeHand(Buffer.from(line.slice(1), "hex")); } catch { /* refused */ }
+  console.log(JSON.stringify(answer));
+}
+"""
+    )
+    lines = "".join(f"x{p.hex()}\n" for p in payloads)
+    command = [NODE, "-e", harness]
+    done = subprocess.run(command, input=lines, capture_output=True, text=True, timeout=patience(60), check=True)
+    return [json.loads(line) for line in done.stdout.splitlines()]
+
+
+@pytest.mark.parametrize(
+    "decode_all",
+    [
+        hand_by_python,
+        pytest.param(
+            hand_by_javascript,
+            marks=[pytest.mark.node, pytest.mark.skipif(NODE is None, reason="Node.js is not installed")],
+        ),
+    ],
+)
+def test_the_decoders_of_a_hand_understand_and_refuse_every_vector(decode_all: Callable[[list[bytes]], Any]) -> None:
+    answers = decode_all([v["payload"].encode() for v in HAND_VECTORS])
+    assert [v["name"] for v, a in zip(HAND_VECTORS, answers, strict=True) if (a is None) != ("error" in v)] == []
+    for vector, answer in zip(HAND_VECTORS, answers, strict=True):
+        if "expect" in vector:
+            expect, fingers = vector["expect"], answer["fingers"]
+            assert {name: finger["state"] for name, finger in fingers.items()} == expect["states"]
+            assert [o["centroid_mm"] for f in fingers.values() for o in f["objects"]] == expect["centroids_mm"]
+            assert [finger["age_ms"] for finger in fingers.values()] == expect["ages_ms"]
 
 
 def test_what_is_told_of_a_map_is_what_the_text_shows() -> None:
@@ -165,7 +219,7 @@ def test_what_is_told_of_a_map_is_what_the_text_shows() -> None:
     revision = MapRevision("pad-1", 5, 4, 4, 1, "/s/pad-1", lambda: Raster(z, 120.0, -3.5, 0.25))
     told: dict[str, bytes] = {}
     MapPublisher(told.__setitem__).publish(revision)
-    assert json.loads(told["map/final"]) == json.loads(code("json"))
+    assert json.loads(told["map/final"]) == json.loads(code("json", "Maps"))
     vector = next(v["expect"] for v in VECTORS if v["name"] == "map cloud")
     cloud = wire.decode(told["map/cloud"])
     assert isinstance(cloud, wire.CloudMessage)
@@ -205,7 +259,8 @@ def test_header_table_is_without_a_gap() -> None:
 def test_an_example_does_not_flood_a_terminal(path: Path) -> None:
     """Where `mosquitto_sub` gets a stream, it ends after a count, and it prints nothing binary."""
     streams = {f"tacshade/left-index/{name}" for name in ("height", "cloud", "shear", "sigma", "contact", "preview")}
-    binary = streams - {"tacshade/left-index/contact"} | {"tacshade/left-index/map/cloud"}
+    streams.add("tacshade/hand/left/objects")
+    binary = streams - {"tacshade/left-index/contact", "tacshade/hand/left/objects"} | {"tacshade/left-index/map/cloud"}
     for line in re.findall(r"^    (?:.*\s)?mosquitto_sub\s.*$", path.read_text(), re.MULTILINE):
         words = shlex.split(line, comments=True)
         patterns = [word for flag, word in itertools.pairwise(words) if flag == "-t"]

@@ -239,10 +239,10 @@ def schema_errors(schema: dict[str, Any], value: Any, root: dict[str, Any]) -> l
     known = {"$schema", "$ref", "$defs", "title", "description", "default", "discriminator", "required"}
     known |= {"if", "then", "else", "exclusiveMinimum", "maximum"}
     known |= {"type", "properties", "additionalProperties", "enum", "anyOf", "minimum", "maximum", "pattern"}
-    known |= {"multipleOf", "propertyNames", "minProperties"}
+    known |= {"multipleOf", "propertyNames", "minProperties", "items", "minItems", "maxItems"}
     assert set(schema) <= known | {"minLength"}, schema
     types: dict[str, tuple[type, ...]] = {"object": (dict,), "string": (str,), "integer": (int,), "null": (type(None),)}
-    types |= {"number": (int, float), "boolean": (bool,)}
+    types |= {"number": (int, float), "boolean": (bool,), "array": (list,)}
     errors = []
     if "$ref" in schema:
         errors += schema_errors(root["$defs"][schema["$ref"].rpartition("/")[2]], value, root)
@@ -271,6 +271,8 @@ def schema_errors(schema: dict[str, Any], value: Any, root: dict[str, Any]) -> l
         errors.append("too few")
     if "pattern" in schema and not re.search(schema["pattern"], value):
         errors.append(f"{value!r} does not match")
+    if "minItems" in schema and not schema["minItems"] <= len(value) <= schema["maxItems"]:
+        errors.append("too few or too many")
     if "minLength" in schema and len(value) < schema["minLength"]:
         errors.append("too short")
     if isinstance(value, dict) and "properties" in schema:
@@ -298,11 +300,16 @@ def test_the_json_schema_accepts_the_default_file_and_refuses_mistakes() -> None
 
 def test_the_schema_of_files_takes_one_sensor_and_several() -> None:
     schema, sensor = file_schema(), {"calibration": "c.npz", "source": {"kind": "simulated"}}
+    finger = sensor | {"hand_T_sensor": [0, 0, 0, 1, 0, 0, 0]}
+    assert schema_errors(schema, {"hand_id": "left", "sensors": {"a": finger}}, schema) == []
     assert schema_errors(schema, yaml.safe_load(DEFAULT.read_text()), schema) == []
     assert schema_errors(schema, {"sensors": {"a": sensor, "b": sensor | {"profile": "fast"}}}, schema) == []
     for wrong in (
         *({"sensors": {}}, {"sensors": {"a b": sensor}}, {"sensors": {"a": {"source": {"kind": "simulated"}}}}),
         *({"sensors": {"a": sensor}, "serial": None}, {"sensors": {"a": sensor | {"sensor_id": "b"}}}, {"x": 1}),
+        *({"hand_id": "left"}, {"hand_T_sensor": finger["hand_T_sensor"]}, {"sensors": {"a": finger}}),
+        *({"hand_id": "left", "sensors": {"a": sensor}}, {"hand_id": "a b", "sensors": {"a": finger}}),
+        {"hand_id": "left", "sensors": {"a": finger | {"hand_T_sensor": [0, 0, 0]}}},
     ):
         assert schema_errors(schema, wrong, schema), wrong
 

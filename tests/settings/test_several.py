@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.settings import Rpicam, Simulated, load, load_all
+from tacshade_edge.settings import Rpicam, Simulated, load, load_all, load_hand
 
 TWO = """\
 profile: fast
@@ -91,3 +91,74 @@ sensors:
 def test_no_sensors(tmp_path: Path, text: str, said: str) -> None:
     with pytest.raises(ConfigError, match=f":1: sensors: found {said}, expected 1 to 16 sensors"):
         load_all(write(tmp_path, text))
+
+
+HAND = """\
+hand_id: left
+mqtt: {host: board, username: left, password_file: left.password}
+sensors:
+  thumb: {calibration: t.npz, source: {kind: simulated}, hand_T_sensor: [1, 2.5, -3, 1, 0, 0, 0]}
+  index:
+    calibration: i.npz
+    source: {kind: simulated}
+    mqtt: {username: index}
+    hand_T_sensor: [0, 0, 90, 0.6, 0, 0.8, 0]
+"""
+
+
+def test_a_hand_has_its_own_broker_settings_and_each_finger_its_place(tmp_path: Path) -> None:
+    path = write(tmp_path, HAND)
+    thumb, index = (document.settings for document in load_all(path))
+    assert (thumb.hand_id, thumb.hand_T_sensor) == ("left", [1, 2.5, -3, 1, 0, 0, 0])
+    assert (index.hand_id, index.mqtt.username) == ("left", "index")
+    hand = load_hand(path)
+    assert hand is not None
+    assert (hand.hand_id, hand.fingers) == ("left", ("thumb", "index"))
+    mqtt = hand.common.settings.mqtt
+    assert (mqtt.host, mqtt.username, mqtt.password_file) == ("board", "left", str(tmp_path / "left.password"))
+    assert hand.common.where("mqtt", "username") == f"{path}:2: mqtt.username"
+
+
+def test_without_a_hand_there_is_none(tmp_path: Path) -> None:
+    assert load_hand(write(tmp_path, TWO)) is None
+    assert load_hand(write(tmp_path, f"hand_id: null\n{TWO}")) is None
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        (", hand_T_sensor: [1, 2.5, -3, 1, 0, 0, 0]", "", " sensors.thumb.hand_T_sensor: found nothing, expected its"),
+        ("[1, 2.5, -3, 1, 0, 0, 0]", "null", "4: sensors.thumb.hand_T_sensor: found nothing with hand_id, expected a"),
+        ("-3, 1, 0, 0, 0]", "1, 0, 0, 0]", "4: sensors.thumb.hand_T_sensor: found a list of 6, expected a list of 7 n"),
+        ("-3, 1, 0, 0, 0]", "-3, 2, 0, 0, 0]", "4: sensors.thumb.hand_T_sensor: found a quaternion of length 2, ex"),
+        ("[0, 0, 90,", "[0, 0, 9.0e+7,", "9: sensors.index.hand_T_sensor: found a place 9e+07 mm away, expected one"),
+        ("[0, 0, 90,", "[0, 0, up,", "9: sensors.index.hand_T_sensor.2: found up, expected a number"),
+        ("hand_id: left\n", "", "3: sensors.thumb.hand_T_sensor: found it without hand_id, expected it in a hand's"),
+        ("hand_id: left\n", "hand_id: my hand\n", "1: hand_id: found my hand, expected a string (letters, digits, -"),
+        (
+            "    mqtt: {",
+            "    hand_id: right\n    mqtt: {",
+            "8: sensors.index.hand_id: found in a sensor, expected beside",
+        ),
+        ("sensors:\n", "hand_T_sensor: [0, 0, 0, 1, 0, 0, 0]\nsensors:\n", "3: hand_T_sensor: found beside sensors"),
+    ],
+)
+def test_what_is_wrong_with_a_hand_has_its_line(tmp_path: Path, old: str, new: str, said: str) -> None:
+    assert old in HAND
+    path = write(tmp_path, HAND.replace(old, new))
+    with pytest.raises(ConfigError) as caught:
+        load_all(path)
+    assert str(caught.value).removeprefix(f"{path}:").startswith(said)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("hand_id: left\n", "hand_id: found left, expected it beside sensors only"),
+        ("hand_T_sensor: [0, 0, 0, 1, 0, 0, 0]\n", "hand_T_sensor: found it without hand_id, expected it in a hand's"),
+    ],
+)
+def test_one_sensor_is_no_hand(tmp_path: Path, text: str, said: str) -> None:
+    path = write(tmp_path, text)
+    with pytest.raises(ConfigError, match=rf"^{path}:1: {said}"):
+        load_all(path)

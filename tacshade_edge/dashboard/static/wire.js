@@ -26,4 +26,16 @@ function decode(data) {
            labels: values(Uint16Array, n, (i) => u16(96 + 12 * n + 2 * i)) };
 }
 
-export { decode };
+// A hand's objects.
+function decodeHand(data) {
+  const message = JSON.parse(new TextDecoder().decode(data));
+  for (const finger of Object.values(message.fingers)) {
+    if (!["contact", "free", "away"].includes(finger.state)) throw new Error("not a finger's state");
+    for (const touched of finger.objects)
+      for (const key of ["centroid_mm", "extent_mm", "normal"])
+        if (touched[key].length !== 3 || !touched[key].every(Number.isFinite)) throw new Error(`not three numbers: ${key}`);
+  }
+  return message;
+}
+
+export { decode, decodeHand };

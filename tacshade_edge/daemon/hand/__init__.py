@@ -1,0 +1,1 @@
+"""What several sensors' processes and their hand's own have between them."""

@@ -1,0 +1,160 @@
+"""The hand's own process: hears its fingers, publishes their objects. It sees no frame and opens no device."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import selectors
+import signal
+import socket
+import time
+from collections import Counter
+from typing import Final
+
+from tacshade_edge.daemon.hand.lines import HandLine, Lines
+from tacshade_edge.daemon.hand.together import Together
+from tacshade_edge.daemon.pipeline.pipeline import Crash, crashes_to
+from tacshade_edge.daemon.systemd import STOP_USEC, notify
+from tacshade_edge.devices import registry
+from tacshade_edge.errors import DecodeError
+from tacshade_edge.protocol import messages
+from tacshade_edge.protocol.hand import encode_hand
+from tacshade_edge.protocol.messages import Request
+from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.settings import Hand
+
+_log = logging.getLogger(__name__)
+
+STREAM: Final = "objects"
+TICK_S: Final = 1.0
+LOOK_S: Final = 0.25  # for somebody who begins to listen
+STOPPED_S: Final = 1.9
+
+
+class HandProcess:
+    """One hand's conversation with its fingers and the broker.
+
+    Parameters
+    ----------
+    hand : Hand
+    lines : Lines
+
+    Raises
+    ------
+    ConfigError
+        Settings of the broker that can never work.
+    """
+
+    def __init__(self, hand: Hand, lines: Lines) -> None:
+        self._lines = lines
+        self._together = Together(hand.fingers)
+        self._link = registry.make_hand_link(hand, self._on_request, lambda *_: None)
+        self._began_s = time.monotonic()
+        self._heard: Counter[str] = Counter(dict.fromkeys(hand.fingers, 0))
+        self._undecodable = 0
+        self._crashes: list[Crash] = []
+        self._stopping = False
+        self._selector = selectors.DefaultSelector()
+        self._wake, self._wakes = socket.socketpair()
+        self._wake.setblocking(False)
+        self._wakes.setblocking(False)
+        self._selector.register(self._wakes, selectors.EVENT_READ)
+        for name, line in lines.hand.items():
+            self._selector.register(line, selectors.EVENT_READ, (name, line))
+
+    def stop(self) -> None:
+        """Ask `run` to end; may be called from a signal handler."""
+        self._stopping = True
+        self._rouse()
+
+    def run(self) -> None:
+        """Work until `stop`.
+
+        Raises
+        ------
+        BaseException
+            Whatever left a thread: the broker then publishes the last will.
+        """
+        with crashes_to(self._on_crash):
+            self._link.start()
+            notify("READY=1")
+            self._loop()
+        notify("STOPPING=1", f"EXTEND_TIMEOUT_USEC={STOP_USEC}", "STATUS=stopping")
+        self._lines.want(False)
+        self._publish_health()
+        self._link.stop(STOPPED_S)
+        self._selector.close()
+        self._wake.close()
+        self._wakes.close()
+        _log.info("stopped: %s", self._link.counters())
+
+    def _loop(self) -> None:
+        next_tick_s = time.monotonic()
+        while not self._stopping:
+            now_s, now_ns = time.monotonic(), time.monotonic_ns()
+            if now_s >= next_tick_s:
+                next_tick_s = now_s + TICK_S
+                self._publish_health()
+                reason = self._link.reason
+                notify(f"STATUS={reason or 'publishing'}", "WATCHDOG=1")
+            listened = self._link.has_listener(STREAM)
+            self._lines.want(listened)
+            self._together.listen(listened, now_ns)
+            due_ns = self._together.due_ns()
+            if due_ns is not None and now_ns >= due_ns:
+                message = self._together.tell(now_ns, time.time_ns())
+                self._link.offer(STREAM, encode_hand(message), message.seq)
+                continue
+            wait_s = LOOK_S if due_ns is None else (due_ns - now_ns) / 1e9
+            for key, _ in self._selector.select(max(0.0, min(wait_s, next_tick_s - now_s))):
+                if key.data is None:
+                    self._wakes.recv(4096)
+                else:
+                    self._hear(*key.data)
+            if self._crashes:
+                error = self._crashes[0].error
+                error.add_note(f"in thread {self._crashes[0].thread}")
+                raise error
+
+    def _hear(self, name: str, line: HandLine) -> None:
+        """Take all that a finger told."""
+        try:
+            while (finger := line.take()) is not None:
+                self._heard[name] += 1
+                self._together.hear(name, finger, time.monotonic_ns())
+        except DecodeError as error:
+            self._undecodable += 1
+            _log.warning("%s: %s", name, error)
+
+    def _publish_health(self) -> None:
+        health = {
+            "wall_ns": time.time_ns(),
+            "uptime_s": round(time.monotonic() - self._began_s, 3),
+            "heard": dict(self._heard),
+            "undecodable": self._undecodable,
+            "mqtt": self._link.counters(),
+        }
+        self._link.set_retained("health", messages.encode_health(health), qos=0)
+
+    # What other threads call.
+
+    def _rouse(self) -> None:
+        with contextlib.suppress(BlockingIOError):  # it is awake
+            self._wake.send(b"\0")
+
+    def _on_crash(self, crash: Crash) -> None:
+        self._crashes.append(crash)
+        self._rouse()
+
+    def _on_request(self, request: Request) -> None:
+        text = f"a hand does nothing by itself, expected req/{request.verb} to one of its sensors"
+        self._link.reply(request, messages.encode_reply(request, Reason(ReasonCode.UNAVAILABLE, text)))
+
+
+def run(hand: Hand, lines: Lines) -> None:
+    """Be a hand's process until SIGTERM or SIGINT."""
+    process = HandProcess(hand, lines)
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: process.stop())
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)  # what a reload changes is the fingers'
+    process.run()

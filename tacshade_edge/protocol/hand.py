@@ -1,0 +1,186 @@
+"""``tacshade/hand/<hand-id>/objects``: what all fingers of a hand touch, in the hand's frame. Pure JSON.
+
+A finger's part is made where its frames are, and put beside the others' by the hand's own process: `encode_finger` and
+`decode_finger` are between these two, `encode_hand` and `decode_hand` are of the topic.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Final, Literal, TypeVar
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from tacshade_edge.errors import DecodeError
+from tacshade_edge.reasons import Reason, code_of
+from tacshade_edge.rigid import Rigid
+from tacshade_edge.types import F64, Reconstruction, TouchedObject
+
+FingerState = Literal["contact", "free", "away"]
+Triple = tuple[float, float, float]
+Count = Annotated[int, Meta(ge=0)]
+
+OBJECTS_MAX: Final = 16
+"""The greatest of a finger: what is told of a hand stays within 25 kB, five fingers."""
+_DIGITS: Final = 4  # 0.1 µm
+T = TypeVar("T")
+
+
+class HandObject(msgspec.Struct, frozen=True, kw_only=True):
+    """An object that a finger touches; all in mm, and all vectors along the hand's axes.
+
+    Attributes
+    ----------
+    id : int or None
+        The same while this finger touches it.
+    centroid_mm, extent_mm : 3 floats
+        Mean, and max - min, of the skin's points that touch it.
+    normal : 3 floats
+        Unit normal of the plane through these points, away from the finger's camera.
+    depth_max_mm, area_mm2 : float
+    shear_mm : 3 floats or None
+        Mean displacement of the skin that it touches, which lies in the finger's x, y plane; None where none is told.
+    twist_deg : float or None
+        About the finger's own z axis.
+    slip : int or None
+        0 stick, 1 partial, 2 full.
+    slip_mm_s : float or None
+    """
+
+    id: int | None
+    centroid_mm: Triple
+    extent_mm: Triple
+    normal: Triple
+    depth_max_mm: float
+    area_mm2: float
+    shear_mm: Triple | None
+    twist_deg: float | None
+    slip: Annotated[int, Meta(ge=0, le=2)] | None
+    slip_mm_s: float | None
+
+
+class Finger(msgspec.Struct, frozen=True, kw_only=True):
+    """What a finger told last.
+
+    Attributes
+    ----------
+    state : str
+        ``contact``, ``free``, or ``away``: nothing is known of what it touches, for `reason_code`.
+    t_ns : int or None
+        Capture of its frame, on the clock that all fingers have in common; None of what no frame told.
+    age_ms : float or None
+        So old the frame was when the hand told of it.
+    seq : int or None
+        The frame's.
+    reason_code, degraded_code : str
+        Codes of `reasons.ReasonCode`; empty when all is well.
+    objects : tuple of HandObject
+        The greatest first, at most `OBJECTS_MAX`; empty unless `state` is ``contact``.
+    """
+
+    state: FingerState
+    t_ns: Count | None = None
+    age_ms: float | None = None
+    seq: Count | None = None
+    reason_code: str = ""
+    degraded_code: str = ""
+    objects: tuple[HandObject, ...] = ()
+
+
+class HandObjects(msgspec.Struct, frozen=True, kw_only=True):
+    """One message: every finger of the hand by its sensor's id.
+
+    Attributes
+    ----------
+    t_ns, wall_ns : int
+        When it was put together, on the fingers' clock and in Unix time.
+    seq : int
+        Counts these messages from 0 since the hand's process began.
+    fingers : dict of str to Finger
+        In the order of the settings.
+    """
+
+    t_ns: Count
+    wall_ns: Count
+    seq: Count
+    fingers: dict[str, Finger]
+
+
+def finger_of(result: Reconstruction, hand_T_sensor: Rigid) -> Finger:
+    """What one result of a finger tells in the hand's frame, without its age."""
+    objects: tuple[HandObject, ...] = ()
+    if result.contact:
+        points_mm, labels = hand_T_sensor.apply(result.cloud.points_mm), result.cloud.labels
+        objects = tuple(
+            _in_frame(touched, points_mm[labels == touched.label], hand_T_sensor)
+            for touched in result.objects[:OBJECTS_MAX]
+        )
+    return Finger(
+        state=("contact" if result.contact else "free") if result.valid else "away",
+        t_ns=result.t_ns,
+        seq=result.seq,
+        reason_code=code_of(result.reason),
+        degraded_code=code_of(result.degraded),
+        objects=objects,
+    )
+
+
+def away(reason: Reason) -> Finger:
+    """A finger of which nothing is known, though no frame tells so."""
+    return Finger(state="away", reason_code=reason.code)
+
+
+def encode_finger(finger: Finger) -> bytes:
+    """For the hand's own process."""
+    return msgspec.json.encode(finger)
+
+
+def decode_finger(payload: bytes) -> Finger:
+    """Understand `encode_finger`. Raises DecodeError."""
+    return _decoded("a finger", payload, Finger)
+
+
+def encode_hand(hand: HandObjects) -> bytes:
+    """The ``objects`` payload."""
+    return msgspec.json.encode(hand)
+
+
+def decode_hand(payload: bytes) -> HandObjects:
+    """Understand an ``objects`` payload; keys that are not known are ignored. Raises DecodeError."""
+    return _decoded("objects", payload, HandObjects)
+
+
+def _in_frame(touched: TouchedObject, points_mm: F64, hand_T_sensor: Rigid) -> HandObject:
+    """An object with its points, which are in the hand's frame already."""
+    turn = hand_T_sensor.rotation
+    extent_mm = np.ptp(points_mm, axis=0) if len(points_mm) else np.abs(turn) @ np.array(touched.extent_mm)
+    slide = None if touched.shear_mm is None else _triple(turn[:, :2] @ np.array(touched.shear_mm))
+    return HandObject(
+        id=touched.id,
+        centroid_mm=_triple(hand_T_sensor.apply(np.array(touched.centroid_mm))),
+        extent_mm=_triple(extent_mm),
+        normal=_triple(turn @ np.array(touched.normal)),
+        depth_max_mm=round(float(touched.depth_max_mm), _DIGITS),
+        area_mm2=round(float(touched.area_mm2), _DIGITS),
+        shear_mm=slide,
+        twist_deg=_rounded(touched.twist_deg),
+        slip=None if touched.slip is None else int(touched.slip),
+        slip_mm_s=_rounded(touched.slip_mm_s),
+    )
+
+
+def _triple(vector: F64) -> Triple:
+    x, y, z = (round(float(value), _DIGITS) + 0.0 for value in vector)  # no -0.0
+    return x, y, z
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(float(value), _DIGITS)
+
+
+def _decoded(what: str, payload: bytes, kind: type[T]) -> T:
+    try:
+        return msgspec.json.decode(payload, type=kind)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise DecodeError(f"{what}: {error}, expected what docs/mqtt.md says") from error

@@ -1,0 +1,121 @@
+"""What a sensor tells its hand, frame by frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tacshade_edge.daemon.hand.finger import PERIOD_NS, TellingFinger
+from tacshade_edge.daemon.hand.lines import Lines
+from tacshade_edge.protocol.hand import Finger
+from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.rigid import shift
+from tacshade_edge.types import Calibration, Frame, HeightMap, Need, ObjectCloud, Reconstruction, TouchedObject
+
+
+class PlainSink:
+    """Asks for nothing, keeps what comes."""
+
+    def __init__(self) -> None:
+        self.delivered: list[Reconstruction | None] = []
+
+    def need(self) -> Need:
+        return Need.CONTACT
+
+    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration | None) -> Any:
+        self.delivered.append(result)
+        return "unasked"
+
+
+class Rig:
+    def __init__(self) -> None:
+        self.lines = Lines(["thumb"])
+        self.finger = TellingFinger(self.lines.fingers["thumb"], shift(1, 2, 3))
+        self.inner = PlainSink()
+        self.sink = self.finger.observing(self.inner)
+
+    def deliver(self, result: Reconstruction | None) -> None:
+        frame = Frame(0, 0, 0, np.zeros((1, 1), np.uint8))
+        assert self.sink.deliver(frame, result, None) == "unasked"
+
+    def told(self) -> list[Finger]:
+        return list(iter(self.lines.hand["thumb"].take, None))
+
+
+@pytest.fixture
+def rig() -> Iterator[Rig]:
+    made = Rig()
+    made.lines.want(True)
+    yield made
+    made.lines.close()
+
+
+def result(t_ns: int, *, contact: bool = False, reason: Reason | None = None) -> Reconstruction:
+    height = np.zeros((1, 1), np.float32)
+    grid = HeightMap(height, height > 0, 0, 0, 1)
+    cloud = ObjectCloud(np.zeros((1, 3), np.float32), np.ones(1, np.uint16))
+    objects = (TouchedObject(1, (0, 0, 20), (0, 0, 0), 1.0, 2.0),) if contact else ()
+    valid = reason is None
+    return Reconstruction(7, t_ns, 0, "fast", valid, reason, contact, False, None, grid, cloud, objects)
+
+
+def test_depth_is_asked_for_while_somebody_listens(rig: Rig) -> None:
+    assert rig.sink.need() == Need.DEPTH
+    rig.lines.want(False)
+    assert rig.sink.need() == Need.CONTACT
+
+
+def test_every_frame_in_contact_is_told_in_the_hands_frame(rig: Rig) -> None:
+    for t_ns in (0, 1, 2):
+        rig.deliver(result(t_ns, contact=True))
+    told = rig.told()
+    assert [f.t_ns for f in told] == [0, 1, 2]
+    assert {f.objects[0].centroid_mm for f in told} == {(1.0, 2.0, 23.0)}
+    assert len(rig.inner.delivered) == 3
+
+
+def test_without_contact_it_tells_ten_times_a_second(rig: Rig) -> None:
+    for t_ns in range(0, 3 * PERIOD_NS, PERIOD_NS // 5):
+        rig.deliver(result(t_ns))
+    assert [f.t_ns for f in rig.told()] == [0, PERIOD_NS, 2 * PERIOD_NS]
+
+
+def test_every_change_is_told_at_once(rig: Rig) -> None:
+    torn = Reason(ReasonCode.TORN, "torn")
+    for t_ns, more in enumerate(({}, {"contact": True}, {}, {}, {"reason": torn}, {"reason": torn}, {})):
+        rig.deliver(result(t_ns, **more))  # type: ignore[arg-type]
+    states = [(f.t_ns, f.state, f.reason_code) for f in rig.told()]
+    assert states == [(0, "free", ""), (1, "contact", ""), (2, "free", ""), (4, "away", "torn"), (6, "free", "")]
+
+
+def test_a_clock_that_went_back_does_not_silence_it(rig: Rig) -> None:
+    rig.deliver(result(10 * PERIOD_NS))
+    rig.deliver(result(3))
+    assert len(rig.told()) == 2
+
+
+def test_nothing_is_told_while_nobody_listens_and_all_of_it_when_somebody_does(rig: Rig) -> None:
+    rig.deliver(result(0))
+    rig.lines.want(False)
+    rig.deliver(result(1))
+    rig.deliver(None)
+    rig.lines.want(True)
+    rig.deliver(None)  # asked for before
+    rig.deliver(result(2))
+    assert [f.t_ns for f in rig.told()] == [0, 2]
+
+
+def test_a_camera_that_is_gone_is_told_whoever_listens(rig: Rig) -> None:
+    rig.lines.want(False)
+    rig.finger.lose(Reason(ReasonCode.LOST, "gone"))
+    assert rig.told() == [Finger(state="away", reason_code="lost")]
+
+
+def test_a_new_place_in_the_hand_holds_from_the_next_frame_on(rig: Rig) -> None:
+    rig.finger.hand_T_sensor = shift(0, 0, -20)
+    rig.deliver(result(0, contact=True))
+    (told,) = rig.told()
+    assert told.objects[0].centroid_mm == (0.0, 0.0, 0.0)
