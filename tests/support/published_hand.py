@@ -104,7 +104,14 @@ class PublishedHand:
         self.client.loop_stop()
 
     def tell_info(
-        self, profile: str, *, profiles: tuple[str, ...], choice: str | None = None, missing: Reason | None = None
+        self,
+        profile: str,
+        *,
+        profiles: tuple[str, ...],
+        choice: str | None = None,
+        missing: Reason | None = None,
+        hand_id: str | None = None,
+        hand_T_sensor: tuple[float, ...] | None = None,
     ) -> None:
         """The retained `info`."""
         info = messages.encode_info(
@@ -114,6 +121,8 @@ class PublishedHand:
             calibration=missing or calibration(),
             profiles=profiles,
             choice=choice,
+            hand_id=hand_id,
+            hand_T_sensor=hand_T_sensor,
         )
         self.tell("info", info, retain=True)
 

@@ -2,11 +2,7 @@
 
 import { PIXELS, STEPS, depthOf } from "./colours.js";
 import { skinPoint } from "./geometry.js";
-import { drawBar, drawTicks } from "./scale.js";
-
-const AUTO_LEAST_MM = 0.5;
-const NICE_MM = [0.5, 1, 1.5, 2, 3, 4, 5, 6, 8, 10, 15, 20, 40];
-const AUTO_KEEPS_MS = 8000;
+import { AutoScale, drawBar, drawTicks } from "./scale.js";
 
 export class HeightView {
   constructor() {
@@ -17,12 +13,12 @@ export class HeightView {
     this.readout = document.getElementById("cursor");
     this.ticks = document.getElementById("ticks");
     this.range = document.getElementById("range");
-    this.scale_mm = AUTO_LEAST_MM;
+    this.auto = new AutoScale();
+    this.scale_mm = this.auto.mm;
     this.map = null;
     this.sigma = null; // the newest, of this map or of one before it
     this.geometry = null;
     this.cell = null; // of the pointer: [i, j] in the map
-    this.peaks = []; // [time, mm], for the automatic scale
     drawBar(document.getElementById("bar"));
     drawTicks(this.ticks, 0, this.scale_mm);
     this.canvas.addEventListener("pointermove", (event) => this.point(event));
@@ -36,7 +32,7 @@ export class HeightView {
   /** Forget another hand's map. */
   clear() {
     this.map = this.sigma = this.geometry = this.cell = null;
-    this.peaks = [];
+    this.auto = new AutoScale();
     this.context.clearRect(0, 0, this.canvas.width, this.canvas.height);
     this.disc.setAttribute("r", 0);
     this.read();
@@ -98,13 +94,7 @@ export class HeightView {
 
   /** The scale: what the user set, or the least round number that holds the deepest of the last seconds. */
   choose(peak_mm) {
-    let scale_mm = Number(this.range.value);
-    if (this.range.value === "auto") {
-      const now = performance.now();
-      this.peaks = this.peaks.filter(([time, mm]) => now - time < AUTO_KEEPS_MS && mm > peak_mm);
-      this.peaks.push([now, peak_mm]);
-      scale_mm = NICE_MM.find((nice) => nice >= this.peaks[0][1]) ?? NICE_MM.at(-1);
-    }
+    const scale_mm = this.range.value === "auto" ? this.auto.choose(peak_mm) : Number(this.range.value);
     if (scale_mm === this.scale_mm) return;
     this.scale_mm = scale_mm;
     drawTicks(this.ticks, 0, this.scale_mm);

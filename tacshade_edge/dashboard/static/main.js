@@ -15,11 +15,13 @@ import { commandPlayback, isPaused, isPlayed, tellPlayback } from "./playback.js
 import { commandRecordings, tellRecording } from "./record.js";
 import { isRemoved, remove, restore } from "./retired.js";
 import { Rezero } from "./rezero.js";
+import { Whole } from "./whole.js";
 import { decode } from "./wire.js";
 
 const INVALID = 2, SATURATED = 4, DEGRADED = 8;
 const FULL_SLIP = 2;
 const DEAREST = "paper", COST = "200 times slower, less exact"; // docs/speed.md, docs/accuracy.md
+const WHOLE = "#hand/"; // of an address, with the hand's id
 const MAP_MS = 60000; // a board takes seconds for the final map of a thousand presses
 const STREAMS = ["height", "cloud", "shear", "sigma", "contact", "health", "preview", "status/+", "res/+", "map/+"];
 const READ_ONLY = "readOnly" in document.documentElement.dataset; // the server passes no requests on
@@ -32,6 +34,7 @@ let link = null, asking = false;
 
 const heights = new HeightView(), stitched = new MapView(), skin = new SkinView(schedule), chart = new DepthChart();
 const compare = new Compare({ link: () => link, decoded, changed: schedule });
+const whole = new Whole({ link: () => link, infos: (sensor) => hands.get(sensor)?.info, decoded, changed: schedule, damaged: () => { undecodable++; } });
 const rezero = new Rezero({
   ask: () => ask("reference", {}, "Taking a new reference; do not touch the skin …", (result) => `Zero is new, from ${result.frames} frames.`),
   told: (words) => {
@@ -42,7 +45,7 @@ const rezero = new Rezero({
   },
 });
 link = new Link({ told: tellLink, refused: askLogin, message: take });
-link.subscribe("tacshade/+/state", "tacshade/+/info");
+link.subscribe("tacshade/+/state", "tacshade/+/info", "tacshade/hand/+/state");
 
 /** All that is known of the chosen hand. */
 function emptyView() {
@@ -54,11 +57,13 @@ function emptyView() {
 // What arrives. Binary payloads are kept, newest only, and decoded when they are drawn.
 
 function take(topic, payload, retained) {
+  if (whole.take(topic, payload)) return topic.endsWith("/state") ? tellHands() : undefined;
   const [, sensor, ...rest] = topic.split("/"), what = rest.join("/");
   if (what === "state") tell(sensor, { state: text.decode(payload) || undefined });
   else if (what === "info") json(payload, (info) => tell(sensor, { info }));
   else if (sensor === chosen) takeChosen(what, payload, retained);
   else if (sensor === compare.sensor) compare.take(what, payload, json);
+  else if (what === "height") whole.takeHeight(sensor, payload);
 }
 
 function takeChosen(what, payload, retained) {
@@ -140,7 +145,7 @@ function tell(sensor, news) {
   // The hand of the address; without one the first that is there, rather than one that was here last week.
   const wanted = decodeURIComponent(location.hash.slice(1));
   if (wanted ? !known && sensor === wanted : works(sensor) && !works(chosen) && view.heard_ms === null) choose(sensor);
-  if (chosen === null) choose(sensor);
+  if (chosen === null && whole.shown === null) choose(sensor);
   tellHands();
   if (sensor === chosen) {
     tellProfiles();
@@ -156,18 +161,34 @@ function retire(sensor) {
   if (other !== undefined) {
     location.hash = encodeURIComponent(other);
     choose(other);
-  } else {
-    link.unsubscribe(...STREAMS.map((stream) => `tacshade/${sensor}/${stream}`));
-    chosen = null;
-    $("hand").hidden = true;
-    tellHands();
-  }
+  } else leave();
+}
+
+/** Show no hand. */
+function leave() {
+  if (chosen === null) return;
+  link.unsubscribe(...STREAMS.map((stream) => `tacshade/${chosen}/${stream}`));
+  rezero.cancel();
+  compare.choose(null);
+  chosen = null;
+  $("hand").hidden = true;
+  tellHands();
+}
+
+/** Show all fingers of a hand of several sensors. */
+function chooseWhole(id) {
+  leave();
+  whole.show(id);
+  $("waiting").hidden = true;
+  document.title = `${id} – TacShade`;
+  tellHands();
 }
 
 const works = (sensor) => ["online", "degraded"].includes(hands.get(sensor)?.state);
 
 function choose(sensor) {
   if (sensor === chosen) return;
+  whole.hide();
   if (chosen !== null) link.unsubscribe(...STREAMS.map((stream) => `tacshade/${chosen}/${stream}`));
   rezero.cancel();
   chosen = sensor;
@@ -200,17 +221,26 @@ function tellHands() {
     tab.setAttribute("aria-selected", sensor === chosen);
     return tab;
   });
-  $("hands").replaceChildren(...tabs);
+  const whole_tabs = [...whole.states].sort().map(([id, state]) => {
+    const tab = element("button", { type: "button", role: "tab", title: "all its fingers", onclick: () => { location.hash = `${WHOLE}${encodeURIComponent(id)}`; } }, `hand ${id}`);
+    tab.dataset.level = link?.connected ? levelOf(state) : "off";
+    tab.setAttribute("aria-selected", id === whole.shown);
+    return tab;
+  });
+  $("hands").replaceChildren(...whole_tabs, ...tabs);
   compare.offer([...hands].filter(([sensor, { info }]) => sensor !== chosen && info?.geometry && !isRemoved(sensor)).map(([sensor]) => sensor).sort());
   const removed = [...hands.keys()].filter(isRemoved).length;
   $("restore").hidden = removed === 0;
   $("restore").textContent = `Show ${removed} removed`;
 }
 
-window.addEventListener("hashchange", () => {
+function follow() {
   const wanted = decodeURIComponent(location.hash.slice(1));
   if (hands.has(wanted)) choose(wanted);
-});
+  else if (location.hash.startsWith(WHOLE)) chooseWhole(decodeURIComponent(location.hash.slice(WHOLE.length)));
+}
+window.addEventListener("hashchange", follow);
+follow();
 
 // Drawing: at most once per picture of the screen, always the newest.
 
@@ -222,6 +252,7 @@ function schedule() {
 
 function draw() {
   scheduled = false;
+  whole.draw();
   if (skin.busy || chosen === null) return;
   const geometry = hands.get(chosen)?.info?.geometry ?? null;
   const map = nextMap(view, geometry, decoded);
@@ -348,6 +379,7 @@ function tellStale() {
 }
 
 setInterval(() => {
+  whole.tell();
   if (chosen === null) return;
   tellHealth();
   schedule(); // a release that was lost
@@ -488,6 +520,7 @@ window.tacshade = Object.freeze({
   get scale_mm() { return heights.scale_mm; },
   get age_ms() { return view.age_ms; },
   get compared() { return compare.seen; },
+  get whole() { return whole.drawn; },
   get stitched() { return stitched.about; },
   get webgl() { return skin.available; },
   depthAt: (row, col) => heights.depthAt(row, col),

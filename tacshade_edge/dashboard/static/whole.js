@@ -1,0 +1,188 @@
+// A hand of several sensors: every finger's map beside each other, and what they touch in the hand's frame.
+
+import { PIXELS, objectColour, stepOf } from "./colours.js";
+import { zeroMap } from "./geometry.js";
+import { CONTACT } from "./newest.js";
+import { element, levelOf, number, table } from "./panels.js";
+import { AutoScale, drawBar, drawTicks } from "./scale.js";
+import { decodeHand } from "./wire.js";
+
+const TOPIC = /^tacshade\/hand\/([^/]+)\/(state|objects)$/;
+const STALE_MS = 3000;
+const AXES = ["x", "y", "z"], NORMAL_MM = 8, MARGIN_MM = 6;
+const SLIPS = ["sticks", "slips in part", "slips"];
+const SVG = "http://www.w3.org/2000/svg";
+const $ = (id) => document.getElementById(id);
+
+export class Whole {
+  /** link: its subscriptions. infos: sensor id -> its info. decoded(payload): null where it is damaged. changed(): there is news. damaged(): a message of a hand was not understood. */
+  constructor({ link, infos, decoded, changed, damaged }) {
+    Object.assign(this, { link, infos, decoded, changed, damaged });
+    this.states = new Map(); // hand id -> state
+    this.fingers = new Map(); // sensor id -> { canvas, caption, figure, height, map }
+    this.shown = null;
+    this.message = null;
+    this.scale = new AutoScale();
+    drawBar($("whole-bar"));
+  }
+
+  /** Take a message of a hand; false where it is of something else. */
+  take(topic, payload) {
+    const [, id, what] = TOPIC.exec(topic) ?? [];
+    if (id === undefined) return false;
+    if (what === "state") {
+      if (payload.length) this.states.set(id, new TextDecoder().decode(payload));
+      else this.states.delete(id);
+    } else if (id === this.shown) {
+      try {
+        this.message = decodeHand(payload);
+      } catch {
+        this.damaged();
+        return true;
+      }
+      this.heard_ms = performance.now();
+      for (const name of Object.keys(this.message.fingers)) this.follow(name);
+      this.changed();
+    }
+    return true;
+  }
+
+  /** Take a finger's height map, where it is one of the hand that is shown. */
+  takeHeight(sensor, payload) {
+    const finger = this.fingers.get(sensor);
+    if (!finger) return;
+    finger.height = payload;
+    this.changed();
+  }
+
+  show(id) {
+    if (id === this.shown) return;
+    this.hide();
+    this.shown = id;
+    this.message = this.drawn = this.heard_ms = null;
+    this.fingers = new Map();
+    this.shown_ms = performance.now();
+    $("whole-maps").replaceChildren();
+    $("whole-plane").replaceChildren();
+    $("whole-objects").replaceChildren();
+    $("whole").hidden = false;
+    this.link().subscribe(`tacshade/hand/${id}/objects`);
+    this.tell();
+  }
+
+  hide() {
+    if (this.shown === null) return;
+    this.link().unsubscribe(`tacshade/hand/${this.shown}/objects`, ...[...this.fingers.keys()].map((name) => `tacshade/${name}/height`));
+    this.shown = null;
+    this.fingers = new Map();
+    $("whole").hidden = true;
+  }
+
+  follow(name) {
+    if (this.fingers.has(name)) return;
+    const canvas = element("canvas", { width: 1, height: 1 }), caption = element("figcaption");
+    const figure = element("figure", {}, element("a", { href: `#${encodeURIComponent(name)}`, title: `Show ${name} alone` }, canvas), caption);
+    this.fingers.set(name, { canvas, caption, figure, height: null, map: null });
+    $("whole-maps").append(figure);
+    this.link().subscribe(`tacshade/${name}/height`);
+  }
+
+  /** Draw what is new. */
+  draw() {
+    if (this.shown === null || !this.message) return;
+    let peak_mm = 0;
+    for (const [name, finger] of this.fingers) {
+      const geometry = this.infos(name)?.geometry ?? null, { state } = this.message.fingers[name] ?? { state: "away" };
+      if (finger.height) finger.map = this.decoded(finger.height) ?? finger.map;
+      finger.height = null;
+      const { map } = finger;
+      if (state !== "contact" && geometry && (!map || map.flags & CONTACT)) finger.map = zeroMap(geometry); // a release can be lost
+      for (const h of finger.map?.height_mm ?? []) if (h > peak_mm) peak_mm = h;
+    }
+    const scale_mm = this.scale.choose(peak_mm);
+    drawTicks($("whole-ticks"), 0, scale_mm);
+    for (const [name, finger] of this.fingers) {
+      const key = [finger.map, this.infos(name)?.geometry ?? null, scale_mm];
+      if (finger.map && !key.every((part, k) => part === finger.painted?.[k])) paint(finger, ...key);
+      finger.painted = key;
+    }
+    this.tell();
+    if (this.message !== this.drawn) this.drawObjects();
+    this.drawn = this.message;
+  }
+
+  /** States in words; what is old is grey. */
+  tell() {
+    if (this.shown === null) return;
+    const state = this.states.get(this.shown), works = state === "online" && this.link()?.connected;
+    const old_ms = performance.now() - (this.heard_ms ?? this.shown_ms), stale = !works || old_ms > STALE_MS;
+    $("whole").classList.toggle("is-stale", stale);
+    $("whole-state").dataset.level = works ? levelOf(state) : "bad";
+    $("whole-state").textContent = !works ? `This hand is ${state ?? "unknown"}: what is shown is old.` : stale ? "Nothing is heard of this hand: what is shown is old." : `${this.shown}: ${state}`;
+    for (const [name, { caption, figure }] of this.fingers) {
+      const finger = this.message.fingers[name];
+      const depth = finger?.objects.length ? `, ${number(finger.objects[0].depth_max_mm, 2)} mm` : "";
+      figure.classList.toggle("is-away", finger?.state !== "contact" && finger?.state !== "free");
+      caption.replaceChildren(element("b", { textContent: name }), ` ${finger ? finger.state : "away"}${finger?.reason_code ? `: ${finger.reason_code}` : ""}${depth}`);
+    }
+  }
+
+  drawObjects() {
+    const objects = Object.entries(this.message.fingers).flatMap(([name, { objects }]) => objects.map((touched) => ({ name, ...touched })));
+    const place = (v) => v.map((value) => number(value, 1)).join(", ");
+    const rows = objects.map((o) => [o.name, place(o.centroid_mm), o.normal.map((value) => number(value, 2)).join(", "), number(o.depth_max_mm, 2), number(o.area_mm2, 0), o.shear_mm ? number(Math.hypot(...o.shear_mm), 2) : "–", SLIPS[o.slip] ?? "–"]);
+    $("whole-objects").replaceChildren(table("", rows, ["finger", "x, y, z mm", "normal", "depth mm", "area mm²", "shear mm", ""]));
+    this.drawPlane(objects);
+  }
+
+  /** Fingers as circles and objects as dots with their normals, in the plane in which the fingers lie apart the most. */
+  drawPlane(objects) {
+    const skins = [...this.fingers.keys()].flatMap((name) => {
+      const { hand_T_sensor, geometry } = this.infos(name) ?? {};
+      return hand_T_sensor ? [{ name, at: hand_T_sensor.slice(0, 3), radius_mm: geometry?.skin_radius_mm ?? 0 }] : [];
+    });
+    if (skins.length === 0) return;
+    const spread = AXES.map((_, k) => Math.max(...skins.map(({ at }) => at[k])) - Math.min(...skins.map(({ at }) => at[k])));
+    const least = spread.lastIndexOf(Math.min(...spread)), [across, up] = [0, 1, 2].filter((k) => k !== least);
+    const flat = (v) => [v[across], -v[up]];
+    const ends = skins.flatMap(({ at, radius_mm }) => { const [x, y] = flat(at), r = radius_mm + MARGIN_MM; return [[x - r, y - r], [x + r, y + r]]; });
+    const [x0, y0, x1, y1] = [Math.min(...ends.map(([x]) => x)), Math.min(...ends.map(([, y]) => y)), Math.max(...ends.map(([x]) => x)), Math.max(...ends.map(([, y]) => y))];
+    const parts = skins.map(({ name, at, radius_mm }) => shape("circle", { cx: flat(at)[0], cy: flat(at)[1], r: radius_mm, class: "skin" }, name));
+    for (const { name, centroid_mm, normal } of objects) {
+      const [x, y] = flat(centroid_mm), [dx, dy] = flat(normal), label = [...this.fingers.keys()].indexOf(name) + 1;
+      parts.push(shape("path", { d: `M${x} ${y}l${dx * NORMAL_MM} ${dy * NORMAL_MM}`, class: "normal" }), shape("circle", { cx: x, cy: y, r: 2, fill: objectColour(label), class: "touched" }, name));
+    }
+    const plane = $("whole-plane");
+    plane.setAttribute("viewBox", `${x0} ${y0} ${x1 - x0} ${y1 - y0}`);
+    plane.replaceChildren(...parts);
+    $("whole-axes").textContent = `${AXES[across]} to the right, ${AXES[up]} upwards, ${Math.round(x1 - x0)} mm wide`;
+  }
+}
+
+/** A finger's map on its canvas, cropped to the visible disc. */
+function paint({ canvas }, map, geometry, scale_mm) {
+  const end = (centre, first, count) => [Math.max(0, Math.floor((centre - geometry.radius_px - first) / map.step_px)), Math.min(count, Math.ceil((centre + geometry.radius_px - first) / map.step_px) + 1)];
+  const [top, bottom] = geometry ? end(geometry.row_c, map.row0, map.rows) : [0, map.rows], [left, right] = geometry ? end(geometry.col_c, map.col0, map.cols) : [0, map.cols];
+  if (bottom <= top || right <= left) return;
+  if (canvas.width !== right - left) canvas.width = right - left;
+  if (canvas.height !== bottom - top) canvas.height = bottom - top;
+  const context = canvas.getContext("2d", { willReadFrequently: true }), image = context.createImageData(right - left, bottom - top), pixels = new Uint32Array(image.data.buffer);
+  for (let i = top, to = 0; i < bottom; i++) {
+    for (let j = left; j < right; j++, to++) {
+      const h = map.height_mm[i * map.cols + j];
+      pixels[to] = h !== h ? 0 : PIXELS[stepOf(h, scale_mm)];
+    }
+  }
+  context.putImageData(image, 0, 0);
+}
+
+function shape(name, attributes, title) {
+  const made = document.createElementNS(SVG, name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  if (title !== undefined) {
+    const told = document.createElementNS(SVG, "title");
+    told.textContent = title;
+    made.append(told);
+  }
+  return made;
+}

@@ -1,0 +1,147 @@
+"""All fingers of a hand on one page."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+from selenium.webdriver import Chrome
+from selenium.webdriver.common.by import By
+from support.dashboard_process import dashboard
+from support.mqtt_rig import Broker, Subscriber
+from support.patience import wait_until
+from support.published_hand import PublishedHand, bump
+from support.shown_page import NEEDS_A_BROWSER, js, opened, picture, shows, text
+
+from tacshade_edge.protocol.hand import Finger, HandObject, HandObjects, away, encode_hand
+from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.types import Reconstruction
+
+pytestmark = NEEDS_A_BROWSER
+ROW, COL = 250.0, 340.0
+PLACES_MM = {
+    "thumb": (-90, 0, 20),
+    "index": (-46, 0, 90),
+    "middle": (0, 0, 105),
+    "ring": (46, 0, 95),
+    "little": (90, 0, 70),
+}
+TOUCHED = HandObject(
+    id=4,
+    centroid_mm=(-79.0, -3.5, 34.25),
+    extent_mm=(4.0, 4.0, 1.0),
+    normal=(0.6, 0.0, 0.8),
+    depth_max_mm=2.6,
+    area_mm2=50.0,
+    shear_mm=(0.3, 0.4, 0.0),
+    twist_deg=0.0,
+    slip=1,
+    slip_mm_s=0.0,
+)
+FREE = Finger(state="free", t_ns=1, age_ms=20.0, seq=9)
+
+
+class WholeHand:
+    """Five fingers and their hand, without daemons."""
+
+    def __init__(self, broker: Broker, stack: ExitStack) -> None:
+        self.fingers = {name: stack.enter_context(PublishedHand(broker.port, name)) for name in PLACES_MM}
+        for name, finger in self.fingers.items():
+            place = (*map(float, PLACES_MM[name]), 1.0, 0.0, 0.0, 0.0)
+            finger.tell_info("fast", profiles=("fast",), hand_id="left", hand_T_sensor=place)
+        self.own = stack.enter_context(Subscriber(broker.port, "tacshade/none"))
+        self._seq = 0
+        self.own.publish("tacshade/hand/left/state", b"online", retain=True)
+
+    def tell(self, touching: Reconstruction | None, **other: Finger) -> None:
+        """One message of the hand, and where the thumb touches its map."""
+        thumb = Finger(state="contact", t_ns=1, age_ms=3.0, seq=7, objects=(TOUCHED,)) if touching else FREE
+        fingers = {**dict.fromkeys(PLACES_MM, FREE), "thumb": thumb, **other}
+        self._seq += 1
+        message = HandObjects(t_ns=time.monotonic_ns(), wall_ns=time.time_ns(), seq=self._seq, fingers=fingers)
+        self.own.publish("tacshade/hand/left/objects", encode_hand(message), 0)
+        if touching:
+            self.fingers["thumb"].show(touching)
+
+
+@pytest.fixture
+def hand(tmp_path: Path) -> Iterator[tuple[str, WholeHand]]:
+    """The page's address, and the hand."""
+    with ExitStack() as stack:
+        broker = stack.enter_context(Broker(tmp_path))
+        address = stack.enter_context(dashboard(f"127.0.0.1:{broker.port}"))
+        yield address, WholeHand(broker, stack)
+
+
+PEAKS = """[...document.querySelectorAll("#whole-maps canvas")].map((canvas) => {
+  const context = canvas.getContext("2d", { willReadFrequently: true });
+  const { data } = context.getImageData(0, 0, canvas.width, canvas.height);
+  let most = 0; // viridis: yellow is the deepest, its red is above 240
+  for (let at = 0; at < data.length; at += 4) if (data[at + 3]) most = Math.max(most, data[at]);
+  return most;
+})"""
+
+
+def test_every_finger_is_shown_and_what_it_touches_in_the_hands_frame(
+    page: Chrome, hand: tuple[str, WholeHand]
+) -> None:
+    address, whole = hand
+    opened(page, address, "hand/left")
+    ring = away(Reason(ReasonCode.LOST, "gone"))
+
+    def shown() -> bool:
+        whole.tell(bump(7, 2.6, ROW, COL, 4), ring=ring)
+        return bool(js(page, "tacshade.whole !== null")) and js(page, PEAKS)[0] > 150
+
+    wait_until(shown, 20, "the thumb's map is drawn")
+    peaks = js(page, PEAKS)
+    assert len(peaks) == 5
+    assert max(peaks[1:3]) < 80, "fingers that touch nothing are drawn flat"
+    captions = [figure.text for figure in page.find_elements(By.CSS_SELECTOR, "#whole-maps figcaption")]
+    assert captions[0] == "thumb contact, 2.60 mm"
+    assert captions[3] == "ring away: lost"
+    assert text(page, "whole-state") == "left: online"
+    shows(page, "whole-objects", "thumb -79.0, -3.5, 34.3 0.60, 0.00, 0.80 2.60 50 0.50 slips in part")
+    assert text(page, "whole-axes").startswith("x to the right, z upwards")
+    (dot,) = page.find_elements(By.CSS_SELECTOR, "#whole-plane .touched")
+    assert [float(dot.get_attribute(key) or "nan") for key in ("cx", "cy")] == [-79.0, -34.25]
+    assert len(page.find_elements(By.CSS_SELECTOR, "#whole-plane .skin")) == 5
+    assert not page.find_element(By.ID, "hand").is_displayed()
+    picture(page, "dashboard-hand", (1200, 960))
+
+    def released() -> bool:
+        whole.tell(None)
+        return bool(js(page, PEAKS)[0] < 80)
+
+    wait_until(released, 20, "a release whose map was lost")
+
+
+def test_a_finger_is_chosen_and_the_hand_again(page: Chrome, hand: tuple[str, WholeHand]) -> None:
+    address, whole = hand
+    opened(page, address, "middle")
+    tab = "//nav/button[text()='hand left']"
+    wait_until(lambda: bool(page.find_elements(By.XPATH, tab)), 15, "a tab of the hand")
+    assert js(page, "tacshade.sensor") == "middle"
+    page.find_element(By.XPATH, tab).click()
+
+    def followed() -> bool:
+        whole.tell(None)
+        return len(page.find_elements(By.CSS_SELECTOR, "#whole-maps figure")) == 5
+
+    wait_until(followed, 15, "the hand's fingers")
+    assert js(page, "tacshade.sensor") is None
+    page.find_elements(By.CSS_SELECTOR, "#whole-maps a")[1].click()
+    wait_until(lambda: js(page, "tacshade.sensor") == "index", 15, "the finger alone")
+    assert not page.find_element(By.ID, "whole").is_displayed()
+
+
+def test_a_hand_whose_process_is_gone_is_told_and_grey(page: Chrome, hand: tuple[str, WholeHand]) -> None:
+    address, whole = hand
+    opened(page, address, "hand/left")
+    wait_until(lambda: whole.tell(None) or text(page, "whole-state") == "left: online", 15, "it is online")
+    whole.own.publish("tacshade/hand/left/state", b"offline", retain=True)
+    shows(page, "whole-state", "This hand is offline: what is shown is old.")
+    assert "is-stale" in str(page.find_element(By.ID, "whole").get_attribute("class"))
