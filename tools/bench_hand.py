@@ -8,11 +8,13 @@ As ``tools/bench_daemon.py``, whose ring of images, null daemon and broker these
 nothing touches the others, and one subscriber asks for ``TOPICS`` of all. In the rows
 
 - ``hand`` is ``run`` with one file of so many sensors: a process for each, forked from one;
+- ``objects`` is the same with a ``hand_id``: one process more, whose topic is subscribed too;
 - ``apart`` is as many commands ``run``, each with its own file, as under a template unit;
 - ``null`` is as many null daemons.
 
 Memory is the proportional set size (PSS) of all processes of a row: a page that five share is counted once. CPU is of
-one core, the sum of all processes, without the first seconds.
+one core, the sum of all processes, without the first seconds. Of the topic of the hand it is told how many messages
+came a second, and how old a touching finger's frame was when the message that first told of it was decoded.
 """
 
 from __future__ import annotations
@@ -35,22 +37,34 @@ from paho.mqtt.enums import CallbackAPIVersion
 
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
 from tacshade_edge.protocol import wire
+from tacshade_edge.protocol.hand import decode_hand
 from tacshade_edge.studies.tables import markdown
 
 PRESSED = 2
 TOPICS = ("height", "cloud", "contact", "health", "state")
-ROWS = ("hand", "apart", "null")
+HAND_ID = "bench"
+ROWS = ("hand", "objects", "apart", "null")
 
 
 def subscriber(port: int, names: list[str]) -> None:
     """Decode every height map; print latencies in ms and each sensor's last ``health`` once all have stopped."""
     latencies: dict[str, list[float]] = {name: [] for name in names}
+    counted = {"messages": 0}
     health: dict[str, Any] = {}
+    objects_ms: list[float] = []
+    seen: dict[str, int | None] = {}
     left, done = set(names), threading.Event()
 
     def on_message(_client: Client, _data: None, message: MQTTMessage) -> None:
-        _, name, topic = message.topic.split("/")
+        name, topic = message.topic.split("/")[-2:]
         if message.retain:
+            return
+        if topic == "objects":
+            for finger, told in decode_hand(message.payload).fingers.items():
+                if told.state == "contact" and told.t_ns is not None and told.seq != seen.get(finger):
+                    seen[finger] = told.seq
+                    objects_ms.append((time.monotonic_ns() - told.t_ns) / 1e6)
+            counted["messages"] += 1
             return
         if topic == "height":
             latencies[name].append((time.monotonic_ns() - wire.decode(message.payload).t_ns) / 1e6)
@@ -65,12 +79,13 @@ def subscriber(port: int, names: list[str]) -> None:
     client.on_message = on_message
     client.on_subscribe = lambda *_: print("ready", flush=True)
     client.connect("127.0.0.1", port)
-    client.subscribe([(f"tacshade/{name}/{topic}", 1) for name in names for topic in TOPICS])
+    topics = [f"{name}/{topic}" for name in names for topic in TOPICS]
+    client.subscribe([(f"tacshade/{topic}", 1) for topic in (*topics, f"hand/{HAND_ID}/objects")])
     client.loop_start()
     done.wait()
     client.disconnect()
     client.loop_stop()
-    print(json.dumps({"latencies": latencies, "health": health}))
+    print(json.dumps({"latencies": latencies, "health": health, "objects_ms": objects_ms, **counted}))
 
 
 def family(pid: int) -> list[int]:
@@ -93,8 +108,8 @@ def measure(row: str, folder: Path, port: int, names: list[str], args: argparse.
     assert listen.stdout.readline() == "ready\n"
     kinds = ["contact" if k < PRESSED else "free" for k in range(len(names))]
     rings = [str(folder / f"{kind}.npy") for kind in kinds]
-    if row == "hand":
-        commands = [[sys.executable, str(TOOLS / "ring_hand.py"), str(folder / "hand.yaml"), str(args.fps), *rings]]
+    if row in ("hand", "objects"):
+        commands = [[sys.executable, str(TOOLS / "ring_hand.py"), str(folder / f"{row}.yaml"), str(args.fps), *rings]]
     else:
         program, ending = ("ring_daemon", "npy") if row == "apart" else ("null_daemon", "pickle")
         commands = [
@@ -129,7 +144,12 @@ def measure(row: str, folder: Path, port: int, names: list[str], args: argparse.
     steady = sorted(ms for each in told["latencies"].values() for ms in each[round(2 * args.fps) :])
     of = {f"p{p}_ms": steady[int(len(steady) * p / 100)] for p in (50, 99)}
     captured = sum(counts["captured"] for counts in frames.values())
-    return {"memory_mb": memory, "cpu": cpu, **of, "max_ms": steady[-1], "captured": captured, "accounted": accounted}
+    found = {"memory_mb": memory, "cpu": cpu, **of, "max_ms": steady[-1], "captured": captured, "accounted": accounted}
+    if row == "objects":
+        ages = sorted(told["objects_ms"][round(2 * args.fps) :])
+        found |= {f"objects_p{p}_ms": ages[int(len(ages) * p / 100)] for p in (50, 99)}
+        found["objects_per_s"] = told["messages"] / args.seconds
+    return found
 
 
 def main() -> int:
@@ -152,8 +172,8 @@ def main() -> int:
         with broker(folder) as port:
             prepare(folder, port, args.profile)
             text, calibration = (folder / "config.yaml").read_text(), (folder / "c.npz").read_bytes()
-            sensors = []
-            for name in names:
+            sensors, fingers = [], []
+            for k, name in enumerate(names):
                 (folder / f"{name}.npz").write_bytes(calibration)
                 own = (
                     text.replace("bench", name)
@@ -161,11 +181,13 @@ def main() -> int:
                     .replace("folder: recs", f"folder: {name}")
                 )
                 (folder / f"{name}.yaml").write_text(f"{own}stitching: {{folder: {name}-maps}}\n")
-                sensors.append(f"  {name}: {{calibration: {name}.npz, source: {{kind: simulated}}}}\n")
-            (folder / "hand.yaml").write_text(
-                f"profile: {args.profile}\nmqtt: {{host: 127.0.0.1, port: {port}}}\nrecorder: {{folder: recs}}\n"
-                f"stitching: {{folder: maps}}\nsensors:\n{''.join(sensors)}"
-            )
+                own = f"calibration: {name}.npz, source: {{kind: simulated}}"
+                sensors.append(f"  {name}: {{{own}}}\n")
+                fingers.append(f"  {name}: {{{own}, hand_T_sensor: [{40 * k}, 0, 90, 1, 0, 0, 0]}}\n")
+            common = f"profile: {args.profile}\nmqtt: {{host: 127.0.0.1, port: {port}}}\nrecorder: {{folder: recs}}\n"
+            common += "stitching: {folder: maps}\n"
+            (folder / "hand.yaml").write_text(f"{common}sensors:\n{''.join(sensors)}")
+            (folder / "objects.yaml").write_text(f"{common}hand_id: {HAND_ID}\nsensors:\n{''.join(fingers)}")
             results = {row: measure(row, folder, port, names, args) for row in ROWS}
     head = ["", "memory MB", "CPU cores", "p50 ms", "p99 ms", "max ms", "captured", "accounted"]
     rows = [
@@ -180,6 +202,11 @@ def main() -> int:
         for row, r in results.items()
     ]
     print(markdown(head, rows))
+    told = results["objects"]
+    print(
+        f"\nobjects: {told['objects_per_s']:.0f} messages/s, a touching finger's frame "
+        f"{told['objects_p50_ms']:.1f} ms old when told (p50), {told['objects_p99_ms']:.1f} ms (p99)"
+    )
     if args.json:
         args.json.write_text(json.dumps(results, indent=1) + "\n")
     return 0 if all(r["accounted"] for r in results.values()) else 1
