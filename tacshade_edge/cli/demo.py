@@ -1,6 +1,7 @@
 """``tacshade-edge demo``: simulated hands, the real daemon for each, a private broker and the dashboard.
 
-All are on loopback, but for the page with ``--listen``.
+All are on loopback, but for the page with ``--listen``. With ``--hand`` five fingers of one hand in place of the two
+single hands, not beside them: what one board can bear.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Final
 
-from tacshade_edge.cli import demo_map
+from tacshade_edge.cli import demo_hand, demo_map
 from tacshade_edge.cli.dashboard_access import is_loopback, make_token
 from tacshade_edge.cli.demo_broker import broker_command
 from tacshade_edge.cli.demo_child import Child, free_port, wait_for_port
@@ -52,6 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="ADDRESS",
         help="where the page listens, such as 0.0.0.0 (this machine only)",
     )
+    add("--hand", action="store_true", help="a hand of five fingers that grasp, in place of the two single ones")
     add("--seconds", type=float, default=math.inf, metavar="N", help="end by itself after N seconds")
 
 
@@ -101,26 +103,39 @@ def run(args: argparse.Namespace) -> int:
         print("Calibrating a simulated sensor on simulated ball presses ...", flush=True)
         calibration_file.save(folder / "calibration.npz", make_calibration())
         end_if_asked()
-        settings = folder / "settings.yaml"
-        settings.write_text(_SETTINGS.format(fps=FPS, port=mqtt), encoding="utf-8")
+        if args.hand:
+            settings = demo_hand.write(folder, mqtt)
+        else:
+            settings = folder / "settings.yaml"
+            settings.write_text(_SETTINGS.format(fps=FPS, port=mqtt), encoding="utf-8")
+        end_if_asked()
         wait_for_port(broker, mqtt, START_S)
         start("daemon", [*me, "run", "--config", str(settings)])
         names = addresses(host)
         wait_for_port(dashboard, http, START_S, "127.0.0.1" if host in ANY else host)
-        shown = " or ".join(f"http://{f'[{name}]' if ':' in name else name}:{http}/{login}" for name in names)
-        print(f"A simulated hand presses and drags objects, soon another one stitches a map: open {shown}", flush=True)
+        page_of = login or (f"#hand/{demo_hand.HAND_ID}" if args.hand else "")
+        shown = " or ".join(f"http://{f'[{name}]' if ':' in name else name}:{http}/{page_of}" for name in names)
+        what = (
+            "Five simulated fingers grasp a ball"
+            if args.hand
+            else "A simulated hand presses and drags objects, soon another one stitches a map"
+        )
+        print(f"{what}: open {shown}", flush=True)
         if login:
             print("Unencrypted: others on the network may read the address and what is shown.", flush=True)
         print("Ctrl-C ends.", flush=True)
-        other = demo_map.hand(folder, mqtt, lambda config: start("map", [*me, "run", "--config", str(config)]))
-        stack.callback(other.close)
+        other = None
+        if not args.hand:
+            other = demo_map.hand(folder, mqtt, lambda config: start("map", [*me, "run", "--config", str(config)]))
+            stack.callback(other.close)
         deadline_s = time.monotonic() + args.seconds
         while (left_s := deadline_s - time.monotonic()) > 0:
             time.sleep(min(CHECK_PERIOD_S, left_s))
             end_if_asked()
             for child in children:
                 child.check()
-            next(other)
+            if other:
+                next(other)
     return 0
 
 

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import contextlib
 import http.client
+import math
 import os
 import pty
 import re
@@ -16,9 +17,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.browser import CHROMIUM, DRIVER, browser, errors
-from support.mqtt_rig import MOSQUITTO
+from support.mqtt_rig import MOSQUITTO, Subscriber
 from support.page_client import PageClient
 from support.patience import patience, wait_until
+
+from tacshade_edge.cli import demo_hand
+from tacshade_edge.protocol.hand import decode_hand
+from tacshade_edge.settings import load_hand
 
 # As on a machine without mosquitto.
 WITHOUT_MOSQUITTO = "import shutil, sys; shutil.which = lambda *a, **k: None; from tacshade_edge.cli import main; "
@@ -84,6 +89,32 @@ def test_a_browser_sees_moving_maps_and_ctrl_c_leaves_nothing(broker: str, tmp_p
     assert len(set(depths)) > 5  # it moves
     assert running(tmp_path) == []
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
+def test_a_hand_of_five_grasps_a_ball_and_what_it_feels_lies_on_it(tmp_path: Path) -> None:
+    with demo([*COMMANDS["mosquitto"], "--hand"], tmp_path) as (process, _):
+        (settings,) = tmp_path.glob("tacshade-demo-*/hand.yaml")
+        hand = load_hand(settings)
+        assert hand is not None
+        assert hand.fingers == tuple(demo_hand.FINGERS_DEG)
+        with Subscriber(hand.common.settings.mqtt.port, f"tacshade/hand/{hand.hand_id}/objects") as seen:
+
+            def all_hold() -> bool:
+                told = [decode_hand(bytes(message.payload)) for message in seen.messages[-1:]]
+                return bool(told) and all(finger.objects for finger in told[0].fingers.values())
+
+            wait_until(all_hold, 60, "all fingers hold it")
+            fingers = decode_hand(bytes(seen.messages[-1].payload)).fingers
+        process.send_signal(signal.SIGINT)
+        assert process.communicate(timeout=patience(20)) == ("", "")
+    for name, finger in fingers.items():
+        away_mm = math.dist(finger.objects[0].centroid_mm, (0, 0, 0))
+        assert away_mm == pytest.approx(demo_hand.BALL_MM, abs=2.0), name  # it may be closing
+        inwards = -np.array(demo_hand.place_of(name).translation_mm)
+        assert np.dot(finger.objects[0].normal, inwards) / np.linalg.norm(inwards) > 0.95, name
+    assert running(tmp_path) == []
 
 
 @pytest.mark.slow
