@@ -26,7 +26,8 @@ from tacshade_edge.doctor.limits import start, wait_for
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.doctor.serial import check_serial
 from tacshade_edge.doctor.settings import check_settings
-from tacshade_edge.settings import Document, Rpicam, Source, V4l2
+from tacshade_edge.doctor.usb import check_usb
+from tacshade_edge.settings import Document, Rpicam, Source, V4l2, load_all
 
 T = TypeVar("T")
 Findings = tuple[Finding, ...]
@@ -57,6 +58,7 @@ def diagnose(
         "disk": lambda: check_disk(folder, machine),
         "clock": check_clock,
         "board": lambda: check_board(machine),
+        "usb": lambda: check_usb(_cameras(document), machine),
     }
     broker = start(lambda: _ask_broker(document, machine)) if document and broker_usable else None
     running = {name: start(check) for name, check in parts.items()}
@@ -71,6 +73,12 @@ def diagnose(
         yield from _limited(lambda: (list_cameras(machine),), NODE_S, _failed("camera", _AGAIN))
     else:
         yield from _sensor(document, daemon, machine, seen)
+
+
+def _cameras(document: Document | None) -> list[V4l2]:
+    """Of all sensors of the file: they share the machine's ports."""
+    documents = () if document is None else load_all(document.path) if document.several else (document,)
+    return [other.settings.source for other in documents if isinstance(other.settings.source, V4l2)]
 
 
 def _sensor(document: Document, daemon: DaemonState, machine: Machine, seen: Seen) -> Iterator[Finding]:

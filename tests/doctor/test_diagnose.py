@@ -55,6 +55,21 @@ def test_bad_settings_come_first_and_the_machine_is_checked(config: Path, machin
     assert set(found) == {"settings", "serial", "disk", "clock", "camera"}
 
 
+def test_the_cameras_of_all_sensors_are_counted_on_usb(config: Path, machine: Any) -> None:
+    own = "source: {kind: v4l2, fourcc: YUYV, device: /dev/video90%d}"
+    names = [f"  f{k}: {{calibration: c{k}.npz, {own % k}}}" for k in range(3)]
+    config.write_text("\n".join([f"mqtt: {{port: {free_port()}}}", "sensors:", *names]) + "\n")
+    for k in range(3):
+        machine.put(f"/dev/video90{k}")
+        usb = f"/sys/devices/usb1/1-1/1-1.{k}"
+        machine.put(f"{usb}/speed", "480")
+        machine.put(f"{usb}/1-1.{k}:1.0/driver")
+        machine.link(f"/sys/class/video4linux/video90{k}/device", f"../../../..{usb}/1-1.{k}:1.0")
+    found = {finding.check: finding for finding in diagnose(config, machine, sensor_id="f0")}
+    assert found["usb"].state == "fault"
+    assert "3 cameras" in found["usb"].found
+
+
 def test_without_the_camera_the_calibration_is_read(config: Path, machine: Any) -> None:
     config.write_text("calibration: c.npz\nsource: {kind: v4l2, width_px: 160, height_px: 120}\n")
     found = checked(config, machine)
