@@ -39,6 +39,7 @@ _SETTINGS = """\
 sensor_id: demo
 calibration: calibration.npz
 source: {{kind: simulated, fps: {fps}}}
+recorder: {{folder: recordings}}
 mqtt: {{host: 127.0.0.1, port: {port}}}
 """
 

@@ -37,6 +37,7 @@ _SETTINGS: Final = """\
 sensor_id: {sensor_id}
 calibration: calibration.npz
 source: {{kind: files, path: pad, fps: {fps}, loop: true}}
+recorder: {{folder: recordings}}
 stitching: {{folder: sessions}}
 mqtt: {{host: 127.0.0.1, port: {port}}}
 """

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import contextlib
 import http.client
+import json
 import math
 import os
 import pty
@@ -13,6 +14,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -69,6 +71,19 @@ def running(folder: Path) -> list[str]:
     return found
 
 
+def asked(page: PageClient, verb: str, body: dict[str, object]) -> dict[str, Any]:
+    """What the demo's hand answers, as the page would ask it."""
+    page.client.publish(f"tacshade/demo/req/{verb}", json.dumps({**body, "transaction": "test"}))
+
+    def answers() -> list[dict[str, Any]]:
+        told = [json.loads(m.payload) for m in list(page.messages) if m.topic.startswith("tacshade/demo/res/")]
+        return [answer for answer in told if answer["transaction"] == "test"]
+
+    wait_until(answers, 10, "the answer")
+    result: dict[str, Any] = answers()[0]["result"]
+    return result
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("broker", list(COMMANDS))
 def test_a_browser_sees_moving_maps_and_ctrl_c_leaves_nothing(broker: str, tmp_path: Path) -> None:
@@ -79,6 +94,8 @@ def test_a_browser_sees_moving_maps_and_ctrl_c_leaves_nothing(broker: str, tmp_p
     with demo(COMMANDS[broker], tmp_path) as (process, port):
         with PageClient(port) as page:
             heights = page.wait_for_heights(20, 30)
+            recording = asked(page, "record", {"action": "start", "seconds": 5})
+            assert Path(recording["folder"]).is_relative_to(tmp_path)
         assert running(tmp_path)
         process.send_signal(signal.SIGINT)
         out, errors = process.communicate(timeout=patience(20))
