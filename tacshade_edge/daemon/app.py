@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from tacshade_edge.daemon.hand.finger import TellingFinger
     from tacshade_edge.daemon.hand.lines import FingerLine
     from tacshade_edge.daemon.robot.robot import Robot
+    from tacshade_edge.daemon.robot.shared_line import SharedLine
     from tacshade_edge.daemon.stitching.session_requests import SessionRequests
 
 _log = logging.getLogger(__name__)
@@ -95,6 +96,8 @@ class App:
         Or why there is none yet: the camera's picture is all that is served until `reload` finds one.
     line : FingerLine or None
         To its hand, where it is a finger of one.
+    shared : SharedLine or None
+        Where other sensors have the robot's line too.
 
     Attributes
     ----------
@@ -108,6 +111,7 @@ class App:
         source: FrameSource,
         calibration: Calibration | Reason,
         line: FingerLine | None = None,
+        shared: SharedLine | None = None,
     ) -> None:
         settings = document.settings
         self._document = document
@@ -120,7 +124,7 @@ class App:
             self.link.offer, self.link.tell, self.link.has_listener, settings.displacement == "always"
         )
         self._home_assistant = HomeAssistant(self.link, settings.sensor_id, wanted=settings.mqtt.home_assistant)
-        self._robot = self._make_robot()
+        self._robot = self._make_robot(shared)
         self._sessions = self._make_sessions()
         self._references = References(calibration, reference_file.path_beside(settings.calibration), settings.sensor_id)
         sink: Sink = self._references.frames.observing(self._publisher)
@@ -325,9 +329,11 @@ class App:
 
     # What changes.
 
-    def _make_robot(self) -> Robot | None:
+    def _make_robot(self, shared: SharedLine | None) -> Robot | None:
         """Imported only where a robot is: without one, no pyserial and no poses."""
-        if (port := registry.make_serial_port(self._document.settings.serial)) is None:
+        follows = shared is not None and shared.hears is not None
+        port = None if follows else registry.make_serial_port(self._document.settings.serial)
+        if port is None and not follows:
             return None
         from tacshade_edge.daemon.robot.robot import Robot
 
@@ -337,6 +343,7 @@ class App:
             self._status,
             lambda status: self.link.set_retained("status/serial", status),
             self._missing,
+            shared,
         )
 
     def _make_sessions(self) -> SessionRequests | None:

@@ -57,7 +57,7 @@ Source = V4l2 | Rpicam | Files | Simulated
 
 SENSORS = "sensors"
 """The key of a file with several sensors (`settings.several`)."""
-OWN = ("sensor_id", "calibration", "source", "serial", "hand_T_sensor")
+OWN = ("sensor_id", "calibration", "source", "hand_T_sensor")
 """What no two sensors can have in common."""
 HAND, FINGER = "hand_id", "hand_T_sensor"
 """Of the hand that several sensors are, and of each of them there; not in a file with one sensor."""

@@ -56,7 +56,7 @@ def split(path: Path, value: dict[str, Any], found: dict[Key, Found]) -> tuple[l
     for key in [key for key in common if key in OWN]:
         wrong((key,), f"found beside {SENSORS}, expected in each of them")
         del common[key]
-    parts, places = [], dict[str, str]()
+    parts, places, bauds = [], dict[str, str](), dict[str, tuple[object, str]]()
     for sensor_id, own in sensors.items():
         at = (SENSORS, sensor_id)
         if not isinstance(own, dict):
@@ -73,6 +73,11 @@ def split(path: Path, value: dict[str, Any], found: dict[Key, Found]) -> tuple[l
             if place in places:
                 wrong((*at, key), f"found that of {places[place]} again, expected another")
             places.setdefault(place, dotted((*at, key)))
+        of_serial = _over(common, own).get("serial")
+        if isinstance(of_serial, dict) and "device" in of_serial:
+            first = bauds.setdefault(str(of_serial["device"]), (of_serial.get("baud"), sensor_id))
+            if of_serial.get("baud") != first[0]:
+                wrong((*at, "serial"), f"found another baud, expected that of {SENSORS}.{first[1]} on the same port")
         of_one = {key: where for key, where in found.items() if key[:1] != (SENSORS,)}
         of_one |= {key[2:]: replace(where, at=at) for key, where in found.items() if key[:2] == at}
         of_one["sensor_id",] = Found(found[at].line, sensor_id, at)
@@ -93,12 +98,12 @@ def _are_mappings(*values: object) -> bool:
 
 
 def _places(own: dict[str, Any]) -> dict[str, str]:
-    """What one sensor alone can have: its calibration, whose reference it follows, its camera, its serial port."""
+    """What one sensor alone can have: its calibration, whose reference it follows, and its camera."""
     found = {"calibration": f"calibration {own['calibration']}"} if "calibration" in own else {}
-    for section, name in (("source", "device"), ("source", "camera"), ("serial", "device")):
-        of_section = own.get(section)
-        if isinstance(of_section, dict) and name in of_section:
-            found[section] = f"{section} {name} {of_section[name]}"
+    of_source = own.get("source")
+    for name in ("device", "camera"):
+        if isinstance(of_source, dict) and name in of_source:
+            found["source"] = f"source {name} {of_source[name]}"
     return found
 
 

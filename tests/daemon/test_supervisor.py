@@ -14,12 +14,14 @@ from typing import Any
 
 import cv2
 import pytest
+from robot import PtyRobot
 from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from support.painted_sensor import FREE, TOUCHED, painted_calibration
 from support.patience import patience, wait_until
 
 from tacshade_edge.cli import EXIT_CONFIG
 from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.protocol import wire
 
 pytestmark = [pytest.mark.broker, pytest.mark.slow]
 needs_broker = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
@@ -151,6 +153,28 @@ def test_one_that_hangs_says_where_and_is_started_again(
         finally:
             running.close()
         wait_until(lambda: seen.of("tacshade/thumb/state")[-1:] == [b"offline"], 20, "they end with their supervisor")
+
+
+@needs_broker
+def test_one_robots_line_gives_poses_to_every_sensor(folder: Path, broker: Broker) -> None:
+    link = Path(f"/dev/shm/tacshade-hand-{os.getpid()}")
+    write(folder, broker.port, "thumb", "index")
+    config = folder / "hand.yaml"
+    config.write_text(f"serial: {{device: {link}}}\n{config.read_text()}")
+
+    def posed(seen: Subscriber, name: str) -> bool:
+        return any(wire.decode(payload).pose for payload in seen.of(f"tacshade/{name}/height"))
+
+    with Subscriber(broker.port) as seen, PtyRobot(link, rate_hz=100, binary=True):
+        running = Running(folder)
+        try:
+            wait_until(lambda: posed(seen, "thumb") and posed(seen, "index"), 30, "both have poses")
+            told = json.loads(seen.of("tacshade/index/status/serial")[-1])
+            assert (told["state"], told["shared_by"]) == ("connected", "thumb")
+            running.process.send_signal(signal.SIGTERM)
+            assert running.process.wait(patience(10)) == 0
+        finally:
+            running.close()
 
 
 def test_no_settings_that_can_work_is_bad_configuration(folder: Path) -> None:

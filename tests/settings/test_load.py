@@ -306,7 +306,7 @@ def test_the_schema_of_files_takes_one_sensor_and_several() -> None:
     assert schema_errors(schema, {"sensors": {"a": sensor, "b": sensor | {"profile": "fast"}}}, schema) == []
     for wrong in (
         *({"sensors": {}}, {"sensors": {"a b": sensor}}, {"sensors": {"a": {"source": {"kind": "simulated"}}}}),
-        *({"sensors": {"a": sensor}, "serial": None}, {"sensors": {"a": sensor | {"sensor_id": "b"}}}, {"x": 1}),
+        *({"sensors": {"a": sensor}, "source": None}, {"sensors": {"a": sensor | {"sensor_id": "b"}}}, {"x": 1}),
         *({"hand_id": "left"}, {"hand_T_sensor": finger["hand_T_sensor"]}, {"sensors": {"a": finger}}),
         *({"hand_id": "left", "sensors": {"a": sensor}}, {"hand_id": "a b", "sensors": {"a": finger}}),
         {"hand_id": "left", "sensors": {"a": finger | {"hand_T_sensor": [0, 0, 0]}}},

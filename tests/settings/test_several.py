@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.settings import Rpicam, Simulated, load, load_all, load_hand
+from tacshade_edge.settings import Rpicam, Serial, Simulated, load, load_all, load_hand
 
 TWO = """\
 profile: fast
@@ -58,7 +58,7 @@ def test_one_of_them_is_taken_by_its_id(tmp_path: Path) -> None:
 
 def test_every_mistake_is_told_with_its_line_and_what_all_have_once(tmp_path: Path) -> None:
     text = """\
-serial: {device: /dev/ttyACM0}
+calibration: c.npz
 mqtt: {port: 0}
 sensors:
   thumb: {calibration: t.npz, source: {kind: v4l2, device: /dev/video0}}
@@ -73,7 +73,7 @@ sensors:
     with pytest.raises(ConfigError) as caught:
         load_all(path)
     assert [line.removeprefix(f"{path}:") for line in (str(caught.value), *caught.value.others)] == [
-        "1: serial: found beside sensors, expected in each of them",
+        "1: calibration: found beside sensors, expected in each of them",
         "2: mqtt.port: found 0, expected an integer from 1 to 65535 (TCP port of the broker)",
         "6: sensors.index.calibration: found that of sensors.thumb.calibration again, expected another",
         "7: sensors.index.source: found that of sensors.thumb.source again, expected another",
@@ -161,4 +161,20 @@ def test_what_is_wrong_with_a_hand_has_its_line(tmp_path: Path, old: str, new: s
 def test_one_sensor_is_no_hand(tmp_path: Path, text: str, said: str) -> None:
     path = write(tmp_path, text)
     with pytest.raises(ConfigError, match=rf"^{path}:1: {said}"):
+        load_all(path)
+
+
+def test_a_robots_line_is_shared_and_one_may_have_its_own_or_none(tmp_path: Path) -> None:
+    path = write(tmp_path, f"serial: {{device: /dev/ttyACM0, baud: 460800}}\n{TWO}    serial: null\n")
+    thumb, index = (document.settings for document in load_all(path))
+    assert thumb.serial == Serial(device="/dev/ttyACM0", baud=460800)
+    assert index.serial is None
+    path = write(tmp_path, f"serial: {{device: /dev/ttyACM0}}\n{TWO}    serial: {{device: /dev/ttyACM1}}\n")
+    assert [document.settings.serial for document in load_all(path)] == [
+        Serial(device="/dev/ttyACM0"),
+        Serial(device="/dev/ttyACM1"),
+    ]
+    path = write(tmp_path, f"serial: {{device: /dev/ttyACM0}}\n{TWO}    serial: {{baud: 9600}}\n")
+    said = "13: sensors.index.serial: found another baud, expected that of sensors.thumb on the same port"
+    with pytest.raises(ConfigError, match=said):
         load_all(path)

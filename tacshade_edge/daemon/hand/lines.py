@@ -18,7 +18,7 @@ BYTES_MAX = 1 << 15
 
 
 class FingerLine:
-    """A finger's end. Without a hand's process to read it the kernel takes some ten messages, and then no more."""
+    """A finger's end. Without a hand's process to read it the kernel takes some hundred messages, and then no more."""
 
     def __init__(self, sock: socket.socket, wanted: mmap.mmap) -> None:
         self._sock = sock

@@ -13,6 +13,7 @@ from tacshade_edge.daemon.pipeline.workers import Sink
 from tacshade_edge.daemon.robot.motion import RobotMotion
 from tacshade_edge.daemon.robot.serial_channel import SILENT_NS, SerialChannel
 from tacshade_edge.daemon.robot.serial_commands import SerialCommands
+from tacshade_edge.daemon.robot.shared_line import FollowingChannel, SharedLine, TellingMotion
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.protocol.messages import Request, encode_status
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -28,7 +29,8 @@ class Robot:
 
     Parameters
     ----------
-    port : SerialPort
+    port : SerialPort or None
+        None where another sensor has it.
     on_request : callable
         Takes the robot's requests for the main thread.
     state : callable
@@ -37,6 +39,8 @@ class Robot:
         ``publish_status(payload)`` publishes ``status/serial``.
     missing : callable
         Why there is no calibration; None when there is one.
+    shared : SharedLine or None
+        Where other sensors have the same line; needed without a port.
 
     Attributes
     ----------
@@ -46,15 +50,23 @@ class Robot:
 
     def __init__(
         self,
-        port: SerialPort,
+        port: SerialPort | None,
         on_request: Callable[[Request], None],
         state: Callable[[], dict[str, Any]],
         publish_status: Callable[[bytes], None],
         missing: Callable[[], Reason | None],
+        shared: SharedLine | None = None,
     ) -> None:
-        self.motion = RobotMotion()
-        self.commands = SerialCommands(self.motion, on_request, state, missing, port.wake)
-        self._channel = SerialChannel(port, self.motion, self.commands)
+        self.motion = TellingMotion(shared.tells) if shared and shared.tells else RobotMotion()
+        wake = port.wake if port else lambda: None
+        self.commands = SerialCommands(self.motion, on_request, state, missing, wake)
+        self._channel: SerialChannel | FollowingChannel
+        if port:
+            self._channel = SerialChannel(port, self.motion, self.commands)
+        else:
+            assert shared is not None
+            assert shared.hears is not None
+            self._channel = FollowingChannel(shared.owner, shared.hears, self.motion)
         self._publish_status = publish_status
         self._published = b""
         self._stopped = threading.Event()
@@ -75,6 +87,9 @@ class Robot:
     def poll(self) -> None:
         """Publish ``status/serial`` when it changed; called in the main thread."""
         port, sync = self._channel.port_state, self.motion.state()
+        if isinstance(self.motion, TellingMotion):
+            quiet_since_ns, counts = self._channel.quiet_since_ns, self._channel.as_dict()
+            self.motion.tell_port(port, self._channel.mode, quiet_since_ns, counts)
         if port.state == "away":
             state, reason, details = "away", port.reason, port.details
         else:

@@ -14,6 +14,7 @@ from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.protocol.serial.answers import PortOpened, PosesMissing, SyncChanged
 from tacshade_edge.protocol.serial.link import Greeted, PoseArrived, SerialLink
+from tacshade_edge.protocol.serial.modes import Mode
 from tacshade_edge.reasons import Reason, ReasonCode
 
 _log = logging.getLogger(__name__)
@@ -67,7 +68,7 @@ class SerialChannel:
         self._sent_sync = "none"
 
     @property
-    def mode(self) -> str:
+    def mode(self) -> Mode:
         """``ASCII`` or ``BIN``."""
         return self._link.mode
 

@@ -1,0 +1,210 @@
+"""A robot's line that several sensors' processes share: one has the port, and hands on what it learns of the robot.
+
+What is handed on is what `RobotMotion` is told, so that all have the same clock and the same poses; commands and their
+answers stay with the one that has the port. Each follower has a pair of datagram sockets of its own, made before the
+processes are forked, and nobody waits for it: a pose that finds no room is one pose less.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import msgspec
+
+from tacshade_edge.daemon.robot.motion import RobotMotion
+from tacshade_edge.daemon.robot.serial_channel import SILENT_NS, PortState
+from tacshade_edge.protocol.serial.link import PoseArrived
+from tacshade_edge.protocol.serial.modes import Mode
+from tacshade_edge.protocol.serial.pose import PoseSample
+from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.settings import Document
+
+_BYTES_MAX: Final = 1 << 14
+_READ_S: Final = 0.05
+_PORT_PERIOD_NS: Final = 1_000_000_000
+
+
+class _Pose(msgspec.Struct, frozen=True, tag=1, array_like=True):
+    sample: PoseSample
+    arrived_ns: int
+
+
+class _Sync(msgspec.Struct, frozen=True, tag=2, array_like=True):
+    """A whole exchange: half of one would be another's."""
+
+    t1_ns: int
+    t2_ns: int
+    t4_ns: int | None
+    t3_ns: int
+
+
+class _Restart(msgspec.Struct, frozen=True, tag=3, array_like=True):
+    pass
+
+
+class _Port(msgspec.Struct, frozen=True, tag=4, array_like=True):
+    state: PortState
+    mode: Mode
+    quiet_since_ns: int
+    counts: dict[str, Any]
+
+
+_decoder: Final = msgspec.msgpack.Decoder(_Pose | _Sync | _Restart | _Port)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SharedLine:
+    """A sensor's part in a line that is shared.
+
+    Attributes
+    ----------
+    owner : str
+        The sensor that has the port.
+    tells : tuple of socket
+        To each follower, where this is the owner.
+    hears : socket or None
+        From the owner, where this is a follower.
+    """
+
+    owner: str
+    tells: tuple[socket.socket, ...] = ()
+    hears: socket.socket | None = None
+
+    def close(self) -> None:
+        """Close this process's ends."""
+        for end in (*self.tells, *([self.hears] if self.hears else [])):
+            end.close()
+
+
+def share_lines(documents: Sequence[Document]) -> dict[str, SharedLine]:
+    """What each sensor has of a port that several name; the first of them has the port. Others are left out."""
+    names: dict[str, list[str]] = {}
+    for document in documents:
+        if (serial := document.settings.serial) is not None:
+            names.setdefault(serial.device, []).append(document.settings.sensor_id)
+    shared: dict[str, SharedLine] = {}
+    for owner, *followers in names.values():
+        tells = []
+        for name in followers:
+            ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+            ours.setblocking(False)
+            tells.append(ours)
+            shared[name] = SharedLine(owner, hears=theirs)
+        if followers:
+            shared[owner] = SharedLine(owner, tuple(tells))
+    return shared
+
+
+class TellingMotion(RobotMotion):
+    """A `RobotMotion` that hands on what it is told.
+
+    Parameters
+    ----------
+    tells : sequence of socket
+    """
+
+    def __init__(self, tells: Sequence[socket.socket]) -> None:
+        super().__init__()
+        self._tells = tells
+        self._received: tuple[int, int, int | None] | None = None
+        self._port: _Port | None = None
+        self._port_told_ns = 0
+
+    def restart(self) -> None:
+        super().restart()
+        self._tell(_Restart())
+
+    def sync_received(self, t1_ns: int, t2_ns: int, t4_ns: int | None) -> None:
+        super().sync_received(t1_ns, t2_ns, t4_ns)
+        self._received = (t1_ns, t2_ns, t4_ns)
+
+    def sync_answered(self, t3_ns: int) -> None:
+        super().sync_answered(t3_ns)
+        if self._received is not None:
+            self._tell(_Sync(*self._received, t3_ns))
+
+    def add(self, arrived: PoseArrived) -> None:
+        super().add(arrived)
+        self._tell(_Pose(arrived.sample, arrived.arrived_ns))
+
+    def tell_port(self, state: PortState, mode: Mode, quiet_since_ns: int, counts: dict[str, Any]) -> None:
+        """Hand on how the port is: a change at once, else once a second."""
+        now_ns = time.monotonic_ns()
+        changed = self._port is None or (state, mode) != (self._port.state, self._port.mode)
+        if changed or now_ns - self._port_told_ns >= _PORT_PERIOD_NS:
+            self._port, self._port_told_ns = _Port(state, mode, quiet_since_ns, counts), now_ns
+            self._tell(self._port)
+
+    def _tell(self, message: msgspec.Struct) -> None:
+        payload = msgspec.msgpack.encode(message)
+        for end in self._tells:
+            with contextlib.suppress(OSError):
+                end.send(payload)
+
+
+class FollowingChannel:
+    """In a `SerialChannel`'s place where another sensor has the port.
+
+    Parameters
+    ----------
+    owner : str
+    hears : socket
+    motion : RobotMotion
+
+    Attributes
+    ----------
+    port_state : PortState
+        With the owner among its details.
+    quiet_since_ns : int
+    mode : str
+    """
+
+    def __init__(self, owner: str, hears: socket.socket, motion: RobotMotion) -> None:
+        self.port_state = PortState("away", Reason(ReasonCode.STARTING, "starting"), {"shared_by": owner})
+        self.quiet_since_ns = 0
+        self.mode: Mode = "ASCII"
+        self._owner = owner
+        self._hears = hears
+        self._motion = motion
+        self._counts: dict[str, Any] = {}
+        self._stop = threading.Event()
+
+    def stop(self) -> None:
+        """Make `run` return soon."""
+        self._stop.set()
+
+    def as_dict(self) -> dict[str, Any]:
+        """For ``health``: the owner's."""
+        return dict(self._counts)
+
+    def run(self) -> None:
+        """Hear the owner until `stop`."""
+        self._hears.settimeout(_READ_S)
+        told_ns = time.monotonic_ns()
+        while not self._stop.is_set():
+            try:
+                payload = self._hears.recv(_BYTES_MAX)
+            except TimeoutError:
+                if time.monotonic_ns() - told_ns > SILENT_NS and self.port_state.state == "open":
+                    reason = Reason(ReasonCode.NO_ANSWER, f"{self._owner}, which has the port, tells nothing")
+                    self.port_state = PortState("away", reason, {"shared_by": self._owner})
+                continue
+            match _decoder.decode(payload):
+                case _Pose(sample, arrived_ns):
+                    self._motion.add(PoseArrived(sample, arrived_ns, 0))
+                case _Sync(t1_ns, t2_ns, t4_ns, t3_ns):
+                    self._motion.sync_received(t1_ns, t2_ns, t4_ns)
+                    self._motion.sync_answered(t3_ns)
+                case _Restart():
+                    self._motion.restart()
+                case _Port(state, mode, quiet_since_ns, counts):
+                    told_ns = time.monotonic_ns()
+                    self.mode, self.quiet_since_ns, self._counts = mode, quiet_since_ns, counts
+                    details = {**state.details, "shared_by": self._owner}
+                    self.port_state = PortState(state.state, state.reason, details)
