@@ -49,6 +49,7 @@ def run(args: argparse.Namespace) -> int:
                     warnings.append(f"{document.where('calibration')}: warning: {found}")
     if hand := load_hand(args.file):
         try:
+            registry.check_broker_files(hand.common)
             registry.make_hand_link(hand, on_request=lambda _: None, on_outcome=lambda *_: None)
         except ConfigError as error:
             mistakes.append(str(error))

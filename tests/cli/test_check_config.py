@@ -80,6 +80,20 @@ def test_a_mistake_is_one_line_and_exit_78(folder: Path, capsys: Any, text: str,
     assert printed.err.count("\n") == 1
 
 
+def test_the_broker_of_a_hand_is_checked(folder: Path, capsys: Any) -> None:
+    finger = "{calibration: c.npz, source: {kind: simulated}, hand_T_sensor: [0, 0, 0, 1, 0, 0, 0]%s}"
+    text = (
+        "hand_id: left\nmqtt: {username: left, password_file: %s}\nsensors:\n  a: "
+        + finger % ", mqtt: {password_file: a}"
+    )
+    (folder / "a").write_text("word\n")
+    assert check(folder, text % "none") == EXIT_CONFIG
+    assert capsys.readouterr().err.startswith(
+        f"tacshade-edge: {folder}/s.yaml:2: mqtt.password_file: {folder}/none: No"
+    )
+    assert check(folder, text % "a") == 0
+
+
 def test_every_mistake_is_told_at_once(folder: Path, capsys: Any) -> None:
     text = """\
 sensr_id: hand

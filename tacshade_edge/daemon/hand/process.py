@@ -152,7 +152,8 @@ class HandProcess:
 
 
 def run(hand: Hand, lines: Lines) -> None:
-    """Be a hand's process until SIGTERM or SIGINT."""
+    """Be a hand's process until SIGTERM or SIGINT. Raises ConfigError as `HandProcess`."""
+    registry.check_broker_files(hand.common)
     process = HandProcess(hand, lines)
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: process.stop())
