@@ -108,6 +108,7 @@ def test_info_places_a_pixel_in_mm() -> None:
     )
     info = json.loads(told)
     assert info["reference"] is None
+    assert (info["hand_id"], info["hand_T_sensor"]) == (None, None)
     assert {k: info[k] for k in ("version", "wire_version", "config_digest", "profile", "profiles", "choice")} == {
         "version": "1",
         "wire_version": 1,

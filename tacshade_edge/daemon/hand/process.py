@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import logging
 import selectors
 import signal
@@ -27,6 +28,7 @@ _log = logging.getLogger(__name__)
 
 STREAM: Final = "objects"
 TICK_S: Final = 1.0
+AT_ONCE: Final = 64
 LOOK_S: Final = 0.25  # for somebody who begins to listen
 STOPPED_S: Final = 1.9
 
@@ -117,9 +119,9 @@ class HandProcess:
                 raise error
 
     def _hear(self, name: str, line: HandLine) -> None:
-        """Take all that a finger told."""
+        """Take what a finger told; of one that never stops not all at once."""
         try:
-            while (finger := line.take()) is not None:
+            for finger in itertools.islice(iter(line.take, None), AT_ONCE):
                 self._heard[name] += 1
                 self._together.hear(name, finger, time.monotonic_ns())
         except DecodeError as error:
@@ -139,7 +141,7 @@ class HandProcess:
     # What other threads call.
 
     def _rouse(self) -> None:
-        with contextlib.suppress(BlockingIOError):  # it is awake
+        with contextlib.suppress(OSError):  # it is awake, or at its end
             self._wake.send(b"\0")
 
     def _on_crash(self, crash: Crash) -> None:

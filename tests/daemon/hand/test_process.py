@@ -111,6 +111,13 @@ def test_objects_of_both_fingers_come_in_the_hands_frame_and_no_part_needs_anoth
         info = told(fingers, "tacshade/thumb/info")
         assert (info["hand_id"], info["hand_T_sensor"]) == ("left", [100.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
+        # A reload moves the thumb, from the next frame on.
+        config = folder / "hand.yaml"
+        config.write_text(config.read_text().replace("[100.0, 0.0, 0.0,", "[100.0, 0.0, 50.0,"))
+        running.send_signal(signal.SIGHUP)
+        wait_until(lambda: told(fingers, "tacshade/thumb/info")["hand_T_sensor"][2] == 50, 20, "its new place is told")
+        wait_until(lambda: thumb_z_mm(seen) == pytest.approx(z_mm + 50, abs=0.5), 20, "and used")
+
         # The hand's own process ends: the sensors never leave the broker, and it comes back.
         left = {name: len(fingers.of(f"tacshade/{name}/state")) for name in ("thumb", "index")}
         first = told(seen, f"{BASE}/instance")
@@ -143,6 +150,12 @@ def test_objects_of_both_fingers_come_in_the_hands_frame_and_no_part_needs_anoth
         assert health["undecodable"] == 0
         assert all(count > 0 for count in health["heard"].values())
     assert "Traceback" not in (folder / "log").read_text()
+
+
+def thumb_z_mm(seen: Subscriber) -> float | None:
+    hand = latest(seen)
+    objects = hand.fingers["thumb"].objects if hand else ()
+    return objects[0].centroid_mm[2] if objects else None
 
 
 def told_pid(broker: Broker, name: str) -> int:
