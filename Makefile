@@ -1,15 +1,18 @@
 # make demo    a simulated hand, live in a browser (Python only, never root)
 # make check   format, lint, types, layers and the quick tests: under a minute
+# make deb     Debian packages for amd64 and arm64, of Debian 12 and 13, into dist/
+# make image   the container image tacshade-edge, by podman (IMAGE_TOOL=docker: by docker)
 # make lock    newer wheels for boards, on purpose: systemd/requirements.lock and the bill of what is in them
 # make test    everything, with the real broker and a guest with a real kernel's video devices
 # make test-arm  a board's processor, emulated: both Pythons, a minute of the daemon, instructions a frame; over an hour, root
+# make test-container  the image, built on a base of Debian's packages and run; 2 minutes, root
 # make faults  the table of docs/reliability.md, about 4 minutes
 PYTHON ?= python3
 PY := .venv/bin/python
 # A version for processors alone: what else calls itself PyTorch brings 3 GB for GPUs. `--retries 0`: the index may be out of reach.
 CPU_TORCH := --extra-index-url https://download.pytorch.org/whl/cpu 'torch==2.13.0+cpu'
 
-.PHONY: demo lint check test test-arm lock faults format clean
+.PHONY: demo lint check test test-arm test-container deb image lock faults format clean
 .DELETE_ON_ERROR:
 
 # Two stamps, so that the demo installs only what a user needs.
@@ -41,11 +44,20 @@ test: .venv/dev.stamp
 	$(PY) tools/run_tests.py
 
 test-arm: .venv/dev.stamp
-	$(PY) -m pip install --quiet --disable-pip-version-check 'uv>=0.9,<1'
 	$(PY) tools/run_arm.py
 
+test-container: .venv/dev.stamp
+	tools/install_debian.sh mmdebstrap buildah
+	$(PY) -m pytest -m container -rs -s
+
+deb: .venv/dev.stamp
+	$(PY) tools/package_debian.py
+
+IMAGE_TOOL ?= podman
+image:
+	$(IMAGE_TOOL) build --file Containerfile --build-arg VERSION=$$($(PYTHON) tools/release_version.py) --tag tacshade-edge .
+
 lock: .venv/dev.stamp
-	$(PY) -m pip install --quiet --disable-pip-version-check 'uv>=0.9,<1'
 	$(PY) tools/lock.py
 
 faults: .venv/dev.stamp

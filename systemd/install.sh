@@ -1,16 +1,19 @@
 #!/bin/bash
 # install.sh [--uninstall]: puts the service in place, as root; running it again changes nothing that a person edited.
-# DESTDIR=DIR stages the files below DIR and touches neither Python, users nor the running system.
+# DESTDIR=DIR stages the files below DIR and touches neither Python, users nor the running system; LIB=/usr/lib puts them
+# where a distribution's packages have theirs.
 # PYTHON chooses the interpreter (3.11 to 3.13; default python3).
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 dest=${DESTDIR:-}
 app=/opt/tacshade-edge
+lib=${LIB:-/usr/local/lib}
+rules=${LIB:-/etc}/udev/rules.d
 # source and target
 files=(
-  "tacshade-edge.service /usr/local/lib/systemd/system/tacshade-edge.service"
-  "tacshade-edge.sysusers /usr/local/lib/sysusers.d/tacshade-edge.conf"
-  "99-tacshade.rules /etc/udev/rules.d/99-tacshade.rules"
+  "tacshade-edge.service $lib/systemd/system/tacshade-edge.service"
+  "tacshade-edge.sysusers $lib/sysusers.d/tacshade-edge.conf"
+  "99-tacshade.rules $rules/99-tacshade.rules"
 )
 # A person edits these: never overwritten, removed only when they are as installed.
 edited=(
@@ -27,18 +30,14 @@ install_all() {
     read -r from to <<<"$line"
     install -D -m 644 "$here/$from" "$dest$to"
   done
-  if live; then
-    systemd-sysusers "${files[1]#* }"
-    "$here/environment.sh" "$app" || exit 1
-  fi
+  live && { "$here/environment.sh" "$app" || exit 1; }
   install -d -m 750 "$dest/etc/tacshade-edge"
   for line in "${edited[@]}"; do
     read -r from to <<<"$line"
     if [ -e "$dest$to" ]; then cmp -s "$here/$from" "$dest$to" || echo "kept: $to"; else install -D -m 644 "$here/$from" "$dest$to"; fi
   done
   if live; then
-    chgrp -R tacshade-edge /etc/tacshade-edge
-    refresh
+    "$here/refresh.sh" "$lib"
     systemctl enable --quiet tacshade-edge.service
     echo "installed; calibrate, edit /etc/tacshade-edge/config.yaml, then: systemctl restart tacshade-edge"
   fi
@@ -55,18 +54,14 @@ uninstall_all() {
   rmdir "$dest/etc/tacshade-edge" 2>/dev/null || true
   if live; then
     rm -rf "$app"
-    refresh
+    "$here/refresh.sh" "$lib"
     echo "uninstalled; kept: /var/lib/tacshade-edge (calibrations) and the user tacshade-edge"
   fi
 }
 
-refresh() {
-  systemctl daemon-reload
-  # Where udev runs: the rules, for cameras that are plugged in already too.
-  [ ! -S /run/udev/control ] || { udevadm control --reload && udevadm trigger --subsystem-match=video4linux; }
-}
-
 live && [ "$(id -u)" -ne 0 ] && fail "expected root (or DESTDIR=DIR to stage the files)"
+live && dpkg-query -W -f='${db:Status-Status}' tacshade-edge 2>/dev/null | grep -qx installed &&
+  fail "found the Debian package, expected apt-get remove tacshade-edge first; settings and calibrations stay"
 case "${1:-}" in
   "") install_all ;;
   --uninstall) uninstall_all ;;

@@ -1,8 +1,9 @@
 #!/bin/bash
-# Installs the Debian packages that the tests use; one clear line when that is not possible.
+# install_debian.sh [PACKAGE...]: installs the Debian packages that the tests use, and these; one clear line when that is
+# not possible.
 # The tests that need a missing package say so and are skipped.
 set -u
-packages=(mosquitto nodejs gcc strace qemu-system-x86 kmod busybox-static cpio v4l-utils systemd-container dbus chromium chromium-driver udev)
+packages=(mosquitto nodejs gcc strace qemu-system-x86 kmod busybox-static cpio v4l-utils systemd-container dbus chromium chromium-driver udev "$@")
 missing=()
 for p in "${packages[@]}"; do
   [ "$(dpkg-query -W -f='${db:Status-Status}' "$p" 2>/dev/null)" = installed ] || missing+=("$p")

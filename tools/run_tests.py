@@ -26,7 +26,7 @@ PYTEST = (sys.executable, "-m", "pytest")
 WORKERS = str((os.cpu_count() or 1) + 1)
 """One more than there are cores: every third test waits, for a broker, a second, a page."""
 QUICK = "not guest and not broker and not slow and not browser"
-SLOW = "(slow or broker or browser) and not guest"
+SLOW = "(slow or broker or browser) and not guest and not container"
 LINT = "lint"
 """Runs beside the stage after it, whose tests wait now and then."""
 STAGES: dict[str, tuple[str, ...]] = {

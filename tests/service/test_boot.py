@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import os
 import shutil
 import subprocess
 import sys
@@ -11,23 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.booted_machine import CHECKOUT, cannot_boot, seen_there
 from support.calibrated_sensor import FULL, calibrated
-from support.patience import patience, stretched
+from support.patience import stretched
 
 from tacshade_edge.devices.files import calibration_file
 
-CHECKOUT = Path(__file__).parents[2]
 WATCHDOG_S, STOP_S, MEMORY_MAX_MB = 10.0, 2.0, 150
 
 pytestmark = pytest.mark.slow
-
-
-def cannot_boot() -> str:
-    if os.getuid() != 0:
-        return "booting systemd needs root"
-    if shutil.which("systemd-nspawn") is None:
-        return "systemd-container is not installed"
-    return ""
 
 
 def copy_checkout(folder: Path) -> None:
@@ -56,22 +46,9 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     calibration_file.save(folder / "calibration.npz", calibrated(FULL))
     copy_checkout(folder / "checkout")
     fill(folder / "wheels")
-    (folder / "support").mkdir()
-    for script in ("service/scenario.py", "support/__init__.py", "support/booted_service.py", "support/patience.py"):
-        shutil.copy(CHECKOUT / "tests" / script, folder / script.removeprefix("service/"))
-    python = f"python{sys.version_info[0]}.{sys.version_info[1]}"
-    (folder / "scenario").write_text(f"#!/bin/bash\nexec /opt/python/bin/{python} /payload/scenario.py {python}\n")
-    (folder / "scenario").chmod(0o755)
+    python = f"/opt/python/bin/python{sys.version_info[0]}.{sys.version_info[1]}"
     binds = [f"--bind-ro={sys.base_prefix}:/opt/python", f"--bind-ro={folder / 'wheels'}:/wheels"]
-    command = [CHECKOUT / "tools/rig/boot_systemd.sh", folder, *binds]
-    limit = os.environ | {"LIMIT_S": f"{patience(120):.0f}"}
-    done = subprocess.run(command, env=limit, capture_output=True, text=True, check=False)
-    if done.returncode == 125:
-        pytest.skip(f"systemd cannot be booted here: {(done.stdout + done.stderr).strip()[-300:]}")
-    assert done.returncode == 0, done.stdout + done.stderr
-    print(done.stdout)
-    result: dict[str, Any] = json.loads((folder / "seen.json").read_text())
-    return result
+    return seen_there(folder, "scenario.py", python, *binds)
 
 
 def streams(now: dict[str, str]) -> bool:

@@ -58,11 +58,9 @@ def test_its_exposure_is_at_most_the_promised(tmp_path: Path) -> None:
     assert 0.1 < float(re.search(r"exposure level for \S+: ([\d.]+)", told)[1]) <= EXPOSURE_MAX  # type: ignore[index]
 
 
-def install(root: Path, *words: str) -> str:
-    command = [FILES / "install.sh", *words]
-    done = subprocess.run(
-        command, env={"DESTDIR": str(root), "PATH": "/usr/bin:/bin"}, capture_output=True, text=True, check=True
-    )
+def install(root: Path, *words: str, **environment: str) -> str:
+    told = {"DESTDIR": str(root), "PATH": "/usr/bin:/bin", **environment}
+    done = subprocess.run([FILES / "install.sh", *words], env=told, capture_output=True, text=True, check=True)
     assert done.stderr == ""
     return done.stdout
 
@@ -88,6 +86,17 @@ def test_install_twice_and_uninstall(tmp_path: Path) -> None:
     assert install(tmp_path, "--uninstall") == ""
     assert tree(tmp_path) == {}
     assert install(tmp_path, "--uninstall") == ""
+
+
+def test_a_packages_files_lie_where_those_of_packages_do(tmp_path: Path) -> None:
+    install(tmp_path, LIB="/usr/lib")
+    assert {name for name in tree(tmp_path) if not name.startswith("etc/")} == {
+        "usr/lib/systemd/system/tacshade-edge.service",
+        "usr/lib/sysusers.d/tacshade-edge.conf",
+        "usr/lib/udev/rules.d/99-tacshade.rules",
+    }
+    assert install(tmp_path, "--uninstall", LIB="/usr/lib") == ""
+    assert tree(tmp_path) == {}
 
 
 def test_what_a_person_edited_is_kept(tmp_path: Path) -> None:

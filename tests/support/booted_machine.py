@@ -1,0 +1,42 @@
+"""Boots systemd over a throw-away copy of this machine (tools/rig/boot_systemd.sh); a scenario runs there as root."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from support.patience import patience
+
+CHECKOUT = Path(__file__).parents[2]
+
+
+def cannot_boot() -> str:
+    if os.getuid() != 0:
+        return "booting systemd needs root"
+    if shutil.which("systemd-nspawn") is None:
+        return "systemd-container is not installed"
+    return ""
+
+
+def seen_there(folder: Path, scenario: str, python: str, *options: str) -> dict[str, Any]:
+    """What a script of tests/service saw; it has `folder` as /payload, and the Python at the path `python` there."""
+    (folder / "support").mkdir()
+    for script in (f"service/{scenario}", "support/__init__.py", "support/booted_service.py", "support/patience.py"):
+        shutil.copy(CHECKOUT / "tests" / script, folder / script.removeprefix("service/"))
+    (folder / "scenario").write_text(f"#!/bin/bash\nexec {python} /payload/{scenario} {Path(python).name}\n")
+    (folder / "scenario").chmod(0o755)
+    limit = os.environ | {"LIMIT_S": f"{patience(120):.0f}"}
+    command = [CHECKOUT / "tools/rig/boot_systemd.sh", folder, *options]
+    done = subprocess.run(command, env=limit, capture_output=True, text=True, check=False)
+    if done.returncode == 125:
+        pytest.skip(f"systemd cannot be booted here: {(done.stdout + done.stderr).strip()[-300:]}")
+    assert done.returncode == 0, done.stdout + done.stderr
+    print(done.stdout)
+    result: dict[str, Any] = json.loads((folder / "seen.json").read_text())
+    return result
