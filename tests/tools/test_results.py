@@ -39,6 +39,15 @@ def test_a_command_that_fails_leaves_no_page(folder: Path) -> None:
     assert list(folder.iterdir()) == []
 
 
+def test_a_bench_that_misses_its_bar_has_its_page_and_says_so(folder: Path, tmp_path: Path) -> None:
+    bench = tmp_path / "bench.py"
+    bench.write_text("print('| a | b |')\nraise SystemExit(1)\n")
+    assert results.write("missed", Page("Missed", "", (str(bench),)), busy=False).endswith("exit code 1")
+    text = (folder / "missed.md").read_text()
+    assert "| verdict | missed: exit code 1 |" in text
+    assert "| a | b |" in text
+
+
 def test_a_page_of_speed_wants_a_machine_to_itself(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(results, "OTHER_LOAD", -1.0)
     speed = Page("Speed", "", HELP.command, idle=True)
