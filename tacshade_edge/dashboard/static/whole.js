@@ -11,7 +11,6 @@ const TOPIC = /^tacshade\/hand\/([^/]+)\/(state|objects)$/;
 const STALE_MS = 3000;
 const AXES = ["x", "y", "z"], NORMAL_MM = 8, MARGIN_MM = 6;
 const SLIPS = ["sticks", "slips in part", "slips"];
-const SVG = "http://www.w3.org/2000/svg";
 const $ = (id) => document.getElementById(id);
 
 export class Whole {
@@ -177,10 +176,10 @@ function paint({ canvas }, map, geometry, scale_mm) {
 }
 
 function shape(name, attributes, title) {
-  const made = document.createElementNS(SVG, name);
+  const made = document.createElementNS($("whole-plane").namespaceURI, name);
   for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
   if (title !== undefined) {
-    const told = document.createElementNS(SVG, "title");
+    const told = document.createElementNS($("whole-plane").namespaceURI, "title");
     told.textContent = title;
     made.append(told);
   }
