@@ -1,11 +1,14 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from support.float_network import float_network
 
 from tacshade_edge.core.depth.network_maps import KNOWN
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.devices.weights.network import load_network, network_files
+from tacshade_edge.devices.weights.network import network_files
 from tacshade_edge.devices.weights.onnx_weights import values_of
 
 torch = pytest.importorskip("torch", reason="PyTorch (the extra fit) is not installed")
@@ -13,10 +16,10 @@ pytestmark = pytest.mark.fit
 
 
 @pytest.mark.parametrize("name", ["fast", "balanced", "accurate"])
-def test_it_computes_what_onnx_runtime_does(name: str) -> None:
+def test_it_computes_what_onnx_runtime_does(name: str, tmp_path: Path) -> None:
     from tacshade_edge.fitting.torch_network import TorchNetwork
 
-    shipped, (frame, _) = load_network(name), network_files(name)
+    shipped, (frame, _) = float_network(name, tmp_path), network_files(name)
     rng, side, folded = np.random.default_rng(0), PROFILES[name].cells // shipped.fold, shipped.fold**2
     sensor = shipped.sense(rng.random((folded + KNOWN, side, side), dtype=np.float32))
     white = rng.random((folded, side, side), dtype=np.float32)

@@ -14,7 +14,8 @@ from tacshade_edge.core.depth import DisplacementNetwork, Network, NetworkMaps, 
 from tacshade_edge.core.depth.sigma import TERMS
 from tacshade_edge.core.profiles import PROFILES, Profile
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.devices.weights.onnx_weights import layout_of, values_of, weights_of, with_values
+from tacshade_edge.devices.free_memory import return_free_memory
+from tacshade_edge.devices.weights.onnx_weights import layout_of, values_of, weights_of, with_values, with_weights_of
 from tacshade_edge.types import F32, Calibration, FittedNetwork
 
 if TYPE_CHECKING:
@@ -37,22 +38,30 @@ def load_network(name: str, fitted: FittedNetwork | None = None) -> Network:
 def read_network(onnx: Path, fitted: FittedNetwork | None = None) -> Network:
     """Read an ONNX file and those beside it: JSON and ``.sensor.onnx`` (tools/train/export.py)."""
     about = _about(onnx)
-    frame: bytes | Path = onnx
-    once: bytes | Path = _beside(onnx)
+    frame, once = onnx.read_bytes(), _beside(onnx).read_bytes()
     if fitted is not None:
-        frame, once = onnx.read_bytes(), _beside(onnx).read_bytes()
         if fitted.layout != layout_of(frame, once):
             raise ValueError(f"fitted to another layout than that of {onnx.name}")
         frames = len(values_of(frame))
         frame, once = with_values(frame, fitted.weights[:frames]), with_values(once, fitted.weights[frames:])
-    session, correction = _session(frame), None if fitted is None else fitted.correction
+    session, correction = _session(in_integers(onnx, frame)), None if fitted is None else fitted.correction
 
     def run(white: F32, sensor: F32) -> NetworkMaps:
         maps, foreign = session.run(None, {"white": white[None], "sensor": sensor[None]})
         return NetworkMaps(maps[0], foreign[0, 0])
 
     displacement = read_displacement(WEIGHTS / "displacement.onnx")
+    return_free_memory()  # of `accurate` 8 MB
     return Network(int(about["fold"]), _sensing(once, correction), run, displacement, _sigma(onnx.stem))
+
+
+def in_integers(onnx: Path, frame: bytes) -> bytes:
+    """The weights of a network that is run for every frame in its integer graph, where there is one.
+
+    ``NAME.integer.onnx`` (tools/train/integer.py) has no weights of its own and rounds those that it is given.
+    """
+    graph = onnx.with_suffix(".integer.onnx")
+    return with_weights_of(graph.read_bytes(), frame) if graph.exists() else frame
 
 
 def network_files(name: str) -> tuple[bytes, bytes]:

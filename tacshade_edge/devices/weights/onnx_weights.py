@@ -128,6 +128,31 @@ def with_values(data: bytes, values: F32) -> bytes:
     return bytes(made)
 
 
+def with_weights_of(graph: bytes, data: bytes) -> bytes:
+    """A network that has no weights, with those of another file."""
+    lies = graph_of(data)
+    weights = b"".join(
+        message(_INITIALIZER, data[field.begin : field.end])
+        for field in fields(data, lies.begin, lies.end)
+        if field.number == _INITIALIZER
+    )
+    return joined(graph, weights)
+
+
+def joined(graph: bytes, more: bytes) -> bytes:
+    """A network with more fields in its graph: of a message that is there twice the lists are put end to end."""
+    return graph + message(_GRAPH, more)
+
+
+def message(number: int, content: bytes) -> bytes:
+    """A field that holds bytes or a message; its number is below 16."""
+    made, left = bytearray([number << 3 | _BYTES]), len(content)
+    while left > 127:
+        made.append(left & 127 | 128)
+        left >>= 7
+    return bytes(made) + bytes([left]) + content
+
+
 def _weight(data: bytes, tensor: Field) -> Weight:
     shape: list[int] = []
     name, raw, kind = "", None, 0

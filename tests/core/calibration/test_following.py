@@ -149,7 +149,7 @@ def test_damage_is_not_followed_however_slowly_it_comes(
 def test_an_object_laid_on_over_hours_is_found_as_one_that_comes_at_once(
     name: str, x_mm: float, model: SensorModel
 ) -> None:
-    """A fiftieth of a millimetre at a time: contact is found at most 0.15 mm later, and a depth is 0.06 mm off."""
+    """A fiftieth of a millimetre at a time: contact is found at most 0.15 mm later, and a depth is 0.07 mm off."""
     origin = calibrated(model, 0)
 
     def images(depth_mm: float, seed: int = 0) -> list[U8]:
@@ -174,7 +174,7 @@ def test_an_object_laid_on_over_hours_is_found_as_one_that_comes_at_once(
     assert depth_mm - (depth_mm if at_once_mm is None else at_once_mm) <= 0.15
     deep = Frame(0, 0, 0, images(1.5)[0])
     depths = [reconstructor.step(deep).depth_max_mm for reconstructor in (first, following)]
-    assert depths[1] == pytest.approx(depths[0], abs=0.06)
+    assert depths[1] == pytest.approx(depths[0], abs=0.07)
 
 
 def test_a_sensor_that_trembles_does_not_raise_its_gate() -> None:

@@ -9,7 +9,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tacshade_edge.devices.weights.network import WEIGHTS, network_files
-from tacshade_edge.devices.weights.onnx_weights import layout_of, nodes_of, values_of, weights_of, with_values
+from tacshade_edge.devices.weights.onnx_weights import (
+    fields,
+    graph_of,
+    layout_of,
+    message,
+    nodes_of,
+    values_of,
+    weights_of,
+    with_values,
+    with_weights_of,
+)
 
 NAMES = ("accurate", "balanced", "fast", "displacement")
 FAST = network_files("fast")[0]
@@ -35,6 +45,17 @@ def test_its_own_weights_change_nothing_and_others_not_the_layout(name: str) -> 
         assert other != data
         assert layout_of(other) == layout_of(data)
         np.testing.assert_array_equal(values_of(other), values + np.float32(1))
+
+
+def test_a_graph_takes_the_weights_of_another_file() -> None:
+    """Also weights longer than a length of one byte tells; whoever reads the file finds them in a second graph."""
+    graph = graph_of(FAST)
+    nodes = b"".join(message(1, FAST[f.begin : f.end]) for f in fields(FAST, graph.begin, graph.end) if f.number == 1)
+    bare = message(7, nodes)
+    made = with_weights_of(bare, FAST)
+    assert made.startswith(bare)
+    assert nodes_of(made) == nodes_of(FAST)
+    np.testing.assert_array_equal(values_of(made[len(bare) :]), values_of(FAST))
 
 
 def test_networks_of_another_shape_have_another_layout() -> None:
