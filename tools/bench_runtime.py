@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""The shipped networks run by OpenCV's DNN module and by ONNX Runtime, one thread, in turns.
+"""The shipped networks run by OpenCV's DNN module and by ONNX Runtime, also in integers, one thread, in turns.
 
 ::
 
     .venv/bin/python tools/bench_runtime.py [--rounds 5] [--runs 200]
 
-Each figure is the median over the rounds of a round's median (p50) or 99th percentile (p99); the ratio is of p50.
+Each figure is the median over the rounds of a round's median (p50) or 99th percentile (p99); ratios are of p50.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import onnxruntime
 from bench_stages import timed_ms
 
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.devices.weights.network import WEIGHTS
+from tacshade_edge.devices.weights.network import WEIGHTS, in_integers
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import F32
 
@@ -34,7 +34,11 @@ def main() -> None:
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     lines = []
     for path in (WEIGHTS / f"{profile.network}.onnx" for profile in PROFILES.values() if profile.network):
-        session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
+        data = path.read_bytes()
+        session, integers = (
+            onnxruntime.InferenceSession(each, options, providers=["CPUExecutionProvider"])
+            for each in (data, in_integers(path, data))
+        )
         rng = np.random.default_rng(0)
         maps = {each.name: rng.random(each.shape, dtype=np.float32) for each in session.get_inputs()}
         net = cv2.dnn.readNetFromONNX(str(path))
@@ -47,12 +51,18 @@ def main() -> None:
         def by_onnxruntime(session: onnxruntime.InferenceSession = session, maps: dict[str, F32] = maps) -> object:
             return session.run(None, maps)
 
+        def by_integers(session: onnxruntime.InferenceSession = integers, maps: dict[str, F32] = maps) -> object:
+            return session.run(None, maps)
+
         off = float(np.abs(np.asarray(by_opencv()) - by_onnxruntime()[0]).max())  # type: ignore[index]
-        found = [[timed_ms(run, args.runs) for run in (by_opencv, by_onnxruntime)] for _ in range(args.rounds)]
-        (p50, p99), (other50, other99) = np.median(found, axis=0)
+        runs = (by_opencv, by_onnxruntime, by_integers)
+        found = [[timed_ms(run, args.runs) for run in runs] for _ in range(args.rounds)]
+        (p50, p99), (other50, other99), (integer50, integer99) = np.median(found, axis=0)
         figures = [f"{value:.3f}" for value in (p50, p99, other50, other99)]
-        lines.append([path.stem, *figures, f"{p50 / other50:.2f}", f"{off:.1e}"])
+        integer = [f"{integer50:.3f}", f"{integer99:.3f}", f"{other50 / integer50:.2f}"]
+        lines.append([path.stem, *figures, f"{p50 / other50:.2f}", f"{off:.1e}", *integer])
     heads = ["network", "OpenCV p50 ms", "p99", "ONNX Runtime p50 ms", "p99", "ratio", "greatest difference"]
+    heads += ["integers p50 ms", "p99", "ratio"]
     print(f"OpenCV {cv2.__version__}, ONNX Runtime {onnxruntime.__version__}\n")
     print(markdown(heads, lines))
 
