@@ -27,7 +27,6 @@ import torch
 from data import KINDS, Data, batch, load, shards_in
 from loss import FIGURES, LOSSES
 from network import NETS, DisplacementNet, Net, add_in_place_of_joining, grow
-from quantised import quantise
 from shipped import shipped
 from torch import Tensor
 from torch.nn import functional
@@ -61,7 +60,6 @@ def arguments() -> argparse.Namespace:
         "--start", type=Path, metavar="CHECKPOINT", help="its averaged weights begin, of the same or lesser widths"
     )
     parser.add_argument("--shipped", metavar="NAME", help="weights that are shipped begin; of depth, not displacement")
-    parser.add_argument("--quantised", type=int, metavar="STEPS", help="the last steps train 8-bit convolutions")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--device", default="cpu")
@@ -208,14 +206,9 @@ def main() -> None:
     args.out.mkdir(parents=True, exist_ok=True)
     run = Run(args)
     print(f"step {run.step}: frames { ({kind: len(d.frame) for kind, d in run.data.items()}) }", flush=True)
-    quantise_at = args.steps - (args.quantised or 0)
-    if args.quantised and run.step > quantise_at:
-        quantise(run.net)
     start, total, since = time.perf_counter(), 0.0, run.step
     with ThreadPoolExecutor(args.threads) as pool:
         for made in run.batches(pool):
-            if args.quantised and run.step == quantise_at:
-                quantise(run.net)
             total += run.learn(made)
             if run.step % args.report == 0 or run.step == args.steps:
                 seconds, steps = time.perf_counter() - start, run.step - since
