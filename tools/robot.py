@@ -272,6 +272,7 @@ class PtyRobot:
         with self._lock:
             fds = self._fds
             if fds is None:
+                self._out.clear()  # said into a cable that is pulled
                 return
             while self._out and self._out[0][0] <= now_s and not stalled:
                 due_s, order, data = heapq.heappop(self._out)

@@ -256,7 +256,7 @@ def test_a_silent_camera_degrades_after_the_stall_time(
     app = Running(document(tmp_path, broker.port), scripted(script), calibration)
     wait_until(lambda: last(seen, "status/camera").get("state") == "streaming", 10, "streaming")
     wait_until(lambda: last(seen, "status/camera")["reason_code"] == "stalled", 10, "stalled")
-    assert states(seen)[-1] == "degraded"
+    wait_until(lambda: states(seen)[-1] == "degraded", 10, "degraded")
     release.set()
     app.join()
     wait_until(lambda: states(seen)[-1] == "stopped", 5, "stopped")
