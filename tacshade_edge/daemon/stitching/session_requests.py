@@ -109,7 +109,6 @@ class _ObservingSink:
     def deliver(
         self, frame: Frame, result: Reconstruction | None, calibration: Calibration | None
     ) -> FrameOutcome | None:
-        outcome = self._sink.deliver(frame, result, calibration)
-        if result is not None and calibration is not None:
+        if result is not None and calibration is not None:  # first: who is told of a contact may begin a session
             self._worker.observe(frame, result, calibration)
-        return outcome
+        return self._sink.deliver(frame, result, calibration)
