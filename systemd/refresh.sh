@@ -1,10 +1,13 @@
 #!/bin/sh
-# refresh.sh LIB: has this machine know what came to LIB or went from there: the user and what he may read, units, rules.
+# refresh.sh LIB: has this machine know what came to LIB or went from there: the user, what is his to read and write, units,
+# rules.
 set -eu
 users=$1/sysusers.d/tacshade-edge.conf
 if [ -e "$users" ]; then
   systemd-sysusers "$users"
   chgrp -R tacshade-edge /etc/tacshade-edge
+  # As the unit would at its first start: a person calibrates before that.
+  [ -d /var/lib/tacshade-edge ] || install -d -o tacshade-edge -g tacshade-edge /var/lib/tacshade-edge
 fi
 # Neither runs where a disk's image is made.
 [ ! -d /run/systemd/system ] || systemctl daemon-reload

@@ -34,6 +34,8 @@ ELF_MACHINES = {"x86_64": 62, "aarch64": 183}
 UV = (sys.executable, "-m", "uv")
 LOCK = TREE / "systemd/requirements.lock"
 CONFFILES = ("etc/tacshade-edge/config.yaml", "etc/mosquitto/conf.d/tacshade.conf", "etc/mosquitto/tacshade.acl")
+OURS = ("refresh.sh", "hand.conf", "rpicam.conf", "serial.conf")
+"""What the scripts run, and what a person puts where he needs it."""
 SCRIPTS = ("preinst", "postinst", "prerm", "postrm")
 CONTROL = """\
 Package: tacshade-edge
@@ -89,7 +91,9 @@ def stage(root: Path, wheel: Path, machine: str, python: str, told: str) -> None
     environment(root / APP, wheel, machine, python)
     below = os.environ | {"DESTDIR": str(root), "LIB": "/usr/lib"}
     subprocess.run((TREE / "systemd/install.sh",), env=below, check=True)
-    shutil.copy(TREE / "systemd/refresh.sh", root / APP)
+    (root / APP / "systemd").mkdir()
+    for name in OURS:
+        shutil.copy(TREE / "systemd" / name, root / APP / "systemd")
     (root / "usr/bin").mkdir(parents=True)
     (root / "usr/bin/tacshade-edge").symlink_to(f"/{APP}/bin/tacshade-edge")
     about = root / "usr/share/doc/tacshade-edge"

@@ -5,9 +5,10 @@
 
     tools/run_arm.py [--python 3.11 3.13] [--skip-quick]
 
-For each Python: the wheels of the lock, one frame after the other against this machine's, a minute of the daemon, the
-quick tests (half an hour each: nothing is emulated fast). For one: the instructions of a frame, and what they would
-take on a Pi. Needs root; tools/rig/arm64.py says what else. Exit 1 when something failed.
+For each Python: the wheels of the lock, one frame after the other against this machine's, a minute of the daemon, maps
+by the command of its Debian package, the quick tests (half an hour each: nothing is emulated fast). For one: the
+instructions of a frame, and what they would take on a Pi. Needs root; tools/rig/arm64.py says what else. Exit 1 when
+something failed.
 """
 
 from __future__ import annotations
@@ -128,6 +129,18 @@ def daemon(python: str) -> list[str]:
     return wrong
 
 
+def package(python: str) -> list[str]:
+    """The Debian package, unpacked as dpkg would: its command, by Debian's Python, in its own environment."""
+    debs = TREE / GIVEN / f"deb-{python}"
+    words = ("--machine", "aarch64", "--python", python, "--level", "1", "--out", str(debs))
+    subprocess.run((sys.executable, "tools/package_debian.py", *words), cwd=TREE, check=True)
+    made = max(debs.glob("*.deb"), key=lambda file: file.stat().st_mtime).relative_to(TREE)
+    unpack = f"rm -rf /opt/tacshade-edge && dpkg-deb --extract {made} /"
+    command = f"{GIVEN}/images/*.png --calibration {GIVEN}/calibration.npz --out /tmp/maps"
+    script = f"{unpack} && cd /src && env -u PYTHONPATH tacshade-edge reconstruct {command}"
+    return ["its command failed"] if arm(python, "sh", "-c", script) else []
+
+
 def quick(python: str) -> list[str]:
     """The quick tests there."""
     words = ("-p", "no:cacheprovider", "-n", WORKERS, "--dist", "worksteal", "-m", QUICK)
@@ -170,7 +183,9 @@ def main() -> int:
         subprocess.run((sys.executable, "tools/arm_frames.py", *words), cwd=TREE, check=True)
     wrong = []
     for python in args.python:
-        stages = {"frames": same_frames, "daemon": daemon} | ({} if args.skip_quick else {"quick": quick})
+        stages = {"frames": same_frames, "daemon": daemon, "package": package} | (
+            {} if args.skip_quick else {"quick": quick}
+        )
         for name, stage in stages.items():
             began_s = time.monotonic()
             print(f"\n--- Python {python}: {name}", flush=True)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import shutil
 import time
 from pathlib import Path
 from typing import Any
@@ -57,13 +56,12 @@ def installs() -> dict[str, Any]:
 
 
 def starts() -> dict[str, Any]:
-    STATE.mkdir(exist_ok=True)
-    shutil.copy("/payload/calibration.npz", STATE)
-    for path in (STATE, STATE / "calibration.npz"):
-        shutil.chown(path, "tacshade-edge", "tacshade-edge")
+    owner = STATE.owner()  # a person calibrates before the first start
+    sh("install", "-o", "tacshade-edge", "/payload/calibration.npz", str(STATE))
     code = fresh(SETTINGS)
     now = until(streaming, 20)
-    return {"code": code, "now": now, "process": process(now["MainPID"]), "calibration": calibration()}
+    seen = {"owner": owner, "code": code, "now": now, "process": process(now["MainPID"])}
+    return {**seen, "calibration": calibration()}
 
 
 def upgrades() -> dict[str, Any]:

@@ -116,6 +116,7 @@ def test_it_is_installed_and_enabled(seen: dict[str, Any]) -> None:
 
 def test_it_streams_unprivileged(seen: dict[str, Any]) -> None:
     starts = seen["starts"]
+    assert starts["owner"] == "tacshade-edge"
     assert starts["code"] == 0, seen["journal"]
     assert streams(starts["now"]), starts["now"]
     assert "0" not in starts["process"]["Uid"].split()
