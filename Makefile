@@ -5,7 +5,7 @@
 # make lock    newer wheels for boards, on purpose: systemd/requirements.lock and the bill of what is in them
 # make test    everything, with the real broker and a guest with a real kernel's video devices
 # make test-arm  a board's processor, emulated: both Pythons, a minute of the daemon, instructions a frame; over an hour, root
-# make test-container  the image, built on a base of Debian's packages and run; 2 minutes, root
+# make test-container  the image, built on a base of Debian's packages, run on a virtual camera; 5 minutes, root
 # make faults  the table of docs/reliability.md, about 4 minutes
 PYTHON ?= python3
 PY := .venv/bin/python
@@ -47,7 +47,7 @@ test-arm: .venv/dev.stamp
 	$(PY) tools/run_arm.py
 
 test-container: .venv/dev.stamp
-	tools/install_debian.sh mmdebstrap buildah
+	tools/install_debian.sh mmdebstrap podman
 	$(PY) -m pytest -m container -rs -s
 
 deb: .venv/dev.stamp
@@ -55,7 +55,7 @@ deb: .venv/dev.stamp
 
 IMAGE_TOOL ?= podman
 image:
-	$(IMAGE_TOOL) build --file Containerfile --build-arg VERSION=$$($(PYTHON) tools/release_version.py) --tag tacshade-edge .
+	$(IMAGE_TOOL) build --file Containerfile --build-arg TACSHADE_EDGE_VERSION=$$($(PYTHON) tools/release_version.py) --tag tacshade-edge .
 
 lock: .venv/dev.stamp
 	$(PY) tools/lock.py

@@ -1,11 +1,13 @@
 """The version that a build gets, which pyproject.toml asks here: the tag's, and beyond it the next one's development.
 
-`git describe` tells both; in an sdist PKG-INFO does, in an archive that git made, ``archive_version.txt``.
+`git describe` tells both; in an sdist PKG-INFO does, in an archive that git made, ``archive_version.txt``. Where a part
+of the tree is built elsewhere, as for an image, who sends it there tells by ``TACSHADE_EDGE_VERSION``.
 """
 
 from __future__ import annotations
 
 import email
+import os
 import re
 import subprocess
 from pathlib import Path
@@ -19,6 +21,8 @@ _DESCRIBED = re.compile(r"v(\d+)\.(\d+)\.(\d+)(?:-(\d+)-g([0-9a-f]+))?")
 
 def version(root: Path = ROOT) -> str:
     """The version of the tree at `root`."""
+    if told := os.environ.get("TACSHADE_EDGE_VERSION"):
+        return told
     if (about := root / "PKG-INFO").is_file():
         return str(email.message_from_string(about.read_text(encoding="utf-8"))["Version"])
     if (root / ".git").exists():  # else git would describe whatever repository lies around it

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ from typing import Any
 import pytest
 from support.booted_machine import CHECKOUT, cannot_boot, seen_there
 from support.calibrated_sensor import FULL, calibrated
+from support.locked_wheels import fetch
 from support.patience import stretched
 
 from tacshade_edge.devices.files import calibration_file
@@ -29,15 +29,6 @@ def copy_checkout(folder: Path) -> None:
         shutil.copy(CHECKOUT / name, folder / name)
 
 
-def fill(wheels: Path) -> None:
-    """All that pip needs to build and install the program without a network."""
-    command = [sys.executable, "-m", "pip", "download", "--quiet", "--require-hashes", "--no-deps", "-d", str(wheels)]
-    lock = CHECKOUT / "systemd/requirements.lock"
-    done = subprocess.run([*command, "-r", str(lock)], capture_output=True, text=True, check=False)
-    if done.returncode:
-        pytest.skip(f"pip cannot fetch the program's packages here: {done.stderr.strip()[-300:]}")
-
-
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     if reason := cannot_boot():
@@ -45,7 +36,7 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     folder = tmp_path_factory.mktemp("boot")
     calibration_file.save(folder / "calibration.npz", calibrated(FULL))
     copy_checkout(folder / "checkout")
-    fill(folder / "wheels")
+    fetch(folder / "wheels")
     python = f"/opt/python/bin/python{sys.version_info[0]}.{sys.version_info[1]}"
     binds = [f"--bind-ro={sys.base_prefix}:/opt/python", f"--bind-ro={folder / 'wheels'}:/wheels"]
     return seen_there(folder, "scenario.py", python, *binds)

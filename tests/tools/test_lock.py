@@ -17,9 +17,9 @@ import pytest
 from bill import BUNDLED
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+from support.locked_wheels import LOCK, fetch
 
 ROOT = Path(__file__).parents[2]
-LOCK = ROOT / "systemd/requirements.lock"
 BILL = json.loads((ROOT / "docs/bill.cdx.json").read_text())
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 # None asks more of who passes the wheels on than to name it and its source; the exception is for what GCC compiled.
@@ -102,12 +102,7 @@ def contents(folder: Path) -> dict[str, str]:
 @pytest.fixture(scope="module")
 def wheels(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What the lock names, fetched once."""
-    folder = tmp_path_factory.mktemp("wheels")
-    command = [sys.executable, "-m", "pip", "download", "--quiet", "--require-hashes", "--no-deps", "-d", str(folder)]
-    done = subprocess.run([*command, "-r", str(LOCK)], capture_output=True, text=True, check=False)
-    if done.returncode:
-        pytest.skip(f"pip cannot fetch the program's packages here: {done.stderr.strip()[-300:]}")
-    return folder
+    return fetch(tmp_path_factory.mktemp("wheels"))
 
 
 def environment(script: Path, folder: Path, wheels: Path) -> subprocess.CompletedProcess[str]:

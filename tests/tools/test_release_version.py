@@ -45,6 +45,13 @@ def test_what_follows_a_tag_lies_between_it_and_the_next(major: int, minor: int,
     assert at < later < Version(f"{major}.{minor}.{patch + 1}")
 
 
+def test_who_sends_a_part_of_the_tree_tells_its_version(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TACSHADE_EDGE_VERSION", "1.2.3")
+    assert version(tmp_path) == "1.2.3"
+    monkeypatch.setenv("TACSHADE_EDGE_VERSION", "")
+    assert version(tmp_path) == UNKNOWN
+
+
 @pytest.mark.parametrize("text", ["", "v1.2", "1.2.3", "v1.2.3-rc1", "v1.2.3-4", "$Format:%(describe)$"])
 def test_what_is_no_release_is_unknown(text: str) -> None:
     assert version_of(text) == UNKNOWN
