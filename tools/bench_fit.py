@@ -213,7 +213,7 @@ def measured(case: str, threads: int) -> dict[str, object]:
     return {
         "fit_s": fit_s,
         "memory_mb": memory_mb,
-        "reports": {report.profile: {"kept": report.kept, "part": report.part} for report in fitted.profiles},
+        "reports": {report.profile: report.kept for report in fitted.profiles},
         "cost": cost(sensor, calibrations),
         "rows": [asdict(row) for row in judge(name, sensor, calibrations)],
     }
@@ -251,7 +251,7 @@ def of_objects(rows: list[Judged], value: str) -> list[float]:
     return [float(np.nanmean(values)) for values in each]
 
 
-def accuracy(case: str, kept: Mapping[str, Mapping[str, float]], rows: list[Judged]) -> list[list[str]]:
+def accuracy(case: str, kept: Mapping[str, bool], rows: list[Judged]) -> list[list[str]]:
     """Lines of the table of accuracy."""
     lines = []
     for profile in LADDER:
@@ -264,9 +264,9 @@ def accuracy(case: str, kept: Mapping[str, Mapping[str, float]], rows: list[Judg
                 cells.append(
                     (f"{np.mean(me):.3f}", f"{max(me):.3f}", f"{np.mean(sd):.1f}", f"{min(sd):.1f}", f"{iou:.2f}")
                 )
-            way = f"{kept[profile]['part']:g}" if kept[profile]["kept"] else "none"
             depth = f"{BEYOND_MM:g} mm" if judged == "beyond" else f"to {PRESSED_MM[1]:g} mm"
-            lines.append([case, profile, depth, way, *(cell for pair in zip(*cells, strict=True) for cell in pair)])
+            stays = "yes" if kept[profile] else "no"
+            lines.append([case, profile, depth, stays, *(cell for pair in zip(*cells, strict=True) for cell in pair)])
     return lines
 
 
@@ -312,7 +312,7 @@ def main() -> None:
         return [f"{name} {what}" for name in names for what in ("shipped", "fitted")]
 
     first = ["sensor", "method"]
-    print(markdown([*first, "depth", "way", *pairs("ME mm", "worst", "SD %", "worst SD", "IoU")], accurate))
+    print(markdown([*first, "depth", "kept", *pairs("ME mm", "worst", "SD %", "worst SD", "IoU")], accurate))
     print(f"\nDragged by {DRAG_MM:g} mm, {DRAGGED_MM:g} mm deep, fitted to presses that were not dragged\n")
     print(markdown([*first, *pairs("ME still mm", "ME dragged mm", "ratio", "displacement off mm")], drags))
     print(f"\nThe fit of all profiles; file, start and a frame of `{DEFAULT}`\n")

@@ -166,8 +166,8 @@ thing was made wrong. Of a re-zero, "said" is the right answer, taken or refused
 Simulated sensors of the other family and the default one, calibrated on 5 references and 40 presses up to 4.5 mm deep
 (balls of three sizes, flat ends of two, a square, a lying bar; `/balls`: balls alone) that are stated with an error,
 and fitted to the same. Judged on the paper's five objects at 3 places, 1.5, 3 and 4.5 mm deep, and at 6 mm, a third
-deeper than the deepest press. Worst is the worst object's mean; way is the part of the way from the shipped weights
-to the trained ones that was kept. ME, SD and IoU as of [the paper's five objects](objects.md).""",
+deeper than the deepest press. Worst is the worst object's mean; a fit that is no better on presses that were held out
+is not kept. ME, SD and IoU as of [the paper's five objects](objects.md).""",
         ("bench_fit.py", "--folder", "out/fit"),
     ),
     "stages": Page(

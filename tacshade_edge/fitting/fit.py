@@ -48,15 +48,12 @@ class ProfileReport:
         Of each indenter; `fitted_mm` is what was trained, kept or not.
     kept : bool
         Whether it is better than the shipped network, so that it goes into the calibration.
-    part : float
-        Of the way from the shipped weights to the trained ones, (0, 1]: where the fitted network lies.
     """
 
     profile: str
     shipped_mm: dict[str, float]
     fitted_mm: dict[str, float]
     kept: bool
-    part: float
 
     @property
     def line(self) -> str:
@@ -150,7 +147,7 @@ class _Run:
         scale = fitted_error_scale(self._judge, network, sensor + correction, self._geometry)
         made = FittedNetwork(made.layout, made.weights, correction, made.held_out, error_mm, shipped_mm, scale)
         kept = error_mm < (1 - LEAST_GAIN) * shipped_mm
-        return made, ProfileReport(self.name, before, after, kept, self.training.part)
+        return made, ProfileReport(self.name, before, after, kept)
 
 
 def _train(run: _Run, later: Sequence[_Run], what: str, say: Say) -> None:
