@@ -515,7 +515,8 @@ def test_a_broker_that_comes_late_and_restarts_gets_the_stream_without_help(
             with Subscriber(broker.port) as seen:
                 first, *_, latest = (wire.decode(p) for p in seen.wait_for(f"{BASE}/height", 5, 10))
                 assert latest.seq > first.seq
-                assert states(seen)[-1] == "online"
+                seen.wait_for_last(f"{BASE}/state", b"online")
+                seen.wait_for(f"{BASE}/info")
                 assert last(seen, "info")["geometry"]["calibration_crc32"] == calibration.crc32
             broker.stop()
         counts = ledger.counts()

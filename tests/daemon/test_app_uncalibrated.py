@@ -80,7 +80,7 @@ def test_the_picture_until_a_calibration_comes(
             assert f"not calibrated: found no file {tmp_path}/c.npz" in told["reason"]
             assert f"tacshade-edge capture DIR --config {path}" in told["reason"]
             assert f"--out {tmp_path}/c.npz" in told["reason"]
-            assert seen.of(f"{BASE}/state")[-1] == b"degraded"
+            seen.wait_for_last(f"{BASE}/state", b"degraded")
             assert json.loads(seen.wait_for("homeassistant/button/tacshade/rezero/config")[0])["name"] == "Re-zero"
             info = last("info")
             assert (info["geometry"], info["reference"], info["reason_code"]) == (None, None, CODE)

@@ -94,7 +94,7 @@ def test_broker_absent_stopped_restarted_and_stalled(
         since_ns = time.monotonic_ns()
         with Subscriber(broker.port) as seen:
             stream_is_back(seen, since_ns)
-            assert seen.wait_for(f"{BASE}/state")[-1] == b"online"
+            seen.wait_for_last(f"{BASE}/state", b"online")
         broker.stop()
         promised(lambda: said.read_text().rstrip().endswith("Connection refused"), BACK_S, "the loss is told")
         threading.Event().wait(AWAY_S)

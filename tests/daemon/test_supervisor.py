@@ -127,7 +127,7 @@ def test_one_that_dies_or_cannot_start_touches_no_other(folder: Path, broker: Br
             wait_until(lambda: bool(health(seen, "ring")), 20, "the mended one runs after a reload")
             running.process.send_signal(signal.SIGTERM)
             assert running.process.wait(patience(10)) == 0
-            assert seen.of("tacshade/ring/state")[-1] == b"stopped"
+            seen.wait_for_last("tacshade/ring/state", b"stopped")
         finally:
             running.close()
     text = running.log.read_text()

@@ -34,7 +34,7 @@ def test_a_wrong_name_and_an_absent_broker_are_told() -> None:
 
 def test_the_newest_wins_and_no_thread_is_made(tmp_path: Path) -> None:
     with Broker(tmp_path) as broker, PublishedHand(broker.port) as hand:
-        before = threading.active_count()
+        before = set(threading.enumerate())
         with ts.listen(f"127.0.0.1:{broker.port}", "drawn") as results:
             hand.show(bump(1, 2.0, 230, 320, 4))
             first = next(results)
@@ -45,7 +45,7 @@ def test_the_newest_wins_and_no_thread_is_made(tmp_path: Path) -> None:
             while last.seq < 10:
                 last = next(results)
             assert (first.seq, first.in_contact, last.in_contact) == (1, True, False)
-            assert threading.active_count() == before
+            assert set(threading.enumerate()) <= before  # one of the broker's or the hand's may have ended
         assert next(results, None) is None
 
 

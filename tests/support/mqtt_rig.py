@@ -138,3 +138,7 @@ class Subscriber:
     def wait_for(self, topic: str, count: int = 1, timeout_s: float = 5) -> list[bytes]:
         wait_until(lambda: len(self.of(topic)) >= count, timeout_s, f"{count} x {topic}, got {len(self.of(topic))}")
         return self.of(topic)
+
+    def wait_for_last(self, topic: str, payload: bytes, timeout_s: float = 5) -> None:
+        """Until the latest of a topic is this."""
+        wait_until(lambda: self.of(topic)[-1:] == [payload], timeout_s, f"{payload!r} last of {topic}")

@@ -145,7 +145,7 @@ def test_objects_of_both_fingers_come_in_the_hands_frame_and_no_part_needs_anoth
 
         running.send_signal(signal.SIGTERM)
         assert running.wait(patience(10)) == 0
-        assert seen.of(f"{BASE}/state")[-1] == b"stopped"
+        seen.wait_for_last(f"{BASE}/state", b"stopped")
         health = told(seen, f"{BASE}/health")
         assert health["undecodable"] == 0
         assert all(count > 0 for count in health["heard"].values())

@@ -67,8 +67,7 @@ def test_an_endless_loop_ends_cleanly_with_ctrl_c(tmp_path: Path, given: list[st
         assert child.returncode == 0
         assert errors == ""
         assert "frames, " in said
-        seen.wait_for("tacshade/left/state", 2)
-        assert seen.of("tacshade/left/state")[-1] == b"stopped"
+        seen.wait_for_last("tacshade/left/state", b"stopped")
 
 
 @pytest.mark.broker
