@@ -40,8 +40,9 @@ PYTHONS = ("3.11", "3.13")
 QUICK = "not guest and not broker and not slow and not browser"
 WORKERS = str(os.cpu_count() or 1)
 DAEMON_S, FPS = 60, 5
-HEIGHT_MAX_MM = {"paper": 0.25, "fast": 0.05, "balanced": 0.05, "accurate": 0.05}
-"""Between the two machines, of any cell: other kernels of OpenCV's interpolation and of the networks."""
+HEIGHT_MAX_MM = {"paper": 0.25, "fast": 0.1, "balanced": 0.1, "accurate": 0.1}
+"""Between the two machines, of any cell: other kernels of OpenCV's interpolation and of the networks' first layer, which
+is in floats: a code that it rounds to the other side is worth up to 0.09 mm."""
 WHITE_MAX_PART = 0.002
 COUNT = 5
 # Instructions a second of one core: its clock times what code like ours completes in a cycle, between a scalar loop
