@@ -105,6 +105,7 @@ class PtyRobot:
         self._where = where
         self.events: list[str] = []  # EVT lines
         self.replies: dict[int, str] = {}
+        self.answers: list[str] = []  # to what was asked, in order
         self._link = link
         self._rate_hz, self._binary, self._one_way, self.poses_max = rate_hz, binary, one_way, poses
         self._line = line
@@ -119,6 +120,7 @@ class PtyRobot:
         self._order = 0
         self._buffer = b""
         self._typed: list[str] = []
+        self._asked_seqs: set[int] = set()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="robot", daemon=True)
         self._boot()
@@ -161,7 +163,7 @@ class PtyRobot:
         self._stop.set()
 
     def ask(self, text: str) -> None:
-        """Send a command with the next number; its reply comes to `replies`, by number, without the checksum."""
+        """Send a command with the next number; its reply comes to `answers`, without the checksum."""
         self._typed.append(text)
 
     def true_s(self) -> float:
@@ -215,6 +217,7 @@ class PtyRobot:
                 return
         while self._typed:
             self._command(self._typed.pop(0), now_s)
+            self._asked_seqs.add(self._seq)
         if not self._one_way and now_s >= self._next_sync_s:
             self._ask_sync(now_s)
         period_s = 1 / self._rate_hz if self._rate_hz else math.inf
@@ -317,6 +320,9 @@ class PtyRobot:
 
     def _reply(self, seq: int, word: str, text: str, t4_ns: int) -> None:
         self.replies[seq] = text
+        if seq in self._asked_seqs:
+            self._asked_seqs.remove(seq)
+            self.answers.append(text)
         self.told.errors += word == "ERR"
         if self._sync and seq == self._sync[0]:
             self._sync, self._t4 = None, t4_ns

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from support.painted_sensor import FREE, HEIGHT, TOUCHED, WIDTH, painted_calibration
-from support.progress_lines import only_progress
+from support.progress_lines import only_progress, without_progress
 from support.trade_points import point
 
 from tacshade_edge.cli import main, tradeoff
@@ -63,7 +63,7 @@ def test_a_budget_that_none_keeps_and_a_missing_truth_exit_1(
     words = of_own(own, "--profile", "fast", "--budget-ms", "0.001", "--json", "--out", str(own / "out"))
     assert main(words) == 1
     printed = capsys.readouterr()
-    alone, missing, busy, over = printed.err.splitlines()
+    alone, missing, busy, over = without_progress(printed.err)
     assert "alone.npz: found no such file" in alone
     assert missing.startswith("tacshade-edge: tradeoff.png will be missing without matplotlib")
     assert "the machine was busy: frames took" in busy

@@ -61,16 +61,10 @@ def test_poses_and_commands_from_the_line_to_a_subscriber(
             assert status["device"] == str(link)
 
             def answer(text: str) -> str:
-                before = set(robot.replies)
+                before = len(robot.answers)
                 robot.ask(text)
-                wanted = text.split()[0]
-
-                def fresh() -> list[str]:
-                    new = [r for n, r in sorted(robot.replies.items()) if n not in before]
-                    return [r for r in new if len(r.split()) != 4 or not r.split()[-1].isdigit()]  # a SYNC's
-
-                wait_until(fresh, 15, f"an answer to {wanted}")
-                return fresh()[0]
+                wait_until(lambda: robot.answers[before:], 15, f"an answer to {text}")
+                return robot.answers[before]
 
             assert "frames=10 calibration_crc32=" in answer("REFERENCE")
             assert "camera=streaming fps=" in answer("STATUS")

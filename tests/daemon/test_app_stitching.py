@@ -122,15 +122,10 @@ class Cell:
 
     def command(self, text: str) -> str:
         """The answer on the serial line."""
-
-        def answer() -> str:
-            new = (r for n, r in sorted(self.robot.replies.items()) if n not in before)
-            return next((r for r in new if not r.split()[-1].isdigit()), "")  # not a SYNC's
-
-        before = set(self.robot.replies)
+        before = len(self.robot.answers)
         self.robot.ask(text)
-        self.until(answer, text)
-        return answer()
+        self.until(lambda: self.robot.answers[before:], text)
+        return self.robot.answers[before]
 
     def go(self, pose: PoseValues) -> None:
         """Lift, and move; the robot has told of it for a while when this returns."""

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 from support.calibrated_sensor import FULL, calibrated, pressed, unloaded
-from support.mqtt_rig import MOSQUITTO, Broker
+from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from support.patience import patience
 
 from tacshade_edge.cli import main
@@ -107,6 +107,8 @@ def test_a_running_hand(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPa
         daemon = subprocess.Popen([sys.executable, "-m", "tacshade_edge", "run", "--config", str(settings)])
         try:
             address = {"localhost:1883": f"127.0.0.1:{broker.port}"}
+            with Subscriber(broker.port) as seen:
+                seen.wait_for("tacshade/left-index/contact", 1, 30)
             names = run("A running hand", made, monkeypatch, **address)
         finally:
             daemon.send_signal(signal.SIGTERM)
