@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from support.calibrated_sensor import calibrated, pressed, reconstructor, unloaded
 from support.patience import patience
+from support.progress_lines import without_progress
 
 from tacshade_edge.cli import main
 from tacshade_edge.core.profiles import PROFILES
@@ -101,7 +102,7 @@ def test_an_unreadable_image_does_not_stop_the_others(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(words(folder, tmp_path, "cut", "ball", "none")) == 1
-    first, second = capsys.readouterr().err.splitlines()
+    first, second = without_progress(capsys.readouterr().err)
     assert "cut.png: cut short after 5000 bytes" in first
     assert "none.png: No such file" in second
     assert list(summary(tmp_path)) == ["ball"]
@@ -112,7 +113,7 @@ def test_invalid_images_are_counted_and_named(folder: Path, tmp_path: Path, caps
     assert main(words(folder, tmp_path, "black", "ball", "other", "cut")) == 1
     printed = capsys.readouterr()
     assert printed.out == f"{tmp_path}: 1 of 4 images reconstructed, 1 in contact, 2 invalid, 1 unreadable\n"
-    black, other, cut = printed.err.splitlines()
+    black, other, cut = without_progress(printed.err)
     assert black.startswith(f"tacshade-edge: {folder}/black.png: invalid: black")
     assert other == f"tacshade-edge: {folder}/other.png: invalid: size: 320x220 px, calibrated for 320x240"
     assert "cut.png: cut short" in cut

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from support.calibrated_sensor import HALF, calibrated, unloaded
+from support.progress_lines import without_progress
 
 from tacshade_edge.cli import main, simulate_pad
 from tacshade_edge.devices.files import calibration_file
@@ -145,7 +146,7 @@ def test_images_that_cannot_be_used(folder: Path, tmp_path: Path, capsys: pytest
     cv2.imwrite(str(tmp_path / "pad" / "press_0002.png"), unloaded()[:-20])
     assert main(words(tmp_path / "pad", tmp_path / "out")) == 1
     captured = capsys.readouterr()
-    first, second = captured.err.splitlines()
+    first, second = without_progress(captured.err)
     assert "POSES.csv:3: " in first
     assert "press_0001.png: No such file" in first
     assert "POSES.csv:4: " in second
