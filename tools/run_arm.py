@@ -41,8 +41,8 @@ QUICK = "not guest and not broker and not slow and not browser"
 WORKERS = str(os.cpu_count() or 1)
 DAEMON_S, FPS = 60, 5
 HEIGHT_MAX_MM = {"paper": 0.25, "fast": 0.1, "balanced": 0.1, "accurate": 0.1}
-"""Between the two machines, of any cell: other kernels of OpenCV's interpolation and of the networks' first layer, in
-floats: a code that it rounds to the other side is worth up to 0.09 mm."""
+"""Between the two machines, of any cell: other kernels of OpenCV's interpolation and of the networks' first layer, and
+its floats are rounded to codes."""
 WHITE_MAX_PART = 0.002
 COUNT = 5
 # Instructions a second of one core: its clock times what code like ours completes in a cycle, between a scalar loop

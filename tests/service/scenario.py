@@ -6,7 +6,6 @@ Only what was seen is printed; test_boot.py judges. Standard library only.
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import signal
@@ -15,7 +14,20 @@ import time
 from pathlib import Path
 from typing import Any
 
-from support.booted_service import CONFIG, UNIT, fresh, frozen, journal, process, sh, show, streaming, threads, until
+from support.booted_service import (
+    CONFIG,
+    UNIT,
+    fresh,
+    frozen,
+    journal,
+    process,
+    sh,
+    show,
+    streaming,
+    tell,
+    threads,
+    until,
+)
 
 GOOD = "source: {kind: simulated}\n"
 WATCHDOG_S = 10.0
@@ -152,17 +164,10 @@ def configuration_is_bad() -> dict[str, Any]:
 
 
 def main() -> None:
-    steps = (
+    tell(
         *(install, starts, installs_again, killed, reloads, works_a_while, hangs, stops),
         *(camera_is_absent, configuration_is_bad, uninstalls),
     )
-    seen: dict[str, Any] = {}
-    for step in steps:
-        began = time.monotonic()
-        seen[step.__name__] = step()
-        print(f"{step.__name__}: {time.monotonic() - began:.1f} s", flush=True)
-    seen["journal"] = journal()
-    Path("/payload/seen.json").write_text(json.dumps(seen))
 
 
 if __name__ == "__main__":

@@ -7,12 +7,10 @@ Only what was seen is printed; test_package.py judges. Standard library only.
 from __future__ import annotations
 
 import hashlib
-import json
-import time
 from pathlib import Path
 from typing import Any
 
-from support.booted_service import CONFIG, UNIT, fresh, journal, process, sh, show, streaming, until
+from support.booted_service import CONFIG, UNIT, fresh, process, sh, show, streaming, tell, until
 
 SETTINGS = "# mine\nsource: {kind: simulated, fps: 5}\n"
 STATE = Path("/var/lib/tacshade-edge")
@@ -93,13 +91,7 @@ def purges() -> dict[str, Any]:
 
 
 def main() -> None:
-    seen: dict[str, Any] = {}
-    for step in (installs, starts, upgrades, refuses_a_second_installation, removes, purges):
-        began = time.monotonic()
-        seen[step.__name__] = step()
-        print(f"{step.__name__}: {time.monotonic() - began:.1f} s", flush=True)
-    seen["journal"] = journal()
-    Path("/payload/seen.json").write_text(json.dumps(seen))
+    tell(installs, starts, upgrades, refuses_a_second_installation, removes, purges)
 
 
 if __name__ == "__main__":

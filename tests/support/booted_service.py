@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import json
 import os
 import subprocess
 import time
@@ -10,6 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import Thread
+from typing import Any
 
 from support.patience import patience
 
@@ -60,6 +62,17 @@ def process(pid: str) -> dict[str, str]:
 
 def journal() -> str:
     return sh("journalctl", "--unit", UNIT, "--output=cat", "--no-pager")[1]
+
+
+def tell(*steps: Callable[[], object]) -> None:
+    """Take the steps; what each saw, and the journal, to /payload/seen.json for the tests that judge."""
+    seen: dict[str, Any] = {}
+    for step in steps:
+        began = time.monotonic()
+        seen[step.__name__] = step()
+        print(f"{step.__name__}: {time.monotonic() - began:.1f} s", flush=True)
+    seen["journal"] = journal()
+    Path("/payload/seen.json").write_text(json.dumps(seen))
 
 
 def threads(pid: str) -> list[int]:
