@@ -47,10 +47,16 @@ class Viewer:
         self._topics: dict[int, str] = {}
 
     async def _receive(self) -> str | bytes:
-        """One message of the socket; what it says of channels is noted."""
+        """One message of the socket; what it says of channels is noted.
+
+        The library tells of a channel just before it takes subscriptions to it: one refused so is asked for again.
+        """
         if isinstance(data := await self._socket.recv(), str):
-            for channel in json.loads(data).get("channels", ()):
+            told = json.loads(data)
+            for channel in told.get("channels", ()):
                 self.channels[channel["topic"]] = channel
+            if unknown := re.fullmatch(r"Unknown channel ID: (\d+)", told.get("message", "")):
+                await self._ask_for([int(unknown[1])])
         return data
 
     async def message(self) -> tuple[str, Any]:
@@ -77,6 +83,9 @@ class Viewer:
             await self._receive()
         ids = [self.channels[topic]["id"] for topic in topics]
         self._topics |= dict(zip(ids, topics, strict=True))
+        await self._ask_for(ids)
+
+    async def _ask_for(self, ids: list[int]) -> None:
         subscriptions = [{"id": number, "channelId": number} for number in ids]
         await self._socket.send(json.dumps({"op": "subscribe", "subscriptions": subscriptions}))
 
