@@ -245,8 +245,8 @@ The row `contact` of [the daemon](daemon.md), with the profile `fast`: without a
 QEMU's model of a Pi 5's processor, with Debian's Python 3.11 and 3.13 and the wheels of `systemd/requirements.lock`.
 "Other" is against the same frames on the machine below. Instructions are counted exactly; the times are an estimate
 from them, between what such processors complete of waiting scalar code and of vector code, right to a factor of two: no
-board was measured. The quick tests run by `make test-arm`.""",
-        ("run_arm.py", "--skip-quick"),
+board was measured.""",
+        ("run_arm.py",),
     ),
     "faults": Page(
         "Faults in real parts",
