@@ -256,7 +256,7 @@ class MqttLink:
         """Hand paho what may go. One thread at a time per outlet; a second leaves the work to the first."""
         while True:
             with self._lock:
-                item = outlet.take() if self._connected and not self._stopping else None
+                item = outlet.take() if self._may_go(outlet) else None
                 epoch = self._epoch
                 if item is None:
                     return
@@ -284,10 +284,29 @@ class MqttLink:
                     settled = (self._done(outlet, item, qos, code), item)
                 else:
                     self._by_mid[info.mid] = (outlet, item, qos)
-            if settled is not None and not outlet.retain:
-                self._settle(settled[0], [(outlet.topic, settled[1])])
+            if settled is not None:
+                self._settled(outlet, *settled)
             if not taken:
                 return
+
+    def _may_go(self, outlet: Outlet) -> bool:
+        """Whether paho may be handed more of a topic. Lock held.
+
+        The state goes first, and the rest once the broker has answered it: else frames that access rules deny would
+        count as published until they are known.
+        """
+        state = self._outlets["state"]
+        return self._connected and not self._stopping and (outlet is state or state.refused is not None)
+
+    def _settled(self, outlet: Outlet, outcome: PayloadOutcome, item: Item) -> None:
+        """An item that paho had is done. Lock not held."""
+        if not outlet.retain:
+            self._settle(outcome, [(outlet.topic, item)])
+        elif outlet.topic == "state":
+            with self._lock:
+                others = sorted((o for o in self._outlets.values() if o is not outlet), key=lambda o: not o.retain)
+            for other in others:
+                self._pump(other)
 
     def _send_once(self, kind: str, topic: str, payload: bytes, correlation: bytes | None) -> None:
         """Publish a reply or an event (QoS 1).
@@ -429,9 +448,8 @@ class MqttLink:
             self._packet_bytes_max = packet_bytes_max(properties)
             self._counters["connects"] += 1
             self._set_reason(None)
-            outlets = sorted(self._outlets.values(), key=lambda o: not o.retain)
-        for outlet in outlets:
-            self._pump(outlet)
+            state = self._outlets["state"]
+        self._pump(state)
         if self._stopping:
             client.disconnect()
 
@@ -466,8 +484,7 @@ class MqttLink:
                 return
             outlet, item, qos = entry
             outcome = self._done(outlet, item, qos, code)
-        if not outlet.retain:
-            self._settle(outcome, [(outlet.topic, item)])
+        self._settled(outlet, outcome, item)
         self._pump(outlet)
 
     def _on_subscribe(

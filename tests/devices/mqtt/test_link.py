@@ -257,7 +257,7 @@ class TestStalled:
     def stall(self, rig: Rig, broker: Broker, subscriber: Subscriber, seconds: float) -> None:
         """Frames at 60/s and a flapping status while the broker hangs: bounded, accounted for, back in 3 s."""
         offered = offer_for(rig, 0.2)
-        subscriber.wait_for(f"{BASE}/height", offered)
+        subscriber.wait_for(f"{BASE}/height")
         broker.stall()
         tracemalloc.start()
         try:
@@ -447,7 +447,6 @@ class TestRefused:
         rules.write_text((Path(__file__).parents[3] / "systemd/mosquitto-tacshade.acl").read_text())
         with Broker(tmp_path, users={"hand": "right"}, more=(f"acl_file {rules}",)) as broker:
             rig = Rig(broker.port, username="hand", password="right").connect()
-            wait_until(lambda: rig.link.counters()["refused"] >= 1, 5, "the state is refused")
             rig.link.set_retained("status/camera", b"{}")
             offered = offer_for(rig, 2.0)
             offered += offer_for(rig, 0.2, first=offered)
