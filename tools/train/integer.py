@@ -4,9 +4,11 @@
 ::
 
     .venv-train/bin/python tools/train/integer.py --data DATA --name fast
+    .venv-train/bin/python tools/train/integer.py --data DATA --name displacement --part 0.97
 
 The graph has no weights: those of ``NAME.onnx``, or fitted ones of its layout, are joined to it when it is read. Beside
-the operations it has the scales of the codes: how far each channel goes on the shards of make_data.py.
+the operations it has the scales of the codes: how far each channel goes on the shards of make_data.py, in all frames or
+in that part of them; the greatest values of the others end at the last code.
 """
 
 from __future__ import annotations
@@ -26,8 +28,8 @@ from integer_graph import Channels, Graph, Network
 WEIGHTS = Path(__file__).parents[2] / "tacshade_edge" / "devices" / "weights"
 
 
-def channels(network: Network, once: bytes, frames: Sequence[Data]) -> dict[str, Channels]:
-    """Of what becomes codes, and of what convolutions of codes read."""
+def channels(network: Network, once: bytes, frames: Sequence[Data], part: float) -> dict[str, Channels]:
+    """Of what becomes codes, and of what convolutions of codes read; ranges hold that part of the frames."""
     names = sorted({*network.coded, *network.read})
     model = onnx.ModelProto()
     model.CopyFrom(network.model)
@@ -39,14 +41,15 @@ def channels(network: Network, once: bytes, frames: Sequence[Data]) -> dict[str,
         for name, values in zip(names, run.run(names, {"white": white, "sensor": sensor}), strict=True):
             found[name].append((values.min((0, 2, 3)), values.max((0, 2, 3)), values.mean((0, 2, 3))))
     return {
-        name: _over_frames([np.array(part, np.float64) for part in zip(*rows, strict=True)])
+        name: _over_frames([np.array(each, np.float64) for each in zip(*rows, strict=True)], part)
         for name, rows in found.items()
     }
 
 
-def _over_frames(parts: Sequence[np.ndarray]) -> Channels:
-    least, most, mean = parts
-    return Channels(np.minimum(least.min(0), 0), np.maximum(most.max(0), 0), mean.mean(0))
+def _over_frames(found: Sequence[np.ndarray], part: float) -> Channels:
+    least, most, mean = found
+    ends = np.quantile(least, 1 - part, axis=0), np.quantile(most, part, axis=0)
+    return Channels(np.minimum(ends[0], 0), np.maximum(ends[1], 0), mean.mean(0))
 
 
 def _inputs(frames: Sequence[Data]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -67,12 +70,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Write the integer graph of a shipped network.")
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--name", required=True)
+    parser.add_argument("--part", type=float, default=1.0, help="of the frames whose values the codes hold")
     args = parser.parse_args()
     path = WEIGHTS / f"{args.name}.onnx"
     about = json.loads(path.with_suffix(".json").read_text())
     frames = [load(paths, about["fold"], about["cells"]) for paths in shards_in(args.data).values()]
     network = Network(onnx.load(path))
-    found = channels(network, path.with_suffix(".sensor.onnx").read_bytes(), frames)
+    found = channels(network, path.with_suffix(".sensor.onnx").read_bytes(), frames, args.part)
     nodes, model = Graph(network, found).nodes, network.model
     del model.graph.node[:], model.graph.initializer[:], model.graph.value_info[:]
     model.graph.node.extend(nodes)
@@ -80,6 +84,7 @@ def main() -> None:
     out.write_bytes(model.SerializeToString())
     about["sha256"][out.name] = hashlib.sha256(out.read_bytes()).hexdigest()
     about["integer_frames"] = sum(len(data.frame) for data in frames)
+    about["integer_part"] = args.part
     path.with_suffix(".json").write_text(json.dumps(about, indent=1) + "\n")
 
 

@@ -11,7 +11,8 @@ import numpy as np
 import onnx
 from onnx import NodeProto, TensorProto, helper, numpy_helper
 
-OUTPUTS = ("depth_and_contact", "foreign")
+OUTPUTS = ("depth_and_contact", "foreign", "displacement")
+"""Of a network of depth, and of that of displacement."""
 MOST_CODE, MOST_WEIGHT = 255, 63
 """Two products of such numbers, 2 * 255 * 63, fit int16: so x86-64 without VNNI adds them, and saturates beyond."""
 LEAST_RANGE = 1e-3
@@ -51,17 +52,23 @@ class Network:
         self.model = model
         self.nodes = [node for node in model.graph.node if node.op_type != "Constant"]
         self.maker = {node.output[0]: node for node in self.nodes}
-        depth, foreign = (self.maker[name] for name in OUTPUTS)
-        foreign = self.maker[foreign.input[0]]
-        self.joined_for_foreign = foreign.input[0]
-        last = self.maker[self.maker[depth.input[0]].input[0]]
+        heads = [self.head(output.name) for output in model.graph.output]
+        self.read_by_heads = {head.input[0] for head in heads}
+        in_float = [*heads]
+        if OUTPUTS[0] in self.maker:  # a height has 20 times greater values beside it
+            in_float.append(self.maker[self.maker[self.maker[OUTPUTS[0]].input[0]].input[0]])
         convolutions = [node for node in self.nodes if node.op_type == "Conv"]
         sums = [node for node in self.nodes if node.op_type == "Add" and "sensor" not in node.input]
-        coded = [node for node in convolutions if node not in (depth, foreign, last)]
+        coded = [node for node in convolutions if node not in in_float]
         self.coded = [self.result(node) for node in coded] + [node.output[0] for node in sums]
         self.read = sorted({node.input[0] for node in coded[1:]})
         self.one_scale = {self.source(name) for node in sums for name in (*node.input, *node.output)}
         self.one_scale.add(self.result(convolutions[0]))
+
+    def head(self, output: str) -> NodeProto:
+        """The convolution that gives an output."""
+        node = self.maker[output]
+        return node if node.op_type == "Conv" else self.maker[node.input[0]]
 
     def result(self, convolution: NodeProto) -> str:
         """What a convolution gives, after the sensor's part and the ReLU where there are any."""
@@ -184,7 +191,7 @@ class Graph:
         given = [self._made[name] for name in node.input]
         widths = [self._network.width(name) for name in node.input]
         scale = np.concatenate([np.broadcast_to(x.scale, width) for x, width in zip(given, widths, strict=True)])
-        as_float = node.output[0] == self._network.joined_for_foreign
+        as_float = node.output[0] in self._network.read_by_heads
         name = self._op("Concat", *(self._cast(x) if as_float else x.name for x in given), axis=1)
         self._made[node.output[0]] = Tensor(name, scale, None if as_float else 0)
 

@@ -98,7 +98,7 @@ def _sigma(name: str) -> SigmaModel | None:
 
 def read_displacement(onnx: Path) -> DisplacementNetwork:
     """Read the network of displacement."""
-    session, about = _session(onnx), _about(onnx)
+    session, about = _session(in_integers(onnx, onnx.read_bytes())), _about(onnx)
 
     def run(white: F32, sensor: F32) -> F32:
         answer: F32 = session.run(None, {"white": white[None], "sensor": sensor[None]})[0][0]
