@@ -5,8 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import pytest
+from support.mqtt_rig import Broker, Subscriber
 from support.painted_sensor import BLACK, FREE, TOUCHED, painted_calibration
 from support.patience import wait_until
 
@@ -83,3 +85,15 @@ def wait_until_fixture() -> Callable[..., None]:
 @pytest.fixture
 def scripted() -> type[ScriptedSource]:
     return ScriptedSource
+
+
+@pytest.fixture
+def broker(tmp_path: Path) -> Iterator[Broker]:
+    with Broker(tmp_path) as started:
+        yield started
+
+
+@pytest.fixture
+def seen(broker: Broker) -> Iterator[Subscriber]:
+    with Subscriber(broker.port) as subscriber:
+        yield subscriber

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import queue
+import threading
 from collections import Counter, defaultdict
 from typing import Any
 
-from support.patience import wait_until
+import pytest
+
+from support.mqtt_rig import MOSQUITTO, Subscriber
+from support.patience import promised, wait_until
 from tacshade_edge.devices.mqtt.link import MqttLink
 from tacshade_edge.protocol.messages import Request
 from tacshade_edge.reasons import ReasonCode
@@ -42,3 +46,39 @@ class Rig:
 def code(rig: Rig) -> ReasonCode | None:
     reason = rig.link.reason
     return reason.code if reason else None
+
+
+BACK_S = 3.0
+
+
+broker_test = pytest.mark.broker
+
+
+needs_mosquitto = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
+
+
+def offer_for(rig: Rig, seconds: float, fps: int = 60, size: int = 38_000, first: int = 0) -> int:
+    """Offer fresh payloads at a steady rate, each begins with its number; how many."""
+    pause = threading.Event()
+    count = round(seconds * fps)
+    for seq in range(first, first + count):
+        rig.link.offer("height", seq.to_bytes(4, "big") + bytes(size), seq)
+        pause.wait(1 / fps)
+    return count
+
+
+def numbers(subscriber: Subscriber) -> list[int]:
+    return [int.from_bytes(p[:4], "big") for p in subscriber.of(f"{BASE}/height")]
+
+
+def come_back(rig: Rig, subscriber: Subscriber, seq: int) -> None:
+    """From the broker's return: frames are offered until one is received, within 3 s."""
+    have = len(numbers(subscriber))
+
+    def received() -> bool:
+        nonlocal seq
+        rig.link.offer("height", seq.to_bytes(4, "big"), seq)
+        seq += 1
+        return len(numbers(subscriber)) > have
+
+    promised(received, BACK_S, "the stream is back")

@@ -16,6 +16,7 @@ from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
 
 from support.browser import CHROMIUM, DRIVER
+from support.growing_map import GrowingMap
 from support.mqtt_rig import MOSQUITTO
 from support.patience import patience, wait_until
 from support.published_hand import PublishedHand
@@ -84,6 +85,15 @@ def until_shown(page: Chrome, hand: PublishedHand, result: Callable[[], Any], se
         return bool(js(page, f"tacshade.seq === {seq}"))
 
     wait_until(again, 15, f"map {seq} on the screen")
+
+
+def mapping(hand: PublishedHand, name: str, **corner_mm: float) -> GrowingMap:
+    return GrowingMap(lambda topic, payload: hand.tell(topic, payload, retain=True), name, **corner_mm)
+
+
+def until_mapped(page: Chrome, name: str, revision: int) -> None:
+    told = "tacshade.stitched && [tacshade.stitched.name, tacshade.stitched.revision]"
+    wait_until(lambda: js(page, told) == [name, revision], 15, f"revision {revision} of {name} on the screen")
 
 
 def picture(page: Chrome, name: str, size_px: tuple[int, int] | None = None, top: str = "") -> None:

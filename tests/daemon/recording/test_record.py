@@ -1,4 +1,4 @@
-"""Recordings with frames that the test hands over; `tests/daemon/test_app.py` records a running daemon."""
+"""Recordings with frames that the test hands over; `tests/daemon/test_app_recording.py` records a running daemon."""
 
 from __future__ import annotations
 

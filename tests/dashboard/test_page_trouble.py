@@ -1,0 +1,178 @@
+"""The page while something is amiss: restarts, refusals, nonsense, users, tokens, no WebGL."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from selenium.webdriver import Chrome
+from selenium.webdriver.common.by import By
+from support.browser import browser, errors
+from support.certificate import certificate
+from support.dashboard_process import dashboard
+from support.mqtt_rig import Broker, Subscriber, free_port
+from support.patience import wait_until
+from support.published_hand import PublishedHand, bump
+from support.shown_page import NEEDS_A_BROWSER, daemon, drawn, js, opened, picture, shows, text, until_shown
+
+from tacshade_edge.protocol import wire
+
+pytestmark = NEEDS_A_BROWSER
+
+
+def test_it_recovers_from_a_broker_restart(page: Chrome, tmp_path: Path, calibration: Path) -> None:
+    with Broker(tmp_path) as broker, dashboard(f"127.0.0.1:{broker.port}") as address:
+        with daemon(tmp_path, calibration, broker.port):
+            opened(page, address)
+            drawn(page)
+            broker.kill()
+            shows(page, "link", "Not connected: broker 127.0.0.1")
+            shows(page, "link", "connection refused; trying again")
+            assert not page.find_element(By.ID, "rezero").is_enabled()
+            shows(page, "stale", "s ago")
+            picture(page, "dashboard-away", (760, 560))
+            broker.start()
+            shows(page, "link", "Connected")
+            drawn(page)
+            wait_until(lambda: text(page, "stale") == "", 10, "no longer stale")
+        shows(page, "state", "stopped")
+        assert not page.find_element(By.ID, "rezero").is_enabled()
+
+
+def test_it_recovers_from_a_restart_of_its_server(chromium: Chrome, tmp_path: Path) -> None:
+    with Broker(tmp_path) as broker, PublishedHand(broker.port):
+        words = f"127.0.0.1:{broker.port}", "--http", str(free_port())
+        with dashboard(*words) as address:
+            opened(chromium, address)
+        shows(chromium, "link", "the dashboard's server does not answer")
+        with dashboard(*words):
+            shows(chromium, "link", "Connected")
+            shows(chromium, "state", "online")
+            # The browser itself complains of every attempt that nobody answered, and nothing else does.
+            assert [e for e in errors(chromium) if "ERR_CONNECTION_REFUSED" not in e] == []
+            chromium.get("about:blank")
+
+
+def test_what_a_hand_refuses_or_does_not_answer_is_told(page: Chrome, tmp_path: Path) -> None:
+    with (
+        Broker(tmp_path) as broker,
+        dashboard(f"127.0.0.1:{broker.port}") as address,
+        PublishedHand(broker.port) as hand,
+        Subscriber(broker.port, "tacshade/+/req/+") as seen,
+    ):
+        opened(page, address)
+        wait_until(lambda: page.find_element(By.ID, "rezero").is_enabled(), 15, "the hand is online")
+        page.find_element(By.ID, "rezero").click()
+        asked = json.loads(seen.wait_for("tacshade/drawn/req/reference")[0])
+        hand.tell("res/reference", json.dumps({"transaction": "of somebody else", "ok": True, "result": {}}).encode())
+        hand.tell("res/reference", b"no JSON")
+        hand.tell(
+            "res/reference", json.dumps({"transaction": asked["transaction"], "ok": False, "error": "touched"}).encode()
+        )
+        wait_until(lambda: text(page, "answer") == "touched", 15, "the error")
+        page.find_element(By.ID, "rezero").click()
+        shows(page, "answer", "no answer within 8 s", 20)
+
+
+def test_strange_messages_are_counted_and_shown_as_text(page: Chrome, tmp_path: Path) -> None:
+    evil = '<img src=x onerror="document.title=1"> & <b>bold</b>'
+    with (
+        Broker(tmp_path) as broker,
+        dashboard(f"127.0.0.1:{broker.port}") as address,
+        PublishedHand(broker.port) as hand,
+    ):
+        opened(page, address)
+        until_shown(page, hand, lambda: bump(1, 1.5, 200, 300, step_px=4), 1)
+        assert js(page, "tacshade.undecodable") == 0
+        sound = wire.encode_height(bump(2, 2.0, 200, 300, step_px=4), calibration_crc32=1)
+        for count, damaged in enumerate([b"", sound[:50], sound[:-1], sound[:200] + b"!" + sound[201:]], 1):
+            hand.tell("height", damaged)
+            wait_until(lambda count=count: js(page, "tacshade.undecodable") == count, 10, f"{count} counted")  # type: ignore[misc]
+        for topic in ("health", "contact", "status/camera", "info"):
+            for payload in (b"{", b"null", b"\xff\xfe", b"[]"):
+                hand.tell(topic, payload)
+        hand.tell("preview", b"no JPEG")
+        hand.tell("status/camera", json.dumps({"state": "away", "reason": evil, "device": {"a": [evil]}}).encode())
+        hand.tell("health", json.dumps({evil: evil, "temperature_c": {"cpu": 61.5}}).encode())
+        shows(page, "parts", evil)
+        shows(page, "state", evil)
+        shows(page, "tables", "61.5")
+        until_shown(page, hand, lambda: bump(3, 1.0, 200, 300, step_px=4), 3)
+        assert page.title == "drawn – TacShade"
+
+
+def test_a_broker_with_users_asks_for_one(page: Chrome, tmp_path: Path) -> None:
+    users = {"eve": "right"}
+    with (
+        Broker(tmp_path, users=users) as broker,
+        dashboard(f"127.0.0.1:{broker.port}") as address,
+        PublishedHand(broker.port, "drawn", "eve", "right") as hand,
+    ):
+        page.get(address)
+        shows(page, "login", "wants a user and password")
+        for name, word in (("eve", "wrong"), ("eve", "right")):
+            field = page.find_element(By.NAME, "username")
+            field.clear()
+            field.send_keys(name)
+            page.find_element(By.NAME, "password").send_keys(word)
+            page.find_element(By.CSS_SELECTOR, "#login button").click()
+            shows(page, "link" if word == "right" else "login-why", "Connected" if word == "right" else "refused")
+        assert not page.find_element(By.ID, "login").is_displayed()
+        until_shown(page, hand, lambda: bump(1, 1.5, 200, 300, step_px=4), 1)
+        page.refresh()  # kept for this tab
+        shows(page, "link", "Connected")
+        js(page, "sessionStorage.clear()")
+
+
+@pytest.mark.parametrize("tls", [False, True])
+def test_a_page_that_is_opened_to_a_network_wants_its_token_and_only_looks(tmp_path: Path, tls: bool) -> None:
+    words = ["--host", "0.0.0.0", "--token-file", str(tmp_path / "token")]
+    if tls:
+        words += [f"--{name}={path}" for name, path in zip(("certificate", "key"), certificate(tmp_path), strict=True)]
+    with (
+        Broker(tmp_path) as broker,
+        dashboard(f"127.0.0.1:{broker.port}", *words) as told,
+        PublishedHand(broker.port) as hand,
+        Subscriber(broker.port, "tacshade/+/req/+") as seen,
+        browser(tmp_path / "chromium", "--ignore-certificate-errors") as page,
+    ):
+        address, _, token = re.sub(r"//[^:]+", "//127.0.0.1", told).partition("login#")
+        page.get(address)
+        wait_until(lambda: page.current_url == f"{address}login", 15, "the login")
+        page.find_element(By.NAME, "token").send_keys("of yesterday\n")
+        shows(page, "login-why", "expected the token")
+        assert [line for line in errors(page) if "401" not in line] == []
+        page.get("about:blank")
+        page.get(f"{address}login#{token}")
+        wait_until(lambda: page.current_url == address, 15, "the page")
+        shows(page, "link", "Connected")
+        assert js(page, "document.cookie") == ""
+        until_shown(page, hand, lambda: bump(1, 1.5, 200, 300, step_px=4), 1)
+        shows(page, "read-only", "Read-only")
+        wait_until(lambda: js(page, "tacshade.sensor"), 10, "the hand")
+        assert not page.find_element(By.ID, "rezero").is_enabled()
+        assert not page.find_element(By.ID, "profile").is_enabled()
+        until_shown(page, hand, lambda: bump(2, 0.0, 200, 300, step_px=4), 2)
+        # In one go: the page disables it again with the next message.
+        page.execute_script("const it = document.getElementById('rezero'); it.disabled = false; it.click()")
+        shows(page, "link", "read-only: requests are not passed on here")
+        shows(page, "link", "Connected")
+        assert seen.messages == []
+        assert errors(page) == []
+        picture(page, "login-read-only", (760, 900), "control")
+
+
+def test_without_webgl_the_rest_goes_on(tmp_path: Path) -> None:
+    with (
+        Broker(tmp_path) as broker,
+        dashboard(f"127.0.0.1:{broker.port}") as address,
+        PublishedHand(broker.port) as hand,
+        browser(tmp_path / "chromium", "--disable-3d-apis") as page,
+    ):
+        opened(page, address)
+        until_shown(page, hand, lambda: bump(1, 1.5, 200, 300), 1)
+        assert "no WebGL" in text(page, "view")
+        assert js(page, "tacshade.drawnPeak()") == pytest.approx(1.5, abs=0.01)
+        assert errors(page) == []
