@@ -32,9 +32,16 @@ def made() -> Calibration:
 
 def stored(path: Path, monkeypatch: pytest.MonkeyPatch, inputs: Inputs | None, version: int = OLDER) -> None:
     """As a program of another version would."""
+    saved(path, monkeypatch, calibrated(), inputs, version)
+
+
+def saved(
+    path: Path, monkeypatch: pytest.MonkeyPatch, calibration: Calibration, inputs: Inputs | None, version: int
+) -> None:
+    """Made before, as tests share it: its checksum has the version in it."""
     with monkeypatch.context() as patch:
         patch.setattr(calibration_file, "VERSION", version)
-        calibration_file.save(path, calibrated(), inputs)
+        calibration_file.save(path, calibration, inputs)
 
 
 @pytest.fixture
@@ -112,9 +119,7 @@ def test_what_can_no_longer_be_used_says_so(path: Path, monkeypatch: pytest.Monk
 
 @pytest.mark.slow
 def test_fitted_weights_stay_when_it_is_made_again(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with monkeypatch.context() as patch:
-        patch.setattr(calibration_file, "VERSION", OLDER)
-        calibration_file.save(path, fitted_with("fast", calibrated()), INPUTS)
+    saved(path, monkeypatch, fitted_with("fast", calibrated()), INPUTS, OLDER)
     found = calibrations.load(path)
     assert found.factors == made().factors
     np.testing.assert_array_equal(found.fitted["fast"].weights, fitted_network("fast").weights)
@@ -127,9 +132,7 @@ def test_fitted_weights_stay_when_it_is_made_again(path: Path, monkeypatch: pyte
 def test_those_of_another_layout_do_not_run_and_a_new_fit_is_asked_for(
     path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, version: int
 ) -> None:
-    with monkeypatch.context() as patch:
-        patch.setattr(calibration_file, "VERSION", version)
-        calibration_file.save(path, fitted_with("fast", calibrated(), layout="another"), INPUTS)
+    saved(path, monkeypatch, fitted_with("fast", calibrated(), layout="another"), INPUTS, version)
     for _ in range(2):
         caplog.clear()
         found = calibrations.load(path)
