@@ -22,6 +22,8 @@ from tacshade_edge.simulator.objects import Shape, ridge
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.types import F64
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def words(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
@@ -49,7 +51,6 @@ def test_it_says_what_was_fitted(words: list[str], tmp_path: Path, capsys: pytes
     assert calibration.fit.presses > 15
 
 
-@pytest.mark.slow
 def test_json_is_what_was_stored(words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "cal.npz"
     assert main(["calibrate", *words, "--out", str(out), "--json"]) == 0
@@ -152,7 +153,6 @@ def pillar(radius_mm: float) -> Shape:
     return Shape("pillar", sdf)
 
 
-@pytest.mark.slow
 def test_the_quality_is_printed(words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     table = tmp_path / "PRESSES.csv"
     rows = Path(words[3]).read_text().splitlines()
@@ -171,7 +171,6 @@ def test_the_quality_is_printed(words: list[str], tmp_path: Path, capsys: pytest
     assert report["to_do"][0].startswith("10 presses")
 
 
-@pytest.mark.slow
 def test_rezero_keeps_all_but_the_reference(
     words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -194,7 +193,6 @@ def test_rezero_keeps_all_but_the_reference(
     assert after.reference_grey.mean() < 0.8 * before.reference_grey.mean()
 
 
-@pytest.mark.slow
 def test_rezero_refuses_in_one_line(words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     old, out = tmp_path / "old.npz", tmp_path / "new.npz"
     calibration_file.save(old, calibrated())
@@ -272,7 +270,6 @@ def test_a_fit_is_of_presses(tmp_path: Path, capsys: pytest.CaptureFixture[str],
     assert "--fit has no meaning with" in capsys.readouterr().err
 
 
-@pytest.mark.slow
 @pytest.mark.fit
 def test_a_fit_goes_into_the_file(
     words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

@@ -19,6 +19,8 @@ from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.devices.files.axes import BAR_PX, LEFT_PX, RIGHT_PX
 from tacshade_edge.types import U8
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -46,7 +48,6 @@ def summary(out: Path) -> dict[str, dict[str, Any]]:
     return {Path(record["image"]).stem: record for record in json.loads((out / "summary.json").read_text())}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("profile", PROFILES)
 def test_the_files_keep_their_contract(folder: Path, tmp_path: Path, profile: str) -> None:
     assert main([*words(folder, tmp_path, "ball", "two", "free", "black"), "--profile", profile]) == 1

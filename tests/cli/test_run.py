@@ -19,6 +19,8 @@ from support.patience import patience, stretched, wait_until
 from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.protocol import wire
 
+pytestmark = pytest.mark.slow
+
 STOP_S = 2.0
 BASE = "tacshade/tacshade"
 needs_broker = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
@@ -98,7 +100,6 @@ def test_a_killed_daemon_leaves_its_last_will(folder: Path, start: Callable[[Pat
         wait_until(lambda: state(seen) == "offline", 5, "offline")
 
 
-@pytest.mark.slow
 def test_without_broker_and_camera_it_waits_and_stops_cleanly(folder: Path, start: Callable[[Path], Child]) -> None:
     source = "kind: v4l2, device: /dev/video99, width_px: 160, height_px: 120"
     child = start(settings(folder, free_port(), source))

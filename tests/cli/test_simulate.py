@@ -8,6 +8,8 @@ import yaml
 
 from tacshade_edge.cli import main
 
+pytestmark = pytest.mark.slow
+
 
 def table(path: Path) -> list[dict[str, str]]:
     with path.open(encoding="utf-8") as file:
@@ -33,7 +35,6 @@ def test_scenes_have_images_and_their_ground_truth(tmp_path: Path, capsys: pytes
         assert str(truth["object"]) == "ball"
 
 
-@pytest.mark.slow
 def test_a_dragged_scene_has_its_displacement(tmp_path: Path) -> None:
     words = ["simulate", "--out", str(tmp_path), "--objects", "none,cube", "--depth", "3", "--drag", "2", "-1"]
     assert main([*words, "--twist", "8", "--tilt", "5", "0"]) == 0

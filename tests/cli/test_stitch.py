@@ -16,6 +16,8 @@ from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.rigid import from_seven
 from tacshade_edge.simulator.pad import Bar, Pad
 
+pytestmark = pytest.mark.slow
+
 SMALL = Pad(14.0, 10.0, (Bar(2.1, 5.1, 12.1, 5.1, 3.0),))
 
 

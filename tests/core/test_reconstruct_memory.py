@@ -11,6 +11,8 @@ from support.calibrated_sensor import FULL, pressed, reconstructor, unloaded
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.types import Frame, Reconstruction
 
+pytestmark = pytest.mark.slow
+
 # NumPy's arrays are seen, and OpenCV's where it returns them; what OpenCV frees within a call is not.
 IMAGE_BYTES = FULL.image_height_px * FULL.image_width_px
 

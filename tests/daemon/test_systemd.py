@@ -26,6 +26,8 @@ from tacshade_edge.errors import DecodeError, DeviceError
 from tacshade_edge.settings import load
 from tacshade_edge.types import Calibration, Frame, Need
 
+pytestmark = pytest.mark.slow
+
 GONE = DeviceError("camera /dev/video9: gone")
 
 

@@ -16,6 +16,8 @@ from tacshade_edge.library.frames_heard import TOPICS, FramesHeard
 from tacshade_edge.protocol import messages
 from tacshade_edge.types import Frame, Pose, Reconstruction
 
+pytestmark = pytest.mark.slow
+
 POSE = Pose(5, 1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0)
 
 

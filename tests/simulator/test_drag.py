@@ -18,6 +18,8 @@ from tacshade_edge.simulator.skin import Skin, chart_to_direction, press_skin
 from tacshade_edge.simulator.truth import shear_mm
 from tacshade_edge.types import F32, F64
 
+pytestmark = pytest.mark.slow
+
 STICKY = SensorModel(coulomb=50.0, sway=0.0)
 
 

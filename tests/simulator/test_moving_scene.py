@@ -15,6 +15,8 @@ from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.simulator.slow_light import SlowLight
 from tacshade_edge.types import Slip
 
+pytestmark = pytest.mark.slow
+
 SMALL = replace(SensorModel(), image_height_px=120, image_width_px=160, row_c=58.7, col_c=82.3, disc_radius_px=51.0)
 PRESS = Press(ball(5.0), 0.0, 0.0, 3.0)
 DOWN = pressed(PRESS, 1.0, 20.0)
@@ -66,7 +68,6 @@ def test_a_skin_that_crept_to_its_end_is_drawn_once() -> None:
     assert not np.array_equal(again.image, other.image)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("shape", "speed_mm_s"), [(ball(5.0), 5.0), (ball(5.0), 40.0), (OBJECTS["cylinder"](), 20.0)])
 def test_a_contact_sticks_then_slides_in_part_then_as_a_whole_at_the_object_s_speed(
     shape: Shape, speed_mm_s: float

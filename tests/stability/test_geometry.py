@@ -19,6 +19,8 @@ from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.types import U8, Calibration, Disc, Geometry
 
+pytestmark = pytest.mark.slow
+
 ROWS, COLS, PITCH_PX = 96, 128, 8.0
 WHOLE = Disc(48, 64, 40)
 DISCS = {
@@ -66,7 +68,6 @@ def test_every_disc_is_borne(profile: str, name: str) -> None:
         assert found.contact
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("profile", PROFILES)
 @pytest.mark.parametrize("pitch_px", [0.3, 1.0, 2.0, 3.5, 40.0, 500.0])
 def test_every_pitch_is_borne(profile: str, pitch_px: float) -> None:
@@ -75,7 +76,6 @@ def test_every_pitch_is_borne(profile: str, pitch_px: float) -> None:
         sound_step(made, image)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("profile", PROFILES)
 @given(
     skin_radius_mm=st.floats(1, 200),

@@ -99,7 +99,19 @@ def publish_properties(
         properties.MessageExpiryInterval = expiry_s
     if correlation is not None:
         properties.CorrelationData = correlation
-    return properties
+    return _Packed(properties)
+
+
+class _Packed(Properties):
+    """Properties that change no more: paho packs them for every message anew, a third of what it does for one."""
+
+    def __init__(self, made: Properties) -> None:
+        self.__dict__.update(made.__dict__, _packed=made.pack())  # type: ignore[no-untyped-call]
+
+    def pack(self) -> bytes:
+        """As paho would."""
+        packed: bytes = self.__dict__["_packed"]
+        return packed
 
 
 def packet_bytes(topic: str, payload: bytes, properties: Properties) -> int:

@@ -19,6 +19,8 @@ from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.settings.printer_file import PrinterFile
 
+pytestmark = pytest.mark.slow
+
 LIMITS = PrinterFile(x_mm=[0, 220], y_mm=[0, 220], z_mm=[40, 200], start_mm=[110, 100, 90], feed_mm_s=50)
 
 
@@ -87,7 +89,6 @@ def test_nothing_is_sent_beyond_the_limits(tmp_path: Path, to: tuple[float, floa
         assert one.head.is_certain
 
 
-@pytest.mark.slow
 def test_a_damaged_line_is_sent_again(tmp_path: Path) -> None:
     with rig(tmp_path) as one:
         one.start()
@@ -119,7 +120,6 @@ def test_what_leaves_the_head_uncertain(tmp_path: Path, fault: str, said: str) -
         assert len(one.printer.moves) <= moved + 1
 
 
-@pytest.mark.slow
 def test_a_printer_that_goes_elsewhere_and_does_not_say_so(tmp_path: Path) -> None:
     with rig(tmp_path) as one:
         one.start()
@@ -129,7 +129,6 @@ def test_a_printer_that_goes_elsewhere_and_does_not_say_so(tmp_path: Path) -> No
         assert not one.head.is_certain
 
 
-@pytest.mark.slow
 def test_a_key_ends_a_long_move_after_its_present_part(tmp_path: Path) -> None:
     with rig(tmp_path) as one:
         one.start()
@@ -151,7 +150,6 @@ def test_a_key_ends_homing_and_leaves_the_head_uncertain(tmp_path: Path) -> None
         assert not one.head.is_certain
 
 
-@pytest.mark.slow
 def test_a_halted_printer_and_a_pulled_cable(tmp_path: Path) -> None:
     with rig(tmp_path) as one:
         one.start()

@@ -9,6 +9,8 @@ from tacshade_edge.core.calibration.press_selection import MIN_PRESSES
 from tacshade_edge.devices.weights.network import load_networks
 from tacshade_edge.errors import ConfigError
 
+pytestmark = pytest.mark.slow
+
 SENSOR = sensor_of(HALF)
 
 

@@ -32,6 +32,8 @@ from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.types import U8, Calibration, Frame
 
+pytestmark = pytest.mark.slow
+
 IMAGES = 10
 STEP_MM = 0.02
 DISC = HALF.row_c, HALF.col_c, HALF.disc_radius_px
@@ -143,7 +145,6 @@ def test_damage_is_not_followed_however_slowly_it_comes(
     assert patch_grey(origin, again.calibration or current) < 3
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("model", [HALF, TACTIP], ids=["bright", "dark"])
 @pytest.mark.parametrize(("name", "x_mm"), [("ball", 4.0), ("ball", 0.0), ("cube", 4.0), ("edge", 0.0), ("cone", 4.0)])
 def test_an_object_laid_on_over_hours_is_found_as_one_that_comes_at_once(

@@ -14,6 +14,8 @@ from tacshade_edge.core.calibration.press_observation import PressObservation
 from tacshade_edge.core.calibration.press_outliers import outliers
 from tacshade_edge.core.calibration.skin_scale import skin_scale
 
+pytestmark = pytest.mark.slow
+
 Change = Callable[[PressObservation, float], PressObservation]
 
 
@@ -37,7 +39,6 @@ def found_and_others(change: Change) -> tuple[int, int, int]:
     return trials, hits, others
 
 
-@pytest.mark.slow
 def test_good_presses_pass() -> None:
     """Of 720 presses `tools/bench_calibration.py --sensors 30 --detect 16 --first 8400` calls one wrong."""
     false = sum(len(outliers(*observed(seed))) for seed in SEEDS)

@@ -17,6 +17,8 @@ from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.studies.evaluate.sensors import SensorName
 from tacshade_edge.types import U8, Polarity
 
+pytestmark = pytest.mark.slow
+
 
 def fitted(table: tuple[KnownPress, ...] | list[KnownPress]) -> CalibrationResult:
     return calibrate(sensor_of(HALF), references(), table)
@@ -109,7 +111,6 @@ def test_a_wrong_polarity_is_named(model: SensorModel, found: Polarity, expected
         calibrate(replace(sensor_of(model), polarity=found), references(model), presses(model))
 
 
-@pytest.mark.slow
 def test_a_true_table_is_not_refused() -> None:
     assert calibrate(sensor_of(HALF), references(), presses(), networks=ACCURATE).warnings == ()
     without_places = [replace(p, x_mm=None, y_mm=None) for p in presses()]
@@ -117,7 +118,6 @@ def test_a_true_table_is_not_refused() -> None:
     assert calibrate(sensor_of(TACTIP), references(TACTIP), presses(TACTIP)).calibration.fit is not None
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["5", "11", "21", "other:31", "other:32"])
 def test_true_tables_of_other_sensors_are_not_refused(name: str) -> None:
     """And diameters are, on each."""

@@ -17,6 +17,8 @@ from tacshade_edge.simulator.objects import ball
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.types import Frame
 
+pytestmark = pytest.mark.slow
+
 
 def refitted(table: list[KnownPress], profile: str = "fast") -> Refit:
     unloaded = calibrated(count=0)

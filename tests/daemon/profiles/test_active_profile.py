@@ -16,6 +16,8 @@ from tacshade_edge.devices.files.calibration_file import with_crc
 from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.types import Calibration, Frame
 
+pytestmark = pytest.mark.slow
+
 BUDGET_MS = 10_000.0  # for the slowest machine: what is late is told, not measured
 BEST, CHEAPEST = LADDER[0], LADDER[-1]
 

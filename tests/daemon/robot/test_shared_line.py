@@ -19,6 +19,8 @@ from tacshade_edge.daemon.robot.shared_line import SharedLine, share_lines
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.settings import Document, Serial, Settings
 
+pytestmark = pytest.mark.slow
+
 numbers = itertools.count()
 
 

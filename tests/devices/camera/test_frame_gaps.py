@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 
 from tacshade_edge.devices.camera.frame_gaps import FrameGaps
 
+pytestmark = pytest.mark.slow
+
 PERIOD_NS = 40_000_000
 
 

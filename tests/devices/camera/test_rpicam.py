@@ -17,6 +17,8 @@ from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.types import Frame
 
+pytestmark = pytest.mark.slow
+
 H, W = 48, 64
 IMAGES = np.random.default_rng(7).integers(0, 256, (5, H, W), np.uint8)
 

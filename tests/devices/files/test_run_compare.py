@@ -20,6 +20,8 @@ from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Frame, HeightMap, ObjectCloud, Reconstruction
 
+pytestmark = pytest.mark.slow
+
 Change = Callable[[Reconstruction], Reconstruction]
 
 
