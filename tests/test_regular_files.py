@@ -24,7 +24,7 @@ def test_what_can_hang_or_never_ends_is_refused_at_once(tmp_path: Path) -> None:
         Path("/dev/zero"): "found no regular file",
         tmp_path: "Is a directory",
         tmp_path / "none": "No such file",
-        tmp_path / "nul\0": "null byte",
+        tmp_path / "nul\0": "embedded null",
     }.items():
         with pytest.raises(OSError, match=said):
             read_regular(path, 100)

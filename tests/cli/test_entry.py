@@ -78,6 +78,8 @@ def test_a_stop_before_the_daemon_is_there_is_a_stop(number: signal.Signals) -> 
 def test_too_little_address_space_is_told_before_a_library_crashes(mib: int) -> None:
     """OpenCV's loading ended in a segmentation fault at 500 MB."""
     limit = f"import resource\nresource.setrlimit(resource.RLIMIT_AS, ({mib << 20}, resource.RLIM_INFINITY))\n"
+    if python(f"{limit}print(resource.getrlimit(resource.RLIMIT_AS)[0])").stdout != f"{mib << 20}\n":
+        pytest.skip("no limit of the address space is kept here: QEMU's emulation of a user space has none")
     done = python(f"{limit}from tacshade_edge.__main__ import entry\nentry()", "run", "--config", "/none")
     assert done.returncode == 78
     found = f"found {mib} MiB of address space (ulimit -v, RLIMIT_AS), expected at least 1024 MiB"

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
 import results
 from results import PAGES, Page
 
+pytestmark = pytest.mark.skipif(shutil.which("git") is None, reason="git is not installed")
 HELP = Page("Help", "What it prints.", ("tacshade-edge", "--help"))
 
 

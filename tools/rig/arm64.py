@@ -107,7 +107,7 @@ def user_space(python: str) -> Path:
         _run("dpkg-deb", "-x", str(package), str(root))  # unpacked, not configured: no program of it has run
         package.unlink()
     (root / "etc/passwd").write_text("root:x:0:0:root:/root:/bin/bash\nnobody:x:65534:65534::/:/bin/false\n")
-    (root / "etc/group").write_text("root:x:0:\nnogroup:x:65534:\n")
+    (root / "etc/group").write_text("root:x:0:\ndialout:x:20:\nvideo:x:44:\nnogroup:x:65534:\n")
     (root / "etc/hosts").write_text("127.0.0.1 localhost\n")
     for name in ("src", "opt"):
         (root / name).mkdir(exist_ok=True)
@@ -126,8 +126,11 @@ def install(python: str, root: Path) -> None:
     board = ("--python-platform", "aarch64-manylinux_2_28", "--python-version", python, "--only-binary", ":all:")
     lock = str(TREE / "systemd/requirements.lock")
     _run(*UV, "install", *board, "--target", str(root / "opt/lock"), "--require-hashes", "--no-deps", "-r", lock)
-    words = ("--target", str(root / "opt/dev"), "-r", str(TREE / "pyproject.toml"), "--extra", "dev")
-    _run(*UV, "install", *board, *words)
+    dev = ("--target", str(root / "opt/dev"))
+    _run(*UV, "install", *board, *dev, "-r", str(TREE / "pyproject.toml"), "--extra", "dev")
+    # What the package says of itself; its code is this tree's.
+    _run(*UV, "install", *board[:-2], *dev, "--no-deps", str(TREE))
+    shutil.rmtree(root / "opt/dev/tacshade_edge")
 
 
 def enter(python: str, command: list[str]) -> None:

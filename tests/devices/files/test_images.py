@@ -52,7 +52,7 @@ def test_what_is_no_image_is_refused(tmp_path: Path) -> None:
         "empty.png": "found 0 bytes",
         "text.png": "found 5 bytes",
         "none.png": "No such file",
-        "nul\0.png": "null byte",
+        "nul\0.png": "embedded null",
     }.items():
         with pytest.raises(DecodeError, match=said):
             read_image(tmp_path / name)
