@@ -58,11 +58,18 @@ def test_a_fifo_is_not_waited_for(tmp_path: Path) -> None:
     assert "is a file" in why_not(str(tmp_path / "fifo"), ConfigError)
 
 
+def asks_kernel() -> bool:
+    """Whether VIDIOC_QUERYCAP gets to the kernel."""
+    try:
+        with Path("/dev/null").open("rb") as null:
+            fcntl.ioctl(null, 0x80685600, bytearray(104))
+    except OSError as error:
+        return error.errno != errno.ENOSYS
+    return True
+
+
+@pytest.mark.skipif(not asks_kernel(), reason="QEMU's emulation of a user space passes no video request on")
 def test_another_device() -> None:
-    with open("/dev/null", "rb") as null, pytest.raises(OSError) as refused:
-        fcntl.ioctl(null, 0x80685600, bytearray(104))  # VIDIOC_QUERYCAP
-    if refused.value.errno == errno.ENOSYS:
-        pytest.skip("QEMU's emulation of a user space passes no such request on")
     assert why_not("/dev/null", ConfigError) == f"camera /dev/null: is a device but not a video device, {EXPECTED}"
 
 
