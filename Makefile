@@ -1,5 +1,5 @@
 # make demo    a simulated hand, live in a browser (Python only, never root)
-# make check   format, lint, types, layers and the quick tests: a minute on two cores
+# make check   format, lint, types, layers and the quick tests: 80 s on two cores
 # make deb     Debian packages for amd64 and arm64, of Debian 12 and 13, into dist/
 # make image   the container image tacshade-edge, by podman (IMAGE_TOOL=docker: by docker)
 # make lock    newer wheels for boards, on purpose: systemd/requirements.lock and the bill of what is in them

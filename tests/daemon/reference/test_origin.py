@@ -54,6 +54,7 @@ def test_without_a_stored_one_it_is_the_calibrations(
 def test_another_calibration_makes_it_void_and_says_so_once(
     calibration: Calibration, pictures: Any, path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
+    caplog.set_level(logging.WARNING)
     requested(calibration, [pictures.free] * IMAGES, path)
     newer = with_crc(replace(calibration, reference_grey=calibration.reference_grey // 2))
     void = restored(newer, path)
