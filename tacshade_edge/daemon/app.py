@@ -35,6 +35,7 @@ from tacshade_edge.daemon.systemd import Progress, Service
 from tacshade_edge.devices import registry
 from tacshade_edge.devices.base import FrameSource
 from tacshade_edge.devices.files import reference_file
+from tacshade_edge.devices.fixes import with_fix
 from tacshade_edge.devices.mqtt.outlet import PayloadOutcome
 from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.errors import ConfigError
@@ -410,12 +411,21 @@ class App:
             return
         self._published_camera = camera
         self._recorder.event("source", state=camera.state, **reason_fields(camera.reason))
-        _log.info("source %s%s", camera.state, f": {camera.reason}" if camera.reason else "")
+        self._log_camera(camera)
         self.link.set_retained("status/camera", messages.encode_status(camera.state, camera.reason, camera.details))
         if self._finger and camera.reason:
             self._finger.lose(camera.reason)
         if camera.state != "ended":
             self.link.set_retained("state", b"online" if camera.state == "streaming" else b"degraded")
+
+    def _log_camera(self, camera: SourceState) -> None:
+        """Warn of a source that is away or useless; all else is only worth a line."""
+        reason = camera.reason
+        if reason is None or reason.code is ReasonCode.STARTING or camera.state not in ("away", "unusable"):
+            _log.info("source %s%s", camera.state, f": {reason}" if reason else "")
+        else:
+            fix = registry.how_to_fix(self._document.settings.source, reason.code)
+            _log.warning("source %s: %s", camera.state, with_fix(reason, fix))
 
     def _publish_info(self) -> None:
         reconstructor = self._active.reconstructor

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tacshade_edge.devices import calibrations
+from tacshade_edge.devices import calibrations, fixes
 from tacshade_edge.devices.base import FrameSource
 from tacshade_edge.devices.camera import v4l2_node
 from tacshade_edge.devices.files.frame_table import table_in
@@ -188,6 +188,12 @@ def password_in(path: str | Path, where: str) -> str:
     if not password:
         raise ConfigError(f"{where}: {path}: found an empty first line, expected the password")
     return password
+
+
+def how_to_fix(source: Source, code: ReasonCode) -> str | None:
+    """What a person does about a source's state; None where that is not known, or the reason itself says it."""
+    of_cameras = {V4l2: fixes.OF_USB_CAMERAS, Rpicam: fixes.OF_CSI_CAMERAS}.get(type(source), {})
+    return of_cameras.get(code) or fixes.OF_FRAMES.get(code)
 
 
 def check_files(document: Document) -> None:

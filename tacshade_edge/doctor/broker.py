@@ -16,6 +16,7 @@ from paho.mqtt.enums import MQTTErrorCode
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
+from tacshade_edge.devices.fixes import connect_fix, is_not_authorised, is_other_version, no_answer_fix, refusal_fix
 from tacshade_edge.devices.mqtt.client import make_client, packet_bytes_max
 from tacshade_edge.devices.mqtt.holder import place_of
 from tacshade_edge.doctor.finding import Finding, fault, ok, warning
@@ -30,10 +31,6 @@ _HEADER_BYTES = 200
 _PACKET_BYTES = 1_000_000  # a map of 640x480 cells, and room
 _SLOW_MS = 20.0
 _TOLD = ("state", "info", "instance", "health", "status/+")
-_NOT_AUTHORISED = (0x86, 0x87)  # bad user name or password, not authorised
-_BAD_VERSION = 0x84
-# X509_V_ERR_* of OpenSSL: not yet valid, expired; another host name, another address.
-_OUT_OF_TIME, _OTHER_NAME = (9, 10), (62, 64)
 _ACL = "in the broker's ACL file: user {user}, then: topic readwrite tacshade/# (see systemd/mosquitto-tacshade.acl)"
 
 
@@ -168,35 +165,29 @@ def _connect(client: Client, host: str, port: int, tls_ca: str | None) -> Findin
 
     Once by ourselves, since paho leaves a socket open whose TLS handshake failed, then by paho.
     """
-    where = f"{host}:{port}"
     try:
         _reach(host, port, tls_ca)
         client.connect(host, port, _KEEPALIVE_S, clean_start=True)
-    except socket.gaierror as error:
-        mend = "is mqtt.host spelt right, and does the network work? Try: getent hosts " + host
-        return fault("broker", f"{host}: the name has no address ({error.strerror})", mend)
-    except ssl.SSLCertVerificationError as error:
-        return fault(
-            "broker", f"{where}: its certificate is refused: {error.verify_message}", certificate_mend(error, host)
-        )
-    except ssl.SSLError as error:
-        mend = "is mqtt.port the broker's TLS port (often 8883)? Without TLS leave mqtt.ca_file out"
-        return fault("broker", f"{where}: does not answer in TLS ({error.reason or error})", mend)
-    except ConnectionRefusedError:
-        mend = "start it: sudo systemctl enable --now mosquitto (install it first: sudo apt install mosquitto)"
-        if host not in ("localhost", "127.0.0.1", "::1"):
-            mend = (
-                "is the broker running there, on that port, and for other machines (mosquitto needs a `listener` line)?"
-            )
-        return fault("broker", f"{where}: refused, nothing listens there", mend)
-    except TimeoutError:
-        mend = f"is the address right, the machine on, its firewall open for port {port}?"
-        if tls_ca:
-            mend += " Is it the TLS port?"
-        return fault("broker", f"{where}: no answer within {_CONNECT_S:g} s", mend)
     except OSError as error:
-        return fault("broker", f"{where}: {error.strerror or error}", "does the network work? Is mqtt.host right?")
+        return fault("broker", _unreached(error, host, port), connect_fix(error, host, port, tls_ca))
     return None
+
+
+def _unreached(error: OSError, host: str, port: int) -> str:
+    """What was found in place of a connection."""
+    where = f"{host}:{port}"
+    match error:
+        case socket.gaierror():
+            return f"{host}: the name has no address ({error.strerror})"
+        case ssl.SSLCertVerificationError():
+            return f"{where}: its certificate is refused: {error.verify_message}"
+        case ssl.SSLError():
+            return f"{where}: does not answer in TLS ({error.reason or error})"
+        case ConnectionRefusedError():
+            return f"{where}: refused, nothing listens there"
+        case TimeoutError():
+            return f"{where}: no answer within {_CONNECT_S:g} s"
+    return f"{where}: {error.strerror or error}"
 
 
 def _reach(host: str, port: int, tls_ca: str | None) -> None:
@@ -208,38 +199,22 @@ def _reach(host: str, port: int, tls_ca: str | None) -> None:
             context.wrap_socket(plain, server_hostname=host).close()
 
 
-def certificate_mend(error: ssl.SSLCertVerificationError, host: str) -> str:
-    """What to do about a certificate that was refused."""
-    if error.verify_code in _OUT_OF_TIME:
-        return "renew the broker's certificate; is this machine's clock right?"
-    if error.verify_code in _OTHER_NAME:
-        return f"set mqtt.host to a name in the certificate, or make one for {host} (subjectAltName)"
-    return "set mqtt.ca_file to the PEM file of the authority that signed the broker's certificate"
-
-
 def _greet(client: Client, session: _Session, where: str, username: str | None, tls_ca: str | None) -> Finding | None:
     """Wait for the broker's answer to CONNECT; what is wrong with it."""
     open_still = _pump(client, lambda: session.greeting is not None)
     code = session.greeting
     if code is None:
         doing = "says nothing" if open_still else "hangs up"
-        mend = "is mqtt.port that of an MQTT broker (1883)?"
-        if tls_ca is None:
-            mend += " If it is a TLS port (8883), set mqtt.ca_file"
-        return fault("broker", f"{where}: takes connections but {doing}: not an MQTT broker", mend)
-    if code.value in _NOT_AUTHORISED:
-        if username is None:
-            mend = "it wants a user: set mqtt.username and mqtt.password_file"
-            return fault("broker", f"{where}: refuses us without a user name ({code})", mend)
-        mend = (
-            f"is the password file right? Set it anew: sudo mosquitto_passwd /etc/mosquitto/tacshade.passwd {username}"
-        )
-        return fault("broker", f"{where}: refuses the user {username} or the password ({code})", mend)
-    if code.value == _BAD_VERSION:
-        return fault("broker", f"{where}: does not speak MQTT 5", "use mosquitto 1.6 or newer")
-    if code.is_failure:
-        return fault("broker", f"{where}: refuses us: {code}", "its log says more: sudo journalctl -u mosquitto")
-    return None
+        found = f"{where}: takes connections but {doing}: not an MQTT broker"
+        return fault("broker", found, no_answer_fix(tls_ca))
+    if not code.is_failure:
+        return None
+    if is_not_authorised(code.value):
+        whom = "us without a user name" if username is None else f"the user {username} or the password"
+        found = f"refuses {whom} ({code})"
+    else:
+        found = "does not speak MQTT 5" if is_other_version(code.value) else f"refuses us: {code}"
+    return fault("broker", f"{where}: {found}", refusal_fix(code.value, username))
 
 
 def _round_trip(client: Client, session: _Session, base: str, username: str | None) -> Finding:

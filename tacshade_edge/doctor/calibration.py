@@ -11,12 +11,12 @@ from tacshade_edge.core.calibration.references import rezero
 from tacshade_edge.core.frame_check import registration
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
-from tacshade_edge.devices import calibrations, registry
+from tacshade_edge.devices import calibrations, fixes, registry
 from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.doctor.finding import Finding, fault, ok, warning
 from tacshade_edge.doctor.settings import AS_SERVICE
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.reasons import Reason
 from tacshade_edge.settings import Document
 from tacshade_edge.types import U8, Calibration, Frame
 
@@ -30,23 +30,6 @@ _AGED = (
     "bring light, exposure and focus back to what they were, or take a new reference: tacshade-edge calibrate --rezero "
     "CAL.npz --reference ref_*.png --out NEW.npz"
 )
-_RELIGHT = "bring the light and source.exposure back to what they were when calibrating, or calibrate again"
-# Of the reason why a frame is unusable or degraded.
-_MENDS = {
-    ReasonCode.SIZE: "set source.width_px and height_px to the calibration's, or calibrate again at this size",
-    ReasonCode.BLACK: "switch the sensor's light on",
-    ReasonCode.NO_CONTRAST: "switch the sensor's light on; is the camera in focus?",
-    ReasonCode.SATURATED: "dim the sensor's light, or lower source.exposure to what it was when calibrating",
-    ReasonCode.LIGHT: _RELIGHT,
-    ReasonCode.LIGHT_DRIFT: _RELIGHT,
-    ReasonCode.GLARE: "light from outside falls into the sensor or mirrors in it: shade it",
-    ReasonCode.NOISE: "more light and less gain; check the camera's cable",
-    ReasonCode.CAMERA_SHIFT: (
-        "fix the camera where it was, take a new reference (calibrate --rezero), or calibrate again"
-    ),
-    ReasonCode.SURROUND: "the camera or its light moved: fix it where it was, or calibrate again",
-    ReasonCode.TORN: "frames are damaged on their way: another USB port, a shorter cable, a lower rate",
-}
 
 
 def load(document: Document) -> tuple[Calibration | None, tuple[Finding, ...]]:
@@ -140,4 +123,4 @@ def _check_noise(calibration: Calibration, images: Sequence[U8]) -> Finding:
 
 
 def _mend(reason: Reason) -> str:
-    return _MENDS.get(reason.code, _REZERO)
+    return fixes.OF_FRAMES.get(reason.code, _REZERO)

@@ -13,6 +13,7 @@ from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.devices.camera import v4l2_node
 from tacshade_edge.devices.camera.rpicam import PROGRAM
 from tacshade_edge.devices.camera.v4l2_controls import Lock
+from tacshade_edge.devices.fixes import RIBBON_CABLE, USB_CABLE
 from tacshade_edge.doctor.cameras import (
     CSI_MEND,
     card_name,
@@ -36,7 +37,6 @@ _RATE_OFF = 0.01  # 29.97 is 30
 _LOST_PART = 0.05  # a stream's start may cost a frame
 _AGE_MAX_S = 0.5
 _SIZES_SHOWN = 8
-_CABLE = "is the ribbon cable in on both ends, contacts towards the contacts? rpicam-hello --list-cameras shows it"
 _STOP = "to look at the camera itself: sudo systemctl stop tacshade-edge, and start it again afterwards"
 _PICTURE_MENDS = {
     ReasonCode.BLACK: "switch the sensor's light on, take the lens cap off, or raise source.exposure",
@@ -86,7 +86,7 @@ def check_csi(source: Rpicam) -> tuple[Finding, ...]:
     if name := cameras.get(source.camera):
         return (ok("camera", f"camera {source.camera} of {PROGRAM}: {name}"),)
     found = ", ".join(f"{number} ({name})" for number, name in cameras.items()) or "none"
-    mend = f"set source.camera to one of them; {_CABLE}" if cameras else _CABLE
+    mend = f"set source.camera to one of them; {RIBBON_CABLE}" if cameras else RIBBON_CABLE
     return (fault("camera", f"{PROGRAM} has no camera {source.camera}, it lists {found}", mend),)
 
 
@@ -129,8 +129,7 @@ def check_frames(source: V4l2 | Rpicam, captured: Captured, machine: Machine, da
         return (busy,)
     findings: list[Finding] = []
     if captured.error:
-        usb = "plug it in again, into another USB port or a powered hub; sudo dmesg tells what the kernel saw"
-        mend = usb if isinstance(source, V4l2) else _CABLE
+        mend = USB_CABLE if isinstance(source, V4l2) else RIBBON_CABLE
         name = f"camera {source.device}: " if isinstance(source, V4l2) else f"camera {source.camera} of {PROGRAM}: "
         findings.append(fault("camera frames", str(captured.error).removeprefix(name), mend))
     if not captured.t_ns:

@@ -12,7 +12,7 @@ from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
 from support.reworded import NONSENSE, reword
 
 from tacshade_edge.core.geometry.disc import disc_mask
-from tacshade_edge.doctor.broker import certificate_mend
+from tacshade_edge.devices.fixes import certificate_fix
 from tacshade_edge.doctor.calibration import check_images
 from tacshade_edge.doctor.camera import check_device, check_frames, check_picture
 from tacshade_edge.doctor.capture import Captured
@@ -101,4 +101,4 @@ def test_each_bad_image_has_a_mend_of_its_own() -> None:
 def test_a_refused_certificate_is_told_apart_by_openssls_number(code: int, mend: str) -> None:
     error = ssl.SSLCertVerificationError()
     error.verify_code, error.verify_message = code, NONSENSE
-    assert certificate_mend(error, "broker.local").startswith(mend)
+    assert certificate_fix(error, "broker.local").startswith(mend)

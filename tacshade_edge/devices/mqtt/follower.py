@@ -12,6 +12,7 @@ from typing import Any, Final
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 
+from tacshade_edge.devices.fixes import BROKERS_LOG, connect_fix, refusal_fix
 from tacshade_edge.devices.mqtt.client import BrokerAddress, connect, make_client
 
 _log = logging.getLogger(__name__)
@@ -37,6 +38,7 @@ class Follower:
 
     def __init__(self, broker: BrokerAddress, on_message: Callable[[str, bytes, bool], None]) -> None:
         self._where, self._address = f"{broker['host']}:{broker['port']}", (broker["host"], broker["port"])
+        self._username, self._tls_ca = broker["username"], broker["tls_ca"]
         self._on_message = on_message
         self._lock = threading.Lock()
         self._topics: frozenset[str] = frozenset()
@@ -79,16 +81,23 @@ class Follower:
         if topics:
             self._client.subscribe([(topic, 1) for topic in sorted(topics)])
 
-    def _tell(self, text: str) -> None:
-        """A change is logged, a repetition is not."""
-        if text != self._told:
-            self._told = text
+    def _tell(self, text: str, fix: str = "") -> None:
+        """A change is logged, a repetition is not. With a fix it is a fault."""
+        if text == self._told:
+            return
+        self._told = text
+        if fix:
+            _log.warning("%s: %s; to fix it: %s", self._where, text, fix)
+        else:
             _log.info("%s: %s", self._where, text)
 
     # -- called by paho, in its thread ----------------------------------------------------------------------------
 
     def _on_connect(self, _client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
-        self._tell(f"refused: {code}" if code.is_failure else "connected")
+        if code.is_failure:
+            self._tell(f"refused: {code}", refusal_fix(code.value, self._username))
+        else:
+            self._tell("connected")
         with self._lock:
             self._connected = not code.is_failure
             if self._connected:
@@ -96,18 +105,19 @@ class Follower:
 
     def _on_connect_fail(self, _client: Client, _userdata: Any) -> None:
         error = sys.exception()  # paho calls this while it handles the error, and does not pass it on
-        self._tell(f"{getattr(error, 'strerror', None) or error or 'no connection'}; trying again")
+        text = f"{getattr(error, 'strerror', None) or error or 'no connection'}; trying again"
+        self._tell(text, connect_fix(error, *self._address, self._tls_ca))
 
     def _on_disconnect(self, _client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
         with self._lock:
             was, self._connected = self._connected, False
         if was:
-            self._tell(f"connection lost ({code})")
+            self._tell(f"connection lost ({code})", BROKERS_LOG)
 
     def _on_subscribe(self, _client: Client, _userdata: Any, _mid: int, codes: list[MqttCode], _p: Any) -> None:
         if refused := next((code for code in codes if code.is_failure), None):
             self._tell(
-                f"subscription refused: {refused}, expected access rules (ACL) that let this user read tacshade/#"
+                f"subscription refused: {refused}", "give this user access rules (ACL) that let it read tacshade/#"
             )
 
     def _on_paho_message(self, _client: Client, _userdata: Any, message: MQTTMessage) -> None:

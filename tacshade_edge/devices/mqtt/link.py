@@ -25,6 +25,7 @@ from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
+from tacshade_edge.devices.fixes import BROKERS_LOG, connect_fix, no_answer_fix, refusal_fix, with_fix
 from tacshade_edge.devices.mqtt.client import (
     connect,
     make_client,
@@ -98,6 +99,7 @@ class MqttLink:
     ) -> None:
         self._where = f"{host}:{port}"
         self._host, self._port, self._base = host, port, base_topic
+        self._username, self._tls_ca = username, tls_ca
         self._on_request, self._on_outcome = on_request, on_outcome
         self._lock = threading.Lock()
         self._changed = threading.Condition(self._lock)
@@ -384,7 +386,10 @@ class MqttLink:
         """Forget the connection; what failed with it. Lock held."""
         self._counters["losses"] += self._connected and not self._stopping
         self._connected = False
-        self._set_reason(self._with_address(ReasonCode.STOPPED, "stopped") if self._stopping else reason)
+        if self._stopping:
+            self._set_reason(self._with_address(ReasonCode.STOPPED, "stopped"))
+        else:
+            self._set_reason(reason, BROKERS_LOG)
         self._epoch += 1
         self._by_mid.clear()
         self._early.clear()
@@ -395,10 +400,14 @@ class MqttLink:
     def _with_address(self, code: ReasonCode, text: str) -> Reason:
         return Reason(code, f"{self._where}: {text}")
 
-    def _set_reason(self, reason: Reason | None) -> None:
-        """Keep why we are not connected; a change is logged, a repetition is not."""
-        if reason != self._reason:
-            self._reason = reason
+    def _set_reason(self, reason: Reason | None, fix: str = "") -> None:
+        """Keep why we are not connected; a change is logged, a repetition is not. With a fix it is a fault."""
+        if reason == self._reason:
+            return
+        self._reason = reason
+        if reason and fix:
+            _log.warning("%s", with_fix(reason, fix))
+        else:
             _log.info("%s", reason or f"{self._where}: connected")
 
     def _end_thread(self, deadline: float) -> None:
@@ -434,7 +443,9 @@ class MqttLink:
         if code.is_failure:
             with self._lock:
                 self._refused = True
-                self._set_reason(self._with_address(ReasonCode.REFUSED, f"refused: {code}"))
+                self._set_reason(
+                    self._with_address(ReasonCode.REFUSED, f"refused: {code}"), refusal_fix(code.value, self._username)
+                )
             return
         client.drop_out_messages()  # or paho would send old retained values after the new ones
         client.subscribe(
@@ -458,7 +469,8 @@ class MqttLink:
         text = str(getattr(error, "strerror", None) or error or "no connection")
         with self._lock:
             if not self._stopping:
-                self._set_reason(self._with_address(ReasonCode.UNREACHABLE, text))
+                fix = connect_fix(error, self._host, self._port, self._tls_ca)
+                self._set_reason(self._with_address(ReasonCode.UNREACHABLE, text), fix)
 
     def _on_disconnect(self, _client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
         if self._connected:
@@ -466,7 +478,7 @@ class MqttLink:
         elif not self._refused and not self._stopping:  # else that reason stays, and our own end is none
             text = f"accepts connections but does not answer as an MQTT 5 broker ({code})"
             with self._lock:
-                self._set_reason(self._with_address(ReasonCode.NO_ANSWER, text))
+                self._set_reason(self._with_address(ReasonCode.NO_ANSWER, text), no_answer_fix(self._tls_ca))
 
     def _drop(self, reason: Reason) -> None:
         with self._lock:

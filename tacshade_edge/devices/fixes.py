@@ -1,0 +1,116 @@
+"""How a person fixes what the daemon reports of broker, camera and frames: one text for its log and for `doctor`."""
+
+from __future__ import annotations
+
+import socket
+import ssl
+
+from tacshade_edge.reasons import Reason, ReasonCode
+
+_RELIGHT = "bring the light and source.exposure back to what they were when calibrating, or calibrate again"
+USB_CABLE = "plug it in again, into another USB port or a powered hub; sudo dmesg shows what the kernel saw"
+RIBBON_CABLE = (
+    "is the ribbon cable in on both ends, contacts towards the contacts? rpicam-hello --list-cameras shows it"
+)
+_END_THE_OTHER = "end the other program that has it; tacshade-edge doctor names it"
+
+OF_FRAMES = {
+    ReasonCode.SIZE: "set source.width_px and height_px to the calibration's, or calibrate again at this size",
+    ReasonCode.BLACK: "switch the sensor's light on",
+    ReasonCode.NO_CONTRAST: "switch the sensor's light on; is the camera in focus?",
+    ReasonCode.SATURATED: "dim the sensor's light, or lower source.exposure to what it was when calibrating",
+    ReasonCode.LIGHT: _RELIGHT,
+    ReasonCode.LIGHT_DRIFT: _RELIGHT,
+    ReasonCode.GLARE: "light from outside falls into the sensor or mirrors in it: shade it",
+    ReasonCode.NOISE: "more light and less gain; check the camera's cable",
+    ReasonCode.CAMERA_SHIFT: (
+        "fix the camera where it was, take a new reference (calibrate --rezero), or calibrate again"
+    ),
+    ReasonCode.SURROUND: "the camera or its light moved: fix it where it was, or calibrate again",
+    ReasonCode.TORN: "frames are damaged on their way: another USB port, a shorter cable, a lower rate",
+}
+OF_USB_CAMERAS = {
+    ReasonCode.ABSENT: "plug it in, or set source.device to one that tacshade-edge doctor lists",
+    ReasonCode.PERMISSION: "sudo usermod -aG video $USER, then log out and in again",
+    ReasonCode.IN_USE: _END_THE_OTHER,
+    ReasonCode.NOT_OFFERED: "set source.fourcc, width_px, height_px and fps to what tacshade-edge doctor lists",
+    ReasonCode.NO_ANSWER: USB_CABLE,
+    ReasonCode.LOST: USB_CABLE,
+    ReasonCode.STALLED: USB_CABLE,
+}
+OF_CSI_CAMERAS = {
+    ReasonCode.ABSENT: RIBBON_CABLE,
+    ReasonCode.IN_USE: _END_THE_OTHER,
+    ReasonCode.NOT_OFFERED: "set source.width_px and height_px to a size that rpicam-hello --list-cameras shows",
+    ReasonCode.LOST: RIBBON_CABLE,
+    ReasonCode.STALLED: RIBBON_CABLE,
+}
+
+# What MQTT 5 answers to CONNECT.
+_NOT_AUTHORISED = (0x86, 0x87)  # bad user name or password, not authorised
+_BAD_VERSION = 0x84
+# X509_V_ERR_* of OpenSSL: not yet valid, expired; another host name, another address.
+_OUT_OF_TIME, _OTHER_NAME = (9, 10), (62, 64)
+BROKERS_LOG = "its log says more: sudo journalctl -u mosquitto"
+
+
+def with_fix(reason: Reason, fix: str | None) -> str:
+    """A line of a log: what is wrong, and what fixes it where that is known."""
+    return f"{reason}; to fix it: {fix}" if fix else str(reason)
+
+
+def connect_fix(error: BaseException | None, host: str, port: int, tls_ca: str | None) -> str:
+    """What to do about a broker that could not be reached."""
+    match error:
+        case socket.gaierror():
+            return "is mqtt.host spelt right, and does the network work? Try: getent hosts " + host
+        case ssl.SSLCertVerificationError():
+            return certificate_fix(error, host)
+        case ssl.SSLError():
+            return "is mqtt.port the broker's TLS port (often 8883)? Without TLS leave mqtt.ca_file out"
+        case ConnectionRefusedError() if host in ("localhost", "127.0.0.1", "::1"):
+            return "start it: sudo systemctl enable --now mosquitto (install it first: sudo apt install mosquitto)"
+        case ConnectionRefusedError():
+            return (
+                "is the broker running there, on that port, and for other machines (mosquitto needs a `listener` line)?"
+            )
+        case TimeoutError():
+            asked = f"is the address right, the machine on, its firewall open for port {port}?"
+            return f"{asked} Is it the TLS port?" if tls_ca else asked
+    return "does the network work? Is mqtt.host right?"
+
+
+def certificate_fix(error: ssl.SSLCertVerificationError, host: str) -> str:
+    """What to do about a certificate that was refused."""
+    if error.verify_code in _OUT_OF_TIME:
+        return "renew the broker's certificate; is this machine's clock right?"
+    if error.verify_code in _OTHER_NAME:
+        return f"set mqtt.host to a name in the certificate, or make one for {host} (subjectAltName)"
+    return "set mqtt.ca_file to the PEM file of the authority that signed the broker's certificate"
+
+
+def no_answer_fix(tls_ca: str | None) -> str:
+    """What to do about something that takes connections and does not answer as a broker."""
+    asked = "is mqtt.port that of an MQTT broker (1883)?"
+    return asked if tls_ca else f"{asked} If it is a TLS port (8883), set mqtt.ca_file"
+
+
+def is_not_authorised(code: int) -> bool:
+    """Whether a broker refuses the user, by its answer to CONNECT."""
+    return code in _NOT_AUTHORISED
+
+
+def is_other_version(code: int) -> bool:
+    """Whether a broker does not speak MQTT 5, by its answer to CONNECT."""
+    return code == _BAD_VERSION
+
+
+def refusal_fix(code: int, username: str | None) -> str:
+    """What to do about a broker that answers CONNECT with this reason code."""
+    if is_not_authorised(code) and username is None:
+        return "it wants a user: set mqtt.username and mqtt.password_file"
+    if is_not_authorised(code):
+        return (
+            f"is the password file right? Set it anew: sudo mosquitto_passwd /etc/mosquitto/tacshade.passwd {username}"
+        )
+    return "use mosquitto 1.6 or newer" if is_other_version(code) else BROKERS_LOG
