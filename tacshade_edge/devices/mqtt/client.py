@@ -90,10 +90,10 @@ def connect_now(
 
 
 def publish_properties(
-    content_type: str, *, expiry_s: int | None = None, correlation: bytes | None = None
+    content_type: str, *, expiry_s: int | None = None, correlation: bytes | None = None, of_will: bool = False
 ) -> Properties:
-    """MQTT 5 properties of a message; subscribers of version 3.1.1 do without."""
-    properties = _properties(PacketTypes.PUBLISH)
+    """MQTT 5 properties of a message, or of a last will; subscribers of version 3.1.1 do without."""
+    properties = _properties(PacketTypes.WILLMESSAGE if of_will else PacketTypes.PUBLISH)
     properties.ContentType = content_type
     if expiry_s is not None:
         properties.MessageExpiryInterval = expiry_s

@@ -21,7 +21,7 @@ from paho.mqtt.enums import MQTTErrorCode
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
-from tacshade_edge.devices.mqtt.client import connect_now
+from tacshade_edge.devices.mqtt.client import connect_now, publish_properties
 from tacshade_edge.protocol.messages import encode_status
 from tacshade_edge.quoting import shown
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -117,7 +117,8 @@ class Holder:
         tell(reason)
         if not self._told:
             self._told = True
-            self._client.publish(self._rival, encode_status("waiting", reason, self._instance), 0, True)
+            status = encode_status("waiting", reason, self._instance)
+            self._client.publish(self._rival, status, 0, True, publish_properties("application/json"))
         return False
 
     def _pump(self, done: Callable[[], bool], limit_s: float | None) -> bool:

@@ -51,6 +51,8 @@ _CONTENT_TYPES: Final = {
     "height": "application/vnd.tacshade.height",
     "cloud": "application/vnd.tacshade.cloud",
     "map/cloud": "application/vnd.tacshade.cloud",
+    "shear": "application/vnd.tacshade.shear",
+    "sigma": "application/vnd.tacshade.sigma",
     "preview": "image/jpeg",
     "state": "text/plain",
 }
@@ -129,7 +131,8 @@ class MqttLink:
             for name in (client_id, "")
         )
         self._holder = Holder(asking, host, port, base_topic, instance)
-        self._client.will_set(f"{base_topic}/state", b"offline", qos=1, retain=True)
+        will = publish_properties(_CONTENT_TYPES["state"], of_will=True)
+        self._client.will_set(f"{base_topic}/state", b"offline", qos=1, retain=True, properties=will)
         self._client.on_pre_connect = self._on_pre_connect
         self._client.on_connect = self._on_connect
         self._client.on_connect_fail = self._on_connect_fail

@@ -48,7 +48,7 @@ def daemon(port: int) -> Iterator[Rig]:
 
 
 def test_the_second_waits_says_for_whom_and_takes_nothing(broker: Broker, caplog: pytest.LogCaptureFixture) -> None:
-    with daemon(broker.port) as first, Subscriber(broker.port, f"{BASE}/#") as subscriber:
+    with daemon(broker.port) as first, Subscriber(broker.port, f"{BASE}/#", v5=True) as subscriber:
         wait_until(lambda: first.link.connected, 10, "connected")
         with daemon(broker.port) as second:
             wait_until(lambda: code(second) is ReasonCode.IN_USE, 10, "told")
@@ -57,6 +57,9 @@ def test_the_second_waits_says_for_whom_and_takes_nothing(broker: Broker, caplog
             status = json.loads(subscriber.wait_for(f"{BASE}/status/rival")[-1])
             assert (status["state"], status["reason_code"]) == ("waiting", "in_use")
             assert status["process"] == os.getpid()
+            (rival, *_) = [m for m in list(subscriber.messages) if m.topic == f"{BASE}/status/rival"]
+            assert rival.properties is not None
+            assert rival.properties.ContentType == "application/json"
             have = len(subscriber.of(f"{BASE}/health"))
             subscriber.wait_for(f"{BASE}/health", have + 6, 10)
             assert not second.link.connected

@@ -116,6 +116,9 @@ class TestUp:
         assert subscriber.wait_for(f"{BASE}/state", 2) == [b"online", b"offline"]
         with Subscriber(broker.port, f"{BASE}/state") as late:
             assert late.wait_for(f"{BASE}/state") == [b"offline"]
+        with Subscriber(broker.port, f"{BASE}/state", v5=True) as late:
+            late.wait_for(f"{BASE}/state")
+            assert late.messages[0].properties.ContentType == "text/plain"
 
     def test_payloads_and_passwords_are_not_logged(self, broker: Broker, caplog: pytest.LogCaptureFixture) -> None:
         caplog.set_level(logging.DEBUG)

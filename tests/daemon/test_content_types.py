@@ -1,0 +1,72 @@
+"""The MQTT 5 content type of every topic says what its payload is: the real daemon, a real broker, frames with poses."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from faults.rig import write_posed_images
+from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from support.painted_sensor import painted_calibration
+from support.patience import wait_until
+from support.running_app import BASE, Running, ask, last
+
+from tacshade_edge.devices import registry
+from tacshade_edge.errors import DecodeError
+from tacshade_edge.protocol import wire
+from tacshade_edge.settings import load
+
+pytestmark = [pytest.mark.broker, pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")]
+
+STREAMS = {"height", "cloud", "shear", "sigma", "contact", "preview"}
+RETAINED = {"state", "info", "instance", "health", "status/camera", "status/stitching"}
+OF_A_SESSION = {"map/revision", "map/cloud", "map/final", "res/stitch"}
+KINDS = {wire.HeightMessage: "height", wire.CloudMessage: "cloud", wire.ShearMessage: "shear", wire.SigmaMessage: "sigma"}
+
+
+def kind_of(payload: bytes) -> str:
+    """The content type that a payload should have, from its bytes alone."""
+    if payload.startswith(b"\xff\xd8\xff"):
+        return "image/jpeg"
+    try:
+        return f"application/vnd.tacshade.{KINDS[type(wire.decode(payload))]}"
+    except DecodeError:
+        pass
+    try:
+        json.loads(payload)
+    except ValueError:
+        return "text/plain"
+    return "application/json"
+
+
+def test_every_topic_says_what_its_payload_is(tmp_path: Path) -> None:
+    write_posed_images(tmp_path / "images")
+    with Broker(tmp_path) as broker, Subscriber(broker.port, f"{BASE}/#", v5=True) as seen:
+        path = tmp_path / "settings.yaml"
+        path.write_text(
+            "sensor_id: hand-1\nprofile: fast\ncalibration: c.npz\nstitching: {folder: maps}\nrecorder: {folder: recs}\n"
+            f"source: {{kind: files, path: images, fps: 60, loop: true}}\nmqtt: {{host: 127.0.0.1, port: {broker.port}}}\n"
+        )
+        settings = load(path)
+
+        def heard() -> set[str]:
+            return {message.topic.removeprefix(f"{BASE}/") for message in list(seen.messages)}
+
+        running = Running(settings, registry.make_source(settings.settings.source), painted_calibration())
+        try:
+            wait_until(lambda: heard() >= STREAMS | RETAINED, 30, "streams and retained values")
+            assert ask(seen, "stitch", action="begin")["ok"]
+            wait_until(lambda: last(seen, "status/stitching").get("presses", 0) > 0, 30, "a press")
+            assert ask(seen, "stitch", action="end")["ok"]
+            wait_until(lambda: heard() >= OF_A_SESSION, 30, "a map")
+        finally:
+            running.end()
+        seen.wait_for_last(f"{BASE}/state", b"stopped")
+        ours = [message for message in list(seen.messages) if not message.topic.startswith(f"{BASE}/req/")]
+        wrong = {
+            message.topic: (found, expected)
+            for message in ours
+            if (found := getattr(message.properties, "ContentType", None)) != (expected := kind_of(message.payload))
+        }
+    assert wrong == {}
