@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -36,7 +37,7 @@ def load(calibration: str | os.PathLike[str], *, profile: str = DEFAULT) -> Sens
 
 
 class Sensor:
-    """One sensor with one profile; for one thread at a time.
+    """One sensor with one profile; it refuses a second thread while one is in it.
 
     Attributes
     ----------
@@ -51,6 +52,7 @@ class Sensor:
         if profile not in PROFILES:
             raise ConfigError(f"profile {profile!r}: expected one of {', '.join(sorted(PROFILES))}")
         self._reconstructor = make_reconstructor(calibration, PROFILES[profile])
+        self._in_use = threading.Lock()  # never waited for: the reconstructor's scratch buffers are of one frame
         self.profile = profile
         self.geometry: Geometry = calibration.geometry
         self.image_size_px = (calibration.image_height_px, calibration.image_width_px)
@@ -68,7 +70,7 @@ class Sensor:
         DecodeError
             The file cannot be read.
         ConfigError
-            The array is none of these.
+            The array is none of these, or another thread is in the sensor.
         """
         if isinstance(image, np.ndarray):
             if image.dtype != np.uint8 or not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)):
@@ -80,8 +82,19 @@ class Sensor:
         return self.step(Frame(0, 0, 0, pixels), None)
 
     def step(self, frame: Frame, tracker: ContactTracker | None) -> Result:
-        """Reconstruct a frame of a stream, whose objects the tracker follows; for the library itself."""
-        made = self._reconstructor.step(frame)
+        """Reconstruct a frame of a stream, whose objects the tracker follows; for the library itself.
+
+        Raises
+        ------
+        ConfigError
+            Another thread is in the sensor.
+        """
+        if not self._in_use.acquire(blocking=False):
+            raise ConfigError("sensor: found a second thread in it, expected one thread at a time: load one in each")
+        try:
+            made = self._reconstructor.step(frame)
+        finally:
+            self._in_use.release()
         if tracker is not None and made.valid:
             made = follow(tracker, made)
         untrusted = np.zeros(made.height.contact.shape, np.bool_) if made.untrusted is None else made.untrusted

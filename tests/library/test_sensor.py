@@ -83,3 +83,29 @@ def test_what_cannot_be_used_says_so(sensor: ts.Sensor, tmp_path: Path) -> None:
         sensor.reconstruct(tmp_path / "nothing.png")
     with pytest.raises(ts.ConfigError, match="profile 'auto': expected one of accurate, balanced, fast, paper"):
         ts.Sensor(calibrated(), "auto")
+
+
+def test_one_sensor_in_several_threads_gives_right_results_or_refuses(sensor: ts.Sensor) -> None:
+    images = [np.array(pressed("ball", 2.0).image), np.array(unloaded())]
+    expected = [sensor.reconstruct(image).height_mm for image in images]
+    begin, wrong, refused = threading.Barrier(4), [], []
+
+    def reconstruct_many() -> None:
+        begin.wait()
+        for number in range(20):
+            try:
+                height_mm = sensor.reconstruct(images[number % 2]).height_mm
+            except ts.ConfigError as error:
+                refused.append(str(error))
+                continue
+            if not np.array_equal(height_mm, expected[number % 2], equal_nan=True):
+                wrong.append(number)
+
+    threads = [threading.Thread(target=reconstruct_many) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert wrong == []
+    assert set(refused) == {"sensor: found a second thread in it, expected one thread at a time: load one in each"}
+    np.testing.assert_array_equal(sensor.reconstruct(images[0]).height_mm, expected[0])
