@@ -22,7 +22,12 @@ pytestmark = [pytest.mark.broker, pytest.mark.skipif(MOSQUITTO is None, reason="
 STREAMS = {"height", "cloud", "shear", "sigma", "contact", "preview"}
 RETAINED = {"state", "info", "instance", "health", "status/camera", "status/stitching"}
 OF_A_SESSION = {"map/revision", "map/cloud", "map/final", "res/stitch"}
-KINDS = {wire.HeightMessage: "height", wire.CloudMessage: "cloud", wire.ShearMessage: "shear", wire.SigmaMessage: "sigma"}
+KINDS = {
+    wire.HeightMessage: "height",
+    wire.CloudMessage: "cloud",
+    wire.ShearMessage: "shear",
+    wire.SigmaMessage: "sigma",
+}
 
 
 def kind_of(payload: bytes) -> str:
