@@ -1,4 +1,4 @@
-"""The MQTT 5 content type of every topic says what its payload is: the real daemon, a real broker, frames with poses."""
+"""The MQTT 5 content type of every topic says what its payload is: the real daemon, broker and frames with poses."""
 
 from __future__ import annotations
 
@@ -50,8 +50,10 @@ def test_every_topic_says_what_its_payload_is(tmp_path: Path) -> None:
     with Broker(tmp_path) as broker, Subscriber(broker.port, f"{BASE}/#", v5=True) as seen:
         path = tmp_path / "settings.yaml"
         path.write_text(
-            "sensor_id: hand-1\nprofile: fast\ncalibration: c.npz\nstitching: {folder: maps}\nrecorder: {folder: recs}\n"
-            f"source: {{kind: files, path: images, fps: 60, loop: true}}\nmqtt: {{host: 127.0.0.1, port: {broker.port}}}\n"
+            "sensor_id: hand-1\nprofile: fast\ncalibration: c.npz\n"
+            "source: {kind: files, path: images, fps: 60, loop: true}\n"
+            f"mqtt: {{host: 127.0.0.1, port: {broker.port}}}\n"
+            "recorder: {folder: recs}\nstitching: {folder: maps}\n"
         )
         settings = load(path)
 
