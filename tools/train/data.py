@@ -11,8 +11,8 @@ from network import COARSE_CELLS, DISC_MM, HEIGHT_SCALE
 from torch import Tensor
 from torch.nn import functional
 
-KINDS = ("plain", "uneven", "wide", "varied", "other")
-"""Of sensors: shards from 0, 5000, 10000, 15000 and 20000 on."""
+KINDS = ("plain", "uneven", "wide", "varied", "other", "outside")
+"""Of sensors: shards from 0, 5000, 10000, 15000, 20000 and 25000 on."""
 
 
 @dataclass(slots=True, eq=False)

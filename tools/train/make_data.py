@@ -6,7 +6,8 @@
     .venv-train/bin/python tools/train/make_data.py --out DATA --sensors 2400 [--frames 12] [--workers 2]
 
 Shard k holds the sensors of seeds FIRST_SEED + 24 k and following: the same command, the same data. Shards from 5000 on
-(`--first-shard 5000`) hold sensors that are uneven, from 10000 on more so (`samples.UNEVEN_FROM`, `WIDE_FROM`).
+(`--first-shard 5000`) hold sensors that are uneven, from 10000 on more so, from 25000 on those of `outside`
+(`samples.UNEVEN_FROM`, `WIDE_FROM`, `OUTSIDE_FROM`).
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ import time
 from pathlib import Path
 
 import numpy as np
-from samples import sensor_samples
+from outside import VIEWS
+from samples import OUTSIDE_FROM, sensor_samples
 
 FIRST_SEED = 100_000
 SENSORS_PER_SHARD = 24
@@ -30,7 +32,8 @@ def make_shard(job: tuple[Path, int, int]) -> str:
     if path.exists():
         return ""
     start = time.perf_counter()
-    made = [s for k in range(SENSORS_PER_SHARD) if (s := sensor_samples(first_seed + k, frames)) is not None]
+    seeds = range(first_seed, first_seed + SENSORS_PER_SHARD, VIEWS if first_seed >= OUTSIDE_FROM else 1)
+    made = [samples for seed in seeds for samples in sensor_samples(seed, frames)]
     part = path.with_suffix(".part")
     with part.open("wb") as file:
         np.savez_compressed(

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 import obstacle
+from outside import VIEWS, Camera, OutsideRenderer, camera, outside_presses, printed, soft_dome
+from rays import skin_points
 from shapes import random_shape
 from varied import pin_outline, varied_model, varied_print, with_skirt
 
@@ -21,13 +23,13 @@ from tacshade_edge.core.image.binarise import binarise
 from tacshade_edge.core.image.integral_image import CellMeans, Integrator
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator import nuisance
-from tacshade_edge.simulator.drag import drag_skin
+from tacshade_edge.simulator.drag import Mechanics, drag_skin
 from tacshade_edge.simulator.model import SensorModel, random_model, tactip
-from tacshade_edge.simulator.other_family import CAPS, other_model, two_scale_skin
+from tacshade_edge.simulator.other_family import CAPS, TURNING, other_model, two_scale_skin
 from tacshade_edge.simulator.press import Press, distance_mm
 from tacshade_edge.simulator.render import Renderer, print_features
 from tacshade_edge.simulator.skin import Skin, left_over, mass_weight, obstacle_of, undeformed, window_of
-from tacshade_edge.simulator.truth import CONTACT_TOLERANCE_MM, shear_mm, skin_points
+from tacshade_edge.simulator.truth import CONTACT_TOLERANCE_MM, shear_mm
 from tacshade_edge.simulator.varied_print import PinProfile, VariedRenderer, lattice_print
 from tacshade_edge.types import F32, U8, Bool, Disc, Geometry
 
@@ -37,8 +39,7 @@ UNLOADED_PART, RELEASED_PART, UNDRAGGED_PART, NUISANCE_PART = 0.04, 0.04, 0.3, 0
 
 UNEVEN_FROM = 200_000
 """Sensors of seeds from here on also have skins of uneven stiffness, pins with a waist or a belly, and stretched
-lattices or skewed ones with one marker a cell: the network should trust no skirt, pin or lattice too much. The family
-that evaluate.py calls "other" is none of these: square lattice, stems with caps, two decay lengths."""
+lattices or skewed ones with one marker a cell: the network should trust no skirt, pin or lattice too much."""
 
 WIDE_FROM = 300_000
 """From here on they are more uneven still, their skins stiffen (or soften) as they give, and marks are misplaced."""
@@ -47,8 +48,10 @@ VARIED_FROM = 400_000
 """From here on they are also those of `varied`."""
 
 OTHER_FROM = 550_000
-"""From here on they are the family "other" itself: for the question how much of the error on it is not knowing it.
-Nothing that is shipped saw one."""
+"""From here on they are the family that evaluate.py calls "other" itself."""
+
+OUTSIDE_FROM = 650_000
+"""From here on they are those of `outside`, several to a skin."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,6 +127,9 @@ def random_presses(model: SensorModel, rng: np.random.Generator) -> tuple[Press,
     return tuple(presses)
 
 
+DrawPresses = Callable[[SensorModel, np.random.Generator], tuple[Press, ...]]
+
+
 def random_drag(presses: Sequence[Press], model: SensorModel, rng: np.random.Generator) -> tuple[Press, ...]:
     """Drag by up to 5 mm (on a skin of 20 mm) and twist, all alike or each its own way."""
     scale, alike = model.skin_radius_mm / 20, rng.random() < 0.6
@@ -143,7 +149,8 @@ class Unevenness:
     """How a sensor differs from the model.
 
     `stiffness` multiplies the foundation's over the skin's grid, and so does 1 + `hardening` h / (0.15 r); `skirt` is
-    what `with_skirt` takes. `two_scales`: none of these, but the skin of the other family.
+    what `with_skirt` takes. `two_scales`: none of these, but the skin of the other family; `mechanics` are how it is
+    dragged.
     """
 
     stiffness: F32
@@ -151,6 +158,7 @@ class Unevenness:
     skirt: tuple[float, float]
     renderer: Renderer
     two_scales: bool = False
+    mechanics: Mechanics | None = None
 
 
 def draw_unevenness(model: SensorModel, rng: np.random.Generator, wide: bool, varied: bool) -> Unevenness:
@@ -210,11 +218,11 @@ def uneven_skin(
 
 
 def pressed_skin(
-    model: SensorModel, unevenness: Unevenness, rng: np.random.Generator
+    model: SensorModel, unevenness: Unevenness, rng: np.random.Generator, draw: DrawPresses = random_presses
 ) -> tuple[Skin, tuple[Press, ...]]:
     """A skin under random objects, moved along z so that the deepest point is what was asked for, and dragged."""
     while True:
-        presses = random_presses(model, rng)
+        presses = draw(model, rng)
         target = max(p.depth_mm for p in presses)
         try:
             depth = 0.0
@@ -228,7 +236,8 @@ def pressed_skin(
                 continue
             if rng.random() > UNDRAGGED_PART:
                 presses = random_drag(presses, model, rng)
-            return drag_skin(functools.partial(uneven_skin, model, presses, unevenness), model, presses), presses
+            shape = functools.partial(uneven_skin, model, presses, unevenness)
+            return drag_skin(shape, model, presses, unevenness.mechanics), presses
         except ValueError:
             continue
 
@@ -294,20 +303,27 @@ def true_maps(skin: Skin, presses: Sequence[Press], geometry: Geometry, seen: Di
     return (height / unit_mm).reshape(N, N), contact.reshape(N, N)
 
 
-def sensor_samples(seed: int, frames: int) -> Samples | None:
-    """Everything of one sensor; None where its reference shows no pattern to calibrate on."""
-    rng = np.random.default_rng((seed, 12))
-    model = other_model(seed) if seed >= OTHER_FROM else training_model(seed)
-    if seed >= OTHER_FROM:
-        renderer = VariedRenderer(model, lattice_print(model, 90.0), CAPS)
-        unevenness = Unevenness(np.ones((1, 1), np.float32), 0.0, (0.0, 1.0), renderer, two_scales=True)
-    elif seed >= UNEVEN_FROM:
-        unevenness = draw_unevenness(model, rng, seed >= WIDE_FROM, seed >= VARIED_FROM)
-    else:
-        unevenness = Unevenness(np.ones((1, 1), np.float32), 0.0, (0.0, 1.0), Renderer(model))
-    renderer, flat = unevenness.renderer, undeformed(model.skin_radius_mm)
-    clean = renderer.draw(flat)
-    images = [renderer.expose(clean, int(rng.integers(1 << 30))) for _ in range(int(rng.choice((1, 3, 6))))]
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """A sensor as it is calibrated: `seen` is its geometry as somebody found it, `reference` its white at rest."""
+
+    renderer: Renderer
+    camera: Camera
+    seen: Geometry
+    mask: U8
+    pitch_px: float
+    reference: U8
+
+    def white(self, image: U8) -> U8:
+        """White of a frame in each cell, 0 to 255."""
+        return np.rint(255 * white_map(image, self.mask, self.seen.disc, self.pitch_px)).astype(np.uint8)
+
+
+def calibrated(renderer: Renderer, camera_of: Camera, rng: np.random.Generator) -> View | None:
+    """Take a sensor's reference; None where it shows no pattern to calibrate on."""
+    model = renderer.model
+    clean = renderer.draw(undeformed(model.skin_radius_mm))
+    images = [camera_of(renderer.expose(clean, int(rng.integers(1 << 30)))) for _ in range(int(rng.choice((1, 3, 6))))]
     disc = replace(
         model.geometry.disc,
         row_c=model.row_c + float(rng.normal(0, 0.3)),
@@ -321,28 +337,79 @@ def sensor_samples(seed: int, frames: int) -> Samples | None:
     mask = disc_mask(model.image_height_px, model.image_width_px, disc).astype(np.uint8)
     reference = np.mean([white_map(i, mask, disc, pitch_px) for i in images], axis=0)
     seen = replace(model.geometry, disc=disc)
+    return View(renderer, camera_of, seen, mask, pitch_px, np.rint(255 * reference).astype(np.uint8))
+
+
+def random_skin(
+    model: SensorModel, unevenness: Unevenness, rng: np.random.Generator, draw: DrawPresses = random_presses
+) -> tuple[Skin, tuple[Press, ...]]:
+    """A skin of a frame: pressed, at rest, or as a release leaves it."""
+    kind = rng.random()
+    if kind < UNLOADED_PART:
+        return undeformed(model.skin_radius_mm), ()
+    skin, presses = pressed_skin(model, unevenness, rng, draw)
+    return (left_over(skin, float(rng.uniform(0, 0.1))), ()) if kind > 1 - RELEASED_PART else (skin, presses)
+
+
+def samples_of(view: View, skins: Iterable[tuple[Skin, tuple[Press, ...]]], rng: np.random.Generator) -> Samples:
+    """What a sensor sees of skins."""
+    model, disc = view.renderer.model, view.seen.disc
     maps, heights, contacts, shears = [], [], [], []
-    for _ in range(frames):
-        kind = rng.random()
-        skin, presses = (flat, ()) if kind < UNLOADED_PART else pressed_skin(model, unevenness, rng)
-        if kind > 1 - RELEASED_PART:
-            skin, presses = left_over(skin, float(rng.uniform(0, 0.1))), ()
-        image = renderer.expose(renderer.draw(skin), int(rng.integers(1 << 30)))
+    for skin, presses in skins:
+        image = view.renderer.expose(view.renderer.draw(skin), int(rng.integers(1 << 30)))
         if rng.random() < NUISANCE_PART:
             image = spoil(image, disc, rng)
         height, contact = true_maps(skin, presses, model.geometry, disc)
-        maps.append(np.rint(255 * white_map(image, mask, disc, pitch_px)).astype(np.uint8))
+        maps.append(view.white(view.camera(image)))
         heights.append(height.astype(np.float16))
         contacts.append(contact)
         shears.append(true_shear(skin, model, disc).astype(np.float16))
     return Samples(
-        reference=np.rint(255 * reference).astype(np.uint8),
-        known=disc_map.geometry_maps(seen, pitch_px),
+        reference=view.reference,
+        known=disc_map.geometry_maps(view.seen, view.pitch_px),
         frame=np.stack(maps),
         height=np.stack(heights),
         contact=np.stack(contacts),
         shear=np.stack(shears),
     )
 
+
+def sensor_samples(seed: int, frames: int) -> list[Samples]:
+    """Everything of one sensor, or of all that see the same skins; none whose reference shows no pattern."""
+    if seed >= OUTSIDE_FROM:
+        return outside_samples(seed, frames)
+    rng = np.random.default_rng((seed, 12))
+    model = other_model(seed) if seed >= OTHER_FROM else training_model(seed)
+    if seed >= OTHER_FROM:
+        renderer = VariedRenderer(model, lattice_print(model, 90.0), CAPS)
+        unevenness = Unevenness(EVEN, 0.0, (0.0, 1.0), renderer, two_scales=True, mechanics=TURNING)
+    elif seed >= UNEVEN_FROM:
+        unevenness = draw_unevenness(model, rng, seed >= WIDE_FROM, seed >= VARIED_FROM)
+    else:
+        unevenness = Unevenness(EVEN, 0.0, (0.0, 1.0), Renderer(model))
+    view = calibrated(unevenness.renderer, lambda image: image, rng)
+    if view is None:
+        return []
+    return [samples_of(view, (random_skin(model, unevenness, rng) for _ in range(frames)), rng)]
+
+
+def outside_samples(seed: int, frames: int) -> list[Samples]:
+    """What `VIEWS` sensors of `outside` see of the same skins; the seeds after this one are theirs."""
+    rng = np.random.default_rng((seed, 12))
+    dome = soft_dome(seed)
+    views = [
+        calibrated(OutsideRenderer(printed(dome, seed + k), np.random.default_rng((seed + k, 23))), camera(rng), rng)
+        for k in range(VIEWS)
+    ]
+    if not any(views):
+        return []
+    uneven = draw_unevenness(dome, rng, wide=True, varied=True)
+    turning = rng.random() < 0.3
+    uneven = replace(uneven, two_scales=rng.random() < 0.25, mechanics=TURNING if turning else None)
+    skins = [random_skin(dome, uneven, rng, outside_presses) for _ in range(frames)]
+    return [samples_of(view, skins, rng) for view in views if view is not None]
+
+
+EVEN = np.ones((1, 1), np.float32)
 
 cv2.setNumThreads(1)

@@ -14,7 +14,7 @@ WEIGHTS = Path(__file__).parents[2] / "tacshade_edge" / "devices" / "weights"
 
 
 def shipped(net: Net, name: str, inputs: list[Tensor]) -> None:
-    """Give a network the shipped weights of depth and contact; it computes the same.
+    """Give a network of depth the shipped weights; it computes the same.
 
     Parameters
     ----------
@@ -25,7 +25,8 @@ def shipped(net: Net, name: str, inputs: list[Tensor]) -> None:
         Frames as `Net` takes them: what each normalisation then has for mean and spread is theirs.
     """
     frame, sensor = (_tensors(WEIGHTS / f"{name}{end}") for end in (".onnx", ".sensor.onnx"))
-    net.head.load_state_dict({"weight": frame.pop("rest.head.weight"), "bias": frame.pop("rest.head.bias")})
+    for name_of, head in (("head", net.head), ("foreign_head", net.foreign_head)):
+        head.load_state_dict({part: frame.pop(f"rest.{name_of}.{part}") for part in ("weight", "bias")})
     for k, narrow in enumerate(net.narrow):
         narrow.load_state_dict({"weight": frame.pop(f"rest.narrow.{k}.weight")})
     first = torch.cat((frame.pop("weight"), sensor["weight"]), 1), sensor["bias"]

@@ -54,7 +54,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--widths", type=int, nargs="+", default=(16, 32, 48, 64))
     parser.add_argument("--fold", type=int, choices=(2, 4), default=2)
     parser.add_argument("--cells", type=int, choices=(56, 112), default=112, help="along a side of its maps")
-    parser.add_argument("--shares", type=float, nargs=len(KINDS), default=(10, 1, 1, 2, 0), help=" ".join(KINDS))
+    parser.add_argument("--shares", type=float, nargs=len(KINDS), default=(6, 1, 1, 2, 2, 8), help=" ".join(KINDS))
     parser.add_argument("--added", action="store_true", help="levels are added, not joined (`Net`)")
     parser.add_argument(
         "--start", type=Path, metavar="CHECKPOINT", help="its averaged weights begin, of the same or lesser widths"
@@ -73,12 +73,11 @@ class Run:
     def __init__(self, args: argparse.Namespace) -> None:
         self.args = args
         net = NETS[args.net](args.fold, tuple(args.widths), args.added, args.cells)
-        self.shards = shards_in(args.data)
-        self.check = {kind: self._load(paths[:VALIDATION_SHARDS]) for kind, paths in self.shards.items()}
+        self.shards: dict[str, list[Path]] = {}
+        self.check: dict[str, Data] = {}
         self.data: dict[str, Data] = {}
         self.drawn: dict[str, np.ndarray] = {}
-        for kind in self.shards:
-            self._take(kind)
+        self.take_in()
         self.checkpoint = args.out / "checkpoint.pt"
         self.step = 0
         if not self.checkpoint.exists():
@@ -95,6 +94,8 @@ class Run:
 
     def _take(self, kind: str) -> None:
         """Load what is trained on of a kind; `drawn` ends at 1."""
+        if kind not in self.check:
+            self.check[kind] = self._load(self.shards[kind][:VALIDATION_SHARDS])
         self.data[kind] = self._load(self.shards[kind][VALIDATION_SHARDS:])
         total = np.cumsum(self.data[kind].chances())
         self.drawn[kind] = total / total[-1]
@@ -188,7 +189,8 @@ class Run:
     def take_in(self) -> None:
         """Load shards that were made meanwhile."""
         for kind, paths in shards_in(self.args.data).items():
-            if kind in self.data and len(paths) >= len(self.shards[kind]) + NEW_SHARDS:
+            more = NEW_SHARDS if kind in self.shards else VALIDATION_SHARDS + 1
+            if len(paths) >= len(self.shards.get(kind, ())) + more:
                 self.shards[kind] = paths
                 self._take(kind)
 
