@@ -72,6 +72,8 @@ def open(source: str | os.PathLike[str], sensor: Sensor | None = None) -> Result
 def read(recording: str | os.PathLike[str], sensor: Sensor | None = None) -> Results:
     """Read a recording, and reconstruct every frame in order.
 
+    The log tells of what is damaged or was cut off; `passed_over` counts it.
+
     Parameters
     ----------
     recording : path
@@ -87,6 +89,9 @@ def read(recording: str | os.PathLike[str], sensor: Sensor | None = None) -> Res
     """
     path = Path(recording)
     frames = Recording(path)
+    for line in (frames.damage, f"{path}: the recording was cut off, what is whole is read" if frames.cut_off else ""):
+        if line:
+            _log.warning("%s", line)
     if sensor is None:
         if (own := calibrations.of_recording(path)) is None:
             raise ConfigError(

@@ -48,6 +48,12 @@ def test_a_recording_gives_every_frame(recording: Path, caplog: pytest.LogCaptur
     assert next(results, None) is None
 
 
+def test_a_recording_that_was_cut_off_is_told(recording: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (recording / "frames.csv").rename(recording / "frames.csv.part")
+    assert len(list(ts.read(recording))) == 3
+    assert caplog.messages[0] == f"{recording}: the recording was cut off, what is whole is read"
+
+
 def test_a_recording_without_its_calibration_needs_a_sensor(recording: Path, sensor: ts.Sensor) -> None:
     (recording / "calibration.npz").unlink()
     with pytest.raises(ts.ConfigError, match=r"no calibration\.npz in it, expected a sensor too"):

@@ -110,6 +110,8 @@ class FilesSource:
 
     def _next_items(self) -> Iterator[tuple[_Picture, Row | None]]:
         mcap = mcap_frames(self._path) if is_mcap(self._path) else None
+        if mcap is not None and mcap.damage:
+            _log.warning("%s", mcap.damage)
         while True:
             if mcap is not None:
                 yield from ((picture, row) for row, picture, _ in mcap)

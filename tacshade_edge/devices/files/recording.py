@@ -63,7 +63,7 @@ class Recording:
     cut_off : bool
         Its writer died: what it wrote until then is here.
     damage : str
-        What is left out of its table, for a person; empty where nothing is.
+        What is left out of its table, or wrong in an MCAP file beside the frames, for a person; empty where nothing is.
     frames : int or None
         How many `read` will give at most, in all passes; None where only the end tells.
 
@@ -86,6 +86,8 @@ class Recording:
         self._wall_minus_t_ns = wall_minus_t_ns(path) if path.is_dir() else 0
         self._rows = None if self._table is None else read_table(self._table, cut_off=self.cut_off)
         self.damage = "" if self._rows is None else self._rows.damage
+        if self._mcap is not None:
+            self.damage = self._mcap.damage
         if fps is not None and self._table is not None:
             raise ConfigError(f"--fps: found {fps:g}, expected none: {self._table} has the time stamps")
         one_pass = 0

@@ -11,7 +11,8 @@ import pytest
 
 pytest.importorskip("mcap")
 pytest.importorskip("foxglove_schemas_protobuf")
-from mcap.reader import make_reader
+from mcap.reader import NonSeekingReader, make_reader
+from support.mcap_bytes import CHUNK, SCHEMA, flipped, record_starts
 from support.painted_sensor import painted_calibration
 
 from tacshade_edge.devices.files import mcap_recorder
@@ -20,7 +21,7 @@ from tacshade_edge.devices.files.mcap_recorder import McapRecorder
 from tacshade_edge.devices.files.recorder import png_of
 from tacshade_edge.devices.files.recording import Recording
 from tacshade_edge.devices.files.recording_content import CALIBRATION_NAME, content_of, events_in
-from tacshade_edge.errors import DeviceError
+from tacshade_edge.errors import DecodeError, DeviceError
 from tacshade_edge.types import U8, Frame, Pose
 
 WALL_NS, PERIOD_NS = 1_790_000_000_000_000_000, 16_666_667
@@ -53,6 +54,19 @@ def seqs(folder: Path) -> list[int]:
         assert (recorded.frame.t_ns, recorded.frame.pose) == (frame(seq).t_ns, frame(seq).pose)
         found.append(seq)
     return found
+
+
+def every(path: Path) -> tuple[list[int], list[str]]:
+    """Numbers of the frames; and what was told."""
+    recording, found, told = Recording(path), [], []
+    while True:
+        try:
+            if (recorded := recording.read()) is None:
+                return found, told
+        except DecodeError as error:
+            told.append(str(error))
+            continue
+        found.append(int(recorded.name[:6]))
 
 
 def test_a_recording_opens_whole_and_each_of_its_files_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -105,6 +119,58 @@ def test_blocks_that_a_power_cut_left_empty_end_it(tmp_path: Path) -> None:
     (mended,) = mend_recordings(tmp_path)
     assert b"\0" * 60_000 not in mended.read_bytes()
     assert seqs(tmp_path / "rec") == [0, 1, 2, 3, 4]
+
+
+def test_mending_keeps_what_stands_behind_damage(tmp_path: Path) -> None:
+    recorder = begun(tmp_path / "rec", 12)
+    recorder.close()
+    part = tmp_path / "rec" / "000.mcap.part"
+    content = part.read_bytes()
+    chunks = [begin for begin in record_starts(content) if content[begin] == CHUNK]
+    assert len(chunks) == 12
+    # In the picture of the first chunk, which has schemas and channels; in the fifth's length; in the ninth's kind.
+    for byte, bit in ((chunks[0] + 5000, 2), (chunks[4] + 3, 4), (chunks[8], 0)):
+        content = flipped(content, byte, bit)
+    part.write_bytes(content[:-50])
+    assert len(mend_recordings(tmp_path)) == 1
+    frames, refused = every(tmp_path / "rec" / "000.mcap")
+    assert frames == [1, 2, 3, 5, 6, 7, 9, 10, 11]
+    assert len(refused) == 3
+    assert all("damaged and passed over" in line for line in refused)
+
+
+def test_a_standard_reader_needs_no_first_chunk(tmp_path: Path) -> None:
+    begun(tmp_path / "rec", 5).finish({"frames": 5})
+    path = tmp_path / "rec" / "000.mcap"
+    content = path.read_bytes()
+    first, second = (begin for begin in record_starts(content)[:20] if content[begin] == CHUNK)
+    after = next(begin for begin in record_starts(content) if first < begin < second and content[begin] == SCHEMA)
+    path.write_bytes(content[:first] + content[after:])
+    with path.open("rb") as stream:
+        found = [channel.topic for _, channel, _ in NonSeekingReader(stream).iter_messages()]
+    assert found.count("/tacshade/left/camera") == 4
+    assert found.count("/tacshade/left/frame") == 4
+
+
+def test_it_is_read_while_it_grows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mcap_recorder, "FILE_NS_MAX", 4 * PERIOD_NS)
+    recorder = begun(tmp_path / "rec", 1)
+    for seq in range(1, 13):
+        assert Recording(tmp_path / "rec").cut_off
+        assert every(tmp_path / "rec") == (list(range(seq)), [])
+        recorder.add(frame(seq), png_of(frame(seq).image))
+    recorder.finish({"frames": 13})
+    assert every(tmp_path / "rec") == (list(range(13)), [])
+
+
+def test_a_kill_between_two_files_leaves_the_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mcap_recorder, "FILE_NS_MAX", 3 * PERIOD_NS)
+    begun(tmp_path / "rec", 6).close()
+    (tmp_path / "rec" / "001.mcap.part").write_bytes(b"")  # before its first byte reached the disk
+    assert mend_recordings(tmp_path) == []
+    recording = Recording(tmp_path / "rec")
+    assert "001.mcap.part: found no MCAP file" in recording.damage
+    assert every(tmp_path / "rec")[0] == [0, 1, 2, 3]
 
 
 def test_what_is_not_even_begun_stays(tmp_path: Path) -> None:

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import fcntl
 import os
-import struct
 from pathlib import Path
 from typing import BinaryIO, Final
 
+from tacshade_edge.devices.files.mcap.layout import HEAD, MAGIC, ByteFile, Kind
+from tacshade_edge.devices.files.mcap.walk import Place, places
 from tacshade_edge.devices.files.whole_files import sync
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.reasons import ReasonCode
 
-_MAGIC: Final = b"\x89MCAP0\r\n"
-_RECORD: Final = struct.Struct("<BQ")  # opcode, length
-_HEADER, _FOOTER, _DATA_END, _LAST = 0x01, 0x02, 0x0F, 0x0F
 # Of a data section without a checksum, and no summary: readers go through the file.
-_END: Final = _RECORD.pack(_DATA_END, 4) + bytes(4) + _RECORD.pack(_FOOTER, 20) + bytes(20) + _MAGIC
+_END: Final = HEAD.pack(Kind.DATA_END, 4) + bytes(4) + HEAD.pack(Kind.FOOTER, 20) + bytes(20) + MAGIC
 _SUFFIX: Final = ".mcap.part"
 
 
@@ -65,24 +63,8 @@ def mend(path: Path) -> Path | None:
 
 
 def _end_of_records(stream: BinaryIO) -> int | None:
-    """Where the last whole record of the data section ends."""
-    size = stream.seek(0, os.SEEK_END)
-    stream.seek(0)
-    if stream.read(len(_MAGIC)) != _MAGIC:
+    """Where the last whole record of the data section ends, past damage amid them, which whoever reads it is told."""
+    file = ByteFile(stream)
+    if file.at(0, len(MAGIC)) != MAGIC:
         return None
-    end = None
-    at = len(_MAGIC)
-    while len(head := stream.read(_RECORD.size)) == _RECORD.size:
-        opcode, length = _RECORD.unpack(head)
-        at += _RECORD.size + length
-        # Blocks that a power cut left empty are zeros, which no opcode is.
-        if (
-            at > size
-            or not 0 < opcode <= _LAST
-            or opcode in (_DATA_END, _FOOTER)
-            or (end is None) != (opcode == _HEADER)
-        ):
-            break
-        stream.seek(at)
-        end = at
-    return end
+    return max((place.end for place in places(file, "", None) if isinstance(place, Place)), default=None)

@@ -8,6 +8,8 @@ from typing import Any, BinaryIO, Final
 
 from google.protobuf.descriptor import FileDescriptor
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from mcap.data_stream import RecordBuilder
+from mcap.records import Channel, McapRecord, Schema
 from mcap.writer import CompressionType, Writer
 
 from tacshade_edge.devices.files.mcap import messages
@@ -34,10 +36,12 @@ _SCHEMAS: Final[dict[str, dict[str, Any]]] = {
 class McapWriter:
     """One file. Its messages have the capture's Unix time twice, as what was logged and what was published.
 
+    Schemas and channels stand again after each chunk, so that a damaged one takes nothing but its own messages along.
+
     Parameters
     ----------
     stream : BinaryIO
-        Empty; stays open.
+        Empty and buffered; stays open.
     sensor_id : str
         The topics are ``/tacshade/ID/NAME``.
     chunk_bytes : int
@@ -52,8 +56,10 @@ class McapWriter:
         compression = CompressionType.ZSTD if compress else CompressionType.NONE
         self._writer = Writer(stream, chunk_size=chunk_bytes, compression=compression)
         self._writer.start(profile="", library=f"tacshade-edge {installed_version()}")
-        self._sensor_id = sensor_id
+        self._stream, self._sensor_id = stream, sensor_id
         self._channels: dict[str, int] = {}
+        self._described = b""
+        self._chunk_at = stream.tell()
 
     def frame(self, name: str, frame: Frame, png: bytes, wall_ns: int) -> None:
         """A captured frame: its name, times and pose, then its picture."""
@@ -71,35 +77,52 @@ class McapWriter:
         if name not in self._channels:
             self._channels[name] = self._registered(name)
         self._writer.add_message(self._channels[name], wall_ns, payload, wall_ns, seq)
+        if self._stream.tell() > self._chunk_at:  # a chunk was written
+            self._stream.write(self._described)
+            self._chunk_at = self._stream.tell()
 
     def attach(self, name: str, data: bytes, wall_ns: int) -> None:
         """A whole file."""
         media_type = _MEDIA_TYPES.get(name.rpartition(".")[2], "application/octet-stream")
         self._writer.add_attachment(wall_ns, wall_ns, name, media_type, data)
+        self._chunk_at = self._stream.tell()
 
     def describe(self, name: str, about: Mapping[str, str]) -> None:
         """Words for a person or a program."""
         self._writer.add_metadata(name, dict(about))
+        self._chunk_at = self._stream.tell()
 
     def finish(self) -> None:
         """Write what waits, and the summary that makes the file whole."""
         self._writer.finish()
 
     def _registered(self, name: str) -> int:
-        topic, ours = f"/tacshade/{self._sensor_id}/{name}", {OURS: name}
         if name in _SCHEMAS:
             title = f"tacshade.{name.capitalize()}"
             schema = {"title": title, "type": "object", "properties": _SCHEMAS[name]}
-            schema_id = self._writer.register_schema(title, "jsonschema", json.dumps(schema).encode())
-            return int(self._writer.register_channel(topic, "json", schema_id, ours))
+            return self._channel(name, "json", title, "jsonschema", json.dumps(schema).encode())
         descriptor = messages.MESSAGES[name].DESCRIPTOR
         files: dict[str, FileDescriptor] = {}
         _with_what_it_imports(descriptor.file, files)
         described = FileDescriptorSet()
         for file in files.values():
             file.CopyToProto(described.file.add())
-        schema_id = self._writer.register_schema(descriptor.full_name, "protobuf", described.SerializeToString())
-        return int(self._writer.register_channel(topic, "protobuf", schema_id, ours))
+        return self._channel(name, "protobuf", descriptor.full_name, "protobuf", described.SerializeToString())
+
+    def _channel(self, name: str, encoding: str, title: str, schema_encoding: str, schema: bytes) -> int:
+        topic, ours = f"/tacshade/{self._sensor_id}/{name}", {OURS: name}
+        schema_id = self._writer.register_schema(title, schema_encoding, schema)
+        channel_id = int(self._writer.register_channel(topic, encoding, schema_id, ours))
+        self._described += _bytes_of(Schema(id=schema_id, data=schema, encoding=schema_encoding, name=title))
+        channel = Channel(id=channel_id, topic=topic, message_encoding=encoding, metadata=ours, schema_id=schema_id)
+        self._described += _bytes_of(channel)
+        return channel_id
+
+
+def _bytes_of(record: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)
+    return bytes(builder.end())
 
 
 def _with_what_it_imports(file: FileDescriptor, found: dict[str, FileDescriptor]) -> None:

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import io
+import itertools
+import json
 import random
 from pathlib import Path
 
@@ -13,8 +15,10 @@ pytest.importorskip("foxglove_schemas_protobuf")
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from mcap.writer import CompressionType, Writer
+from support.mcap_bytes import CHUNK, flipped, record_starts
 
 from tacshade_edge.devices.files.image_source import FilesSource, first_size_px
+from tacshade_edge.devices.files.mcap import messages
 from tacshade_edge.devices.files.mcap.writer import McapWriter
 from tacshade_edge.devices.files.recording import RecordedFrame, Recording
 from tacshade_edge.errors import ConfigError, DecodeError
@@ -111,8 +115,94 @@ def test_a_damaged_chunk_is_told_and_passed_over(tmp_path: Path) -> None:
     path.write_bytes(whole)
     frames, refused = every(path)
     assert 25 <= len(frames) < 40
+    assert len(refused) == 2
+    assert "is damaged and passed over" in refused[0]
+    assert f"found {len(frames)} messages of /tacshade/left/camera, expected 40 by the file's own count" in refused[1]
+
+
+def test_one_flipped_bit_costs_a_chunk_at_most_and_is_told(tmp_path: Path) -> None:
+    whole = ours(4, chunk_bytes=1 << 11)  # a picture ends a chunk
+    good = {recorded.name: recorded for recorded in every(_written(tmp_path, whole))[0]}
+    assert len(good) == 4
+    heads = [begin + byte for begin in record_starts(whole) for byte in range(9)]
+    draw = random.Random(5)
+    # All of a record's head, for every kind; some of the rest.
+    for at in (*draw.sample(heads, 120), *(draw.randrange(len(whole)) for _ in range(200))):
+        path = _written(tmp_path, flipped(whole, at, draw.randrange(8)))
+        frames, refused = every(path)
+        for recorded in frames:
+            was, found = good[recorded.name].frame, recorded.frame
+            assert (found.t_ns, found.pose) == (was.t_ns, was.pose)
+            np.testing.assert_array_equal(found.image, was.image)
+        assert len(frames) >= 3
+        assert len(frames) == 4 or refused
+
+
+def test_without_an_index_a_flipped_bit_in_any_head_costs_a_chunk_at_most(tmp_path: Path) -> None:
+    whole = ours(5, chunk_bytes=1 << 11)
+    chunks = [begin for begin in record_starts(whole) if whole[begin] == CHUNK]
+    path = tmp_path / "rec.mcap.part"
+    for begin in chunks[:-1]:
+        for byte, bit in itertools.product((0, 1, 2, 3, 4, 5, 8), range(8)):
+            path.write_bytes(flipped(whole, begin + byte, bit)[: chunks[-1] + 100])
+            frames, refused = every(path)
+            # The last chunk is torn, as in a recording that still goes on.
+            assert len(frames) == len(chunks) - 2
+            assert len(refused) == 1
+            assert "damaged and passed over" in refused[0]
+
+
+@pytest.mark.parametrize("number", ["1" + "0" * 400, "1e308", "-2e6", "Infinity", "NaN", "true", "{}", "[]", "null"])
+@pytest.mark.parametrize("key", ["x_mm", "qw", "t_ns", "pose_error_us", "image"])
+def test_what_is_said_of_a_frame_is_bounded_before_it_is_used(tmp_path: Path, key: str, number: str) -> None:
+    about = {"image": "1.png", "seq": 1, "t_ns": 90, "x_mm": 1.0, "y_mm": 2.0, "z_mm": 3.0, "qw": 1.0}
+    about |= {"qx": 0.0, "qy": 0.0, "qz": 0.0, "pose_error_us": 0}
+    stream = io.BytesIO()
+    writer = McapWriter(stream, "left")
+    for seq in range(3):
+        text = json.dumps({**about, "seq": seq, "t_ns": 90 + seq})
+        if seq == 1:
+            text = json.dumps({**about, key: "HERE"}).replace('"HERE"', number)
+        writer.write("frame", text.encode(), 90 + seq, seq)
+        writer.write("camera", messages.camera(cv2.imencode(".png", picture(seq))[1].tobytes(), "left", 0), 0, seq)
+    writer.finish()
+    frames, refused = every(_written(tmp_path, stream.getvalue()))
+    assert [recorded.frame.t_ns for recorded in frames] == [90, 92]
     assert len(refused) == 1
-    assert "is damaged" in refused[0]
+    assert f"message 1 of /tacshade/left/camera: {key}: found" in refused[0]
+    assert len(refused[0]) < 500
+
+
+def test_a_picture_of_ours_whose_times_are_lost_is_told(tmp_path: Path) -> None:
+    stream = io.BytesIO()
+    writer = McapWriter(stream, "left")
+    png = cv2.imencode(".png", picture(0))[1].tobytes()
+    writer.write("camera", messages.camera(png, "left", WALL_NS), WALL_NS, 0)
+    writer.frame("1.png", frame(1), png, WALL_NS)
+    writer.finish()
+    frames, refused = every(_written(tmp_path, stream.getvalue()))
+    assert [recorded.frame.t_ns for recorded in frames] == [frame(1).t_ns]
+    assert len(refused) == 1
+    assert "expected a message of the channel frame" in refused[0]
+
+
+def test_a_file_of_several_that_is_none_is_told_and_the_others_are_read(tmp_path: Path) -> None:
+    (tmp_path / "000.mcap").write_bytes(ours(3))
+    (tmp_path / "001.mcap.part").write_bytes(b"")
+    recording = Recording(tmp_path)
+    assert "001.mcap.part: found no MCAP file, expected one; its frames are left out" in recording.damage
+    assert len(every(tmp_path)[0]) == 3
+
+
+def test_a_file_that_its_writer_ends_meanwhile_is_found(tmp_path: Path) -> None:
+    (tmp_path / "000.mcap").write_bytes(ours(3))
+    assert len(every(tmp_path / "000.mcap.part")[0]) == 3
+
+
+def _written(folder: Path, content: bytes) -> Path:
+    path = folder / "rec.mcap"
+    path.write_bytes(content)
+    return path
 
 
 def test_the_daemons_source_reads_it(tmp_path: Path) -> None:

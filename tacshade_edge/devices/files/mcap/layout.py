@@ -1,0 +1,130 @@
+"""How an MCAP file is laid out: the heads of its records, and how long each says that it is, inside and outside."""
+
+from __future__ import annotations
+
+import os
+import struct
+from enum import IntEnum
+from typing import BinaryIO, Final
+
+MAGIC: Final = b"\x89MCAP0\r\n"
+HEAD: Final = struct.Struct("<BQ")  # kind, length
+_WINDOW_BYTES: Final = 1 << 14
+_LATER_FIELDS_BYTES: Final = 64
+"""What later versions of the format may add to a record; more is another kind's record whose first byte was changed."""
+
+
+class Kind(IntEnum):
+    """The first byte of a record; from 0x80 on they are private to who wrote them."""
+
+    HEADER = 0x01
+    FOOTER = 0x02
+    SCHEMA = 0x03
+    CHANNEL = 0x04
+    MESSAGE = 0x05
+    CHUNK = 0x06
+    MESSAGE_INDEX = 0x07
+    CHUNK_INDEX = 0x08
+    ATTACHMENT = 0x09
+    ATTACHMENT_INDEX = 0x0A
+    STATISTICS = 0x0B
+    METADATA = 0x0C
+    METADATA_INDEX = 0x0D
+    SUMMARY_OFFSET = 0x0E
+    DATA_END = 0x0F
+
+
+# Bytes, or the form of the number that says how many follow it.
+_SHORT, _LONG = "<I", "<Q"
+_FIELDS: Final[dict[int, tuple[int | str, ...]]] = {
+    Kind.HEADER: (_SHORT, _SHORT),
+    Kind.FOOTER: (20,),
+    Kind.SCHEMA: (2, _SHORT, _SHORT, _SHORT),
+    Kind.CHANNEL: (4, _SHORT, _SHORT, _SHORT),
+    Kind.MESSAGE: (22,),
+    Kind.CHUNK: (28, _SHORT, _LONG),
+    Kind.MESSAGE_INDEX: (2, _SHORT),
+    Kind.CHUNK_INDEX: (32, _SHORT, 8, _SHORT, 16),
+    Kind.ATTACHMENT: (16, _SHORT, _SHORT, _LONG, 4),
+    Kind.ATTACHMENT_INDEX: (40, _SHORT, _SHORT),
+    Kind.STATISTICS: (42, _SHORT),
+    Kind.METADATA: (_SHORT, _SHORT),
+    Kind.METADATA_INDEX: (16, _SHORT),
+    Kind.SUMMARY_OFFSET: (17,),
+    Kind.DATA_END: (4,),
+}
+
+
+class ByteFile:
+    """The bytes of a file by their place, of the size that it had when it was opened.
+
+    Parameters
+    ----------
+    stream : BinaryIO
+        Stays open; its position is not used.
+    """
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._descriptor = stream.fileno()
+        self.size = os.fstat(self._descriptor).st_size
+        self._window, self._begin = b"", 0
+
+    def at(self, place: int, count: int) -> bytes:
+        """A few bytes, fewer at the end of the file; what lies around them is read at once."""
+        if place < self._begin or place + count > self._begin + len(self._window):
+            self._window, self._begin = self.block(place, max(count, _WINDOW_BYTES)), place
+        return self._window[place - self._begin : place - self._begin + count]
+
+    def block(self, place: int, count: int) -> bytes:
+        """Many bytes, fewer at the end of the file."""
+        left = max(0, min(count, self.size - place))
+        parts = []
+        while left and (part := os.pread(self._descriptor, left, place)):
+            parts.append(part)
+            left, place = left - len(part), place + len(part)
+        return parts[0] if len(parts) == 1 else b"".join(parts)
+
+    def head(self, place: int) -> tuple[int, int] | None:
+        """Kind and length of the record there; None where the file has not so many bytes."""
+        head = self.at(place, HEAD.size)
+        if len(head) < HEAD.size:
+            return None
+        kind, length = HEAD.unpack(head)
+        return (kind, length) if place + HEAD.size + length <= self.size else None
+
+    def begins_record(self, place: int) -> bool:
+        """Whether a record of a known kind may begin there, or the file ends."""
+        if place >= self.size or self.at(place, len(MAGIC)) == MAGIC:
+            return True
+        head = self.head(place)
+        return head is not None and head[0] in _FIELDS
+
+    def is_sound(self, place: int) -> bool:
+        """Whether the record there is as long as its own fields say.
+
+        Of a message, and of a record with more fields than are known, what follows must look like a record.
+        """
+        if (head := self.head(place)) is None:
+            return False
+        kind, length = head
+        told = self._told_length(kind, place + HEAD.size, length)
+        if told is None:
+            return False
+        if kind != Kind.MESSAGE and told == length:
+            return True
+        is_possible = kind == Kind.MESSAGE or length - told <= _LATER_FIELDS_BYTES
+        return is_possible and self.begins_record(place + HEAD.size + length)
+
+    def _told_length(self, kind: int, place: int, length: int) -> int | None:
+        """By the record's own fields; None where they need more than it has."""
+        told = 0
+        for field in _FIELDS.get(kind, (length + 1,)):
+            if isinstance(field, int):
+                told += field
+            else:
+                size = struct.calcsize(field)
+                number = self.at(place + told, size)
+                told += size + (struct.unpack(field, number)[0] if len(number) == size else length)
+            if told > length:
+                return None
+        return told
