@@ -69,7 +69,7 @@ class _Hand:
             "log": LogChannel(f"{root}/log", context=context),
             "tf": FrameTransformsChannel(f"{root}/tf", context=context),
         }
-        self._info = Info()
+        self._info = Info(geometry=None, profile="")
         self._skin_ns = 0
         self._kept: dict[str, Callable[[], Any]] = {}
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import re
 import signal
 import sys
@@ -16,8 +15,9 @@ from tacshade_edge.cli.check_config import DEFAULT_CONFIG, add_sensor
 from tacshade_edge.cli.replay import positive
 from tacshade_edge.devices import registry
 from tacshade_edge.devices.mqtt.caller import MqttCaller
-from tacshade_edge.errors import DeviceError
+from tacshade_edge.errors import DecodeError, DeviceError
 from tacshade_edge.protocol.messages import RECORD_NAME, RECORD_NAME_RULE, RECORD_S_MAX
+from tacshade_edge.protocol.strict import decode_object
 from tacshade_edge.settings import load
 
 ANSWER_S, WRITTEN_S, PERIOD_S = 3.0, 20.0, 0.5
@@ -118,7 +118,7 @@ def _over(status: dict[str, Any]) -> bool:
 def _status(caller: MqttCaller, folder: str) -> dict[str, Any]:
     """``status/recorder`` of this recording; empty before it comes."""
     try:
-        status = json.loads(caller.latest(STATUS) or b"{}")
-    except ValueError:
+        status = decode_object(STATUS, caller.latest(STATUS) or b"{}")
+    except DecodeError:
         return {}
-    return status if isinstance(status, dict) and status.get("folder") == folder else {}
+    return status if status.get("folder") == folder else {}

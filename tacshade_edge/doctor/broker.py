@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import socket
 import ssl
 import statistics
@@ -21,6 +20,8 @@ from tacshade_edge.devices.mqtt.client import make_client, packet_bytes_max
 from tacshade_edge.devices.mqtt.holder import place_of
 from tacshade_edge.doctor.finding import Finding, fault, ok, warning
 from tacshade_edge.doctor.machine import Process
+from tacshade_edge.errors import DecodeError
+from tacshade_edge.protocol.strict import decode_object
 
 _CONNECT_S = 3.0
 _KEEPALIVE_S = 3  # paho's limit for the TLS handshake too
@@ -282,7 +283,6 @@ def _daemon_state(session: _Session, base: str) -> DaemonState:
 
 def _json(payload: bytes) -> dict[str, Any]:
     try:
-        value = json.loads(payload or b"{}")
-    except ValueError:
+        return decode_object("what a daemon tells", payload or b"{}")
+    except DecodeError:
         return {}
-    return value if isinstance(value, dict) else {}

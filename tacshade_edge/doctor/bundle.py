@@ -22,8 +22,9 @@ import msgspec
 from tacshade_edge.devices import calibrations, registry
 from tacshade_edge.devices.files.whole_files import disk_errors, write_whole
 from tacshade_edge.doctor.finding import Finding
-from tacshade_edge.errors import ConfigError
+from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.protocol.messages import encode_info
+from tacshade_edge.protocol.strict import decode_object
 from tacshade_edge.settings import Document, Settings, to_yaml
 from tacshade_edge.types import U8
 from tacshade_edge.version import installed_version
@@ -171,8 +172,8 @@ def _log() -> str:
 
 def _payload(payload: bytes) -> Any:
     try:
-        return json.loads(payload)
-    except ValueError:
+        return decode_object("what a daemon tells", payload)
+    except DecodeError:
         return payload.decode(errors="replace")
 
 

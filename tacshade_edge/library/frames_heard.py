@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import struct
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from tacshade_edge.core.geometry.disc import Grid, disc_rays
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.library.result import Result, result_of
 from tacshade_edge.protocol import wire
-from tacshade_edge.protocol.received import Contact, Info, decode_contact, decode_info
+from tacshade_edge.protocol.received import Contact, Info, decode_contact, decode_info, decode_state
 from tacshade_edge.protocol.wire import CloudMessage, HeightMessage, ShearMessage, SigmaMessage
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import F32, Geometry, HeightMap, ObjectCloud, Reconstruction, TouchedObject
@@ -24,6 +24,8 @@ from tacshade_edge.types import F32, Geometry, HeightMap, ObjectCloud, Reconstru
 _STREAMS: Final = ("height", "cloud", "shear", "sigma")
 TOPICS: Final = (*_STREAMS, "contact", "info", "state")
 _SEQ: Final = struct.Struct("<8xI")
+
+M = TypeVar("M", HeightMessage, CloudMessage, ShearMessage, SigmaMessage)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +49,7 @@ class FramesHeard:
     """
 
     def __init__(self) -> None:
-        self.info, self.state, self.passed_over = Info(), "", 0
+        self.info, self.state, self.passed_over = Info(geometry=None, profile=""), "", 0
         self._height = HeightMap(np.zeros((0, 0), np.float32), np.zeros((0, 0), np.bool_), 0.0, 0.0, 1.0)
         self._tracker = ContactTracker()
         self.forget()
@@ -68,7 +70,7 @@ class FramesHeard:
             if topic in _STREAMS:
                 self._latest[topic] = payload
             elif topic == "state":
-                self.state = payload.decode(errors="replace")
+                self.state = decode_state(payload)
             elif topic == "info":
                 self.info = decode_info(payload)
             elif topic == "contact":
@@ -104,15 +106,18 @@ class FramesHeard:
         if (known := self.info.geometry) is None:
             return None
         contact, geometry = whole.contact, known.geometry
-        messages = {name: wire.decode(data) for name, data in whole.streams.items()}
-        height, cloud, shear, sigma = (messages.get(name) for name in _STREAMS)
-        if not isinstance(height, HeightMessage):
-            height = None
-        elif height.calibration_crc32 != known.calibration_crc32:
+        height = _decoded(HeightMessage, whole.streams.get("height"))
+        cloud = _decoded(CloudMessage, whole.streams.get("cloud"))
+        shear = _decoded(ShearMessage, whole.streams.get("shear"))
+        sigma = _decoded(SigmaMessage, whole.streams.get("sigma"))
+        if height is not None and height.calibration_crc32 != known.calibration_crc32:
             return None
-        shear_mm = shear.shear_mm if isinstance(shear, ShearMessage) else None
+        for other in (shear, sigma):
+            if other is not None and (height is None or _grid(other) != _grid(height)):
+                raise DecodeError("shear or sigma: found another grid than the height of its frame has")
+        shear_mm = None if shear is None else shear.shear_mm
         points = ObjectCloud(np.zeros((0, 3), np.float32), np.zeros(0, np.uint16))
-        if isinstance(cloud, CloudMessage):
+        if cloud is not None:
             points = ObjectCloud(cloud.points_mm, cloud.labels)
         objects: tuple[TouchedObject, ...] = ()
         volume_mm3 = 0.0
@@ -135,24 +140,45 @@ class FramesHeard:
             objects=objects,
             volume_mm3=volume_mm3,
             shear_mm=shear_mm,
-            sigma_mm=sigma.sigma_mm if isinstance(sigma, SigmaMessage) else None,
+            sigma_mm=None if sigma is None else sigma.sigma_mm,
         )
         if made.valid:
             made = follow(self._tracker, made)
         return result_of(made, geometry, height.pose if height else None, None)
 
 
+def _decoded(kind: type[M], payload: bytes | None) -> M | None:
+    """A stream's message; None where none came. Raises DecodeError."""
+    if payload is None:
+        return None
+    message = wire.decode(payload)
+    if not isinstance(message, kind):
+        raise DecodeError(f"found a {type(message).__name__}, expected a {kind.__name__}")
+    return message
+
+
 def _touched(
     message: HeightMessage, cloud: ObjectCloud, shear_mm: F32 | None, geometry: Geometry
 ) -> tuple[HeightMap, tuple[TouchedObject, ...], float]:
     """The map, its objects and their volume. The contact itself is not sent: its points are, each of one cell."""
-    height_mm = message.height_mm
-    rows, cols = height_mm.shape
-    grid = Grid(rows, cols, message.row0, message.col0, message.step_px)
+    height_mm, grid = message.height_mm, _grid(message)
+    if (height_mm > geometry.skin_radius_mm).any():
+        raise DecodeError(f"height: found more than the skin's radius of {geometry.skin_radius_mm:g} mm")
     contact = cells_that_see(cloud.points_mm, grid, geometry) & ~np.isnan(height_mm)
     found = find_objects(contact, height_mm, shear_mm, disc_rays(grid, geometry), geometry)
     made = HeightMap(height_mm, contact, message.row0, message.col0, message.step_px)
     return (made, (), 0.0) if found is None else (made, found.described, found.volume_mm3)
+
+
+def _grid(message: HeightMessage | ShearMessage | SigmaMessage) -> Grid:
+    match message:
+        case HeightMessage():
+            rows, cols = message.height_mm.shape
+        case ShearMessage():
+            rows, cols, _ = message.shear_mm.shape
+        case SigmaMessage():
+            rows, cols = message.sigma_mm.shape
+    return Grid(rows, cols, message.row0, message.col0, message.step_px)
 
 
 def _untouched(last: HeightMap) -> HeightMap:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -15,7 +16,10 @@ from tacshade_edge.devices.files.images import read_image
 from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.library.result import Result, result_of
+from tacshade_edge.quoting import quoted
 from tacshade_edge.types import U8, Calibration, Frame, Geometry
+
+_EXPECTED: Final = "expected a path, or uint8 (rows, cols) or (rows, cols, 3), blue first"
 
 
 def load(calibration: str | os.PathLike[str], *, profile: str = DEFAULT) -> Sensor:
@@ -70,15 +74,17 @@ class Sensor:
         DecodeError
             The file cannot be read.
         ConfigError
-            The array is none of these, or another thread is in the sensor.
+            It is none of these, or another thread is in the sensor.
         """
         if isinstance(image, np.ndarray):
-            if image.dtype != np.uint8 or not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)):
-                found = f"found {image.dtype} {image.shape}"
-                raise ConfigError(f"image: {found}, expected uint8 (rows, cols) or (rows, cols, 3), blue first")
+            shaped = image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)
+            if image.dtype != np.uint8 or not shaped or image.size == 0:
+                raise ConfigError(f"image: found {image.dtype} {image.shape}, {_EXPECTED}")
             pixels: U8 = np.ascontiguousarray(image)
+        elif isinstance(image, str | os.PathLike) and "\0" not in (path := os.fsdecode(image)):
+            pixels = read_image(Path(path))
         else:
-            pixels = read_image(Path(image))
+            raise ConfigError(f"image: found {quoted(repr(image))}, {_EXPECTED}")
         return self.step(Frame(0, 0, 0, pixels), None)
 
     def step(self, frame: Frame, tracker: ContactTracker | None) -> Result:

@@ -6,25 +6,26 @@ A finger's part is made where its frames are, and put beside the others' by the 
 
 from __future__ import annotations
 
-from typing import Annotated, Final, Literal, TypeVar
+from typing import Annotated, Final, Literal
 
 import msgspec
 import numpy as np
 from msgspec import Meta
 
-from tacshade_edge.errors import DecodeError
+from tacshade_edge.protocol.received import Count
+from tacshade_edge.protocol.strict import decode
 from tacshade_edge.reasons import Reason, code_of
 from tacshade_edge.rigid import Rigid
 from tacshade_edge.types import F64, Reconstruction, TouchedObject
 
 FingerState = Literal["contact", "free", "away"]
-Triple = tuple[float, float, float]
-Count = Annotated[int, Meta(ge=0)]
+_Value = Annotated[float, Meta(ge=-1e9, le=1e9)]
+Triple = tuple[_Value, _Value, _Value]
 
 OBJECTS_MAX: Final = 16
 """The greatest of a finger: what is told of a hand stays within 25 kB, five fingers."""
+FINGERS_MAX: Final = 32
 _DIGITS: Final = 4  # 0.1 µm
-T = TypeVar("T")
 
 
 class HandObject(msgspec.Struct, frozen=True, kw_only=True):
@@ -52,12 +53,12 @@ class HandObject(msgspec.Struct, frozen=True, kw_only=True):
     centroid_mm: Triple
     extent_mm: Triple
     normal: Triple
-    depth_max_mm: float
-    area_mm2: float
+    depth_max_mm: _Value
+    area_mm2: _Value
     shear_mm: Triple | None
-    twist_deg: float | None
+    twist_deg: _Value | None
     slip: Annotated[int, Meta(ge=0, le=2)] | None
-    slip_mm_s: float | None
+    slip_mm_s: _Value | None
 
 
 class Finger(msgspec.Struct, frozen=True, kw_only=True):
@@ -81,11 +82,11 @@ class Finger(msgspec.Struct, frozen=True, kw_only=True):
 
     state: FingerState
     t_ns: Count | None = None
-    age_ms: float | None = None
+    age_ms: _Value | None = None
     seq: Count | None = None
     reason_code: str = ""
     degraded_code: str = ""
-    objects: tuple[HandObject, ...] = ()
+    objects: Annotated[tuple[HandObject, ...], Meta(max_length=OBJECTS_MAX)] = ()
 
 
 class HandObjects(msgspec.Struct, frozen=True, kw_only=True):
@@ -104,7 +105,7 @@ class HandObjects(msgspec.Struct, frozen=True, kw_only=True):
     t_ns: Count
     wall_ns: Count
     seq: Count
-    fingers: dict[str, Finger]
+    fingers: Annotated[dict[str, Finger], Meta(max_length=FINGERS_MAX)]
 
 
 def finger_of(result: Reconstruction, hand_T_sensor: Rigid) -> Finger:
@@ -138,7 +139,7 @@ def encode_finger(finger: Finger) -> bytes:
 
 def decode_finger(payload: bytes) -> Finger:
     """Understand `encode_finger`. Raises DecodeError."""
-    return _decoded("a finger", payload, Finger)
+    return decode("a finger", payload, Finger)
 
 
 def encode_hand(hand: HandObjects) -> bytes:
@@ -148,7 +149,7 @@ def encode_hand(hand: HandObjects) -> bytes:
 
 def decode_hand(payload: bytes) -> HandObjects:
     """Understand an ``objects`` payload; keys that are not known are ignored. Raises DecodeError."""
-    return _decoded("objects", payload, HandObjects)
+    return decode("objects", payload, HandObjects)
 
 
 def _in_frame(touched: TouchedObject, points_mm: F64, hand_T_sensor: Rigid) -> HandObject:
@@ -177,10 +178,3 @@ def _triple(vector: F64) -> Triple:
 
 def _rounded(value: float | None) -> float | None:
     return None if value is None else round(float(value), _DIGITS)
-
-
-def _decoded(what: str, payload: bytes, kind: type[T]) -> T:
-    try:
-        return msgspec.json.decode(payload, type=kind)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise DecodeError(f"{what}: {error}, expected what docs/mqtt.md says") from error

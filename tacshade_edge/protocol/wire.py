@@ -6,6 +6,7 @@ ignores flag bits and reserved bytes that it does not know, and refuses everythi
 
 from __future__ import annotations
 
+import math
 import struct
 import zlib
 from dataclasses import dataclass
@@ -20,7 +21,12 @@ WIRE_VERSION: Final = 1
 HEADER_BYTES: Final = 96
 SCALE_MM: Final = 0.001
 OUTSIDE: Final = -32768
+CELLS_MAX: Final = 1 << 22
+"""Of a grid that is decoded, and points of a cloud: a disc of 2048 px, each of its pixels a cell."""
 _LIMIT: Final = 32767
+_PX_MAX, _MM_MAX = 1e5, 1e7
+_STEP_PX_LEAST: Final = 1e-3
+_UNIT_OFF_MAX: Final = 1e-2
 
 _MAGIC: Final = b"TCSH"
 _HEIGHT, _CLOUD, _SHEAR, _SIGMA = 1, 2, 3, 4
@@ -197,13 +203,18 @@ def decode(data: bytes | bytearray | memoryview) -> HeightMessage | CloudMessage
     Raises
     ------
     DecodeError
-        Too short, another magic, version, kind or codec, a length that does not fit, or a wrong CRC.
+        Too short, another magic, version, kind or codec, a length that does not fit, a wrong CRC, more than `CELLS_MAX`
+        cells or points, or a number that no sensor, robot or object has.
     """
     data = bytes(data)
     kind, rows, cols = _check(data)
     fields = _HEAD.unpack_from(data)
     flags, seq, calibration, t_ns, wall_ns = fields[4:9]
     row0, col0, step_px, scale_mm, error_us = fields[11:16]
+    if kind != _CLOUD:
+        _check_grid(row0, col0, step_px, scale_mm)
+    if flags & _POSE:
+        _check_pose(fields[16:23])
     common = (
         seq,
         calibration,
@@ -219,6 +230,8 @@ def decode(data: bytes | bytearray | memoryview) -> HeightMessage | CloudMessage
     if kind == _CLOUD:
         n = rows | cols << 16
         points = np.frombuffer(data, "<f4", 3 * n, HEADER_BYTES).astype(np.float32, copy=False)
+        if not (np.abs(points) <= _MM_MAX).all():  # nor is it NaN
+            raise DecodeError(f"height/cloud payload: found a point that is not within {_MM_MAX:g} mm")
         labels = np.frombuffer(data, "<u2", n, HEADER_BYTES + _POINT_BYTES * n).astype(np.uint16, copy=False)
         return CloudMessage(*common, points.reshape(n, 3), labels)
     steps = np.frombuffer(data, "<i2", rows * cols * _VALUES[kind], HEADER_BYTES)
@@ -245,6 +258,9 @@ def _check(data: bytes) -> tuple[int, int, int]:
             wanted = " or ".join(str(e) for e in expected)
             raise DecodeError(f"height/cloud payload, byte {offset}: {name} is {found}, expected {wanted}")
     rows, cols, said = *_HEAD.unpack_from(data)[9:11], _HEAD.unpack_from(data)[23]
+    cells = rows | cols << 16 if kind == _CLOUD else rows * cols
+    if cells > CELLS_MAX:
+        raise DecodeError(f"height/cloud payload, byte 32: {cells} cells or points, expected at most {CELLS_MAX}")
     in_cloud = (_POINT_BYTES + _LABEL_BYTES) * (rows | cols << 16)
     needed = in_cloud if kind == _CLOUD else 2 * rows * cols * _VALUES[kind]
     if said != needed:
@@ -256,6 +272,22 @@ def _check(data: bytes) -> tuple[int, int, int]:
     if crc != actual:
         raise DecodeError(f"height/cloud payload, byte 88: CRC-32 {crc:08x}, expected {actual:08x}")
     return kind, rows, cols
+
+
+def _check_grid(row0: float, col0: float, step_px: float, scale_mm: float) -> None:
+    if not (abs(row0) <= _PX_MAX and abs(col0) <= _PX_MAX and _STEP_PX_LEAST <= step_px <= _PX_MAX):
+        found = f"row0 {row0:g}, col0 {col0:g}, step_px {step_px:g}"
+        raise DecodeError(f"height/cloud payload, byte 36: {found}, expected pixels of an image")
+    if not 0 < scale_mm <= 1:
+        raise DecodeError(f"height/cloud payload, byte 48: scale_mm is {scale_mm:g}, expected above 0 and at most 1")
+
+
+def _check_pose(pose: tuple[float, ...]) -> None:
+    *place, qw, qx, qy, qz = pose
+    if not all(abs(mm) <= _MM_MAX for mm in place):
+        raise DecodeError(f"height/cloud payload, byte 56: found a place that is not within {_MM_MAX:g} mm")
+    if not abs(math.hypot(qw, qx, qy, qz) - 1) <= _UNIT_OFF_MAX:
+        raise DecodeError("height/cloud payload, byte 68: found no unit quaternion")
 
 
 def _steps(values_mm: F32, height: HeightMap) -> tuple[tuple[int, ...], tuple[float, float, float], bytes]:

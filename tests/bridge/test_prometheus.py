@@ -14,26 +14,11 @@ import pytest
 from support.mqtt_rig import MOSQUITTO, Broker
 from support.patience import patience, wait_until
 from support.published_hand import PublishedHand
-
-from tacshade_edge.daemon.pipeline.ledger import FrameLedger, Timings
-from tacshade_edge.daemon.publishing.health import Health
-from tacshade_edge.protocol import messages
+from support.published_health import health
 
 parser = pytest.importorskip("prometheus_client.parser", reason="the extra prometheus is not installed")
 
 Series = dict[tuple[str, tuple[tuple[str, str], ...]], float]
-
-
-def health() -> bytes:
-    """As a daemon makes it, of three frames."""
-    ledger, timings = FrameLedger(), Timings()
-    for seq in range(3):
-        ledger.captured(seq)
-    ledger.settle(0, "published")
-    ledger.settle(1, "invalid")
-    timings.add({"capture_to_offer": 20.0, "solve": 5.0})
-    told = Health(ledger, timings).snapshot(None, 4, {"published": 9, "refused": 0}, {"written": 5, "waiting": 1}, None)
-    return messages.encode_health({**told, "reference": {"state": "following"}, "invalid_reason_code": "torn"})
 
 
 def series(text: str) -> Series:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -143,7 +144,8 @@ def test_any_cloud_comes_back_bit_for_bit(cloud: tuple[Any, Any], seq: int) -> N
 
 
 def _cloud(n: int) -> tuple[st.SearchStrategy[Any], ...]:
-    return npst.arrays(np.float32, (n, 3), elements=FLOATS), npst.arrays(np.uint16, n)
+    placed = st.floats(-1e7, 1e7, width=32)
+    return npst.arrays(np.float32, (n, 3), elements=placed), npst.arrays(np.uint16, n)
 
 
 def test_cloud_of_more_points_than_a_u16_counts() -> None:
@@ -195,5 +197,32 @@ def test_size_field_cannot_make_the_decoder_allocate() -> None:
     head = bytearray(96)
     struct.pack_into("<4s4B", head, 0, b"TCSH", 1, 2, 0, 0)
     struct.pack_into("<I", head, 32, 0xFFFFFFFF)
-    with pytest.raises(DecodeError, match="payload bytes"):
+    with pytest.raises(DecodeError, match="4294967295 cells or points"):
         wire.decode(head)
+
+
+def test_numbers_that_no_sensor_has_are_refused() -> None:
+    made = reconstruction(np.zeros((2, 2), np.float32), np.zeros((1, 3), np.float32), np.ones(1, np.uint16))
+    for name, value in (("step_px", 0.0), ("step_px", np.inf), ("row0", np.nan), ("col0", 1e30)):
+        payload = wire.encode_height(replace(made, height=replace(made.height, **{name: value})), calibration_crc32=0)
+        with pytest.raises(DecodeError, match="byte 36"):
+            wire.decode(payload)
+    for value in (np.nan, np.inf, 2e7):
+        cloud = replace(made.cloud, points_mm=np.full((1, 3), value, np.float32))
+        with pytest.raises(DecodeError, match="found a point"):
+            wire.decode(wire.encode_cloud(replace(made, cloud=cloud), calibration_crc32=0))
+    for pose, where in (((np.nan, 0, 0, 1, 0, 0, 0), "byte 56"), ((0, 0, 0, 0, 0, 0, 0), "byte 68")):
+        payload = wire.encode_height(made, calibration_crc32=0, pose=Pose(0, *map(float, pose)))
+        with pytest.raises(DecodeError, match=where):
+            wire.decode(payload)
+
+
+def test_more_cells_than_any_camera_has_are_refused() -> None:
+    head = bytearray(wire.encode_height(reconstruction(np.zeros((1, 1), np.float32), *_none()), calibration_crc32=0))
+    struct.pack_into("<2H", head, 32, 2048, 2049)
+    with pytest.raises(DecodeError, match="4196352 cells"):
+        wire.decode(head)
+
+
+def _none() -> tuple[Any, Any]:
+    return np.zeros((0, 3), np.float32), np.zeros(0, np.uint16)

@@ -4,19 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import msgspec
-
 from tacshade_edge.devices.mqtt.link import MqttLink
+from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol.home_assistant import discovery_topics, encode_discovery
 from tacshade_edge.protocol.messages import encode_status
+from tacshade_edge.protocol.received import decode_status
 from tacshade_edge.version import installed_version
 
 STATUS = "status/home_assistant"
 ANNOUNCED, WITHDRAWN = "announced", "withdrawn"
-
-
-class _Status(msgspec.Struct):
-    state: str
 
 
 class HomeAssistant:
@@ -51,8 +47,8 @@ class HomeAssistant:
     def _withdraw(self, status: bytes) -> None:
         """What an earlier run said of itself."""
         try:
-            state = msgspec.json.decode(status, type=_Status).state
-        except (msgspec.DecodeError, UnicodeDecodeError):
+            state = decode_status(STATUS, status).state
+        except DecodeError:
             return
         if state == ANNOUNCED:
             for topic in discovery_topics(self._sensor_id):

@@ -14,7 +14,8 @@ from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 
 from tacshade_edge.devices.mqtt.client import BrokerAddress, connect, make_client
-from tacshade_edge.errors import DeviceError
+from tacshade_edge.errors import DecodeError, DeviceError
+from tacshade_edge.protocol.strict import decode_object
 from tacshade_edge.reasons import Reason, ReasonCode
 
 CONNECT_S = 5.0
@@ -149,9 +150,9 @@ class MqttCaller:
         with self._changed:
             if message.topic == self._topics[0]:
                 try:
-                    reply = json.loads(payload)
+                    reply = decode_object(message.topic, payload)
                     self._replies[str(reply["transaction"])] = reply
-                except (ValueError, TypeError, KeyError):
+                except (DecodeError, KeyError):
                     return  # another's, or nobody's
             else:
                 self._latest[message.topic] = payload

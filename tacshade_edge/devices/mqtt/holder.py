@@ -7,7 +7,6 @@ for ever; so one that finds another there waits until that one is gone, and says
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import secrets
 import select
@@ -22,7 +21,9 @@ from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from tacshade_edge.devices.mqtt.client import connect_now, publish_properties
+from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol.messages import encode_status
+from tacshade_edge.protocol.strict import decode_object
 from tacshade_edge.quoting import shown
 from tacshade_edge.reasons import Reason, ReasonCode
 
@@ -171,10 +172,9 @@ class Holder:
 def decode_instance(payload: bytes) -> dict[str, Any]:
     """An ``instance`` of somebody; empty where it is none."""
     try:
-        value = json.loads(payload)
-    except ValueError:
+        return decode_object("instance", payload)
+    except DecodeError:
         return {}
-    return value if isinstance(value, dict) else {}
 
 
 def place_of(instance: dict[str, Any]) -> str:

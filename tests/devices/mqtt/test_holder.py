@@ -111,6 +111,6 @@ def test_what_a_dead_daemon_left_does_not_keep_anybody_out(broker: Broker) -> No
         wait_until(lambda: late.link.connected, 10, "connected")
 
 
-@pytest.mark.parametrize("payload", [b"", b"{", b"[]", b"\xff", b"7"])
+@pytest.mark.parametrize("payload", [b"", b"{", b"[]", b"\xff", b"7", b"[" * 60_000])
 def test_an_instance_that_is_none(payload: bytes) -> None:
     assert decode_instance(payload) == {}

@@ -1,0 +1,19 @@
+"""A `health` as a daemon makes it."""
+
+from __future__ import annotations
+
+from tacshade_edge.daemon.pipeline.ledger import FrameLedger, Timings
+from tacshade_edge.daemon.publishing.health import Health
+from tacshade_edge.protocol import messages
+
+
+def health() -> bytes:
+    """Of three frames, one of which was invalid."""
+    ledger, timings = FrameLedger(), Timings()
+    for seq in range(3):
+        ledger.captured(seq)
+    ledger.settle(0, "published")
+    ledger.settle(1, "invalid")
+    timings.add({"capture_to_offer": 20.0, "solve": 5.0})
+    told = Health(ledger, timings).snapshot(None, 4, {"published": 9, "refused": 0}, {"written": 5, "waiting": 1}, None)
+    return messages.encode_health({**told, "reference": {"state": "following"}, "invalid_reason_code": "torn"})
