@@ -17,6 +17,9 @@ from tacshade_edge.cli import EXIT_CONFIG, EXIT_FAILED, main
 # while it is loaded, and OpenBLAS ends the process later.
 ADDRESS_SPACE_BYTES_MIN = 1 << 30
 
+# A hand of 16 sensors with a robot has about 100 in its supervisor.
+OPEN_FILES_MIN = 128
+
 
 def entry() -> NoReturn:
     """Do what the command line says; the signals are ``tacshade_edge.__main__``'s."""
@@ -24,6 +27,11 @@ def entry() -> NoReturn:
     if 0 <= limit_bytes < ADDRESS_SPACE_BYTES_MIN:
         found = f"found {limit_bytes >> 20} MiB of address space (ulimit -v, RLIMIT_AS)"
         print(f"tacshade-edge: {found}, expected at least {ADDRESS_SPACE_BYTES_MIN >> 20} MiB", file=sys.stderr)
+        sys.exit(EXIT_CONFIG)
+    limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if 0 <= limit < OPEN_FILES_MIN:
+        found = f"found at most {limit} open files (ulimit -n, RLIMIT_NOFILE)"
+        print(f"tacshade-edge: {found}, expected at least {OPEN_FILES_MIN}", file=sys.stderr)
         sys.exit(EXIT_CONFIG)
     sys.excepthook = _defect
     leave(main())

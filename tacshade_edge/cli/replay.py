@@ -195,6 +195,6 @@ def _address(text: str) -> tuple[str, int]:
 
 
 def _sensor_id(text: str) -> str:
-    if not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", text):
-        raise argparse.ArgumentTypeError(f"found {text}, expected letters, digits, - and _")
+    if not re.fullmatch(r"(?!hand$)[A-Za-z0-9_-]{1,64}", text):
+        raise argparse.ArgumentTypeError(f"found {text}, expected letters, digits, - and _, not hand")
     return text

@@ -9,10 +9,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from tacshade_edge.cli import EXIT_OK
 from tacshade_edge.cli.check_config import DEFAULT_CONFIG
 from tacshade_edge.cli.logs import add_verbosity, start_logging
 from tacshade_edge.daemon.app import App
-from tacshade_edge.daemon.supervisor import Supervisor, name_of
+from tacshade_edge.daemon.supervisor import EXIT_STOPPED, Supervisor, name_of
 from tacshade_edge.devices import registry
 from tacshade_edge.settings import Document, Hand, load_all, load_hand
 
@@ -52,18 +53,24 @@ def run(args: argparse.Namespace) -> int:
         start_logging(args.log_level, name_of(mine))
         if isinstance(mine, Hand):
             process.run(mine, lines)
-            return 0
+            return EXIT_STOPPED
         document, name = mine, mine.settings.sensor_id
         line, shared = lines.fingers.get(name), shared_lines.get(name)
     registry.check_files(document)
     calibration = registry.find_calibration(document, store=True)
     app = App(document, registry.make_source(document.settings.source), calibration, line, shared)
+    stopped: list[int] = []
+
+    def stop(number: int, _: object) -> None:
+        stopped.append(number)
+        app.stop()
+
     for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: app.stop())
+        signal.signal(number, stop)
     if not os.isatty(0):
         signal.signal(signal.SIGHUP, lambda *_: app.reload())
     app.run()
-    return 0
+    return EXIT_STOPPED if stopped and document.several else EXIT_OK
 
 
 def _shared_lines(documents: Sequence[Document]) -> dict[str, SharedLine]:

@@ -30,11 +30,15 @@ from tacshade_edge.settings import Document, Hand, load_all, load_hand
 
 _log = logging.getLogger(__name__)
 
-RESTART_S = 1.0
+RESTART_S, RESTART_MAX_S = 1.0, 60.0
+STEADY_S = 30.0
+"""Who ends before it is so old waits twice as long as the last time."""
 WATCHDOG_S, ABORT_S = 10.0, 5.0
 """Silence after which a sensor's process is told to say where it hangs, and time for that before it is killed."""
 TICK_S = 1.0
 EXIT_CONFIG = 78
+EXIT_STOPPED = 128 + signal.SIGTERM
+"""Of a part that a signal has stopped; 0 is the end of a finite source, which is not started again."""
 _PR_SET_PDEATHSIG = 1
 _SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGCHLD)
 
@@ -54,6 +58,10 @@ class _Part:
         When it last said that it works; None where it is not watched.
     again_s : float or None
         When it is to be started again; None where it is not.
+    began_s : float
+        When it was started.
+    wait_s : float
+        Before its latest start, after an end; 0 where it had none.
     """
 
     of: Document | Hand
@@ -63,6 +71,8 @@ class _Part:
     heard_s: float | None = None
     again_s: float | None = None
     aborted_s: float | None = None
+    began_s: float = 0.0
+    wait_s: float = 0.0
     status: str = "starting"
     code: int = field(default=0)
 
@@ -140,8 +150,7 @@ class Supervisor:
             now_s = time.monotonic()
             for part in self._parts:
                 is_due = part.again_s is not None and now_s >= part.again_s
-                if is_due and not self._start(part):
-                    let_go()
+                if is_due and not self._start(part, let_go):
                     return part.of
             if now_s >= next_tick_s:
                 next_tick_s = now_s + TICK_S
@@ -158,15 +167,26 @@ class Supervisor:
                     self._handle(set(signals.recv(4096)))
             self._reap()
 
-    def _start(self, part: _Part) -> bool:
+    def _start(self, part: _Part, let_go: Callable[[], None]) -> bool:
         """Fork; True in this process."""
         part.again_s = part.heard_s = part.aborted_s = None
-        part.status = "starting"
+        part.status, part.began_s = "starting", time.monotonic()
         parent = os.getpid()
-        part.pid = os.fork()
-        if part.pid:
-            return True
-        os.environ["NOTIFY_SOCKET"] = "@" + part.notices.getsockname()[1:].decode()
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)  # one for the new process would be taken for ours
+        try:
+            try:
+                part.pid = os.fork()
+            except OSError as error:
+                self._start_again(part, f"its process cannot be started: {os.strerror(error.errno or 0)}")
+                return True
+            if part.pid:
+                return True
+            # A group of its own: where this process is killed, the kernel wakes a stopped group that it leaves behind.
+            os.setpgid(0, 0)
+            os.environ["NOTIFY_SOCKET"] = "@" + part.notices.getsockname()[1:].decode()
+            let_go()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
         if os.getppid() != parent:  # it ended just now
             os._exit(0)
@@ -219,7 +239,7 @@ class Supervisor:
                     if part.pid:
                         _signal(part, signal.SIGHUP)
                     else:
-                        part.again_s = 0.0
+                        part.again_s = part.wait_s = 0.0
         _log.log(logging.WARNING if self._note else logging.INFO, "%s", self._note or "reloaded")
         notify("READY=1")
 
@@ -251,10 +271,18 @@ class Supervisor:
                 part.status = "ended"
             elif part.code == EXIT_CONFIG:
                 part.status = "bad configuration, see the log; reload when it is mended"
+            elif part.code == EXIT_STOPPED:
+                self._start_again(part, "its process was stopped by a signal")
             else:
-                part.status = f"ended with {part.code}, starts again"
-                part.again_s = time.monotonic() + RESTART_S
-                _log.error("%s: its process ended with %d, starts again in %.0f s", part.name, part.code, RESTART_S)
+                self._start_again(part, f"its process ended with {part.code}")
+
+    def _start_again(self, part: _Part, why: str) -> None:
+        now_s = time.monotonic()
+        is_steady = now_s - part.began_s >= STEADY_S
+        part.wait_s = RESTART_S if is_steady else min(max(2 * part.wait_s, RESTART_S), RESTART_MAX_S)
+        part.again_s = now_s + part.wait_s
+        part.status = f"{why}, starts again in {part.wait_s:.0f} s"
+        _log.error("%s: %s", part.name, part.status)
 
     def _tell(self) -> None:
         """Status and watchdog, for all; readiness once each part came up or ended."""

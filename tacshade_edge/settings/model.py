@@ -62,6 +62,7 @@ OWN = ("sensor_id", "calibration", "source", "hand_T_sensor")
 HAND, FINGER = "hand_id", "hand_T_sensor"
 """Of the hand that several sensors are, and of each of them there; not in a file with one sensor."""
 _ID = "^[A-Za-z0-9_-]{1,64}$"
+_SENSOR_ID = "^(?!hand$)[A-Za-z0-9_-]{1,64}$"  # topics of hands lie below tacshade/hand
 
 
 class Mqtt(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -104,9 +105,9 @@ class Serial(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Everything that a user can set."""
 
-    sensor_id: Annotated[str, Meta(pattern=_ID, description="letters, digits, - and _; part of every topic")] = (
-        "tacshade"
-    )
+    sensor_id: Annotated[
+        str, Meta(pattern=_SENSOR_ID, description="letters, digits, - and _, not `hand`; part of every topic")
+    ] = "tacshade"
     calibration: Annotated[str, Meta(min_length=1, description="file that `tacshade-edge calibrate` wrote")] = (
         "/var/lib/tacshade-edge/calibration.npz"
     )

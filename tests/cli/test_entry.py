@@ -91,3 +91,14 @@ def test_a_defect_is_a_traceback_and_exit_1() -> None:
     done = python(code, "run")
     assert done.returncode == 1
     assert done.stderr.rstrip().endswith("ZeroDivisionError: division by zero")
+
+
+@pytest.mark.parametrize("limit", [12, 127])
+def test_few_open_files_are_refused_before_they_are_a_traceback(limit: int) -> None:
+    code = (
+        f"import resource\nresource.setrlimit(resource.RLIMIT_NOFILE, ({limit}, {limit}))\n"
+        "from tacshade_edge.cli.entry import entry\nentry()"
+    )
+    done = python(code, "run", "--config", "nothing.yaml")
+    found = f"found at most {limit} open files (ulimit -n, RLIMIT_NOFILE), expected at least 128"
+    assert (done.returncode, done.stdout, done.stderr) == (78, "", f"tacshade-edge: {found}\n")

@@ -90,6 +90,15 @@ def broker(folder: Path) -> Iterator[Broker]:
         yield made
 
 
+def write_hand(folder: Path, port: int, *names: str) -> None:
+    """The same, as the fingers of a hand."""
+    write(folder, port, *names)
+    text = (
+        (folder / "hand.yaml").read_text().replace("loop: true}}", "loop: true}, hand_T_sensor: [0, 0, 0, 1, 0, 0, 0]}")
+    )
+    (folder / "hand.yaml").write_text(f"hand_id: left\n{text}")
+
+
 def health(seen: Subscriber, name: str) -> dict[str, Any]:
     payloads = seen.of(f"tacshade/{name}/health")
     return dict(json.loads(payloads[-1])) if payloads else {}
@@ -134,6 +143,73 @@ def test_one_that_dies_or_cannot_start_touches_no_other(folder: Path, broker: Br
     assert "sensors.ring.calibration: " in text
     assert "its process ended with -9" in text
     assert {"thumb", "index", "ring"} <= {line.split(": ")[1] for line in text.splitlines() if "INFO" in line}
+
+
+@needs_broker
+def test_one_that_a_signal_stops_is_started_again_the_hand_too(folder: Path, broker: Broker) -> None:
+    write_hand(folder, broker.port, "thumb", "index")
+    with Subscriber(broker.port) as seen:
+        running = Running(folder)
+        try:
+            wait_until(lambda: all(health(seen, name) for name in ("thumb", "index", "hand/left")), 20, "all publish")
+            for victim in sorted(running.children()):
+                os.kill(victim, signal.SIGTERM)
+                wait_until(lambda victim=victim: len(running.children() - {victim}) == 3, 20, "started again")
+            seen.messages.clear()
+            wait_until(lambda: all(health(seen, name) for name in ("thumb", "index", "hand/left")), 20, "all again")
+            running.process.send_signal(signal.SIGTERM)
+            assert running.process.wait(patience(10)) == 0
+        finally:
+            running.close()
+    lines = [line.partition(" ERROR ")[2] for line in running.log.read_text().splitlines() if "stopped by a" in line]
+    told = {line.split(": ")[1] for line in lines}
+    assert told == {"thumb", "index", "hand/left"}
+    assert all(line.endswith("its process was stopped by a signal, starts again in 1 s") for line in lines)
+
+
+@needs_broker
+def test_one_that_ends_at_once_waits_longer_each_time_until_a_reload(folder: Path, broker: Broker) -> None:
+    write(folder, broker.port, "thumb")
+    running = Running(folder)
+    try:
+        for expected_s in (1, 2, 4):
+            wait_until(lambda: len(running.children()) == 1, 20, "started")
+            os.kill(running.children().pop(), signal.SIGKILL)
+            told = f"thumb: its process ended with -9, starts again in {expected_s} s"
+            wait_until(lambda told=told: told in running.log.read_text(), 20, told)
+        running.process.send_signal(signal.SIGHUP)
+        wait_until(lambda: len(running.children()) == 1, 20, "started by the reload")
+        os.kill(running.children().pop(), signal.SIGKILL)
+        wait_until(lambda: running.log.read_text().count("starts again in 1 s") == 2, 20, "from the beginning")
+    finally:
+        running.close()
+
+
+@needs_broker
+def test_those_that_hang_end_with_their_supervisor(folder: Path, broker: Broker) -> None:
+    write_hand(folder, broker.port, "thumb")
+    with Subscriber(broker.port) as seen:
+        running = Running(folder)
+        try:
+            wait_until(lambda: bool(health(seen, "thumb") and health(seen, "hand/left")), 20, "both publish")
+            children = running.children()
+            for child in children:
+                os.kill(child, signal.SIGSTOP)
+        finally:
+            running.close()
+        try:
+            wait_until(lambda: not any(map(is_there, children)), 20, "they end, stopped as they are")
+        finally:
+            for child in filter(is_there, children):
+                os.kill(child, signal.SIGKILL)
+
+
+def is_there(pid: int) -> bool:
+    """A process that has not ended; who waits for it may be slow."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
 
 
 @needs_broker

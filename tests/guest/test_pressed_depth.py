@@ -18,7 +18,7 @@ from support.vivid import NODE, unload_driver
 from tacshade_edge.protocol import wire
 
 TREE = Path(__file__).resolve().parents[2]
-BASE = "tacshade/hand"
+BASE = "tacshade/finger"
 DEPTH_RATIO = 0.25
 LEAST = 3  # messages of each press
 FRAME_S = 0.012
@@ -73,7 +73,7 @@ def _run_daemon(folder: Path, x_mm: dict[str, float]) -> tuple[list[wire.HeightM
 
     with Broker(folder) as broker, Subscriber(broker.port) as seen:
         config.write_text(
-            "sensor_id: hand\ncalibration: calibration.npz\nprofile: fast\n"
+            "sensor_id: finger\ncalibration: calibration.npz\nprofile: fast\n"
             f"source: {{kind: v4l2, device: {NODE}, width_px: 640, height_px: 480, fps: 25, fourcc: YUYV}}\n"
             f"mqtt: {{host: 127.0.0.1, port: {broker.port}}}\n"
         )

@@ -79,7 +79,8 @@ sensors:
         "7: sensors.index.source: found that of sensors.thumb.source again, expected another",
         "8: sensors.index.profile: found slow, expected one of paper, fast, balanced, accurate, auto",
         "9: sensors.bad id.sensor_id: found a second id, expected bad id alone",
-        "9: sensors.bad id.sensor_id: found bad id, expected a string (letters, digits, - and _; part of every topic)",
+        "9: sensors.bad id.sensor_id: found bad id, "
+        "expected a string (letters, digits, - and _, not `hand`; part of every topic)",
         "10: sensors.none: found nothing, expected a mapping of settings",
         " sensors.bad id.calibration: found nothing, expected its own",
     ]

@@ -46,7 +46,7 @@ from tacshade_edge.settings.sensor_file import read_sensor
 from tacshade_edge.types import Calibration, Frame, Pose
 
 _log = logging.getLogger("tacshade_edge.faults")
-SENSOR_ID = "hand"
+SENSOR_ID = "finger"
 CONFIG = Path(__file__).parents[2] / "config" / "default.yaml"
 Files = dict[str, bytes]
 Junk = Callable[[random.Random], Any]

@@ -34,7 +34,7 @@ from tacshade_edge.devices.files.stitch_file import StitchFile, read_info
 from tacshade_edge.errors import TacshadeError
 from tacshade_edge.settings import load
 
-SENSOR_ID = "hand"
+SENSOR_ID = "finger"
 BASE = f"tacshade/{SENSOR_ID}"
 LONGEST_S = 3.0
 """From the first frame to the kill."""

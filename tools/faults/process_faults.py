@@ -6,7 +6,7 @@ import resource
 import signal
 import time
 
-from faults.rig import Cell, Seen, ended, pause
+from faults.rig import BASE, SENSOR_ID, Cell, Seen, ended, pause
 from tacshade_edge.devices.files.recording import Recording
 
 FROZEN_S = 5.0
@@ -24,7 +24,7 @@ def killed(cell: Cell) -> Seen:
     since_s = cell.mark()
     cell.kill()
     cell.daemon = None
-    cell.until(lambda: cell.seen.of("tacshade/hand/state")[-1:] == [b"offline"], 30, "the last will")
+    cell.until(lambda: cell.seen.of(f"{BASE}/state")[-1:] == [b"offline"], 30, "the last will")
     detected_s = time.monotonic() - since_s
     recording, read = Recording(cell.folder / "recs/r"), 0
     while recording.read() is not None:
@@ -82,7 +82,7 @@ def shared_folder(cell: Cell) -> Seen:
     cell.serve()
     cell.start()
     count = cell.session("one")
-    text = cell.settings(name="other.yaml").read_text().replace("sensor_id: hand", "sensor_id: other")
+    text = cell.settings(name="other.yaml").read_text().replace(f"sensor_id: {SENSOR_ID}", "sensor_id: other")
     path = cell.folder / "other.yaml"
     path.write_text(text)
     began_s = time.monotonic()
@@ -91,7 +91,7 @@ def shared_folder(cell: Cell) -> Seen:
         while "in use by" not in cell.log("other") and time.monotonic() < began_s + 15:
             pause(0.02)
         detected_s = time.monotonic() - began_s
-        assert "in use by 'sensor hand, process" in cell.log("other"), cell.log("other")[-300:]
+        assert "in use by 'sensor finger, process" in cell.log("other"), cell.log("other")[-300:]
         other.kill()
         other.wait()
         assert cell.presses(count + 2) > count

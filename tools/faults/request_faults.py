@@ -10,7 +10,7 @@ from paho.mqtt.properties import Properties
 from support.mqtt_rig import Subscriber
 from support.patience import patience
 
-from faults.rig import BASE, Cell, Seen, pause
+from faults.rig import BASE, SENSOR_ID, Cell, Seen, pause
 
 FLOOD = 5000
 
@@ -22,7 +22,7 @@ def reply_topic(cell: Cell) -> Seen:
     since_s = cell.mark()
     with Subscriber(cell.broker.port, f"{BASE}/#", v5=True) as attacker:
         before = len(attacker.messages)
-        for topic in ("state", "info", "req/stitch", "res", "../hand/state"):
+        for topic in ("state", "info", "req/stitch", "res", f"../{SENSOR_ID}/state"):
             properties = Properties(PacketTypes.PUBLISH)
             properties.ResponseTopic = f"{BASE}/{topic}"
             for payload in (b"{}", b"garbage"):

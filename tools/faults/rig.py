@@ -27,7 +27,7 @@ from tacshade_edge.devices.files import calibration_file
 
 FREE_FRAMES, TOUCHED_FRAMES = 32, 32
 """At 60 a second: a contact comes to rest (0.3 s), and between two of them a reference can be taken."""
-SENSOR_ID = "hand"
+SENSOR_ID = "finger"
 BASE = f"tacshade/{SENSOR_ID}"
 COMMAND = (sys.executable, "-m", "tacshade_edge")
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from robot import Faults, PtyRobot
 
-from faults.rig import Cell, Seen, pause
+from faults.rig import SENSOR_ID, Cell, Seen, pause
 
 AWAY_S = 2.0
 
@@ -74,7 +74,7 @@ def shared_line(cell: Cell) -> Seen:
     _with_robot(cell)
     text = (cell.folder / "s.yaml").read_text()
     path = cell.folder / "other.yaml"
-    path.write_text(text.replace("sensor_id: hand", "sensor_id: other").replace("maps}", "maps2}"))
+    path.write_text(text.replace(f"sensor_id: {SENSOR_ID}", "sensor_id: other").replace("maps}", "maps2}"))
     poses = cell.last("health")["serial"]["poses"]
     since_s = time.monotonic()
     other = cell.spawn(path, "other")

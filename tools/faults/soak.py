@@ -42,7 +42,7 @@ PLACE_S, PLACES, PLACE_MM = 0.25, 21, 48.0
 WARM_UP_S = 900.0
 """Until sessions were filled and ended some times, and the allocator has what it keeps: a quarter of a shorter run."""
 FLAT = 0.02
-BASE = "tacshade/hand"
+BASE = "tacshade/finger"
 
 
 def place(at_s: float) -> PoseValues:
@@ -253,7 +253,7 @@ def run(seconds: float, *, progress: bool = False) -> Soaked:
         config = folder / "config.yaml"
         # A path below /dev, as the settings want it.
         config.write_text(
-            f"sensor_id: hand\nprofile: fast\ncalibration: c.npz\nsource: {{kind: simulated}}\n"
+            f"sensor_id: finger\nprofile: fast\ncalibration: c.npz\nsource: {{kind: simulated}}\n"
             f"serial: {{device: /dev/..{link}}}\nmqtt: {{host: 127.0.0.1, port: {broker.port}}}\n"
             "recorder: {folder: recs}\nstitching: {folder: maps}\n"
         )

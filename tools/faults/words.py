@@ -39,7 +39,7 @@ from tacshade_edge.protocol.serial import cobs
 from tacshade_edge.protocol.serial.line import seal
 from tacshade_edge.settings import load
 
-SENSOR_ID = "hand"
+SENSOR_ID = "finger"
 BASE = f"tacshade/{SENSOR_ID}"
 MEANT = re.compile(
     rf"{BASE}/(state|info|instance|health|status/(camera|serial|recorder|stitching|rival)|height|cloud|shear|sigma|contact"
