@@ -14,6 +14,7 @@ from typing import Any
 
 import cv2
 import pytest
+from faults.process_faults import is_there
 from robot import PtyRobot
 from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from support.painted_sensor import FREE, TOUCHED, painted_calibration
@@ -202,14 +203,6 @@ def test_those_that_hang_end_with_their_supervisor(folder: Path, broker: Broker)
         finally:
             for child in filter(is_there, children):
                 os.kill(child, signal.SIGKILL)
-
-
-def is_there(pid: int) -> bool:
-    """A process that has not ended; who waits for it may be slow."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except FileNotFoundError:
-        return False
 
 
 @needs_broker

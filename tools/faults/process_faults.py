@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import resource
 import signal
+import subprocess
 import time
+from pathlib import Path
+
+from support.patience import wait_until
 
 from faults.rig import BASE, SENSOR_ID, Cell, Seen, ended, pause
 from tacshade_edge.devices.files.recording import Recording
@@ -101,10 +106,77 @@ def shared_folder(cell: Cell) -> Seen:
     return Seen(detected_s, None, "nothing", "log: who holds it")
 
 
+def one_of_several(cell: Cell) -> Path:
+    """Settings of a file that could have more sensors: a supervisor, and a process for this one."""
+    path = cell.folder / "several.yaml"
+    path.write_text(
+        "profile: fast\nsensors:\n"
+        f"  {SENSOR_ID}:\n    calibration: c.npz\n    source: {{kind: files, path: images, fps: 60, loop: true}}\n"
+        f"mqtt: {{host: 127.0.0.1, port: {cell.broker.port}}}\n"
+        "recorder: {folder: recs}\nstitching: {folder: maps}\n"
+    )
+    return path
+
+
+def part_of(cell: Cell) -> int:
+    """The process of its one sensor."""
+    assert cell.daemon is not None
+    found = subprocess.run(("pgrep", "-P", str(cell.daemon.pid)), capture_output=True, check=True)
+    return int(found.stdout)
+
+
+def part_stopped(cell: Cell) -> Seen:
+    """SIGTERM to the process of one sensor."""
+    cell.serve()
+    cell.start(one_of_several(cell))
+    since_s = cell.mark()
+    os.kill(part_of(cell), signal.SIGTERM)
+    detected_s = cell.told("was stopped by a signal, starts again", since_s)
+    return Seen(detected_s, cell.maps_again(time.monotonic()), "frames meanwhile", "log, `STATUS`")
+
+
+def part_left(cell: Cell) -> Seen:
+    """SIGKILL to the supervisor of a sensor that SIGSTOP has stopped."""
+    cell.serve()
+    cell.start(one_of_several(cell))
+    part = part_of(cell)
+    os.kill(part, signal.SIGSTOP)
+    cell.kill()
+    cell.daemon = None
+    since_s = time.monotonic()
+    try:
+        wait_until(lambda: not is_there(part), 20, "it ends with its supervisor")
+    finally:
+        if is_there(part):
+            os.kill(part, signal.SIGKILL)
+    return Seen(time.monotonic() - since_s, None, "it ends", "`state`")
+
+
+def is_there(pid: int) -> bool:
+    """Whether a process has not ended."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def few_files(cell: Cell) -> Seen:
+    """`ulimit -n` of 12."""
+    began_s = time.monotonic()
+    process = cell.spawn(cell.settings(), before=lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (12, 12)))
+    assert ended(process, 30) == 78, cell.log()[-300:]
+    assert "expected at least 128" in cell.log(), cell.log()[-300:]
+    assert "Traceback" not in cell.log(), cell.log()[-300:]
+    return Seen(time.monotonic() - began_s, None, "it does not run", "one line, exit code 78")
+
+
 FAULTS = {
     "daemon killed (-9) in a session and a recording": killed,
     f"daemon gets no processor for {FROZEN_S:.0f} s": frozen,
     "SIGTERM during the start": stopped_early,
     "500 MB of address space": little_memory,
+    "12 open files": few_files,
+    "SIGTERM to the process of one of several sensors": part_stopped,
+    "supervisor killed (-9) while a sensor is stopped": part_left,
     "two daemons, one folder for sessions": shared_folder,
 }
