@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
+
 
 def quoted(text: str, chars_max: int = 60) -> str:
     """`text` in quotes, at most so much of it; what does not print (line ends, ESC) as an escape."""
@@ -19,3 +22,9 @@ def escaped(text: str, chars_max: int = 1000) -> str:
     if len(text) > chars_max:
         text = text[:chars_max] + "…"
     return text if text.isprintable() else "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
+def did_you_mean(text: object, names: Iterable[object]) -> str:
+    """``; did you mean NAME?`` of the name that is nearest to `text`, or nothing where none is near."""
+    near = difflib.get_close_matches(text, list(map(str, names)), 1) if isinstance(text, str) else []
+    return f"; did you mean {near[0]}?" if near else ""

@@ -336,7 +336,7 @@ class PtyRobot:
 def main() -> None:
     """Run until the time is over or Ctrl-C."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--link", type=Path, required=True)
+    parser.add_argument("--link", type=Path, required=True, help="under /dev, for serial.device: /dev/shm/robot")
     parser.add_argument("--rate", type=float, default=100.0)
     parser.add_argument("--seconds", type=float, default=math.inf)
     parser.add_argument("--binary", action="store_true")
@@ -350,6 +350,9 @@ def main() -> None:
     )
     parser.add_argument("--reboot", type=float, default=0.0, metavar="EVERY")
     args = parser.parse_args()
+    if not args.link.absolute().is_relative_to("/dev"):
+        found = f"found {args.link}, expected a path such as /dev/shm/robot"
+        parser.error(f"--link: {found}: serial.device takes a path under /dev only, where serial ports are")
     robot = PtyRobot(
         args.link,
         rate_hz=args.rate,

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from tacshade_edge.cli.parser import Parser
 from tacshade_edge.errors import ConfigError, TacshadeError
 from tacshade_edge.quoting import escaped
 from tacshade_edge.version import installed_version
@@ -47,7 +48,7 @@ class _Version(argparse.Action):
 
 def command_line(is_wanted: Callable[[str], bool]) -> tuple[argparse.ArgumentParser, dict[str, Any]]:
     """The parser of the command line, and the modules of those commands that are wanted: others have no options."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="tacshade-edge",
         description="Metric shape from touch for TacShade sensors.",
         epilog="tacshade-edge COMMAND --help tells a command's options.",
@@ -71,7 +72,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if argv is None else argv)
     chosen = next((w for w in words if not w.startswith("-")), None)
     parser, modules = command_line(lambda name: name == chosen)
-    args = parser.parse_args(words)
+    args, unknown = parser.parse_known_args(words)
+    if unknown:
+        args.parser.error(f"unrecognized arguments: {' '.join(unknown)}")
     module = modules[args.command]
     try:
         return int(module.run(args))

@@ -119,8 +119,9 @@ def _replay(args: argparse.Namespace) -> int:
             writer = RunWriter(args.out, calibration_crc32=reconstructor.calibration.crc32)
             stack.callback(writer.discard)
             sinks.append(writer.add)
-        # Of the frames that were delivered, so it is one behind.
-        sinks.append(lambda *_: shown("frames", progress.frames + 1, recording.frames))
+        # Of the frames that were delivered, so it is one behind. A person plays frames as often as he likes.
+        total = None if args.play else recording.frames
+        sinks.append(lambda *_: shown("frames", progress.frames + 1, total))
         try:
             played = player if args.play else recording
             speed = None if args.play else args.speed

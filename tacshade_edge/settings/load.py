@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import copy
-import difflib
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -15,7 +14,7 @@ import yaml
 
 from tacshade_edge.core.profiles import AUTO, DEFAULT
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.quoting import shown
+from tacshade_edge.quoting import did_you_mean, shown
 from tacshade_edge.settings import strict_yaml
 from tacshade_edge.settings.model import FINGER, HAND, SENSORS, Files, Settings, Simulated, Source, json_schema
 from tacshade_edge.settings.placed import wrong_with
@@ -283,7 +282,7 @@ def _explain(
     schema = _schema_at(key, value, root)
     if unknown := re.match(r"Object contains unknown field `(.*?)`(?: - at `|$)", message, re.DOTALL):
         names = list(schema["properties"])
-        problem = f"found an unknown key, expected one of {', '.join(names)}{_nearest(unknown[1], names)}"
+        problem = f"found an unknown key, expected one of {', '.join(names)}{did_you_mean(unknown[1], names)}"
         return [(*key, unknown[1])], lambda _: problem, (*key, unknown[1])
     if missing := re.match(r"Object missing required field `(.*?)`", message):
         names = schema.get("required", [missing[1]])
@@ -299,12 +298,6 @@ def _at(value: Any, key: Key) -> Any:
     for name in key:
         value = value[int(name)] if isinstance(value, list) else value[name]
     return value
-
-
-def _nearest(text: object, names: Sequence[object]) -> str:
-    """``; did you mean NAME?``, or nothing."""
-    near = difflib.get_close_matches(text, list(map(str, names)), 1) if isinstance(text, str) else []
-    return f"; did you mean {near[0]}?" if near else ""
 
 
 def _schema_at(key: Key, value: Any, root: dict[str, Any]) -> dict[str, Any]:
@@ -334,7 +327,7 @@ def _resolved(schema: dict[str, Any], value: Any, root: dict[str, Any]) -> dict[
 def expectation(schema: dict[str, Any], given: object = None) -> str:
     """What a person should write there in place of what is given."""
     if "enum" in schema:
-        return f"one of {', '.join(map(str, schema['enum']))}{_nearest(given, schema['enum'])}"
+        return f"one of {', '.join(map(str, schema['enum']))}{did_you_mean(given, schema['enum'])}"
     if "anyOf" in schema and "discriminator" not in schema:
         options = [expectation({**option}) for option in schema["anyOf"]]
         return " or ".join(options)

@@ -98,7 +98,12 @@ class Stitching(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 class Serial(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The robot's serial line."""
 
-    device: Annotated[str, Meta(pattern="^(/dev/|[a-z0-9]+://)", description="a path under /dev, or a pyserial URL")]
+    device: Annotated[
+        str,
+        Meta(
+            pattern="^(/dev/|[a-z0-9]+://)", description="a path under /dev, where serial ports are, or a pyserial URL"
+        ),
+    ]
     baud: Annotated[int, Meta(ge=1200, le=4_000_000, description="bits per second; USB devices ignore it")] = 115200
 
 

@@ -50,12 +50,19 @@ def ordered_map(
         return
     context = multiprocessing.get_context("spawn")  # fork would copy OpenCV's threads' locks
     pool = ProcessPoolExecutor(cores, mp_context=context, initializer=_start, max_tasks_per_child=1 if fresh else None)
+    before, complete = multiprocessing.active_children(), False
     try:
         yield from pool.map(function, tasks)
+        complete = True
     except BrokenProcessPool:
         raise DeviceError("a worker process was ended from outside (not enough memory?)") from None
     finally:
-        pool.shutdown(wait=False, cancel_futures=True)
+        if not complete:  # nobody wants what they are at
+            for worker in multiprocessing.active_children():
+                if worker not in before:
+                    worker.terminate()
+        # Waits: the pool's semaphores would outlive a process that ends before its pool has.
+        pool.shutdown(wait=True, cancel_futures=True)
 
 
 def reported_map(

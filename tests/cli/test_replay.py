@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import json
+import os
+import pty
 import re
 import signal
 import subprocess
@@ -11,6 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from support.painted_sensor import BLACK, FREE, TOUCHED, painted_calibration, touched_depth_mm
 from support.patience import patience, wait_until
 from support.recordings import write_recording
@@ -229,3 +232,24 @@ def test_an_interrupted_run_leaves_nothing(folder: Path, number: signal.Signals)
     assert errors == f"tacshade-edge: {out}: stopped before the end, so nothing was written\n"
     assert "frames, " in said
     assert list(out.iterdir()) == []
+
+
+@pytest.mark.broker
+@pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
+def test_a_played_recording_has_no_number_of_frames(folder: Path) -> None:
+    """A person may see each of its five as often as he likes: progress went to "frames: 341/170"."""
+    leader, follower = pty.openpty()
+    with Broker(folder) as broker, Subscriber(broker.port) as asks:
+        command = [*COMMAND, *words(folder, "--play", "--mqtt", f"127.0.0.1:{broker.port}", "--sensor-id", "run")]
+        with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=follower) as child:
+            os.close(follower)
+            heard = ""
+            while "frames: 5" not in heard:
+                heard += os.read(leader, 4096).decode()
+            asks.publish("tacshade/run/req/replay", b'{"seek_s": 0}')
+            while "frames: 6" not in heard:
+                heard += os.read(leader, 4096).decode()
+            child.terminate()
+            assert child.wait(patience(20)) == 0
+    os.close(leader)
+    assert "/" not in heard

@@ -87,7 +87,7 @@ def write(folder: Path, text: str | bytes) -> Path:
         ),
         ("latency_budget_ms: 20\n", ":1: latency_budget_ms: found 20 with profile "),
         ("serial: 3\n", ":1: serial: found 3, expected a mapping or null"),
-        ("serial:\n  baud: 9600\n", ": serial.device: found nothing, expected a string (a path under /dev, or a"),
+        ("serial:\n  baud: 9600\n", ": serial.device: found nothing, expected a string (a path under /dev, where"),
         ("serial:\n  device: ttyACM0\n", ":2: serial.device: found ttyACM0, expected a string (a path under /dev"),
         ("serial:\n  device: /dev/x\n  baud: 0\n", ":3: serial.baud: found 0, expected an integer from 1200 to"),
         (

@@ -94,3 +94,42 @@ def test_no_process_outlives_the_command(number: signal.Signals, tmp_path: os.Pa
         made.send_signal(number)
         made.wait(timeout=patience(20))
         wait_until(lambda: not any(map(alive, workers)), timeout_s=20, what="both workers are gone")
+
+
+ENDS = """
+import sys, time
+from tacshade_edge.cli import entry
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.studies.parallel import ordered_map
+
+def work(task):
+    if task == 0 or sys.argv[1] == "all":
+        return task
+    if sys.argv[1] == "mistake":
+        raise ConfigError("no")
+    time.sleep(600)
+
+def main():
+    try:
+        for result in ordered_map(work, [0, 1, 2], 2):
+            if sys.argv[1] == "interrupt":
+                raise KeyboardInterrupt
+    except (ConfigError, KeyboardInterrupt):
+        return 1
+    return 0
+
+if __name__ == "__main__":
+    entry.leave(main())
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("how", "code"), [("all", 0), ("mistake", 1), ("interrupt", 1)])
+def test_nothing_is_left_of_the_workers_however_the_work_ends(how: str, code: int, tmp_path: os.PathLike[str]) -> None:
+    """Python warned of leaked semaphores at the end of `simulate --pad`."""
+    path = os.path.join(tmp_path, "work.py")
+    with open(path, "w", encoding="utf-8") as file:
+        file.write(ENDS)
+    command = [sys.executable, path, how]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=patience(60), check=False)
+    assert (done.returncode, done.stderr) == (code, "")

@@ -65,7 +65,7 @@ def assess(fit: Fit, geometry: Geometry, missing: Sequence[str], errors_mm: Sequ
         grade = "poor"
     line = (
         f"{grade}: depth within {_rounded_up(profile.depth_mae_mm)} mm of what was stated on average, "
-        f"{_rounded_up(profile.depth_worst_mm)} mm at worst, on presses it had not seen"
+        f"{_rounded_up(profile.depth_worst_mm)} mm at worst, on presses it had not seen (profile {GRADED_PROFILE})"
     )
     advice = list(missing)
     if agreement > _AGREEMENT_GOOD_MM:

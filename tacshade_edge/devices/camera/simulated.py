@@ -43,7 +43,7 @@ class SimulatedSource:
     def __init__(
         self, *, fps: float, model: SensorModel | None = None, script: Script | None = None, ring: int = 0
     ) -> None:
-        self._period_ns = round(1e9 / fps)
+        self._fps, self._period_ns = fps, round(1e9 / fps)
         self._script: Script = script or demonstration()
         self._sensor = SimulatedSensor(model)
         self._ring_size = ring
@@ -89,7 +89,7 @@ class SimulatedSource:
             "device": "simulated",
             "width_px": model.image_width_px,
             "height_px": model.image_height_px,
-            "fps": 1e9 / self._period_ns,
+            "fps": self._fps,
             "ring": self._ring_size,
         }
 

@@ -45,7 +45,7 @@ class FilesSource:
 
     def __init__(self, *, path: Path, fps: float, loop: bool) -> None:
         self._path = path
-        self._period_ns = round(1e9 / fps)
+        self._fps, self._period_ns = fps, round(1e9 / fps)
         self._loop = loop
         self._seq = 0
         self._due_ns = 0
@@ -104,7 +104,7 @@ class FilesSource:
 
     def describe(self) -> dict[str, str | int | float]:
         """Path, pace, and the number of images."""
-        about: dict[str, str | int | float] = {"path": str(self._path), "fps": 1e9 / self._period_ns}
+        about: dict[str, str | int | float] = {"path": str(self._path), "fps": self._fps}
         images = len(self._images if self._rows is None else self._rows)
         return about | ({"images": images} if images else {})
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -16,14 +15,12 @@ from numpy.typing import NDArray
 from tacshade_edge.core.stitching.stitcher import PlacedPress
 from tacshade_edge.core.stitching.surface_map import BAND_ROWS, Raster
 from tacshade_edge.devices.files import ply
+from tacshade_edge.devices.files.map_preview import height_span_mm, preview
 from tacshade_edge.devices.files.whole_files import disk_errors, write_whole
 from tacshade_edge.reasons import text_of
-from tacshade_edge.types import F32, U8
+from tacshade_edge.types import F32
 
 _PNG_SCALE_MM = 0.001
-_PREVIEW_PX = 900  # of the longer side, at most
-_LEGEND_PX = 24
-_UNTOUCHED_GREY = 225
 
 
 def press_record(press: PlacedPress) -> dict[str, Any]:
@@ -86,34 +83,9 @@ def _points(raster: Raster) -> Iterator[bytes]:
         yield ply.rows(band.points())
 
 
-def preview(raster: Raster) -> U8:
-    """A picture for a person, as seen from above, y upwards: heights in colours, grey where nothing was touched."""
-    low, high = _span(raster.z_mm)
-    stride = max(1, max(raster.z_mm.shape) // (2 * _PREVIEW_PX))  # of a large map some cells are enough
-    z = raster.z_mm[::stride, ::stride]
-    level = np.nan_to_num(np.clip((z - low) / max(high - low, 0.1) * 255, 0, 255)).astype(np.uint8)
-    picture = np.asarray(cv2.applyColorMap(level, cv2.COLORMAP_VIRIDIS), np.uint8)
-    picture[~np.isfinite(z)] = _UNTOUCHED_GREY
-    if max(z.shape) > _PREVIEW_PX:
-        size = tuple(max(1, round(s * _PREVIEW_PX / max(z.shape))) for s in z.shape[::-1])
-        picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
-    zoom = max(1, _PREVIEW_PX // max(z.shape))
-    picture = np.flipud(picture).repeat(zoom, axis=0).repeat(zoom, axis=1)
-    legend = np.full((_LEGEND_PX, picture.shape[1], 3), 255, np.uint8)
-    width, height = (s * raster.step_mm for s in raster.z_mm.shape[1::-1])
-    text = f"{width:.0f} x {height:.0f} mm, colours {low:.2f} to {high:.2f} mm" if low < high else "nothing touched"
-    cv2.putText(legend, text, (6, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (0, 0, 0), 1, cv2.LINE_AA)
-    return np.vstack((picture, legend))
-
-
-def _span(z_mm: F32) -> tuple[float, float]:
-    low, high = float(np.fmin.reduce(z_mm, axis=None)), float(np.fmax.reduce(z_mm, axis=None))
-    return (low, high) if math.isfinite(low) else (0.0, 0.0)
-
-
 def _levels(z_mm: F32) -> tuple[NDArray[np.uint16], float, float]:
     """16-bit levels, the z of level 1 and the step in mm; the step grows where the heights need it."""
-    low, high = _span(z_mm)
+    low, high = height_span_mm(z_mm)
     scale_mm = max(_PNG_SCALE_MM, (high - low) / 65534)
     levels = np.empty(z_mm.shape, np.uint16)
     for first in range(0, len(z_mm), BAND_ROWS):

@@ -19,7 +19,8 @@ def test_a_good_one_needs_nothing() -> None:
     quality = assess(fit(), GEOMETRY, (), ERRORS_MM)
     assert quality.grade == "good"
     assert quality.line == (
-        "good: depth within 0.25 mm of what was stated on average, 0.70 mm at worst, on presses it had not seen"
+        "good: depth within 0.25 mm of what was stated on average, 0.70 mm at worst, "
+        "on presses it had not seen (profile accurate)"
     )
     assert quality.advice == ()
 

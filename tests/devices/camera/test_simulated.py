@@ -80,3 +80,4 @@ def test_numbering_goes_on_after_a_reopening() -> None:
     assert again.seq == 3 + camera.dropped
     assert again.t_ns > last.t_ns
     assert camera.describe() == {"device": "simulated", "width_px": 64, "height_px": 48, "fps": 200.0, "ring": 0}
+    assert SimulatedSource(fps=30).describe()["fps"] == 30, "as it was asked for, without what rounding makes of it"

@@ -1,0 +1,40 @@
+"""The parser of the command line: argparse's, which names the nearest word where one was mistyped."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections.abc import Sequence
+from typing import Any, NoReturn
+
+from tacshade_edge.quoting import did_you_mean
+
+
+class Parser(argparse.ArgumentParser):
+    """As argparse's; the parsers of its commands are of this kind too."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._words: tuple[str, ...] = ()
+        # The innermost parser's stays: it is the one that knows the command's options.
+        self.set_defaults(parser=self)
+
+    def parse_known_args(self, args: Sequence[str] | None = None, namespace: Any = None) -> Any:  # type: ignore[override]
+        """As argparse's."""
+        self._words = tuple(args or ())
+        return super().parse_known_args(args, namespace)
+
+    def error(self, message: str) -> NoReturn:
+        """Print usage, message and the nearest word that there is; exit with 2."""
+        if refused := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)$", message):
+            meant = did_you_mean(refused[1], re.findall(r"[\w-]+", refused[2]))
+        else:
+            meant = next(filter(None, map(self._option_meant, self._words)), "")
+        super().error(message + meant)
+
+    def _option_meant(self, word: str) -> str:
+        """Of a word that is an option, and none of this parser's."""
+        options = re.findall(r"--[\w-]+", self.format_usage())
+        name = word.partition("=")[0]
+        is_known = any(option.startswith(name) for option in (*options, "--help"))
+        return "" if is_known or not name.startswith("--") else did_you_mean(name, options)
