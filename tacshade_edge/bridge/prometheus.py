@@ -2,59 +2,41 @@
 
 from __future__ import annotations
 
-import logging
 import re
+import socketserver
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Final
+from http.server import ThreadingHTTPServer
+from typing import Any, Final, Literal
 
-import msgspec
-from prometheus_client import Metric
+from prometheus_client import CollectorRegistry, Metric, MetricsHandler
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 
-from tacshade_edge.quoting import quoted
-
-_log = logging.getLogger(__name__)
+from tacshade_edge.bridge.roster import HANDS_MAX, Refusals, Roster
+from tacshade_edge.devices.listener import Connections, Listener
+from tacshade_edge.errors import DecodeError
+from tacshade_edge.protocol.received import ALIVE, STATES, Health, State, decode_health, decode_state
 
 FRESH_S: Final = 5.0
 """`health` comes once a second; what is older is no hand's present."""
 
-HANDS_MAX: Final = 256
+CONNECTIONS_MAX: Final = 16
+"""Each has a thread; what is more is closed at once."""
+_SPEAK_S: Final = 5.0
+_POLL_S: Final = 0.1
 _TOPIC: Final = re.compile(r"tacshade/([A-Za-z0-9_-]{1,64})/(state|health)")
-_ALIVE: Final = ("online", "degraded")
-_STATES: Final = (*_ALIVE, "stopped", "offline")
 _S_PER_MS: Final = 0.001
-
-
-class _Percentiles(msgspec.Struct, frozen=True):
-    p50: float
-    p99: float
-
-
-class _Health(msgspec.Struct, frozen=True):
-    """What is told of ``health``; the rest of it is for people."""
-
-    uptime_s: float
-    frames: dict[str, int]
-    source_dropped: int
-    capture_fps: float
-    delivered_fps: float
-    published_fps: float
-    latency_ms: _Percentiles | None
-    stages_ms: dict[str, _Percentiles]
-    mqtt: dict[str, int]
-    recorder: dict[str, int]
-    invalid_reason_code: str = ""
-    degraded_reason_code: str = ""
 
 
 @dataclass(slots=True)
 class _Hand:
-    state: str = ""
-    health: _Health | None = None
-    heard_s: float = 0.0
+    state: State | Literal[""] = ""
+    health: Health | None = None
+    heard_s: float = float("-inf")
+    tells_health: bool = False
 
 
 class Hands:
@@ -72,48 +54,110 @@ class Hands:
         self._clock_s = clock_s
         self.topics = {f"tacshade/{sensor_id}/{name}" for sensor_id in sensors or ["+"] for name in ("state", "health")}
         self._lock = threading.Lock()
-        self._hands: dict[str, _Hand] = {}
+        self._hands: Roster[_Hand] = Roster(lambda _: _Hand(), self._rank)
+        self._refusals = Refusals(clock_s)
 
     def hear(self, topic: str, payload: bytes, retained: bool) -> None:
-        """A message of the broker's. A retained `health` is of another time, and says nothing."""
-        if not (found := _TOPIC.fullmatch(topic)) or (retained and found[2] == "health"):
+        """A message of the broker's. A retained `health` is of another time: it tells that the hand has one."""
+        if not (found := _TOPIC.fullmatch(topic)):
             return
-        try:
-            health = msgspec.json.decode(payload, type=_Health) if found[2] == "health" else None
-        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-            _log.warning("%s: %s, expected what docs/mqtt.md says", topic, error)
-            return
+        sensor_id, name = found.groups()
         with self._lock:
-            if found[1] not in self._hands and len(self._hands) >= HANDS_MAX:
-                _log.warning("%s is one hand more than the %d that are told of", quoted(found[1]), HANDS_MAX)
-                return
-            hand = self._hands.setdefault(found[1], _Hand())
-            if health is None:
-                hand.state = payload.decode(errors="replace")
-            else:
-                hand.health, hand.heard_s = health, self._clock_s()
+            try:
+                if name == "state":
+                    self._hear_state(sensor_id, payload)
+                elif payload:
+                    self._hear_health(sensor_id, decode_health(payload), retained=retained)
+            except DecodeError as error:
+                self._refusals.add("undecodable", sensor_id, str(error))
 
     def collect(self) -> Iterator[Metric]:
         """All metrics of this moment; of a hand that is silent or gone only that it is."""
-        now_s = self._clock_s()
         with self._lock:
-            states = {sensor_id: hand.state for sensor_id, hand in sorted(self._hands.items())}
-            fresh = {
-                sensor_id: hand.health
-                for sensor_id, hand in sorted(self._hands.items())
-                if hand.health and hand.state in _ALIVE and now_s - hand.heard_s <= FRESH_S
-            }
-        up = GaugeMetricFamily("tacshade_up", "1 while the daemon lives and tells its health", labels=["sensor"])
+            hands = list(self._hands)
+            refused = dict(self._refusals.counts)
+            fresh = {name: hand.health for name, hand in hands if hand.health and self._is_alive(hand)}
+        up = GaugeMetricFamily(
+            "tacshade_up", "1 while the daemon lives and tells its health; of none that stopped", labels=["sensor"]
+        )
         state = GaugeMetricFamily("tacshade_state", "1 for the present state", labels=["sensor", "state"])
-        for sensor_id, said in states.items():
-            up.add_metric([sensor_id], float(sensor_id in fresh))
-            for name in _STATES:
-                state.add_metric([sensor_id, name], float(said == name))
-        yield from (up, state)
+        for name, hand in hands:
+            # What never told a health is a replay's results; what stopped did so on purpose.
+            if hand.tells_health and hand.state != "stopped":
+                up.add_metric([name], float(name in fresh))
+            for one in STATES if hand.state else ():
+                state.add_metric([name, one], float(hand.state == one))
+        family = CounterMetricFamily("tacshade_bridge_refused", "Messages that were left out, by why", labels=["why"])
+        for why, count in refused.items():
+            family.add_metric([why], count)
+        yield from (up, state, family)
         yield from _of_health(fresh)
 
+    def _hear_state(self, sensor_id: str, payload: bytes) -> None:
+        if not payload:
+            self._hands.drop(sensor_id)
+            return
+        state = decode_state(payload)
+        if hand := self._held(sensor_id, 0):
+            hand.state = state
 
-def _of_health(fresh: dict[str, _Health]) -> Iterator[Metric]:
+    def _hear_health(self, sensor_id: str, health: Health, *, retained: bool) -> None:
+        if hand := self._held(sensor_id, 1 if retained else 2):
+            hand.tells_health = True
+            if not retained:
+                hand.health, hand.heard_s = health, self._clock_s()
+
+    def _held(self, sensor_id: str, rank: int) -> _Hand | None:
+        hand = self._hands.of(sensor_id, rank)
+        if hand is None:
+            self._refusals.add("no_room", sensor_id, f"one hand more than the {HANDS_MAX} that are told of")
+        return hand
+
+    def _is_alive(self, hand: _Hand) -> bool:
+        """Its state is not known where another name had its place when that came."""
+        return hand.state in (*ALIVE, "") and self._clock_s() - hand.heard_s <= FRESH_S
+
+    def _rank(self, hand: _Hand) -> int:
+        return 2 if self._is_alive(hand) else int(hand.tells_health)
+
+
+class MetricsServer(ThreadingHTTPServer):
+    """Serves a registry in a thread of its own, and one for each connection, of which there are few.
+
+    Raises
+    ------
+    OSError
+        It cannot listen there.
+    """
+
+    request_queue_size = CONNECTIONS_MAX
+
+    def __init__(self, host: str, port: int, registry: CollectorRegistry) -> None:
+        handler = MetricsHandler.factory(registry)
+        handler.timeout = _SPEAK_S
+        # Not bound by the base: it would ask a name server for its own name.
+        socketserver.TCPServer.__init__(self, (host, port), handler, bind_and_activate=False)
+        self.socket.close()
+        self.socket = Listener(host, port, Connections(CONNECTIONS_MAX).admit)
+        self.server_address = self.socket.getsockname()
+        self.server_port: int = self.server_address[1]
+        self.server_activate()
+        self._thread = threading.Thread(target=self.serve_forever, args=(_POLL_S,), name="metrics")
+        self._thread.start()
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A reader that went away is no news; anything else leaves the thread."""
+        if not isinstance(error := sys.exception(), OSError) and error is not None:
+            raise error
+
+    def stop(self) -> None:
+        """End it, whoever is connected."""
+        self.shutdown()
+        self.server_close()
+        self._thread.join()
+
+
+def _of_health(fresh: dict[str, Health]) -> Iterator[Metric]:
     def gauge(name: str, text: str, value: str) -> Metric:
         family = GaugeMetricFamily(name, text, labels=["sensor"])
         for sensor_id, health in fresh.items():

@@ -88,9 +88,9 @@ def _foxglove(args: argparse.Namespace, broker: BrokerAddress) -> None:
 
 def _prometheus(args: argparse.Namespace, broker: BrokerAddress) -> None:
     try:
-        from prometheus_client import CollectorRegistry, start_http_server
+        from prometheus_client import CollectorRegistry
 
-        from tacshade_edge.bridge.prometheus import Hands
+        from tacshade_edge.bridge.prometheus import Hands, MetricsServer
     except ModuleNotFoundError as error:
         raise _missing(error, "prometheus", "prometheus_client") from None
     host, port = args.listen
@@ -100,7 +100,7 @@ def _prometheus(args: argparse.Namespace, broker: BrokerAddress) -> None:
     follower = Follower(broker, hands.hear)
     follower.follow(hands.topics)
     try:
-        server, thread = start_http_server(port, host, registry)
+        server = MetricsServer(host, port, registry)
     except OSError as error:
         reason = error.strerror or error
         raise ConfigError(f"--listen {host}:{port}: {reason}, expected an address to listen on") from None
@@ -108,9 +108,7 @@ def _prometheus(args: argparse.Namespace, broker: BrokerAddress) -> None:
     try:
         _serve(follower, lambda: None)
     finally:
-        server.shutdown()
-        server.server_close()
-        thread.join()
+        server.stop()
 
 
 def _serve(follower: Follower, poll: Callable[[], None]) -> None:

@@ -9,6 +9,8 @@ from typing import Any, Final
 
 from websockets.asyncio.server import ServerConnection
 
+from tacshade_edge.devices.listener import Connections
+
 _log = logging.getLogger(__name__)
 
 CONNECTIONS_MAX: Final = 48
@@ -23,18 +25,16 @@ class Bounds:
     """What is open now, and how many were turned away."""
 
     def __init__(self) -> None:
-        self._open: list[socket.socket] = []
+        self._connections = Connections(CONNECTIONS_MAX)
         self._pages: set[ServerConnection] = set()
         self.turned_away = 0
 
     def admit(self, connection: socket.socket) -> bool:
         """Count a connection; False when there are too many."""
-        self._open = [other for other in self._open if other.fileno() >= 0]
-        if len(self._open) >= CONNECTIONS_MAX:
-            self._turn_away(f"{CONNECTIONS_MAX} connections are open")
-            return False
-        self._open.append(connection)
-        return True
+        if admitted := self._connections.admit(connection):
+            return admitted
+        self._turn_away(f"{CONNECTIONS_MAX} connections are open")
+        return False
 
     def admit_page(self, connection: ServerConnection) -> str:
         """Count a connection as a page's; why not, when there are too many."""
@@ -51,37 +51,6 @@ class Bounds:
         self.turned_away += 1
         _log.warning("turned away, the %d. so far: %s", self.turned_away, why)
         return why
-
-
-class Listener(socket.socket):
-    """A listening TCP socket that accepts no more than `bounds` admit.
-
-    It counts before a connection costs anything: with TLS it would cost 256 KiB before asyncio tells of it.
-
-    Raises
-    ------
-    OSError
-        There is no such address, or its port is taken.
-    """
-
-    def __init__(self, host: str, port: int, bounds: Bounds) -> None:
-        family, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
-        super().__init__(family, socket.SOCK_STREAM)
-        self._bounds = bounds
-        try:
-            self.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            self.bind(address)
-        except OSError:
-            self.close()
-            raise
-
-    def accept(self) -> tuple[socket.socket, Any]:
-        """The next connection, or ConnectionAbortedError, which asyncio passes over."""
-        connection, address = super().accept()
-        if not self._bounds.admit(connection):
-            connection.close()
-            raise ConnectionAbortedError
-        return connection, address
 
 
 def bounded(bounds: Bounds) -> type[ServerConnection]:

@@ -19,9 +19,10 @@ from websockets.http11 import Request, Response
 from websockets.typing import Subprotocol
 
 from tacshade_edge.dashboard import access, files, login
-from tacshade_edge.dashboard.bounds import Bounds, Listener, bounded, tell_device_errors
+from tacshade_edge.dashboard.bounds import Bounds, bounded, tell_device_errors
 from tacshade_edge.dashboard.bridge import FROM_PAGE_BYTES_MAX, Bridge, Broker
 from tacshade_edge.dashboard.login import Login
+from tacshade_edge.devices.listener import Listener
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.quoting import escaped
 
@@ -175,7 +176,7 @@ async def run(
     asyncio.get_running_loop().set_exception_handler(tell_device_errors)
     bounds = Bounds()
     try:
-        listener = Listener(host, port, bounds)
+        listener = Listener(host, port, bounds.admit)
         tokens = Login(token, f"tacshade-{listener.getsockname()[1]}", secure=tls is not None) if token else None
         # Compression would cost the board more than it saves: docs/dashboard.md has the figures.
         server = await serve(

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
-import re
-import signal
-import subprocess
-import sys
-import urllib.request
+import socket
 from pathlib import Path
+from typing import Any
 
 import pytest
+from support.bridge_process import BridgeProcess
 from support.mqtt_rig import MOSQUITTO, Broker
 from support.patience import patience, wait_until
 from support.published_hand import PublishedHand
 from support.published_health import health
 
+from tacshade_edge.bridge.roster import HANDS_MAX
+
 parser = pytest.importorskip("prometheus_client.parser", reason="the extra prometheus is not installed")
+
+prometheus = pytest.importorskip("tacshade_edge.bridge.prometheus")
 
 Series = dict[tuple[str, tuple[tuple[str, str], ...]], float]
 
@@ -66,7 +69,7 @@ def test_what_is_told_of_a_hand() -> None:
     assert got["tacshade_mqtt_total published"] == 9
     assert got["tacshade_recorder_frames_total written"] == 5
     hands.hear("tacshade/left/state", b"offline", False)
-    assert {name.split()[0] for name in told()} == {"tacshade_up", "tacshade_state"}
+    assert {name.split()[0] for name in told()} == {"tacshade_up", "tacshade_state", "tacshade_bridge_refused_total"}
     assert told()["tacshade_up"] == 0
 
 
@@ -81,31 +84,77 @@ def test_a_silent_hand_tells_no_numbers() -> None:
     assert "tacshade_capture_fps" in names
     now_s += prometheus.FRESH_S + 0.1
     samples = [sample for family in hands.collect() for sample in family.samples]
-    assert {sample.name for sample in samples} == {"tacshade_up", "tacshade_state"}
+    assert {sample.name for sample in samples} == {"tacshade_up", "tacshade_state", "tacshade_bridge_refused_total"}
     assert samples[0].value == 0
+
+
+def up_of(hands: Any) -> dict[str, float]:
+    (family,) = (family for family in hands.collect() if family.name == "tacshade_up")
+    return {sample.labels["sensor"]: sample.value for sample in family.samples}
+
+
+def test_what_never_told_a_health_or_stopped_is_not_down() -> None:
+    hands = prometheus.Hands([])
+    hands.hear("tacshade/replay/state", b"online", False)
+    for name, state in (("ended", b"stopped"), ("died", b"offline"), ("hangs", b"online")):
+        hands.hear(f"tacshade/{name}/state", state, True)
+        hands.hear(f"tacshade/{name}/health", health(), True)
+    assert up_of(hands) == {"died": 0, "hangs": 0}
+    hands.hear("tacshade/ended/state", b"online", False)
+    hands.hear("tacshade/ended/health", health(), False)
+    assert up_of(hands) == {"died": 0, "hangs": 0, "ended": 1}
+    hands.hear("tacshade/died/state", b"", False)  # dismissed
+    assert up_of(hands) == {"hangs": 0, "ended": 1}
+
+
+def test_real_hands_come_before_invented_ones() -> None:
+    hands = prometheus.Hands([])
+    for number in range(2 * HANDS_MAX):
+        hands.hear(f"tacshade/a{number}/state", b"online", True)
+    hands.hear("tacshade/real/health", health(), True)
+    assert up_of(hands) == {"real": 0}
+    hands.hear("tacshade/other/health", health(), False)
+    assert up_of(hands) == {"other": 1, "real": 0}
+    refused = {s.labels["why"]: s.value for f in hands.collect() for s in f.samples if "refused" in f.name}
+    assert refused == {"undecodable": 0, "no_room": HANDS_MAX}
+
+
+@pytest.mark.parametrize("number", ["1" + "0" * 400, "1e308", "-1"])
+def test_a_health_that_no_daemon_tells_harms_no_other(number: str, caplog: pytest.LogCaptureFixture) -> None:
+    from prometheus_client import CollectorRegistry, generate_latest
+
+    hands = prometheus.Hands([])
+    registry = CollectorRegistry()
+    registry.register(hands)
+    bad = json.dumps({**json.loads(health()), "source_dropped": "?"}).replace('"?"', number).encode()
+    for _ in range(3):
+        hands.hear("tacshade/bad/health", bad, False)
+        hands.hear("tacshade/right/health", health(), False)
+    page = series(generate_latest(registry).decode())
+    assert page["tacshade_up", (("sensor", "right"),)] == 1
+    assert page["tacshade_bridge_refused_total", (("why", "undecodable"),)] == 3
+    (line,) = (record.getMessage() for record in caplog.records)
+    assert line.startswith("bad: health: ")
 
 
 @pytest.mark.broker
 @pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
 def test_prometheus_reads_it(tmp_path: Path) -> None:
-    with Broker(tmp_path) as broker, PublishedHand(broker.port) as hand:
-        command = [sys.executable, "-m", "tacshade_edge", "bridge", "prometheus", "--listen", "127.0.0.1:0"]
-        child = subprocess.Popen([*command, "--broker", f"127.0.0.1:{broker.port}"], stdout=subprocess.PIPE, text=True)
-        try:
-            assert child.stdout is not None
-            found = re.search(r"http://\S+", child.stdout.readline())
-            assert found
-            url = found[0]
+    with (
+        Broker(tmp_path) as broker,
+        PublishedHand(broker.port) as hand,
+        BridgeProcess("prometheus", broker.port, tmp_path / "log") as bridge,
+    ):
 
-            def is_up() -> bool:
-                hand.tell("health", health())
-                with urllib.request.urlopen(url, timeout=patience(10)) as answer:
-                    assert answer.headers.get_content_type() == "text/plain"
-                    return series(answer.read().decode()).get(("tacshade_up", (("sensor", "drawn"),))) == 1
+        def is_up() -> bool:
+            hand.tell("health", health())
+            with contextlib.suppress(OSError):
+                return series(bridge.page()).get(("tacshade_up", (("sensor", "drawn"),))) == 1
+            return False
 
-            wait_until(is_up, 20, "the hand is up")
-            child.send_signal(signal.SIGTERM)
-            assert child.wait(patience(10)) == 0
-        finally:
-            child.kill()
-            child.communicate()
+        wait_until(is_up, 20, "the hand is up")
+        with contextlib.ExitStack() as idle:
+            for _ in range(3 * prometheus.CONNECTIONS_MAX):
+                idle.enter_context(socket.create_connection(("127.0.0.1", bridge.port), 5))
+            assert bridge.threads() <= prometheus.CONNECTIONS_MAX + 8
+            assert bridge.stopped_s() < patience(3)

@@ -8,12 +8,21 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from faults import broker_faults, disk_faults, process_faults, request_faults, robot_faults, source_faults
+from faults import (
+    bridge_faults,
+    broker_faults,
+    disk_faults,
+    process_faults,
+    request_faults,
+    robot_faults,
+    source_faults,
+)
 from faults.rig import Cell, Seen, SkippedError
 
 Fault = Callable[[Cell], Seen]
 FAULTS: dict[str, Fault] = {
     **broker_faults.FAULTS,
+    **bridge_faults.FAULTS,
     **request_faults.FAULTS,
     **robot_faults.FAULTS,
     **source_faults.FAULTS,

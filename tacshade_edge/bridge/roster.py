@@ -1,0 +1,89 @@
+"""Which hands a bridge holds, and what it refuses: whoever reaches the broker can invent names and payloads."""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from collections.abc import Callable, Iterator
+from typing import Final, Generic, TypeVar
+
+from tacshade_edge.quoting import escaped
+
+_log = logging.getLogger(__name__)
+
+HANDS_MAX: Final = 256
+_SAID_MAX: Final = 256
+_LINE_S: Final = 1.0
+_CHARS_MAX: Final = 300
+
+T = TypeVar("T")
+
+
+class Roster(Generic[T]):
+    """At most so many hands; one that has shown more of itself comes in for one that has shown less.
+
+    Parameters
+    ----------
+    make : callable
+        ``make(sensor_id)`` gives what is held of a new hand.
+    rank : callable
+        How much it has shown, the more the higher.
+    """
+
+    def __init__(self, make: Callable[[str], T], rank: Callable[[T], int]) -> None:
+        self._make, self._rank = make, rank
+        self._hands: dict[str, T] = {}
+
+    def __iter__(self) -> Iterator[tuple[str, T]]:
+        """Names and hands, by name."""
+        return iter(sorted(self._hands.items(), key=lambda item: item[0]))
+
+    def best(self, count: int) -> list[str]:
+        """Names of those that have shown the most; of equals who came first."""
+        return sorted(self._hands, key=lambda name: -self._rank(self._hands[name]))[:count]
+
+    def of(self, sensor_id: str, rank: int) -> T | None:
+        """A hand; a new one has `rank` by the message that it comes with, and None is for whom there is no room."""
+        if sensor_id not in self._hands:
+            if len(self._hands) >= HANDS_MAX:
+                least = min(self._hands, key=lambda name: self._rank(self._hands[name]))
+                if self._rank(self._hands[least]) >= rank:
+                    return None
+                del self._hands[least]
+            self._hands[sensor_id] = self._make(sensor_id)
+        return self._hands[sensor_id]
+
+    def drop(self, sensor_id: str) -> None:
+        """It was dismissed."""
+        self._hands.pop(sensor_id, None)
+
+
+class Refusals:
+    """Counts what was refused, by why; the log gets what is new of a hand, at most a line a second.
+
+    Parameters
+    ----------
+    clock_s : callable
+    """
+
+    def __init__(self, clock_s: Callable[[], float]) -> None:
+        self._clock_s = clock_s
+        self._said: dict[str, str] = {}
+        self._told_s = float("-inf")
+        self._untold = 0
+        self.counts: Counter[str] = Counter(undecodable=0, no_room=0)
+
+    def add(self, why: str, sensor_id: str, text: str) -> None:
+        """One more; `why` is a key of `counts`."""
+        self.counts[why] += 1
+        if self._said.get(sensor_id) == text:
+            return
+        if self._clock_s() - self._told_s < _LINE_S:
+            self._untold += 1
+            return
+        if len(self._said) >= _SAID_MAX:
+            self._said.clear()
+        self._said[sensor_id] = text
+        more = f" ({self._untold} more were not told)" if self._untold else ""
+        self._told_s, self._untold = self._clock_s(), 0
+        _log.warning("%s: %s%s", sensor_id, escaped(text, _CHARS_MAX), more)

@@ -1,0 +1,62 @@
+"""A TCP socket that many may knock at: no more are let in than it is made for."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable
+from typing import Any
+
+
+class Connections:
+    """What is open now, and how many were turned away.
+
+    Parameters
+    ----------
+    most : int
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._open: list[socket.socket] = []
+        self.turned_away = 0
+
+    def admit(self, connection: socket.socket) -> bool:
+        """Count a connection; False when there are too many."""
+        self._open = [other for other in self._open if other.fileno() >= 0]
+        if len(self._open) >= self._most:
+            self.turned_away += 1
+            return False
+        self._open.append(connection)
+        return True
+
+
+class Listener(socket.socket):
+    """A listening TCP socket that accepts no more than `admit` lets in.
+
+    It asks before a connection costs anything: with TLS it would cost 256 KiB before asyncio tells of it, and in a
+    threaded server a thread.
+
+    Raises
+    ------
+    OSError
+        There is no such address, or its port is taken.
+    """
+
+    def __init__(self, host: str, port: int, admit: Callable[[socket.socket], bool]) -> None:
+        family, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
+        super().__init__(family, socket.SOCK_STREAM)
+        self._admit = admit
+        try:
+            self.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            self.bind(address)
+        except OSError:
+            self.close()
+            raise
+
+    def accept(self) -> tuple[socket.socket, Any]:
+        """The next connection, or ConnectionAbortedError, which asyncio and socketserver pass over."""
+        connection, address = super().accept()
+        if not self._admit(connection):
+            connection.close()
+            raise ConnectionAbortedError
+        return connection, address

@@ -1,0 +1,394 @@
+"""What one client of the broker publishes, or one that reaches a bridge's port does: what becomes of all others?
+
+Beside each attack a real hand publishes, and must be seen as without it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from support.bridge_process import BridgeProcess
+from support.published_hand import CRC, PublishedHand, bump
+from support.published_health import health
+from websockets.sync.client import ClientConnection, connect
+
+from faults.rig import Cell, Seen, pause
+from tacshade_edge.protocol import messages, wire
+
+MEMORY_MB_MAX = 400.0
+STOP_S_MAX = 2.0
+THREADS_MAX = 40
+IDLE = 400
+NAMES = 1000
+VIEWERS = 10
+REAL = "right"
+HUGE = "1" + "0" * 400
+
+
+def hostile_infos() -> Iterator[bytes]:
+    """Geometries that no sensor has."""
+    from support.published_hand import calibration
+
+    info = json.loads(messages.encode_info(version="0", config_digest="0", profile="fast", calibration=calibration()))
+    for key in ("radius_px", "skin_radius_mm", "visible_half_angle_deg", "row_c", "camera_distance_mm"):
+        for value in ("0", "-1", "1e-300", "1e308", "1e999", HUGE, "null", '"x"', "[]"):
+            changed = {**info, "geometry": {**info["geometry"], key: "?"}}
+            yield json.dumps(changed).replace('"?"', value).encode()
+    flange = {**info, "geometry": {**info["geometry"], "flange_T_sensor": [0.0] * 7}}
+    yield json.dumps(flange).encode()
+    yield from (b"{", b"[]", b"\xff", b"[" * 60_000, b"{}", b"0")
+
+
+def hostile_healths() -> Iterator[bytes]:
+    """Numbers, names and amounts that no daemon tells."""
+    told = json.loads(health())
+    for key in ("uptime_s", "capture_fps", "source_dropped"):
+        for value in (HUGE, "1e308", "1e999", "-1", "null", '"x"', "[]"):
+            yield json.dumps({**told, key: "?"}).replace('"?"', value).encode()
+    for value in (HUGE, "-1", '"x"'):
+        yield json.dumps({**told, "frames": {"published": "?"}}).replace('"?"', value).encode()
+    yield json.dumps({**told, "frames": {'a"} 1\nforged{x="': 1}}).encode()
+    yield from (b"{", b"[]", b"\xff", b"[" * 60_000, b"{}")
+
+
+def million_keys() -> bytes:
+    """A `health` of 17 MB."""
+    told = json.loads(health())
+    return json.dumps({**told, "frames": {f"k{number}": number for number in range(1_000_000)}}).encode()
+
+
+@contextmanager
+def idle(port: int, count: int) -> Iterator[int]:
+    """Connections on which nothing is said; how many were not refused at once."""
+    with contextlib.ExitStack() as opened:
+        held = 0
+        for _ in range(count):
+            with contextlib.suppress(OSError):
+                opened.enter_context(socket.create_connection(("127.0.0.1", port), 5))
+                held += 1
+        yield held
+
+
+# -- Prometheus -----------------------------------------------------------------------------------------------------
+
+
+def scraped(bridge: BridgeProcess, hand: PublishedHand) -> bool:
+    """Whether the page tells that the real hand lives."""
+    hand.tell("health", health())
+    with contextlib.suppress(OSError):
+        return f'tacshade_up{{sensor="{REAL}"}} 1.0' in bridge.page()
+    return False
+
+
+def metrics(cell: Cell, attack: Callable[[PublishedHand, BridgeProcess], None], *, first: bool = False) -> Seen:
+    """One attack on those who read metrics; `first`: before the real hand and the bridge come."""
+    cell.serve()
+    with contextlib.ExitStack() as opened:
+        bad = opened.enter_context(PublishedHand(cell.broker.port, "bad"))
+        bridge = BridgeProcess("prometheus", cell.broker.port, cell.folder / "bridge.log")
+        if first:
+            attack(bad, bridge)
+        real = opened.enter_context(PublishedHand(cell.broker.port, REAL))
+        opened.enter_context(bridge)
+        cell.until(lambda: scraped(bridge, real), 20, f"the real hand, in {bridge.log()[-300:]!r}")
+        if not first:
+            attack(bad, bridge)
+        since_s = time.monotonic()
+        cell.until(lambda: scraped(bridge, real), 20, f"the real hand after it, in {bridge.log()[-300:]!r}")
+        recovered_s = time.monotonic() - since_s
+        page = len(bridge.page())
+        return judged(bridge, recovered_s, f"page {page / 1e6:.2f} MB", page < 4_000_000)
+
+
+def judged(bridge: BridgeProcess, recovered_s: float, more: str, sound: bool) -> Seen:
+    """Stop it, and look at what it took."""
+    peak_mb, threads = bridge.peak_mb(), bridge.threads()
+    stop_s = bridge.stopped_s()
+    cost = f"{peak_mb:.0f} MB, {threads} threads, SIGTERM {stop_s:.1f} s, {more}"
+    problems = (peak_mb > MEMORY_MB_MAX, threads > THREADS_MAX, stop_s > STOP_S_MAX, "Traceback" in bridge.log())
+    assert sound, cost
+    assert not any(problems), cost
+    return Seen(None, recovered_s, f"of the real hand nothing; {cost}", "log, `tacshade_bridge_refused_total`")
+
+
+def bad_healths(cell: Cell) -> Seen:
+    """Each kind of number that no daemon tells."""
+
+    def attack(bad: PublishedHand, bridge: BridgeProcess) -> None:
+        for payload in hostile_healths():
+            bad.tell("health", payload)
+            pause(0.02)
+            bridge.page()
+
+    return metrics(cell, attack)
+
+
+def bad_sizes(cell: Cell) -> Seen:
+    """A million keys, again and again."""
+
+    def attack(bad: PublishedHand, bridge: BridgeProcess) -> None:
+        payload = million_keys()
+        for _ in range(3):
+            bad.tell("health", payload)
+        pause(3.0)
+        for _ in range(3):
+            bridge.page()
+
+    return metrics(cell, attack)
+
+
+def idle_readers(cell: Cell) -> Seen:
+    """Connections on which nothing is said, while somebody reads."""
+    with contextlib.ExitStack() as opened:
+
+        def attack(_bad: PublishedHand, bridge: BridgeProcess) -> None:
+            opened.enter_context(idle(bridge.port, IDLE))
+
+        return metrics(cell, attack)
+
+
+def invented(topics: Callable[[PublishedHand], None]) -> Callable[[PublishedHand, BridgeProcess], None]:
+    """Many names of hands that are none, retained."""
+
+    def attack(bad: PublishedHand, _bridge: BridgeProcess) -> None:
+        for number in range(NAMES):
+            bad.base = f"tacshade/a{number:04d}"
+            topics(bad)
+        pause(2.0)
+
+    return attack
+
+
+def invented_states(cell: Cell) -> Seen:
+    """They say that they are online."""
+    return metrics(cell, invented(lambda bad: bad.tell("state", b"online", retain=True)), first=True)
+
+
+# -- Foxglove -------------------------------------------------------------------------------------------------------
+
+
+def watching(bridge: BridgeProcess, names: tuple[str, ...]) -> tuple[ClientConnection, bool]:
+    """A viewer of the real hand; whether it was told of it within 5 s."""
+    viewer = connect(bridge.url, subprotocols=["foxglove.sdk.v1"], max_size=None, max_queue=1, compression=None)
+    ids: dict[str, int] = {}
+    end_s = time.monotonic() + 5
+    with contextlib.suppress(TimeoutError):
+        while not set(ids) >= set(names):
+            told = viewer.recv(timeout=max(0.0, end_s - time.monotonic()))
+            for channel in json.loads(told).get("channels", ()) if isinstance(told, str) else ():
+                ids[channel["topic"].removeprefix(f"/tacshade/{REAL}/")] = channel["id"]
+    wanted = [{"id": ids[name], "channelId": ids[name]} for name in names if name in ids]
+    viewer.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+    return viewer, len(wanted) == len(names)
+
+
+def looked_at(bridge: BridgeProcess, hand: PublishedHand) -> bool:
+    """Whether a new viewer gets a height map of the real hand."""
+    with contextlib.suppress(OSError):
+        viewer, known = watching(bridge, ("height",))
+        with viewer:
+            for number in range(50 if known else 0):
+                hand.show(bump(number, 1.0, 236.0, 328.0, 8))
+                with contextlib.suppress(TimeoutError):
+                    while not isinstance(viewer.recv(timeout=0.2), bytes):
+                        pass
+                    return True
+    return False
+
+
+def views(
+    cell: Cell, attack: Callable[[PublishedHand, PublishedHand, BridgeProcess], None], *, first: bool = False
+) -> Seen:
+    """One attack on those who look."""
+    cell.serve()
+    with contextlib.ExitStack() as opened:
+        bad = opened.enter_context(PublishedHand(cell.broker.port, "bad"))
+        real = PublishedHand(cell.broker.port, REAL)
+        bridge = BridgeProcess("foxglove", cell.broker.port, cell.folder / "bridge.log")
+        if first:
+            attack(bad, real, bridge)
+        opened.enter_context(real)
+        opened.enter_context(bridge)
+        if not first:
+            cell.until(lambda: looked_at(bridge, real), 30, "the real hand before")
+            attack(bad, real, bridge)
+        since_s = time.monotonic()
+        cell.until(lambda: looked_at(bridge, real), 30, f"the real hand, in {bridge.log()[-300:]!r}")
+        return judged(bridge, time.monotonic() - since_s, "", True)
+
+
+def bad_infos(cell: Cell) -> Seen:
+    """Each geometry that no sensor has, while its skin is looked at; the last is retained."""
+
+    def attack(bad: PublishedHand, real: PublishedHand, bridge: BridgeProcess) -> None:
+        viewer = connect(bridge.url, subprotocols=["foxglove.sdk.v1"], max_size=None, compression=None)
+        with viewer:
+            ids: list[int] = []
+            while len(ids) < 18:
+                told = viewer.recv(timeout=5)
+                ids += [c["id"] for c in json.loads(told).get("channels", ())] if isinstance(told, str) else []
+            wanted = [{"id": one, "channelId": one} for one in ids]
+            viewer.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+            for payload in hostile_infos():
+                bad.tell("info", payload, retain=True)
+                bad.show(bump(1, 1.0, 236.0, 328.0, 8))
+                with contextlib.suppress(TimeoutError):
+                    while True:
+                        viewer.recv(timeout=0.01)
+            pause(1.0)
+
+    return views(cell, attack)
+
+
+def retained_infos(cell: Cell) -> Seen:
+    """They are there when the bridge starts, with a viewer at once."""
+
+    def attack(bad: PublishedHand, _real: PublishedHand, _bridge: BridgeProcess) -> None:
+        for number, payload in enumerate(hostile_infos()):
+            bad.base = f"tacshade/b{number}"
+            bad.tell("info", payload, retain=True)
+        pause(1.0)
+
+    return views(cell, attack, first=True)
+
+
+def slow_viewers(cell: Cell) -> Seen:
+    """Viewers that read nothing, of the largest heights that the real hand has."""
+    with contextlib.ExitStack() as opened:
+
+        def attack(_bad: PublishedHand, real: PublishedHand, bridge: BridgeProcess) -> None:
+            for _ in range(VIEWERS):
+                viewer, _known = watching(bridge, ("height", "cloud", "skin", "contact"))
+                opened.callback(viewer.socket.close)
+            result = bump(1, 2.0, 236.0, 328.0)
+            payload = wire.encode_height(result, calibration_crc32=CRC)
+            for _ in range(150):
+                real.tell("height", payload)
+                pause(0.02)
+
+        return views(cell, attack)
+
+
+def idle_viewers(cell: Cell) -> Seen:
+    """Connections on which nothing is said."""
+    with contextlib.ExitStack() as opened:
+
+        def attack(_bad: PublishedHand, _real: PublishedHand, bridge: BridgeProcess) -> None:
+            opened.enter_context(idle(bridge.port, IDLE))
+
+        return views(cell, attack)
+
+
+def invented_infos(cell: Cell) -> Seen:
+    """They have an `info` that decodes."""
+    info = messages.encode_info(version="0", config_digest="0", profile="fast", calibration=_missing())
+
+    def attack(bad: PublishedHand, _real: PublishedHand, bridge: BridgeProcess) -> None:
+        invented(lambda one: one.tell("info", info, retain=True))(bad, bridge)
+
+    return views(cell, attack, first=True)
+
+
+def _missing() -> Any:
+    from tacshade_edge.reasons import Reason, ReasonCode
+
+    return Reason(ReasonCode.NOT_CALIBRATED, "not calibrated")
+
+
+# -- the library ----------------------------------------------------------------------------------------------------
+
+_LISTENER = """
+import resource, sys
+import tacshade_edge as ts
+found = 0
+with ts.listen(sys.argv[1], "right") as hand:
+    print("listens", flush=True)
+    while True:
+        try:
+            result = next(hand)
+        except ts.TacshadeError as error:
+            print("told", error, flush=True)
+            continue
+        if result.shear_mm is not None: assert result.shear_mm.shape == (*result.height_mm.shape, 2)
+        if result.sigma_mm is not None: assert result.sigma_mm.shape == result.height_mm.shape
+        if result.seq == 4242:
+            break
+print("ended", resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024, flush=True)
+"""
+
+
+def listener(cell: Cell) -> Seen:
+    """What a hand publishes, to who listens with the library."""
+    cell.serve()
+    with PublishedHand(cell.broker.port, REAL) as hand:
+        words = [sys.executable, "-c", _LISTENER, f"127.0.0.1:{cell.broker.port}"]
+        child = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        try:
+            assert child.stdout is not None
+            child.stdout.readline()
+            touched = bump(1, 1.0, 236.0, 328.0, 4)
+            for payload in hostile_infos():
+                hand.tell("info", payload)
+                hand.show(touched)
+                pause(0.02)
+            hand.tell_info("fast", profiles=("fast",))
+            for payload in other_shapes():
+                hand.tell(*payload)
+                pause(0.02)
+            since_s = time.monotonic()
+
+            def over() -> bool:
+                hand.show(bump(4242, 1.0, 236.0, 328.0, 4))
+                return child.poll() is not None
+
+            cell.until(over, 20, "a result")
+            out, errors = child.communicate()
+            assert child.returncode == 0, errors[-600:]
+            peak_mb = int(out.split()[-1])
+            assert peak_mb < MEMORY_MB_MAX, out
+        finally:
+            child.kill()
+            child.communicate()
+    lost = f"of the real hand nothing; {peak_mb} MB"
+    return Seen(None, time.monotonic() - since_s, lost, "`passed_over`")
+
+
+def other_shapes() -> Iterator[tuple[str, bytes]]:
+    """`shear` and `sigma` of other grids than the `height` of their frame; grids that are none; the largest."""
+    from dataclasses import replace
+
+    from support.published_hand import dragged, uncertain
+
+    for other in (bump(7, 1.0, 236.0, 328.0, 8), bump(7, 1.0, 240.0, 300.0, 6)):
+        for made in (dragged(other, 1.0, 0.0), uncertain(other, 0.1)):
+            touched = bump(7, 1.0, 236.0, 328.0, 4)
+            yield "height", wire.encode_height(touched, calibration_crc32=CRC)
+            yield "cloud", wire.encode_cloud(touched, calibration_crc32=CRC)
+            if made.shear_mm is not None:
+                yield "shear", wire.encode_shear(made, calibration_crc32=CRC)
+            if made.sigma_mm is not None:
+                yield "sigma", wire.encode_sigma(made, calibration_crc32=CRC)
+            yield "contact", messages.encode_contact(touched, fps=30.0)
+    touched = bump(8, 1.0, 236.0, 328.0, 4)
+    for row0, step_px in ((0.0, 0.0), (0.0, -1.0), (float("nan"), 1.0), (float("inf"), 1.0), (1e30, 1e-30)):
+        grid = replace(touched.height, row0=row0, step_px=step_px)
+        yield "height", wire.encode_height(replace(touched, height=grid), calibration_crc32=CRC)
+        yield "cloud", wire.encode_cloud(touched, calibration_crc32=CRC)
+        yield "contact", messages.encode_contact(touched, fps=30.0)
+
+
+FAULTS = {
+    "bridge prometheus: numbers and names that no daemon tells": bad_healths,
+    "bridge prometheus: a million keys": bad_sizes,
+    f"bridge prometheus: {IDLE} idle connections": idle_readers,
+    f"bridge prometheus: {NAMES} invented hands": invented_states,
+    "library: what no daemon publishes": listener,
+}
