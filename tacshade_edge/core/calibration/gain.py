@@ -1,9 +1,13 @@
 """The closed-form refit of the learned inverse to known presses.
 
-A network trained on every sensor is off on a given one by a nearly constant factor. It is fitted by ridge regression
-(Hoerl & Kennard, Technometrics 12, 1970) where the indenter's surface is known and the network sees contact. Balls tell
-little more: corrections that also depend on depth and place fit the balls better, and other shapes no better
-(tools/train/README.md).
+A network trained on every sensor is off on a given one by a nearly constant factor. Each press tells it where the
+indenter's surface is known and the network sees contact. The logarithms are averaged robustly, so that wrong presses
+hardly move the factor, and drawn to 0 as far as their spread leaves it open. Balls tell little more: corrections that
+also depend on depth and place fit the balls better, and other shapes no better (tools/train/README.md).
+
+References
+----------
+P. J. Huber, "Robust estimation of a location parameter", Ann. Math. Stat. 35, 1964.
 """
 
 from __future__ import annotations
@@ -23,8 +27,11 @@ from tacshade_edge.core.geometry.back_projection import skin_points
 from tacshade_edge.core.geometry.disc import disc_rays
 from tacshade_edge.types import F32, F64, Bool, Geometry
 
-# Pull towards "as it is": other shapes need a little less of the correction than balls.
-RIDGE = 0.1
+PRIOR_DEVIATION = 0.2
+"""Standard deviation of log factor over sensors; over simulated ones of both families and finer pitch, RMS is 0.17."""
+# The standard deviation of log factor over the presses of a sensor is at least this.
+_LEAST_DEVIATION = 0.05
+_HUBER, _ITERATIONS = 1.5, 20
 # A contact of fewer cells says nothing; fewer presses neither.
 LEAST_CELLS, LEAST_PRESSES = 12, 5
 # Where the network and the ball are less deep than this, a cell says nothing (mm on the nominal skin).
@@ -68,14 +75,24 @@ def stated_ball(geometry: Geometry, x_mm: float, y_mm: float, depth_mm: float, r
 
 
 def located_ball(geometry: Geometry, inverse: Inverse, depth_mm: float, radius_mm: float) -> Ball | None:
-    """The same where x and y were not stated: the contact's middle lies on the line from O to the ball's centre."""
+    """The same where x and y were not stated; None where the network sees hardly a contact."""
+    along = contact_direction(geometry, inverse)
+    return None if along is None else ball_along(geometry, along, depth_mm, radius_mm)
+
+
+def contact_direction(geometry: Geometry, inverse: Inverse) -> F64 | None:
+    """From O to the middle of the contact, a unit vector; None where there is hardly one."""
     rays = disc_rays(disc_map.map_grid(geometry.disc, len(inverse.height_mm)), geometry)
     contact = (inverse.contact_logit > 0) & rays.inside
     if np.count_nonzero(contact) < LEAST_CELLS:
         return None
     points = skin_points(np.maximum(inverse.height_mm, 0), rays, geometry)
     middle = points[contact].astype(np.float64).mean(axis=0)
-    along = middle / np.linalg.norm(middle)
+    return np.asarray(middle / np.linalg.norm(middle))
+
+
+def ball_along(geometry: Geometry, along: F64, depth_mm: float, radius_mm: float) -> Ball:
+    """Place a ball whose contact's middle lies in a direction from O: so does the ball's centre."""
     reach = geometry.skin_radius_mm - depth_mm + radius_mm
     for _ in range(8):
         x, y = reach * along[0], reach * along[1]
@@ -139,10 +156,23 @@ def known_cells(inverse: Inverse, geometry: Geometry, placed: Placed) -> tuple[F
 
 
 def fit_factor(presses: Sequence[PressRows]) -> float | None:
-    """The factor on h by ridge regression; None where the presses are too few."""
+    """The factor on h by a robust mean over presses and a prior; None where the presses are too few."""
     if len(presses) < LEAST_PRESSES:
         return None
-    found = np.concatenate([press.found for press in presses])
-    target = np.concatenate([press.target for press in presses])
-    excess = float(found @ (target - found)) / ((1 + RIDGE) * float(found @ found))
-    return min(max(1 + excess, FACTOR_RANGE[0]), FACTOR_RANGE[1])
+    squares = np.array([float(press.found @ press.found) for press in presses])
+    ratios = np.array([float(press.found @ press.target) for press in presses]) / squares
+    logs = np.log(np.maximum(ratios, np.finfo(float).tiny))
+    middle = _weighted_median(logs, squares)
+    deviation = max(1.4826 * _weighted_median(np.abs(logs - middle), squares), _LEAST_DEVIATION)
+    for _ in range(_ITERATIONS):
+        weight = squares * np.minimum(1, _HUBER * deviation / np.maximum(np.abs(logs - middle), 1e-9))
+        middle = float(weight @ logs / weight.sum())
+    presses_told = float(weight.sum() ** 2 / (weight @ weight))
+    drawn = 1 / (1 + (deviation / PRIOR_DEVIATION) ** 2 / presses_told)
+    return min(max(math.exp(drawn * middle), FACTOR_RANGE[0]), FACTOR_RANGE[1])
+
+
+def _weighted_median(values: F64, weights: F64) -> float:
+    order = np.argsort(values)
+    below = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(below, 0.5 * below[-1])])

@@ -46,6 +46,12 @@ class PressObservation:
         Of another indenter the depth at which it first touches the skin.
     reach_mm : float
         Of another indenter how far beside (x, y) it may brighten the skin most; 0 for a ball.
+    ball_factor : float
+        As `PressView.ball_factor`; NaN where no network saw a ball.
+    misfit_ratio : float
+        As `PressView.misfit_ratio`.
+    is_seen : bool
+        A network located it, far more exactly than the brightening does.
     """
 
     name: str
@@ -61,6 +67,9 @@ class PressObservation:
     indenter: str = ""
     touch_mm: float = 0.0
     reach_mm: float = 0.0
+    ball_factor: float = math.nan
+    misfit_ratio: float = 1.0
+    is_seen: bool = False
 
     @property
     def place_mm(self) -> tuple[float, float]:

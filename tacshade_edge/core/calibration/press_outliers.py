@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -15,6 +16,13 @@ from tacshade_edge.types import Geometry
 # A place is an outlier when it is further off than so many times the median press, with bounds in mm on the nominal
 # skin. What this finds, and finds wrongly: tools/bench_calibration.py.
 _PLACE_MEDIANS, _PLACE_LEAST_MM, _PLACE_MOST_MM = 3.0, 3.5, 5.0
+# The same where a network located the presses.
+_SEEN_MEDIANS, _SEEN_LEAST_MM = 4.0, 2.0
+# A ball is, when it looks larger or smaller than the median press by so many robust deviations of the logarithms, and
+# by this factor at least; of shallower presses (mm on the nominal skin) the radius is not seen.
+_BALL_DEVIATIONS, _BALL_LEAST, _BALL_DEPTH_MM = 5.0, 1.55, 0.8
+# A small ball may look larger than it is: that counts where the stated radius fits so many times worse.
+_LARGER_MISFIT_RATIO = 4.0
 # With fewer presses no fit tells which is wrong.
 _LEAST_PRESSES = 3
 
@@ -28,8 +36,8 @@ class Outlier:
 
 
 def outliers(observations: Sequence[PressObservation], geometry: Geometry) -> tuple[Outlier, ...]:
-    """Presses whose place, or whose depth predicted from all the others, is far from what is stated."""
-    reasons = _misplaced(observations, geometry)
+    """Presses whose place, ball, or depth predicted from all the others, is far from what is stated."""
+    reasons = _misplaced(observations, geometry) | _of_another_size(observations, geometry)
     while True:
         # Without the worst, what is left may show more: many wrong presses widen the deviation that hides them.
         rest = [k for k in range(len(observations)) if k not in reasons]
@@ -57,12 +65,43 @@ def _depth_reason(press: PressObservation, error_mm: float) -> str:
 def _misplaced(observations: Sequence[PressObservation], geometry: Geometry) -> dict[int, str]:
     """Presses far from where they are stated, beyond what all of them are."""
     errors = [o.place_error_mm(*o.place_mm) for o in observations]  # 0 where no place is stated
-    stated = [o.place_error_mm(*o.place_mm) for o in with_stated_place(observations)]
-    if not stated:
-        return {}
     scale = skin_scale(geometry)
-    limit_mm = np.clip(_PLACE_MEDIANS * np.median(stated), _PLACE_LEAST_MM * scale, _PLACE_MOST_MM * scale)
-    return {k: _place_reason(observations[k]) for k, error in enumerate(errors) if error > limit_mm}
+    reasons: dict[int, str] = {}
+    for is_seen, medians, least_mm in ((True, _SEEN_MEDIANS, _SEEN_LEAST_MM), (False, _PLACE_MEDIANS, _PLACE_LEAST_MM)):
+        alike = [k for k, o in enumerate(observations) if o.is_seen == is_seen]
+        stated = [o.place_error_mm(*o.place_mm) for o in with_stated_place([observations[k] for k in alike])]
+        if stated:
+            limit_mm = np.clip(medians * np.median(stated), least_mm * scale, _PLACE_MOST_MM * scale)
+            reasons |= {k: _place_reason(observations[k]) for k in alike if errors[k] > limit_mm}
+    return reasons
+
+
+def _of_another_size(observations: Sequence[PressObservation], geometry: Geometry) -> dict[int, str]:
+    """Balls that look larger or smaller than stated, against what all of them do."""
+    logs = {k: math.log(o.ball_factor) for k, o in enumerate(observations) if math.isfinite(o.ball_factor)}
+    if len(logs) < _LEAST_PRESSES:
+        return {}
+    middle = float(np.median(list(logs.values())))
+    deviation = 1.4826 * float(np.median([abs(log - middle) for log in logs.values()]))
+    limit, shallow_mm = max(_BALL_DEVIATIONS * deviation, math.log(_BALL_LEAST)), _BALL_DEPTH_MM * skin_scale(geometry)
+    return {
+        k: _ball_reason(observations[k], math.exp(log - middle))
+        for k, log in logs.items()
+        if abs(log - middle) > limit
+        and observations[k].depth_mm > shallow_mm
+        and (log < middle or observations[k].misfit_ratio > _LARGER_MISFIT_RATIO)
+    }
+
+
+def _ball_reason(press: PressObservation, factor: float) -> str:
+    """For a person: the ball of a press looks so many times as large as stated."""
+    asked = ""
+    if factor < 1:
+        asked = f": is {press.radius_mm:g} mm its diameter?"
+    return (
+        f"{press.name}: a ball of {press.radius_mm:g} mm is stated, one of about {factor * press.radius_mm:.1f} mm is "
+        f"what the image shows{asked}"
+    )
 
 
 def _place_reason(press: PressObservation) -> str:

@@ -9,6 +9,7 @@ from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.press_check import PressCheck
 from tacshade_edge.core.calibration.press_observation import PressObservation, observe_press
 from tacshade_edge.core.calibration.press_outliers import outliers
+from tacshade_edge.core.calibration.press_view import PressView, PressViewer, as_seen
 from tacshade_edge.core.calibration.quality import GRADED_PROFILE
 from tacshade_edge.core.calibration.references import PROFILE
 from tacshade_edge.core.calibration.stated_sizes import shown_sizes, size_mistake, unit_mistake
@@ -18,7 +19,7 @@ from tacshade_edge.core.image.grey_maps import GreyMapper
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.types import Calibration
+from tacshade_edge.types import Calibration, Geometry
 
 MIN_PRESSES = 8
 # With a greater part of the presses left out, what is stated of them is wrong as a whole.
@@ -43,7 +44,8 @@ def select_presses(unloaded: Calibration, presses: Sequence[KnownPress], network
         From the references.
     presses : sequence of KnownPress
     network : Network, optional
-        Of `GRADED_PROFILE`: with it, depths, balls and skin of another size than stated are found too.
+        Of `GRADED_PROFILE`: what it sees says whether something touches and where, and depths, balls and skin of
+        another size than stated are found too.
 
     Raises
     ------
@@ -55,7 +57,9 @@ def select_presses(unloaded: Calibration, presses: Sequence[KnownPress], network
         raise ConfigError(f"{len(presses)} presses: at least {MIN_PRESSES} are needed (20 are better)")
     geometry = unloaded.geometry
     preprocessor = Preprocessor(unloaded, PROFILE)
+    viewer = PressViewer(unloaded, PROFILES[GRADED_PROFILE], network) if network else None
     mapper, check = GreyMapper(preprocessor), PressCheck(unloaded)
+    views: list[PressView | None] = []
     pressed: list[KnownPress] = []
     left_out: list[str] = []
     warnings: list[str] = []
@@ -66,14 +70,22 @@ def select_presses(unloaded: Calibration, presses: Sequence[KnownPress], network
             raise ConfigError(f"{press.name}: not usable: {judged.unusable}")
         if judged.moved:
             left_out.append(f"{press.name}: {judged.moved} since the references")
-        elif not judged.in_contact:
+            continue
+        view = viewer.view(press) if viewer else None
+        if not (judged.in_contact or view):
             left_out.append(f"{press.name}: no contact to be seen, {press.depth_mm} mm is stated")
         else:
             pressed.append(press)
+            views.append(view)
             if judged.changed:
                 warnings.append(f"{press.name}: {judged.changed} since the references")
     observations = [observe_press(preprocessor, mapper, press) for press in pressed]
-    if len(observations) >= MIN_PRESSES and (mistakes := _gross_mistakes(unloaded, network, pressed, observations)):
+    if len(observations) >= MIN_PRESSES and (hint := _polarity_mistake(unloaded, pressed, observations)):
+        raise ConfigError(hint)
+    observations = [as_seen(observed, view) for observed, view in zip(observations, views, strict=True)]
+    if len(observations) >= MIN_PRESSES and (
+        mistakes := _gross_mistakes(geometry, pressed, views if viewer else None, observations)
+    ):
         raise ConfigError("; ".join(mistakes))
     disagreeing = {outlier.index: outlier.reason for outlier in outliers(observations, geometry)}
     left_out += disagreeing.values()
@@ -87,25 +99,30 @@ def select_presses(unloaded: Calibration, presses: Sequence[KnownPress], network
     )
 
 
-def _gross_mistakes(
-    unloaded: Calibration,
-    network: Network | None,
-    presses: Sequence[KnownPress],
-    observations: Sequence[PressObservation],
-) -> tuple[str, ...]:
-    """What is wrong with all presses alike, or with what is stated of the sensor; empty when nothing is."""
+def _polarity_mistake(
+    unloaded: Calibration, presses: Sequence[KnownPress], observations: Sequence[PressObservation]
+) -> str:
+    """The other polarity, by where the skin brightens; empty when it is the stated one."""
     other = replace(unloaded, polarity="dark" if unloaded.polarity == "bright" else "bright")
     preprocessor = Preprocessor(other, PROFILE)
     mapper = GreyMapper(preprocessor)
     seen_otherwise = [observe_press(preprocessor, mapper, press) for press in presses]
-    if hint := polarity_hint(observations, seen_otherwise, unloaded.polarity):
-        return (hint,)
-    if network is None:
-        return table_hints(observations, unloaded.geometry)
-    shown = shown_sizes(unloaded, PROFILES[GRADED_PROFILE], network, presses)
-    mistakes = unit_mistake(shown), axes_hint(observations, unloaded.geometry)
+    return polarity_hint(observations, seen_otherwise, unloaded.polarity)
+
+
+def _gross_mistakes(
+    geometry: Geometry,
+    presses: Sequence[KnownPress],
+    views: Sequence[PressView | None] | None,
+    observations: Sequence[PressObservation],
+) -> tuple[str, ...]:
+    """What is wrong with all presses alike, or with the size of the skin; empty when nothing is."""
+    if views is None:
+        return table_hints(observations, geometry)
+    shown = shown_sizes(presses, views)
+    mistakes = unit_mistake(shown), axes_hint(observations, geometry)
     if not any(mistakes):  # with a wrong unit or place, other sizes mean nothing
-        mistakes = (size_mistake(shown, observations, unloaded.geometry), "")
+        mistakes = (size_mistake(shown, observations, geometry), "")
     return tuple(mistake for mistake in mistakes if mistake)
 
 

@@ -12,29 +12,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tacshade_edge.core.calibration import gain
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.press_observation import PressObservation
-from tacshade_edge.core.depth import Network
-from tacshade_edge.core.depth.learned import Inverse, LearnedSolver
-from tacshade_edge.core.image.preprocess import Preprocessor
-from tacshade_edge.core.profiles import Profile
-from tacshade_edge.types import Calibration, Geometry
+from tacshade_edge.core.calibration.press_view import PressView
+from tacshade_edge.types import Geometry
 
-# Fewer presses tell nothing of all of them.
-_LEAST_PRESSES = 4
-# Shown over stated, the median of all presses. On good tables depths are 0.7 to 1.3, balls 0.9 to 1.4 and places 0.8 to
-# 0.95 (a ball beside the middle brightens the skin a little nearer to it).
+# Fewer presses tell nothing of all of them; nor does a network that sees a smaller part of them.
+_LEAST_PRESSES, _LEAST_SEEN_PART = 4, 0.5
+# Shown over stated, the median of all presses. On good tables depths are 0.6 to 1.3, balls 0.9 to 1.6 and places
+# 0.95 to 1.05.
 _UNIT_FACTOR = 4.0
 _UNITS = {"cm": 10.0, "inches": 25.4, "m": 1000.0}
-_BALL_FACTORS = (0.8, 1.7)
-_PLACE_FACTORS, _USUAL_PLACE = (0.6, 1.4), 0.9
+_BALL_FACTORS = (0.8, 1.85)
+_PLACE_FACTORS = (0.6, 1.4)
 # Places that lie nearer to the middle than this, in skin radii (RMS), tell no factor: a place is found within 1 mm.
 _LEAST_REACH_RADII = 0.1
 # Without a place: a skin of twice the radius makes balls look three times as large and more, and depths larger too.
 _SKIN_BALL_FACTORS, _SKIN_DEPTH_FACTORS = (0.45, 2.5), (0.8, 1.3)
-# Radii to try, as parts of the stated one.
-_TRIED = np.exp(np.linspace(math.log(0.25), math.log(4.0), 25))
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,22 +47,14 @@ class ShownSizes:
     ball: float
 
 
-def shown_sizes(
-    calibration: Calibration, profile: Profile, network: Network, presses: Sequence[KnownPress]
-) -> ShownSizes:
-    """Compare what a network finds in the presses with what is stated of them."""
-    preprocessor = Preprocessor(calibration, profile)
-    solver = LearnedSolver(preprocessor, network)
-    depths, balls = [], []
-    for press in presses:
-        inverse = solver.inverse(preprocessor.preprocess(preprocessor.grey(press.image)))
-        contact = (inverse.contact_logit > 0) & np.isfinite(inverse.height_mm)
-        if np.count_nonzero(contact) < gain.LEAST_CELLS:
-            continue
-        depths.append(float(inverse.height_mm[contact].max()) / press.depth_mm)
-        if press.indenter is None:
-            balls.append(_ball_factor(inverse, calibration.geometry, press))
-    return ShownSizes(_median(depths), _median([ball for ball in balls if math.isfinite(ball)]))
+def shown_sizes(presses: Sequence[KnownPress], views: Sequence[PressView | None]) -> ShownSizes:
+    """Compare what a network sees of the presses with what is stated of them."""
+    seen = [(press, view) for press, view in zip(presses, views, strict=True) if view is not None]
+    depths = [view.depth_mm / press.depth_mm for press, view in seen]
+    balls = [view.ball_factor for _, view in seen if math.isfinite(view.ball_factor)]
+    if len(seen) < _LEAST_SEEN_PART * len(presses):
+        balls = []
+    return ShownSizes(_median(depths), _median(balls))
 
 
 def unit_mistake(shown: ShownSizes) -> str:
@@ -87,7 +73,7 @@ def size_mistake(shown: ShownSizes, observations: Sequence[PressObservation], ge
     places = _place_factor(observations, geometry.skin_radius_mm)
     skin = math.nan
     if math.isfinite(places):
-        skin = places / _USUAL_PLACE if not _PLACE_FACTORS[0] < places < _PLACE_FACTORS[1] else math.nan
+        skin = places if not _PLACE_FACTORS[0] < places < _PLACE_FACTORS[1] else math.nan
     elif _beyond(shown.ball, _SKIN_BALL_FACTORS) and _beyond(shown.depth, _SKIN_DEPTH_FACTORS):
         skin = math.sqrt(shown.ball * shown.depth)
     if math.isfinite(skin):
@@ -104,22 +90,6 @@ def size_mistake(shown: ShownSizes, observations: Sequence[PressObservation], ge
             f"{asked} expected radii in mm"
         )
     return ""
-
-
-def _ball_factor(inverse: Inverse, geometry: Geometry, press: KnownPress) -> float:
-    """The radius, as a part of the stated one, whose surface is most like the heights in the contact; NaN for none."""
-    height = inverse.height_mm
-    use = (inverse.contact_logit > 0) & np.isfinite(height)
-    found = height[use].astype(np.float64)
-    misfits = []
-    for part in _TRIED:
-        ball = gain.placed_ball(geometry, inverse, press, part * press.radius_mm)
-        if ball is None:
-            return math.nan
-        known = np.maximum(np.nan_to_num(gain.ball_height(geometry, ball, len(height))), 0)[use].astype(np.float64)
-        along = float(found @ known)
-        misfits.append(1 - along * along / max(float(found @ found) * float(known @ known), np.finfo(float).tiny))
-    return float(_TRIED[int(np.argmin(misfits))])
 
 
 def _place_factor(observations: Sequence[PressObservation], skin_radius_mm: float) -> float:

@@ -78,16 +78,28 @@ def test_a_constant_factor_is_taken_away(factor: float, left: float) -> None:
     assert fitted * seen(ball, factor).height_mm.max() == pytest.approx(ball.depth_max_mm(20.0), rel=left)
 
 
-@pytest.mark.parametrize("factor", [0.6, 0.9, 1.35])
-def test_a_little_less_than_what_the_balls_say_is_taken(factor: float) -> None:
-    fitted = gain.fit_factor(rows(factor)) or 0.0
-    assert (fitted - 1) / (1 / factor - 1) == pytest.approx(1 / (1 + gain.RIDGE), abs=0.01)
+def presses_that_tell(factors: list[float], cells: int = 20) -> list[gain.PressRows]:
+    return [gain.PressRows(np.full(cells, cells**-0.5), np.full(cells, t * cells**-0.5)) for t in factors]
 
 
 def test_every_press_counts_whatever_its_contacts_size() -> None:
-    small, large = [gain.PressRows(np.full(n, n**-0.5), np.full(n, t * n**-0.5)) for n, t in ((20, 1.2), (2000, 1.0))]
-    fitted = gain.fit_factor([small] * 3 + [large] * 3)
-    assert fitted == pytest.approx(1 + 0.1 / (1 + gain.RIDGE))
+    made = presses_that_tell([1.1] * 3) + presses_that_tell([1.0] * 3, cells=2000)
+    assert gain.fit_factor(made) == pytest.approx(1.05, abs=0.01)
+
+
+def test_wrong_presses_hardly_move_it() -> None:
+    spread = list(1.2 * np.exp(np.random.default_rng(3).normal(0, 0.1, 35)))
+    honest, misled = (gain.fit_factor(presses_that_tell(spread + wrong)) for wrong in ([], [3.0] * 5))
+    assert honest == pytest.approx(1.2, abs=0.03)
+    assert misled == pytest.approx(honest, rel=0.05)
+
+
+def test_presses_that_do_not_agree_draw_it_less_far() -> None:
+    """It stays nearer to 1 the fewer they are and the less they agree."""
+    clear, spread = ([1.5 * f for f in np.exp(s * np.linspace(-1, 1, 6))] for s in (0.02, 0.6))
+    few, many = (gain.fit_factor(presses_that_tell(spread * n)) or 0.0 for n in (1, 6))
+    assert 1.1 < few < many < (gain.fit_factor(presses_that_tell(clear)) or 0.0)
+    assert gain.fit_factor(presses_that_tell(clear)) == pytest.approx(1.5, abs=0.02)
 
 
 def test_few_presses_fit_nothing() -> None:

@@ -159,3 +159,34 @@ def test_other_light_at_a_press_is_a_warning() -> None:
 def test_presses_that_show_no_contact_are_refused() -> None:
     with pytest.raises(ConfigError, match="no contact"):
         fitted([replace(press, image=unloaded(noise_seed=60 + k)) for k, press in enumerate(presses())])
+
+
+def test_one_ball_of_another_radius_is_named_and_left_out() -> None:
+    deep = max(range(20), key=lambda k: presses()[k].depth_mm)
+    doubled = replace(presses()[deep], radius_mm=2 * presses()[deep].radius_mm)
+    table = [doubled if k == deep else press for k, press in enumerate(presses())]
+    (warning,) = calibrate(sensor_of(HALF), references(), table, networks=ACCURATE).warnings
+    assert warning.startswith(f"press {deep}: a ball of {doubled.radius_mm:g} mm is stated, one of about ")
+    assert warning.endswith("its diameter?; left out")
+
+
+def test_one_press_with_x_and_y_swapped_is_named_and_left_out() -> None:
+    apart = max(range(20), key=lambda k: abs((presses()[k].x_mm or 0) - (presses()[k].y_mm or 0)))
+    press = presses()[apart]
+    table = [replace(p, x_mm=p.y_mm, y_mm=p.x_mm) if p is press else p for p in presses()]
+    warning = calibrate(sensor_of(HALF), references(), table, networks=ACCURATE).warnings[0]
+    assert warning.startswith(f"press {apart}: x {press.y_mm:.1f}, y {press.x_mm:.1f} mm is stated, ")
+
+
+@pytest.mark.parametrize(("name", "pitch_mm"), [("61", 1.27), ("other:53", 1.32)])
+def test_a_fine_lattice_keeps_its_right_presses(name: str, pitch_mm: float) -> None:
+    """Where the skin brightens most is elsewhere then."""
+    sensor = SensorName.parse(name).make()
+    sensor = type(sensor)(replace(sensor.model, pitch_mm=pitch_mm))  # type: ignore[call-arg]
+    free = [sensor.frame((), 1000 + k).image for k in range(5)]
+    table = [
+        KnownPress(f"press {k}", sensor.frame((p,), 2000 + k).image, radius_mm, p.depth_mm, p.x_mm, p.y_mm)
+        for k, (p, radius_mm) in enumerate(ball_presses(sensor.model, 40, int(name.rpartition(":")[2])))
+    ]
+    result = calibrate(sensor_of(sensor.model), free, table, networks=ACCURATE)
+    assert len(result.presses) == 40
