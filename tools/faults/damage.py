@@ -25,7 +25,9 @@ from typing import Any
 
 from support.patience import stretched
 
-from faults.handed_in import Files, Kind, Read, make_kinds, warnings_kept
+from faults import handed_in
+from faults.handed_in import Files, Kind, Read, warnings_kept
+from faults.handed_in_mcap import mcap_kinds
 from tacshade_edge.errors import TacshadeError
 
 MEMORY_MAX_MB = 400.0
@@ -62,6 +64,11 @@ class Outcome:
         self.problems += other.problems
         self.longest_s, self.most_mb = max(self.longest_s, other.longest_s), max(self.most_mb, other.most_mb)
         self.done += other.done
+
+
+def make_kinds() -> dict[str, Kind]:
+    """Every kind."""
+    return {**handed_in.make_kinds(), **mcap_kinds()}
 
 
 def junk(draw: random.Random) -> Any:

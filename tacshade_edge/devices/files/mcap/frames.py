@@ -25,6 +25,8 @@ CAMERA, FRAME = "camera", "frame"
 POSE_KEYS: Final = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
 _ABOUT_BYTES_MAX: Final = 1 << 16
 _NAME_CHARS_MAX: Final = 255
+_UNUSABLE_MAX: Final = 10_000
+"""Of pictures and damaged places in one pass; each is a line, and a small file can have millions."""
 Picture = Callable[[], U8]
 
 
@@ -73,13 +75,20 @@ class McapFrames:
         self.length_ns = max(0, told[-1][1] - told[0][0]) if told and len(told) == len(paths) else 0
         self.damage = "; ".join(damage)
         self.topic, self._is_ours = _topic_of(self._paths or paths)
+        self._unusable = 0
 
     def __iter__(self) -> Iterator[tuple[Row, Picture, int]]:
         """Every frame, its picture, which raises DecodeError where it cannot be used, and the time of its message."""
         last_ns = -1
+        self._unusable = 0
         for count, found in enumerate(self._messages()):
+            if self._unusable > _UNUSABLE_MAX:
+                unusable = f"found {self._unusable} messages that cannot be used: the rest is passed over"
+                error = DecodeError(f"{shown(self.topic)}: {unusable}")
+                yield Row(str(count), max(last_ns, 0), None), self._refusal(error), 0
+                return
             if isinstance(found, Damage):
-                yield Row(str(count), max(last_ns, 0), None), _raises(found.error), 0
+                yield Row(str(count), max(last_ns, 0), None), self._refusal(found.error), 0
                 continue
             path, schema, encoding, message, about = found
             where = f"{shown(path)}: message {count} of {shown(self.topic)}"
@@ -88,10 +97,27 @@ class McapFrames:
                 if row.t_ns <= last_ns:
                     raise DecodeError(f"found the time {row.t_ns}, expected more than {last_ns} ns of the one before")
             except DecodeError as error:
-                yield Row(str(count), max(last_ns, 0), None), _raises(DecodeError(f"{where}: {error}")), 0
+                yield Row(str(count), max(last_ns, 0), None), self._refusal(DecodeError(f"{where}: {error}")), 0
                 continue
             last_ns = row.t_ns
-            yield row, _picture(where, schema, encoding, bytes(message.data)), message.log_ns
+            yield row, self._picture(where, schema, encoding, bytes(message.data)), message.log_ns
+
+    def _picture(self, where: str, schema: str, encoding: str, payload: bytes) -> Picture:
+        def picture() -> U8:
+            try:
+                return image_of(schema, encoding, payload)
+            except DecodeError as error:
+                self._unusable += 1
+                raise DecodeError(f"{where}: {error}") from None
+
+        return picture
+
+    def _refusal(self, error: DecodeError) -> Picture:
+        def picture() -> U8:
+            self._unusable += 1
+            raise error
+
+        return picture
 
     def _messages(self) -> Iterator[tuple[Path, str, str, Message, dict[str, Any]] | Damage]:
         """Those with images, each with its schema, its encoding, and what our channel of frames said before it."""
@@ -153,16 +179,6 @@ class McapFrames:
         return Row(name, t_ns, Pose(t_ns, *values), _whole(about, "pose_error_us", ERROR_US_MAX))
 
 
-def _picture(where: str, schema: str, encoding: str, payload: bytes) -> Picture:
-    def picture() -> U8:
-        try:
-            return image_of(schema, encoding, payload)
-        except DecodeError as error:
-            raise DecodeError(f"{where}: {error}") from None
-
-    return picture
-
-
 def _topic_of(paths: Sequence[Path]) -> tuple[str, bool]:
     """Ours, or the only one with images; and whether it is ours."""
     topics: set[str] = set()
@@ -221,10 +237,3 @@ def _object(payload: memoryview) -> dict[str, Any]:
     except (ValueError, RecursionError):
         return {}
     return found if isinstance(found, dict) else {}
-
-
-def _raises(error: DecodeError) -> Picture:
-    def picture() -> U8:
-        raise error
-
-    return picture

@@ -178,11 +178,17 @@ def attachments_in(path: Path, bytes_max: dict[str, int]) -> tuple[dict[str, byt
         for place in file.places():
             if isinstance(place, Damage):
                 damage.append(str(place.error))
-            elif place.kind == Kind.ATTACHMENT and (name := file.attachment_name(place)) in bytes_max:
-                try:
-                    found[name] = file.attachment(place, bytes_max[name])
+            elif place.kind == Kind.ATTACHMENT:
+                name = file.attachment_name(place)
+                if name not in bytes_max and place.length > CHUNK_BYTES_MAX:
+                    continue
+                try:  # one of another name may have had one of these
+                    data = file.attachment(place, bytes_max.get(name, CHUNK_BYTES_MAX))
                 except ValueError as error:
-                    damage.append(f"{shown(path)}: its {name} is left out: {error}")
+                    damage.append(f"{shown(path)}: its {shown(name)} is left out: {error}")
+                    continue
+                if name in bytes_max:
+                    found[name] = data
     return found, damage
 
 

@@ -15,10 +15,10 @@ pytest.importorskip("foxglove_schemas_protobuf")
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from mcap.writer import CompressionType, Writer
-from support.mcap_bytes import CHUNK, flipped, record_starts
+from support.mcap_bytes import CHUNK, described, file_of, flipped, message, record_starts
 
 from tacshade_edge.devices.files.image_source import FilesSource, first_size_px
-from tacshade_edge.devices.files.mcap import messages
+from tacshade_edge.devices.files.mcap import frames, messages
 from tacshade_edge.devices.files.mcap.writer import McapWriter
 from tacshade_edge.devices.files.recording import RecordedFrame, Recording
 from tacshade_edge.errors import ConfigError, DecodeError
@@ -283,6 +283,15 @@ def test_what_has_no_one_topic_of_images_is_refused(tmp_path: Path) -> None:
             Recording(path)
     with pytest.raises(ConfigError, match="No such file"):
         Recording(tmp_path / "none.mcap")
+
+
+def test_what_is_told_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(frames, "_UNUSABLE_MAX", 10)
+    inside = described() + message(b"no image", 5) + message(b"", 6) * 100
+    read, refused = every(_written(tmp_path, file_of(inside)))
+    assert read == []
+    assert len(refused) == 12
+    assert refused[-1] == "/cam: found 11 messages that cannot be used: the rest is passed over"
 
 
 @pytest.mark.parametrize(

@@ -158,6 +158,10 @@ def test_attachments(tmp_path: Path) -> None:
     found, told = attachments_in(path, {"a": 100, "b": 100})
     assert found == {"a": b"last"}
     assert told == [f"{path}: its b is left out: the checksum is not its own"]
+    path.write_bytes(flipped(whole, whole.index(b"12345678") - 8 - len("text/plain") - 4 - 1, 0))  # its name
+    found, told = attachments_in(path, {"a": 100, "b": 100})
+    assert found == {"a": b"last"}
+    assert told == [f"{path}: its c is left out: the checksum is not its own"]
     for bit in (0, 33, 63):  # of the length of its data
         path.write_bytes(flipped(whole, whole.index(b"12345678") - 8 + bit // 8, bit % 8))
         found, told = attachments_in(path, {"a": 100, "b": 100})
