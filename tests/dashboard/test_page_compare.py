@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +12,12 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.support.select import Select
 from support.browser import errors
 from support.dashboard_process import dashboard
-from support.mqtt_rig import Broker
+from support.mqtt_rig import Broker, Subscriber
 from support.patience import wait_until
 from support.published_hand import PublishedHand, bump
-from support.shown_page import NEEDS_A_BROWSER, js, opened, shows, until_shown
+from support.shown_page import NEEDS_A_BROWSER, js, opened, shows, text, until_shown
+
+from tacshade_edge.protocol import messages, wire
 
 pytestmark = NEEDS_A_BROWSER
 ROW, COL = 236.0, 300.0
@@ -48,4 +51,59 @@ def test_two_hands_are_compared_cell_by_cell_in_the_cells_of_the_first(page: Chr
         shows(page, "compare-numbers", "frame 7 8")
         other.tell("state", b"", retain=True)  # gone
         wait_until(lambda: not page.find_element(By.ID, "compare").is_displayed(), 15, "nothing to compare with")
+        assert errors(page) == []
+
+
+def test_numbers_stand_under_their_own_picture_only(page: Chrome, tmp_path: Path) -> None:
+    with (
+        Broker(tmp_path) as broker,
+        dashboard(f"127.0.0.1:{broker.port}") as address,
+        PublishedHand(broker.port, "run-a") as first,
+        PublishedHand(broker.port, "run-b") as other,
+    ):
+        opened(page, address, "run-a")
+        wait_until(lambda: len(Select(page.find_element(By.ID, "against")).options) == 2, 15, "there is another")
+        Select(page.find_element(By.ID, "against")).select_by_value("run-b")
+        until_shown(page, first, lambda: bump(7, 2.0, ROW, COL, 4), 7)
+
+        def compared() -> bool:
+            other.show(bump(7, 1.5, ROW, COL, 4))
+            return js(page, "tacshade.compared") is not None
+
+        wait_until(compared, 15, "both are there")
+        shows(page, "compare-numbers", "greatest depth, mm 2.00 1.50 -0.50")
+        # Pictures without numbers, then numbers without their picture.
+        for hand in (first, other):
+            hand.tell("height", wire.encode_height(bump(8, 1.0, ROW, COL, 4), calibration_crc32=1))
+        shows(page, "compare-numbers", "greatest depth, mm – –")
+        shows(page, "compare-numbers", "frame 8 8")
+        assert text(page, "n-depth") == "–"
+        assert text(page, "objects") == ""
+        for hand in (first, other):
+            hand.tell("contact", messages.encode_contact(bump(9, 3.0, ROW, COL, 4), fps=30.0))
+            hand.tell("contact", messages.encode_contact(bump(8, 1.0, ROW, COL, 4), fps=30.0))
+        shows(page, "compare-numbers", "greatest depth, mm 1.00 1.00")
+        assert text(page, "n-depth") == "1.00"
+        assert errors(page) == []
+
+
+def test_a_run_that_is_paused_is_asked_for_its_picture_and_its_answer_is_heard(page: Chrome, tmp_path: Path) -> None:
+    paused = {"state": "paused", "position_s": 3.0, "length_s": 9.0, "speed": 1, "frame": 91}
+    with (
+        Broker(tmp_path) as broker,
+        dashboard(f"127.0.0.1:{broker.port}") as address,
+        PublishedHand(broker.port, "run-a") as first,
+        PublishedHand(broker.port, "run-b") as other,
+        Subscriber(broker.port, "tacshade/run-b/req/replay") as seen,
+    ):
+        other.tell("status/replay", json.dumps(paused).encode(), retain=True)
+        opened(page, address, "run-a")
+        wait_until(lambda: len(Select(page.find_element(By.ID, "against")).options) == 2, 15, "there is another")
+        until_shown(page, first, lambda: bump(91, 2.0, ROW, COL, 4), 91)
+        Select(page.find_element(By.ID, "against")).select_by_value("run-b")
+        asked = json.loads(seen.wait_for("tacshade/run-b/req/replay")[0])
+        assert asked["seek_s"] == pytest.approx(2.999)
+        refusal = {"transaction": asked["transaction"], "ok": False, "error": "the recording is gone"}
+        other.tell("res/replay", json.dumps(refusal).encode())
+        shows(page, "compare-words", "run-b is paused: the recording is gone")
         assert errors(page) == []

@@ -73,6 +73,12 @@ def test_a_recording_is_paused_stepped_wound_and_played_again(page: Chrome, tmp_
             press("back")
             wait_until(lambda: js(page, "tacshade.seq") == 91 and is_in_step(), 15, "the frame before, of both")
             picture(page, "dashboard-compare", (1280, 640), "compare")
+            # One who comes while both are paused has their pictures too.
+            page.refresh()
+            wait_until(lambda: js(page, "window.tacshade && tacshade.seq") == 91, 15, "the picture of the paused run")
+            Select(page.find_element(By.ID, "against")).select_by_value("run-b")
+            wait_until(lambda: js(page, "tacshade.compared") is not None and is_in_step(), 15, "and of the other")
+            assert "Heights are" in text(page, "compare-words")
             wind(1.0)
             wait_until(lambda: js(page, "tacshade.seq") == 31, 15, "an earlier frame")
             shows(page, "playback", "1.02 s of 9.87 s, frame 31")

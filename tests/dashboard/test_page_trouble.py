@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
 import re
+import struct
+import zlib
 from pathlib import Path
 
 import pytest
@@ -101,6 +104,59 @@ def test_strange_messages_are_counted_and_shown_as_text(page: Chrome, tmp_path: 
         shows(page, "tables", "61.5")
         until_shown(page, hand, lambda: bump(3, 1.0, 200, 300, step_px=4), 3)
         assert page.title == "drawn – TacShade"
+
+
+def test_long_text_is_cut_and_hostile_binary_is_counted(page: Chrome, tmp_path: Path) -> None:
+    """What froze the page for seconds, each time it was drawn, and what was an uncaught exception."""
+    long = "x y " * 50_000
+    with (
+        Broker(tmp_path) as broker,
+        dashboard(f"127.0.0.1:{broker.port}") as address,
+        PublishedHand(broker.port) as hand,
+    ):
+        opened(page, address)
+        until_shown(page, hand, lambda: bump(1, 1.5, 200, 300, step_px=4), 1)
+        hand.tell("status/camera", json.dumps({"state": "away", "reason": long, "device": long}).encode())
+        hand.tell("health", json.dumps({"invalid_reason": long, **{f"k{k}": k for k in range(20_000)}}).encode())
+        shows(page, "state", "(200000 characters)")
+        shows(page, "tables", "more")
+        assert len(text(page, "state")) < 1000
+        assert len(text(page, "parts")) < 1500
+        assert js(page, "document.querySelectorAll('#tables tr').length") < 200
+        for part in range(100):
+            hand.tell(f"status/p{part}", b'{"state": "x"}')
+        sound = wire.encode_height(bump(2, 2.0, 200, 300, step_px=4), calibration_crc32=1)
+        before = js(page, "tacshade.undecodable")
+        hostile = [grid_message(sound, rows, cols, step_px) for rows, cols, step_px in GRIDS]
+        for count, payload in enumerate(hostile, 1):
+            known = js(page, "tacshade.undecodable")
+            hand.tell("height", payload)
+            wait_until(lambda known=known: js(page, "tacshade.undecodable") > known, 10, f"{count} counted")
+        for topic, payload in (
+            ("info", {"profiles": 5, "geometry": {"radius_px": 0}}),
+            ("contact", {"contact": 1, "depth_max_mm": "deep", "x_mm": {}}),
+            ("status/replay", {"state": "playing", "position_s": "late"}),
+        ):
+            hand.tell(topic, json.dumps(payload).encode())
+        wait_until(lambda: js(page, "tacshade.undecodable") >= before + len(hostile) + 3, 10, "all counted")
+        shows(page, "tables", f"messages not understood {js(page, 'tacshade.undecodable')}")
+        assert js(page, "document.querySelectorAll('#parts p').length") <= 32
+        until_shown(page, hand, lambda: bump(3, 1.0, 200, 300, step_px=4), 3)
+        assert errors(page) == []
+
+
+GRIDS = [(0, 0, 4.0), (0, 7, 4.0), (5000, 1, 4.0), (4, 4, 0.0), (4, 4, math.nan), (4, 4, 1e-30)]
+
+
+def grid_message(sound: bytes, rows: int, cols: int, step_px: float) -> bytes:
+    """A `height` of another grid, whole by its checksum."""
+    payload = bytes(2 * rows * cols)
+    head = bytearray(sound[:96])
+    struct.pack_into("<HH", head, 32, rows, cols)
+    struct.pack_into("<f", head, 44, step_px)
+    struct.pack_into("<I", head, 84, len(payload))
+    struct.pack_into("<I", head, 88, zlib.crc32(bytes(head[:88]) + payload))
+    return bytes(head) + payload
 
 
 def test_a_broker_with_users_asks_for_one(page: Chrome, tmp_path: Path) -> None:

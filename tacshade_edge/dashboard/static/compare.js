@@ -2,21 +2,22 @@
 
 import { DIFFERENCES, PIXELS, STEPS, stepOf } from "./colours.js";
 import { heightAt } from "./geometry.js";
-import { nextMap } from "./newest.js";
+import { checkContact, checkPart } from "./bounds.js";
+import { contactOfMap, keepContact, nextMap } from "./newest.js";
 import { number, table } from "./panels.js";
-import { isPlayed } from "./playback.js";
+import { isPaused, isPlayed, justBefore, showAgain } from "./playback.js";
 import { drawBar, drawTicks } from "./scale.js";
 
-const STREAMS = ["height", "contact", "status/replay"];
+const STREAMS = ["height", "contact", "status/replay", "res/replay"];
 const NICE_MM = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 40];
-const BEFORE_S = 0.001; // positions are told in whole milliseconds
 const SAME_PX = 2, SAME_MM = 0.1;
 const $ = (id) => document.getElementById(id);
 
 export class Compare {
-  /** link: its subscriptions and requests. decoded(payload): null where it is damaged. changed(): there is news. */
-  constructor({ link, decoded, changed }) {
+  /** link: its subscriptions and requests. decoded(payload, values): null where it is damaged. changed(): there is news. readOnly: nothing may be requested. */
+  constructor({ link, decoded, changed, readOnly }) {
     this.link = link;
+    this.readOnly = readOnly;
     this.decoded = decoded;
     this.changed = changed;
     this.sensor = null;
@@ -41,7 +42,7 @@ export class Compare {
     const topics = (name) => STREAMS.map((stream) => `tacshade/${name}/${stream}`);
     if (this.sensor !== null) this.link().unsubscribe(...topics(this.sensor));
     this.sensor = sensor;
-    this.view = { height: null, contact: null, map: null, height_ms: 0, drawnFor: null, parts: new Map() };
+    this.view = { height: null, contact: null, contacts: new Map(), numbers: null, map: null, height_ms: 0, shown_ms: 0, drawnFor: null, parts: new Map() };
     this.seen = this.drawn = null;
     $("compare").hidden = sensor === null;
     $("compare-maps").hidden = true;
@@ -54,16 +55,22 @@ export class Compare {
     if (what === "height") {
       this.view.height = payload;
       this.view.height_ms = performance.now();
-    } else if (what === "contact") json(payload, (contact) => { this.view.contact = contact; });
-    else if (what === "status/replay") json(payload, (status) => { this.view.parts.set("replay", status); });
-    else return;
+    } else if (what === "contact") json(payload, (contact) => keepContact(this.view, contact), checkContact);
+    else if (what === "status/replay") {
+      json(payload, (status) => {
+        this.view.parts.set("replay", status);
+        const tell = (error) => { $("compare-words").textContent = `${this.sensor} is paused: ${error.message}`; };
+        if (!this.readOnly) showAgain(this.link(), this.sensor, this.view).catch(tell);
+        else if (isPaused(this.view.parts) && !this.view.map) tell(new Error("its picture comes when it is played on."));
+      }, checkPart);
+    } else return;
     this.changed();
   }
 
   /** What was asked of the chosen recording is asked of the other; a pause is one at the same time of both. */
   follow(body, { position_s }) {
     if (this.sensor === null || !isPlayed(this.view.parts)) return;
-    const pause = body.paused === true ? { seek_s: Math.max(position_s - BEFORE_S, 0) } : {};
+    const pause = body.paused === true ? { seek_s: justBefore(position_s) } : {};
     this.link().request(this.sensor, "replay", { ...body, ...pause }).catch((error) => {
       $("compare-words").textContent = `${this.sensor}: ${error.message}`;
     });
@@ -76,9 +83,10 @@ export class Compare {
     const map = nextMap(view, geometry, this.decoded);
     if (map) {
       view.map = map;
+      view.shown_ms = performance.now();
       view.drawnFor = geometry;
     }
-    const key = [first.view.map, view.map, first.view.contact, view.contact, heights.scale_mm];
+    const key = [first.view.map, view.map, contactOfMap(first.view), contactOfMap(view), heights.scale_mm];
     if (!first.view.map || !view.map || (this.drawn && key.every((part, k) => part === this.drawn[k]))) return;
     this.drawn = key;
     $("compare-maps").hidden = !isSame(first.info?.geometry, geometry);
@@ -134,13 +142,13 @@ export class Compare {
   }
 
   tell(first, other) {
-    const a = first.view.contact, b = this.view.contact;
+    const a = contactOfMap(first.view), b = contactOfMap(this.view);
     const numbers = [["greatest depth, mm", "depth_max_mm", 2], ["area, mm²", "area_mm2", 1], ["volume, mm³", "volume_mm3", 1], ["objects", "objects", 0]];
     const rows = numbers.map(([name, key, digits]) => {
       const more = a && b ? b[key] - a[key] : NaN;
       return [name, number(a?.[key], digits), number(b?.[key], digits), `${more > 0 ? "+" : ""}${number(more, digits)}`];
     });
-    rows.unshift(["profile", first.info?.profile ?? "–", other.info?.profile ?? "–", ""], ["frame", number(a?.seq), number(b?.seq), ""]);
+    rows.unshift(["profile", first.info?.profile ?? "–", other.info?.profile ?? "–", ""], ["frame", number(a?.seq ?? first.view.map.seq), number(b?.seq ?? this.view.map.seq), ""]);
     $("compare-numbers").replaceChildren(table("", rows, ["", first.name, this.sensor, "more"]));
   }
 }

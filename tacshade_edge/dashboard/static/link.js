@@ -1,5 +1,6 @@
 // MQTT to the server that this page came from, which carries it to the broker; it comes back by itself.
 
+import { cut } from "./bounds.js";
 import mqtt from "./vendor/mqtt.esm.js";
 
 const RETRY_MS = 1000, CONNECT_MS = 5000, KEEPALIVE_S = 15, ANSWER_MS = 8000;
@@ -120,7 +121,7 @@ export class Link {
       this.waiting.delete(reply.transaction);
       clearTimeout(asked.timer);
       if (reply.ok) asked.resolve(reply.result);
-      else asked.reject(Object.assign(new Error(String(reply.error)), { code: reply.reason_code }));
+      else asked.reject(Object.assign(new Error(cut(String(reply.error))), { code: reply.reason_code }));
     }
     return true;
   }

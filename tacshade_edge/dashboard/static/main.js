@@ -1,6 +1,7 @@
 // The page: hands, what is known of the chosen one, and when it is drawn.
 
 import { drawArrows } from "./arrows.js";
+import { PARTS_MAX, SENSORS_MAX, checkContact, checkDecoded, checkInfo, checkPart, cut, read } from "./bounds.js";
 import { DepthChart } from "./chart.js";
 import { objectColour } from "./colours.js";
 import { Compare } from "./compare.js";
@@ -8,10 +9,10 @@ import { freshness } from "./freshness.js";
 import { HeightView } from "./heightmap.js";
 import { Link } from "./link.js";
 import { MapView } from "./mapview.js";
-import { CONTACT, nextMap } from "./newest.js";
+import { CONTACT, contactOfMap, keepContact, nextMap, partOfMap } from "./newest.js";
 import { element, levelOf, number, showContact, showHealth, showParts, showRates, showState } from "./panels.js";
 import { SkinView } from "./skin3d.js";
-import { commandPlayback, isPaused, isPlayed, tellPlayback } from "./playback.js";
+import { commandPlayback, isPaused, isPlayed, showAgain, tellPlayback } from "./playback.js";
 import { commandRecordings, tellRecording } from "./record.js";
 import { isRemoved, remove, restore } from "./retired.js";
 import { Rezero } from "./rezero.js";
@@ -33,7 +34,7 @@ let chosen = null, view = emptyView(), undecodable = 0, heard = 0, superseded = 
 let link = null, asking = false;
 
 const heights = new HeightView(), stitched = new MapView(), skin = new SkinView(schedule), chart = new DepthChart();
-const compare = new Compare({ link: () => link, decoded, changed: schedule });
+const compare = new Compare({ link: () => link, decoded, changed: schedule, readOnly: READ_ONLY });
 const whole = new Whole({ link: () => link, infos: (sensor) => hands.get(sensor)?.info, decoded, changed: schedule, damaged: () => { undecodable++; } });
 const rezero = new Rezero({
   ask: () => ask("reference", {}, "Taking a new reference; do not touch the skin …", (result) => `Zero is new, from ${result.frames} frames.`),
@@ -50,7 +51,7 @@ link.subscribe("tacshade/+/state", "tacshade/+/info", "tacshade/hand/+/state");
 /** All that is known of the chosen hand. */
 function emptyView() {
   return {
-    height: null, cloud: null, shear: null, sigma: null, map: null, mapPayload: null, mapCloud: null, told: {}, contact: null, health: null, parts: new Map(), heard_ms: null, health_ms: null, chosen_ms: performance.now(), height_ms: 0, age_ms: null,
+    height: null, cloud: null, shear: null, sigma: null, map: null, mapPayload: null, mapCloud: null, told: {}, contact: null, contacts: new Map(), numbers: null, with_map: {}, shown_ms: 0, health: null, parts: new Map(), heard_ms: null, health_ms: null, chosen_ms: performance.now(), height_ms: 0, age_ms: null,
   };
 }
 
@@ -59,8 +60,11 @@ function emptyView() {
 function take(topic, payload, retained) {
   if (whole.take(topic, payload)) return topic.endsWith("/state") ? tellHands() : undefined;
   const [, sensor, ...rest] = topic.split("/"), what = rest.join("/");
-  if (what === "state") tell(sensor, { state: text.decode(payload) || undefined });
-  else if (what === "info") json(payload, (info) => tell(sensor, { info }));
+  if (what === "state" || what === "info") {
+    if (!hands.has(sensor) && hands.size >= SENSORS_MAX && sensor !== decodeURIComponent(location.hash.slice(1))) undecodable++;
+    else if (what === "state") tell(sensor, { state: cut(text.decode(payload), 40) || undefined });
+    else json(payload, (info) => tell(sensor, { info }), checkInfo);
+  }
   else if (sensor === chosen) takeChosen(what, payload, retained);
   else if (sensor === compare.sensor) compare.take(what, payload, json);
   else if (what === "height") whole.takeHeight(sensor, payload);
@@ -77,12 +81,12 @@ function takeChosen(what, payload, retained) {
     schedule();
   } else if (what === "contact") {
     json(payload, (contact) => {
-      view.contact = contact;
+      keepContact(view, contact);
       view.heard_ms = performance.now();
-      chart.add(contact.depth_max_mm, contact.slip === FULL_SLIP);
+      chart.add(contact.depth_max_mm ?? null, contact.slip === FULL_SLIP);
       rezero.heard(contact);
       schedule();
-    });
+    }, checkContact);
   } else if (what === "health") {
     json(payload, (health) => {
       view.health = health;
@@ -94,10 +98,12 @@ function takeChosen(what, payload, retained) {
     showParts(view.parts);
   } else if (what.startsWith("status/")) {
     json(payload, (part) => {
-      view.parts.set(what.slice(7), part);
+      if (!view.parts.has(what.slice(7)) && view.parts.size >= PARTS_MAX) undecodable++;
+      else view.parts.set(cut(what.slice(7), 64), part);
+      if (!READ_ONLY) showAgain(link, chosen, view).catch((error) => tellAnswer("bad", error.message));
       showParts(view.parts);
       tellState();
-    });
+    }, checkPart);
   } else if (what === "map/cloud") {
     view.mapPayload = payload;
     schedule();
@@ -114,20 +120,20 @@ function takeChosen(what, payload, retained) {
   }
 }
 
-function json(payload, use) {
+function json(payload, use, check = (value) => value) {
   let value;
   try {
-    value = JSON.parse(text.decode(payload));
+    value = check(read(payload));
   } catch {
-    value = null;
+    undecodable++;
+    return;
   }
-  if (value === null || typeof value !== "object") undecodable++;
-  else use(value);
+  use(value);
 }
 
-function decoded(payload) {
+function decoded(payload, name) {
   try {
-    return decode(payload);
+    return checkDecoded(decode(payload), name);
   } catch {
     undecodable++;
     return null;
@@ -265,6 +271,7 @@ function draw() {
       view.age_ms = Date.now() - Number(map.wall_ns / 1000000n);
     }
     view.map = map;
+    view.shown_ms = performance.now();
     view.drawnFor = geometry;
     heights.draw(map, geometry);
     skin.setSkin(map, geometry, heights.scale_mm);
@@ -274,34 +281,25 @@ function draw() {
       arrows = drawArrows($("arrows"), null, null);
     }
   }
-  if (view.sigma) {
-    heights.setSigma(decoded(view.sigma));
-    view.sigma = null;
+  const [sigma, cloud, shear] = ["sigma", "cloud", "shear"].map((what) => partOfMap(view, what, decoded));
+  const touched = view.map && view.map.flags & CONTACT;
+  if (sigma !== undefined) heights.setSigma(sigma);
+  if (cloud !== undefined && touched) {
+    tellObjects(cloud);
+    redraw = true;
   }
-  if (view.cloud) {
-    const cloud = decoded(view.cloud);
-    view.cloud = null;
-    if (cloud && view.map && view.map.flags & CONTACT) {
-      tellObjects(cloud);
-      redraw = true;
-    }
-  }
-  if (view.shear) {
-    const shear = decoded(view.shear);
-    view.shear = null;
-    if (shear && view.map && view.map.flags & CONTACT) arrows = drawArrows($("arrows"), shear, geometry);
-  }
+  if (shear !== undefined && touched) arrows = drawArrows($("arrows"), shear, geometry);
   drawStitched();
   compare.draw({ name: chosen, view, info: hands.get(chosen)?.info }, hands.get(compare.sensor) ?? {}, heights);
   if (redraw) skin.render();
-  showContact(view.contact);
+  showContact(contactOfMap(view));
   tellStale();
 }
 
 /** Points and what is told of them come as two messages, and the `final` of an earlier session stays beside a new one. */
 function drawStitched() {
   if (view.mapPayload) {
-    view.mapCloud = decoded(view.mapPayload) ?? view.mapCloud;
+    view.mapCloud = decoded(view.mapPayload, "points_mm") ?? view.mapCloud;
     view.mapPayload = null;
   }
   const cloud = view.mapCloud;
@@ -436,7 +434,7 @@ function tellProfiles() {
 
 function tellAnswer(level, words) {
   $("answer").dataset.level = level;
-  $("answer").textContent = words;
+  $("answer").textContent = cut(words);
 }
 
 /** Resolves to the reason's code; empty when it was done. */

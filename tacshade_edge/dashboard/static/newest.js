@@ -3,12 +3,54 @@
 import { zeroMap } from "./geometry.js";
 
 export const CONTACT = 1;
-const RELEASE_LOST_MS = 500;
+const RELEASE_LOST_MS = 500, CONTACTS_KEPT = 64, HEADER_BYTES = 96, SEQ_AT = 8;
+export const VALUES = { height: "height_mm", cloud: "points_mm", shear: "shear_mm", sigma: "sigma_mm" };
+
+const TOGETHER_MS = 300;
+
+/**
+ * The part of a message that came with the map that is shown, decoded; undefined while there is nothing new.
+ * One of a later map waits for that; one of an earlier map is dropped; null says that what is shown is of another map.
+ */
+export function partOfMap(view, what, decoded) {
+  const payload = view[what], seq = view.map?.seq ?? null, { with_map } = view;
+  if (payload && payload.length < HEADER_BYTES) {
+    decoded(payload); // counts it
+    view[what] = null;
+  } else if (payload && seq !== null) {
+    const of = new DataView(payload.buffer, payload.byteOffset).getUint32(SEQ_AT, true);
+    if (of <= seq) view[what] = null;
+    if (of === seq) {
+      with_map[what] = seq;
+      return decoded(payload, VALUES[what]) ?? undefined;
+    }
+  }
+  if (with_map[what] === seq || performance.now() - view.shown_ms < TOGETHER_MS) return undefined;
+  with_map[what] = seq;
+  return null;
+}
+
+/** Keep a `contact` until its map is drawn. */
+export function keepContact(view, contact) {
+  view.contact = contact;
+  view.contacts.set(contact.seq, contact);
+  if (view.contacts.size > CONTACTS_KEPT) view.contacts.delete(view.contacts.keys().next().value);
+}
+
+/** The numbers of the map that is shown; for a moment those of the one before, and null where they did not come. */
+export function contactOfMap(view) {
+  const { map, contact } = view;
+  if (!map || contact === null) return contact;
+  const free = contact.contact === 0 && !(map.flags & CONTACT); // goes on after the last map
+  const own = free ? contact : view.contacts.get(map.seq);
+  if (own || performance.now() - view.shown_ms > TOGETHER_MS) view.numbers = own ?? null;
+  return view.numbers;
+}
 
 /** The map to draw now, or null when the one that is shown is right. decoded(payload): null where it is damaged. */
 export function nextMap(view, geometry, decoded) {
   if (view.height) {
-    const map = decoded(view.height);
+    const map = decoded(view.height, VALUES.height);
     view.height = null;
     if (map) return map;
   }

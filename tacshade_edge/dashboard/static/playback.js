@@ -3,11 +3,22 @@
 import { number } from "./panels.js";
 
 const form = document.getElementById("playback");
+const SPEEDS_MAX = 20;
 let winding = false; // the person has the slider
 
 /** Whether what comes is a recording that a page commands. */
 export const isPlayed = (parts) => ["playing", "paused"].includes(parts.get("replay")?.state);
 export const isPaused = (parts) => parts.get("replay")?.state === "paused";
+
+/** A recording that is paused publishes nothing: have it show its frame again to who has no picture yet. Rejects as `request`. */
+export async function showAgain(link, sensor, view) {
+  if (view.asked || view.map || view.height || !isPaused(view.parts)) return;
+  view.asked = true;
+  await link.request(sensor, "replay", { seek_s: justBefore(view.parts.get("replay").position_s) });
+}
+
+/** To wind to the frame at this position: positions are told in whole milliseconds. */
+export const justBefore = (position_s) => Math.max(position_s - 0.001, 0);
 
 /** ask(body): asks the replay; resolves when it answered. */
 export function commandPlayback(ask) {
@@ -36,7 +47,7 @@ export function tellPlayback(parts, able) {
   position.hidden = !(status.length_s > 0);
   position.max = status.length_s;
   if (!winding) position.value = status.position_s;
-  if (![...speed.options].some((option) => Number(option.value) === status.speed)) speed.add(new Option(`${status.speed} ×`, status.speed));
+  if (speed.options.length < SPEEDS_MAX && ![...speed.options].some((option) => Number(option.value) === status.speed)) speed.add(new Option(`${status.speed} ×`, status.speed));
   speed.value = status.speed;
   form.querySelector("output").textContent = `${number(status.position_s, 2)} s${status.length_s > 0 ? ` of ${number(status.length_s, 2)} s` : ""}, frame ${status.frame}`;
 }

@@ -2,7 +2,8 @@
 
 import { PIXELS, objectColour, stepOf } from "./colours.js";
 import { zeroMap } from "./geometry.js";
-import { CONTACT } from "./newest.js";
+import { FINGERS_MAX, SENSORS_MAX, checkHand, cut } from "./bounds.js";
+import { CONTACT, VALUES } from "./newest.js";
 import { element, levelOf, number, table } from "./panels.js";
 import { AutoScale, drawBar, drawTicks } from "./scale.js";
 import { decodeHand } from "./wire.js";
@@ -30,11 +31,12 @@ export class Whole {
     const [, id, what] = TOPIC.exec(topic) ?? [];
     if (id === undefined) return false;
     if (what === "state") {
-      if (payload.length) this.states.set(id, new TextDecoder().decode(payload));
-      else this.states.delete(id);
+      if (!payload.length) this.states.delete(id);
+      else if (this.states.has(id) || this.states.size < SENSORS_MAX) this.states.set(id, cut(new TextDecoder().decode(payload), 40));
+      else this.damaged();
     } else if (id === this.shown) {
       try {
-        this.message = decodeHand(payload);
+        this.message = checkHand(decodeHand(payload));
       } catch {
         this.damaged();
         return true;
@@ -78,7 +80,7 @@ export class Whole {
   }
 
   follow(name) {
-    if (this.fingers.has(name)) return;
+    if (this.fingers.has(name) || this.fingers.size >= FINGERS_MAX) return;
     const canvas = element("canvas", { width: 1, height: 1 }), caption = element("figcaption");
     const figure = element("figure", {}, element("a", { href: `#${encodeURIComponent(name)}`, title: `Show ${name} alone` }, canvas), caption);
     this.fingers.set(name, { canvas, caption, figure, height: null, map: null });
@@ -92,7 +94,7 @@ export class Whole {
     let peak_mm = 0;
     for (const [name, finger] of this.fingers) {
       const geometry = this.infos(name)?.geometry ?? null, { state } = this.message.fingers[name] ?? { state: "away" };
-      if (finger.height) finger.map = this.decoded(finger.height) ?? finger.map;
+      if (finger.height) finger.map = this.decoded(finger.height, VALUES.height) ?? finger.map;
       finger.height = null;
       const { map } = finger;
       if (state !== "contact" && geometry && (!map || map.flags & CONTACT)) finger.map = zeroMap(geometry); // a release can be lost

@@ -1,0 +1,102 @@
+// What the page takes of a message. Everything that reaches the broker's topics can come: what cannot be shown is an
+// error here, and is counted; what is too much is cut, before anything is drawn of it.
+
+export const TEXT_MAX = 300, ENTRIES_MAX = 100, PARTS_MAX = 32, SENSORS_MAX = 64, FINGERS_MAX = 16;
+const BYTES_MAX = 1 << 20, DEPTH_MAX = 6;
+const SIDE_MAX = 4096, AWAY_MAX_PX = 1 << 16, SCALE_MAX_MM = 1000;
+const OBJECTS_MAX = 64;
+const NAME = /^[A-Za-z0-9_-]{1,64}$/;
+const NUMBERS_OF_CONTACT = ["contact", "seq", "depth_max_mm", "area_mm2", "volume_mm3", "objects", "x_mm", "y_mm", "slip", "fps"];
+const NUMBERS_OF_REPLAY = ["position_s", "length_s", "speed", "frame"];
+const GEOMETRY = { // least and most; a camera without a distance is orthographic
+  skin_radius_mm: [0.1, 1000], visible_half_angle_deg: [1, 90], mm_per_px: [1e-6, 1000], radius_px: [1, SIDE_MAX],
+  row_c: [-AWAY_MAX_PX, AWAY_MAX_PX], col_c: [-AWAY_MAX_PX, AWAY_MAX_PX], image_height_px: [1, SIDE_MAX], image_width_px: [1, SIDE_MAX],
+};
+const OF_A_PINHOLE = { camera_distance_mm: [0, 1e6], f_px: [1e-3, 1e6] };
+
+/** A text of at most so many characters. */
+export function cut(text, most = TEXT_MAX) {
+  return text.length > most ? `${text.slice(0, most)} … (${text.length} characters)` : text;
+}
+
+/** The object that a JSON message is, cut. Throws where it is none. */
+export function read(payload) {
+  if (payload.length > BYTES_MAX) throw new Error("a message too large");
+  const value = JSON.parse(new TextDecoder().decode(payload));
+  if (value === null || typeof value !== "object" || Array.isArray(value)) throw new Error("not an object");
+  return bounded(value);
+}
+
+function bounded(value, depth = 0) {
+  if (typeof value === "string") return cut(value);
+  if (value === null || typeof value !== "object") return value;
+  if (depth === DEPTH_MAX) return "…";
+  if (Array.isArray(value)) return value.slice(0, ENTRIES_MAX).map((item) => bounded(item, depth + 1));
+  const entries = Object.entries(value), kept = entries.slice(0, ENTRIES_MAX).map(([key, item]) => [cut(key, 64), bounded(item, depth + 1)]);
+  if (entries.length > ENTRIES_MAX) kept.push(["…", `${entries.length - ENTRIES_MAX} more`]);
+  return Object.fromEntries(kept);
+}
+
+/** The decoded message, where it is of that kind and can be drawn; `name` is that of its values. Throws elsewhere. */
+export function checkDecoded(message, name) {
+  if (!(name in message)) throw new Error(`not a message with ${name}`);
+  if (name === "points_mm") {
+    if (!message.points_mm.every(Number.isFinite)) throw new Error("points that are no place");
+    return message;
+  }
+  const { rows, cols, row0, col0, step_px } = message;
+  within({ rows, cols }, { rows: [1, SIDE_MAX], cols: [1, SIDE_MAX] });
+  within({ row0, col0, step_px }, { row0: [-AWAY_MAX_PX, AWAY_MAX_PX], col0: [-AWAY_MAX_PX, AWAY_MAX_PX], step_px: [0.01, SIDE_MAX] });
+  for (const value of message[name]) if (Math.abs(value) > SCALE_MAX_MM) throw new Error("values that are no depth");
+  return message;
+}
+
+/** What an `info` tells, where the page can use it; a hand that is not calibrated has no geometry. */
+export function checkInfo(info) {
+  const { geometry, profiles = [], profile } = info;
+  if (!Array.isArray(profiles) || ![profile, ...profiles].every((name) => name === undefined || typeof name === "string")) throw new Error("not profiles");
+  if (geometry === null || geometry === undefined) return { ...info, geometry: geometry ?? null };
+  within(geometry, GEOMETRY);
+  if (geometry.camera_distance_mm !== null) within(geometry, OF_A_PINHOLE);
+  const place = info.hand_T_sensor;
+  if (place !== null && place !== undefined && !(Array.isArray(place) && place.length === 7 && place.every(Number.isFinite))) throw new Error("not a place in a hand");
+  return info;
+}
+
+export const checkContact = (contact) => checkNumbers(contact, NUMBERS_OF_CONTACT);
+
+/** A `status/<part>`; the page reckons with what a replay and a recorder tell. */
+export function checkPart(part) {
+  if (typeof part.state !== "string") throw new Error("no state");
+  if (part.reason !== undefined && typeof part.reason !== "string") throw new Error("not a reason");
+  return checkNumbers(part, NUMBERS_OF_REPLAY);
+}
+
+/** A hand's message, after `decodeHand`. */
+export function checkHand(message) {
+  const fingers = Object.entries(message.fingers);
+  if (fingers.length > FINGERS_MAX) throw new Error("too many fingers");
+  for (const [name, finger] of fingers) {
+    if (!NAME.test(name)) throw new Error("not a finger's name");
+    if (!Array.isArray(finger.objects) || finger.objects.length > OBJECTS_MAX) throw new Error("too many objects");
+    finger.reason_code = cut(String(finger.reason_code ?? ""), 64);
+    for (const { shear_mm, depth_max_mm, area_mm2 } of finger.objects) {
+      if (shear_mm !== null && shear_mm !== undefined && !(Array.isArray(shear_mm) && shear_mm.length === 3 && shear_mm.every(Number.isFinite))) throw new Error("not a displacement");
+      within({ depth_max_mm, area_mm2 }, { depth_max_mm: [0, SCALE_MAX_MM], area_mm2: [0, SCALE_MAX_MM ** 2] });
+    }
+  }
+  return message;
+}
+
+function checkNumbers(value, keys) {
+  for (const key of keys) {
+    if (value[key] !== null && value[key] !== undefined && !Number.isFinite(value[key])) throw new Error(`not a number: ${key}`);
+  }
+  return value;
+}
+
+function within(value, ranges) {
+  for (const [key, [least, most]] of Object.entries(ranges)) {
+    if (!(Number.isFinite(value?.[key]) && value[key] >= least && value[key] <= most)) throw new Error(`out of range: ${key}`);
+  }
+}
