@@ -96,7 +96,7 @@ def _truth(pad: pads.Pad) -> bytes:
     buffer = io.BytesIO()
     np.savez_compressed(
         buffer,
-        z_mm=pad.raster(TRUTH_STEP_MM),
+        z_mm=pads.raster(pad, TRUTH_STEP_MM),
         x0_mm=0.0,
         y0_mm=0.0,
         step_mm=TRUTH_STEP_MM,

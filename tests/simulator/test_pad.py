@@ -42,7 +42,7 @@ def test_it_is_the_pad_of_figure_7() -> None:
     assert len({b.radius_mm for b in PAD.bulges if isinstance(b, pads.Dot)}) == 2
     assert sum(isinstance(b, pads.Arc) and b.to_deg - b.from_deg == 360 for b in PAD.bulges) == 1
     assert sum(isinstance(b, pads.Arc) and b.to_deg - b.from_deg < 360 for b in PAD.bulges) == 2  # the curve
-    z = PAD.raster(0.25)
+    z = pads.raster(PAD, 0.25)
     assert z.shape == (281, 361)
     assert (z.min(), z.max()) == (0.0, pads.BULGE_HEIGHT_MM)
     assert 0.1 < np.mean(z > pads.BULGE_HEIGHT_MM / 2) < 0.25

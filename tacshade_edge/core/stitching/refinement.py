@@ -6,6 +6,10 @@ differences between the presses in it count. Outliers are weighted down by itera
 Cauchy's weight (Holland and Welsch, "Robust regression using iteratively reweighted least-squares", 1977). Each press
 has a prior at the pose that the robot reported, with the robot's error as its standard deviation; as those errors are
 independent, their mean over many presses holds the map, and it cannot bend.
+
+The reconstruction's errors move presses too: a depth that is a tenth too small everywhere in a contact looks like a
+pose that is too high. What poses can explain of them and what they cannot go together, so the differences that are left
+after refinement show how large the former are, whatever the robot's error is (`robots_part`).
 """
 
 from __future__ import annotations
@@ -13,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from tacshade_edge.core.stitching.press_points import PressPoints
@@ -28,6 +33,10 @@ _CAUCHY_MM = 0.15  # a difference of that size counts half
 _CONVERGED_MM = 0.005  # no press moves farther in an iteration
 _CG_ITERATIONS_MAX = 60
 _CG_TOLERANCE = 0.01  # of one Gauss-Newton step; the next one goes on
+_LATERAL_RATIO = 5.0  # a place found beside its own is off in height by the slope times so many height errors
+# How far the reconstruction's errors alone move presses in height, over what they leave in differences: typically, and
+# at most. With exact poses it is 1.1 to 2.5 (tools/bench_stitch_pads.py).
+_OWN_MOVES_TYPICAL, _OWN_MOVES_MAX = 1.8, 2.8
 _SLOPE_MAX = 2.0  # mm per mm; beyond, a slope between two cells is a step
 
 
@@ -78,8 +87,7 @@ def refine_poses(presses: Sequence[F64], reported: Sequence[Rigid], centre_mm: F
     """
     if len(presses) < 2:
         return list(reported)
-    press_of = np.repeat(np.arange(len(presses)), [len(p) for p in presses])
-    points = np.concatenate(presses)
+    press_of, points = _joined(presses)
     prior: F64 = np.asarray(np.repeat((error.position_mm, np.radians(error.rotation_deg)), 3) ** -2.0, np.float64)
     corrections = np.zeros((len(presses), 6))  # translation in mm, rotation vector in rad, from the reported pose
     poses = list(reported)
@@ -90,6 +98,49 @@ def refine_poses(presses: Sequence[F64], reported: Sequence[Rigid], centre_mm: F
         if np.abs(step[:, :3]).max() < _CONVERGED_MM:
             break
     return poses
+
+
+def robots_part(presses: Sequence[F64], reported: Sequence[Rigid], refined: Sequence[Rigid], centre_mm: F64) -> float:
+    """Estimate what part of the refined poses' moves undoes the robot's errors.
+
+    The variance of the moves in height, less what the reconstruction's own errors typically add, over the whole (a
+    component of variance, as Paule and Mandel estimate it); 0 where those errors may be all of it.
+
+    Parameters
+    ----------
+    presses, reported, centre_mm
+        As for `refine_poses`.
+    refined : sequence of Rigid
+        What that found.
+
+    Returns
+    -------
+    float
+        0 to below 1. Heights decide: they are what overlaps measure best.
+    """
+    press_of, points = _joined(presses)
+    at, _ = _placed(points, press_of, refined, centre_mm)
+    cell, cells, slope, offset = _surface(at, points[:, 3])
+    height = at[:, 2] - np.sum(slope * offset, axis=1)
+    weight = points[:, 3] / (1 + _LATERAL_RATIO**2 * np.sum(slope**2, axis=1))
+    shared = np.bincount(cell, minlength=cells)[cell] > 1
+    if not shared.any():
+        return 0.0
+    own_part = weight / np.bincount(cell, weight, cells)[cell]  # of the cell's mean, which follows the point so far
+    squares = (height - _cell_means(height, weight, cell, cells)[cell]) ** 2 / np.maximum(1 - own_part, 0.05)
+    left2 = float(np.sum((weight * squares)[shared]) / np.sum(weight[shared]))
+    moves = [(refined[k].apply(centre_mm) - reported[k].apply(centre_mm))[2] for k in np.unique(press_of[shared])]
+    moved2 = float(np.mean(np.square(moves)))
+    if moved2 <= _OWN_MOVES_MAX**2 * left2:
+        return 0.0
+    return 1 - _OWN_MOVES_TYPICAL**2 * left2 / moved2
+
+
+def moved_by_part(reported: Rigid, refined: Rigid, part: float, centre_mm: F64) -> Rigid:
+    """The pose that has gone a part, 0 to 1, of the way from the reported one to the refined one."""
+    translation_mm = refined.apply(centre_mm) - reported.apply(centre_mm)
+    rotation, _ = cv2.Rodrigues(refined.rotation @ reported.rotation.T)
+    return _corrected(reported, part * np.concatenate((translation_mm, rotation.ravel())), centre_mm)
 
 
 def correction(reported: Rigid, refined: Rigid, centre_mm: F64) -> tuple[float, float]:
@@ -108,9 +159,7 @@ def _corrected(pose: Rigid, correction: F64, centre_mm: F64) -> Rigid:
 
 def _step(points: F64, press_of: I64, poses: Sequence[Rigid], centre_mm: F64, corrections: F64, prior: F64) -> F64:
     """One Gauss-Newton step of all poses: (P, 6)."""
-    rotations, shifts = (np.stack([getattr(p, name) for p in poses]) for name in ("rotation", "translation_mm"))
-    at = np.einsum("nij,nj->ni", rotations[press_of], points[:, :3]) + shifts[press_of]
-    lever = at - (np.stack([p.apply(centre_mm) for p in poses]))[press_of]
+    at, lever = _placed(points, press_of, poses, centre_mm)
     cell, cells, slope, offset = _surface(at, points[:, 3])
     # The height that this point gives to its cell's middle, and how it changes with translation and rotation.
     height = at[:, 2] - np.sum(slope * offset, axis=1)
@@ -140,6 +189,18 @@ def _step(points: F64, press_of: I64, poses: Sequence[Rigid], centre_mm: F64, co
     blocks += np.diag(prior)
     right = -to_presses(eliminated(height)) - prior * corrections
     return _conjugate_gradients(normal_matrix, right, np.asarray(np.linalg.inv(blocks), np.float64))
+
+
+def _joined(presses: Sequence[F64]) -> tuple[I64, F64]:
+    """The press of each point, and all points."""
+    return np.repeat(np.arange(len(presses)), [len(p) for p in presses]), np.concatenate(presses)
+
+
+def _placed(points: F64, press_of: I64, poses: Sequence[Rigid], centre_mm: F64) -> tuple[F64, F64]:
+    """Points in the base frame, and from the apex of their press."""
+    rotations, shifts = (np.stack([getattr(p, name) for p in poses]) for name in ("rotation", "translation_mm"))
+    at = np.einsum("nij,nj->ni", rotations[press_of], points[:, :3]) + shifts[press_of]
+    return at, at - (np.stack([p.apply(centre_mm) for p in poses]))[press_of]
 
 
 def _surface(at: F64, weight: F64) -> tuple[I64, int, F64, F64]:

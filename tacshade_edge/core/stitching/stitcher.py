@@ -1,7 +1,7 @@
 """Many presses, one map: their points, brought to the base frame by the robot's poses.
 
-Poses are as good as the robot. How good is seen from the map itself: where the presses would have to move by no more
-than the reconstruction's own error to agree, they are taken as exact, else as found by `refinement`.
+Poses are as good as the robot. How good is seen from the map itself: where the reconstruction's own errors explain why
+presses would have to move to agree, poses are taken as exact; else presses move by the robot's part (`refinement`).
 """
 
 from __future__ import annotations
@@ -12,7 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from tacshade_edge.core.stitching.press_points import PressPoints, height_weight
-from tacshade_edge.core.stitching.refinement import PoseError, correction, refine_poses, thin_points
+from tacshade_edge.core.stitching.refinement import (
+    PoseError,
+    correction,
+    moved_by_part,
+    refine_poses,
+    robots_part,
+    thin_points,
+)
 from tacshade_edge.core.stitching.surface_map import MIN_WEIGHT, STEP_MM, Heights, Raster, SurfaceMap
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.rigid import Rigid
@@ -20,8 +27,6 @@ from tacshade_edge.types import F32, F64
 
 POINTS_MAX = 4_000_000
 """Of all presses together: 16 bytes each, 64 MB."""
-EXACT_MM = 0.12
-"""RMS by which presses with exact poses are moved in height at most (0.07 on the simulated pad)."""
 # Where poses are not exact, an outline is where some press is off: there a cell takes more.
 _MIN_WEIGHT_REFINED = 0.15
 _CAUCHY_MM = 0.2  # a point that far from its cell's mean counts half
@@ -64,7 +69,7 @@ class StitchedMap:
     disagreement_mm : float
         RMS of how far presses would have to move in height to agree; 0 where poses were given as exact.
     refined : bool
-        The poses were not taken as exact.
+        Presses were moved: the poses were not taken as exact.
     """
 
     raster: Raster
@@ -143,14 +148,18 @@ class Stitcher:
             What the robot's poses are off by if they are not exact; None takes them as exact.
         """
         reported, disagreement_mm = [p.reported for p in self._presses], 0.0
-        poses = reported
+        poses, part = reported, 0.0
         if error is not None and self.presses > 1:
-            poses = refine_poses([p.thinned for p in self._presses], reported, self._apex, error)
-            dz_mm = [(p.apply(self._apex) - r.apply(self._apex))[2] for p, r in zip(poses, reported, strict=True)]
+            thinned = [p.thinned for p in self._presses]
+            refined = refine_poses(thinned, reported, self._apex, error)
+            dz_mm = [(p.apply(self._apex) - r.apply(self._apex))[2] for p, r in zip(refined, reported, strict=True)]
             disagreement_mm = float(np.sqrt(np.mean(np.square(dz_mm))))
-        exact = disagreement_mm <= EXACT_MM
+            part = robots_part(thinned, reported, refined, self._apex)
+        exact = part == 0
         if exact:
-            poses, error = reported, None
+            error = None
+        else:
+            poses = [moved_by_part(r, p, part, self._apex) for r, p in zip(reported, refined, strict=True)]
         heights = self._fused(poses, [None] * len(poses), None).heights()
         placed = [self._placed(press, pose, heights, error) for press, pose in zip(self._presses, poses, strict=True)]
         rejected = [p.rejected for p in placed]

@@ -3,7 +3,14 @@ import pytest
 from support.bumpy_surface import APEX_MM, DOWN, grid_poses, misreported, press_of
 
 from tacshade_edge.core.stitching.press_points import NO_POINTS, PressPoints
-from tacshade_edge.core.stitching.refinement import PoseError, correction, refine_poses, thin_points
+from tacshade_edge.core.stitching.refinement import (
+    PoseError,
+    correction,
+    moved_by_part,
+    refine_poses,
+    robots_part,
+    thin_points,
+)
 from tacshade_edge.rigid import Rigid, shift, turn
 from tacshade_edge.types import F64
 
@@ -88,3 +95,28 @@ def test_a_correction_is_told_in_mm_and_degrees() -> None:
     moved = shift(0, 0.3, 0.4) @ TRUE[5] @ shift(0, 0, APEX_MM) @ turn((0.02, 0, 0)) @ shift(0, 0, -APEX_MM)
     assert correction(TRUE[5], moved, APEX) == (pytest.approx(0.5), pytest.approx(np.degrees(0.02), rel=1e-4))
     assert correction(TRUE[5], TRUE[5], APEX) == (0, pytest.approx(0, abs=1e-5))
+
+
+def part_of(told: list[Rigid], presses: list[F64] = PRESSES) -> float:
+    return robots_part(presses, told, refine_poses(presses, told, APEX, PoseError()), APEX)
+
+
+def test_the_robots_part_grows_with_its_error() -> None:
+    parts = [part_of(misreported(TRUE, 5, mm, 2 * mm)) for mm in (0.1, 0.3, 0.6)]
+    assert part_of(TRUE) == 0
+    assert parts == sorted(parts)
+    assert 0.3 < parts[0] < parts[2] < 1
+
+
+def test_without_overlaps_nothing_is_the_robots() -> None:
+    alone = [shift(200.0 * k, 0, APEX_MM) @ DOWN for k in range(3)]
+    assert part_of(alone, [thin_points(press_of(pose, k)) for k, pose in enumerate(alone)]) == 0
+
+
+def test_a_part_of_the_way() -> None:
+    far = shift(0, 0.3, 0.4) @ TRUE[5] @ shift(0, 0, APEX_MM) @ turn((0.02, 0.01, 0)) @ shift(0, 0, -APEX_MM)
+    whole = correction(TRUE[5], far, APEX)
+    for part in (0.0, 0.4, 1.0):
+        there = moved_by_part(TRUE[5], far, part, APEX)
+        np.testing.assert_allclose(correction(TRUE[5], there, APEX), part * np.array(whole), atol=1e-5)
+    np.testing.assert_allclose(moved_by_part(TRUE[5], far, 1.0, APEX).rotation, far.rotation, atol=1e-9)

@@ -1,5 +1,7 @@
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from support.bumpy_surface import APEX_MM, grid_poses, height_mm, misreported, press_of
 
 from tacshade_edge.core.stitching import stitcher as module
@@ -26,10 +28,45 @@ def rms_mm(finished: StitchedMap) -> float:
 def test_exact_poses_are_taken_as_exact() -> None:
     finished = stitched(TRUE).finish()
     assert not finished.refined
-    assert 0 < finished.disagreement_mm < module.EXACT_MM
+    assert 0 < finished.disagreement_mm < 0.1
     assert rms_mm(finished) < 0.06
     assert all(p.correction_mm == 0 and p.rejected is None for p in finished.presses)
     assert finished.presses[3].base_T_sensor is TRUE[3]
+
+
+def with_depth_errors(seed: int, spread: float) -> list[PressPoints]:
+    """As a network sees presses: each contact too deep or too shallow, most in its middle, by up to half a mm or so."""
+    rng = np.random.default_rng(seed)
+    presses = []
+    for press in PRESSES:
+        beside_mm = np.hypot(*press.points_mm[:, :2].T)
+        points = press.points_mm.copy()
+        points[:, 2] += spread * rng.standard_normal() * (1 - (beside_mm / 5.0) ** 2)
+        presses.append(PressPoints(points, press.normals, press.confidence))
+    return presses
+
+
+@settings(max_examples=8, deadline=None)
+@given(seed=st.integers(0, 2**31), spread=st.floats(0, 0.5))
+def test_exact_poses_are_never_worse_refined(seed: int, spread: float) -> None:
+    stitcher = stitched(TRUE, with_depth_errors(seed, spread))
+    finished, plain = stitcher.finish(), stitcher.finish(None)
+    assert not finished.refined
+    np.testing.assert_array_equal(finished.raster.z_mm, plain.raster.z_mm)
+
+
+def test_presses_that_disagree_by_their_own_errors_stay() -> None:
+    finished = stitched(TRUE, with_depth_errors(0, 0.4)).finish()
+    assert finished.disagreement_mm > 0.12  # as with poses that are off
+    assert not finished.refined
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_refinement_helps_beside_errors_of_depth(seed: int) -> None:
+    stitcher = stitched(misreported(TRUE, seed, mm=0.5, deg=1.0), with_depth_errors(seed, 0.15))
+    finished, plain = stitcher.finish(), stitcher.finish(None)
+    assert finished.refined
+    assert rms_mm(finished) < 0.8 * rms_mm(plain)
 
 
 def test_noisy_poses_are_refined() -> None:

@@ -6,6 +6,7 @@ import pytest
 
 from tacshade_edge.core.stitching.surface_map import Raster
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.simulator import pad as pads
 from tacshade_edge.simulator.pad import Arc, Bar, Pad
 from tacshade_edge.studies.stitch.score import KnownSurface, read_known, score
 
@@ -13,7 +14,7 @@ BAR, RING = Bar(5.1, 3.1, 5.1, 23.1, 3.0), Arc(20.1, 13.1, 7.0, 3.0)
 
 
 def raster(*bulges: Bar | Arc, step_mm: float = 0.25) -> Raster:
-    return Raster(Pad(32.0, 26.0, bulges).raster(step_mm), 0.0, 0.0, step_mm)
+    return Raster(pads.raster(Pad(32.0, 26.0, bulges), step_mm), 0.0, 0.0, step_mm)
 
 
 KNOWN = KnownSurface(raster(BAR, RING), np.array(((5.1, 3.1, 5.1, 23.1, 3.0),)), np.array(((20.1, 13.1, 7.0, 3.0),)))
