@@ -55,6 +55,8 @@ class Page:
         It measures speed.
     drawn : tuple of str
         Pictures that the command writes with ``--out``.
+    needs : str
+        A folder, relative to the tree, without which the page is passed over.
     """
 
     title: str
@@ -62,6 +64,7 @@ class Page:
     command: tuple[str, ...]
     idle: bool = False
     drawn: tuple[str, ...] = ()
+    needs: str = ""
 
 
 COLUMNS = """\
@@ -70,6 +73,10 @@ the nearest found one; SD, eq. 14 with the half sum of both ("sum": with their s
 contact's outline, against skin within 0.02 mm of the object. Depth off is the error of the greatest depth, mean and
 worst. A missed contact counts as a skin left alone: SD 0, the true depth for ME and back. Milliseconds here are of a
 machine that did other work; [stages](../speed.md) has those that count."""
+
+FOLLOWED = """\
+Depth, tilt and shear are compared by Spearman's rank correlation and by the mean absolute error after a line (a 2x2
+map) fitted on every other frame."""
 
 PAGES: dict[str, Page] = {
     "objects": Page(
@@ -152,6 +159,38 @@ is what a true gradient integrates to from h = 0 at the rim.""",
 Three sensors, the five objects near the tip, three depths. `paper_0` is the profile `paper` without eq. 11: α times
 g_hn, on the same maps.""",
         ("bench_iterations.py",),
+    ),
+    "stitching": Page(
+        "Maps with poses refined, and as reported",
+        """\
+Sensors that press drawn surfaces all over, 100 presses 4 mm apart, up to 0.4 mm deeper or shallower and 6° tilted, with
+exact poses and with noise on what the robot reports. RMS of height over all touched cells.""",
+        ("bench_stitch_pads.py",),
+    ),
+    "real-raw": Page(
+        "A real TacTip: whole pictures",
+        f"""\
+Frames of `BioMorphic-Intelligence-Lab/aerial_tactile_servoing`, without its folder of another light: an LED ring, and
+white pins in the middle of the dome. Their labels are what that project's own network said. Two free frames of each
+folder are tried as the reference; the first that is accepted serves. {FOLLOWED}""",
+        ("real_frames.py", "raw", "out/real/aerial_tactile_servoing"),
+        needs="out/real/aerial_tactile_servoing",
+    ),
+    "real-binary": Page(
+        "A real TacTip: near-binary pictures",
+        """\
+Frames of `marselap/tactip-cnn-bayes`: few pins, nearly black and white. Nobody says which are free or how deep the rest
+is; the picture most like the mean of all serves as the reference.""",
+        ("real_frames.py", "binary", "out/real/tactip-cnn-bayes"),
+        needs="out/real/tactip-cnn-bayes",
+    ),
+    "real-plates": Page(
+        "A real TacTip: tilted and sheared plates",
+        f"""\
+Thresholded frames of `dexterousrobot/tactile_data_shear`, of the robot `cr_tactip` alone. None is free: the least
+pressed serves as the reference. {FOLLOWED}""",
+        ("real_frames.py", "plates", "out/real/tactile_data_shear"),
+        needs="out/real/tactile_data_shear",
     ),
     "calibration": Page(
         "What `calibrate` finds wrong",
@@ -390,7 +429,7 @@ def main() -> int:
         if args.list:
             print(f"{name:14} {'' if is_current(name) else 'not '}current  {shown(PAGES[name].command)}")
             continue
-        if not args.pages and is_current(name):
+        if not args.pages and (is_current(name) or not (ROOT / PAGES[name].needs).exists()):
             continue
         print(f"{name} ...", flush=True)
         problem = write(name, PAGES[name], busy=args.busy)

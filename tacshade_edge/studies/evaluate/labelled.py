@@ -153,7 +153,7 @@ def _followed(quantity: str, found: F64, true: F64) -> Agreement | None:
     fit, rest = slice(0, None, 2), slice(1, None, 2)
     line = np.polynomial.Polynomial.fit(found[fit], true[fit], 1)
     error = float(np.abs(line(found[rest]) - true[rest]).mean())
-    return Agreement(quantity, len(found), _spearman(found, true), error)
+    return Agreement(quantity, len(found), spearman(found, true), error)
 
 
 def _mapped(quantity: str, found: F64, true: F64) -> Agreement | None:
@@ -164,12 +164,13 @@ def _mapped(quantity: str, found: F64, true: F64) -> Agreement | None:
         return None
     to_true, *_ = np.linalg.lstsq(found[::2], true[::2], rcond=None)
     mapped, rest = found[1::2] @ to_true, true[1::2]
-    both = [_spearman(mapped[:, k], rest[:, k]) for k in (0, 1)]
+    both = [spearman(mapped[:, k], rest[:, k]) for k in (0, 1)]
     error = float(np.linalg.norm(mapped - rest, axis=1).mean())
     return Agreement(quantity, len(rest), float(np.mean(both)), error)
 
 
-def _spearman(one: F64, other: F64) -> float:
+def spearman(one: F64, other: F64) -> float:
+    """Spearman's rank correlation; NaN where one does not vary."""
     a, b = (rankdata(values) - (len(values) + 1) / 2 for values in (one, other))
     scale = math.sqrt(float(a @ a) * float(b @ b))
     return float(a @ b) / scale if scale > 0 else math.nan
