@@ -3,7 +3,7 @@
 
 ::
 
-    .venv/bin/python tools/fit_sigma.py              # about ten minutes of one core
+    .venv/bin/python tools/fit_sigma.py [--workers 2]       # about ten minutes of one core
 
 The weights are of some objects, pressed and dragged; how scales follow from presses is of others on the same sensors:
 on objects that the weights were not fitted to, errors are larger. The page docs/results/sigma.md is of objects and
@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
+import multiprocessing
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
@@ -187,9 +188,10 @@ def _press_q(network: str, model: SigmaModel, sensor: Measured) -> float:
 def main() -> None:
     """Fit and write."""
     parser = argparse.ArgumentParser(description="Fit how far off the shipped networks are.")
-    parser.parse_args()
-    cv2.setNumThreads(1)
-    sensors = [measure(text) for text in SENSORS]
+    parser.add_argument("--workers", type=int, default=1)
+    args = parser.parse_args()
+    with multiprocessing.get_context("spawn").Pool(args.workers, cv2.setNumThreads, (1,)) as pool:
+        sensors = pool.map(measure, SENSORS, chunksize=1)
     networks = {}
     for network in LADDER:
         model = fit(network, sensors)
