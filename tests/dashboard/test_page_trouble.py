@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import json
-import math
 import re
-import struct
-import zlib
 from pathlib import Path
 
 import pytest
+from faults.page_faults import GRIDS, grid_message
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
 from support.browser import browser, errors
@@ -143,20 +141,6 @@ def test_long_text_is_cut_and_hostile_binary_is_counted(page: Chrome, tmp_path: 
         assert js(page, "document.querySelectorAll('#parts p').length") <= 32
         until_shown(page, hand, lambda: bump(3, 1.0, 200, 300, step_px=4), 3)
         assert errors(page) == []
-
-
-GRIDS = [(0, 0, 4.0), (0, 7, 4.0), (5000, 1, 4.0), (4, 4, 0.0), (4, 4, math.nan), (4, 4, 1e-30)]
-
-
-def grid_message(sound: bytes, rows: int, cols: int, step_px: float) -> bytes:
-    """A `height` of another grid, whole by its checksum."""
-    payload = bytes(2 * rows * cols)
-    head = bytearray(sound[:96])
-    struct.pack_into("<HH", head, 32, rows, cols)
-    struct.pack_into("<f", head, 44, step_px)
-    struct.pack_into("<I", head, 84, len(payload))
-    struct.pack_into("<I", head, 88, zlib.crc32(bytes(head[:88]) + payload))
-    return bytes(head) + payload
 
 
 def test_a_broker_with_users_asks_for_one(page: Chrome, tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from faults import (
     bridge_faults,
     broker_faults,
     disk_faults,
+    page_faults,
     process_faults,
     request_faults,
     robot_faults,
@@ -28,6 +29,7 @@ FAULTS: dict[str, Fault] = {
     **source_faults.FAULTS,
     **disk_faults.FAULTS,
     **process_faults.FAULTS,
+    **page_faults.FAULTS,
 }
 HEAD = ("fault", "detected s", "recovered s", "lost", "told where")
 

@@ -1,0 +1,103 @@
+"""The page in a real browser, while somebody publishes to it what is to freeze it or to end its scripts."""
+
+from __future__ import annotations
+
+import json
+import struct
+import time
+import zlib
+
+from selenium.webdriver import Chrome
+from support.browser import CHROMIUM, DRIVER, browser, errors, page
+from support.dashboard_process import dashboard
+from support.mqtt_rig import Subscriber
+from support.patience import wait_until
+from support.published_hand import PublishedHand, bump
+from support.shown_page import until_shown
+
+from faults.rig import Cell, Seen, SkippedError
+from tacshade_edge.protocol import wire
+
+LONG = "x y " * 50_000
+TASKS = """
+window.tasks = [];
+new PerformanceObserver((seen) => { for (const task of seen.getEntries()) window.tasks.push(task.duration); })
+  .observe({ entryTypes: ["longtask"] });
+"""
+GRIDS = ((0, 0, 4.0), (0, 7, 4.0), (5000, 1, 4.0), (4, 4, 0.0), (4, 4, float("nan")), (4, 4, 1e-30))
+TEXTS: tuple[tuple[str, object], ...] = (
+    ("status/camera", {"state": "away", "reason": LONG, "device": LONG}),
+    ("health", {"invalid_reason": LONG, "degraded_reason": LONG}),
+    ("health", {f"k{k}": k for k in range(20_000)}),
+    ("health", {"stages_ms": {f"k{k}": {"p50": 1, "p99": 1} for k in range(20_000)}}),
+    ("health", {"reason": "x" * (8 << 20)}),
+    ("info", {"profiles": [f"p{k}" for k in range(20_000)], "profile": LONG}),
+    ("info", {"profiles": 5}),
+    ("info", {"geometry": {"radius_px": 0, "image_height_px": 1e9, "image_width_px": 1e9}}),
+    ("contact", {"contact": 1, "depth_max_mm": LONG, "x_mm": {}}),
+    ("status/replay", {"state": "playing", "position_s": LONG, "speed": LONG}),
+    ("status/stitching", {"state": "open", "name": LONG, "presses": {}}),
+    (
+        "map/revision",
+        {"name": LONG, "revision": 1, "x0_mm": 1e308, "width_mm": 1e308, "spacing_mm": 1e-300},
+    ),
+)
+
+
+def hostile_messages(cell: Cell) -> Seen:
+    """Each of `TEXTS` and `GRIDS`, many parts and many sensors, beside a hand that is sound."""
+    if CHROMIUM is None or DRIVER is None:
+        raise SkippedError("needs Chromium and its driver")
+    cell.broker.start()
+    port = cell.broker.port
+    with (
+        dashboard(f"127.0.0.1:{port}") as address,
+        PublishedHand(port) as hand,
+        Subscriber(port, "none") as other,
+        browser(cell.folder / "chromium") as driver,
+    ):
+        driver.get(f"{address}#drawn")
+        until_shown(driver, hand, lambda: bump(1, 1.5, 200, 300, step_px=4), 1)
+        driver.execute_script(TASKS)
+        for topic, body in TEXTS:
+            hand.tell(topic, json.dumps(body).encode())
+            drawn_again(driver)
+        sound = wire.encode_height(bump(2, 2.0, 200, 300, step_px=4), calibration_crc32=1)
+        for rows, cols, step_px in GRIDS:
+            for topic in ("height", "shear", "sigma", "cloud"):
+                hand.tell(topic, grid_message(sound, rows, cols, step_px))
+            drawn_again(driver)
+        for number in range(1000):
+            hand.tell(f"status/p{number}", b'{"state": "x"}')
+            other.publish(f"tacshade/invented{number}/state", b"online", 0)
+        drawn_again(driver)
+        since_s = time.monotonic()
+        hand.tell_info("fast", profiles=("fast",))
+        until_shown(driver, hand, lambda: bump(3, 1.0, 200, 300, step_px=4), 3)
+        recovered_s = time.monotonic() - since_s
+        counted = page(driver, "tacshade.undecodable")
+        longest_ms = max(page(driver, "window.tasks") or [0])
+        complaints = errors(driver)
+    assert complaints == [], complaints
+    assert counted >= len(GRIDS), counted
+    return Seen(None, recovered_s, "nothing", f"page: {counted} not understood, longest task {longest_ms:.0f} ms")
+
+
+def drawn_again(driver: Chrome) -> None:
+    """Until the page has told its health once more, which it does twice a second."""
+    before_ms = page(driver, "performance.now()")
+    wait_until(lambda: page(driver, "performance.now()") > before_ms + 1000, 60, "the page answers")
+
+
+def grid_message(sound: bytes, rows: int, cols: int, step_px: float) -> bytes:
+    """A `height` of another grid, whole by its checksum."""
+    payload = bytes(2 * rows * cols)
+    head = bytearray(sound[:96])
+    struct.pack_into("<HH", head, 32, rows, cols)
+    struct.pack_into("<f", head, 44, step_px)
+    struct.pack_into("<I", head, 84, len(payload))
+    struct.pack_into("<I", head, 88, zlib.crc32(bytes(head[:88]) + payload))
+    return bytes(head) + payload
+
+
+FAULTS = {"what is to freeze or end the page is published": hostile_messages}
