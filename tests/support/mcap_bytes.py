@@ -49,7 +49,7 @@ def file_of(data: bytes, summary: bytes = b"") -> bytes:
 
 
 def record_starts(content: bytes) -> list[int]:
-    """Where the records outside chunks begin, of a whole file."""
+    """Where the records outside chunks begin."""
     starts, at = [], len(MAGIC)
     while at < len(content) - len(MAGIC):
         starts.append(at)

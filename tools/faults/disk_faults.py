@@ -6,10 +6,13 @@ import shutil
 import time
 from pathlib import Path
 
+from support.mcap_bytes import CHUNK, flipped, record_starts
+
 from faults.rig import Cell, Seen, small_disk
 from tacshade_edge.devices.files.recording import Recording
 from tacshade_edge.devices.files.stitch_file import PRESSES, SESSION
 from tacshade_edge.devices.files.whole_files import FREE_FLOOR_BYTES
+from tacshade_edge.errors import DecodeError
 
 FLOOR_MB = FREE_FLOOR_BYTES >> 20
 
@@ -100,6 +103,43 @@ def session_deleted(cell: Cell) -> Seen:
     return Seen(detected_s, time.monotonic() - since_s, "what was deleted", "log, answers")
 
 
+def flipped_in_mcap(cell: Cell) -> Seen:
+    """Two bits of a recording whose daemon was killed: in its first chunk, and in the length of a later one."""
+    cell.serve()
+    cell.start()
+    assert cell.ask("record", action="start", seconds=600, name="r", format="mcap")["ok"]
+    cell.until(lambda: cell.last("status/recorder").get("frames", 0) > 100, 30, "a recording")
+    cell.kill()
+    path = cell.folder / "recs/r/000.mcap"
+    left = path.with_name("000.mcap.part")
+    content = left.read_bytes()
+    whole, _ = _frames_of(left)
+    chunks = [begin for begin in record_starts(content)[:-1] if content[begin] == CHUNK]
+    content = flipped(content, chunks[0] + 900, 3)
+    left.write_bytes(flipped(content, chunks[len(chunks) // 2] + 3, 2))
+    began_s = cell.mark()
+    cell.start()
+    detected_s = cell.told("its writer died; ended after its last whole record", began_s)
+    read, told = _frames_of(path)
+    each = -(-whole // len(chunks))
+    assert 2 <= len(told) <= 4, told  # a chunk may end amid a frame, which is told too
+    assert whole - 2 * each - 2 <= read < whole, (read, whole, len(chunks))
+    lost = f"{whole - read} frames of {whole}, in the two chunks of {len(chunks)}"
+    return Seen(detected_s, None, lost, "log; `replay` names the bytes, exit code 1")
+
+
+def _frames_of(path: Path) -> tuple[int, list[str]]:
+    """How many can be read; and what was told."""
+    recording, read, told = Recording(path), 0, []
+    while True:
+        try:
+            if recording.read() is None:
+                return read, told
+            read += 1
+        except DecodeError as error:
+            told.append(str(error))
+
+
 def _after_a_stop(cell: Cell) -> int:
     cell.serve()
     cell.start()
@@ -145,5 +185,6 @@ FAULTS = {
     "disk full in a session": full_in_a_session,
     "an open session's folder deleted": session_deleted,
     "a bit flipped in a session's presses": flipped_bit,
+    "two bits flipped in a recording as MCAP": flipped_in_mcap,
     "a session's description cut": cut_description,
 }
