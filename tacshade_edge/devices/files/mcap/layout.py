@@ -65,8 +65,8 @@ class ByteFile:
     """
 
     def __init__(self, stream: BinaryIO) -> None:
-        self._descriptor = stream.fileno()
-        self.size = os.fstat(self._descriptor).st_size
+        self._stream = stream
+        self.size = os.fstat(stream.fileno()).st_size
         self._window, self._begin = b"", 0
 
     def at(self, place: int, count: int) -> bytes:
@@ -79,7 +79,7 @@ class ByteFile:
         """Many bytes, fewer at the end of the file."""
         left = max(0, min(count, self.size - place))
         parts = []
-        while left and (part := os.pread(self._descriptor, left, place)):
+        while left and (part := os.pread(self._stream.fileno(), left, place)):
             parts.append(part)
             left, place = left - len(part), place + len(part)
         return parts[0] if len(parts) == 1 else b"".join(parts)
