@@ -5,6 +5,11 @@ from __future__ import annotations
 from functools import cache
 
 
+def how_to_install(extra: str) -> str:
+    """The command that adds an extra: of the clone, while no index has the package."""
+    return f"pip install '.[{extra}]' in the clone"
+
+
 @cache
 def installed_version() -> str:
     """As it was built (``tools/release_version.py``); of a checkout that is not installed nothing is known."""

@@ -15,6 +15,7 @@ from tacshade_edge.devices.mqtt.client import BrokerAddress
 from tacshade_edge.devices.mqtt.follower import Follower
 from tacshade_edge.devices.registry import password_in
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.version import how_to_install
 
 POLL_S = 0.1
 _ENDS = (signal.SIGTERM, signal.SIGINT)
@@ -134,7 +135,7 @@ def _tell(args: argparse.Namespace, url: str) -> None:
 def _missing(error: ModuleNotFoundError, extra: str, package: str) -> Exception:
     if error.name is None or error.name.partition(".")[0] not in ("foxglove", "prometheus_client"):
         return error
-    return ConfigError(f"the package {package} is missing: pip install 'tacshade-edge[{extra}]'")
+    return ConfigError(f"the package {package} is missing: {how_to_install(extra)}")
 
 
 def _in_url(host: str) -> str:

@@ -26,6 +26,7 @@ from tacshade_edge.devices.weights.network import load_networks
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.settings.sensor_file import read_sensor
 from tacshade_edge.types import U8, Calibration
+from tacshade_edge.version import how_to_install
 
 if TYPE_CHECKING:
     from tacshade_edge.fitting.fit import FitResult
@@ -98,7 +99,7 @@ def run(args: argparse.Namespace) -> int:
 def _fit() -> Callable[..., FitResult]:
     """What trains. Raises ConfigError: it cannot be imported."""
     if importlib.util.find_spec("torch") is None:  # nothing else needs it, and it is large
-        raise ConfigError("--fit: found no PyTorch, expected the extra fit: pip install 'tacshade-edge[fit]'")
+        raise ConfigError(f"--fit: found no PyTorch, expected the extra fit: {how_to_install('fit')}")
     from tacshade_edge.fitting.fit import fit
 
     return fit

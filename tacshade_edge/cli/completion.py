@@ -6,6 +6,7 @@ import argparse
 
 from tacshade_edge.cli import command_line
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.version import how_to_install
 
 SHELLS = ("bash", "zsh", "tcsh")
 
@@ -25,7 +26,7 @@ def run(args: argparse.Namespace) -> int:
         import shtab
     except ImportError:
         found = "completion: found no package shtab"
-        raise ConfigError(f"{found}, expected: pip install 'tacshade-edge[completion]'") from None
+        raise ConfigError(f"{found}, expected: {how_to_install('completion')}") from None
     parser, _ = command_line(lambda _: True)
     print(shtab.complete(parser, args.shell))
     return 0

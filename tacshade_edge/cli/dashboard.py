@@ -14,6 +14,7 @@ from urllib.parse import urlsplit
 from tacshade_edge.cli.dashboard_access import is_loopback, make_token, read_token, server_tls
 from tacshade_edge.cli.logs import add_verbosity, start_logging
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.version import how_to_install
 
 _ANY = ("0.0.0.0", "::")
 
@@ -65,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] != "websockets":
             raise
-        raise ConfigError("the package websockets is missing: pip install 'tacshade-edge[dashboard]'") from None
+        raise ConfigError(f"the package websockets is missing: {how_to_install('dashboard')}") from None
     start_logging(args.log_level)
     host, port = args.broker
     broker = Broker(host, port, _tls(args.ca_file) if args.ca_file else None)

@@ -26,6 +26,7 @@ from tacshade_edge.cli.demo_child import Child, free_port, wait_for_port
 from tacshade_edge.cli.demo_sensor import make_calibration
 from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.version import how_to_install
 
 FPS: Final = 20  # a laptop draws a simulated frame in 10 to 40 ms, few of them in up to 170
 PORT: Final = 8080
@@ -61,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run until Ctrl-C, SIGTERM, the terminal's end, or ``--seconds``."""
     if importlib.util.find_spec("websockets") is None:  # the page's; said before a minute of work
-        raise ConfigError("demo: the package websockets is missing: pip install 'tacshade-edge[demo]'")
+        raise ConfigError(f"demo: the package websockets is missing: {how_to_install('demo')}")
     asked = threading.Event()
 
     def stop(*_: object) -> None:

@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 from tacshade_edge.errors import DeviceError
+from tacshade_edge.version import how_to_install
 
 _SBIN = "/usr/sbin"  # Debian's mosquitto, which is not on every user's PATH
 
@@ -56,7 +57,7 @@ def broker_command(folder: Path, port: int) -> list[str]:
     if mosquitto:
         return [mosquitto, "-c", str(settings)]
     if importlib.util.find_spec("iotcore") is None:
-        raise DeviceError("demo: found no mosquitto, expected it or the extra: pip install 'tacshade-edge[demo]'")
+        raise DeviceError(f"demo: found no mosquitto, expected it or the extra: {how_to_install('demo')}")
     return [sys.executable, "-m", __name__, str(settings)]
 
 

@@ -19,6 +19,7 @@ from tacshade_edge.studies.cases import Case
 from tacshade_edge.studies.evaluate.own_images import images_in, read_images
 from tacshade_edge.studies.evaluate.sensors import FAMILIES, FINAL_SEED, SensorName
 from tacshade_edge.types import Calibration
+from tacshade_edge.version import how_to_install
 
 
 def sensors(text: str) -> tuple[SensorName, ...]:
@@ -117,7 +118,7 @@ def will_draw(args: argparse.Namespace, files: str, packages: Sequence[str] = ("
     """Whether pictures are wanted and can be drawn (nothing is imported); a line where a package is not installed."""
     missing = [name for name in packages if importlib.util.find_spec(name) is None]
     if args.out and missing:
-        words = f"{files} will be missing without {' and '.join(missing)}: pip install 'tacshade-edge[studies]'"
+        words = f"{files} will be missing without {' and '.join(missing)}: {how_to_install('studies')}"
         print(f"tacshade-edge: {words}", file=sys.stderr)
     return args.out is not None and not missing
 

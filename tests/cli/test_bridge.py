@@ -20,7 +20,7 @@ def test_a_missing_package_names_its_extra(
     monkeypatch.setitem(sys.modules, KINDS[kind], None)
     monkeypatch.delitem(sys.modules, f"tacshade_edge.bridge.{kind}", raising=False)
     assert main(["bridge", kind]) == EXIT_CONFIG
-    assert capsys.readouterr().err.endswith(f"is missing: pip install 'tacshade-edge[{kind}]'\n")
+    assert capsys.readouterr().err.endswith(f"is missing: pip install '.[{kind}]' in the clone\n")
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -45,4 +45,4 @@ def test_bash_completes_commands_and_options(tmp_path: Path, capsys: Any) -> Non
 def test_without_its_package_it_names_the_extra(monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     monkeypatch.setitem(sys.modules, "shtab", None)
     assert main(["completion", "bash"]) == EXIT_CONFIG
-    assert "pip install 'tacshade-edge[completion]'" in capsys.readouterr().err
+    assert "pip install '.[completion]' in the clone" in capsys.readouterr().err

@@ -92,7 +92,7 @@ def test_without_its_library_it_says_how_to_get_it() -> None:
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=patience(20), check=False
     )
     assert done.returncode == 78
-    assert "pip install 'tacshade-edge[dashboard]'" in done.stderr
+    assert "pip install '.[dashboard]' in the clone" in done.stderr
     assert done.stderr.count("\n") == 1
 
 

@@ -210,4 +210,4 @@ def test_a_missing_extra_is_named(
     if to == "mcap":
         monkeypatch.setitem(sys.modules, "foxglove_schemas_protobuf", None)
     assert export(recording, to) == 78
-    assert f"expected: pip install 'tacshade-edge[{to}]'" in capsys.readouterr().err
+    assert f"expected: pip install '.[{to}]' in the clone" in capsys.readouterr().err

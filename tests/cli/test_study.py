@@ -17,7 +17,7 @@ def test_without_a_package_the_pictures_are_missing_and_a_line_says_so(
     assert capsys.readouterr().err == ""
     monkeypatch.setitem(sys.modules, package, None)
     assert not study.will_draw(args, "figure6.png", PACKAGES)
-    install = "pip install 'tacshade-edge[studies]'"
+    install = "pip install '.[studies]' in the clone"
     assert capsys.readouterr().err == f"tacshade-edge: figure6.png will be missing without {package}: {install}\n"
     assert not study.will_draw(argparse.Namespace(out=None), "figure6.png", PACKAGES)
     assert capsys.readouterr().err == ""

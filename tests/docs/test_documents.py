@@ -90,3 +90,11 @@ def test_how_well_errors_hold_is_what_the_command_printed() -> None:
 
 
 FAMILIES = {"as trained on": 1, "another family": 2}
+
+
+def test_there_is_one_way_to_get_it() -> None:
+    """No index has the package: pip takes extras of the clone, and README.md alone says where that comes from."""
+    texts = {name(path): path.read_text() for path in DOCUMENTS}
+    assert [path for path, text in texts.items() if "REPOSITORY_URL" in text] == ["README.md"]
+    assert texts["README.md"].count("REPOSITORY_URL") == 1
+    assert [path for path, text in texts.items() if re.search(r"install (--force )?'?tacshade-edge\[", text)] == []

@@ -16,6 +16,7 @@ from tacshade_edge.devices.files.recording import RecordedFrame
 from tacshade_edge.devices.files.whole_files import sync
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import U8, Reconstruction
+from tacshade_edge.version import how_to_install
 
 IMAGE, HEIGHT, CONTACT = "observation.images.tactile", "observation.tactile.height_mm", "observation.tactile.contact"
 TIME, STATE = "observation.tactile.t_s", "observation.state"
@@ -48,7 +49,7 @@ class LeRobotExport:
             import pyarrow.parquet  # makes it an attribute
         except ImportError as error:
             found = f"found no package {error.name}, which LeRobot's format needs"
-            raise ConfigError(f"{found}, expected: pip install 'tacshade-edge[lerobot]'") from None
+            raise ConfigError(f"{found}, expected: {how_to_install('lerobot')}") from None
         self._pa: Any = pyarrow
         self._place = NewPlace(folder)
         self._writer: Any = None

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from tacshade_edge.devices.files.frame_table import table_in
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.version import how_to_install
 
 if TYPE_CHECKING:
     from tacshade_edge.devices.files.mcap.frames import McapFrames
@@ -45,4 +46,4 @@ def require_mcap() -> None:
         import mcap.reader  # noqa: F401
     except ImportError as error:
         found = f"found no package {error.name}, which MCAP needs"
-        raise ConfigError(f"{found}, expected: pip install 'tacshade-edge[mcap]'") from None
+        raise ConfigError(f"{found}, expected: {how_to_install('mcap')}") from None
