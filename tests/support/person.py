@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 from support.patience import patience
 
@@ -17,11 +18,11 @@ from support.patience import patience
 class Person:
     """Types into a command on a pty, and reads what it says."""
 
-    def __init__(self, words: list[str]) -> None:
+    def __init__(self, words: list[str], python: str, folder: Path | None) -> None:
         self._leader, follower = pty.openpty()
-        command = [sys.executable, "-m", "tacshade_edge", "capture", *words]
+        command = [python, "-m", "tacshade_edge", "capture", *words]
         self.process = subprocess.Popen(
-            command, stdin=follower, stdout=follower, stderr=follower, start_new_session=True
+            command, stdin=follower, stdout=follower, stderr=follower, start_new_session=True, cwd=folder
         )
         os.close(follower)
         self.heard = self.before = ""
@@ -63,8 +64,8 @@ class Person:
 
 
 @contextlib.contextmanager
-def person(*words: str) -> Iterator[Person]:
-    started = Person(list(words))
+def person(*words: str, python: str = sys.executable, folder: Path | None = None) -> Iterator[Person]:
+    started = Person(list(words), python, folder)
     try:
         yield started
     finally:
