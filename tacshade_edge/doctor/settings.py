@@ -47,5 +47,6 @@ def _mend(config: Path) -> str:
     except PermissionError:
         return f"run this with sudo, or as the service does: {AS_SERVICE}"
     except OSError:
-        return "tacshade-edge capture DIR writes some for this camera: give --config DIR/config.yaml; or copy config/default.yaml there"
+        by_capture = "tacshade-edge capture DIR writes some for this camera: give --config DIR/config.yaml"
+        return f"{by_capture}; or copy config/default.yaml there"
     return "mend that line (config/default.yaml explains every key)"
