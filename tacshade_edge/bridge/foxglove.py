@@ -2,41 +2,48 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import re
 import threading
 import time
 from collections.abc import Callable
-from typing import Any, Final
+from dataclasses import dataclass
+from typing import Any, Final, Literal
 
-import foxglove
-from foxglove.channels import (
-    CompressedImageChannel,
-    FrameTransformsChannel,
-    LogChannel,
-    PointCloudChannel,
-    RawImageChannel,
-    SceneUpdateChannel,
-)
+from foxglove.messages import CompressedImage, FrameTransforms, Log, PointCloud, RawImage, SceneUpdate
 
 from tacshade_edge.bridge import foxglove_messages as made
+from tacshade_edge.bridge.roster import HANDS_MAX as KNOWN_MAX
+from tacshade_edge.bridge.roster import Refusals, Roster
+from tacshade_edge.bridge.viewers import MESSAGE_BYTES_MAX, Channel, Viewers
 from tacshade_edge.core.geometry.disc import Grid
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.protocol import wire
-from tacshade_edge.protocol.received import Info, decode_info
+from tacshade_edge.protocol.received import (
+    ALIVE,
+    Info,
+    State,
+    decode_contact,
+    decode_health,
+    decode_info,
+    decode_state,
+    decode_status,
+)
 from tacshade_edge.protocol.wire import CloudMessage, HeightMessage
-from tacshade_edge.quoting import escaped, quoted
+from tacshade_edge.quoting import escaped
 
 _log = logging.getLogger(__name__)
 
 HANDS_MAX: Final = 32
 SKIN_PERIOD_NS: Final = 200_000_000
-_BACKLOG: Final = 64
-"""Messages that wait for a viewer that does not keep up; the oldest go. A viewer is told of a hand in nine."""
+_LINES: Final = 64
+"""Small messages that wait for a viewer that does not keep up; of pictures and maps only the newest."""
 
 _HAND: Final = re.compile(r"tacshade/([A-Za-z0-9_-]{1,64})/(.+)")
 _LOG_CHARS_MAX: Final = 500
+_SLIP_BYTES_MAX: Final = 4096
+_PREVIEW_BYTES_MAX: Final = 1 << 20
+_JPEG: Final = b"\xff\xd8"
 # channel: what it is made of. Transforms ride along with whatever else is asked for.
 _TOPICS: Final[dict[str, tuple[str, ...]]] = {
     "height": ("height",),
@@ -51,34 +58,42 @@ _TOPICS: Final[dict[str, tuple[str, ...]]] = {
 }
 
 
+_HEALTH_SCHEMA: Final = {"title": "tacshade.Health", "type": "object"}
+
+
 class _Hand:
     """One hand's channels."""
 
-    def __init__(self, sensor_id: str, context: foxglove.Context) -> None:
+    def __init__(self, sensor_id: str, viewers: Viewers) -> None:
         self._id, self._base = sensor_id, f"tacshade/{sensor_id}"
-        root = f"/{self._base}"
-        json_of_any = {"title": "tacshade.Health", "type": "object"}
-        self._channels: dict[str, Any] = {
-            "height": RawImageChannel(f"{root}/height", context=context),
-            "cloud": PointCloudChannel(f"{root}/cloud", context=context),
-            "skin": SceneUpdateChannel(f"{root}/skin", context=context),
-            "map": PointCloudChannel(f"{root}/map", context=context),
-            "preview": CompressedImageChannel(f"{root}/preview", context=context),
-            "contact": foxglove.Channel(f"{root}/contact", schema=made.CONTACT_SCHEMA, context=context),
-            "health": foxglove.Channel(f"{root}/health", schema=json_of_any, context=context),
-            "log": LogChannel(f"{root}/log", context=context),
-            "tf": FrameTransformsChannel(f"{root}/tf", context=context),
+        self._viewers = viewers
+        schemas = {
+            "height": (RawImage.get_schema(), 1),
+            "cloud": (PointCloud.get_schema(), 1),
+            "skin": (SceneUpdate.get_schema(), 1),
+            "map": (PointCloud.get_schema(), 1),
+            "preview": (CompressedImage.get_schema(), 1),
+            "contact": (made.CONTACT_SCHEMA, _LINES),
+            "health": (_HEALTH_SCHEMA, 1),
+            "log": (Log.get_schema(), _LINES),
+            "tf": (FrameTransforms.get_schema(), 1),
         }
+        channels = [Channel(f"/{self._base}/{name}", schema, depth) for name, (schema, depth) in schemas.items()]
+        self._channels = dict(zip(schemas, viewers.advertise(channels), strict=True))
         self._info = Info(geometry=None, profile="")
         self._skin_ns = 0
         self._kept: dict[str, Callable[[], Any]] = {}
+
+    def close(self) -> None:
+        """Show it no more."""
+        self._viewers.withdraw(list(self._channels.values()))
 
     def wanted(self) -> set[str]:
         """Topics that somebody watches something of."""
         return {
             f"{self._base}/{topic}"
             for name, channel in self._channels.items()
-            if channel.has_sinks()
+            if self._viewers.watched(channel)
             for topic in _TOPICS[name]
         }
 
@@ -87,14 +102,16 @@ class _Hand:
         for name, message in self._kept.items():
             self._send(name, message)
 
+    def place(self, info: Info) -> None:
+        """Take where its sensor is, and how it is built."""
+        self._info, now_ns = info, time.time_ns()
+        self._keep("tf", lambda: made.flange_T_sensor(info, self._id, now_ns))
+        self._keep("skin", lambda: made.skin(*made.untouched(info), info, self._id, now_ns))
+
     def hear(self, topic: str, payload: bytes) -> None:
         """Tell the viewers. Raises DecodeError."""
         now_ns = time.time_ns()
         match topic:
-            case "info":
-                self._info = info = decode_info(payload)
-                self._keep("tf", lambda: made.flange_T_sensor(info, self._id, now_ns))
-                self._keep("skin", lambda: made.skin(*made.untouched(info), info, self._id, now_ns))
             case "height":
                 self._height(payload)
             case "cloud":
@@ -105,18 +122,32 @@ class _Hand:
                 cloud = self._cloud(payload)
                 self._keep("map", lambda: made.cloud(cloud, self._id, "base"))
             case "preview":
+                if len(payload) > _PREVIEW_BYTES_MAX or not payload.startswith(_JPEG):
+                    raise DecodeError(f"preview: {len(payload)} bytes, expected a JPEG of at most {_PREVIEW_BYTES_MAX}")
                 self._send("preview", lambda: made.picture(payload, self._id, now_ns))
-            case "contact" | "health":
+            case "contact":
+                decode_contact(payload)
                 self._send(topic, lambda: payload)
-            case "state" | "event/slip":
-                self._line(topic, payload.decode(errors="replace"), warns=payload not in (b"online", b"stopped"))
+            case "health":
+                decode_health(payload)
+                self._send(topic, lambda: payload)
+            case "state":
+                state = decode_state(payload)
+                self._line(topic, state, warns=state in ("degraded", "offline"))
+            case "event/slip":
+                self._line(topic, payload[:_SLIP_BYTES_MAX].decode(errors="replace"), warns=True)
             case _:
-                self._status(topic, payload)
+                status = decode_status(topic, payload)
+                text = f"{status.state}{': ' if status.reason else ''}{status.reason or ''}"
+                self._line(topic, text, warns=bool(status.reason))
 
     def _height(self, payload: bytes) -> None:
         message = wire.decode(payload)
         if not isinstance(message, HeightMessage):
             raise DecodeError("height: found another kind of payload")
+        known = self._info.geometry
+        if known is not None and (message.height_mm > known.skin_radius_mm).any():
+            raise DecodeError(f"height: found more than the skin's radius of {known.skin_radius_mm:g} mm")
         self._send("height", lambda: made.image(message, self._id))
         self._pose(message)
         if message.contact and 0 <= message.t_ns - self._skin_ns < SKIN_PERIOD_NS:
@@ -135,16 +166,7 @@ class _Hand:
 
     def _pose(self, message: HeightMessage | CloudMessage) -> None:
         if (pose := message.pose) is not None:
-            self._send("tf", lambda: made.base_T_flange(pose, self._id, message.wall_ns))
-
-    def _status(self, topic: str, payload: bytes) -> None:
-        try:
-            status = json.loads(payload or b"{}")
-            reason = str(status.get("reason") or "")
-            text = f"{status.get('state')}{': ' if reason else ''}{reason}"
-        except (ValueError, AttributeError, RecursionError) as error:
-            raise DecodeError(f"{topic}: {error}, expected a JSON object") from error
-        self._line(topic, text, warns=bool(reason))
+            self._send("tf", lambda: made.base_T_flange(pose, self._id, message.wall_ns), "base")
 
     def _line(self, topic: str, text: str, *, warns: bool) -> None:
         shown = escaped(text, _LOG_CHARS_MAX)
@@ -154,11 +176,36 @@ class _Hand:
         self._kept[name] = message
         self._send(name, message)
 
-    def _send(self, name: str, message: Callable[[], Any]) -> None:
-        """Make and send a message that somebody watches."""
+    def _send(self, name: str, message: Callable[[], Any], slot: str = "") -> None:
+        """Make and send a message that somebody watches. Raises DecodeError."""
         channel = self._channels[name]
-        if channel.has_sinks():
-            channel.log(message())
+        if not self._viewers.watched(channel):
+            return
+        one = message()
+        payload: bytes = one if isinstance(one, bytes) else one.encode()
+        if len(payload) > MESSAGE_BYTES_MAX:
+            raise DecodeError(f"{name}: {len(payload)} bytes for a viewer, at most {MESSAGE_BYTES_MAX} are shown")
+        self._viewers.send(channel, payload, slot)
+
+
+@dataclass(slots=True)
+class _Known:
+    """What a hand has shown of itself; `shown` is it where viewers are told of it."""
+
+    state: State | Literal[""] = ""
+    info: Info | None = None
+    shown: _Hand | None = None
+
+    @property
+    def rank(self) -> int:
+        """None without an `info`; a hand that is calibrated, and one that lives, is none that somebody invented."""
+        return 0 if self.info is None else 1 + (self.info.geometry is not None) + (self.state in ALIVE)
+
+    def close(self) -> None:
+        """Show it no more."""
+        if self.shown is not None:
+            self.shown.close()
+            self.shown = None
 
 
 class FoxgloveBridge:
@@ -185,68 +232,78 @@ class FoxgloveBridge:
 
     def __init__(self, host: str, port: int, sensors: list[str], follow: Callable[[set[str]], None]) -> None:
         self._sensors, self._follow = sensors, follow
-        self._context = foxglove.Context()
-        self._hands: dict[str, _Hand] = {}
+        self._hands: Roster[_Known] = Roster(lambda _: _Known(), lambda known: known.rank, _Known.close)
+        self._refusals = Refusals(time.monotonic)
         self._lock = threading.Lock()
         self._changed = threading.Event()
         self._changed.set()
         try:
-            self._server = foxglove.start_server(
-                name="tacshade-edge",
-                host=host,
-                port=port,
-                server_listener=self,
-                context=self._context,
-                message_backlog_size=_BACKLOG,
-            )
-        except RuntimeError as error:
-            raise ConfigError(f"--listen {host}:{port}: {error}, expected an address to listen on") from None
-        self.port = self._server.port
+            self._viewers = Viewers(host, port, self._changed.set)
+        except OSError as error:
+            reason = error.strerror or error
+            raise ConfigError(f"--listen {host}:{port}: {reason}, expected an address to listen on") from None
+        self.port = self._viewers.port
 
     def stop(self) -> None:
         """Close the viewers' connections."""
-        self._server.stop()
+        self._viewers.stop()
 
     def hear(self, topic: str, payload: bytes, _retained: bool) -> None:
         """A message of the broker's."""
-        if not (found := _HAND.fullmatch(topic)):
+        if not (found := _HAND.fullmatch(topic)) or not payload:
             return
         sensor_id, rest = found.groups()
-        try:
-            with self._lock:
-                hand = self._hands.get(sensor_id)
-                if hand is None and rest == "info" and payload and self._has_room(sensor_id):
-                    hand = self._hands[sensor_id] = _Hand(sensor_id, self._context)
-                    _log.info("%s is there", sensor_id)
-                if hand is not None and payload:
-                    hand.hear(rest, payload)
-        except DecodeError as error:
-            _log.warning("%s: %s", sensor_id, error)
+        with self._lock:
+            try:
+                match rest:
+                    case "info":
+                        self._hear_info(sensor_id, decode_info(payload))
+                    case "state":
+                        self._hear_state(sensor_id, decode_state(payload))
+                known = self._hands.get(sensor_id)
+                if known is not None and known.shown is not None and rest != "info":
+                    known.shown.hear(rest, payload)
+            except DecodeError as error:
+                self._refusals.add("undecodable", sensor_id, str(error))
 
     def poll(self) -> None:
         """Follow what the viewers watch by now; call ten times a second."""
         if not self._changed.is_set():
             return
         self._changed.clear()
-        topics = {f"tacshade/{sensor_id}/info" for sensor_id in self._sensors or ["+"]}
+        topics = {f"tacshade/{sensor_id}/{name}" for sensor_id in self._sensors or ["+"] for name in ("info", "state")}
         with self._lock:
-            topics = topics.union(*(hand.wanted() for hand in self._hands.values()))
-            for hand in self._hands.values():
-                hand.repeat()
+            for _, known in self._hands:
+                if known.shown is not None:
+                    topics |= known.shown.wanted()
+                    known.shown.repeat()
         self._follow(topics)
 
-    def _has_room(self, sensor_id: str) -> bool:
-        if len(self._hands) < HANDS_MAX:
-            return True
-        _log.warning("%s is one hand more than the %d that are shown", quoted(sensor_id), HANDS_MAX)
-        return False
+    def _hear_info(self, sensor_id: str, info: Info) -> None:
+        known = self._hands.of(sensor_id, 1 + (info.geometry is not None))
+        if known is None:
+            self._refusals.add("no_room", sensor_id, f"one hand more than the {KNOWN_MAX} that are known")
+            return
+        known.info = info
+        if known.shown is not None:
+            known.shown.place(info)
+        self._choose()
 
-    # -- called by the server, in its threads, with locks of its own held -----------------------------------------
+    def _hear_state(self, sensor_id: str, state: State) -> None:
+        if (known := self._hands.of(sensor_id, 0)) is not None:
+            known.state = state
+            self._choose()
 
-    def on_subscribe(self, _client: object, _channel: object) -> None:
-        """A viewer began to watch a channel."""
-        self._changed.set()
-
-    def on_unsubscribe(self, _client: object, _channel: object) -> None:
-        """A viewer ended that, or went."""
-        self._changed.set()
+    def _choose(self) -> None:
+        """Show those that have shown the most of themselves."""
+        best = set(self._hands.best(HANDS_MAX))
+        for sensor_id, known in self._hands:
+            if known.shown is not None and sensor_id not in best:
+                known.close()
+                _log.warning("%s gives way: %d hands are shown, and others have shown more", sensor_id, HANDS_MAX)
+        for sensor_id, known in self._hands:
+            if known.shown is None and sensor_id in best and known.info is not None:
+                known.shown = _Hand(sensor_id, self._viewers)
+                known.shown.place(known.info)
+                _log.info("%s is there", sensor_id)
+                self._changed.set()

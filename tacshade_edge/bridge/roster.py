@@ -28,15 +28,23 @@ class Roster(Generic[T]):
         ``make(sensor_id)`` gives what is held of a new hand.
     rank : callable
         How much it has shown, the more the higher.
+    close : callable, optional
+        What goes is given to it.
     """
 
-    def __init__(self, make: Callable[[str], T], rank: Callable[[T], int]) -> None:
-        self._make, self._rank = make, rank
+    def __init__(
+        self, make: Callable[[str], T], rank: Callable[[T], int], close: Callable[[T], None] = lambda _: None
+    ) -> None:
+        self._make, self._rank, self._close = make, rank, close
         self._hands: dict[str, T] = {}
 
     def __iter__(self) -> Iterator[tuple[str, T]]:
         """Names and hands, by name."""
         return iter(sorted(self._hands.items(), key=lambda item: item[0]))
+
+    def get(self, sensor_id: str) -> T | None:
+        """A hand that is held."""
+        return self._hands.get(sensor_id)
 
     def best(self, count: int) -> list[str]:
         """Names of those that have shown the most; of equals who came first."""
@@ -49,13 +57,14 @@ class Roster(Generic[T]):
                 least = min(self._hands, key=lambda name: self._rank(self._hands[name]))
                 if self._rank(self._hands[least]) >= rank:
                     return None
-                del self._hands[least]
+                self.drop(least)
             self._hands[sensor_id] = self._make(sensor_id)
         return self._hands[sensor_id]
 
     def drop(self, sensor_id: str) -> None:
-        """It was dismissed."""
-        self._hands.pop(sensor_id, None)
+        """It was dismissed, or gives way."""
+        if (hand := self._hands.pop(sensor_id, None)) is not None:
+            self._close(hand)
 
 
 class Refusals:

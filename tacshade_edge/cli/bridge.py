@@ -133,7 +133,7 @@ def _tell(args: argparse.Namespace, url: str) -> None:
 
 
 def _missing(error: ModuleNotFoundError, extra: str, package: str) -> Exception:
-    if error.name is None or error.name.partition(".")[0] not in ("foxglove", "prometheus_client"):
+    if error.name is None or error.name.partition(".")[0] not in ("foxglove", "prometheus_client", "websockets"):
         return error
     return ConfigError(f"the package {package} is missing: {how_to_install(extra)}")
 

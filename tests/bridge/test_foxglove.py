@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import re
 import signal
+import socket
 import struct
 import subprocess
 import sys
@@ -20,6 +22,7 @@ import numpy as np
 import pytest
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
+from support.bridge_process import BridgeProcess
 from support.mqtt_rig import MOSQUITTO, Broker
 from support.patience import patience
 from support.published_hand import CRC, PublishedHand, bump
@@ -240,6 +243,18 @@ def test_what_does_not_decode_is_left_out(tmp_path: Path) -> None:
 
     with bridged(tmp_path) as (url, hand, _):
         asyncio.run(watch(url, hand))
+
+
+def test_it_ends_at_once_with_connections_that_say_nothing(tmp_path: Path) -> None:
+    with (
+        Broker(tmp_path) as broker,
+        BridgeProcess("foxglove", broker.port, tmp_path / "log") as bridge,
+        contextlib.ExitStack() as idle,
+    ):
+        for _ in range(100):
+            idle.enter_context(socket.create_connection(("127.0.0.1", bridge.port), 5))
+        assert bridge.threads() < 20
+        assert bridge.stopped_s() < patience(4)
 
 
 def vertices_mm(scene: Any) -> F64:

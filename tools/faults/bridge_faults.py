@@ -18,6 +18,7 @@ from typing import Any
 from support.bridge_process import BridgeProcess
 from support.published_hand import CRC, PublishedHand, bump
 from support.published_health import health
+from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
 from faults.rig import Cell, Seen, pause
@@ -192,7 +193,7 @@ def watching(bridge: BridgeProcess, names: tuple[str, ...]) -> tuple[ClientConne
 
 def looked_at(bridge: BridgeProcess, hand: PublishedHand) -> bool:
     """Whether a new viewer gets a height map of the real hand."""
-    with contextlib.suppress(OSError):
+    with contextlib.suppress(OSError, WebSocketException):
         viewer, known = watching(bridge, ("height",))
         with viewer:
             for number in range(50 if known else 0):
@@ -390,5 +391,10 @@ FAULTS = {
     "bridge prometheus: a million keys": bad_sizes,
     f"bridge prometheus: {IDLE} idle connections": idle_readers,
     f"bridge prometheus: {NAMES} invented hands": invented_states,
+    "bridge foxglove: geometries that no sensor has": bad_infos,
+    "bridge foxglove: such geometries, retained": retained_infos,
+    f"bridge foxglove: {VIEWERS} viewers that do not read": slow_viewers,
+    f"bridge foxglove: {IDLE} idle connections": idle_viewers,
+    f"bridge foxglove: {NAMES} invented hands": invented_infos,
     "library: what no daemon publishes": listener,
 }

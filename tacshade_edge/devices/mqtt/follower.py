@@ -78,8 +78,10 @@ class Follower:
         self._client.loop_stop()
 
     def _subscribe(self, topics: Collection[str]) -> None:
+        # With QoS 1 a broker holds what is not acknowledged yet, and drops what is more than its queue has room for: of
+        # many retained messages all but the first 40.
         if topics:
-            self._client.subscribe([(topic, 1) for topic in sorted(topics)])
+            self._client.subscribe([(topic, 0) for topic in sorted(topics)])
 
     def _tell(self, text: str, fix: str = "") -> None:
         """A change is logged, a repetition is not. With a fix it is a fault."""
