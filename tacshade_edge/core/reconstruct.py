@@ -131,8 +131,11 @@ class Reconstructor:
             return None
 
         depth = self._solver.solve(preprocessed, mark)
-        foreign_part = None if depth.foreign is None else foreign.foreign_part(depth.foreign, self.rays.inside)
-        reason = self._foreign_check.refusal(foreign_part, preprocessed.white)
+        foreign_part = rows_part = None
+        if depth.foreign is not None:
+            foreign_part = foreign.foreign_part(depth.foreign, self.rays.inside)
+            rows_part = foreign.foreign_rows_part(depth.foreign, self.rays.inside) if foreign_part else 0.0
+        reason = self._foreign_check.refusal(rows_part, preprocessed.white)
         degraded = degraded or foreign.doubt(foreign_part)
         mark("depth")
         if reason:

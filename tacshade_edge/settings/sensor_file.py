@@ -12,7 +12,15 @@ from tacshade_edge.core.calibration.inputs import Sensor
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.settings.load import expectation, read_struct
 from tacshade_edge.settings.placed import Placed, wrong_with
-from tacshade_edge.types import IDENTITY_POSE
+from tacshade_edge.types import IDENTITY_POSE, Disc
+
+
+class VisibleCircle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The keys of `SensorFile.visible_circle`."""
+
+    row_px: Annotated[float, Meta(ge=-10000, le=20000, description="row of its centre")]
+    col_px: Annotated[float, Meta(ge=-10000, le=20000, description="column of its centre")]
+    radius_px: Annotated[float, Meta(ge=8, le=20000)]
 
 
 class SensorFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -23,8 +31,9 @@ class SensorFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     polarity: Annotated[Literal["bright", "dark"], Meta(description="bright when contact raises the white ratio")]
     camera_distance_mm: Annotated[float, Meta(gt=0, le=1000, description="lens behind the skin's centre")] | None = None
     alpha: Annotated[float, Meta(gt=0, le=10000, description="the paper's depth scale, without presses")] = 15.0
-    binarisation: Literal["adaptive", "global", "otsu"] = "adaptive"
+    binarisation: Literal["adaptive", "global", "otsu"] | None = None
     flange_T_sensor: Placed = msgspec.field(default_factory=lambda: list(IDENTITY_POSE))
+    visible_circle: VisibleCircle | None = None
 
 
 def check_value(key: str, text: str) -> float | str:
@@ -65,6 +74,7 @@ def read_sensor(path: Path) -> Sensor:
     given, found = read_struct(path, SensorFile, root)
     if problem := wrong_with(given.flange_T_sensor):
         raise ConfigError(f"{path}:{found['flange_T_sensor',].line}: flange_T_sensor: {problem}")
+    circle = given.visible_circle
     return Sensor(
         skin_radius_mm=given.skin_radius_mm,
         camera_distance_mm=given.camera_distance_mm,
@@ -73,4 +83,5 @@ def read_sensor(path: Path) -> Sensor:
         alpha=given.alpha,
         binarisation=given.binarisation,
         flange_T_sensor=tuple(given.flange_T_sensor),
+        visible_circle=None if circle is None else Disc(circle.row_px, circle.col_px, circle.radius_px),
     )

@@ -7,6 +7,7 @@ import pytest
 from tacshade_edge.core.calibration.inputs import Sensor
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.settings.sensor_file import check_value, read_sensor
+from tacshade_edge.types import Disc
 
 LEAST = "skin_radius_mm: 20\nvisible_half_angle_deg: 50\npolarity: bright\n"
 
@@ -19,15 +20,18 @@ def sensor_file(folder: Path, text: str) -> Path:
 
 def test_the_least_that_must_be_said_and_its_defaults(tmp_path: Path) -> None:
     sensor = read_sensor(sensor_file(tmp_path, LEAST))
-    assert sensor == Sensor(20.0, None, 50.0, "bright", 15.0, "adaptive", (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
+    assert sensor == Sensor(20.0, None, 50.0, "bright", 15.0, None, (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0), None)
 
 
 def test_everything_that_can_be_said(tmp_path: Path) -> None:
     text = LEAST.replace("bright", "dark") + (
         "camera_distance_mm: 14\nalpha: 3\nbinarisation: otsu\nflange_T_sensor: [1, -2, 30.5, 0, 0.6, 0.8, 0]\n"
+        "visible_circle: {row_px: 240.5, col_px: 310, radius_px: 205}\n"
     )
     sensor = read_sensor(sensor_file(tmp_path, text))
-    assert sensor == Sensor(20.0, 14.0, 50.0, "dark", 3.0, "otsu", (1.0, -2.0, 30.5, 0.0, 0.6, 0.8, 0.0))
+    assert sensor == Sensor(
+        20.0, 14.0, 50.0, "dark", 3.0, "otsu", (1.0, -2.0, 30.5, 0.0, 0.6, 0.8, 0.0), Disc(240.5, 310.0, 205.0)
+    )
 
 
 @pytest.mark.parametrize(
@@ -60,6 +64,9 @@ def test_everything_that_can_be_said(tmp_path: Path) -> None:
             r":4: flange_T_sensor: found a quaternion of length 1\.41",
         ),
         (LEAST + "alpha: 1\nalpha: 2\n", r":5: alpha: found again"),
+        (LEAST + "visible_circle: {row_px: 1, col_px: 2}\n", r": visible_circle\.radius_px: found nothing"),
+        (LEAST + "visible_circle: {row_px: 1, col_px: 2, radius_px: 2}\n", r":4: visible_circle\.radius_px: found 2"),
+        (LEAST + "visible_circle: 205\n", r":4: visible_circle: found 205"),
         (LEAST + "binarisation: magic\n", r":4: binarisation: found magic"),
     ],
 )

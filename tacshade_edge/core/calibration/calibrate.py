@@ -16,8 +16,10 @@ from tacshade_edge.core.calibration.press_selection import select_presses
 from tacshade_edge.core.calibration.profile_refit import refit_profile
 from tacshade_edge.core.calibration.quality import GRADED_PROFILE, UNCALIBRATED, Quality, assess
 from tacshade_edge.core.calibration.references import ASSUMED_NOISE_GREY, check_references, with_reference
+from tacshade_edge.core.calibration.threshold_choice import choose_binarisation
 from tacshade_edge.core.calibration.travel_fit import agreement_mae_mm
 from tacshade_edge.core.depth import Network
+from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.core.image import greyscale
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError
@@ -124,14 +126,18 @@ def _unloaded(sensor: Sensor, greys: Sequence[U8]) -> Calibration:
                 f"the first is {greys[0].shape[1]}x{greys[0].shape[0]}"
             )
     mean = pattern.mean_image(greys)
-    disc = pattern.find_disc(mean)
+    disc = sensor.visible_circle or pattern.find_disc(mean)
+    if not disc_mask(mean.shape[0], mean.shape[1], disc).any():
+        found = f"row {disc.row_c:g}, col {disc.col_c:g}, radius {disc.radius_px:g} px"
+        raise ConfigError(f"visible_circle: found {found}, expected a circle inside {mean.shape[1]}x{mean.shape[0]} px")
+    pitch_px = pattern.marker_pitch_px(mean, disc)
     calibration = Calibration(
         geometry=Geometry(sensor.skin_radius_mm, sensor.camera_distance_mm, sensor.visible_half_angle_deg, disc),
         polarity=sensor.polarity,
-        binarisation=sensor.binarisation,
+        binarisation=sensor.binarisation or choose_binarisation(mean, disc, pitch_px),
         image_height_px=mean.shape[0],
         image_width_px=mean.shape[1],
-        pitch_px=pattern.marker_pitch_px(mean, disc),
+        pitch_px=pitch_px,
         reference_white=np.zeros_like(mean),
         reference_grey=mean,
         noise_grey=ASSUMED_NOISE_GREY,

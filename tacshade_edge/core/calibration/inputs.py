@@ -5,20 +5,24 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from tacshade_edge.core.calibration.indenter import Indenter
-from tacshade_edge.types import IDENTITY_POSE, U8, Binarisation, Polarity
+from tacshade_edge.types import IDENTITY_POSE, U8, Binarisation, Disc, Polarity
 
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """What a person states of a sensor (SENSOR.yaml)."""
+    """What a person states of a sensor (SENSOR.yaml).
+
+    `visible_circle` and `binarisation` overrule what the references show; None: they are found there.
+    """
 
     skin_radius_mm: float
     camera_distance_mm: float | None
     visible_half_angle_deg: float
     polarity: Polarity
     alpha: float = 15.0
-    binarisation: Binarisation = "adaptive"
+    binarisation: Binarisation | None = None
     flange_T_sensor: tuple[float, ...] = IDENTITY_POSE
+    visible_circle: Disc | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

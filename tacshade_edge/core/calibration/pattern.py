@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from tacshade_edge.core.calibration.marker_field import find_markers
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import F32, F64, U8, Bool, Disc
 
@@ -31,6 +32,10 @@ _LEAST_PATTERN = 3.0
 _RIM_FALL = 0.5
 # At least this part of the rim lies in the image; less is the pattern's end at the image's own border.
 _RIM_SEEN = 0.25
+# So much of the visible circle lies within a pitch of a marker: of a hexagon's 0.9, of a field as wide as the image
+# 0.65. Where the texture ends, less is enough: not every marker of a faint rim is found. A ring of lamps around a dome
+# whose middle has pins is filled to 0.4.
+_FILLED, _HALF_FILLED = 0.75, 0.55
 
 
 def find_disc(grey: U8) -> Disc:
@@ -39,7 +44,7 @@ def find_disc(grey: U8) -> Disc:
     The disc is where the marker pattern is, so its rim is where the pattern's variation along the angle ends:
     a step in brightness alone would find the LED ring instead. A coarse circle comes from the textured region; centre
     and radius are then searched for the sharpest end, as J. Daugman's integro-differential operator finds an iris (IEEE
-    Trans. PAMI 15, 1993).
+    Trans. PAMI 15, 1993). The markers themselves (`marker_field`), where they can be told one by one, must fill it.
 
     Parameters
     ----------
@@ -50,6 +55,32 @@ def find_disc(grey: U8) -> Disc:
     ConfigError
         No circle with a marker pattern is in the image.
     """
+    field = find_markers(grey)
+    disc, refusal = None, ConfigError("no visible circle found in the reference")
+    try:
+        disc = _end_of_texture(grey)
+    except ConfigError as error:
+        refusal = error
+    if field is None:
+        if disc is None:
+            raise refusal
+        return disc
+    if disc is not None and field.holds(disc) and field.filled_part(disc, grey.shape) >= _HALF_FILLED:
+        return disc
+    # A ring of lamps ends more sharply than the markers do. Where those end at one circle, that is it; where they do
+    # not, as the corners of a hexagon of pins inside a wider dome, it is the one around them.
+    near = _sharpest(grey, [field.circle])
+    if not _refusal(grey, near) and field.holds(near.disc) and field.filled_part(near.disc, grey.shape) >= _FILLED:
+        return near.disc
+    if field.filled_part(field.circle, grey.shape) >= _FILLED:
+        return field.circle
+    if disc is None:
+        raise refusal
+    return disc
+
+
+def _end_of_texture(grey: U8) -> Disc:
+    """The sharpest rim around the image's largest textured region."""
     regions = [_textured_region(grey, part) for part in _TEXTURE_PARTS]
     best = _sharpest(grey, [region.disc for region in regions])
     if _refusal(grey, best) or _rim_seen(grey.shape, best.disc) < _RIM_WHOLE:
@@ -237,13 +268,25 @@ def _end_of_pattern(grey: U8, disc: Disc, low: float, high: float) -> _Rim:
 def marker_pitch_px(grey: U8, disc: Disc) -> float:
     """Distance of neighbouring pin tips in the image, over the middle of the disc.
 
-    The first ring of the lattice's spectrum lies at 2 / (√3 pitch); it is found in the mean power over all
-    directions of the middle of the disc (there perspective stretches the lattice least).
-
     Raises
     ------
     ConfigError
         No periodic pattern.
+    """
+    try:
+        return _spectral_pitch_px(grey, disc)
+    except ConfigError:
+        field = find_markers(grey)
+        if field is None or field.filled_part(disc, grey.shape) < _HALF_FILLED:
+            raise
+        return field.pitch_px
+
+
+def _spectral_pitch_px(grey: U8, disc: Disc) -> float:
+    """The pitch that the pattern's spectrum has.
+
+    The first ring of the lattice's spectrum lies at 2 / (√3 pitch); it is found in the mean power over all
+    directions of the middle of the disc (there perspective stretches the lattice least).
     """
     half = max(int(0.5 * disc.radius_px), 8)
     row, col = round(disc.row_c), round(disc.col_c)

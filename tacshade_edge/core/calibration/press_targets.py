@@ -20,7 +20,7 @@ from tacshade_edge.core.calibration.profile_refit import placed_press
 from tacshade_edge.core.depth import Network
 from tacshade_edge.core.depth.learned import Inverse, LearnedSolver, foreign_cells
 from tacshade_edge.core.depth.network_maps import fold, known_maps, scale_mm, unfold
-from tacshade_edge.core.frame_check.foreign import FOREIGN_INVALID, foreign_part
+from tacshade_edge.core.frame_check.foreign import FOREIGN_UNLEARNT, foreign_part
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.disc import rays_in_image
 from tacshade_edge.core.image.preprocess import Preprocessor
@@ -119,7 +119,7 @@ def press_targets(
         seen = preprocessor.preprocess(preprocessor.grey(press.image))
         inverse = solver.inverse(seen)
         at = placed_press(geometry, inverse, press)
-        if at is None or foreign_part(foreign_cells(inverse, len(inverse.height_mm)), inside) > FOREIGN_INVALID:
+        if at is None or foreign_part(foreign_cells(inverse, len(inverse.height_mm)), inside) > FOREIGN_UNLEARNT:
             continue
         surface: F32 = np.nan_to_num(gain.known_height(geometry, at, len(inverse.height_mm)))
         np.maximum(surface, np.float32(0), out=surface)

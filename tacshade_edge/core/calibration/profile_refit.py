@@ -13,7 +13,7 @@ from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.press_observation import placed_indenter
 from tacshade_edge.core.depth import Network, SigmaModel
 from tacshade_edge.core.depth.learned import Inverse, LearnedSolver, foreign_cells
-from tacshade_edge.core.frame_check.foreign import FOREIGN_INVALID, foreign_part
+from tacshade_edge.core.frame_check.foreign import FOREIGN_UNLEARNT, foreign_part
 from tacshade_edge.core.geometry.disc import rays_in_image
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import Profile
@@ -65,7 +65,7 @@ def refit_profile(
     for press in presses:
         inverse = solver.inverse(preprocessor.preprocess(preprocessor.grey(press.image)))
         parts.append(foreign_part(foreign_cells(inverse, len(inverse.height_mm)), inside))
-        if parts[-1] > FOREIGN_INVALID:
+        if parts[-1] > FOREIGN_UNLEARNT:
             left_out.append(f"{press.name}: {100 * parts[-1]:.0f} % of it does not show this sensor's skin; left out")
             continue
         at = placed_press(geometry, inverse, press)

@@ -26,6 +26,8 @@ ROW_BLOCKS = 8
 SURROUND_FROM = 1.1
 SURROUND_LEVELS = 25.0
 SURROUND_PART = 0.15
+# Blocks of the surround with less grey than this do not show how much light there is; a thresholded picture has many.
+LIT_LEVEL = 4.0
 # The light may change by so much before the binarised image cannot be compared with the reference's.
 LIGHT_LOW, LIGHT_HIGH = 0.45, 1.7
 
@@ -51,8 +53,10 @@ class BlockCheck:
         Median of the means of the textured blocks, at least 1.
     surround : float32 (n,)
         Means of the blocks of the surround.
-    per_surround : float32 (n,)
-        1 over them, at most 1.
+    lit_at : intp (m,)
+        Which of those show the light.
+    per_lit : float32 (m,)
+        1 over their means.
     camera_px : int
         A pixel here is so many of the camera's, in which reasons are given.
     """
@@ -65,11 +69,12 @@ class BlockCheck:
     surround_at: Places
     common: float
     surround: F32
-    per_surround: F32
+    lit_at: Places
+    per_lit: F32
     camera_px: int
 
     def __post_init__(self) -> None:
-        freeze(self, "textured", "lost_most", "textured_at", "surround_at", "surround", "per_surround")
+        freeze(self, "textured", "lost_most", "textured_at", "surround_at", "surround", "lit_at", "per_lit")
 
 
 def block_check(reference_grey: U8, disc: Disc, camera_px: int = 1) -> BlockCheck | None:
@@ -92,6 +97,7 @@ def block_check(reference_grey: U8, disc: Disc, camera_px: int = 1) -> BlockChec
     total = textured.sum(axis=1)
     surround_at = np.flatnonzero(surround)
     usual: F32 = level.take(surround_at)
+    lit_at = np.flatnonzero(usual >= LIT_LEVEL)
     # Where most of a row's blocks are flat already, a contact may well hide the others.
     lost_most = np.where(total >= np.maximum(ROW_BLOCKS, inside.sum(axis=1) / 2), LOST_PART * total, np.inf)
     return BlockCheck(
@@ -103,7 +109,8 @@ def block_check(reference_grey: U8, disc: Disc, camera_px: int = 1) -> BlockChec
         surround_at=surround_at,
         common=max(median(level[textured]), 1.0) if textured.any() else 1.0,
         surround=usual,
-        per_surround=np.reciprocal(np.maximum(usual, np.float32(1))),
+        lit_at=lit_at,
+        per_lit=np.reciprocal(usual[lit_at]),
         camera_px=camera_px,
     )
 
@@ -179,7 +186,9 @@ def _surround_reason(level: F32, check: BlockCheck, slack: float) -> Reason | No
     found = level.take(check.surround_at)
     low, high = found - slack, found + slack
     # The surround's own light: a contact changes the brightness of the whole disc.
-    least, most = (min(max(median(end * check.per_surround), LIGHT_LOW), LIGHT_HIGH) for end in (low, high))
+    lit = check.lit_at
+    gains = (median(end[lit] * check.per_lit) if lit.size else 1.0 for end in (low, high))
+    least, most = (min(max(gain, LIGHT_LOW), LIGHT_HIGH) for gain in gains)
     brighter = np.count_nonzero(high - (1.25 * least) * usual > SURROUND_LEVELS)
     darker = np.count_nonzero(np.minimum((0.75 * most) * usual, 0.75 * 255) - low > SURROUND_LEVELS)
     part = (brighter + darker) / usual.size  # with no slack none is both

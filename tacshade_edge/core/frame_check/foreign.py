@@ -11,8 +11,18 @@ from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import F32, Bool
 
-FOREIGN_INVALID = 0.10
-"""With more of the disc foreign than this the frame is another picture; less is a doubt."""
+FOREIGN_INVALID = 0.15
+"""With more of the disc in foreign rows than this the frame is torn or another picture; all else is a doubt."""
+
+FOREIGN_UNLEARNT = 0.10
+"""With more of its disc foreign, in whatever cells, a press is not learnt from."""
+
+FOREIGN_ROW = 0.6
+"""A row with more foreign cells than this part is foreign. Two pictures meet in a row, but a skin that the network does
+not know, deep, tilted or dragged, is foreign in patches."""
+
+LEAST_ROW_CELLS = 8
+"""A row of fewer cells in the disc, of 112, has no say."""
 
 
 class ForeignCheck:
@@ -37,8 +47,8 @@ class ForeignCheck:
         Parameters
         ----------
         part : float or None
-            So much of its disc is foreign, 0 to 1. None where the solver tells nothing: then a frame is refused that
-            is the reference, shifted.
+            So much of its disc is in foreign rows, 0 to 1 (`foreign_rows_part`). None where the solver reports
+            nothing: then a frame is refused that is the reference, shifted.
         white : IntegralImage
             `Preprocessed.white`.
         """
@@ -65,3 +75,11 @@ def doubt(part: float | None) -> Reason | None:
 def foreign_part(foreign: Bool, inside: Bool) -> float:
     """Part of the disc that is foreign; bool (rows, cols) both."""
     return float(np.count_nonzero(foreign & inside) / np.count_nonzero(inside))
+
+
+def foreign_rows_part(foreign: Bool, inside: Bool) -> float:
+    """Part of the disc in rows that are foreign across it; bool (rows, cols) both."""
+    cells = np.count_nonzero(inside, axis=1)
+    least = max(LEAST_ROW_CELLS * len(inside) // disc_map.CELLS, 1)
+    rows = (np.count_nonzero(foreign & inside, axis=1) > FOREIGN_ROW * cells) & (cells >= least)
+    return float(cells[rows].sum() / cells.sum())

@@ -25,15 +25,18 @@ from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import U8, Bool, Calibration, Disc, freeze
 
-# A camera that works never shows a disc this dark or this flat (grey levels).
+# A camera that works never shows a disc this dark or this flat (grey levels), or half as flat as its own reference.
 BLACK_LEVEL = 12.0
-FLAT_STD = 4.0
+FLAT_STD, FLAT_OVER_REFERENCE = 4.0, 0.5
 SATURATED_LEVEL = 250
 SATURATED_PART = 0.25
 # Median difference of neighbouring pixels; the pattern itself has flat places enough to leave it near the noise, or
 # so fine a pattern that the reference itself comes near it.
 NOISE_STEP = 9.0
 NOISE_OVER_REFERENCE = 5.0
+
+# The brightest tenth of the disc, or less where less is bright, shows how much light there is.
+BRIGHT_PART = 0.1
 
 Box = tuple[slice, slice]
 
@@ -54,13 +57,17 @@ class FrameCheck:
         How many those are.
     pairs, sampled : uint8
         Of the mask, what `_steps` and `_sample` take of a frame; `pairs_px` and `sampled_px` is how many pixels.
+    flat_std : float
+        A disc of less deviation is black or flat, grey levels.
     step : float
         Median difference of the reference's neighbouring pixels.
     saturated_part : float
         Part of the disc that may be saturated: more than the reference's by `SATURATED_PART`, for pictures that come
         thresholded.
+    bright_part : float
+        Part of its disc that shows its light: half of what is bright by Otsu's level (1979), at most a tenth.
     bright : float
-        Grey that a tenth of its disc exceeds, at least 1.
+        Grey that so much of its disc exceeds, at least 1.
     tear : TearCheck or None
         Of an unloaded skin only: rows of a pattern along the camera's rows, pressed, look torn.
     blocks : BlockCheck or None
@@ -77,8 +84,10 @@ class FrameCheck:
     pairs_px: int
     sampled: U8
     sampled_px: int
+    flat_std: float
     step: float
     saturated_part: float
+    bright_part: float
     bright: float
     tear: TearCheck | None
     blocks: BlockCheck | None
@@ -95,6 +104,7 @@ def frame_check(
     box = _around(mask)
     reference, inside = reference_grey[box], np.where(mask[box], np.uint8(255), np.uint8(0))
     pairs, sampled = np.ascontiguousarray(inside[::8, 1:]), _sample(inside)
+    bright_part = _bright_part(_sample(reference), sampled)
     return FrameCheck(
         shape=(mask.shape[0], mask.shape[1]),
         disc=box,
@@ -104,9 +114,11 @@ def frame_check(
         sampled=sampled,
         sampled_px=int(np.count_nonzero(sampled)),
         pairs_px=int(np.count_nonzero(pairs)),
+        flat_std=min(FLAT_STD, FLAT_OVER_REFERENCE * float(reference[inside > 0].std())) if mask.any() else FLAT_STD,
         step=_noise_step(reference, pairs),
         saturated_part=SATURATED_PART + (float(np.mean(reference[inside > 0] >= SATURATED_LEVEL)) if mask.any() else 0),
-        bright=max(_bright(_sample(reference), sampled), 1.0),
+        bright_part=bright_part,
+        bright=max(_bright(_sample(reference), sampled, bright_part), 1.0),
         tear=tear_check(reference_grey, mask) if unloaded else None,
         blocks=block_check(reference_grey, disc, camera_px),
         camera_px=camera_px,
@@ -162,7 +174,7 @@ def _camera_reason(disc: U8, check: FrameCheck) -> Reason | None:
             text = f"saturated: {100 * bright / pixels:.0f} % of the disc at {SATURATED_LEVEL} or above"
             return Reason(ReasonCode.SATURATED, text)
     std = math.sqrt(max(square - mean * mean, 0))
-    if std < FLAT_STD:
+    if std < check.flat_std:
         figures = f"mean grey {mean:.0f}, deviation {std:.1f}"
         if mean < BLACK_LEVEL:
             return Reason(ReasonCode.BLACK, f"black: {figures}")
@@ -197,9 +209,18 @@ def _sample(disc: U8) -> U8:
     return np.ascontiguousarray(disc[::4, ::4])
 
 
-def _bright(sample: U8, sampled: U8) -> float:
-    """Grey level that a tenth of the disc exceeds."""
-    return float(np.percentile(sample[sampled > 0], 90)) if sampled.any() else 0.0
+def _bright_part(sample: U8, sampled: U8) -> float:
+    """Half of the part of the disc over Otsu's level, at most a tenth: pins may cover a twentieth of it."""
+    inside = sample[sampled > 0].reshape(-1, 1)
+    if not inside.size:
+        return BRIGHT_PART
+    split, _ = cv2.threshold(inside, 0, 1, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
+    return min(float(np.mean(inside > split)) / 2, BRIGHT_PART)
+
+
+def _bright(sample: U8, sampled: U8, part: float) -> float:
+    """Grey level that a part of the disc exceeds."""
+    return float(np.percentile(sample[sampled > 0], 100 * (1 - part))) if sampled.any() else 0.0
 
 
 def _compared_reason(grey: U8, disc: U8, blocks: BlockCheck, check: FrameCheck) -> Reason | None:
@@ -219,7 +240,7 @@ def _dark_reason(disc: U8, check: FrameCheck) -> Reason | None:
     # A deep contact darkens or brightens most of the disc, but some markers stay as bright as the light: those tell
     # less light. More light saturates them; there the common level tells.
     sample, sampled = _sample(disc), check.sampled
-    if _count_from(sample, sampled, LIGHT_LOW * check.bright) >= 0.1 * check.sampled_px + 2:
+    if _count_from(sample, sampled, LIGHT_LOW * check.bright) >= check.bright_part * check.sampled_px + 2:
         return None
-    gain = _bright(sample, sampled) / check.bright
+    gain = _bright(sample, sampled, check.bright_part) / check.bright
     return light_reason(gain) if gain < LIGHT_LOW else None

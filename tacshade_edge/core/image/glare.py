@@ -12,11 +12,13 @@ from tacshade_edge.core.image.binarise import padded
 from tacshade_edge.types import U8, freeze
 
 # Every box of so many pitches holds a piece of a black pin, in contact too (measured: at most 0.9); under glare it
-# does not, and its darkest pixel is brighter than the reference's there by GLARE_LIFT or more.
+# does not, and its darkest pixel is brighter than the reference's there by GLARE_LIFT, and by GLARE_PART of what is
+# between the reference's dark and bright, or more: another exposure lifts the dark by less.
 GLARE_PITCHES = 1.0
-GLARE_LIFT = 22
-# So are pixels brighter than GLARE_GAIN times the brightest marker around in the reference plus GLARE_OFFSET.
-GLARE_GAIN, GLARE_OFFSET = 1.3, 25
+GLARE_LIFT, GLARE_PART = 22, 0.2
+# So are pixels brighter than GLARE_GAIN times the brightest marker around in the reference plus GLARE_OFFSET; a drag
+# brings markers from as far as GLARE_REACH pitches to where the reference has none.
+GLARE_GAIN, GLARE_OFFSET, GLARE_REACH = 1.3, 25, 2.0
 GLARE_PX = 6
 # The halo around a glare spot that is not trusted either, in pitches (and a block).
 GLARE_HALO_PITCHES = 1.0
@@ -61,9 +63,9 @@ def glare_check(reference_grey: U8, mask: U8, pitch_px: float) -> GlareCheck:
     box = _around(GLARE_PITCHES * pitch_px, block_px)
     halo = _around(2 * (GLARE_HALO_PITCHES * pitch_px + block_px), block_px)
     marked = cv2.multiply(reference_grey, mask)
-    near = np.ones((len(box) * block_px,) * 2, np.uint8)
-    lifted = cv2.erode(_least(reference_grey, block_px), box) + np.uint16(GLARE_LIFT)
-    brightest = cv2.convertScaleAbs(cv2.dilate(marked, near), alpha=GLARE_GAIN, beta=GLARE_OFFSET)
+    reach = np.ones((2 * round(GLARE_REACH * pitch_px) + 1,) * 2, np.uint8)
+    lifted = cv2.erode(_least(reference_grey, block_px), box) + np.uint16(_lift(reference_grey, mask))
+    brightest = cv2.convertScaleAbs(cv2.dilate(marked, reach), alpha=GLARE_GAIN, beta=GLARE_OFFSET)
     return GlareCheck(
         inside=_most(np.multiply(mask, 255, dtype=np.uint8), block_px),
         block_px=block_px,
@@ -104,6 +106,15 @@ def glare_mask(grey: U8, check: GlareCheck) -> U8 | None:
         return None
     grown = np.minimum(cv2.dilate(found, check.halo), 1)
     return np.ascontiguousarray(grown.repeat(side, axis=0).repeat(side, axis=1)[:rows, :cols])
+
+
+def _lift(reference_grey: U8, mask: U8) -> int:
+    """By how many grey levels glare lifts what is dark in the reference."""
+    inside = reference_grey[mask > 0]
+    if not inside.size:
+        return GLARE_LIFT
+    dark, bright = np.percentile(inside, (1, 99))
+    return max(GLARE_LIFT, round(GLARE_PART * float(bright - dark)))
 
 
 def _around(size_px: float, block_px: int) -> U8:

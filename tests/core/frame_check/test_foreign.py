@@ -8,6 +8,7 @@ from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
 from support.toy_network import saying
 
 from tacshade_edge.core.depth.network_maps import fold
+from tacshade_edge.core.frame_check.foreign import foreign_part, foreign_rows_part
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
@@ -69,3 +70,14 @@ def test_a_moved_camera_explains_a_change_where_nothing_touches() -> None:
     assert result.reason.code is ReasonCode.CAMERA_SHIFT
     _, result = judged(slice(0, 0), pressed("ball", 3.0).image, nothing)
     assert (result.valid, result.contact) == (True, False)
+
+
+def test_foreign_patches_are_no_torn_rows() -> None:
+    """A skin that the network does not know is foreign in patches, however large; a torn picture across the disc."""
+    inside = np.hypot(ROW, COL) < 54
+    patch, rows = inside & (COL > 0), inside & (ROW > 20)
+    assert foreign_part(patch, inside) > 0.4
+    assert foreign_rows_part(patch, inside) == 0.0
+    assert foreign_rows_part(rows, inside) == pytest.approx(foreign_part(rows, inside), abs=0.02)
+    assert foreign_rows_part(inside, inside) > 0.97
+    assert foreign_rows_part(np.zeros_like(inside), inside) == 0.0

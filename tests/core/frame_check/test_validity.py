@@ -3,6 +3,7 @@ from __future__ import annotations
 import re
 from itertools import pairwise
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -177,7 +178,7 @@ def plain_reason(grey: U8, reference: U8, mask: Bool, disc: Disc) -> tuple[str, 
     bright, usual = (np.mean(i[mask] >= validity.SATURATED_LEVEL) for i in (grey, reference))
     if bright > validity.SATURATED_PART + usual:
         return "saturated", 100 * bright
-    if inside.std() < validity.FLAT_STD:
+    if inside.std() < min(validity.FLAT_STD, validity.FLAT_OVER_REFERENCE * reference[mask].std()):
         return "black" if inside.mean() < validity.BLACK_LEVEL else "no contrast", inside.mean()
     steps, usual_steps = (np.abs(np.diff(i[::8].astype(int), axis=1))[mask[::8, 1:]] for i in (grey, reference))
     if steps.size:
@@ -204,14 +205,20 @@ def plain_reason(grey: U8, reference: U8, mask: Bool, disc: Disc) -> tuple[str, 
     if not textured.any():
         return "", 0
     sampled = mask[::4, ::4]
-    gain = np.percentile(grey[::4, ::4][sampled], 90) / max(np.percentile(reference[::4, ::4][sampled], 90), 1)
+    at_rest = reference[::4, ::4][sampled]
+    split = cv2.threshold(at_rest, 0, 1, cv2.THRESH_BINARY + cv2.THRESH_OTSU)[0]
+    shown = 100 * (1 - min(np.mean(at_rest > split) / 2, validity.BRIGHT_PART))
+    gain = np.percentile(grey[::4, ::4][sampled], shown) / max(np.percentile(at_rest, shown), 1)
     common = np.median(level[textured]) / max(np.median(usual[textured]), 1)
     if gain < blocks.LIGHT_LOW or common > blocks.LIGHT_HIGH:
         return "light", float(gain if gain < blocks.LIGHT_LOW else common)
     surround = (r > blocks.SURROUND_FROM * disc.radius_px + 8 * 0.7072) & (r < 1.35 * disc.radius_px)
     if not surround.any():
         return "", 0
-    light = np.clip(np.median((level / np.maximum(usual, 1))[surround]), blocks.LIGHT_LOW, blocks.LIGHT_HIGH)
+    lit = surround & (usual >= blocks.LIT_LEVEL)
+    light = np.clip(
+        np.median((level / np.maximum(usual, 1))[lit]) if lit.any() else 1, blocks.LIGHT_LOW, blocks.LIGHT_HIGH
+    )
     expected = np.minimum(usual * light, 255)
     moved = (np.abs(level - expected) > blocks.SURROUND_LEVELS + 0.25 * expected)[surround].mean()
     return ("torn or moved", 100 * float(moved)) if moved > blocks.SURROUND_PART else ("", 0)

@@ -1,0 +1,141 @@
+"""The markers of a reference, found one by one: where they are, however bright the rings and lamps around them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.sparse import coo_matrix, csr_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from tacshade_edge.types import F32, F64, U8, Disc, freeze
+
+# Blobs are looked for in an image of so many rows (or columns, if those are fewer), of both signs, at these sizes, as
+# extrema of the difference of two Gaussians (D. Marr and E. Hildreth, 1980).
+_SEARCH_PX = 240
+_SIGMAS_PX = (1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0)
+_WIDER = 1.6
+_LEAST_CONTRAST_GREY = 2.0
+# Neighbours in a pattern stand about as far from each other as theirs do, and contrast alike; lamps, screws and
+# reflections do not. A marker has at least so many neighbours, a pattern so many markers.
+_NEAREST = 9
+_PITCHES, _UNLIKE_PITCH, _UNLIKE_CONTRAST = 1.4, 1.4, 1.6
+_LEAST_NEIGHBOURS, LEAST_MARKERS = 3, 60
+# Standard deviation of the logarithm of neighbours' pitches: 0.04 to 0.1 in patterns, 0.13 or more in noise; and how
+# fast the score of a field falls with it.
+_MOST_UNEVEN, _EVENNESS = 0.115, 14.0
+# So much of the hull of a field's markers they fill, a cell of the lattice each: 0.8 or more; strings in noise less.
+_LEAST_FILLED = 0.7
+# A visible circle holds nearly all markers: the corners of a hexagon of 127 are 0.05 of them.
+_HELD_PART, _SAMPLES = 0.985, 41
+_HEXAGON = 3**0.5 / 2
+"""Area of a lattice's cell, in squared pitches."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MarkerField:
+    """The markers, or pins, of one picture.
+
+    Attributes
+    ----------
+    markers_px : float64 (N, 2)
+        Row and column of each, N at least `LEAST_MARKERS`.
+    pitch_px : float
+        Median distance to the three nearest.
+    circle : Disc
+        The least circle around the markers, half a pitch wider.
+    """
+
+    markers_px: F64
+    pitch_px: float
+    circle: Disc
+
+    def __post_init__(self) -> None:
+        freeze(self, "markers_px")
+
+    def holds(self, disc: Disc) -> bool:
+        """Whether nearly all markers lie in a circle."""
+        far = np.linalg.norm(self.markers_px - (disc.row_c, disc.col_c), axis=1)
+        return bool(np.mean(far <= disc.radius_px) >= _HELD_PART)
+
+    def filled_part(self, disc: Disc, shape: tuple[int, ...]) -> float:
+        """Part of a circle, as far as the image holds it, that lies within a pitch of a marker."""
+        step = np.linspace(-1, 1, _SAMPLES)
+        rows, cols = (axis.ravel() for axis in np.meshgrid(step, step, indexing="ij"))
+        unit = np.stack((rows, cols), axis=1)[np.hypot(rows, cols) <= 1]
+        places = np.array((disc.row_c, disc.col_c)) + disc.radius_px * unit
+        places = places[((places >= -0.5) & (places <= np.array(shape[:2]) - 0.5)).all(axis=1)]
+        if not len(places):
+            return 0.0
+        nearest, _ = cKDTree(self.markers_px).query(places)
+        return float(np.mean(nearest <= self.pitch_px))
+
+
+def find_markers(grey: U8) -> MarkerField | None:
+    """Find the largest and most even field of blobs of one size; None where there is none.
+
+    Parameters
+    ----------
+    grey : uint8 (H, W)
+    """
+    scale = min(grey.shape) / _SEARCH_PX
+    if min(grey.shape) < 16:
+        return None
+    method = cv2.INTER_AREA if scale > 1 else cv2.INTER_CUBIC
+    small = cv2.resize(grey, None, fx=1 / scale, fy=1 / scale, interpolation=method).astype(np.float32)
+    best, best_score = None, 0.0
+    for sigma_px in _SIGMAS_PX:
+        difference = cv2.GaussianBlur(small, (0, 0), sigma_px) - cv2.GaussianBlur(small, (0, 0), _WIDER * sigma_px)
+        for signed in (difference, -difference):
+            found = _even_field(*_extrema(signed, sigma_px))
+            if found is not None and (score := _score(*found)) > best_score:
+                best, best_score = found, score
+    if best is None:
+        return None
+    points, pitch, _ = best
+    # Pixel centres are whole numbers: resizing keeps the image's corners, not its first pixel.
+    markers = (points + 0.5) * scale - 0.5
+    (col, row), radius = cv2.minEnclosingCircle(markers[:, ::-1].astype(np.float32))
+    return MarkerField(markers, pitch * scale, Disc(float(row), float(col), float(radius) + pitch * scale / 2))
+
+
+def _extrema(difference: F32, sigma_px: float) -> tuple[F64, F32]:
+    """Places of maxima and how high they are."""
+    side = 2 * int(np.ceil(1.2 * sigma_px)) + 1
+    highest = cv2.dilate(difference, np.ones((side, side), np.uint8))
+    rows, cols = np.nonzero((difference >= highest) & (difference > _LEAST_CONTRAST_GREY))
+    return np.stack((rows, cols), axis=1).astype(np.float64), difference[rows, cols]
+
+
+def _even_field(points: F64, contrast: F32) -> tuple[F64, float, float] | None:
+    """The most blobs that stand like neighbours in a pattern, their pitch, and how uneven it is; None for few."""
+    if len(points) < LEAST_MARKERS:
+        return None
+    distance, index = cKDTree(points).query(points, k=_NEAREST)
+    pitch = np.median(distance[:, 1:4], axis=1)
+    one, other = np.repeat(np.arange(len(points)), _NEAREST - 1), index[:, 1:].ravel()
+    nearer, further = np.minimum(pitch[one], pitch[other]), np.maximum(pitch[one], pitch[other])
+    fainter, stronger = np.minimum(contrast[one], contrast[other]), np.maximum(contrast[one], contrast[other])
+    alike = distance[:, 1:].ravel() < _PITCHES * nearer
+    alike &= (further < _UNLIKE_PITCH * nearer) & (stronger < _UNLIKE_CONTRAST * fainter)
+    links = coo_matrix((np.ones(np.count_nonzero(alike)), (one[alike], other[alike])), shape=(len(points),) * 2)
+    graph = csr_matrix((links + links.T) > 0)
+    kept = np.flatnonzero(np.asarray(graph.sum(axis=1)).ravel() >= _LEAST_NEIGHBOURS)
+    if len(kept) < LEAST_MARKERS:
+        return None
+    _, label = connected_components(graph[kept][:, kept], directed=False)
+    field = kept[label == np.argmax(np.bincount(label))]
+    if len(field) < LEAST_MARKERS:
+        return None
+    inside = np.isin(one, field) & np.isin(other, field) & alike
+    uneven = float(np.std(np.log(pitch[one[inside]] / pitch[other[inside]])))
+    return (points[field], float(np.median(pitch[field])), uneven) if uneven <= _MOST_UNEVEN else None
+
+
+def _score(points: F64, pitch: float, uneven: float) -> float:
+    """How much of the picture is how evenly filled; 0 for a string of blobs."""
+    area = float(cv2.contourArea(cv2.convexHull(points.astype(np.float32))))
+    filled = min(len(points) * _HEXAGON * pitch**2 / max(area, 1.0), 1.0)
+    return area * filled**2 * float(np.exp(-_EVENNESS * uneven)) if filled >= _LEAST_FILLED else 0.0
