@@ -64,15 +64,20 @@ def run(args: argparse.Namespace) -> int:
     )
     # Waited for below: no handler runs amid anything. Threads inherit it, so it comes before any of them.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDS)
+    # A library's thread that was there before the mask takes a signal too: that must not end the process by default.
+    ended = threading.Event()
+    handlers = {number: signal.signal(number, lambda *_: ended.set()) for number in _ENDS}
     try:
         start_logging(args.log_level)
-        {"foxglove": _foxglove, "prometheus": _prometheus}[args.kind](args, broker)
+        {"foxglove": _foxglove, "prometheus": _prometheus}[args.kind](args, broker, ended)
     finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
     return 0
 
 
-def _foxglove(args: argparse.Namespace, broker: BrokerAddress) -> None:
+def _foxglove(args: argparse.Namespace, broker: BrokerAddress, ended: threading.Event) -> None:
     try:
         from tacshade_edge.bridge.foxglove import FoxgloveBridge
     except ModuleNotFoundError as error:
@@ -82,12 +87,12 @@ def _foxglove(args: argparse.Namespace, broker: BrokerAddress) -> None:
     bridge = FoxgloveBridge(host, port, args.sensor, follower.follow)
     _tell(args, f"ws://{_in_url(host)}:{bridge.port}")
     try:
-        _serve(follower, bridge.poll)
+        _serve(follower, bridge.poll, ended)
     finally:
         bridge.stop()
 
 
-def _prometheus(args: argparse.Namespace, broker: BrokerAddress) -> None:
+def _prometheus(args: argparse.Namespace, broker: BrokerAddress, ended: threading.Event) -> None:
     try:
         from prometheus_client import CollectorRegistry
 
@@ -107,17 +112,17 @@ def _prometheus(args: argparse.Namespace, broker: BrokerAddress) -> None:
         raise ConfigError(f"--listen {host}:{port}: {reason}, expected an address to listen on") from None
     _tell(args, f"http://{_in_url(host)}:{server.server_port}/metrics")
     try:
-        _serve(follower, lambda: None)
+        _serve(follower, lambda: None, ended)
     finally:
         server.stop()
 
 
-def _serve(follower: Follower, poll: Callable[[], None]) -> None:
+def _serve(follower: Follower, poll: Callable[[], None], ended: threading.Event) -> None:
     crashes: list[BaseException] = []
     threading.excepthook = lambda hook: crashes.append(hook.exc_value or RuntimeError(hook.exc_type.__name__))
     follower.start()
     try:
-        while signal.sigtimedwait(_ENDS, POLL_S) is None:
+        while signal.sigtimedwait(_ENDS, POLL_S) is None and not ended.is_set():
             if crashes:
                 raise crashes[0]
             poll()

@@ -7,7 +7,7 @@ import shutil
 from dataclasses import replace
 from itertools import pairwise
 
-from tacshade_edge.core.frame_check.validity import SATURATED_PART, frame_check, invalid_reason
+from tacshade_edge.core.frame_check.validity import FLAT_STD, SATURATED_PART, frame_check, invalid_reason
 from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.devices.camera import v4l2_node
@@ -156,7 +156,8 @@ def check_picture(image: U8) -> Finding:
     grey = to_grey(image)
     height, width = grey.shape
     disc = Disc((height - 1) / 2, (width - 1) / 2, min(height, width) / 2)
-    check = replace(frame_check(grey, disc_mask(height, width, disc), disc), saturated_part=SATURATED_PART)
+    check = frame_check(grey, disc_mask(height, width, disc), disc)
+    check = replace(check, saturated_part=SATURATED_PART, flat_std=FLAT_STD)
     reason = invalid_reason(grey, check)
     if not reason:
         return ok("picture", f"{width}x{height} px, mean grey {grey.mean():.0f}, deviation {grey.std():.0f}")

@@ -25,7 +25,7 @@ CELLS_MAX: Final = 1 << 22
 """Of a grid that is decoded, and points of a cloud: a disc of 2048 px, each of its pixels a cell."""
 _LIMIT: Final = 32767
 _PX_MAX, _MM_MAX = 1e5, 1e7
-_STEP_PX_LEAST: Final = 1e-3
+_STEP_PX_LEAST: Final = 1e-6
 _UNIT_OFF_MAX: Final = 1e-2
 
 _MAGIC: Final = b"TCSH"

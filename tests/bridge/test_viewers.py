@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import pytest
@@ -22,14 +23,18 @@ def server() -> Iterator[Any]:
     made.stop()
 
 
-def watching(server: Any, *channels: int) -> Any:
-    viewer = client.connect(
-        f"ws://127.0.0.1:{server.port}", subprotocols=["foxglove.sdk.v1"], max_queue=1, max_size=None
-    )
+@contextmanager
+def watching(server: Any, *channels: int) -> Iterator[Any]:
+    url = f"ws://127.0.0.1:{server.port}"
+    with client.connect(url, subprotocols=["foxglove.sdk.v1"], max_queue=1, max_size=None) as viewer:
+        subscribe(server, viewer, *channels)
+        yield viewer
+
+
+def subscribe(server: Any, viewer: Any, *channels: int) -> None:
     wanted = ", ".join(f'{{"id": {channel}, "channelId": {channel}}}' for channel in channels)
     viewer.send(f'{{"op": "subscribe", "subscriptions": [{wanted}]}}')
     wait_until(lambda: all(server.watched(channel) for channel in channels), 10, "watched")
-    return viewer
 
 
 def test_of_many_channels_no_more_bytes_wait_than_of_one(server: Any) -> None:

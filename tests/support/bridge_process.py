@@ -70,7 +70,8 @@ class BridgeProcess:
         """SIGTERM: how long it takes."""
         began_s = time.monotonic()
         self.process.send_signal(signal.SIGTERM)
-        assert self.process.wait(patience(30)) == 0, self.log()
+        code = self.process.wait(patience(30))
+        assert code == 0, f"exit {code}: {self.log()}"
         return time.monotonic() - began_s
 
     def _status(self, name: str) -> int:

@@ -6,9 +6,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.sparse import coo_matrix, csr_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from tacshade_edge.types import F32, F64, U8, Disc, freeze
 
@@ -69,6 +66,8 @@ class MarkerField:
         places = places[((places >= -0.5) & (places <= np.array(shape[:2]) - 0.5)).all(axis=1)]
         if not len(places):
             return 0.0
+        from scipy.spatial import cKDTree  # a daemon that takes no reference needs none of it
+
         nearest, _ = cKDTree(self.markers_px).query(places)
         return float(np.mean(nearest <= self.pitch_px))
 
@@ -113,6 +112,10 @@ def _even_field(points: F64, contrast: F32) -> tuple[F64, float, float] | None:
     """The most blobs that stand like neighbours in a pattern, their pitch, and how uneven it is; None for few."""
     if len(points) < LEAST_MARKERS:
         return None
+    from scipy.sparse import coo_matrix, csr_matrix
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
     distance, index = cKDTree(points).query(points, k=_NEAREST)
     pitch = np.median(distance[:, 1:4], axis=1)
     one, other = np.repeat(np.arange(len(points)), _NEAREST - 1), index[:, 1:].ravel()

@@ -12,6 +12,8 @@ from tacshade_edge.core.calibration.marker_field import find_markers
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import F32, F64, U8, Bool, Disc
 
+# A smaller image shows no markers.
+_LEAST_PX = 80
 # The coarse circle is searched at this height.
 _SEARCH_ROWS = 120
 # Vignetting weakens the rim's markers, a LED ring has texture too: start from several parts of Otsu's threshold.
@@ -55,6 +57,9 @@ def find_disc(grey: U8) -> Disc:
     ConfigError
         No circle with a marker pattern is in the image.
     """
+    if min(grey.shape) < _LEAST_PX:
+        found = f"the image is {grey.shape[1]}x{grey.shape[0]} px, expected {_LEAST_PX} or more"
+        raise ConfigError(f"no visible circle found in the reference: {found}")
     field = find_markers(grey)
     disc, refusal = None, ConfigError("no visible circle found in the reference")
     try:
@@ -72,7 +77,8 @@ def find_disc(grey: U8) -> Disc:
     near = _sharpest(grey, [field.circle])
     if not _refusal(grey, near) and field.holds(near.disc) and field.filled_part(near.disc, grey.shape) >= _FILLED:
         return near.disc
-    if field.filled_part(field.circle, grey.shape) >= _FILLED:
+    whole = _rim_seen(grey.shape, field.circle) >= _RIM_WHOLE  # a picture full of a pattern shows no circle
+    if whole and field.filled_part(field.circle, grey.shape) >= _FILLED:
         return field.circle
     if disc is None:
         raise refusal
