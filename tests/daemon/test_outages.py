@@ -27,7 +27,9 @@ STALL_S = 20.0
 STOP_S = 2.0
 # Measured: 0.8 MB; with every payload of the stall kept it is 20 MB.
 GROWTH_MAX_MB = 10.0
-STATE_CHANGE = re.compile(r"\S+ INFO tacshade_edge\.(daemon\.app: (source|stopped)|devices\.mqtt\.link: [\d.]+:\d+: )")
+STATE_CHANGE = re.compile(
+    r"\S+ (INFO|WARNING) tacshade_edge\.(daemon\.app: (source|stopped)|devices\.mqtt\.link: [\d.]+:\d+: )"
+)
 
 
 @pytest.fixture
