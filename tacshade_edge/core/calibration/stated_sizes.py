@@ -19,11 +19,11 @@ from tacshade_edge.types import Geometry
 
 # Fewer presses tell nothing of all of them; nor does a network that sees a smaller part of them.
 _LEAST_PRESSES, _LEAST_SEEN_PART = 4, 0.5
-# Shown over stated, the median of all presses. On good tables depths are 0.6 to 1.3, balls 0.9 to 1.6 and places
+# Shown over stated, the median of all presses. On good tables depths are 0.6 to 1.3, balls 0.79 to 1.6 and places
 # 0.95 to 1.05.
 _UNIT_FACTOR = 4.0
 _UNITS = {"cm": 10.0, "inches": 25.4, "m": 1000.0}
-_BALL_FACTORS = (0.8, 1.85)
+_BALL_FACTORS = (0.7, 1.85)
 _PLACE_FACTORS = (0.6, 1.4)
 # Places that lie nearer to the middle than this, in skin radii (RMS), tell no factor: a place is found within 1 mm.
 _LEAST_REACH_RADII = 0.1
