@@ -24,7 +24,7 @@ from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.protocol.hand import decode_hand
 
 FILES = Path(__file__).parents[2] / "systemd"
-SENSOR, OTHER, DASHBOARD = "hand", "foot", "dashboard"
+SENSOR, OTHER, DASHBOARD = "thumb", "foot", "dashboard"
 PAYLOAD = bytes(38_000)
 BURST = 1000  # of PAYLOAD: 38 MB
 
@@ -261,12 +261,12 @@ def resident_mb(pid: int) -> float:
 
 def test_a_subscriber_that_takes_nothing_costs_the_broker_little(as_shipped: Served) -> None:
     with User(as_shipped, None) as stalled, User(as_shipped, None) as publisher:
-        stalled.subscribe("tacshade/hand/height")
+        stalled.subscribe(f"tacshade/{SENSOR}/height")
         stalled.client.loop_stop()  # connected, and reads no more
         before_mb = resident_mb(as_shipped.pid)
         last = 0
         for _ in range(BURST):
-            last = publisher.client.publish("tacshade/hand/height", PAYLOAD, qos=1).mid
+            last = publisher.client.publish(f"tacshade/{SENSOR}/height", PAYLOAD, qos=1).mid
         wait_until(lambda: last in publisher.acknowledged, 30, "the broker took all")
         assert len(publisher.acknowledged) == BURST
         assert resident_mb(as_shipped.pid) - before_mb < BURST * len(PAYLOAD) / 2**20 / 4
