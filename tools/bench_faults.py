@@ -8,6 +8,7 @@
     .venv/bin/python tools/bench_faults.py words [--requests 500000] [--lines 500000] [--through-broker 20000]
     .venv/bin/python tools/bench_faults.py kills [--count 200] [--seed 0]
     .venv/bin/python tools/bench_faults.py soak [--seconds 3600]
+    .venv/bin/python tools/bench_faults.py soak-hand [--seconds 7200]
 
 Each prints a table and what is a problem, and exits with 1 where something is. An input, request, line or kill is made
 of the seed and its number alone: ``--first N --count 1`` makes it again. `docs/reliability.md` says what is promised.
@@ -24,7 +25,7 @@ from pathlib import Path
 # The rigs of the tests: a broker, painted sensors.
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from faults import damage, kills, soak, table, words
+from faults import damage, hand_soak, kills, soak, table, words
 
 CHUNK = 5000
 CALIBRATIONS = 4
@@ -69,6 +70,12 @@ def soaked(args: argparse.Namespace) -> tuple[str, list[str]]:
     return soak.table(out), out.problems
 
 
+def soaked_hand(args: argparse.Namespace) -> tuple[str, list[str]]:
+    """A long run of a whole hand; a line a minute goes to stderr."""
+    out = hand_soak.run(args.seconds, progress=True)
+    return hand_soak.table(out), out.problems
+
+
 def main() -> int:
     """Run one of them."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -97,6 +104,8 @@ def main() -> int:
     one.add_argument("--seed", type=int, default=0, metavar="N")
     one = command("soak", soaked)
     one.add_argument("--seconds", type=float, default=3600.0)
+    one = command("soak-hand", soaked_hand)
+    one.add_argument("--seconds", type=float, default=7200.0)
     args = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # brokers and daemons end with it
     text, problems = args.run(args)

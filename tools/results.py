@@ -324,6 +324,14 @@ its first frame; the next goes on. Everything that was acknowledged is looked fo
 the other, a session that is filled until the map takes no more, ended, and begun anew.""",
         ("bench_faults.py", "soak", "--seconds", "3600"),
     ),
+    "faults-soak-hand": Page(
+        "A long run of a whole hand",
+        """\
+Five fingers in one command at 10 images a second each, two of them pressed, both bridges with a scraper, a viewer and
+a viewer that reads nothing, recordings in turn, and a broker that is restarted once a minute. The change of memory is
+from the least of the first half after 900 s to that of the second.""",
+        ("bench_faults.py", "soak-hand", "--seconds", "7200"),
+    ),
 }
 
 
