@@ -25,6 +25,8 @@ from tacshade_edge.core.calibration.calibrate import CalibrationResult, calibrat
 from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
 from tacshade_edge.core.calibration.press_observation import PressObservation, first_touch_mm, observe_press
 from tacshade_edge.core.calibration.press_outliers import outliers
+from tacshade_edge.core.calibration.press_question import question
+from tacshade_edge.core.calibration.press_view import PressViewer, as_seen
 from tacshade_edge.core.calibration.quality import GRADED_PROFILE
 from tacshade_edge.core.calibration.references import PROFILE, rezero
 from tacshade_edge.core.calibration.skin_scale import skin_scale
@@ -32,6 +34,7 @@ from tacshade_edge.core.frame_check import registration
 from tacshade_edge.core.image.grey_maps import GreyMapper
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.core.image.preprocess import Preprocessor
+from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.devices.weights.network import load_networks
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator import nuisance
@@ -109,28 +112,41 @@ def uneven(image: U8, part: float) -> U8:
 
 
 def wrong_presses(given: Set) -> Iterator[tuple[str, bool]]:
-    """What is wrong with one press, and whether it is found; each press in turn."""
+    """What is wrong with one press, and whether it is found over all and asked about in capture; each press in turn."""
     unloaded, scale = given.calibrate(presses=[]).calibration, given.scale
-    preprocessor = Preprocessor(unloaded, PROFILE)
+    preprocessor, geometry = Preprocessor(unloaded, PROFILE), unloaded.geometry
     mapper = GreyMapper(preprocessor)
-    observed = [observe_press(preprocessor, mapper, press) for press in given.presses]
-    changes: dict[str, Callable[[PressObservation], PressObservation]] = {
-        f"one depth {off:+.1f} mm off": lambda o, off=off: replace(o, depth_mm=o.depth_mm + off * scale)
+    viewer = PressViewer(unloaded, PROFILES[GRADED_PROFILE], load_networks()[GRADED_PROFILE])
+    grey = [observe_press(preprocessor, mapper, press) for press in given.presses]
+    views = [viewer.view(press) for press in given.presses]
+    observed = [as_seen(each, view) for each, view in zip(grey, views, strict=True)]
+    changes: dict[str, Callable[[KnownPress], KnownPress]] = {
+        f"one depth {off:+.1f} mm off": lambda p, off=off: replace(p, depth_mm=p.depth_mm + off * scale)
         for off in (-1.5, 1.0, 1.5, 2.0, 2.5)
     }
     changes |= {
-        f"one ball radius times {factor}": lambda o, factor=factor: replace(o, radius_mm=o.radius_mm * factor)
-        for factor in (0.5, 2.0)
+        f"one ball radius times {factor}": lambda p, factor=factor: replace(p, radius_mm=p.radius_mm * factor)
+        for factor in (0.5, 0.67, 1.5, 2.0)
     }
     changes |= {
-        f"one place {off} mm off": lambda o, off=off: replace(o, x_mm=(o.x_mm or 0.0) + off * scale) for off in (5, 6)
+        f"one place {off} mm off": lambda p, off=off: replace(p, x_mm=(p.x_mm or 0.0) + off * scale)
+        for off in (2, 3, 4, 5)
     }
+    changes["x and y swapped at one press"] = lambda p: replace(p, x_mm=p.y_mm, y_mm=p.x_mm)
+    for press, view in zip(given.presses, views, strict=True):
+        yield "capture: asked about a right press", bool(view and question(view, press, geometry))
     for label, change in changes.items():
-        for k, press in enumerate(observed):
+        for k, press in enumerate(given.presses):
             wrong = change(press)
-            if wrong.depth_mm > 0.2 * scale:
-                found = outliers([*observed[:k], wrong, *observed[k + 1 :]], unloaded.geometry)
-                yield label, any(outlier.index == k for outlier in found)
+            if wrong.depth_mm <= 0.2 * scale:
+                continue
+            view = viewer.view(wrong)
+            stated = replace(
+                grey[k], depth_mm=wrong.depth_mm, radius_mm=wrong.radius_mm, x_mm=wrong.x_mm, y_mm=wrong.y_mm
+            )
+            found = outliers([*observed[:k], as_seen(stated, view), *observed[k + 1 :]], geometry)
+            yield label, any(outlier.index == k for outlier in found)
+            yield f"capture: {label}", bool(view and question(view, wrong, geometry))
 
 
 def wrong_sets(given: Set, rng: np.random.Generator) -> Iterator[tuple[str, str, str]]:

@@ -16,10 +16,19 @@ from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.indenter import Indenter
 from tacshade_edge.core.calibration.inputs import Sensor
 from tacshade_edge.core.calibration.press_check import Judgement, PressCheck
+from tacshade_edge.core.calibration.quality import GRADED_PROFILE
 from tacshade_edge.core.calibration.stillness import REST_MOST_GREY, block_means, motion_grey
 from tacshade_edge.core.image.greyscale import to_grey
-from tacshade_edge.devices.files.capture_folder import CaptureFolder, Stated, TakenPress, next_number, stated
+from tacshade_edge.devices.files.capture_folder import (
+    CaptureFolder,
+    Stated,
+    TakenPress,
+    known_press,
+    next_number,
+    stated,
+)
 from tacshade_edge.devices.files.presses import BALL
+from tacshade_edge.devices.weights.network import load_network
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import U8, Calibration, Frame
 
@@ -98,7 +107,7 @@ class Session:
         InputEnded, DeviceError, ConfigError
             What was taken until then is in the folder.
         """
-        check = PressCheck(self.unloaded())
+        check = self._check(self.unloaded())
         self._advise(check)
         while True:
             answer = self._live.ask(self._prompt())
@@ -110,7 +119,7 @@ class Session:
                 case ["look"]:
                     self._terminal.say(f"  {self._live.figures()}")
                 case ["references"]:
-                    check = PressCheck(self._take_references())
+                    check = self._check(self._take_references())
                 case ["undo", *numbers]:
                     self._undo(numbers)
                     self._advise(check)
@@ -134,7 +143,12 @@ class Session:
         self._taken = [*self._taken, added]
         warning = f"; {judged.changed} since the references" if judged.changed else ""
         self._terminal.say(f"  {added.image}: {press}{warning}")
+        if asked := check.question(known_press(added.image, image, press, self._names)):
+            self._terminal.say(f"  {asked} (undo takes it back)")
         return ""
+
+    def _check(self, unloaded: Calibration) -> PressCheck:
+        return PressCheck(unloaded, load_network(GRADED_PROFILE))
 
     def _checked_again(self, images: Sequence[U8]) -> Calibration | None:
         try:

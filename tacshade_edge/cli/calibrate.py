@@ -13,9 +13,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tacshade_edge.core.calibration.calibrate import calibrate
+from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
 from tacshade_edge.core.calibration.making_again import inputs_of, with_new_reference
 from tacshade_edge.core.calibration.quality import Quality
 from tacshade_edge.core.calibration.references import rezero
+from tacshade_edge.core.calibration.touches import from_travel
 from tacshade_edge.core.frame_check import registration
 from tacshade_edge.devices import calibrations
 from tacshade_edge.devices.files import calibration_file
@@ -47,6 +49,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--indenters", type=Path, metavar="INDENTERS.yaml", help="the shapes that PRESSES.csv names besides ball"
     )
     parser.add_argument(
+        "--depth-from-touch", action="store_true", help="depth_mm of PRESSES.csv is travel from first touch"
+    )
+    parser.add_argument(
         "--fit", action="store_true", help="train the networks on with the presses, some minutes; needs the extra fit"
     )
     parser.add_argument("--out", type=Path, required=True, metavar="CAL.npz", help="the calibration to write")
@@ -66,6 +71,8 @@ def run(args: argparse.Namespace) -> int:
         if args.fit:
             args.usage_error("--fit has no meaning with --rezero, which keeps what was fitted to presses")
         return _rezero(args)
+    if args.depth_from_touch and not args.presses:
+        args.usage_error("--depth-from-touch has no meaning without --presses")
     if args.fit and not args.presses:
         args.usage_error("--fit has no meaning without --presses")
     fit = _fit() if args.fit else None
@@ -77,6 +84,9 @@ def run(args: argparse.Namespace) -> int:
     presses, notes = read_presses(args.presses, indenters) if args.presses else ([], ())
     if args.presses and not presses:
         raise ConfigError(f"{args.presses}: found no press, expected a row for each")
+    if args.depth_from_touch:
+        presses, above = _from_travel(presses, sensor)
+        notes = (*notes, *above)
     try:
         result = calibrate(
             sensor, references, presses, args.allow_loaded_reference, load_networks(), list(map(str, args.reference))
@@ -94,6 +104,14 @@ def run(args: argparse.Namespace) -> int:
         for advice in (*(fitted.advice if fitted else ()), *result.quality.advice):
             print(f"  to do: {advice}")
     return 0
+
+
+def _from_travel(presses: Sequence[KnownPress], sensor: Sensor) -> tuple[list[KnownPress], tuple[str, ...]]:
+    """The presses with their depth in place of the travel, and those left out that have none."""
+    converted = [from_travel(press, sensor.skin_radius_mm) for press in presses]
+    why = "after that travel its lowest point is above the skin at (x, y); left out"
+    above = tuple(f"{press.name}: {why}" for press in converted if press.depth_mm <= 0)
+    return [press for press in converted if not press.depth_mm <= 0], above
 
 
 def _fit() -> Callable[..., FitResult]:

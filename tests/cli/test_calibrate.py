@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import csv
 import json
 import re
 import subprocess
@@ -15,6 +16,7 @@ from support.patience import patience
 from support.sensor_files import write_files
 
 from tacshade_edge.cli import main
+from tacshade_edge.core.calibration.touches import first_touch_mm
 from tacshade_edge.devices import calibrations
 from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.simulator import nuisance
@@ -72,6 +74,28 @@ def test_without_presses_it_says_what_is_missing(
     printed = capsys.readouterr()
     assert "depth is what sensors of this kind give on average" in printed.out
     assert printed.err.startswith("warning: 1 reference: noise assumed")
+
+
+def test_depths_as_travel_from_first_touch_are_refused_unless_said_so(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table, out = Path(words[3]), tmp_path / "cal.npz"
+    rows = list(csv.DictReader(table.read_text().splitlines()))
+    for row in rows:
+        place_mm = float(row["x_mm"]), float(row["y_mm"])
+        row["depth_mm"] = str(float(row["depth_mm"]) - first_touch_mm(float(row["radius_mm"]), 20.0, *place_mm))
+        row["image"] = str(table.parent / row["image"])
+    with (tmp_path / "travel.csv").open("w", newline="") as stream:
+        written = csv.DictWriter(stream, rows[0])
+        written.writeheader()
+        written.writerows(row for row in rows if float(row["depth_mm"]) > 0)
+    command = ["calibrate", *words[:2], "--presses", str(tmp_path / "travel.csv"), *words[4:], "--out", str(out)]
+    assert main(command) == 78
+    assert "travel from first touch" in (line := one_line(capsys.readouterr().err))
+    assert "--depth-from-touch takes it so" in line
+    assert not out.exists()
+    assert main([*command, "--depth-from-touch"]) == 0
+    assert "travel" not in capsys.readouterr().err
 
 
 def test_a_loaded_reference_needs_a_flag(words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

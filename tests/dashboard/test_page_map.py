@@ -193,8 +193,8 @@ def test_a_map_that_makes_no_sense_is_counted_and_not_drawn(page: Chrome, tmp_pa
             hand.tell("map/cloud", cloud)
             hand.tell("map/revision", told.encode())
             wait_until(lambda count=count: js(page, "tacshade.undecodable") == count, 10, f"{count}, {told}")  # type: ignore[misc]
-        hand.tell("map/final", b"[]")
-        for topic, payload in (("map/revision", b"{"), ("map/final", b"null"), ("map/cloud", cloud[:-1])):
+        damaged = (("map/final", b"[]"), ("map/revision", b"{"), ("map/final", b"null"), ("map/cloud", cloud[:-1]))
+        for topic, payload in damaged:
             count += 1
             hand.tell(topic, payload)
             wait_until(lambda count=count: js(page, "tacshade.undecodable") == count, 10, f"{count}, {topic}")  # type: ignore[misc]

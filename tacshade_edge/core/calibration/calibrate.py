@@ -9,13 +9,14 @@ import numpy as np
 
 from tacshade_edge.core.calibration import pattern
 from tacshade_edge.core.calibration.coverage import missing_coverage
-from tacshade_edge.core.calibration.depth_zero import zero_hint
+from tacshade_edge.core.calibration.depth_zero import travel_mistake, zero_hint
 from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
 from tacshade_edge.core.calibration.press_observation import position_mae_mm
 from tacshade_edge.core.calibration.press_selection import select_presses
 from tacshade_edge.core.calibration.profile_refit import refit_profile
-from tacshade_edge.core.calibration.quality import GRADED_PROFILE, UNCALIBRATED, Quality, assess
+from tacshade_edge.core.calibration.quality import AGREEMENT_FAIR_MM, GRADED_PROFILE, UNCALIBRATED, Quality, assess
 from tacshade_edge.core.calibration.references import ASSUMED_NOISE_GREY, check_references, with_reference
+from tacshade_edge.core.calibration.skin_scale import skin_scale
 from tacshade_edge.core.calibration.threshold_choice import choose_binarisation
 from tacshade_edge.core.calibration.travel_fit import agreement_mae_mm
 from tacshade_edge.core.depth import Network
@@ -100,7 +101,10 @@ def calibrate(
     )
     warnings += selection.warnings
     graded = refits.get(GRADED_PROFILE)
-    if graded and (hint := zero_hint(graded.found_mm, graded.placed, geometry)):
+    if graded and (mistake := travel_mistake(graded.found_mm, graded.placed, geometry)):
+        raise ConfigError(mistake)
+    hint = zero_hint(graded.found_mm, graded.placed, geometry) if graded else ""
+    if hint:
         warnings += (hint,)
     if graded:
         warnings += graded.left_out
@@ -109,7 +113,9 @@ def calibrate(
         warnings += (f"unlike the sensors that the networks know: {part:.0f} % of the median press is not explained",)
     if graded and graded.error_scale is not None and graded.error_scale > UNUSUAL_ERRORS:
         words = f"off {graded.error_scale:.1f} times as far as on sensors that the networks know"
-        warnings += (f"heights are {words}: their intervals are as much wider; --fit may help",)
+        # A fit to labels that contradict each other learns what is wrong in them.
+        advice = "" if hint or fit.agreement_mae_mm > AGREEMENT_FAIR_MM * skin_scale(geometry) else "; --fit may help"
+        warnings += (f"heights are {words}: their intervals are as much wider{advice}",)
     missing = missing_coverage(selection.observations, geometry)
     quality = assess(fit, geometry, missing, graded.errors_mm if graded else ())
     return CalibrationResult(fitted, warnings, quality, selection.presses)

@@ -1,12 +1,15 @@
 """Is the zero of the stated depths the one that docs/calibration-files.md asks for?
 
 A network that never saw this sensor is off by a nearly constant factor (`gain`), so its depths over the true ones lie
-on a line through 0. Where the stated ones lie on another line, their zero is off.
+on a line through 0. Where the stated ones lie on another line, their zero is off. Depths stated as travel from first
+touch are off by what a press lies beside the middle: how much of that they are off by is a coefficient beside the
+line's two, 0 or 1.
 
 References
 ----------
 H. Theil, "A rank-invariant method of linear and polynomial regression analysis", 1950; P. K. Sen, "Estimates of the
 regression coefficient based on Kendall's tau", J. Am. Stat. Assoc. 63, 1968: the line, and the interval of its slope.
+P. J. Huber, "Robust estimation of a location parameter", Ann. Math. Stat. 35, 1964: weights of the three coefficients.
 """
 
 from __future__ import annotations
@@ -24,11 +27,18 @@ from tacshade_edge.types import F64, Geometry
 # An offset counts where its interval lies beyond so many mm on the nominal skin, and the line's slope is one that the
 # network has on sensors of its kind. What this finds, and finds wrongly: tools/bench_calibration.py.
 _LEAST_OFFSET_MM, _SLOPES = 0.25, (0.85, 1.15)
-# Travel from first touch is hinted at when it leaves less than this part of the error; errors count up to a cap (mm on
-# the nominal skin), so that a few wrong presses do not decide.
-_TRAVEL_PART, _ERROR_CAP_MM = 0.75, 1.0
-# Fewer presses tell too little.
-_LEAST_PRESSES = 12
+# Depths are taken for travel from first touch from so great a coefficient on, when it is as many of its standard
+# deviations; beyond the greater ones a table is refused.
+_HINTED_TRAVEL, _HINTED_DEVIATIONS, _SURE_TRAVEL, _SURE_DEVIATIONS = 0.65, 3.0, 0.7, 5.0
+# An error of a depth: a part of it, and so many mm on the nominal skin.
+_ERROR_PART, _ERROR_MM, _LEAST_DEVIATION = 0.12, 0.15, 0.3
+_HUBER, _ITERATIONS = 1.5, 25
+# Fewer presses tell too little; of fewer than the second, nothing is sure.
+_LEAST_PRESSES, _LEAST_SURE = 12, 16
+TRAVEL_ADVICE = (
+    "--depth-from-touch takes it so; else expected the undeformed skin's z at (x, y) less the z of the indenter's "
+    "lowest point (docs/calibration-files.md)"
+)
 # Of the normal distribution, for an interval of 95 %.
 _Z95 = 1.959964
 
@@ -72,18 +82,46 @@ def zero_hint(found_mm: Sequence[float], placed: Sequence[Placed], geometry: Geo
     if len(found) < _LEAST_PRESSES or np.ptp(found) == 0:
         return ""
     stated = np.array([at.depth_max_mm(r) for at in placed]) / scale
-    travel = np.array([_read_as_travel(at, r).depth_max_mm(r) for at in placed]) / scale
-    line, travel_line = theil_sen(found, stated), theil_sen(found, travel)
-    if _error(travel_line, found, travel) < _TRAVEL_PART * _error(line, found, stated):
-        return (
-            "the stated depths fit better as travel from first touch; depth_mm is the undeformed skin's z at (x, y) "
-            "less the z of the indenter's lowest point (docs/calibration-files.md)"
-        )
+    share, deviation = _travel_share(found, placed, geometry)
+    if share > max(_HINTED_TRAVEL, _HINTED_DEVIATIONS * deviation):
+        return f"the stated depths fit better as travel from first touch: {TRAVEL_ADVICE}"
+    line = theil_sen(found, stated)
     beyond = line.offset_low > _LEAST_OFFSET_MM or line.offset_high < -_LEAST_OFFSET_MM
     if not (beyond and _SLOPES[0] < line.slope < _SLOPES[1]):
         return ""
     change = f"{abs(line.offset) * scale:.1f} mm {'less' if line.offset > 0 else 'more'}"
     return f"the depths fit better if all are {change}: check the zero of the depth"
+
+
+def travel_mistake(found_mm: Sequence[float], placed: Sequence[Placed], geometry: Geometry) -> str:
+    """Depths that are surely travel from first touch, for a person; empty elsewhere. Parameters as of `zero_hint`."""
+    found = np.asarray(found_mm) / skin_scale(geometry)
+    if len(found) < _LEAST_SURE or np.ptp(found) == 0:
+        return ""
+    share, deviation = _travel_share(found, placed, geometry)
+    if share < max(_SURE_TRAVEL, _SURE_DEVIATIONS * deviation):
+        return ""
+    return f"PRESSES.csv: depth_mm: found travel from first touch, as the images show: {TRAVEL_ADVICE}"
+
+
+def _travel_share(found: F64, placed: Sequence[Placed], geometry: Geometry) -> tuple[float, float]:
+    """How much the stated depths are travel from first touch, 0 to 1 but for noise, and its standard deviation."""
+    r, scale = geometry.skin_radius_mm, skin_scale(geometry)
+    stated = np.array([at.depth_max_mm(r) for at in placed]) / scale
+    missing = stated - np.array([_read_as_travel(at, r).depth_max_mm(r) for at in placed]) / scale
+    x = np.stack((found, missing, np.ones_like(found)), axis=1)
+    if np.linalg.matrix_rank(x) < x.shape[1]:
+        return 0.0, math.inf
+    trust = 1 / np.hypot(_ERROR_MM, _ERROR_PART * found)
+    weight = trust * trust
+    for _ in range(_ITERATIONS):
+        normal = x.T @ (x * weight[:, None])
+        coefficients = np.linalg.solve(normal, x.T @ (weight * stated))
+        error = np.abs(stated - x @ coefficients) * trust
+        deviation = max(1.4826 * float(np.median(error)), _LEAST_DEVIATION)
+        weight = trust * trust * np.minimum(1, _HUBER * deviation / np.maximum(error, 1e-9))
+    free = len(found) / (len(found) - x.shape[1])
+    return float(coefficients[1]), deviation * math.sqrt(free * float(np.linalg.inv(normal)[1, 1]))
 
 
 def _read_as_travel(ball: Placed, skin_radius_mm: float) -> Placed:
@@ -94,8 +132,3 @@ def _read_as_travel(ball: Placed, skin_radius_mm: float) -> Placed:
     skin_z = math.sqrt(max(skin_radius_mm**2 - beside2, 0.0))
     touch_z = math.sqrt(max((skin_radius_mm + ball.radius_mm) ** 2 - beside2, 0.0))
     return Ball(ball.x_mm, ball.y_mm, ball.z_mm + touch_z - ball.radius_mm - skin_z, ball.radius_mm)
-
-
-def _error(line: Line, x: F64, y: F64) -> float:
-    """Mean distance from a line along y."""
-    return float(np.mean(np.minimum(np.abs(y - line.offset - line.slope * x), _ERROR_CAP_MM)))

@@ -17,7 +17,7 @@ GRADED_PROFILE = "accurate"
 # On the nominal skin: its mean depth error, and how well the presses agree with each other. What good presses give, and
 # presses stated 0.3 and 0.6 mm off, `tools/bench_calibration.py` measures (docs/calibration-checks.md has its table).
 _DEPTH_GOOD_MM, _DEPTH_FAIR_MM = 0.30, 0.50
-_AGREEMENT_GOOD_MM, _AGREEMENT_FAIR_MM = 0.25, 0.45
+_AGREEMENT_GOOD_MM, AGREEMENT_FAIR_MM = 0.25, 0.45
 _TO_REPEAT = 3
 
 
@@ -61,7 +61,7 @@ def assess(fit: Fit, geometry: Geometry, missing: Sequence[str], errors_mm: Sequ
     grade: Grade = "good"
     if depth > _DEPTH_GOOD_MM or agreement > _AGREEMENT_GOOD_MM or missing:
         grade = "fair"
-    if depth > _DEPTH_FAIR_MM or agreement > _AGREEMENT_FAIR_MM:
+    if depth > _DEPTH_FAIR_MM or agreement > AGREEMENT_FAIR_MM:
         grade = "poor"
     line = (
         f"{grade}: depth within {_rounded_up(profile.depth_mae_mm)} mm of what was stated on average, "

@@ -12,10 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tacshade_edge.core.calibration.depth_zero import theil_sen
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.press_observation import PressObservation
 from tacshade_edge.core.calibration.press_view import PressView
-from tacshade_edge.types import Geometry
+from tacshade_edge.types import F64, Geometry
 
 # Fewer presses tell nothing of all of them; nor does a network that sees a smaller part of them.
 _LEAST_PRESSES, _LEAST_SEEN_PART = 4, 0.5
@@ -23,7 +24,10 @@ _LEAST_PRESSES, _LEAST_SEEN_PART = 4, 0.5
 # 0.95 to 1.05.
 _UNIT_FACTOR = 4.0
 _UNITS = {"cm": 10.0, "inches": 25.4, "m": 1000.0}
-_BALL_FACTORS = (0.7, 1.85)
+_BALL_FACTORS = (0.8, 1.85)
+# Where all depths are stated too great by a constant, balls look smaller, shallow ones most. Without that they are 0.95
+# and more of good tables, and 0.83 and less of diameters.
+_LEAST_BALL_SLOPE = 0.9
 _PLACE_FACTORS = (0.6, 1.4)
 # Places that lie nearer to the middle than this, in skin radii (RMS), tell no factor: a place is found within 1 mm.
 _LEAST_REACH_RADII = 0.1
@@ -41,20 +45,28 @@ class ShownSizes:
         Of the depths.
     ball : float
         Of the balls' radii.
+    ball_slope : float
+        The same whatever constant all depths are off by: what shows is the product of radius and depth, so its slope
+        over the stated depth; NaN too where the depths are equal.
     """
 
     depth: float
     ball: float
+    ball_slope: float
 
 
 def shown_sizes(presses: Sequence[KnownPress], views: Sequence[PressView | None]) -> ShownSizes:
     """Compare what a network sees of the presses with what is stated of them."""
     seen = [(press, view) for press, view in zip(presses, views, strict=True) if view is not None]
     depths = [view.depth_mm / press.depth_mm for press, view in seen]
-    balls = [view.ball_factor for _, view in seen if math.isfinite(view.ball_factor)]
+    balls = [(press.depth_mm, view.ball_factor) for press, view in seen if math.isfinite(view.ball_factor)]
     if len(seen) < _LEAST_SEEN_PART * len(presses):
         balls = []
-    return ShownSizes(_median(depths), _median(balls))
+    stated_mm, factors = np.array(balls).reshape(-1, 2).T
+    slope = math.nan
+    if len(balls) >= _LEAST_PRESSES and np.ptp(stated_mm) > 0:
+        slope = theil_sen(stated_mm, factors * stated_mm).slope
+    return ShownSizes(_median(depths), _median(factors), slope)
 
 
 def unit_mistake(shown: ShownSizes) -> str:
@@ -83,7 +95,7 @@ def size_mistake(shown: ShownSizes, observations: Sequence[PressObservation], ge
             f"SENSOR.yaml: skin_radius_mm: found {radius_mm:g}, and with it the images show presses about {skin:.1f} "
             f"times as large as PRESSES.csv: is it {asked}? expected about {radius_mm / skin:.0f}"
         )
-    if _beyond(shown.ball, _BALL_FACTORS):
+    if _beyond(shown.ball, _BALL_FACTORS) and not (shown.ball < 1 and shown.ball_slope > _LEAST_BALL_SLOPE):
         asked = "are they diameters?" if shown.ball < 1 else "are they halved?"
         return (
             f"PRESSES.csv: radius_mm: the images show balls of about {shown.ball:.1f} times the stated radii: "
@@ -105,7 +117,7 @@ def _place_factor(observations: Sequence[PressObservation], skin_radius_mm: floa
     return float((shown * stated).sum() / squares)
 
 
-def _median(values: Sequence[float]) -> float:
+def _median(values: Sequence[float] | F64) -> float:
     return float(np.median(values)) if len(values) >= _LEAST_PRESSES else math.nan
 
 

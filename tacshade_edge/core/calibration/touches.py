@@ -7,11 +7,12 @@ that of the ball's lowest point.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tacshade_edge.core.calibration.indenter import Indenter, place
+from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.rigid import Rigid, shift, turn
 from tacshade_edge.types import F64
@@ -145,3 +146,27 @@ def first_touch_mm(
     if isinstance(indenter, Indenter):
         return place(indenter, r, x_mm, y_mm, r / 2, yaw_deg).first_touch_mm(r)
     return math.sqrt(max(r * r - q, 0.0)) - (math.sqrt((r + indenter) ** 2 - q) - indenter)
+
+
+def from_travel(press: KnownPress, skin_radius_mm: float) -> KnownPress:
+    """A press whose depth was stated as travel from first touch, with the depth that PRESSES.csv has.
+
+    It is 0 or less where the lowest point of what presses is still above the skin at (x, y).
+
+    Raises
+    ------
+    ConfigError
+        No place is stated, or one that is not over the skin.
+    """
+    if press.x_mm is None or press.y_mm is None:
+        raise ConfigError(f"{press.name}: x_mm, y_mm: found nothing, expected both with --depth-from-touch")
+    r, x_mm, y_mm = skin_radius_mm, press.x_mm, press.y_mm
+    if not x_mm**2 + y_mm**2 < r * r:
+        expected = f"expected a place over the skin, whose radius is {r:g} mm"
+        raise ConfigError(f"{press.name}: x_mm, y_mm: found {x_mm:g}, {y_mm:g}, {expected}")
+    if press.indenter is None:
+        first_mm = first_touch_mm(press.radius_mm, r, x_mm, y_mm)
+    else:
+        angles = press.yaw_deg, press.tilt_x_deg, press.tilt_y_deg
+        first_mm = place(press.indenter, r, x_mm, y_mm, r / 2, *angles).first_touch_mm(r)
+    return replace(press, depth_mm=press.depth_mm + first_mm)

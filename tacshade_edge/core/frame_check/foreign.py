@@ -73,13 +73,13 @@ def doubt(part: float | None) -> Reason | None:
 
 
 def foreign_part(foreign: Bool, inside: Bool) -> float:
-    """Part of the disc that is foreign; bool (rows, cols) both."""
-    return float(np.count_nonzero(foreign & inside) / np.count_nonzero(inside))
+    """Part of the disc that is foreign, 0 of a disc without cells; bool (rows, cols) both."""
+    return float(np.count_nonzero(foreign & inside) / max(int(np.count_nonzero(inside)), 1))
 
 
 def foreign_rows_part(foreign: Bool, inside: Bool) -> float:
-    """Part of the disc in rows that are foreign across it; bool (rows, cols) both."""
+    """Part of the disc in rows that are foreign across it, 0 as above; bool (rows, cols) both."""
     cells = np.count_nonzero(inside, axis=1)
     least = max(LEAST_ROW_CELLS * len(inside) // disc_map.CELLS, 1)
     rows = (np.count_nonzero(foreign & inside, axis=1) > FOREIGN_ROW * cells) & (cells >= least)
-    return float(cells[rows].sum() / cells.sum())
+    return float(cells[rows].sum() / max(int(cells.sum()), 1))

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 
+from tacshade_edge.core.calibration.indenter import Indenter
+from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.devices.files.images import read_image
 from tacshade_edge.devices.files.presses import BALL, HEADER, MORE, press_rows
 from tacshade_edge.devices.files.tables import number, read_rows
@@ -89,6 +91,24 @@ def stated(where: str, columns: Sequence[str], names: Collection[str], skin_radi
         if text:
             number(where, name, text)
     return Stated(tuple(columns))
+
+
+def known_press(name: str, image: U8, press: Stated, names: Mapping[str, Indenter | float]) -> KnownPress:
+    """A press that `stated` has checked, as `calibrate` takes it; `names` are the indenters besides the ball."""
+    indenter, radius_text, depth_text, x_text, y_text, *more = press.columns
+    known = names.get(indenter)
+    ball_mm = known if isinstance(known, float) else 0.0
+    angles = [float(text or 0) for text in more[:3]] + [0.0] * (3 - len(more[:3]))
+    return KnownPress(
+        name,
+        image,
+        float(radius_text) if indenter == BALL else ball_mm,
+        float(depth_text),
+        float(x_text) if x_text else None,
+        float(y_text) if y_text else None,
+        known if isinstance(known, Indenter) else None,
+        *angles,
+    )
 
 
 def read_plan(path: Path, names: Collection[str], skin_radius_mm: float) -> tuple[Stated, ...]:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -10,10 +11,12 @@ from scipy.stats import theilslopes
 from support.calibrated_sensor import FULL, references, sensor_of, simulated
 
 from tacshade_edge.core.calibration.calibrate import calibrate
-from tacshade_edge.core.calibration.depth_zero import theil_sen, zero_hint
+from tacshade_edge.core.calibration.depth_zero import theil_sen, travel_mistake, zero_hint
 from tacshade_edge.core.calibration.gain import Ball, stated_ball
 from tacshade_edge.core.calibration.inputs import KnownPress
+from tacshade_edge.core.calibration.touches import first_touch_mm, from_travel
 from tacshade_edge.devices.weights.network import load_networks
+from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.types import Disc, Geometry
 
@@ -71,28 +74,49 @@ def presses() -> list[KnownPress]:
     ]
 
 
+def stated_as(presses: list[KnownPress], off_mm: Callable[[KnownPress], float]) -> list[KnownPress]:
+    table = [replace(press, depth_mm=press.depth_mm + off_mm(press)) for press in presses]
+    return [press for press in table if press.depth_mm > 0]
+
+
+def warnings_of(table: list[KnownPress]) -> tuple[str, ...]:
+    networks = {"accurate": load_networks()["accurate"]}
+    return calibrate(sensor_of(FULL), references(FULL), table, networks=networks).warnings
+
+
+def less_first_touch(press: KnownPress) -> float:
+    return -first_touch_mm(press.radius_mm, FULL.skin_radius_mm, press.x_mm or 0, press.y_mm or 0)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("read_as", "wanted"),
-    [
-        ("stated", ""),
-        ("less", "mm more: check the zero"),
-        ("more", "mm less: check the zero"),
-        ("travel", "fit better as travel from first touch"),
-    ],
+    ("off_mm", "wanted"), [(0.0, ""), (-0.7, "mm more: check the zero"), (0.7, "mm less: check the zero")]
 )
-def test_a_simulated_sensor(presses: list[KnownPress], read_as: str, wanted: str) -> None:
-    r = FULL.skin_radius_mm
-
-    def depth_mm(press: KnownPress) -> float:
-        beside2 = (press.x_mm or 0.0) ** 2 + (press.y_mm or 0.0) ** 2
-        touch = np.sqrt(r * r - beside2) - np.sqrt((r + press.radius_mm) ** 2 - beside2) + press.radius_mm
-        off = {"stated": 0.0, "less": -0.7, "more": 0.7, "travel": -float(touch)}[read_as]
-        return press.depth_mm + off
-
-    table = [replace(press, depth_mm=depth_mm(press)) for press in presses if depth_mm(press) > 0]
-    networks = {"accurate": load_networks()["accurate"]}
-    warnings = calibrate(sensor_of(FULL), references(FULL), table, networks=networks).warnings
-    hints = [warning for warning in warnings if "fit better" in warning]
+def test_a_simulated_sensor(presses: list[KnownPress], off_mm: float, wanted: str) -> None:
+    hints = [warning for warning in warnings_of(stated_as(presses, lambda _: off_mm)) if "fit better" in warning]
     assert len(hints) == bool(wanted)
     assert all(wanted in hint for hint in hints)
+
+
+@pytest.mark.slow
+def test_travel_from_first_touch_is_refused_and_read_where_it_is_asked_for(presses: list[KnownPress]) -> None:
+    table = stated_as(presses, less_first_touch)
+    with pytest.raises(
+        ConfigError, match=r"PRESSES.csv: depth_mm: found travel from first touch.* --depth-from-touch "
+    ):
+        warnings_of(table)
+    read = [from_travel(press, FULL.skin_radius_mm) for press in table]
+    assert [press.depth_mm for press in read] == pytest.approx([press.depth_mm for press in presses])
+    assert warnings_of(read) == ()
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.7, 1.0, 1.4]), st.integers(12, 40))
+def test_right_depths_are_not_taken_for_travel(seed: int, factor: float, count: int) -> None:
+    found_mm, balls = set_of(count, seed)
+    assert travel_mistake([factor * h for h in found_mm], balls, GEOMETRY) == ""
+
+
+def test_few_presses_are_not_refused_as_travel() -> None:
+    found_mm, balls = set_of(15, 3)
+    travel = [lower(ball, first_touch_mm(ball.radius_mm, 20.0, ball.x_mm, ball.y_mm)) for ball in balls]
+    assert travel_mistake(found_mm, travel, GEOMETRY) == ""

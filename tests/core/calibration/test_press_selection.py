@@ -174,7 +174,7 @@ def test_one_press_with_x_and_y_swapped_is_named_and_left_out() -> None:
     apart = max(range(20), key=lambda k: abs((presses()[k].x_mm or 0) - (presses()[k].y_mm or 0)))
     press = presses()[apart]
     table = [replace(p, x_mm=p.y_mm, y_mm=p.x_mm) if p is press else p for p in presses()]
-    warning = calibrate(sensor_of(HALF), references(), table, networks=ACCURATE).warnings[0]
+    (warning,) = calibrate(sensor_of(HALF), references(), table, networks=ACCURATE).warnings
     assert warning.startswith(f"press {apart}: x {press.y_mm:.1f}, y {press.x_mm:.1f} mm is stated, ")
 
 

@@ -8,7 +8,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from tacshade_edge.core.calibration.indenter import box, cylinder
-from tacshade_edge.core.calibration.touches import first_touch_mm, skin_centre, stand, yaw_of
+from tacshade_edge.core.calibration.inputs import KnownPress
+from tacshade_edge.core.calibration.touches import first_touch_mm, from_travel, skin_centre, stand, yaw_of
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import F64
 
@@ -82,3 +83,17 @@ def test_flat_ends_touch_beside_their_middle() -> None:
     turned = first_touch_mm(box("square", 8, 4), 20, 6, 0, 90), first_touch_mm(box("square", 8, 4), 20, 6, 0)
     assert turned[0] == pytest.approx(math.sqrt(400 - 36) - math.sqrt(400 - 16), abs=1e-3)
     assert turned[1] < turned[0]
+
+
+def test_travel_becomes_depth() -> None:
+    image = np.zeros((2, 2), np.uint8)
+    ball = KnownPress("ball", image, 6.0, 2.0, 6.0, 0.0)
+    assert from_travel(ball, 20).depth_mm == pytest.approx(2 + first_touch_mm(6.0, 20, 6, 0))
+    flat = KnownPress("flat", image, 0.0, 2.0, 6.0, 0.0, cylinder("flat", 4), tilt_x_deg=5.0)
+    upright = KnownPress("flat", image, 0.0, 2.0, 6.0, 0.0, cylinder("flat", 4))
+    assert from_travel(upright, 20).depth_mm == pytest.approx(2 + first_touch_mm(cylinder("flat", 4), 20, 6, 0))
+    assert from_travel(flat, 20).depth_mm != pytest.approx(from_travel(upright, 20).depth_mm, abs=0.01)
+    with pytest.raises(ConfigError, match="ball: x_mm, y_mm: found nothing"):
+        from_travel(KnownPress("ball", image, 6.0, 2.0, None, None), 20)
+    with pytest.raises(ConfigError, match="expected a place over the skin"):
+        from_travel(KnownPress("ball", image, 6.0, 2.0, 30.0, 0.0), 20)

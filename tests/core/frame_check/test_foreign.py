@@ -81,3 +81,8 @@ def test_foreign_patches_are_no_torn_rows() -> None:
     assert foreign_rows_part(rows, inside) == pytest.approx(foreign_part(rows, inside), abs=0.02)
     assert foreign_rows_part(inside, inside) > 0.97
     assert foreign_rows_part(np.zeros_like(inside), inside) == 0.0
+
+
+def test_nothing_of_a_disc_without_cells_is_foreign() -> None:
+    nothing = np.zeros((112, 112), dtype=bool)
+    assert foreign_part(nothing, nothing) == foreign_rows_part(nothing, nothing) == 0.0
