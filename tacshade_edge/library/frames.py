@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import os
 import time
-from pathlib import Path
 from typing import Final
 
 from tacshade_edge.core.contact.tracking import ContactTracker
@@ -15,6 +14,7 @@ from tacshade_edge.devices.base import FrameSource
 from tacshade_edge.devices.files.recording import Recording
 from tacshade_edge.devices.files.recording_content import CALIBRATION_NAME
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
+from tacshade_edge.library.arguments import path_of, wrong
 from tacshade_edge.library.result import Result, Results
 from tacshade_edge.library.sensor import Sensor, load
 from tacshade_edge.settings import Settings, V4l2
@@ -50,7 +50,8 @@ def open(source: str | os.PathLike[str], sensor: Sensor | None = None) -> Result
         There is no camera, it is in use, or gives no frame. Later, from ``next``: it was lost; the next call opens it
         again.
     """
-    path = Path(source)
+    path = path_of("source", source)
+    _check_sensor(sensor)
     if path.suffix.lower() in (".yaml", ".yml"):
         document = load_settings(path)
         registry.check_source(document)
@@ -87,7 +88,8 @@ def read(recording: str | os.PathLike[str], sensor: Sensor | None = None) -> Res
     ConfigError
         There is nothing to read, or no calibration.
     """
-    path = Path(recording)
+    path = path_of("recording", recording)
+    _check_sensor(sensor)
     frames = Recording(path)
     for line in (frames.damage, f"{path}: the recording was cut off, what is whole is read" if frames.cut_off else ""):
         if line:
@@ -99,6 +101,11 @@ def read(recording: str | os.PathLike[str], sensor: Sensor | None = None) -> Res
             )
         sensor = Sensor(own, DEFAULT)
     return _Recorded(frames, sensor)
+
+
+def _check_sensor(sensor: object) -> None:
+    if not (sensor is None or isinstance(sensor, Sensor)):
+        raise wrong("sensor", sensor, "what tacshade_edge.load gives")
 
 
 class _Live(Results):

@@ -15,6 +15,7 @@ from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 
 from tacshade_edge.devices.mqtt.client import connect_now, make_client
 from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.library.arguments import path_of, text_of, wrong
 from tacshade_edge.library.frames_heard import TOPICS, FramesHeard
 from tacshade_edge.library.result import Result, Results
 from tacshade_edge.quoting import escaped, shown
@@ -26,6 +27,9 @@ _KEEPALIVE_S: Final = 60
 _POLL_S: Final = 0.1
 _BYTES_MAX: Final = 1 << 26
 _REASON_CHARS_MAX: Final = 500
+_HOST_CHARS_MAX, _ID_CHARS_MAX = 253, 255
+_BROKER: Final = "HOST or HOST:PORT, such as localhost:1883"
+_SENSOR_ID: Final = "the sensor_id of a daemon's settings, such as left-index"
 
 
 def listen(
@@ -60,16 +64,18 @@ def listen(
         No broker, or it does not let us in. Later, from ``next``: nothing that gives a result came for 5 s, or the
         connection was lost; the next call connects again.
     """
-    host, port = _host_and_port(broker)
-    if not sensor_id or set(sensor_id) & set("/+#\0"):
-        raise ConfigError(f"sensor {sensor_id!r}: expected the sensor_id of a daemon's settings, such as left-index")
+    host, port = _host_and_port(text_of("broker", broker, _BROKER))
+    if not 0 < len(text_of("sensor_id", sensor_id, _SENSOR_ID)) <= _ID_CHARS_MAX or set(sensor_id) & set("/+#"):
+        raise wrong("sensor_id", sensor_id, _SENSOR_ID)
+    if password is not None and username is None:
+        raise ConfigError("password: found one without a username, expected both")
     client = make_client(
         host=host,
         base_topic=f"tacshade/{sensor_id}",
         client_id=f"tacshade-listen-{secrets.token_hex(6)}",
-        username=username,
-        password=password,
-        tls_ca=None if ca_file is None else os.fspath(ca_file),
+        username=None if username is None else text_of("username", username, "text"),
+        password=None if password is None else text_of("password", password, "text"),
+        tls_ca=None if ca_file is None else str(path_of("ca_file", ca_file)),
     )
     return _Heard(client, host, port, sensor_id)
 
@@ -77,9 +83,10 @@ def listen(
 def _host_and_port(broker: str) -> tuple[str, int]:
     host, colon, port = broker.rpartition(":")
     if not colon:
-        return broker, 1883
-    if not (host and port.isascii() and port.isdecimal() and 0 < int(port) < 65536):
-        raise ConfigError(f"broker {broker!r}: expected HOST or HOST:PORT, such as localhost:1883")
+        host, port = broker, "1883"
+    sound = port.isascii() and port.isdecimal() and len(port) <= 5 and 0 < int(port) < 65536
+    if not (sound and 0 < len(host) <= _HOST_CHARS_MAX):
+        raise wrong("broker", broker, _BROKER)
     return host.strip("[]"), int(port)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import threading
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -15,11 +14,11 @@ from tacshade_edge.devices import calibrations
 from tacshade_edge.devices.files.images import read_image
 from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.library.arguments import path_of, wrong
 from tacshade_edge.library.result import Result, result_of
-from tacshade_edge.quoting import quoted
 from tacshade_edge.types import U8, Calibration, Frame, Geometry
 
-_EXPECTED: Final = "expected a path, or uint8 (rows, cols) or (rows, cols, 3), blue first"
+_EXPECTED: Final = "a path, or uint8 (rows, cols) or (rows, cols, 3), blue first"
 
 
 def load(calibration: str | os.PathLike[str], *, profile: str = DEFAULT) -> Sensor:
@@ -37,7 +36,7 @@ def load(calibration: str | os.PathLike[str], *, profile: str = DEFAULT) -> Sens
     ConfigError
         It cannot be used, or there is no such profile.
     """
-    return Sensor(calibrations.load(calibration, store=False), profile)
+    return Sensor(calibrations.load(path_of("calibration", calibration), store=False), profile)
 
 
 class Sensor:
@@ -53,8 +52,10 @@ class Sensor:
     """
 
     def __init__(self, calibration: Calibration, profile: str) -> None:
-        if profile not in PROFILES:
-            raise ConfigError(f"profile {profile!r}: expected one of {', '.join(sorted(PROFILES))}")
+        if not isinstance(calibration, Calibration):
+            raise wrong("calibration", calibration, "what tacshade_edge.load reads: load(path)")
+        if not isinstance(profile, str) or profile not in PROFILES:
+            raise wrong("profile", profile, f"one of {', '.join(sorted(PROFILES))}")
         self._reconstructor = make_reconstructor(calibration, PROFILES[profile])
         self._in_use = threading.Lock()  # never waited for: the reconstructor's scratch buffers are of one frame
         self.profile = profile
@@ -79,12 +80,12 @@ class Sensor:
         if isinstance(image, np.ndarray):
             shaped = image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)
             if image.dtype != np.uint8 or not shaped or image.size == 0:
-                raise ConfigError(f"image: found {image.dtype} {image.shape}, {_EXPECTED}")
+                raise ConfigError(f"image: found {image.dtype} {image.shape}, expected {_EXPECTED}")
             pixels: U8 = np.ascontiguousarray(image)
-        elif isinstance(image, str | os.PathLike) and "\0" not in (path := os.fsdecode(image)):
-            pixels = read_image(Path(path))
+        elif isinstance(image, str | os.PathLike):
+            pixels = read_image(path_of("image", image))
         else:
-            raise ConfigError(f"image: found {quoted(repr(image))}, {_EXPECTED}")
+            raise wrong("image", image, _EXPECTED)
         return self.step(Frame(0, 0, 0, pixels), None)
 
     def step(self, frame: Frame, tracker: ContactTracker | None) -> Result:

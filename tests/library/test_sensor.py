@@ -81,12 +81,12 @@ def test_what_cannot_be_used_says_so(sensor: ts.Sensor, tmp_path: Path) -> None:
         sensor.reconstruct(np.zeros((3, 3)))  # type: ignore[arg-type]
     with pytest.raises(ts.DecodeError, match=r"nothing\.png: No such file"):
         sensor.reconstruct(tmp_path / "nothing.png")
-    with pytest.raises(ts.ConfigError, match="profile 'auto': expected one of accurate, balanced, fast, paper"):
+    with pytest.raises(ts.ConfigError, match="profile: found 'auto', expected one of accurate, balanced, fast, paper"):
         ts.Sensor(calibrated(), "auto")
 
 
 @pytest.mark.parametrize(
-    "image", [None, [], [[1, 2], [3, 4]], 5, "a\0b", np.zeros((0, 0), np.uint8), np.zeros((0, 5, 3), np.uint8)]
+    "image", [None, [], [[1, 2], [3, 4]], 5, np.zeros((0, 0), np.uint8), np.zeros((0, 5, 3), np.uint8)]
 )
 def test_what_is_no_image_is_one_of_its_own_errors(sensor: ts.Sensor, image: object) -> None:
     with pytest.raises(ts.ConfigError, match=r"^image: found .*, expected a path, or uint8"):

@@ -1,0 +1,49 @@
+"""What people hand to the library: of the right kind, or refused in one line."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from pathlib import Path
+from typing import Final
+
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.quoting import quoted, shown
+
+_PATH_BYTES_MAX: Final = 4095
+_NAME_BYTES_MAX: Final = 255
+_TEXT_BYTES_MAX: Final = 65535
+"""Of a string of MQTT."""
+
+
+def path_of(name: str, value: object) -> Path:
+    """A path that a file can have.
+
+    Raises
+    ------
+    ConfigError
+        Another type, or no file can have that path.
+    """
+    if isinstance(value, str | os.PathLike):
+        encoded = b""
+        with contextlib.suppress(UnicodeEncodeError):
+            encoded = os.fsencode(value)
+        names = encoded.split(b"/")
+        if 0 < len(encoded) <= _PATH_BYTES_MAX and b"\0" not in encoded and max(map(len, names)) <= _NAME_BYTES_MAX:
+            return Path(os.fsdecode(encoded))
+    raise wrong(name, value, "a path")
+
+
+def text_of(name: str, value: object, expected: str) -> str:
+    """Text that MQTT can carry. Raises ConfigError."""
+    if isinstance(value, str) and "\0" not in value:
+        with contextlib.suppress(UnicodeEncodeError):
+            if len(value.encode()) <= _TEXT_BYTES_MAX:
+                return value
+    raise wrong(name, value, expected)
+
+
+def wrong(name: str, value: object, expected: str) -> ConfigError:
+    """The error for an argument of another kind."""
+    found = quoted(value) if isinstance(value, str) else shown(repr(value), 60)
+    return ConfigError(f"{name}: found {found}, expected {expected}")

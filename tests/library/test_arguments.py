@@ -1,0 +1,91 @@
+"""load, open, read, listen and Sensor: what is of another kind is the library's own error, in one line."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from support.calibrated_sensor import calibrated
+
+import tacshade_edge as ts
+from tacshade_edge.devices.files import calibration_file
+
+NO_TEXT = [None, [], [1], {}, (1, 2), 5, 1.5, True, b"x", np.zeros((0, 0)), np.zeros((0, 0), np.uint8), object()]
+NO_PATH = [*NO_TEXT, "", "a\0b", "\ud800", "x" * 300, "a/" * 3000, Path("x" * 256)]
+CLOSED = "127.0.0.1:1"
+
+
+def refused(made: Callable[[], object], name: str, expected: str) -> None:
+    with pytest.raises(ts.ConfigError, match=rf"(?s)^{name}: found .*, expected {re.escape(expected)}") as error:
+        made()
+    assert "\n" not in str(error.value)
+    assert len(str(error.value)) < 250
+
+
+@pytest.fixture(scope="module")
+def sensor(tmp_path_factory: pytest.TempPathFactory) -> ts.Sensor:
+    path = tmp_path_factory.mktemp("sensor") / "cal.npz"
+    calibration_file.save(path, calibrated())
+    return ts.load(path)
+
+
+@pytest.mark.parametrize("value", NO_PATH, ids=lambda v: repr(v)[:20])
+def test_what_is_no_path(value: Any, sensor: ts.Sensor) -> None:
+    refused(lambda: ts.load(value), "calibration", "a path")
+    refused(lambda: ts.open(value), "source", "a path")
+    refused(lambda: ts.read(value), "recording", "a path")
+    if not isinstance(value, np.ndarray):
+        refused(lambda: sensor.reconstruct(value), "image", "a path")
+    if value is not None:
+        refused(lambda: ts.listen(CLOSED, "drawn", ca_file=value), "ca_file", "a path")
+
+
+@pytest.mark.parametrize("value", NO_TEXT, ids=lambda v: repr(v)[:20])
+def test_what_is_no_sensor_and_no_profile(value: Any, tmp_path: Path) -> None:
+    calibration_file.save(tmp_path / "cal.npz", calibrated())
+    refused(lambda: ts.load(tmp_path / "cal.npz", profile=value), "profile", "one of accurate, balanced, fast, paper")
+    refused(lambda: ts.Sensor(value, "fast"), "calibration", "what tacshade_edge.load reads")
+    if value is not None:
+        refused(lambda: ts.open("/dev/video99", value), "sensor", "what tacshade_edge.load gives")
+        refused(lambda: ts.read(tmp_path, value), "sensor", "what tacshade_edge.load gives")
+
+
+@pytest.mark.parametrize("value", [*NO_TEXT, "\ud800", "a\0b", "x" * 70_000], ids=lambda v: repr(v)[:20])
+def test_what_is_no_text(value: Any) -> None:
+    refused(lambda: ts.listen(value, "drawn"), "broker", "HOST or HOST:PORT")
+    refused(lambda: ts.listen(CLOSED, value), "sensor_id", "the sensor_id of a daemon's settings")
+    if value is not None:
+        refused(lambda: ts.listen(CLOSED, "drawn", username=value), "username", "text")
+        refused(lambda: ts.listen(CLOSED, "drawn", username="a", password=value), "password", "text")
+
+
+@pytest.mark.parametrize("broker", ["", ":", "host:port", "host:0", "host:65536", "host:" + "1" * 5000, "h" * 254])
+def test_what_is_no_broker(broker: str) -> None:
+    refused(lambda: ts.listen(broker, "drawn"), "broker", "HOST or HOST:PORT")
+
+
+@pytest.mark.parametrize("sensor_id", ["", "a/b", "+", "#", "x" * 256])
+def test_what_is_no_sensor_id(sensor_id: str) -> None:
+    refused(lambda: ts.listen(CLOSED, sensor_id), "sensor_id", "the sensor_id of a daemon's settings")
+
+
+def test_a_password_needs_a_username() -> None:
+    with pytest.raises(ts.ConfigError, match=r"^password: found one without a username, expected both$"):
+        ts.listen(CLOSED, "drawn", password="word")
+    with pytest.raises(ts.DeviceError, match="Connection refused"):
+        ts.listen(CLOSED, "drawn", username="", password="")
+
+
+@given(st.text(max_size=300))
+def test_any_text_is_read_or_refused(text: str) -> None:
+    """A file that is there by chance would be no calibration either."""
+    for made in (ts.load, ts.read, ts.decode_file):
+        with contextlib.suppress(ts.ConfigError, ts.DecodeError):
+            made("/nowhere/" + text)
