@@ -13,25 +13,33 @@ if TYPE_CHECKING:
     from tacshade_edge.errors import ConfigError, DecodeError, DeviceError, TacshadeError
     from tacshade_edge.library.frames import open, read
     from tacshade_edge.library.heard import listen
+    from tacshade_edge.library.messages import decode, decode_file
     from tacshade_edge.library.result import Result, Results
     from tacshade_edge.library.sensor import Sensor, load
+    from tacshade_edge.protocol.wire import CloudMessage, HeightMessage, ShearMessage, SigmaMessage
     from tacshade_edge.types import Geometry, Pose, Slip, TouchedObject
 
     __version__: str
 
 __all__ = [
+    "CloudMessage",
     "ConfigError",
     "DecodeError",
     "DeviceError",
     "Geometry",
+    "HeightMessage",
     "Pose",
     "Result",
     "Results",
     "Sensor",
+    "ShearMessage",
+    "SigmaMessage",
     "Slip",
     "TacshadeError",
     "TouchedObject",
     "__version__",
+    "decode",
+    "decode_file",
     "listen",
     "load",
     "open",
@@ -42,8 +50,10 @@ _HOMES = {
     "errors": ("ConfigError", "DecodeError", "DeviceError", "TacshadeError"),
     "library.frames": ("open", "read"),
     "library.heard": ("listen",),
+    "library.messages": ("decode", "decode_file"),
     "library.result": ("Result", "Results"),
     "library.sensor": ("Sensor", "load"),
+    "protocol.wire": ("CloudMessage", "HeightMessage", "ShearMessage", "SigmaMessage"),
     "types": ("Geometry", "Pose", "Slip", "TouchedObject"),
 }
 

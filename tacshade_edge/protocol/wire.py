@@ -23,6 +23,8 @@ SCALE_MM: Final = 0.001
 OUTSIDE: Final = -32768
 CELLS_MAX: Final = 1 << 22
 """Of a grid that is decoded, and points of a cloud: a disc of 2048 px, each of its pixels a cell."""
+PAYLOAD_BYTES_MAX: Final = 14 * CELLS_MAX
+"""Of that many points, the largest kind."""
 _LIMIT: Final = 32767
 _PX_MAX, _MM_MAX = 1e5, 1e7
 _STEP_PX_LEAST: Final = 1e-6

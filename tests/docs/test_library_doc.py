@@ -16,10 +16,12 @@ from support.calibrated_sensor import FULL, calibrated, pressed, unloaded
 from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from support.patience import patience
 
+import tacshade_edge as ts
 from tacshade_edge.cli import main
 from tacshade_edge.devices.files import calibration_file
 
 TEXT = (Path(__file__).parents[2] / "docs" / "library.md").read_text()
+REPLAY = (Path(__file__).parents[2] / "docs" / "replay.md").read_text()
 EXAMPLES = dict(re.findall(r"^## ([^\n]+)\n[^#]*?```python\n(.*?)```", TEXT, re.DOTALL | re.MULTILINE))
 
 pytestmark = pytest.mark.slow
@@ -42,7 +44,10 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def run(title: str, folder: Path, monkeypatch: pytest.MonkeyPatch, **other: str) -> dict[str, Any]:
     """What an example leaves behind."""
-    code = EXAMPLES[title]
+    return executed(EXAMPLES[title], title, folder, monkeypatch, **other)
+
+
+def executed(code: str, title: str, folder: Path, monkeypatch: pytest.MonkeyPatch, **other: str) -> dict[str, Any]:
     for written, here in other.items():
         assert code.count(written) == 1
         code = code.replace(written, here)
@@ -59,6 +64,7 @@ def test_every_example_is_one_of_these() -> None:
         "A camera",
         "A running hand",
         "A recording",
+        "Messages and files, decoded",
         "From a cell to millimetres",
     ]
     assert TEXT.count("```python") == len(EXAMPLES)
@@ -83,6 +89,25 @@ def test_a_recording(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     depth_mm = run("A recording", made, monkeypatch)["depth_mm"]
     assert depth_mm[0] == 0
     assert depth_mm[1] > 1
+
+
+def test_messages_and_files(made: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["replay", str(made / "recording"), "--out", str(made / "RUN")]) == 0
+    capsys.readouterr()
+    run("Messages and files, decoded", made, monkeypatch)
+    rows, cols = ts.load(made / "cal.npz").reconstruct(made / "press.png").height_mm.shape
+    printed = capsys.readouterr().out.splitlines()
+    assert [line.split(maxsplit=2)[::2] for line in printed] == [[str(k), f"({rows}, {cols})"] for k in (0, 1)]
+    (code,) = re.findall(r"```python\n(.*?)```", REPLAY, re.DOTALL)
+    executed(code, "replay.md", made, monkeypatch)
+    said = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert [(int(line[0]), line[1]) for line in said] == [
+        *((0, "deepest"), (1, "deepest"), (0, "0"), (1, said[3][1])),
+        *((0, "dragged"), (1, "dragged")),
+    ]
+    assert float(said[0][2]) == 0 < 1 < float(said[1][2])
+    assert (said[2][3], said[3][3]) == ("0", "1")
+    assert float(said[4][5]) == 0 < float(said[5][5])
 
 
 def test_a_cell(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -137,15 +137,17 @@ def payloads(folder: Path, name: str) -> Iterator[bytes]:
     ConfigError
         No such file.
     DecodeError
-        Cut short.
+        Cut short, or a payload longer than any.
     """
     path = folder / name
     try:
         with open_regular(path, sys.maxsize) as stream:
-            whole = os.fstat(stream.fileno()).st_size
             while head := stream.read(wire.HEADER_BYTES):
                 size = int.from_bytes(head[_PAYLOAD_BYTES_AT : _PAYLOAD_BYTES_AT + 4], "little")
-                body = stream.read(min(size, whole))
+                if size > wire.PAYLOAD_BYTES_MAX:
+                    at = f"{path}, byte {stream.tell() - len(head) + _PAYLOAD_BYTES_AT}"
+                    raise DecodeError(f"{at}: {size} payload bytes, expected at most {wire.PAYLOAD_BYTES_MAX}")
+                body = stream.read(size)
                 if len(head) < wire.HEADER_BYTES or len(body) < size:
                     raise DecodeError(f"{path}: cut short after {stream.tell()} bytes, expected a whole run")
                 yield head + body

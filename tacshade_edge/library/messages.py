@@ -1,0 +1,71 @@
+"""The binary messages of a daemon and of a replay's files, decoded."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from tacshade_edge.devices.files.run_files import payloads
+from tacshade_edge.errors import DecodeError
+from tacshade_edge.library.arguments import path_of, wrong
+from tacshade_edge.protocol import wire
+
+Message = wire.HeightMessage | wire.CloudMessage | wire.ShearMessage | wire.SigmaMessage
+
+
+def decode(payload: bytes | bytearray | memoryview) -> Message:
+    """Decode the payload of one ``height``, ``cloud``, ``shear``, ``sigma`` or ``map/cloud`` (docs/mqtt.md).
+
+    Parameters
+    ----------
+    payload : bytes-like
+        Header and values, nothing before or behind them.
+
+    Returns
+    -------
+    HeightMessage, CloudMessage, ShearMessage or SigmaMessage
+        As its header says; arrays are read-only, lengths in mm.
+
+    Raises
+    ------
+    DecodeError
+        It does not follow the format, or its checksum is wrong.
+    ConfigError
+        It is no bytes.
+    """
+    if not isinstance(payload, bytes | bytearray | memoryview):
+        raise wrong("payload", payload, "bytes")
+    return wire.decode(payload)
+
+
+def decode_file(path: str | os.PathLike[str]) -> Iterator[Message]:
+    """Decode a file of such payloads, one after another: ``heights.bin``, ``clouds.bin``, ``shears.bin`` of a replay.
+
+    Parameters
+    ----------
+    path : path
+        One message of it at a time is in memory.
+
+    Yields
+    ------
+    HeightMessage, CloudMessage, ShearMessage or SigmaMessage
+
+    Raises
+    ------
+    ConfigError
+        There is no such file.
+    DecodeError
+        It is cut short or damaged.
+    """
+    file = path_of("path", path)
+    return _messages(file.parent, file.name)
+
+
+def _messages(folder: Path, name: str) -> Iterator[Message]:
+    for number, payload in enumerate(payloads(folder, name)):
+        try:
+            message = wire.decode(payload)
+        except DecodeError as error:
+            raise DecodeError(f"{folder / name}: message {number}: {error}") from None
+        yield message
