@@ -1,7 +1,7 @@
 """Sensors and presses as users have them: wide plates, soft domes, patterns that end before the rim, any camera.
 
 Most are TacTips of short pins, since most sensors that are in use are. A skin is solved once and seen by several
-sensors, which differ in print, camera and light: a picture costs a fifth of a skin.
+sensors, which differ in print, camera and light, since the skin is what takes time.
 """
 
 from __future__ import annotations
