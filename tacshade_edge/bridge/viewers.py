@@ -85,6 +85,8 @@ class _Viewer:
     """Of each channel that it watches, its own number of the subscription."""
     waiting: OrderedDict[tuple[int, str], deque[tuple[int, bytes]]] = field(default_factory=OrderedDict)
     waiting_bytes: int = 0
+    passed_over: int = 0
+    """Messages that newer ones took the place of."""
 
     def put(self, channel: int, slot: str, depth: int, log_ns: int, payload: bytes) -> None:
         """Have it wait, in the place of what is older."""
@@ -93,8 +95,10 @@ class _Viewer:
         self.waiting_bytes += len(payload)
         while len(queue) > depth:
             self.waiting_bytes -= len(queue.popleft()[1])
+            self.passed_over += 1
         while self.waiting_bytes > WAITING_BYTES_MAX:
             self._pop()
+            self.passed_over += 1
 
     def take(self) -> str | bytes | None:
         """The next to send; None where there is none."""
@@ -138,6 +142,8 @@ class Viewers:
     Attributes
     ----------
     port : int
+    passed_over : int
+        Messages that viewers who have left were too slow for; newer ones took their place.
 
     Raises
     ------
@@ -151,6 +157,7 @@ class Viewers:
         self._channels: dict[int, Channel] = {}
         self._number = 0
         self._viewers: list[_Viewer] = []
+        self.passed_over = 0
         self._listener = Listener(host, port, Connections(CONNECTIONS_MAX).admit)
         self.port: int = self._listener.getsockname()[1]
         self._loop = asyncio.new_event_loop()
@@ -269,7 +276,10 @@ class Viewers:
         finally:
             with self._lock:
                 self._viewers.remove(viewer)
+                self.passed_over += viewer.passed_over
             sending.cancel()
+            if viewer.passed_over:
+                _log.info("the viewer that left was too slow for %d messages", viewer.passed_over)
             self._on_change()
 
     async def _send_all(self, viewer: _Viewer) -> None:

@@ -26,6 +26,7 @@ from support.bridge_process import BridgeProcess
 from support.mqtt_rig import MOSQUITTO, Broker
 from support.patience import patience
 from support.published_hand import CRC, PublishedHand, bump
+from support.published_hand import calibration as published_calibration
 
 from tacshade_edge.protocol import messages, wire
 from tacshade_edge.protocol.wire import HeightMessage
@@ -243,6 +244,39 @@ def test_what_does_not_decode_is_left_out(tmp_path: Path) -> None:
 
     with bridged(tmp_path) as (url, hand, _):
         asyncio.run(watch(url, hand))
+
+
+def test_a_geometry_that_no_sensor_has_is_reported_and_other_hands_are_shown(tmp_path: Path) -> None:
+    """Retained, so that it is there at every start; the viewer asks for its skin too, should there be one."""
+
+    async def watch(url: str, real: PublishedHand, bad: PublishedHand, payload: bytes) -> None:
+        async with viewer(url) as seen:
+            await seen.subscribe(*(f"/tacshade/drawn/{name}" for name in ("skin", "height", "log")))
+            await seen.until("skin", "log")
+            for _ in range(2):
+                real.tell("height", wire.encode_height(bump(3, 1.0, 236.0, 328.0, 4), calibration_crc32=CRC))
+                (image,) = await seen.until("height")
+                assert image.width == 160
+                bad.tell("info", payload)  # one that comes while somebody looks
+            assert {topic.split("/")[2] for topic in seen.channels} == {"bad", "drawn"}  # and no bad-...
+
+    info = json.loads(
+        messages.encode_info(version="0", config_digest="0", profile="fast", calibration=published_calibration())
+    )
+    values = {"radius_px": "0", "skin_radius_mm": "0", "camera_distance_mm": "1e308", "row_c": "1" + "0" * 400}
+    with Broker(tmp_path) as broker, PublishedHand(broker.port, "bad") as bad:
+        for key, value in values.items():
+            changed = json.dumps({**info, "geometry": {**info["geometry"], key: "?"}}).replace('"?"', value)
+            bad.base = f"tacshade/bad-{key}"
+            bad.tell("info", changed.encode(), retain=True)
+        with (
+            PublishedHand(broker.port) as real,
+            BridgeProcess("foxglove", broker.port, tmp_path / "log") as bridge,
+        ):
+            asyncio.run(watch(bridge.url, real, bad, changed.encode()))
+            assert bridge.stopped_s() < patience(4)
+            assert re.search(r"bad-\w+: info: ", bridge.log())
+            assert "Traceback" not in bridge.log()
 
 
 def test_it_ends_at_once_with_connections_that_say_nothing(tmp_path: Path) -> None:

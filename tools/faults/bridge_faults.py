@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 import socket
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any
 
 from support.bridge_process import BridgeProcess
@@ -89,7 +91,25 @@ def scraped(bridge: BridgeProcess, hand: PublishedHand) -> bool:
     return False
 
 
-def metrics(cell: Cell, attack: Callable[[PublishedHand, BridgeProcess], None], *, first: bool = False) -> Seen:
+@dataclass(frozen=True, slots=True)
+class Told:
+    """Where a person finds it; `logged` is what the bridge's log has then."""
+
+    where: str
+    logged: str = ""
+
+
+REFUSED = Told("log", r"bad: \w+: ")
+NO_ROOM = Told("log", r": one hand more than the \d+")
+COUNTED = Told("log, `tacshade_bridge_refused_total`", r"bad: health: ")
+COUNTED_NO_ROOM = Told("log, `tacshade_bridge_refused_total`", NO_ROOM.logged)
+SLOW = Told("log: how many each viewer was too slow for", r"the viewer that left was too slow for \d+ messages")
+TURNED_AWAY = Told("nowhere: a connection too many is closed")
+
+
+def metrics(
+    cell: Cell, attack: Callable[[PublishedHand, BridgeProcess], None], told: Told, *, first: bool = False
+) -> Seen:
     """One attack on those who read metrics; `first`: before the real hand and the bridge come."""
     cell.serve()
     with contextlib.ExitStack() as opened:
@@ -106,18 +126,19 @@ def metrics(cell: Cell, attack: Callable[[PublishedHand, BridgeProcess], None], 
         cell.until(lambda: scraped(bridge, real), 20, f"the real hand after it, in {bridge.log()[-300:]!r}")
         recovered_s = time.monotonic() - since_s
         page = len(bridge.page())
-        return judged(bridge, recovered_s, f"page {page / 1e6:.2f} MB", page < 4_000_000)
+        return judged(bridge, recovered_s, told, f", page {page / 1e6:.2f} MB", sound=page < 4_000_000)
 
 
-def judged(bridge: BridgeProcess, recovered_s: float, more: str, sound: bool) -> Seen:
+def judged(bridge: BridgeProcess, recovered_s: float, told: Told, more: str = "", *, sound: bool = True) -> Seen:
     """Stop it, and look at what it took."""
     peak_mb, threads = bridge.peak_mb(), bridge.threads()
     stop_s = bridge.stopped_s()
-    cost = f"{peak_mb:.0f} MB, {threads} threads, SIGTERM {stop_s:.1f} s, {more}"
+    cost = f"{peak_mb:.0f} MB, {threads} threads, SIGTERM {stop_s:.1f} s{more}"
     problems = (peak_mb > MEMORY_MB_MAX, threads > THREADS_MAX, stop_s > STOP_S_MAX, "Traceback" in bridge.log())
     assert sound, cost
+    assert re.search(told.logged, bridge.log()), f"no {told.logged!r} in {bridge.log()[-600:]!r}"
     assert not any(problems), cost
-    return Seen(None, recovered_s, f"of the real hand nothing; {cost}", "log, `tacshade_bridge_refused_total`")
+    return Seen(None, recovered_s, f"of the real hand nothing; {cost}", told.where)
 
 
 def bad_healths(cell: Cell) -> Seen:
@@ -129,7 +150,7 @@ def bad_healths(cell: Cell) -> Seen:
             pause(0.02)
             bridge.page()
 
-    return metrics(cell, attack)
+    return metrics(cell, attack, COUNTED)
 
 
 def bad_sizes(cell: Cell) -> Seen:
@@ -143,7 +164,7 @@ def bad_sizes(cell: Cell) -> Seen:
         for _ in range(3):
             bridge.page()
 
-    return metrics(cell, attack)
+    return metrics(cell, attack, COUNTED)
 
 
 def idle_readers(cell: Cell) -> Seen:
@@ -153,7 +174,7 @@ def idle_readers(cell: Cell) -> Seen:
         def attack(_bad: PublishedHand, bridge: BridgeProcess) -> None:
             opened.enter_context(idle(bridge.port, IDLE))
 
-        return metrics(cell, attack)
+        return metrics(cell, attack, TURNED_AWAY)
 
 
 def invented(topics: Callable[[PublishedHand], None]) -> Callable[[PublishedHand, BridgeProcess], None]:
@@ -170,7 +191,7 @@ def invented(topics: Callable[[PublishedHand], None]) -> Callable[[PublishedHand
 
 def invented_states(cell: Cell) -> Seen:
     """They say that they are online."""
-    return metrics(cell, invented(lambda bad: bad.tell("state", b"online", retain=True)), first=True)
+    return metrics(cell, invented(lambda bad: bad.tell("state", b"online", retain=True)), COUNTED_NO_ROOM, first=True)
 
 
 # -- Foxglove -------------------------------------------------------------------------------------------------------
@@ -206,7 +227,11 @@ def looked_at(bridge: BridgeProcess, hand: PublishedHand) -> bool:
 
 
 def views(
-    cell: Cell, attack: Callable[[PublishedHand, PublishedHand, BridgeProcess], None], *, first: bool = False
+    cell: Cell,
+    attack: Callable[[PublishedHand, PublishedHand, BridgeProcess], None],
+    told: Told,
+    *,
+    first: bool = False,
 ) -> Seen:
     """One attack on those who look."""
     cell.serve()
@@ -223,7 +248,7 @@ def views(
             attack(bad, real, bridge)
         since_s = time.monotonic()
         cell.until(lambda: looked_at(bridge, real), 30, f"the real hand, in {bridge.log()[-300:]!r}")
-        return judged(bridge, time.monotonic() - since_s, "", True)
+        return judged(bridge, time.monotonic() - since_s, told)
 
 
 def bad_infos(cell: Cell) -> Seen:
@@ -246,7 +271,7 @@ def bad_infos(cell: Cell) -> Seen:
                         viewer.recv(timeout=0.01)
             pause(1.0)
 
-    return views(cell, attack)
+    return views(cell, attack, REFUSED)
 
 
 def retained_infos(cell: Cell) -> Seen:
@@ -258,7 +283,7 @@ def retained_infos(cell: Cell) -> Seen:
             bad.tell("info", payload, retain=True)
         pause(1.0)
 
-    return views(cell, attack, first=True)
+    return views(cell, attack, Told("log", r"b\d+: info: "), first=True)
 
 
 def slow_viewers(cell: Cell) -> Seen:
@@ -275,7 +300,7 @@ def slow_viewers(cell: Cell) -> Seen:
                 real.tell("height", payload)
                 pause(0.02)
 
-        return views(cell, attack)
+        return views(cell, attack, SLOW)
 
 
 def idle_viewers(cell: Cell) -> Seen:
@@ -285,7 +310,7 @@ def idle_viewers(cell: Cell) -> Seen:
         def attack(_bad: PublishedHand, _real: PublishedHand, bridge: BridgeProcess) -> None:
             opened.enter_context(idle(bridge.port, IDLE))
 
-        return views(cell, attack)
+        return views(cell, attack, TURNED_AWAY)
 
 
 def invented_infos(cell: Cell) -> Seen:
@@ -295,7 +320,7 @@ def invented_infos(cell: Cell) -> Seen:
     def attack(bad: PublishedHand, _real: PublishedHand, bridge: BridgeProcess) -> None:
         invented(lambda one: one.tell("info", info, retain=True))(bad, bridge)
 
-    return views(cell, attack, first=True)
+    return views(cell, attack, NO_ROOM, first=True)
 
 
 def _missing() -> Any:
