@@ -165,7 +165,7 @@ def test_a_viewer_sees_a_press(tmp_path: Path) -> None:
     later = replace(press, t_ns=press.t_ns + 10**9)  # not too soon for a mesh
     pose = Pose(press.t_ns, 100.0, -20.0, 300.0, 0.5, 0.5, 0.5, 0.5)
 
-    async def watch(url: str, hand: PublishedHand) -> None:
+    async def watch(url: str, hand: PublishedHand, asker: Asker) -> None:
         async with viewer(url) as seen:
             await seen.subscribe("/tacshade/drawn/tf", "/tacshade/drawn/skin")
             rest, placed = await seen.until("skin", "tf")  # before any touch
@@ -176,7 +176,11 @@ def test_a_viewer_sees_a_press(tmp_path: Path) -> None:
             (fixed,) = placed.transforms
             assert (fixed.parent_frame_id, fixed.child_frame_id) == ("drawn/flange", "drawn/sensor")
             await seen.subscribe(*(f"/tacshade/drawn/{name}" for name in ("height", "cloud", "contact", "log")))
-            await seen.until("log", found=lambda line: line.name == "tacshade/drawn/state")
+            await until(lambda: all(asker.heard(f"tacshade/drawn/{name}") for name in ("height", "cloud", "contact")))
+            hand.tell("state", b"degraded")
+            await seen.until(
+                "log", found=lambda line: (line.name, line.message) == ("tacshade/drawn/state", "degraded")
+            )
             height = wire.encode_height(press, calibration_crc32=CRC, pose=pose, pose_error_us=9)
             hand.tell("height", height)
             hand.tell("cloud", wire.encode_cloud(press, calibration_crc32=CRC))
@@ -203,8 +207,8 @@ def test_a_viewer_sees_a_press(tmp_path: Path) -> None:
             assert least_radius_mm(pressed) == pytest.approx(18.0, abs=0.05)  # its corners lie beside the deepest point
             assert told == json.loads(contact)
 
-    with bridged(tmp_path) as (url, hand, _):
-        asyncio.run(watch(url, hand))
+    with bridged(tmp_path) as (url, hand, asker):
+        asyncio.run(watch(url, hand, asker))
 
 
 def test_only_what_is_watched_is_asked_for(tmp_path: Path) -> None:
@@ -229,10 +233,10 @@ def test_only_what_is_watched_is_asked_for(tmp_path: Path) -> None:
 
 
 def test_what_does_not_decode_is_left_out(tmp_path: Path) -> None:
-    async def watch(url: str, hand: PublishedHand) -> None:
+    async def watch(url: str, hand: PublishedHand, asker: Asker) -> None:
         async with viewer(url) as seen:
             await seen.subscribe("/tacshade/drawn/height", "/tacshade/drawn/log")
-            await seen.until("log")
+            await until(lambda: asker.heard("tacshade/drawn/height"))
             for damaged in (b"TCSH", wire.encode_cloud(bump(1, 1.0, 236.0, 328.0), calibration_crc32=CRC)):
                 hand.tell("height", damaged)
             for damaged in (b"{", b"[]", b"\xff", b"[" * 100_000):
@@ -242,17 +246,18 @@ def test_what_does_not_decode_is_left_out(tmp_path: Path) -> None:
             (image,) = await seen.until("height")
             assert image.width == 160
 
-    with bridged(tmp_path) as (url, hand, _):
-        asyncio.run(watch(url, hand))
+    with bridged(tmp_path) as (url, hand, asker):
+        asyncio.run(watch(url, hand, asker))
 
 
 def test_a_geometry_that_no_sensor_has_is_reported_and_other_hands_are_shown(tmp_path: Path) -> None:
     """Retained, so that it is there at every start; the viewer asks for its skin too, should there be one."""
 
-    async def watch(url: str, real: PublishedHand, bad: PublishedHand, payload: bytes) -> None:
+    async def watch(url: str, real: PublishedHand, bad: PublishedHand, payload: bytes, asker: Asker) -> None:
         async with viewer(url) as seen:
-            await seen.subscribe(*(f"/tacshade/drawn/{name}" for name in ("skin", "height", "log")))
-            await seen.until("skin", "log")
+            await seen.subscribe("/tacshade/drawn/skin", "/tacshade/drawn/height")
+            await seen.until("skin")
+            await until(lambda: asker.heard("tacshade/drawn/height"))
             for _ in range(2):
                 real.tell("height", wire.encode_height(bump(3, 1.0, 236.0, 328.0, 4), calibration_crc32=CRC))
                 (image,) = await seen.until("height")
@@ -273,7 +278,11 @@ def test_a_geometry_that_no_sensor_has_is_reported_and_other_hands_are_shown(tmp
             PublishedHand(broker.port) as real,
             BridgeProcess("foxglove", broker.port, tmp_path / "log") as bridge,
         ):
-            asyncio.run(watch(bridge.url, real, bad, changed.encode()))
+            asker = Asker(broker.port)
+            try:
+                asyncio.run(watch(bridge.url, real, bad, changed.encode(), asker))
+            finally:
+                asker.stop()
             assert bridge.stopped_s() < patience(4)
             assert re.search(r"bad-\w+: info: ", bridge.log())
             assert "Traceback" not in bridge.log()
