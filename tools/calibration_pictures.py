@@ -35,7 +35,7 @@ from tacshade_edge.types import U8
 SHOWN_PX = (320, 240)
 PRESS = ("ball", "6", "2.5", "1", "-3")
 """As hand.csv has it, and as a person types it."""
-PAGE_PX = (760, 980)
+PAGE_PX = (760, 1040)
 JPEG = (cv2.IMWRITE_JPEG_QUALITY, 85)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -48,6 +49,10 @@ class Live:
         Open.
     terminal : Terminal
     page : Page
+    circle : Disc, optional
+        The visible circle that is stated already.
+    state_circle : callable
+        Keeps the circle that the person clicked, or that none is stated any more. It may raise ConfigError.
 
     Attributes
     ----------
@@ -55,9 +60,18 @@ class Live:
         `motion_grey` of the references, which are `STILL_FRAMES`; 0 until there are some.
     note : str
         A line that the page shows below the figures.
+    circle : Disc or None
+        The visible circle that is stated; None: it is found.
     """
 
-    def __init__(self, source: FrameSource, terminal: Terminal, page: Page) -> None:
+    def __init__(
+        self,
+        source: FrameSource,
+        terminal: Terminal,
+        page: Page,
+        circle: Disc | None,
+        state_circle: Callable[[Disc | None], None],
+    ) -> None:
         self._source = source
         self._terminal = terminal
         self._page = page
@@ -70,6 +84,9 @@ class Live:
         self._pattern_due_s = self._figures_due_s = self._picture_due_s = 0.0
         self.rest_grey = 0.0
         self.note = ""
+        self.circle = circle
+        self._state_circle = state_circle
+        self._unkept = ""  # why a clicked circle is not stated
 
     def frame(self) -> Frame:
         """The next frame.
@@ -143,6 +160,11 @@ class Live:
                 taken.append(frame)
         return taken
 
+    @property
+    def has_circle(self) -> bool:
+        """Whether a visible circle is stated, or found with a pattern in it."""
+        return self.circle is not None or self._pattern is not None
+
     def figures(self) -> str:
         """Disc, focus, light, contrast and rate, in a line."""
         return self._text
@@ -163,6 +185,9 @@ class Live:
         if self._past and self._past[-1].blocks.shape != (grey.shape[0] // 8, grey.shape[1] // 8):
             raise DeviceError(f"the camera gives pictures of another size: {grey.shape[1]}x{grey.shape[0]} px")
         self._past.append(_Past(frame.seq, frame.t_ns, block_means(grey)))
+        if self._page.chosen:
+            self._choose_circle(self._page.chosen.popleft().circle)
+            self._pattern_due_s = self._figures_due_s = self._picture_due_s = now_s
         if now_s >= self._pattern_due_s and (self._looking or self._pattern is None):
             self._find_pattern(grey)
             self._pattern_due_s = time.monotonic() + _PATTERN_S
@@ -170,13 +195,30 @@ class Live:
             self._text = self._figures_of(grey)
             self._figures_due_s = now_s + _FIGURES_S
         if now_s >= self._picture_due_s:
-            picture = _jpeg(grey, self._pattern.disc if self._pattern else None)
-            self._page.shown = Shown(picture, f"{self._text}\n{self.note}")
+            disc = self.circle or (self._pattern.disc if self._pattern else None)
+            lines = (self._text, self._circle_text(), self.note)
+            self._page.shown = Shown(_jpeg(grey, disc), "\n".join(filter(None, lines)), grey.shape)
             self._picture_due_s = now_s + _PICTURE_S
+
+    def _choose_circle(self, circle: Disc | None) -> None:
+        try:
+            self._state_circle(circle)
+        except ConfigError as error:
+            self._unkept = str(error)
+            return
+        self.circle, self._pattern, self._unkept = circle, None, ""
+
+    def _circle_text(self) -> str:
+        if self._unkept:
+            return f"circle: {self._unkept}"
+        if self.circle is None:
+            return ""
+        place = f"row {self.circle.row_c:g}, column {self.circle.col_c:g}, radius {self.circle.radius_px:g} px"
+        return f"circle: {place}, as clicked (visible_circle in SENSOR.yaml)"
 
     def _find_pattern(self, grey: U8) -> None:
         try:
-            self._pattern = find_pattern(grey)
+            self._pattern = find_pattern(grey, self.circle)
         except ConfigError as error:
             self._pattern, self._no_pattern = None, str(error)
 

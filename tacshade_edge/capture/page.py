@@ -1,16 +1,27 @@
-"""What the camera sees, for a browser on this machine: the picture and the same figures as in the terminal."""
+"""What the camera sees, for a browser on this machine: the picture, the same figures as in the terminal, the circle.
+
+Three clicks on the picture state the visible circle.
+"""
 
 from __future__ import annotations
 
 import threading
+from collections import deque
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any, ClassVar, Final
+from typing import Annotated, Any, ClassVar, Final
+
+import msgspec
+
+from tacshade_edge.core.geometry.visible_circle import circle_through
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.types import Disc
 
 PORT: Final = 8081
 """Of the page; a free one where it is taken."""
 
 _TIMEOUT_S = 5.0
+_BODY_MOST = 512
 # A site may give its own name this machine's address (DNS rebinding): the browser then tells that name as the host.
 _HOSTS = ("127.0.0.1", "localhost")
 _HTML = b"""<!doctype html>
@@ -19,24 +30,56 @@ _HTML = b"""<!doctype html>
 <style>
 body { margin: 1rem; background: #111; color: #eee; font: 1.1rem/1.5 system-ui, sans-serif }
 img { width: min(100%, 60rem); display: block }
-p { white-space: pre-wrap; font-variant-numeric: tabular-nums }
+#text { white-space: pre-wrap; font-variant-numeric: tabular-nums }
+#view { position: relative; width: min(100%, 60rem); cursor: crosshair }
+#view img { width: 100% }
+#view i { position: absolute; width: 9px; height: 9px; margin: -6px; border: 2px solid #f40; border-radius: 50% }
 </style>
-<h1>The camera, now</h1><img id="picture" alt="what the camera sees"><p id="text"></p>
+<h1>The camera, now</h1><div id="view"><img id="picture" alt="what the camera sees"></div><p id="text"></p>
+<p>Is the yellow circle not on the rim of the dome, or is there none? Click three points of the rim, far from each
+other. <button id="back">Back to the circle that is found</button></p><p id="answer" role="status"></p>
 <script>
-const picture = document.getElementById("picture"), text = document.getElementById("text");
-let drawn = "";
+const [view, text, back, answer] = ["view", "text", "back", "answer"].map((name) => document.getElementById(name));
+let picture = document.getElementById("picture"), points = [];
 async function look() {
   try {
     const told = await fetch("text", {cache: "no-store"});
     text.textContent = await told.text();
-    const seen = await (await fetch("picture.jpg", {cache: "no-store"})).blob();
-    const url = URL.createObjectURL(seen);
-    picture.src = url;
-    if (drawn) URL.revokeObjectURL(drawn);
-    drawn = url;
+    const seen = await fetch("picture.jpg", {cache: "no-store"});
+    if (seen.ok) {
+      // Decoded beside the one that is shown, which can be clicked until then.
+      const next = picture.cloneNode();
+      next.src = URL.createObjectURL(await seen.blob());
+      await next.decode();
+      picture.replaceWith(next);
+      if (picture.src) URL.revokeObjectURL(picture.src);
+      picture = next;
+    }
   } catch { text.textContent = "capture has ended"; }
   setTimeout(look, 250);
 }
+async function state(rim) {
+  points = [];
+  view.querySelectorAll("i").forEach((mark) => mark.remove());
+  try {
+    const said = await fetch("circle", {method: "POST", body: JSON.stringify({points: rim})});
+    answer.textContent = await said.text();
+  } catch { answer.textContent = "capture has ended"; }
+}
+view.addEventListener("click", (event) => {
+  if (!picture.naturalWidth) return;
+  const seen = view.getBoundingClientRect();
+  const x = (event.clientX - seen.left) / seen.width, y = (event.clientY - seen.top) / seen.height;
+  const mark = document.createElement("i");
+  mark.style.left = `${100 * x}%`;
+  mark.style.top = `${100 * y}%`;
+  view.append(mark);
+  // The middle of the first pixel is 0.
+  points.push([y * picture.naturalHeight - 0.5, x * picture.naturalWidth - 0.5]);
+  answer.textContent = `${points.length} of 3 points`;
+  if (points.length === 3) state(points);
+});
+back.addEventListener("click", () => state(null));
 look();
 </script></html>
 """
@@ -44,23 +87,46 @@ look();
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """What the page shows: a JPEG, and a text."""
+    """What the page shows: a JPEG, a text, and the picture's rows and columns."""
 
     picture: bytes = b""
     text: str = "the camera has given no picture yet"
+    shape: tuple[int, int] = (0, 0)
+
+
+_Pixel = Annotated[float, msgspec.Meta(ge=-1, le=20000)]
+_Point = tuple[_Pixel, _Pixel]
+
+
+class CircleRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Three points (row, col) of the visible circle's rim in the picture; null: the circle that is found."""
+
+    points: tuple[_Point, _Point, _Point] | None
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """The visible circle that the person wants; None: the one that is found."""
+
+    circle: Disc | None
 
 
 class Page:
-    """Serves on the loopback interface until it is closed, in threads of its own that read `shown` alone.
+    """Serves on the loopback interface until it is closed, in threads of its own.
+
+    They read `shown`, and leave in `chosen` what the person clicked.
 
     Attributes
     ----------
     shown : Shown
         Replaced by the program, never changed.
+    chosen : deque of Chosen
+        The newest, until the program takes it.
     """
 
     def __init__(self) -> None:
         self.shown = Shown()
+        self.chosen: deque[Chosen] = deque(maxlen=1)
 
         class Handler(_Handler):
             page = self
@@ -89,7 +155,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """Answer with what there is now, to pages of this machine."""
-        if self.headers.get("Host", "").partition(":")[0].lower() not in _HOSTS:
+        if not self._is_ours():
             self.send_error(403)
             return
         shown = self.page.shown
@@ -99,7 +165,39 @@ class _Handler(BaseHTTPRequestHandler):
             "/picture.jpg": ("image/jpeg", shown.picture),
         }
         kind, body = content.get(self.path, ("text/plain", b""))
-        self.send_response(200 if body else 404)
+        self._answer(200 if body else 404, kind, body)
+
+    def do_POST(self) -> None:
+        """Take the circle that was clicked, from this page alone: another site's tells its own origin."""
+        if not self._is_ours() or self.headers.get("Origin", "").lower() != f"http://{self.headers['Host'].lower()}":
+            self.send_error(403)
+            return
+        if self.path != "/circle":
+            self.send_error(404)
+            return
+        length = self.headers.get("Content-Length", "")
+        if not (length.isascii() and length.isdecimal() and len(length) < 9 and int(length) <= _BODY_MOST):
+            self.send_error(413 if length else 411)
+            return
+        status, said = self._choose(self.rfile.read(int(length)))
+        self._answer(status, "text/plain; charset=utf-8", said.encode())
+
+    def _choose(self, body: bytes) -> tuple[int, str]:
+        try:
+            points = msgspec.json.decode(body, type=CircleRequest).points
+            chosen = Chosen(None if points is None else _rounded(circle_through(points, self.page.shown.shape)))
+        except msgspec.DecodeError as error:
+            return 400, f"circle: {error}"
+        except ConfigError as error:
+            return 400, str(error)
+        self.page.chosen.append(chosen)
+        return 200, "the three points are taken" if chosen.circle else "the circle that is found is taken again"
+
+    def _is_ours(self) -> bool:
+        return self.headers.get("Host", "").partition(":")[0].lower() in _HOSTS
+
+    def _answer(self, status: int, kind: str, body: bytes) -> None:
+        self.send_response(status)
         self.send_header("Content-Type", kind)
         self.send_header("Content-Length", str(len(body)))
         self.send_header("Cache-Control", "no-store")
@@ -108,3 +206,8 @@ class _Handler(BaseHTTPRequestHandler):
 
     def log_message(self, format: str, *args: Any) -> None:
         """Say nothing: the terminal is the person's."""
+
+
+def _rounded(disc: Disc) -> Disc:
+    """To what a click can tell, and a person reads."""
+    return Disc(round(disc.row_c, 1), round(disc.col_c, 1), round(disc.radius_px, 1))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -93,6 +93,7 @@ class Session:
         self._advice = Advice(folder, indenters)
         self._taken = folder.taken()
         self._taken_back: Stated | None = None
+        self._circle = live.circle  # that the references were judged with
 
     @property
     def taken(self) -> Sequence[TakenPress]:
@@ -111,6 +112,11 @@ class Session:
         self._advise(check)
         while True:
             answer = self._live.ask(self._prompt())
+            if self._live.circle != self._circle:
+                # Every place in the pictures is another one now.
+                self._advice = Advice(self._folder, self._names)
+                check = self._check(self.unloaded())
+                self._advise(check)
             match answer.split():
                 case ["done"]:
                     return
@@ -171,6 +177,8 @@ class Session:
                 unloaded = self._unloaded(images)
             except ConfigError as error:
                 self._terminal.say(f"  refused: {error}")
+                if not self._live.has_circle:
+                    self._terminal.say("  on the page three clicks on the dome's rim state the circle")
                 continue
             self._folder.write_references(images)
             self._terminal.say(f"  {REFERENCES} references, noise {unloaded.noise_grey:.2f} grey levels")
@@ -182,7 +190,8 @@ class Session:
         if rest_grey > REST_MOST_GREY:
             found = f"found {rest_grey:.1f} grey levels of change, expected {REST_MOST_GREY:g} at most"
             raise ConfigError(f"the picture moves, or its noise is great: {found}")
-        result = calibrate(self._sensor, images)
+        self._circle = self._live.circle
+        result = calibrate(replace(self._sensor, visible_circle=self._circle), images)
         for warning in result.warnings:
             self._terminal.say(f"  warning: {warning}")
         self._live.rest_grey = rest_grey

@@ -36,7 +36,8 @@ from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.settings import Rpicam, Serial, Source, V4l2, load
 from tacshade_edge.settings.printer_file import read_printer
-from tacshade_edge.settings.sensor_file import check_value, read_sensor
+from tacshade_edge.settings.sensor_file import check_value, read_sensor, with_visible_circle
+from tacshade_edge.types import Disc
 
 _CALIBRATION = "calibration.npz"
 _QUESTIONS = {
@@ -99,7 +100,7 @@ def run(args: argparse.Namespace) -> int:
                     robot = RobotPlaces(sensor, pose_at) if pose_at else None
                     Session(folder, sensor, live, terminal, plan, indenters, robot).run()
 
-            _run(folder, source, serial, terminal, by_hand)
+            _run(folder, source, serial, terminal, sensor, by_hand)
         else:
             limits = read_printer(folder.printer)
             presses = planned_presses(plan, indenters, sensor, limits)
@@ -112,7 +113,7 @@ def run(args: argparse.Namespace) -> int:
                 pressing.run()
 
             try:
-                _run(folder, source, serial, terminal, by_printer)
+                _run(folder, source, serial, terminal, sensor, by_printer)
             finally:
                 line.close()
     except InputEnded:
@@ -132,8 +133,14 @@ def _run(
     chosen: Source,
     serial: Serial | None,
     terminal: Terminal,
+    sensor: Sensor,
     session: Callable[[Live], None],
 ) -> None:
+    def state_circle(circle: Disc | None) -> None:
+        read_sensor(folder.sensor)  # it may have been edited meanwhile
+        text = folder.sensor.read_text(encoding="utf-8")
+        folder.write(folder.sensor, with_visible_circle(text, circle))
+
     source, page = registry.make_source(chosen), Page()
     try:
         source.open()
@@ -144,7 +151,7 @@ def _run(
         if not folder.settings.exists():
             folder.write(folder.settings, _settings_text(chosen, serial, described))
         terminal.say(f"the picture: {page.address}")
-        session(Live(source, terminal, page))
+        session(Live(source, terminal, page, sensor.visible_circle, state_circle))
     finally:
         source.close()
         page.close()

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
+import yaml
 from msgspec import Meta
 
 from tacshade_edge.core.calibration.inputs import Sensor
@@ -85,3 +86,43 @@ def read_sensor(path: Path) -> Sensor:
         flange_T_sensor=tuple(given.flange_T_sensor),
         visible_circle=None if circle is None else Disc(circle.row_px, circle.col_px, circle.radius_px),
     )
+
+
+def with_visible_circle(text: str, circle: Disc | None) -> str:
+    """The text of a SENSOR.yaml that states another visible circle, or none; every other line stays as it is.
+
+    Parameters
+    ----------
+    text : str
+        That `read_sensor` takes.
+    circle : Disc or None
+
+    Raises
+    ------
+    ConfigError
+        The text is not written with a key on each line.
+    """
+    key = "visible_circle"
+    keys = None if circle is None else {"row_px": circle.row_c, "col_px": circle.col_c, "radius_px": circle.radius_px}
+    stated = "" if keys is None else yaml.safe_dump(keys, default_flow_style=True, sort_keys=False).strip()
+    root = yaml.compose(text, Loader=yaml.SafeLoader)
+    pairs = root.value if isinstance(root, yaml.MappingNode) else []
+    at = next((pair for pair in pairs if pair[0].value == key), None)
+    changed = text
+    if at is not None:
+        name, value = at
+        # A block mapping's own end lies behind the comments that follow it.
+        is_block = isinstance(value, yaml.MappingNode) and not value.flow_style
+        end = (value.value[-1][1] if is_block else value).end_mark.index
+        rest = text[end:] if stated else text[end:].lstrip(" ").removeprefix("\n")
+        changed = text[: value.start_mark.index if stated else name.start_mark.index] + stated + rest
+    elif stated:
+        changed = f"{text}{'' if text.endswith(chr(10)) else chr(10)}{key}: {stated}\n"
+    expected = {name: value for name, value in yaml.safe_load(text).items() if name != key}
+    expected |= {} if keys is None else {key: keys}
+    try:
+        if yaml.safe_load(changed) == expected:
+            return changed
+    except yaml.YAMLError:
+        pass
+    raise ConfigError(f"SENSOR.yaml cannot be changed as it is written; {key} in it should be {stated or 'left out'}")

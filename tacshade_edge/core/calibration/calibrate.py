@@ -20,7 +20,6 @@ from tacshade_edge.core.calibration.skin_scale import skin_scale
 from tacshade_edge.core.calibration.threshold_choice import choose_binarisation
 from tacshade_edge.core.calibration.travel_fit import agreement_mae_mm
 from tacshade_edge.core.depth import Network
-from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.core.image import greyscale
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError
@@ -132,10 +131,7 @@ def _unloaded(sensor: Sensor, greys: Sequence[U8]) -> Calibration:
                 f"the first is {greys[0].shape[1]}x{greys[0].shape[0]}"
             )
     mean = pattern.mean_image(greys)
-    disc = sensor.visible_circle or pattern.find_disc(mean)
-    if not disc_mask(mean.shape[0], mean.shape[1], disc).any():
-        found = f"row {disc.row_c:g}, col {disc.col_c:g}, radius {disc.radius_px:g} px"
-        raise ConfigError(f"visible_circle: found {found}, expected a circle inside {mean.shape[1]}x{mean.shape[0]} px")
+    disc = pattern.visible_disc(mean, sensor.visible_circle)
     pitch_px = pattern.marker_pitch_px(mean, disc)
     calibration = Calibration(
         geometry=Geometry(sensor.skin_radius_mm, sensor.camera_distance_mm, sensor.visible_half_angle_deg, disc),

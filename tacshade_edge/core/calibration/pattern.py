@@ -9,6 +9,8 @@ import cv2
 import numpy as np
 
 from tacshade_edge.core.calibration.marker_field import find_markers
+from tacshade_edge.core.geometry.disc import disc_mask
+from tacshade_edge.core.geometry.visible_circle import LEAST_RIM_SEEN, rim_seen
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import F32, F64, U8, Bool, Disc
 
@@ -32,12 +34,19 @@ _CENTRE_STEPS = (8.0, 4.0, 2.0, 1.0, 0.5, 0.25, 0.12)
 _LEAST_PATTERN = 3.0
 # Just outside the rim the pattern's variation must have fallen below this part of what it is just inside.
 _RIM_FALL = 0.5
-# At least this part of the rim lies in the image; less is the pattern's end at the image's own border.
-_RIM_SEEN = 0.25
 # So much of the visible circle lies within a pitch of a marker: of a hexagon's 0.9, of a field as wide as the image
 # 0.65. Where the texture ends, less is enough: not every marker of a faint rim is found. A ring of lamps around a dome
 # whose middle has pins is filled to 0.4.
 _FILLED, _HALF_FILLED = 0.75, 0.55
+
+
+def visible_disc(grey: U8, stated: Disc | None) -> Disc:
+    """The circle that somebody stated, or else the one that is found. Raises ConfigError, as `find_disc`."""
+    disc = stated or find_disc(grey)
+    if not disc_mask(grey.shape[0], grey.shape[1], disc).any():
+        found = f"row {disc.row_c:g}, col {disc.col_c:g}, radius {disc.radius_px:g} px"
+        raise ConfigError(f"visible_circle: found {found}, expected a circle inside {grey.shape[1]}x{grey.shape[0]} px")
+    return disc
 
 
 def find_disc(grey: U8) -> Disc:
@@ -77,7 +86,7 @@ def find_disc(grey: U8) -> Disc:
     near = _sharpest(grey, [field.circle])
     if not _refusal(grey, near) and field.holds(near.disc) and field.filled_part(near.disc, grey.shape) >= _FILLED:
         return near.disc
-    whole = _rim_seen(grey.shape, field.circle) >= _RIM_WHOLE  # a picture full of a pattern shows no circle
+    whole = rim_seen(grey.shape, field.circle) >= _RIM_WHOLE  # a picture full of a pattern shows no circle
     if whole and field.filled_part(field.circle, grey.shape) >= _FILLED:
         return field.circle
     if disc is None:
@@ -89,8 +98,8 @@ def _end_of_texture(grey: U8) -> Disc:
     """The sharpest rim around the image's largest textured region."""
     regions = [_textured_region(grey, part) for part in _TEXTURE_PARTS]
     best = _sharpest(grey, [region.disc for region in regions])
-    if _refusal(grey, best) or _rim_seen(grey.shape, best.disc) < _RIM_WHOLE:
-        cut = [region.rim for region in regions if region.rim and _rim_seen(grey.shape, region.rim) > _RIM_SEEN]
+    if _refusal(grey, best) or rim_seen(grey.shape, best.disc) < _RIM_WHOLE:
+        cut = [region.rim for region in regions if region.rim and rim_seen(grey.shape, region.rim) > LEAST_RIM_SEEN]
         if cut:
             best = max(best, _sharpest(grey, cut), key=lambda rim: rim.sharpness)
     if reason := _refusal(grey, best):
@@ -102,9 +111,9 @@ def _refusal(grey: U8, best: _Rim) -> str:
     """Why a rim is none; empty when it is one."""
     if best.strength < _LEAST_PATTERN:
         return f"the pattern varies by {best.strength:.1f} grey levels, expected {_LEAST_PATTERN} or more"
-    seen = _rim_seen(grey.shape, best.disc)
-    if seen < _RIM_SEEN:
-        return f"{100 * seen:.0f} % of the best rim lies in the image, expected {100 * _RIM_SEEN:.0f} % or more"
+    seen = rim_seen(grey.shape, best.disc)
+    if seen < LEAST_RIM_SEEN:
+        return f"{100 * seen:.0f} % of the best rim lies in the image, expected {100 * LEAST_RIM_SEEN:.0f} % or more"
     fall = _fall(grey, best.disc)
     if fall > _RIM_FALL:
         return (
@@ -131,13 +140,6 @@ def _sharpest(grey: U8, starts: list[Disc]) -> _Rim:
     for step in _CENTRE_STEPS:
         best = _climb(grey, best, step * best.disc.radius_px / 200)
     return best
-
-
-def _rim_seen(shape: tuple[int, ...], disc: Disc) -> float:
-    """Part of a circle that lies in an image."""
-    angles = 2 * np.pi * np.arange(_RAYS) / _RAYS
-    rows, cols = disc.row_c + disc.radius_px * np.sin(angles), disc.col_c + disc.radius_px * np.cos(angles)
-    return float(np.mean((rows >= 0) & (rows <= shape[0] - 1) & (cols >= 0) & (cols <= shape[1] - 1)))
 
 
 @dataclass(frozen=True, slots=True)

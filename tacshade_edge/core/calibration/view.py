@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from tacshade_edge.core.calibration.pattern import find_disc, marker_pitch_px
+from tacshade_edge.core.calibration.pattern import find_disc, marker_pitch_px, visible_disc
 from tacshade_edge.core.frame_check.validity import SATURATED_LEVEL
 from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.errors import ConfigError
@@ -58,18 +58,22 @@ class View:
         return ""
 
 
-def find_pattern(grey: U8) -> Pattern:
+def find_pattern(grey: U8, stated: Disc | None = None) -> Pattern:
     """Find disc and pitch.
 
     Parameters
     ----------
     grey : uint8 (H, W)
+    stated : Disc, optional
+        The circle, where somebody stated it.
 
     Raises
     ------
     ConfigError
         There is no circle, or no pattern in it.
     """
+    if stated is not None:
+        return Pattern(visible_disc(grey, stated), marker_pitch_px(grey, stated))
     scale = max(grey.shape[0] / _SEARCH_ROWS, 1.0)
     if min(grey.shape) < 16 * scale:
         raise ConfigError(f"no visible circle found: the image is {grey.shape[1]}x{grey.shape[0]} px")

@@ -62,7 +62,11 @@ def touch(folder: Path, check: PressCheck, faults: Faults | None = None) -> Iter
         stack.callback(page.close)
         read, _key = os.pipe()
         terminal = Terminal(read, stack.enter_context(open(os.devnull, "w")))
-        live, hand, line = Live(source, terminal, page), Hand(terminal), PrinterLine(SerialPort(printer.port, 115200))
+        live, hand, line = (
+            Live(source, terminal, page, None, lambda circle: None),
+            Hand(terminal),
+            PrinterLine(SerialPort(printer.port, 115200)),
+        )
         stack.callback(line.close)
         stack.enter_context(terminal.keys())
         head = Head(line, LIMITS, hand)

@@ -1,0 +1,79 @@
+"""The visible circle in an image: how much of its rim is seen, and the one through three points of the rim."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.types import Disc
+
+LEAST_RIM_SEEN = 0.25
+"""At least this part of the rim lies in the image; less is the pattern's end at the image's own border."""
+
+LEAST_RADIUS_PX = 33.0
+"""Two thirds of an image of 100 px. In a smaller circle the pitch of the markers cannot be measured."""
+
+LEAST_APART = 0.5
+"""In radii, of three points from each other: an error of one of them moves the rim at most eight times as far."""
+
+_RAYS = 1440
+# Beside the greatest product of coordinates, twice the area of a triangle that rounding leaves of a line.
+_LINE = 1e-9
+
+
+def rim_seen(shape: tuple[int, ...], disc: Disc) -> float:
+    """Part of a circle, 0 to 1, that lies in an image of a shape (rows, cols)."""
+    angles = 2 * np.pi * np.arange(_RAYS) / _RAYS
+    rows, cols = disc.row_c + disc.radius_px * np.sin(angles), disc.col_c + disc.radius_px * np.cos(angles)
+    return float(np.mean((rows >= 0) & (rows <= shape[0] - 1) & (cols >= 0) & (cols <= shape[1] - 1)))
+
+
+def circle_through(points_px: Sequence[tuple[float, float]], shape: tuple[int, ...]) -> Disc:
+    """The visible circle, from three points of its rim.
+
+    Parameters
+    ----------
+    points_px : sequence of three (row, col)
+    shape : tuple of int
+        Rows and columns of the image.
+
+    Raises
+    ------
+    ConfigError
+        The points make no circle, or one that cannot be the visible one.
+    """
+    for row, col in points_px:
+        if not (-0.5 <= row <= shape[0] - 0.5 and -0.5 <= col <= shape[1] - 0.5):
+            raise ConfigError(
+                f"three points: found row {row:g}, col {col:g}, expected a place in {shape[1]}x{shape[0]} px"
+            )
+    (row0, col0), (row1, col1), (row2, col2) = points_px
+    # From the first point: less is lost to rounding.
+    r1, c1, r2, c2 = row1 - row0, col1 - col0, row2 - row0, col2 - col0
+    twice_area = r1 * c2 - c1 * r2
+    if abs(twice_area) <= _LINE * max(r1 * r1 + c1 * c1, r2 * r2 + c2 * c2):
+        raise ConfigError("three points: found them on a line, expected them on the dome's rim, far from each other")
+    square1, square2 = r1 * r1 + c1 * c1, r2 * r2 + c2 * c2
+    row = (square1 * c2 - square2 * c1) / (2 * twice_area)
+    col = (square2 * r1 - square1 * r2) / (2 * twice_area)
+    disc = Disc(row0 + row, col0 + col, math.hypot(row, col))
+    apart_px = min(math.dist(one, other) for one, other in combinations(points_px, 2))
+    if apart_px < LEAST_APART * disc.radius_px:
+        raise ConfigError(
+            f"three points: found two {apart_px:.0f} px apart on a circle of {disc.radius_px:.0f} px, "
+            f"expected {LEAST_APART:g} radii or more between each two"
+        )
+    if disc.radius_px < LEAST_RADIUS_PX:
+        raise ConfigError(
+            f"three points: found a circle of {disc.radius_px:.0f} px, expected a radius of {LEAST_RADIUS_PX:g} or more"
+        )
+    if (seen := rim_seen(shape, disc)) < LEAST_RIM_SEEN:
+        raise ConfigError(
+            f"three points: found a circle of which {100 * seen:.0f} % of the rim lies in the image, "
+            f"expected {100 * LEAST_RIM_SEEN:.0f} % or more"
+        )
+    return disc
