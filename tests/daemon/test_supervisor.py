@@ -14,11 +14,11 @@ from typing import Any
 
 import cv2
 import pytest
-from faults.process_faults import is_there
 from robot import PtyRobot
 from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from support.painted_sensor import FREE, TOUCHED, painted_calibration
 from support.patience import patience, wait_until
+from support.processes import is_there, suspend
 
 from tacshade_edge.cli import EXIT_CONFIG
 from tacshade_edge.devices.files import calibration_file
@@ -195,7 +195,7 @@ def test_those_that_hang_end_with_their_supervisor(folder: Path, broker: Broker)
             wait_until(lambda: bool(health(seen, "thumb") and health(seen, "hand/left")), 20, "both publish")
             children = running.children()
             for child in children:
-                os.kill(child, signal.SIGSTOP)
+                suspend(child)
         finally:
             running.close()
         try:

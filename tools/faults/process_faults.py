@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 from support.patience import wait_until
+from support.processes import is_there, suspend
 
 from faults.rig import BASE, SENSOR_ID, Cell, Seen, ended, pause
 from tacshade_edge.devices.files.recording import Recording
@@ -140,7 +141,7 @@ def part_left(cell: Cell) -> Seen:
     cell.serve()
     cell.start(one_of_several(cell))
     part = part_of(cell)
-    os.kill(part, signal.SIGSTOP)
+    suspend(part)
     cell.kill()
     cell.daemon = None
     since_s = time.monotonic()
@@ -150,14 +151,6 @@ def part_left(cell: Cell) -> Seen:
         if is_there(part):
             os.kill(part, signal.SIGKILL)
     return Seen(time.monotonic() - since_s, None, "it ends", "`state`")
-
-
-def is_there(pid: int) -> bool:
-    """Whether a process has not ended."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except FileNotFoundError:
-        return False
 
 
 def few_files(cell: Cell) -> Seen:
