@@ -15,8 +15,10 @@ from tacshade_edge.types import F32, Bool, Disc
 LOAD_GREY = 22.0
 LOAD_DEVIATIONS = 3.5
 LOAD_MM2 = 9.0
-# A load in the middle is alike all around too, but bends the radial profile: second difference over two rings.
+# A load in the middle is alike all around too, but bends the radial profile: second difference over two rings. The
+# outer rings bend by themselves where the light sits at the rim: such a skin is brighter there, and free.
 RINGS = 12
+MIDDLE_RINGS = 10
 LOAD_BEND_GREY = 22.0
 
 
@@ -63,9 +65,9 @@ def quarter_turned(values: F32, grid: Grid, disc: Disc, turns: int) -> F32:
 
 
 def radial_bend(g0: F32, rho2: F32, voting: Bool) -> float:
-    """Greatest second difference, over two rings, of the radial profile of g0 (means over soft rings)."""
+    """Greatest second difference, over two rings, of the radial profile of g0 in the middle (means over soft rings)."""
     rho, profile = np.sqrt(rho2) * RINGS, []
-    for ring in range(RINGS):
+    for ring in range(MIDDLE_RINGS):
         weight = np.maximum(1.5 - np.abs(rho - ring), 0) * voting
         if weight.any():
             profile.append(float((weight * g0).sum() / weight.sum()))

@@ -26,6 +26,15 @@ def test_a_turn_moves_what_stands_on_the_grid() -> None:
     assert found[3] == [[0, 1]]
 
 
+def test_light_at_the_rim_is_no_load() -> None:
+    """LED rings make the skin next to them brighter: its profile rises by itself over the last two of twelve rings."""
+    sensor = OtherSensor(other_model(33))
+    calibrate(sensor_of(sensor.model), [sensor.frame((), 5).image])  # not refused
+    pressed = sensor.frame((Press(OBJECTS["ball"](), 0.0, 0.0, 3.0, 0.0, skin_scale(sensor.model.geometry)),), 5).image
+    with pytest.raises(ConfigError, match="taken under load"):
+        calibrate(sensor_of(sensor.model), [pressed])
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("height", [240, 480])
 def test_a_load_is_told_from_none_on_other_sensors(height: int) -> None:
