@@ -16,6 +16,7 @@ needs_broker = [
 QUICK = (
     "an answer is wanted on the hand's own topics",
     "a bit flipped in a session's presses",
+    "recordings read while they are written",
 )
 
 

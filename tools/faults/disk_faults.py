@@ -8,7 +8,7 @@ from pathlib import Path
 
 from support.mcap_bytes import CHUNK, flipped, record_starts
 
-from faults.rig import Cell, Seen, small_disk
+from faults.rig import Cell, Seen, pause, small_disk
 from tacshade_edge.devices.files.recording import Recording
 from tacshade_edge.devices.files.stitch_file import PRESSES, SESSION
 from tacshade_edge.devices.files.whole_files import FREE_FLOOR_BYTES
@@ -51,6 +51,36 @@ def full_while_recording(cell: Cell) -> Seen:
     recovered_s = time.monotonic() - since_s
     lost = f"{status['dropped']} frames, counted; all {read} before are there"
     return Seen(detected_s, recovered_s, lost, "`status/recorder`, log")
+
+
+def read_while_recording(cell: Cell) -> Seen:
+    """Both kinds of recordings, read from their beginning again and again while the daemon writes them."""
+    cell.serve()
+    cell.start()
+    reads = 0
+    for name, more in (("r", {}), ("m", {"format": "mcap"})):
+        assert cell.ask("record", action="start", seconds=600, name=name, **more)["ok"]
+        cell.until(lambda: cell.last("status/recorder").get("frames", 0) > 30, 20, "a recording")
+        path, most = cell.folder / "recs" / name, 0
+        for _ in range(12):
+            read, said = _frames_of(_growing(path) if more else path)
+            assert not said, said
+            assert read >= most, (read, most)
+            most, reads = read, reads + 1
+            pause(0.2)
+        assert most > 30, most
+        assert cell.ask("record", action="stop")["ok"]
+        cell.until(lambda: cell.last("status/recorder").get("state") != "recording", 20, "its end")
+        status = cell.last("status/recorder")
+        read, said = _frames_of(path / "000.mcap" if more else path)
+        assert (read, said) == (status["frames"], []), (read, said, status)
+        assert status["dropped"] == 0, status
+        cell.mark()
+    return Seen(None, None, f"nothing in {reads} readings; each has what was written until then", "")
+
+
+def _growing(path: Path) -> Path:
+    return path / "000.mcap.part"
 
 
 def full_at_begin(cell: Cell) -> Seen:
@@ -181,6 +211,7 @@ def cut_description(cell: Cell) -> Seen:
 
 FAULTS = {
     "disk full while recording": full_while_recording,
+    "recordings read while they are written": read_while_recording,
     "disk full at BEGIN": full_at_begin,
     "disk full in a session": full_in_a_session,
     "an open session's folder deleted": session_deleted,

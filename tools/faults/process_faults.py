@@ -16,6 +16,7 @@ from faults.rig import BASE, SENSOR_ID, Cell, Seen, ended, pause
 from tacshade_edge.devices.files.recording import Recording
 
 FROZEN_S = 5.0
+YEAR_S = 365 * 86_400
 
 
 def killed(cell: Cell) -> Seen:
@@ -55,6 +56,49 @@ def frozen(cell: Cell) -> Seen:
     after = cell.frames()
     assert after["captured"] > before["captured"]
     return Seen(None, recovered_s, "what the camera showed meanwhile", "`health.source_dropped` of a camera")
+
+
+def clock_steps(cell: Cell) -> Seen:
+    """The wall clock steps by a day and by years, both ways, while it records and has a session."""
+    steps = cell.folder / "steps"
+    steps.mkdir()
+    offset = steps / "offset_s"
+    (steps / "sitecustomize.py").write_text(
+        "import pathlib, time\n"
+        f"offset, wall_ns = pathlib.Path({str(offset)!r}), time.time_ns\n"
+        "time.time_ns = lambda: max(0, wall_ns() + int(offset.read_text() or 0) * 10**9)\n"
+        "time.time = lambda: time.time_ns() / 1e9\n"
+    )
+
+    def step(seconds: int) -> None:
+        beside = steps / "beside"
+        beside.write_text(str(seconds))
+        os.replace(beside, offset)
+
+    step(0)
+    cell.serve()
+    cell.start(environment={"PYTHONPATH": str(steps)})
+    count = cell.session("one")
+    assert cell.ask("record", action="start", seconds=600, name="r")["ok"]
+    slowest_s = 0.0
+    for seconds in (86_400, -86_400, 10 * YEAR_S, -10 * YEAR_S, -100 * YEAR_S, 0):
+        step(seconds)
+        slowest_s = max(slowest_s, cell.maps_again(time.monotonic()))
+        cell.frames()
+        told_s = cell.last("health")["wall_ns"] / 1e9
+        assert abs(told_s - max(0.0, time.time() + seconds)) < 30, (told_s, seconds)
+        count = cell.presses(count + 1)
+    assert cell.ask("record", action="stop")["ok"]
+    recording, stamps_ns = Recording(cell.folder / "recs/r"), []
+    while (frame := recording.read()) is not None:
+        stamps_ns.append(frame.frame.t_ns)
+    assert stamps_ns == sorted(set(stamps_ns))
+    assert len(stamps_ns) == cell.last("status/recorder")["frames"]
+    assert "Traceback" not in cell.log(), cell.log()[-300:]
+    cell.kill()
+    cell.start()
+    assert cell.presses(1) >= count
+    return Seen(None, slowest_s, "nothing; `wall_ns` steps, `t_ns` does not", "`doctor` when the clock is unset")
 
 
 def stopped_early(cell: Cell) -> Seen:
@@ -166,6 +210,7 @@ def few_files(cell: Cell) -> Seen:
 FAULTS = {
     "daemon killed (-9) in a session and a recording": killed,
     f"daemon gets no processor for {FROZEN_S:.0f} s": frozen,
+    "wall clock steps by a day, 10 and 100 years": clock_steps,
     "SIGTERM during the start": stopped_early,
     "500 MB of address space": little_memory,
     "12 open files": few_files,

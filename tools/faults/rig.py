@@ -126,18 +126,27 @@ class Cell:
         )
         return path
 
-    def start(self, path: Path | None = None, *, streams: bool = True) -> None:
+    def start(
+        self, path: Path | None = None, *, streams: bool = True, environment: dict[str, str] | None = None
+    ) -> None:
         """Start the daemon, and wait for its frames."""
         self._mark = len(self.log())
-        self.daemon = self.spawn(path or self.settings())
+        self.daemon = self.spawn(path or self.settings(), environment=environment)
         if streams:
             self.until(lambda: "source streaming" in self.new_log(), 30, "frames")
             self.until(lambda: self.last("health").get("frames", {}).get("captured", 0) > 5, 30, "health")
 
-    def spawn(self, path: Path, log: str = "log", before: Callable[[], None] | None = None) -> subprocess.Popen[bytes]:
-        """A daemon."""
+    def spawn(
+        self,
+        path: Path,
+        log: str = "log",
+        before: Callable[[], None] | None = None,
+        environment: dict[str, str] | None = None,
+    ) -> subprocess.Popen[bytes]:
+        """A daemon; `environment` is added to this process's own."""
+        words, around = [*COMMAND, "run", "--config", str(path)], {**os.environ, **(environment or {})}
         with (self.folder / log).open("a") as stream:
-            return subprocess.Popen([*COMMAND, "run", "--config", str(path)], stderr=stream, preexec_fn=before)
+            return subprocess.Popen(words, stderr=stream, preexec_fn=before, env=around)
 
     def kill(self) -> None:
         """With SIGKILL."""

@@ -11,6 +11,7 @@ from tempfile import TemporaryDirectory
 from faults import (
     bridge_faults,
     broker_faults,
+    capture_faults,
     disk_faults,
     page_faults,
     process_faults,
@@ -30,6 +31,7 @@ FAULTS: dict[str, Fault] = {
     **disk_faults.FAULTS,
     **process_faults.FAULTS,
     **page_faults.FAULTS,
+    **capture_faults.FAULTS,
 }
 HEAD = ("fault", "detected s", "recovered s", "lost", "told where")
 

@@ -1,0 +1,150 @@
+"""`capture` is killed at each of its steps, by hand and with a printer; the next one goes on in its folder."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+
+from support.fake_printer import FakePrinter
+from support.person import Person, person
+
+from faults.rig import Cell, Seen, pause
+from tacshade_edge.devices.files.capture_folder import CaptureFolder
+from tacshade_edge.devices.files.presses import read_presses
+from tacshade_edge.settings.sensor_file import read_sensor
+
+REFERENCES, ASKED = "Enter takes 10 references.", "press 1"
+AFTER_S = (0.0, 0.2, 0.4, 0.8, 1.6)
+SENSOR = "skin_radius_mm: 20\nvisible_half_angle_deg: 50\ncamera_distance_mm: 14\npolarity: bright\n"
+PRINTER = "x_mm: [0, 220]\ny_mm: [0, 220]\nz_mm: [40, 200]\nstart_mm: [100, 100, 78]\nfeed_mm_s: 50\n"
+
+
+def _press(folder: Path, row: str = "") -> None:
+    beside = folder / "hand.part"
+    beside.write_text(f"indenter,radius_mm,depth_mm,x_mm,y_mm\n{row}\n")
+    os.replace(beside, folder / "hand.csv")
+
+
+def _words(folder: Path, plan: str) -> list[str]:
+    (folder / "sim.yaml").write_text("source: {kind: simulated, fps: 30, pressed: hand.csv}\n")
+    (folder / "PLAN.csv").write_text(f"image,indenter,radius_mm,depth_mm,x_mm,y_mm\n{plan}")
+    return [str(folder / "out"), "--config", str(folder / "sim.yaml"), "--plan", str(folder / "PLAN.csv")]
+
+
+def _kill(one: Person) -> None:
+    one.process.kill()
+    one.process.wait()
+
+
+def _whole(out: Path) -> tuple[int, int]:
+    """References and presses; each row has its image, and every file is read as `calibrate` reads it."""
+    folder = CaptureFolder(out)
+    if folder.sensor.exists():
+        read_sensor(folder.sensor)
+    presses = read_presses(folder.presses)[0] if folder.presses.exists() else []
+    return len(folder.references()), len(presses)
+
+
+def killed_by_hand(cell: Cell) -> Seen:
+    """In each dialogue, and a little after each answer."""
+    _press(cell.folder)
+    words = _words(cell.folder, ",ball,6,2.5,1,-3\n" * 40)
+    out, kills, slowest_s = cell.folder / "out", 0, 0.0
+    answers = ("20", "50", "14", "bright")
+    for answered in range(len(answers) + 1):
+        with person(*words) as one:
+            one.hears("Radius of the undeformed skin")
+            for answer in answers[:answered]:
+                one.types(answer)
+            pause(0.1)
+            _kill(one)
+        kills += 1
+        _whole(out)
+    (out / "SENSOR.yaml").write_text(SENSOR)
+    for after_s in AFTER_S:
+        with person(*words) as one:
+            if one.hears(REFERENCES, ASKED) == REFERENCES:
+                one.types("")
+            pause(after_s)
+            _kill(one)
+        kills += 1
+        assert _whole(out)[0] in (0, 10), _whole(out)
+    with person(*words) as one:
+        if one.hears(REFERENCES, ASKED) == REFERENCES:
+            one.types("")
+            one.hears("10 references, noise")
+            one.hears(ASKED)
+        _kill(one)
+    acknowledged = 0
+    _press(cell.folder, "ball,6,2.5,1,-3")
+    for after_s in AFTER_S:
+        since_s = time.monotonic()
+        with person(*words) as one:
+            one.hears(f"10 references and {acknowledged} presses are here already")
+            one.hears("planned are left")
+            slowest_s = max(slowest_s, time.monotonic() - since_s)
+            one.types("")
+            one.hears(f"press_{acknowledged + 1:03d}.png: ball")
+            one.hears("planned are left")
+            one.types("")
+            pause(after_s)
+            _kill(one)
+        kills += 1
+        references, found = _whole(out)
+        assert references == 10
+        assert found in (acknowledged + 1, acknowledged + 2), (found, acknowledged)
+        acknowledged = found
+    return Seen(
+        None, slowest_s, f"nothing of {acknowledged} presses in {kills} kills", "`capture`: what is here already"
+    )
+
+
+def killed_with_a_printer(cell: Cell) -> Seen:
+    """While its head moves: the printer ends what it was told, and the next `capture` lifts it before all else."""
+    words = [*_words(cell.folder, ",ball,6,2.5,1,-3\n"), "--printer"]
+    out = cell.folder / "out"
+    out.mkdir(exist_ok=True)
+    (out / "SENSOR.yaml").write_text(SENSOR)
+    (out / "PRINTER.yaml").write_text(PRINTER)
+    with FakePrinter(cell.folder / "hand.csv") as printer:
+        with person(*words, printer.port) as one:
+            _to_the_skin(one)
+            printer.wait_until_below(printer.sensor.tip_z_mm)
+            _kill(one)
+        assert _deepest(printer) > printer.sensor.tip_z_mm - 5
+        assert _whole(out) == (10, 0)
+        since_s = time.monotonic()
+        with person(*words, printer.port) as one:
+            _answer_until_pressed(one)
+            assert one.ends() == 0, one.heard
+        assert _deepest(printer) > printer.sensor.tip_z_mm - 5
+    assert _whole(out) == (10, 1)
+    return Seen(None, time.monotonic() - since_s, "the press under way", "`capture`: what is here already")
+
+
+def _to_the_skin(one: Person) -> None:
+    one.hears("then type home (G28)")
+    one.types("home")
+    one.hears("Mount the sensor under the head")
+    one.types("")
+    one.hears(REFERENCES)
+    one.types("")
+    one.hears("looking for the skin")
+
+
+def _answer_until_pressed(one: Person) -> None:
+    asked = ("type home (G28)", "Mount ", REFERENCES, "press_001.png: ball")
+    while (heard := one.hears(*asked)) != asked[-1]:
+        one.types("home" if heard == asked[0] else "")
+
+
+def _deepest(printer: FakePrinter) -> float:
+    """Of the head over the sensor, not where it was homed."""
+    return min(move[2] for move in printer.moves if move[0] > 50)
+
+
+FAULTS = {
+    "`capture` killed (-9) at each step": killed_by_hand,
+    "`capture` killed (-9) while the printer presses": killed_with_a_printer,
+}
