@@ -100,6 +100,11 @@ class Session:
         """The presses that are in the table."""
         return self._taken
 
+    @property
+    def circle_changed(self) -> bool:
+        """Whether another visible circle was stated since the references were judged."""
+        return self._live.circle != self._circle
+
     def run(self) -> None:
         """Take references, where there are none, and presses until the person ends it.
 
@@ -112,7 +117,7 @@ class Session:
         self._advise(check)
         while True:
             answer = self._live.ask(self._prompt())
-            if self._live.circle != self._circle:
+            if self.circle_changed:
                 # Every place in the pictures is another one now.
                 self._advice = Advice(self._folder, self._names)
                 check = self._check(self.unloaded())

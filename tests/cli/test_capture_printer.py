@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import math
 import signal
 from collections.abc import Iterator
 from pathlib import Path
+from urllib.request import Request, urlopen
 
 import pytest
 from support.fake_printer import FakePrinter, Mounted
@@ -99,6 +101,31 @@ def test_a_hand_stops_it_while_it_presses(words: list[str], printer: FakePrinter
         # Amid a command it is not certain where the head is.
         assert printer.halted or printer.moves[-1][2] >= printer.sensor.tip_z_mm + 4
         assert printer.halted == ("M112 was sent" in one.heard)
+
+
+@pytest.mark.slow
+def test_another_circle_ends_what_was_found_with_the_old_one(words: list[str], printer: FakePrinter) -> None:
+    with person(*words, printer.port) as one:
+        one.hears("the picture: ")
+        one.hears("\n")
+        address = one.before.strip()
+        one.hears("then type home (G28)")
+        one.types("home")
+        one.hears("Mount the sensor under the head")
+        one.types("")
+        one.hears("Enter takes 10 references")
+        one.types("")
+        one.hears("looking for the skin")
+        rim = {"points": [[60, 320], [240, 140], [420, 320]]}
+        headers = {"Origin": address.rstrip("/")}
+        asked = Request(f"{address.rstrip('/')}/circle", json.dumps(rim).encode(), headers)
+        with urlopen(asked) as answer:
+            assert answer.read() == b"the three points are taken"
+        one.hears("another visible circle was stated")
+        assert one.ends() == 1
+    assert not printer.halted
+    assert printer.moves[-1][2] >= printer.sensor.tip_z_mm + 4
+    assert "visible_circle" in (Path(words[0]) / "SENSOR.yaml").read_text()
 
 
 @pytest.mark.parametrize(

@@ -180,7 +180,9 @@ class Pressing:
         self._left.remove(press)
 
     def _over(self, press: PlannedPress, lower_mm: float) -> tuple[float, float]:
-        """Move over a place: heights of the head at first touch and at full depth."""
+        """Move over a place: heights of the head at first touch and at full depth. Raises Doubt for another circle."""
+        if self._session.circle_changed:
+            raise Doubt("another visible circle was stated, and the sensor was found with the old one; start again")
         x, y, yaw_deg = press.x_mm, press.y_mm, self._stand.indenter_yaw_deg
         first_mm = first_touch_mm(press.indenter, self._sensor.skin_radius_mm, x, y, yaw_deg)
         place_x, place_y, touch_z = self._stand.head_mm(x, y, first_mm)
