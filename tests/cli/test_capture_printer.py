@@ -11,7 +11,7 @@ from urllib.request import Request, urlopen
 
 import pytest
 from support.fake_printer import FakePrinter, Mounted
-from support.person import person
+from support.person import goes_to_the_skin, person
 
 from tacshade_edge.cli import main
 from tacshade_edge.devices.files.capture_folder import CaptureFolder
@@ -78,13 +78,7 @@ def test_presses_as_a_hand_would_take_them(words: list[str], printer: FakePrinte
 @pytest.mark.parametrize("how", ["key", "interrupt", "terminate"])
 def test_a_hand_stops_it_while_it_presses(words: list[str], printer: FakePrinter, how: str) -> None:
     with person(*words, printer.port) as one:
-        one.hears("then type home (G28)")
-        one.types("home")
-        one.hears("Mount the sensor under the head")
-        one.types("")
-        one.hears("Enter takes 10 references")
-        one.types("")
-        one.hears("looking for the skin")
+        goes_to_the_skin(one)
         printer.wait_until_below(printer.sensor.tip_z_mm)
         if how == "key":
             one.types_key(" ")
@@ -109,13 +103,7 @@ def test_another_circle_ends_what_was_found_with_the_old_one(words: list[str], p
         one.hears("the picture: ")
         one.hears("\n")
         address = one.before.strip()
-        one.hears("then type home (G28)")
-        one.types("home")
-        one.hears("Mount the sensor under the head")
-        one.types("")
-        one.hears("Enter takes 10 references")
-        one.types("")
-        one.hears("looking for the skin")
+        goes_to_the_skin(one)
         rim = {"points": [[60, 320], [240, 140], [420, 320]]}
         headers = {"Origin": address.rstrip("/")}
         asked = Request(f"{address.rstrip('/')}/circle", json.dumps(rim).encode(), headers)

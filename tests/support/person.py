@@ -70,3 +70,14 @@ def person(*words: str, python: str = sys.executable, folder: Path | None = None
         yield started
     finally:
         started.close()
+
+
+def goes_to_the_skin(one: Person) -> None:
+    """With a printer: home it, mount the sensor, take references, until the head looks for the skin."""
+    one.hears("then type home (G28)")
+    one.types("home")
+    one.hears("Mount the sensor under the head")
+    one.types("")
+    one.hears("Enter takes 10 references")
+    one.types("")
+    one.hears("looking for the skin")

@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 from support.fake_printer import FakePrinter
-from support.person import Person, person
+from support.person import Person, goes_to_the_skin, person
 
 from faults.rig import Cell, Seen, pause
 from tacshade_edge.devices.files.capture_folder import CaptureFolder
@@ -101,7 +101,7 @@ def killed_by_hand(cell: Cell) -> Seen:
 
 
 def killed_with_a_printer(cell: Cell) -> Seen:
-    """While its head moves: the printer ends what it was told, and the next `capture` lifts it before all else."""
+    """While its head moves: the next `capture` homes the printer again and takes the press."""
     words = [*_words(cell.folder, ",ball,6,2.5,1,-3\n"), "--printer"]
     out = cell.folder / "out"
     out.mkdir(exist_ok=True)
@@ -109,7 +109,7 @@ def killed_with_a_printer(cell: Cell) -> Seen:
     (out / "PRINTER.yaml").write_text(PRINTER)
     with FakePrinter(cell.folder / "hand.csv") as printer:
         with person(*words, printer.port) as one:
-            _to_the_skin(one)
+            goes_to_the_skin(one)
             printer.wait_until_below(printer.sensor.tip_z_mm)
             _kill(one)
         assert _deepest(printer) > printer.sensor.tip_z_mm - 5
@@ -121,16 +121,6 @@ def killed_with_a_printer(cell: Cell) -> Seen:
         assert _deepest(printer) > printer.sensor.tip_z_mm - 5
     assert _whole(out) == (10, 1)
     return Seen(None, time.monotonic() - since_s, "the press under way", "`capture`: what is here already")
-
-
-def _to_the_skin(one: Person) -> None:
-    one.hears("then type home (G28)")
-    one.types("home")
-    one.hears("Mount the sensor under the head")
-    one.types("")
-    one.hears(REFERENCES)
-    one.types("")
-    one.hears("looking for the skin")
 
 
 def _answer_until_pressed(one: Person) -> None:

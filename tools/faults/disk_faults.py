@@ -63,7 +63,7 @@ def read_while_recording(cell: Cell) -> Seen:
         cell.until(lambda: cell.last("status/recorder").get("frames", 0) > 30, 20, "a recording")
         path, most = cell.folder / "recs" / name, 0
         for _ in range(12):
-            read, said = _frames_of(_growing(path) if more else path)
+            read, said = _frames_of(path / "000.mcap.part" if more else path)
             assert not said, said
             assert read >= most, (read, most)
             most, reads = read, reads + 1
@@ -77,10 +77,6 @@ def read_while_recording(cell: Cell) -> Seen:
         assert status["dropped"] == 0, status
         cell.mark()
     return Seen(None, None, f"nothing in {reads} readings; each has what was written until then", "")
-
-
-def _growing(path: Path) -> Path:
-    return path / "000.mcap.part"
 
 
 def full_at_begin(cell: Cell) -> Seen:
