@@ -20,7 +20,7 @@ _PLACE_MEDIANS, _PLACE_LEAST_MM, _PLACE_MOST_MM = 3.0, 3.5, 5.0
 _SEEN_MEDIANS, _SEEN_LEAST_MM = 4.0, 2.0
 # A ball is, when it looks larger or smaller than the median press by so many robust deviations of the logarithms, and
 # by this factor at least; of shallower presses (mm on the nominal skin) the radius is not seen.
-_BALL_DEVIATIONS, _BALL_LEAST, _BALL_DEPTH_MM = 5.0, 1.55, 0.8
+_BALL_DEVIATIONS, _BALL_LEAST, _BALL_DEPTH_MM = 4.0, 1.55, 0.8
 # A small ball may look larger than it is: that counts where the stated radius fits so many times worse.
 _LARGER_MISFIT_RATIO = 4.0
 # With fewer presses no fit tells which is wrong.

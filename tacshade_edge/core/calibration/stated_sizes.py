@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tacshade_edge.core.calibration.depth_zero import theil_sen
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.press_observation import PressObservation
 from tacshade_edge.core.calibration.press_view import PressView
@@ -25,9 +24,10 @@ _LEAST_PRESSES, _LEAST_SEEN_PART = 4, 0.5
 _UNIT_FACTOR = 4.0
 _UNITS = {"cm": 10.0, "inches": 25.4, "m": 1000.0}
 _BALL_FACTORS = (0.8, 1.85)
-# Where all depths are stated too great by a constant, balls look smaller, shallow ones most. Without that they are 0.95
-# and more of good tables, and 0.83 and less of diameters.
-_LEAST_BALL_SLOPE = 0.9
+# Where all depths are stated too great by a constant, balls look smaller, shallow ones most, and depths as much so.
+# Without that balls are 0.95 and more of good tables, and 0.83 and less of diameters. Over the depths they are 0.96 and
+# more where those are 0.7 or 1 mm too great, and 0.82 and less of diameters.
+_LEAST_BALL_SLOPE, _LEAST_BALL_PER_DEPTH = 0.9, 0.9
 _PLACE_FACTORS = (0.6, 1.4)
 # Places that lie nearer to the middle than this, in skin radii (RMS), tell no factor: a place is found within 1 mm.
 _LEAST_REACH_RADII = 0.1
@@ -65,8 +65,19 @@ def shown_sizes(presses: Sequence[KnownPress], views: Sequence[PressView | None]
     stated_mm, factors = np.array(balls).reshape(-1, 2).T
     slope = math.nan
     if len(balls) >= _LEAST_PRESSES and np.ptp(stated_mm) > 0:
-        slope = theil_sen(stated_mm, factors * stated_mm).slope
+        slope = theil_sen_slope(stated_mm, factors * stated_mm)
     return ShownSizes(_median(depths), _median(factors), slope)
+
+
+def theil_sen_slope(x: F64, y: F64) -> float:
+    """The Theil-Sen slope of y over x (float64 (N,), N at least 2, not all x equal).
+
+    H. Theil, "A rank-invariant method of linear and polynomial regression analysis", 1950; P. K. Sen, "Estimates of the
+    regression coefficient based on Kendall's tau", J. Am. Stat. Assoc. 63, 1968.
+    """
+    i, j = np.triu_indices(len(x), 1)
+    apart = x[i] != x[j]
+    return float(np.median((y[j] - y[i])[apart] / (x[j] - x[i])[apart]))
 
 
 def unit_mistake(shown: ShownSizes) -> str:
@@ -95,7 +106,8 @@ def size_mistake(shown: ShownSizes, observations: Sequence[PressObservation], ge
             f"SENSOR.yaml: skin_radius_mm: found {radius_mm:g}, and with it the images show presses about {skin:.1f} "
             f"times as large as PRESSES.csv: is it {asked}? expected about {radius_mm / skin:.0f}"
         )
-    if _beyond(shown.ball, _BALL_FACTORS) and not (shown.ball < 1 and shown.ball_slope > _LEAST_BALL_SLOPE):
+    too_deep = shown.ball_slope > _LEAST_BALL_SLOPE or shown.ball > _LEAST_BALL_PER_DEPTH * shown.depth
+    if _beyond(shown.ball, _BALL_FACTORS) and not (shown.ball < 1 and too_deep):
         asked = "are they diameters?" if shown.ball < 1 else "are they halved?"
         return (
             f"PRESSES.csv: radius_mm: the images show balls of about {shown.ball:.1f} times the stated radii: "

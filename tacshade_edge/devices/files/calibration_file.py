@@ -17,10 +17,10 @@ from tacshade_edge.types import Calibration, Disc, Fit, FittedNetwork, Geometry,
 
 _log = logging.getLogger(__name__)
 
-VERSION = 7
+VERSION = 8
 """Also of the networks: factors are fitted to the weights shipped then (tests/devices/weights/test_network.py)."""
-OTHER_NETWORKS = 6
-"""The version before, whose content is the same but for factors of other networks: it is read without them."""
+OTHER_NETWORKS = (6, 7)
+"""Versions before, whose content is the same but for factors of other networks: they are read without them."""
 REFERENCE_ARRAYS = ("reference_white", "reference_grey")
 
 
@@ -183,7 +183,7 @@ def fitted_in(path: str | os.PathLike[str]) -> dict[str, FittedNetwork]:
 
 def _from_content(name: str, content: Content) -> Calibration:
     meta, arrays = content.meta, content.arrays
-    if meta.get("version") not in (VERSION, OTHER_NETWORKS):
+    if meta.get("version") not in (VERSION, *OTHER_NETWORKS):
         found = shown(meta.get("version"), 20)
         raise ConfigError(f"{name}: calibration version {found}, expected {VERSION}: calibrate again")
     fitted = fitted_networks.unpack(meta.get("fitted", {}), arrays)
@@ -193,7 +193,7 @@ def _from_content(name: str, content: Content) -> Calibration:
         raise ConfigError(f"{name}: not a calibration; expected a file written by `tacshade-edge calibrate`")
     calibration_content.check(content, REFERENCE_ARRAYS)
     height, width = arrays["reference_white"].shape
-    if meta["version"] == OTHER_NETWORKS and meta["factors"]:
+    if meta["version"] in OTHER_NETWORKS and meta["factors"]:
         _log.warning("%s: fitted to presses with older networks: read without that fit; calibrate again", name)
         meta = {**meta, "factors": {}, "fit": {}, "error_scales": {}}
     calibration = Calibration(

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import theilslopes
 from support.calibrated_sensor import FULL, references, sensor_of, simulated
 
 from tacshade_edge.core.calibration.calibrate import calibrate
-from tacshade_edge.core.calibration.depth_zero import theil_sen, travel_mistake, zero_hint
+from tacshade_edge.core.calibration.depth_zero import travel_mistake, zero_hint
 from tacshade_edge.core.calibration.gain import Ball, stated_ball
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.touches import first_touch_mm, from_travel
@@ -21,18 +20,6 @@ from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.types import Disc, Geometry
 
 GEOMETRY = Geometry(20.0, 14.0, 50.0, Disc(100, 100, 80))
-
-
-@given(st.integers(0, 2**32 - 1), st.integers(5, 40))
-def test_the_line_is_scipys(seed: int, count: int) -> None:
-    rng = np.random.default_rng(seed)
-    x = rng.uniform(0, 5, count)
-    y = 0.3 + 1.1 * x + 0.2 * rng.standard_normal(count)
-    expected, line = theilslopes(y, x, 0.95), theil_sen(x, y)
-    assert line.slope == pytest.approx(expected.slope)
-    assert line.offset == pytest.approx(expected.intercept)
-    assert line.offset_low == pytest.approx(np.median(y) - expected.high_slope * np.median(x))
-    assert line.offset_high == pytest.approx(np.median(y) - expected.low_slope * np.median(x))
 
 
 def set_of(count: int, seed: int) -> tuple[list[float], list[Ball]]:

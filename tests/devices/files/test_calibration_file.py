@@ -159,12 +159,13 @@ def test_another_version_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         calibration_file.load(tmp_path / "new.npz")
 
 
+@pytest.mark.parametrize("version", calibration_file.OTHER_NETWORKS)
 def test_one_fitted_to_the_networks_before_is_read_without_its_fit(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, version: int
 ) -> None:
     fitted = replace(painted_calibration(), factors={"fast": 1.2, "accurate": 0.9})
     assert fitted.fit is not None
-    monkeypatch.setattr(calibration_file, "VERSION", calibration_file.OTHER_NETWORKS)
+    monkeypatch.setattr(calibration_file, "VERSION", version)
     calibration_file.save(tmp_path / "old.npz", fitted)
     calibration_file.save(tmp_path / "unfitted.npz", replace(fitted, factors={}, fit=None))
     monkeypatch.undo()
