@@ -132,9 +132,9 @@ class Reconstructor:
 
         depth = self._solver.solve(preprocessed, mark)
         foreign_part = rows_part = None
-        if depth.foreign is not None:
+        if depth.foreign is not None and depth.foreign_logit is not None:
             foreign_part = foreign.foreign_part(depth.foreign, self.rays.inside)
-            rows_part = foreign.foreign_rows_part(depth.foreign, self.rays.inside) if foreign_part else 0.0
+            rows_part = foreign.foreign_rows_part(depth.foreign_logit, self.rays.inside)
         reason = self._foreign_check.refusal(rows_part, preprocessed.white)
         degraded = degraded or foreign.doubt(foreign_part)
         mark("depth")

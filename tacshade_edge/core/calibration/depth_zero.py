@@ -100,7 +100,8 @@ def _robust_fit(x: F64, stated: F64) -> tuple[F64, F64]:
         deviation = max(1.4826 * float(np.median(error)), _LEAST_DEVIATION)
         weight = trust * trust * np.minimum(1, _HUBER * deviation / np.maximum(error, 1e-9))
     free = len(x) / (len(x) - x.shape[1])
-    return coefficients, deviation * np.sqrt(free * np.diag(np.linalg.inv(normal)))
+    deviations: F64 = deviation * np.sqrt(free * np.diag(np.linalg.inv(normal)))
+    return np.asarray(coefficients, np.float64), deviations
 
 
 def _read_as_travel(ball: Placed, skin_radius_mm: float) -> Placed:

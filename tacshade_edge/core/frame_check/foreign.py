@@ -21,6 +21,10 @@ FOREIGN_ROW = 0.6
 """A row with more foreign cells than this part is foreign. Two pictures meet in a row, but a skin that the network does
 not know, deep, tilted or dragged, is foreign in patches."""
 
+FOREIGN_SURE = 3.0
+"""Log odds from which on a cell counts for that: what a skin that the network does not know shows is doubtful, what
+another picture shows is not."""
+
 LEAST_ROW_CELLS = 8
 """A row of fewer cells in the disc, of 112, has no say."""
 
@@ -77,9 +81,13 @@ def foreign_part(foreign: Bool, inside: Bool) -> float:
     return float(np.count_nonzero(foreign & inside) / max(int(np.count_nonzero(inside)), 1))
 
 
-def foreign_rows_part(foreign: Bool, inside: Bool) -> float:
-    """Part of the disc in rows that are foreign across it, 0 as above; bool (rows, cols) both."""
+def foreign_rows_part(foreign_logit: F32, inside: Bool) -> float:
+    """Part of the disc in rows that are surely foreign across it, 0 as above; float32 (M, M), bool (rows, cols)."""
+    if not (foreign_logit > FOREIGN_SURE).any():
+        return 0.0
+    each = len(inside) // len(foreign_logit)
+    sure: Bool = (foreign_logit > FOREIGN_SURE).repeat(each, axis=0).repeat(each, axis=1)
     cells = np.count_nonzero(inside, axis=1)
     least = max(LEAST_ROW_CELLS * len(inside) // disc_map.CELLS, 1)
-    rows = (np.count_nonzero(foreign & inside, axis=1) > FOREIGN_ROW * cells) & (cells >= least)
+    rows = (np.count_nonzero(sure & inside, axis=1) > FOREIGN_ROW * cells) & (cells >= least)
     return float(cells[rows].sum() / max(int(cells.sum()), 1))

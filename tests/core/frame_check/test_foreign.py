@@ -14,16 +14,18 @@ from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.simulator import nuisance
-from tacshade_edge.types import U8, Bool, Frame, Reconstruction
+from tacshade_edge.types import F32, U8, Bool, Frame, Reconstruction
 
 ROW, COL = np.mgrid[: disc_map.CELLS, : disc_map.CELLS] - (disc_map.CELLS - 1) / 2
 TOUCHED = np.hypot(ROW, COL) < 20
 
 
-def judged(foreign_rows: slice, image: U8, touched: Bool = TOUCHED) -> tuple[Reconstructor, Reconstruction]:
+def judged(
+    foreign_rows: slice, image: U8, touched: Bool = TOUCHED, logit: float = 4.0
+) -> tuple[Reconstructor, Reconstruction]:
     """A contact in the middle, of whose picture some rows of 28 are told foreign."""
     foreign = np.full((28, 28), -1, np.float32)
-    foreign[foreign_rows] = 1
+    foreign[foreign_rows] = logit
     maps = np.stack((np.where(touched, np.float32(1), np.float32(0)), np.where(touched, np.float32(3), np.float32(-3))))
     calibration = replace(calibrated(HALF, 0), factors={})
     made = Reconstructor(calibration, PROFILES["balanced"], saying(fold(maps, 4), foreign))
@@ -56,6 +58,14 @@ def test_a_picture_of_something_else_is_refused() -> None:
     assert result.reason.code is ReasonCode.TORN
 
 
+def test_a_skin_that_the_network_does_not_know_is_marked_not_refused() -> None:
+    _, result = judged(slice(10, 28), pressed("ball", 3.0).image, logit=2.0)
+    assert result.valid
+    assert result.untrusted is not None
+    assert result.degraded is not None
+    assert result.degraded.code is ReasonCode.FOREIGN
+
+
 def test_a_moved_camera_explains_one() -> None:
     _, result = judged(slice(0, 28), nuisance.shift(unloaded(HALF), -3, 3))
     assert result.reason is not None
@@ -72,17 +82,23 @@ def test_a_moved_camera_explains_a_change_where_nothing_touches() -> None:
     assert (result.valid, result.contact) == (True, False)
 
 
+def logits(foreign: Bool, logit: float = 4.0) -> F32:
+    """Of 28x28 cells."""
+    return np.where(foreign[2::4, 2::4], np.float32(logit), np.float32(-4))
+
+
 def test_foreign_patches_are_no_torn_rows() -> None:
     """A skin that the network does not know is foreign in patches, however large; a torn picture across the disc."""
     inside = np.hypot(ROW, COL) < 54
-    patch, rows = inside & (COL > 0), inside & (ROW > 20)
-    assert foreign_part(patch, inside) > 0.4
-    assert foreign_rows_part(patch, inside) == 0.0
-    assert foreign_rows_part(rows, inside) == pytest.approx(foreign_part(rows, inside), abs=0.02)
-    assert foreign_rows_part(inside, inside) > 0.97
-    assert foreign_rows_part(np.zeros_like(inside), inside) == 0.0
+    patch, rows = COL > 0, ROW > 24
+    assert foreign_part(patch & inside, inside) > 0.4
+    assert foreign_rows_part(logits(patch), inside) == 0.0
+    assert foreign_rows_part(logits(rows), inside) == pytest.approx(foreign_part(rows, inside), abs=0.02)
+    assert foreign_rows_part(logits(rows, 2.0), inside) == 0.0
+    assert foreign_rows_part(logits(np.ones_like(inside)), inside) > 0.97
+    assert foreign_rows_part(logits(np.zeros_like(inside)), inside) == 0.0
 
 
 def test_nothing_of_a_disc_without_cells_is_foreign() -> None:
     nothing = np.zeros((112, 112), dtype=bool)
-    assert foreign_part(nothing, nothing) == foreign_rows_part(nothing, nothing) == 0.0
+    assert foreign_part(nothing, nothing) == foreign_rows_part(logits(~nothing), nothing) == 0.0
