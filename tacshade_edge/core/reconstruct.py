@@ -132,10 +132,13 @@ class Reconstructor:
 
         depth = self._solver.solve(preprocessed, mark)
         foreign_part = rows_part = None
+        sure_part = 0.0
         if depth.foreign is not None and depth.foreign_logit is not None:
             foreign_part = foreign.foreign_part(depth.foreign, self.rays.inside)
             rows_part = foreign.foreign_rows_part(depth.foreign_logit, self.rays.inside)
-        reason = self._foreign_check.refusal(rows_part, preprocessed.white)
+            if rows_part > foreign.FOREIGN_INVALID:
+                sure_part = foreign.foreign_rows_part(depth.foreign_logit, self.rays.inside, foreign.FOREIGN_SURE)
+        reason = self._foreign_check.refusal(rows_part, sure_part, preprocessed.white)
         degraded = degraded or foreign.doubt(foreign_part)
         mark("depth")
         if reason:

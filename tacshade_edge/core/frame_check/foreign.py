@@ -45,23 +45,23 @@ class ForeignCheck:
         camera_px = preprocessor.camera_px
         self._shift = CameraShift(reference, camera_px * grid.step_px, camera_px * preprocessor.calibration.pitch_px)
 
-    def refusal(self, part: float | None, white: IntegralImage) -> Reason | None:
+    def refusal(self, part: float | None, sure_part: float, white: IntegralImage) -> Reason | None:
         """Why a frame cannot be used; None for one that can.
 
         Parameters
         ----------
         part : float or None
             So much of its disc is in foreign rows, 0 to 1 (`foreign_rows_part`). None where the solver reports
-            nothing: then a frame is refused that is the reference, shifted.
+            nothing. A frame is refused that may be foreign and is the reference, shifted.
+        sure_part : float
+            So much is surely, which refuses it in any case.
         white : IntegralImage
             `Preprocessed.white`.
         """
-        if part is not None and part <= FOREIGN_INVALID:
-            return None
-        reason = self.moved(white)
-        if reason or part is None:
+        reason = self.moved(white) if part is None or part > FOREIGN_INVALID else None
+        if reason or sure_part <= FOREIGN_INVALID:
             return reason
-        text = f"torn or foreign: {100 * part:.0f} % of the disc does not show the sensor's skin"
+        text = f"torn or foreign: {100 * sure_part:.0f} % of the disc does not show the sensor's skin"
         return Reason(ReasonCode.TORN, text)
 
     def moved(self, white: IntegralImage) -> Reason | None:
@@ -81,13 +81,17 @@ def foreign_part(foreign: Bool, inside: Bool) -> float:
     return float(np.count_nonzero(foreign & inside) / max(int(np.count_nonzero(inside)), 1))
 
 
-def foreign_rows_part(foreign_logit: F32, inside: Bool) -> float:
-    """Part of the disc in rows that are surely foreign across it, 0 as above; float32 (M, M), bool (rows, cols)."""
-    if not (foreign_logit > FOREIGN_SURE).any():
+def foreign_rows_part(foreign_logit: F32, inside: Bool, least: float = 0.0) -> float:
+    """Part of the disc in rows that are foreign across it, in cells of more than the `least` log odds.
+
+    0 as above; float32 (M, M), bool (rows, cols).
+    """
+    coarse: Bool = foreign_logit > least
+    if not coarse.any():
         return 0.0
-    each = len(inside) // len(foreign_logit)
-    sure: Bool = (foreign_logit > FOREIGN_SURE).repeat(each, axis=0).repeat(each, axis=1)
+    each = len(inside) // len(coarse)
+    foreign = coarse.repeat(each, axis=0).repeat(each, axis=1)
     cells = np.count_nonzero(inside, axis=1)
-    least = max(LEAST_ROW_CELLS * len(inside) // disc_map.CELLS, 1)
-    rows = (np.count_nonzero(sure & inside, axis=1) > FOREIGN_ROW * cells) & (cells >= least)
+    fewest = max(LEAST_ROW_CELLS * len(inside) // disc_map.CELLS, 1)
+    rows = (np.count_nonzero(foreign & inside, axis=1) > FOREIGN_ROW * cells) & (cells >= fewest)
     return float(cells[rows].sum() / max(int(cells.sum()), 1))

@@ -8,7 +8,7 @@ from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
 from support.toy_network import saying
 
 from tacshade_edge.core.depth.network_maps import fold
-from tacshade_edge.core.frame_check.foreign import foreign_part, foreign_rows_part
+from tacshade_edge.core.frame_check.foreign import FOREIGN_SURE, foreign_part, foreign_rows_part
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
@@ -66,8 +66,9 @@ def test_a_skin_that_the_network_does_not_know_is_marked_not_refused() -> None:
     assert result.degraded.code is ReasonCode.FOREIGN
 
 
-def test_a_moved_camera_explains_one() -> None:
-    _, result = judged(slice(0, 28), nuisance.shift(unloaded(HALF), -3, 3))
+@pytest.mark.parametrize("logit", [2.0, 4.0])
+def test_a_moved_camera_explains_one(logit: float) -> None:
+    _, result = judged(slice(0, 28), nuisance.shift(unloaded(HALF), -3, 3), logit=logit)
     assert result.reason is not None
     assert result.reason.code is ReasonCode.CAMERA_SHIFT
     assert float(result.reason.text.split()[3]) == pytest.approx(np.hypot(3, 3), abs=1.0)
@@ -94,7 +95,8 @@ def test_foreign_patches_are_no_torn_rows() -> None:
     assert foreign_part(patch & inside, inside) > 0.4
     assert foreign_rows_part(logits(patch), inside) == 0.0
     assert foreign_rows_part(logits(rows), inside) == pytest.approx(foreign_part(rows, inside), abs=0.02)
-    assert foreign_rows_part(logits(rows, 2.0), inside) == 0.0
+    assert foreign_rows_part(logits(rows, 2.0), inside) > 0.1
+    assert foreign_rows_part(logits(rows, 2.0), inside, FOREIGN_SURE) == 0.0
     assert foreign_rows_part(logits(np.ones_like(inside)), inside) > 0.97
     assert foreign_rows_part(logits(np.zeros_like(inside)), inside) == 0.0
 
