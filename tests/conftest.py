@@ -3,9 +3,26 @@
 Where CI is set, the examples are the same in every run: one there judges the change, one at the desk looks for news.
 """
 
+import logging
 import os
+from collections.abc import Iterator
 
+import pytest
 from hypothesis import settings
+
+from tacshade_edge.cli.logs import OneLineHandler
 
 settings.register_profile("tacshade", deadline=None, print_blob=True, derandomize="CI" in os.environ)
 settings.load_profile("tacshade")
+
+
+@pytest.fixture(autouse=True)
+def own_log() -> Iterator[None]:
+    """A command's log ends with its test: its stream is closed for those that follow."""
+    root = logging.getLogger()
+    before, level = root.handlers[:], root.level
+    yield
+    for handler in [handler for handler in root.handlers if handler not in before]:
+        if isinstance(handler, OneLineHandler):
+            root.removeHandler(handler)
+            root.setLevel(level)
