@@ -35,33 +35,33 @@ lint: .venv/dev.stamp
 	.venv/bin/lint-imports
 
 check: .venv/dev.stamp
-	$(PY) tools/run_tests.py lint quick
+	$(PY) -m tools.ci.run_tests lint quick
 
 test: .venv/dev.stamp
-	tools/install_debian.sh
+	tools/ci/install_debian.sh
 	$(PY) -m pip install --quiet --disable-pip-version-check --retries 0 $(CPU_TORCH) || \
 	  echo "tests: PyTorch could not be installed: those of calibrate --fit will be skipped"
-	$(PY) tools/run_tests.py
+	$(PY) -m tools.ci.run_tests
 
 test-arm: .venv/dev.stamp
-	$(PY) tools/run_arm.py
+	$(PY) -m tools.ci.run_arm
 
 test-container: .venv/dev.stamp
-	tools/install_debian.sh mmdebstrap podman
+	tools/ci/install_debian.sh mmdebstrap podman
 	$(PY) -m pytest -m container -rs -s
 
 deb: .venv/dev.stamp
-	$(PY) tools/package_debian.py
+	$(PY) -m tools.release.package_debian
 
 IMAGE_TOOL ?= podman
 image:
-	$(IMAGE_TOOL) build --file Containerfile --build-arg TACSHADE_EDGE_VERSION=$$($(PYTHON) tools/release_version.py) --tag tacshade-edge .
+	$(IMAGE_TOOL) build --file Containerfile --build-arg TACSHADE_EDGE_VERSION=$$($(PYTHON) -m tools.release.version) --tag tacshade-edge .
 
 lock: .venv/dev.stamp
-	$(PY) tools/lock.py
+	$(PY) -m tools.release.lock
 
 faults: .venv/dev.stamp
-	$(PY) tools/bench_faults.py table
+	$(PY) -m tools.faults table
 
 format: .venv/dev.stamp
 	.venv/bin/ruff format .

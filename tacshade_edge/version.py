@@ -12,7 +12,7 @@ def how_to_install(extra: str) -> str:
 
 @cache
 def installed_version() -> str:
-    """As it was built (``tools/release_version.py``); of a checkout that is not installed nothing is known."""
+    """As it was built (``tools/release/version.py``); of a checkout that is not installed nothing is known."""
     from importlib import metadata  # 10 ms that most commands do without
 
     try:

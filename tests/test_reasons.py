@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.calibrated_sensor import FULL, calibrated, pressed, unloaded
 
 from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.core.profiles import PROFILES
@@ -21,6 +20,7 @@ from tacshade_edge.protocol import messages, wire
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.types import U8, Frame
+from tools.testbed.calibrated_sensor import FULL, calibrated, pressed, unloaded
 
 FLAGS_AT = 7  # in the wire's header
 CODES = ("size", "black", "saturated", "no_contrast", "noise", "light", "torn", "surround", "camera_shift", "foreign",

@@ -14,11 +14,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from release_version import version
-from support.calibrated_sensor import calibrated, pressed
-from support.patience import patience
 
 from tacshade_edge.devices.files import calibration_file
+from tools.release.version import version
+from tools.testbed.calibrated_sensor import calibrated, pressed
+from tools.testbed.patience import patience
 
 ROOT = Path(__file__).parents[1]
 pytestmark = [

@@ -3,9 +3,9 @@
 
 ::
 
-    .venv/bin/python tools/results.py                 # those that are missing or of other code
-    .venv/bin/python tools/results.py objects limits  # these
-    .venv/bin/python tools/results.py --list
+    .venv/bin/python -m tools.results                 # those that are missing or of other code
+    .venv/bin/python -m tools.results objects limits  # these
+    .venv/bin/python -m tools.results --list
 
 A page is written when its command has ended, so what was interrupted goes on where it was. Pages of speed want a
 machine with nothing beside: one that had other work is refused (`OTHER_LOAD`), unless ``--busy`` allows it; the page
@@ -50,7 +50,7 @@ class Page:
     title, text : str
         What it is; what its columns mean.
     command : tuple of str
-        ``tacshade-edge`` and its arguments, or a program of tools and its own.
+        ``tacshade-edge`` and its arguments, or a module of tools and its own.
     idle : bool
         It measures speed.
     drawn : tuple of str
@@ -116,7 +116,7 @@ mean displacement of a contact, direction and twist those of contacts that moved
         "Whether the standard deviation of each height holds",
         """\
 Three simulated sensors of each family that were kept for final figures, calibrated on 8 references and 40 undragged
-ball presses. Four objects that the errors were not fitted to (`tools/fit_sigma.py`), at four places, 1, 2.75 and 4.5 mm
+ball presses. Four objects that the errors were not fitted to (`training.fit_sigma`), at four places, 1, 2.75 and 4.5 mm
 deep, undragged and dragged by 2 mm (lengths on a skin of 20 mm). A cell is one that is found in contact; its 90 %
 interval is h ± 1.645 σ. The last columns are the part of all absolute error that the tenth of the cells with the
 greatest σ has, and the most that any tenth has. In the plot the grey band is 85 to 95 %.""",
@@ -133,8 +133,8 @@ keeps a dent that recovers; a phantom is a frame in which something is still, or
     ),
     "displacement": Page(
         "Displacement by a network, by optical flow, by tracked points",
-        "What `tools/bench_displacement.py` says of its ways at its top.",
-        ("bench_displacement.py",),
+        "What `studies.displacement` says of its ways at its top.",
+        ("tools.studies.displacement",),
     ),
     "limits": Page(
         "Limits",
@@ -158,14 +158,14 @@ is what a true gradient integrates to from h = 0 at the rim.""",
         """\
 Three sensors, the five objects near the tip, three depths. `paper_0` is the profile `paper` without eq. 11: α times
 g_hn, on the same maps.""",
-        ("bench_iterations.py",),
+        ("tools.studies.iterations",),
     ),
     "stitching": Page(
         "Maps with poses refined, and as reported",
         """\
 Sensors that press drawn surfaces all over, 100 presses 4 mm apart, up to 0.4 mm deeper or shallower and 6° tilted, with
 exact poses and with noise on what the robot reports. RMS of height over all touched cells.""",
-        ("bench_stitch_pads.py",),
+        ("tools.studies.stitch_pads",),
     ),
     "real-raw": Page(
         "A real TacTip: whole pictures",
@@ -173,7 +173,7 @@ exact poses and with noise on what the robot reports. RMS of height over all tou
 Frames of `BioMorphic-Intelligence-Lab/aerial_tactile_servoing`, without its folder of another light: an LED ring, and
 white pins in the middle of the dome. Their labels are what that project's own network said. Two free frames of each
 folder are tried as the reference; the first that is accepted serves. {FOLLOWED}""",
-        ("real_frames.py", "raw", "out/real/aerial_tactile_servoing"),
+        ("tools.studies.real_frames", "raw", "out/real/aerial_tactile_servoing"),
         needs="out/real/aerial_tactile_servoing",
     ),
     "real-binary": Page(
@@ -181,7 +181,7 @@ folder are tried as the reference; the first that is accepted serves. {FOLLOWED}
         """\
 Frames of `marselap/tactip-cnn-bayes`: few pins, nearly black and white. Nobody says which are free or how deep the rest
 is; the picture most like the mean of all serves as the reference.""",
-        ("real_frames.py", "binary", "out/real/tactip-cnn-bayes"),
+        ("tools.studies.real_frames", "binary", "out/real/tactip-cnn-bayes"),
         needs="out/real/tactip-cnn-bayes",
     ),
     "real-plates": Page(
@@ -189,7 +189,7 @@ is; the picture most like the mean of all serves as the reference.""",
         f"""\
 Thresholded frames of `dexterousrobot/tactile_data_shear`, of the robot `cr_tactip` alone. None is free: the least
 pressed serves as the reference. {FOLLOWED}""",
-        ("real_frames.py", "plates", "out/real/tactile_data_shear"),
+        ("tools.studies.real_frames", "plates", "out/real/tactile_data_shear"),
         needs="out/real/tactile_data_shear",
     ),
     "calibration": Page(
@@ -197,7 +197,7 @@ pressed serves as the reference. {FOLLOWED}""",
         """\
 Simulated sensors drawn at random, 5 references and 24 presses each: what is said of good sets, and of sets in which one
 thing was made wrong. Of a re-zero, "said" is the right answer, taken or refused.""",
-        ("bench_calibration.py", "--sensors", "30", "--detect", "16", "--first", "8400"),
+        ("tools.studies.calibration", "--sensors", "30", "--detect", "16", "--first", "8400"),
     ),
     "fit": Page(
         "What `calibrate --fit` is worth",
@@ -207,24 +207,24 @@ Simulated sensors of the other family and the default one, calibrated on 5 refer
 and fitted to the same. Judged on the paper's five objects at 3 places, 1.5, 3 and 4.5 mm deep, and at 6 mm, a third
 deeper than the deepest press. Worst is the worst object's mean; a fit that is no better on presses that were held out
 is not kept. ME, SD and IoU as of [the paper's five objects](objects.md).""",
-        ("bench_fit.py", "--folder", "out/fit"),
+        ("tools.studies.fit", "--folder", "out/fit"),
     ),
     "stages": Page(
         "A frame, stage by stage",
         """\
 Grey 640x480 in memory, one thread, a contact that covers a fifth of the disc; the floor is `cv2.threshold` and
 `cv2.boxFilter` over the whole frame. Rounds take turns; milliseconds, medians of five rounds.""",
-        ("bench_stages.py",),
+        ("tools.benchmarks.stages",),
         idle=True,
     ),
     "as-printed": Page(
         "The paper's method as printed",
         """\
 `plain` is the method as a reader of the paper would write it down with NumPy, scikit-image and SciPy
-(`tools/plain_paper.py`); its heights are those of `paper`. The frame of [stages](stages.md). ME and SD are of one
+(`benchmarks.plain_paper`); its heights are those of `paper`. The frame of [stages](stages.md). ME and SD are of one
 sensor, near its tip: they say that `plain` and `paper` find the same, not how good a profile is
 ([the paper's five objects](objects.md) does).""",
-        ("bench_paper.py",),
+        ("tools.benchmarks.paper",),
         idle=True,
     ),
     "tradeoff": Page(
@@ -245,7 +245,7 @@ clearly worse in the other. ME is of these few presses, to compare settings; how
         """\
 Balls in the middle of the default sensor, 4 mm deep, for the contact area; one ball through cameras of 320x240 to
 1280x960 for the image size; small balls around the tip for the number of objects. A line fitted to each.""",
-        ("bench_cost.py",),
+        ("tools.benchmarks.cost",),
         idle=True,
         drawn=("cost.png",),
     ),
@@ -255,7 +255,7 @@ Balls in the middle of the default sensor, 4 mm deep, for the contact area; one 
 640x480 at 60 frames a second from a ring of images in memory, a real mosquitto and a subscriber in processes of their
 own; beside it a null daemon that publishes ready bytes. Latency is from the frame's time stamp to the decoded height
 map. `contact`: a ball goes in and out, all topics have a subscriber; `free`: nothing touches; `unasked`: none has.""",
-        ("bench_daemon.py", "--seconds", "60", "--runs", "2"),
+        ("tools.benchmarks.daemon", "--seconds", "60", "--runs", "2"),
         idle=True,
     ),
     "recording": Page(
@@ -263,19 +263,19 @@ map. `contact`: a ball goes in and out, all topics have a subscriber; `free`: no
         """\
 The row `contact` of [the daemon](daemon.md), with the profile `fast`: without a recording, with the 10 s that
 `recorder.before_s` keeps before one, and while every frame is recorded as a folder and as MCAP.""",
-        ("bench_daemon.py", "--record", "--profile", "fast", "--seconds", "20", "--runs", "2"),
+        ("tools.benchmarks.daemon", "--record", "--profile", "fast", "--seconds", "20", "--runs", "2"),
         idle=True,
     ),
     "memory": Page(
         "Memory of the daemon",
         "The command `run` as a service runs it, with images in a camera's place; MB, from /proc.",
-        ("bench_memory.py",),
+        ("tools.benchmarks.memory",),
         idle=True,
     ),
     "runtime": Page(
         "ONNX Runtime beside OpenCV's DNN module",
         "The shipped networks, one thread, in turns.",
-        ("bench_runtime.py",),
+        ("tools.benchmarks.runtime",),
         idle=True,
     ),
     "arm": Page(
@@ -285,7 +285,7 @@ QEMU's model of a Pi 5's processor, with Debian's Python 3.11 and 3.13 and the w
 "Other" is against the same frames on the machine below. Instructions are counted exactly; the times are an estimate
 from them, between what such processors complete of waiting scalar code and of vector code, right to a factor of two: no
 board was measured.""",
-        ("run_arm.py",),
+        ("tools.ci.run_arm",),
     ),
     "faults": Page(
         "Faults in real parts",
@@ -293,7 +293,7 @@ board was measured.""",
 Each row does one thing to a daemon at work: a process of its own, a real mosquitto, ptys, a small file system. Detected
 is from the fault until the daemon has told it, recovered from the fault's end until it works again, both in seconds.
 What is promised is in [reliability](../reliability.md).""",
-        ("bench_faults.py", "table"),
+        ("tools.faults", "table"),
     ),
     "faults-damaged": Page(
         "Damaged inputs",
@@ -301,28 +301,28 @@ What is promised is in [reliability](../reliability.md).""",
 Files with flipped bits, cuts, holes, words in the place of numbers, and wrong content behind right checksums, read as
 the program reads them. Told is another value with a warning in the log. Another valid value is what no reader can know,
 since these formats have no checksum, or what a right checksum was put over; never one of damage to a checked file.""",
-        ("bench_faults.py", "damage"),
+        ("tools.faults", "damage"),
     ),
     "faults-words": Page(
         "Requests and serial lines of anything",
         """\
 In process where paho hands requests over, through a real broker, and over a pty. What the daemon opens to write is
 seen by an audit hook of Python's, what it publishes by a subscriber to everything.""",
-        ("bench_faults.py", "words"),
+        ("tools.faults", "words"),
     ),
     "faults-kills": Page(
         "kill -9 at random moments",
         """\
 One daemon after the other works on the same files at the rate that requests can be made, and is killed 0 to 3 s after
 its first frame; the next goes on. Everything that was acknowledged is looked for after each kill.""",
-        ("bench_faults.py", "kills"),
+        ("tools.faults", "kills"),
     ),
     "faults-soak": Page(
         "A long run in which something is always wrong",
         """\
 60 images a second of 640x480, a broker that is restarted once a minute, a subscriber that stalls, recordings one after
 the other, a session that is filled until the map takes no more, ended, and begun anew.""",
-        ("bench_faults.py", "soak", "--seconds", "3600"),
+        ("tools.faults", "soak", "--seconds", "3600"),
     ),
     "faults-soak-hand": Page(
         "A long run of a whole hand",
@@ -330,7 +330,7 @@ the other, a session that is filled until the map takes no more, ended, and begu
 Five fingers in one command at 10 images a second each, two of them pressed, both bridges with a scraper, a viewer and
 a viewer that reads nothing, recordings in turn, and a broker that is restarted once a minute. The change of memory is
 from the least of the first half after 900 s to that of the second.""",
-        ("bench_faults.py", "soak-hand", "--seconds", "7200"),
+        ("tools.faults", "soak-hand", "--seconds", "7200"),
     ),
 }
 
@@ -338,7 +338,7 @@ from the least of the first half after 900 s to that of the second.""",
 def shown(command: Sequence[str]) -> str:
     """The command as a person types it."""
     program, *arguments = command
-    return " ".join((program if program == "tacshade-edge" else f".venv/bin/python tools/{program}", *arguments))
+    return " ".join((program if program == "tacshade-edge" else f".venv/bin/python -m {program}", *arguments))
 
 
 def git(*words: str) -> str:
@@ -372,11 +372,15 @@ def write(name: str, page: Page, *, busy: bool) -> str:
     """Run a page's command and write the page; what is wrong, or nothing."""
     with tempfile.TemporaryDirectory() as out:
         program, *arguments = page.command
-        run = ["-m", "tacshade_edge"] if program == "tacshade-edge" else [str(ROOT / "tools" / program)]
+        module = "tacshade_edge" if program == "tacshade-edge" else program
         drawing = ["--out", out] if page.drawn else []
         code, before, start = commit(), worked_s(), time.monotonic()
         done = subprocess.run(
-            [sys.executable, *run, *arguments, *drawing], cwd=ROOT, stdout=subprocess.PIPE, text=True, check=False
+            [sys.executable, "-m", module, *arguments, *drawing],
+            cwd=ROOT,
+            stdout=subprocess.PIPE,
+            text=True,
+            check=False,
         )
         took_s = time.monotonic() - start
         after = worked_s()

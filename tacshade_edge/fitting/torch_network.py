@@ -36,7 +36,7 @@ OPERATIONS: dict[str, Operation] = {
     "Resize": lambda _, given: functional.interpolate(given[0], scale_factor=2.0, mode="nearest"),
     "DepthToSpace": lambda attributes, given: functional.pixel_shuffle(given[0], attributes["blocksize"]),
 }
-"""What is in the graphs of tools/train/export.py."""
+"""What is in the graphs of tools/training/export.py."""
 
 
 class TorchNetwork:

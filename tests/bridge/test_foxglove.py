@@ -22,15 +22,15 @@ import numpy as np
 import pytest
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
-from support.bridge_process import BridgeProcess
-from support.mqtt_rig import MOSQUITTO, Broker
-from support.patience import patience
-from support.published_hand import CRC, PublishedHand, bump
-from support.published_hand import calibration as published_calibration
 
 from tacshade_edge.protocol import messages, wire
 from tacshade_edge.protocol.wire import HeightMessage
 from tacshade_edge.types import F64, Pose
+from tools.testbed.bridge_process import BridgeProcess
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker
+from tools.testbed.patience import patience
+from tools.testbed.published_hand import CRC, PublishedHand, bump
+from tools.testbed.published_hand import calibration as published_calibration
 
 pytest.importorskip("foxglove", reason="the extra foxglove is not installed")
 pytest.importorskip("foxglove_schemas_protobuf", reason="Foxglove's published schemas are not installed")

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.bridge_process import BridgeProcess
-from support.mqtt_rig import MOSQUITTO, Broker
-from support.patience import patience, wait_until
-from support.published_hand import PublishedHand
-from support.published_health import health
 
 from tacshade_edge.bridge.roster import HANDS_MAX
+from tools.testbed.bridge_process import BridgeProcess
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker
+from tools.testbed.patience import patience, wait_until
+from tools.testbed.published_hand import PublishedHand
+from tools.testbed.published_health import health
 
 parser = pytest.importorskip("prometheus_client.parser", reason="the extra prometheus is not installed")
 

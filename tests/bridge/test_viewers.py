@@ -8,7 +8,8 @@ from contextlib import contextmanager
 from typing import Any
 
 import pytest
-from support.patience import wait_until
+
+from tools.testbed.patience import wait_until
 
 pytest.importorskip("foxglove", reason="the extra foxglove is not installed")
 client = pytest.importorskip("websockets.sync.client", reason="the extra dashboard is not installed")

@@ -7,10 +7,10 @@ from collections import deque
 from collections.abc import Iterator
 
 import pytest
-from support.patience import patience
 
 from tacshade_edge.capture.page import Chosen, Page, Shown
 from tacshade_edge.types import Disc
+from tools.testbed.patience import patience
 
 
 @pytest.fixture

@@ -17,11 +17,11 @@ from pathlib import Path
 
 import cv2
 import pytest
-from support.mqtt_rig import free_port
-from support.painted_sensor import FREE, painted_calibration
-from support.patience import patience, wait_until
 
 from tacshade_edge.devices.files import calibration_file
+from tools.testbed.mqtt_rig import free_port
+from tools.testbed.painted_sensor import FREE, painted_calibration
+from tools.testbed.patience import patience, wait_until
 
 pytestmark = pytest.mark.slow  # a process each: over half a minute in all
 COMMAND = [sys.executable, "-m", "tacshade_edge"]

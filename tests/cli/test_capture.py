@@ -7,9 +7,6 @@ import os
 from pathlib import Path
 
 import pytest
-from robot import PtyRobot
-from support.patience import wait_until
-from support.person import person
 
 from tacshade_edge.cli import main
 from tacshade_edge.core.calibration.calibrate import calibrate
@@ -19,6 +16,9 @@ from tacshade_edge.rigid import shift, turn
 from tacshade_edge.settings import load
 from tacshade_edge.settings.sensor_file import read_sensor
 from tacshade_edge.simulator.model import SensorModel
+from tools.testbed.patience import wait_until
+from tools.testbed.person import person
+from tools.testbed.robot import PtyRobot
 
 SENSOR = "skin_radius_mm: 20\nvisible_half_angle_deg: 50\ncamera_distance_mm: 14\npolarity: bright\n"
 SOURCE = "source: {kind: simulated, fps: 20, pressed: hand.csv}\n"

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.painted_sensor import painted_calibration
 
 from tacshade_edge.cli import EXIT_CONFIG, main
 from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.settings import file_schema
+from tools.testbed.painted_sensor import painted_calibration
 
 GOOD = "calibration: c.npz\nsource: {kind: simulated}\n"
 

@@ -11,10 +11,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from support.certificate import certificate
-from support.patience import patience, stretched
 
 from tacshade_edge import cli
+from tools.testbed.certificate import certificate
+from tools.testbed.patience import patience, stretched
 
 COMMAND = [sys.executable, "-m", "tacshade_edge", "dashboard"]
 

@@ -18,14 +18,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.browser import CHROMIUM, DRIVER, browser, errors
-from support.mqtt_rig import MOSQUITTO, Subscriber
-from support.page_client import PageClient
-from support.patience import patience, wait_until
 
 from tacshade_edge.cli import demo_hand
 from tacshade_edge.protocol.hand import decode_hand
 from tacshade_edge.settings import load_hand
+from tools.testbed.browser import CHROMIUM, DRIVER, browser, errors
+from tools.testbed.mqtt_rig import MOSQUITTO, Subscriber
+from tools.testbed.page_client import PageClient
+from tools.testbed.patience import patience, wait_until
 
 # As on a machine without mosquitto.
 WITHOUT_MOSQUITTO = "import shutil, sys; shutil.which = lambda *a, **k: None; from tacshade_edge.cli import main; "

@@ -4,12 +4,12 @@ import shutil
 from pathlib import Path
 
 import pytest
-from support.mqtt_rig import MOSQUITTO, Subscriber
 
 from tacshade_edge.cli import main
 from tacshade_edge.cli.demo_broker import broker_command
 from tacshade_edge.cli.demo_child import Child, free_port, wait_for_port
 from tacshade_edge.errors import DeviceError
+from tools.testbed.mqtt_rig import MOSQUITTO, Subscriber
 
 FULL_SIZE = 640 * 480 * 2 + 96
 

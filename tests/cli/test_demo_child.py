@@ -8,10 +8,10 @@ import sys
 from pathlib import Path
 
 import pytest
-from support.patience import wait_until
 
 from tacshade_edge.cli.demo_child import Child, free_port, wait_for_port
 from tacshade_edge.errors import DeviceError
+from tools.testbed.patience import wait_until
 
 
 def gone(pid: int) -> bool:

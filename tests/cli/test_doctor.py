@@ -9,14 +9,14 @@ from typing import Any
 
 import cv2
 import pytest
-from support.mqtt_rig import MOSQUITTO, Broker, free_port
-from support.painted_sensor import FREE, painted_calibration
-from support.patience import patience
 
 from tacshade_edge.cli import EXIT_CONFIG, EXIT_FAILED, EXIT_OK, main
 from tacshade_edge.cli.doctor import shown
 from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.doctor.finding import fault, ok, warning
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker, free_port
+from tools.testbed.painted_sensor import FREE, painted_calibration
+from tools.testbed.patience import patience
 
 
 def write(folder: Path, port: int, more: str = "") -> str:

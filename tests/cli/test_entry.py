@@ -9,11 +9,11 @@ from pathlib import Path
 
 import cv2
 import pytest
-from support.mqtt_rig import free_port
-from support.painted_sensor import FREE, painted_calibration
-from support.patience import patience
 
 from tacshade_edge.devices.files import calibration_file
+from tools.testbed.mqtt_rig import free_port
+from tools.testbed.painted_sensor import FREE, painted_calibration
+from tools.testbed.patience import patience
 
 # A library that works without the interpreter's lock and takes it again in a C++ destructor, for ever.
 IN_A_LIBRARY = """

@@ -12,13 +12,13 @@ import cv2
 import numpy as np
 import pytest
 from support.half_family import half_family
-from support.painted_sensor import HEIGHT, TOUCHED, WIDTH, painted_calibration
-from support.patience import patience
 from support.progress_lines import only_progress
 
 from tacshade_edge.cli import evaluate, main, study
 from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.studies.evaluate.score import Row
+from tools.testbed.painted_sensor import HEIGHT, TOUCHED, WIDTH, painted_calibration
+from tools.testbed.patience import patience
 
 WRITTEN = ["evaluation.csv", "evaluation.json", "evaluation.md"]
 SMALL = ["evaluate", "--objects", "ball", "--presses", "0", "--references", "1"]

@@ -14,9 +14,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
-from support.painted_sensor import FREE, TOUCHED, painted_calibration
-from support.patience import patience, wait_until
 
 from tacshade_edge.cli import main
 from tacshade_edge.devices.files import calibration_file
@@ -25,6 +22,9 @@ from tacshade_edge.devices.files.recording import Recording
 from tacshade_edge.devices.files.run_files import HEIGHTS, payloads
 from tacshade_edge.protocol import wire
 from tacshade_edge.settings import load
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
+from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
+from tools.testbed.patience import patience, wait_until
 
 pytestmark = [pytest.mark.broker, pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")]
 BASE = "tacshade/tacshade"

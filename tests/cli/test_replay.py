@@ -14,15 +14,15 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
-from support.painted_sensor import BLACK, FREE, TOUCHED, painted_calibration, touched_depth_mm
-from support.patience import patience, wait_until
 from support.recordings import write_recording
 
 from tacshade_edge.cli import main
 from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.devices.files.run_files import CLOUDS, HEIGHTS, SUMMARY, payloads
 from tacshade_edge.protocol import wire
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from tools.testbed.painted_sensor import BLACK, FREE, TOUCHED, painted_calibration, touched_depth_mm
+from tools.testbed.patience import patience, wait_until
 
 COMMAND = [sys.executable, "-m", "tacshade_edge"]
 IMAGES = [FREE, TOUCHED, TOUCHED, BLACK, FREE]
@@ -200,9 +200,11 @@ def test_bad_files_are_one_line_and_leave_no_run(folder: Path, capsys: pytest.Ca
 @pytest.mark.slow
 def test_two_processes_give_the_same_bytes() -> None:
     """300 different images of 640x480, some in contact."""
-    bench = Path(__file__).parents[2] / "tools" / "bench_replay.py"
     done = subprocess.run(
-        [sys.executable, str(bench), "--frames", "300"], capture_output=True, text=True, timeout=patience(600)
+        [sys.executable, "-m", "tools.benchmarks.replay", "--frames", "300"],
+        capture_output=True,
+        text=True,
+        timeout=patience(600),
     )
     assert (done.returncode, done.stderr) == (0, "")
     first, second, *files = done.stdout.splitlines()

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import cv2
 import pytest
-from support.mqtt_rig import free_port
-from support.painted_sensor import FREE, TOUCHED, painted_calibration
 
 from tacshade_edge.devices.files import calibration_file
+from tools.testbed.mqtt_rig import free_port
+from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 
 # Runs the command to the end of its recording, then tells what was imported.
 RUN = """

@@ -10,11 +10,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
-from support.painted_sensor import FREE, painted_calibration
-from support.patience import patience, wait_until
 
 from tacshade_edge.devices.files import calibration_file
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
+from tools.testbed.painted_sensor import FREE, painted_calibration
+from tools.testbed.patience import patience, wait_until
 
 needs_broker = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
 CAMERA_AWAY = "kind: v4l2, device: /dev/video99, width_px: 160, height_px: 120"

@@ -8,13 +8,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from support.calibrated_sensor import HALF, calibrated, unloaded
 from support.progress_lines import without_progress
 
 from tacshade_edge.cli import main, simulate_pad
 from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.rigid import from_seven
 from tacshade_edge.simulator.pad import Bar, Pad
+from tools.testbed.calibrated_sensor import HALF, calibrated, unloaded
 
 pytestmark = pytest.mark.slow
 

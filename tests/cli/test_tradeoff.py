@@ -6,13 +6,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from support.painted_sensor import FREE, HEIGHT, TOUCHED, WIDTH, painted_calibration
 from support.progress_lines import only_progress, without_progress
 from support.trade_points import point
 
 from tacshade_edge.cli import main, tradeoff
 from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.studies.tradeoff.budget import settings_block
+from tools.testbed.painted_sensor import FREE, HEIGHT, TOUCHED, WIDTH, painted_calibration
 
 
 @pytest.fixture

@@ -12,9 +12,6 @@ import cv2
 import msgspec
 import numpy as np
 import pytest
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
-from support.painted_sensor import touched_depth_mm
-from support.patience import wait_until
 from support.running_app import (
     BASE,
     GONE,
@@ -30,6 +27,9 @@ from tacshade_edge.core.profiles import DEFAULT
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.protocol import wire
 from tacshade_edge.types import Calibration
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from tools.testbed.painted_sensor import touched_depth_mm
+from tools.testbed.patience import wait_until
 
 pytestmark = [pytest.mark.broker, pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")]
 

@@ -10,8 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
-from support.patience import wait_until
 from support.running_app import (
     BASE,
     Running,
@@ -27,6 +25,8 @@ from tacshade_edge.core.profiles import LADDER, PROFILES
 from tacshade_edge.daemon.profiles import profile_chooser
 from tacshade_edge.protocol import wire
 from tacshade_edge.types import Calibration
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from tools.testbed.patience import wait_until
 
 pytestmark = [pytest.mark.broker, pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")]
 

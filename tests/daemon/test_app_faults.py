@@ -9,8 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
-from support.patience import stretched, wait_until
 from support.running_app import (
     BASE,
     GONE,
@@ -26,6 +24,8 @@ from support.running_app import (
 
 from tacshade_edge.protocol import wire
 from tacshade_edge.types import Calibration
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
+from tools.testbed.patience import stretched, wait_until
 
 pytestmark = [pytest.mark.broker, pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")]
 

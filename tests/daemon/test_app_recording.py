@@ -9,8 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
-from support.patience import wait_until
 from support.running_app import (
     BASE,
     GONE,
@@ -27,6 +25,8 @@ from tacshade_edge.devices.files.frame_table import read_table
 from tacshade_edge.devices.files.recording import Recording
 from tacshade_edge.settings import load
 from tacshade_edge.types import Calibration
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from tools.testbed.patience import wait_until
 
 pytestmark = [pytest.mark.broker, pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")]
 

@@ -10,8 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
-from support.patience import wait_until
 from support.running_app import (
     BASE,
     Running,
@@ -26,6 +24,8 @@ from tacshade_edge.daemon.reference import untouched
 from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.protocol import wire
 from tacshade_edge.types import Calibration
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from tools.testbed.patience import wait_until
 
 pytestmark = [pytest.mark.broker, pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")]
 

@@ -10,15 +10,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from robot import PtyRobot, motion
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
-from support.patience import patience, wait_until
 
 from tacshade_edge.daemon.app import App
 from tacshade_edge.devices.files.frame_table import read_table
 from tacshade_edge.protocol import wire
 from tacshade_edge.settings import load
 from tacshade_edge.types import Calibration
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from tools.testbed.patience import patience, wait_until
+from tools.testbed.robot import PtyRobot, motion
 
 pytestmark = [pytest.mark.broker, pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")]
 BASE = "tacshade/hand-1"

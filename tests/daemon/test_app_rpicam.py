@@ -14,13 +14,13 @@ import cv2
 import numpy as np
 import pytest
 from support import rpicam_vid
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
-from support.patience import patience, wait_until
 
 from tacshade_edge.daemon.app import App
 from tacshade_edge.devices import registry
 from tacshade_edge.reasons import Reason
 from tacshade_edge.settings import load
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from tools.testbed.patience import patience, wait_until
 
 pytestmark = [pytest.mark.broker, pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")]
 BASE = "tacshade/tacshade"

@@ -13,10 +13,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from robot import PtyRobot
-from support.calibrated_sensor import HALF, calibrated, simulated, unloaded
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
-from support.patience import patience, wait_until
 
 from tacshade_edge.cli import main
 from tacshade_edge.daemon.app import App
@@ -27,6 +23,10 @@ from tacshade_edge.settings import load
 from tacshade_edge.simulator.pad import Bar, Pad, scan
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.types import U8
+from tools.testbed.calibrated_sensor import HALF, calibrated, simulated, unloaded
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from tools.testbed.patience import patience, wait_until
+from tools.testbed.robot import PtyRobot
 
 pytestmark = [
     pytest.mark.broker,

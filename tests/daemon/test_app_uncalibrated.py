@@ -13,9 +13,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from robot import PtyRobot
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
-from support.patience import patience, wait_until
 
 from tacshade_edge.daemon.app import App
 from tacshade_edge.daemon.reload import reload
@@ -26,6 +23,9 @@ from tacshade_edge.protocol import wire
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.settings import load
 from tacshade_edge.types import Calibration
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from tools.testbed.patience import patience, wait_until
+from tools.testbed.robot import PtyRobot
 
 pytestmark = [pytest.mark.broker, pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")]
 BASE = "tacshade/tacshade"

@@ -6,16 +6,16 @@ import json
 from pathlib import Path
 
 import pytest
-from faults.rig import write_posed_images
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
-from support.painted_sensor import painted_calibration
-from support.patience import wait_until
 from support.running_app import BASE, Running, ask, last
 
 from tacshade_edge.devices import registry
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol import wire
 from tacshade_edge.settings import load
+from tools.faults.rig import write_posed_images
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from tools.testbed.painted_sensor import painted_calibration
+from tools.testbed.patience import wait_until
 
 pytestmark = [pytest.mark.broker, pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")]
 

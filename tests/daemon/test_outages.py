@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.calibrated_sensor import FULL, calibrated
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
-from support.patience import patience, promised, stretched, wait_until
 
 from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.protocol import wire
+from tools.testbed.calibrated_sensor import FULL, calibrated
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from tools.testbed.patience import patience, promised, stretched, wait_until
 
 BASE = "tacshade/tacshade"
 BACK_S = 3.0

@@ -4,13 +4,13 @@ from pathlib import Path
 
 import cv2
 import pytest
-from support.painted_sensor import FREE, painted_calibration
 
 from tacshade_edge.daemon.reload import reload
 from tacshade_edge.devices.files import calibration_file, checked_npz
 from tacshade_edge.devices.files.checked_npz import Content
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.settings import load
+from tools.testbed.painted_sensor import FREE, painted_calibration
 
 
 def test_a_calibration_of_wrong_content_changes_nothing(tmp_path: Path) -> None:

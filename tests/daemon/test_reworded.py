@@ -10,8 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.mqtt_rig import free_port
-from support.patience import patience, wait_until
 from support.reworded import NONSENSE, reword
 
 from tacshade_edge.daemon import app as app_module
@@ -25,6 +23,8 @@ from tacshade_edge.protocol.messages import Request, parse_request
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.settings import Document, load
 from tacshade_edge.types import Calibration
+from tools.testbed.mqtt_rig import free_port
+from tools.testbed.patience import patience, wait_until
 
 
 class Observed:

@@ -11,9 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.bumpy_surface import APEX_MM, grid_poses, press_of
-from support.calibrated_sensor import calibrated, pressed, step, unloaded
-from support.patience import wait_until
 from support.reworded import NONSENSE, reword
 
 from tacshade_edge.core.stitching.stitcher import Stitcher
@@ -28,6 +25,9 @@ from tacshade_edge.protocol.serial.verbs import Command
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.rigid import shift
 from tacshade_edge.types import Calibration, Frame, Need, Pose, Reconstruction
+from tools.testbed.bumpy_surface import APEX_MM, grid_poses, press_of
+from tools.testbed.calibrated_sensor import calibrated, pressed, step, unloaded
+from tools.testbed.patience import wait_until
 
 DEADLINE_S = 20.0
 S = 10**9

@@ -14,15 +14,15 @@ from typing import Any
 
 import cv2
 import pytest
-from robot import PtyRobot
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
-from support.painted_sensor import FREE, TOUCHED, painted_calibration
-from support.patience import patience, wait_until
-from support.processes import is_there, suspend
 
 from tacshade_edge.cli import EXIT_CONFIG
 from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.protocol import wire
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
+from tools.testbed.patience import patience, wait_until
+from tools.testbed.processes import is_there, suspend
+from tools.testbed.robot import PtyRobot
 
 pytestmark = [pytest.mark.broker, pytest.mark.slow]
 needs_broker = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")

@@ -11,9 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.mqtt_rig import free_port
-from support.painted_sensor import painted_calibration
-from support.patience import patience
 
 from tacshade_edge.daemon import app as app_module
 from tacshade_edge.daemon.app import App
@@ -25,6 +22,9 @@ from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.errors import DecodeError, DeviceError
 from tacshade_edge.settings import load
 from tacshade_edge.types import Calibration, Frame, Need
+from tools.testbed.mqtt_rig import free_port
+from tools.testbed.painted_sensor import painted_calibration
+from tools.testbed.patience import patience
 
 pytestmark = pytest.mark.slow
 

@@ -11,9 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
-from support.painted_sensor import DISC
-from support.patience import patience, wait_until
 from support.toy_solver import CELLS, DEPTH_MM, ToySolver
 
 from tacshade_edge.core.depth import SOLVERS
@@ -23,6 +20,9 @@ from tacshade_edge.daemon.app import App
 from tacshade_edge.protocol import wire
 from tacshade_edge.settings import load
 from tacshade_edge.types import U8, Calibration
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from tools.testbed.painted_sensor import DISC
+from tools.testbed.patience import patience, wait_until
 
 pytestmark = [pytest.mark.broker, pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")]
 

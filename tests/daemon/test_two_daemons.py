@@ -16,13 +16,13 @@ from typing import Any
 
 import cv2
 import pytest
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
-from support.painted_sensor import FREE, TOUCHED, painted_calibration
-from support.patience import patience, wait_until
 
 from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.doctor.broker import check_broker, judge_daemon
 from tacshade_edge.doctor.machine import Process
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
+from tools.testbed.patience import patience, wait_until
 
 pytestmark = [pytest.mark.broker, pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")]
 

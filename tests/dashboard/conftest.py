@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 from selenium.webdriver import Chrome
-from support.browser import browser, errors
 
 from tacshade_edge.cli.demo_sensor import make_calibration
 from tacshade_edge.devices.files import calibration_file
+from tools.testbed.browser import browser, errors
 
 
 @pytest.fixture(scope="session")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -13,14 +12,14 @@ import numpy as np
 import pytest
 from selenium.webdriver import ActionChains, Chrome
 from selenium.webdriver.common.by import By
-from support.dashboard_process import dashboard
-from support.growing_map import PAD, scan
-from support.mqtt_rig import Broker, Subscriber
-from support.patience import patience, wait_until
-from support.published_hand import PublishedHand
-from support.shown_page import NEEDS_A_BROWSER, js, mapping, opened, picture, shows, text, until_mapped
 
 from tacshade_edge.protocol import messages, wire
+from tools.testbed.dashboard_process import dashboard
+from tools.testbed.growing_map import PAD, scan
+from tools.testbed.mqtt_rig import Broker, Subscriber
+from tools.testbed.patience import patience, wait_until
+from tools.testbed.published_hand import PublishedHand
+from tools.testbed.shown_page import NEEDS_A_BROWSER, js, mapping, opened, picture, shows, text, until_mapped
 
 pytestmark = NEEDS_A_BROWSER
 
@@ -210,9 +209,8 @@ def test_maps_of_full_size_are_drawn_as_they_come() -> None:
     70 MB of buffers) can hold on the way: in maps, so that it holds at any machine's pace.
     """
     root = Path(__file__).parents[2]
-    command = [sys.executable, "tools/bench_dashboard.py", "--seconds", "5", "--json"]
-    environment = {**os.environ, "PYTHONPATH": str(root / "tests")}
-    done = subprocess.run(command, cwd=root, env=environment, stdout=subprocess.PIPE, timeout=patience(120), check=True)
+    command = [sys.executable, "-m", "tools.benchmarks.dashboard", "--seconds", "5", "--json"]
+    done = subprocess.run(command, cwd=root, stdout=subprocess.PIPE, timeout=patience(120), check=True)
     figures = json.loads(done.stdout)
     assert (figures["unaccounted"], figures["undecodable"], figures["console_errors"]) == (0, 0, []), figures
     assert figures["drawn_per_s"] > 0, figures

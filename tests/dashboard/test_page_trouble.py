@@ -7,18 +7,18 @@ import re
 from pathlib import Path
 
 import pytest
-from faults.page_faults import GRIDS, grid_message
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
-from support.browser import browser, errors
-from support.certificate import certificate
-from support.dashboard_process import dashboard
-from support.mqtt_rig import Broker, Subscriber, free_port
-from support.patience import wait_until
-from support.published_hand import PublishedHand, bump
-from support.shown_page import NEEDS_A_BROWSER, daemon, drawn, js, opened, picture, shows, text, until_shown
 
 from tacshade_edge.protocol import wire
+from tools.faults.page_faults import GRIDS, grid_message
+from tools.testbed.browser import browser, errors
+from tools.testbed.certificate import certificate
+from tools.testbed.dashboard_process import dashboard
+from tools.testbed.mqtt_rig import Broker, Subscriber, free_port
+from tools.testbed.patience import wait_until
+from tools.testbed.published_hand import PublishedHand, bump
+from tools.testbed.shown_page import NEEDS_A_BROWSER, daemon, drawn, js, opened, picture, shows, text, until_shown
 
 pytestmark = NEEDS_A_BROWSER
 

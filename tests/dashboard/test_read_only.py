@@ -11,10 +11,10 @@ from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
-from support.patience import patience
 
 from tacshade_edge.dashboard.read_only import PACKET_BYTES_MAX, ReadOnly
 from tacshade_edge.errors import DecodeError
+from tools.testbed.patience import patience
 
 V311, V5 = MQTTProtocolVersion.MQTTv311, MQTTProtocolVersion.MQTTv5
 

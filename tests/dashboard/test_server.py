@@ -14,10 +14,6 @@ from typing import Any
 import pytest
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion
-from support.certificate import certificate
-from support.dashboard_process import dashboard
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
-from support.patience import patience, wait_until
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
@@ -26,6 +22,10 @@ from tacshade_edge.dashboard.access import refusal
 from tacshade_edge.dashboard.bounds import CONNECTIONS_MAX, PAGES_MAX
 from tacshade_edge.dashboard.bridge import Broker as Address
 from tacshade_edge.dashboard.login import WRONG_MAX
+from tools.testbed.certificate import certificate
+from tools.testbed.dashboard_process import dashboard
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from tools.testbed.patience import patience, wait_until
 
 TOKEN = "a-token-of-this-test"
 STATIC = Path(files.__file__).parent / "static"

@@ -9,8 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.calibrated_sensor import HALF, calibrated, presses, references, sensor_of, unloaded
-from support.fitted import fitted_network, fitted_with
 
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import Inputs
@@ -21,6 +19,8 @@ from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.devices.weights.network import load_networks
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import Calibration
+from tools.testbed.calibrated_sensor import HALF, calibrated, presses, references, sensor_of, unloaded
+from tools.testbed.fitted import fitted_network, fitted_with
 
 INPUTS = inputs_of(sensor_of(HALF), references(), presses())
 OLDER = calibration_file.VERSION - 1

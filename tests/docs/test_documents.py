@@ -37,8 +37,9 @@ def test_links_lead_somewhere(path: Path) -> None:
     assert broken == []
 
 
-@pytest.mark.parametrize("path", DOCUMENTS, ids=name)
+@pytest.mark.parametrize("path", [path for path in DOCUMENTS if path.parent != ROOT / "docs/results"], ids=name)
 def test_files_that_it_names_are_there(path: Path) -> None:
+    """The pages of docs/results name programs as they are called in the commit at their top."""
     named = set(re.findall(r"(?:tests|tools|tacshade_edge)/[\w./-]*\w\.(?:py|json|sh)", path.read_text()))
     assert [file for file in sorted(named) if not (ROOT / file).exists()] == []
 

@@ -12,13 +12,13 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from support.calibrated_sensor import FULL, calibrated, pressed, unloaded
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
-from support.patience import patience
 
 import tacshade_edge as ts
 from tacshade_edge.cli import main
 from tacshade_edge.devices.files import calibration_file
+from tools.testbed.calibrated_sensor import FULL, calibrated, pressed, unloaded
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from tools.testbed.patience import patience
 
 TEXT = (Path(__file__).parents[2] / "docs" / "library.md").read_text()
 REPLAY = (Path(__file__).parents[2] / "docs" / "replay.md").read_text()

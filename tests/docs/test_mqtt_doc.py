@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import pytest
 from paho.mqtt.client import topic_matches_sub
-from support.patience import patience
 
 from tacshade_edge.core.stitching.surface_map import Raster
 from tacshade_edge.daemon.stitching.map_publisher import MapPublisher
@@ -23,6 +22,7 @@ from tacshade_edge.daemon.stitching.map_revision import MapRevision
 from tacshade_edge.protocol import wire
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import HeightMap, ObjectCloud, Pose, Reconstruction
+from tools.testbed.patience import patience
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "docs" / "mqtt.md").read_text()

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
-from support.patience import patience, wait_until
 
 from tacshade_edge.protocol import wire
 from tacshade_edge.types import HeightMap, ObjectCloud, Reconstruction
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from tools.testbed.patience import patience, wait_until
 
 TEXT = (Path(__file__).parents[2] / "README.md").read_text()
 

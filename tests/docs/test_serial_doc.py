@@ -16,13 +16,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.patience import patience
 
 from tacshade_edge.daemon.robot.robot import Robot
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.protocol.serial.counts import LinkCounts
 from tacshade_edge.protocol.serial.link import SerialLink
 from tacshade_edge.protocol.serial.verbs import USAGE
+from tools.testbed.patience import patience
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "docs" / "serial.md").read_text()

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
-from support.patience import wait_until
 
 from tacshade_edge.doctor.broker import DaemonState, check_broker, judge_daemon, judge_round_trip
 from tacshade_edge.doctor.finding import Finding, ok
 from tacshade_edge.doctor.machine import Process
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
+from tools.testbed.patience import wait_until
 
 BASE = "tacshade/left"
 broker_test = pytest.mark.broker

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.painted_sensor import BLACK, FREE
 
 from tacshade_edge.doctor.camera import check_frames, check_other_source, check_picture
 from tacshade_edge.doctor.capture import Captured
 from tacshade_edge.doctor.finding import Finding
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.settings import V4l2
+from tools.testbed.painted_sensor import BLACK, FREE
 
 LOCKED = {
     "time_stamps": "kernel",

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import cv2
 import pytest
-from support.painted_sensor import FREE
 
 from tacshade_edge.devices.files.image_source import FilesSource
 from tacshade_edge.doctor.capture import FRAMES, Captured, capture
 from tacshade_edge.reasons import ReasonCode
+from tools.testbed.painted_sensor import FREE
 
 
 def test_frames_of_a_looping_image(tmp_path: Path) -> None:

@@ -3,9 +3,8 @@ from __future__ import annotations
 import threading
 import time
 
-from support.patience import patience
-
 from tacshade_edge.doctor.limits import start, wait_for
+from tools.testbed.patience import patience
 
 
 def test_a_result() -> None:

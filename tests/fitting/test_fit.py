@@ -1,4 +1,4 @@
-"""Short trainings of a simulated sensor's presses; what a whole one is worth says tools/bench_fit.py."""
+"""Short trainings of a simulated sensor's presses; what a whole one is worth says tools/studies/fit.py."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.calibrated_sensor import calibrated, presses
 
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
 from tacshade_edge.devices.weights.network import make_reconstructor, shipped_layout
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import Calibration, Frame
+from tools.testbed.calibrated_sensor import calibrated, presses
 
 pytest.importorskip("torch", reason="PyTorch (the extra fit) is not installed")
 pytestmark = pytest.mark.fit

@@ -23,10 +23,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from support.patience import patience, slowness_of_all_cores
+
+from tools.testbed.patience import patience, slowness_of_all_cores
 
 TREE = Path(__file__).resolve().parents[2]
-GUEST = TREE / "tools/rig/guest.py"
+GUEST = (sys.executable, "-m", "tools.rig.guest")
 SILENT_S = 30.0
 """A guest gives a sign of life each second."""
 TEST_S = 20.0
@@ -192,7 +193,7 @@ def _boot(kind: str, out: Path, chosen: list[pytest.Item]) -> _Boot:
     names = {name: out / name for name in ("reports.jsonl", "notes.jsonl", "hang.txt")}
     for path in names.values():
         path.unlink(missing_ok=True)
-    guest = [sys.executable, str(GUEST), "--out", str(out), "--silent", f"{patience(SILENT_S):.0f}"]
+    guest = [*GUEST, "--out", str(out), "--silent", f"{patience(SILENT_S):.0f}"]
     guest += ["--systemd"] if kind == "systemd" else []
     check = subprocess.run([*guest, "--check"], text=True, capture_output=True, check=False)
     if check.returncode:

@@ -13,11 +13,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from support.patience import stretched, wait_until
 from support.vivid import FPS, NODE, WEBCAM, control, kept_fps, load_driver, unload_driver
 
 from tacshade_edge.devices.camera.v4l2 import V4l2Source
 from tacshade_edge.errors import ConfigError, DeviceError
+from tools.testbed.patience import stretched, wait_until
 
 TRACING = Path("/sys/kernel/tracing")
 

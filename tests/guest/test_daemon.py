@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 import pytest
 from support.handed_in import PAINTED, facts
-from support.mqtt_rig import Broker, Subscriber
-from support.patience import patience, stretched, wait_until
 from support.vivid import FPS, NODE, WEBCAM, control, kept_fps, load_driver, unload_driver
 
 from tacshade_edge.protocol import wire
+from tools.testbed.mqtt_rig import Broker, Subscriber
+from tools.testbed.patience import patience, stretched, wait_until
 
 TREE = Path(__file__).resolve().parents[2]
 BASE = "tacshade/tacshade"

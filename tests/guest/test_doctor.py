@@ -12,7 +12,6 @@ from pathlib import Path
 
 import pytest
 from support.handed_in import PAINTED
-from support.patience import patience, wait_until
 from support.vivid import NODE, WEBCAM, control, load_driver, unload_driver
 
 from tacshade_edge.devices import registry
@@ -21,6 +20,7 @@ from tacshade_edge.doctor.capture import Captured, capture
 from tacshade_edge.doctor.finding import Finding
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.settings import V4l2
+from tools.testbed.patience import patience, wait_until
 
 MACHINE = Machine()
 GOOD = V4l2(device=NODE, width_px=640, height_px=480, fps=25, fourcc="YUYV")

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.handed_in import IMAGES_A_PRESS, PRESSED, facts
-from support.mqtt_rig import Broker, Subscriber
-from support.patience import patience, slowness, wait_until
 from support.vivid import NODE, unload_driver
 
 from tacshade_edge.protocol import wire
+from tools.testbed.mqtt_rig import Broker, Subscriber
+from tools.testbed.patience import patience, slowness, wait_until
 
 TREE = Path(__file__).resolve().parents[2]
 BASE = "tacshade/finger"

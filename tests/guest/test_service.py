@@ -21,9 +21,10 @@ from pathlib import Path
 import pytest
 from support.booted_service import CONFIG, UNIT, fresh, journal, process, sh, show, streaming, until
 from support.handed_in import PAINTED
-from support.mqtt_rig import Subscriber
-from support.patience import patience, stretched, wait_until
 from support.vivid import NODE, control, unload_driver
+
+from tools.testbed.mqtt_rig import Subscriber
+from tools.testbed.patience import patience, stretched, wait_until
 
 pytestmark = [pytest.mark.systemd, pytest.mark.slow]
 

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.published_hand import CRC, bump, calibration, dragged, uncertain
 
 from tacshade_edge.library.frames_heard import FramesHeard
 from tacshade_edge.protocol import messages, wire
 from tacshade_edge.types import Reconstruction
+from tools.testbed.published_hand import CRC, bump, calibration, dragged, uncertain
 
 INFO: dict[str, Any] = json.loads(
     messages.encode_info(version="0", config_digest="0", profile="fast", calibration=calibration())

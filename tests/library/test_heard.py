@@ -6,12 +6,12 @@ import threading
 from pathlib import Path
 
 import pytest
-from support.mqtt_rig import MOSQUITTO, Broker, free_port
-from support.published_hand import PublishedHand, bump
 
 import tacshade_edge as ts
 from tacshade_edge.library import heard
 from tacshade_edge.reasons import Reason, ReasonCode
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker, free_port
+from tools.testbed.published_hand import PublishedHand, bump
 
 pytestmark = [
     pytest.mark.broker,

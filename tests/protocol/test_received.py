@@ -6,12 +6,12 @@ import json
 from typing import Any
 
 import pytest
-from support.published_hand import calibration
-from support.published_health import health
 
 from tacshade_edge.core.geometry.disc import Grid, disc_rays
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol import messages, received
+from tools.testbed.published_hand import calibration
+from tools.testbed.published_health import health
 
 INFO: dict[str, Any] = json.loads(
     messages.encode_info(version="0", config_digest="0", profile="fast", calibration=calibration())

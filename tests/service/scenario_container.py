@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from support.booted_service import process, sh
-from support.mqtt_rig import Broker, Subscriber
-from support.patience import patience
 from support.vivid import FPS, NODE
+
+from tools.testbed.mqtt_rig import Broker, Subscriber
+from tools.testbed.patience import patience
 
 FEEDER = Path(__file__).parents[2] / "tools/rig/feed_video.py"
 SCRATCH = Path("/dev/shm")

@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 from support.booted_machine import CHECKOUT, cannot_boot, seen_there
-from support.calibrated_sensor import FULL, calibrated
 from support.locked_wheels import fetch
-from support.patience import stretched
 
 from tacshade_edge.devices.files import calibration_file
+from tools.testbed.calibrated_sensor import FULL, calibrated
+from tools.testbed.patience import stretched
 
 WATCHDOG_S, STOP_S, MEMORY_MAX_MB = 10.0, 2.0, 150
 
@@ -24,8 +24,8 @@ def copy_checkout(folder: Path) -> None:
     """The tree as a clone has it, as far as an installation needs it."""
     for name in ("systemd", "config", "tacshade_edge"):
         shutil.copytree(CHECKOUT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
-    (folder / "tools").mkdir()
-    for name in ("pyproject.toml", "README.md", "LICENSE", "tools/release_version.py"):
+    (folder / "tools/release").mkdir(parents=True)
+    for name in ("pyproject.toml", "README.md", "LICENSE", "tools/release/version.py"):
         shutil.copy(CHECKOUT / name, folder / name)
 
 

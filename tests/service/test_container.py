@@ -13,14 +13,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from release_version import version
 from support.locked_wheels import fetch
-from support.painted_sensor import FREE, TOUCHED, enlarged, enlarged_calibration
 
 from tacshade_edge.devices.files import calibration_file
+from tools.release.version import version
+from tools.testbed.painted_sensor import FREE, TOUCHED, enlarged, enlarged_calibration
 
 TREE = Path(__file__).parents[2]
-GUEST = [sys.executable, str(TREE / "tools/rig/guest.py")]
+GUEST = [sys.executable, "-m", "tools.rig.guest"]
 BASES = {(3, 11): "bookworm", (3, 13): "trixie"}
 MEMORY_MAX = 150 * 2**20
 

@@ -1,4 +1,4 @@
-"""What the daemon takes of a small board's memory, as tools/bench_memory.py measures it."""
+"""What the daemon takes of a small board's memory, as tools/benchmarks/memory.py measures it."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from support.mqtt_rig import MOSQUITTO
 
-BENCH = Path(__file__).parents[2] / "tools/bench_memory.py"
+from tools.testbed.mqtt_rig import MOSQUITTO
+
 FRAMES, FPS = 10_000, 150  # as fast as a busy machine of two cores reads them; what comes too fast is superseded
 # Measured with ONNX Runtime 1.32, which takes 8 MB more than 1.28: 120.6 MB after a tenth, 120.8 at the end and at the
 # peak. A kilobyte forgotten with each frame: 9 MB.
@@ -22,7 +22,17 @@ RESIDENT_MAX_MB, GROWTH_MAX_MB = 128.0, 8.0
 @pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
 def test_it_stays_small_and_does_not_grow(tmp_path: Path) -> None:
     figures = tmp_path / "memory.json"
-    command = [sys.executable, str(BENCH), "--frames", str(FRAMES), "--fps", str(FPS), "--json", str(figures)]
+    command = [
+        sys.executable,
+        "-m",
+        "tools.benchmarks.memory",
+        "--frames",
+        str(FRAMES),
+        "--fps",
+        str(FPS),
+        "--json",
+        str(figures),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     told = json.loads(figures.read_text())

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from package_debian import CONFFILES, RELEASES
-from release_version import version
 from support.booted_machine import CHECKOUT, cannot_boot, seen_there
-from support.calibrated_sensor import FULL, calibrated
 
 from tacshade_edge.devices.files import calibration_file
+from tools.release.package_debian import CONFFILES, RELEASES
+from tools.release.version import version
+from tools.testbed.calibrated_sensor import FULL, calibrated
 
 MACHINE = "x86_64"
 DEBIANS_PYTHON = "/usr/bin/python3"
@@ -40,7 +40,18 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if find_spec("uv") is None or find_spec("hatchling") is None:
         pytest.skip("uv or hatchling is not installed")
     folder = tmp_path_factory.mktemp("package")
-    words = ["tools/package_debian.py", "--machine", MACHINE, "--python", python, "--out", str(folder), "--level", "1"]
+    words = [
+        "-m",
+        "tools.release.package_debian",
+        "--machine",
+        MACHINE,
+        "--python",
+        python,
+        "--out",
+        str(folder),
+        "--level",
+        "1",
+    ]
     done = subprocess.run([sys.executable, *words], cwd=CHECKOUT, capture_output=True, text=True, check=False)
     if "Failed to fetch" in done.stderr:
         pytest.skip(f"the program's packages cannot be fetched here: {done.stderr.strip()[-300:]}")

@@ -5,10 +5,10 @@ import sys
 import time
 
 import pytest
-from support.patience import patience, wait_until
 
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.studies.parallel import ordered_map, usable_cores
+from tools.testbed.patience import patience, wait_until
 
 
 def slow_first(task: int) -> tuple[int, int]:

@@ -1,12 +1,12 @@
 import cv2
 import pytest
-from support.painted_sensor import FREE, TOUCHED, painted_calibration
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import STAGES
 from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.studies.stage_times import one_thread, stages_ms, work_ns
 from tacshade_edge.types import Frame
+from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 
 
 def test_the_stages_that_are_run_in_their_order() -> None:

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from support.patience import patience
+from tools.testbed.patience import patience
 
 CHECKOUT = Path(__file__).parents[2]
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from threading import Thread
 from typing import Any
 
-from support.patience import patience
+from tools.testbed.patience import patience
 
 UNIT = "tacshade-edge.service"
 CONFIG = Path("/etc/tacshade-edge/config.yaml")

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from support.painted_sensor import FREE, TOUCHED, enlarged, enlarged_calibration
 from tacshade_edge.cli import main
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
@@ -22,6 +21,7 @@ from tacshade_edge.simulator.objects import OBJECTS, ball
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.types import Frame
+from tools.testbed.painted_sensor import FREE, TOUCHED, enlarged, enlarged_calibration
 
 GIVEN = Path(__file__).resolve().parents[2] / ".rig/given"
 PAINTED, PRESSED = GIVEN / "painted", GIVEN / "pressed"

@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
-from support.mqtt_rig import MOSQUITTO, Subscriber
-from support.patience import promised, wait_until
 from tacshade_edge.devices.mqtt.link import MqttLink
 from tacshade_edge.protocol.messages import Request
 from tacshade_edge.reasons import ReasonCode
+from tools.testbed.mqtt_rig import MOSQUITTO, Subscriber
+from tools.testbed.patience import promised, wait_until
 
 BASE = "tacshade/test"
 

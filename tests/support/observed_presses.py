@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from functools import cache
 
-from support.calibrated_sensor import references, sensor_of, simulated
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.press_observation import PressObservation, observe_press
@@ -14,6 +13,7 @@ from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.simulator.model import SensorModel, random_model
 from tacshade_edge.types import Geometry
+from tools.testbed.calibrated_sensor import references, sensor_of, simulated
 
 PRESSES = 24
 SEEDS = (0, 5, 11)

@@ -9,12 +9,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from support.mqtt_rig import Subscriber
-from support.patience import patience
 from tacshade_edge.daemon.app import App
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.settings import Document, load
 from tacshade_edge.types import U8, Calibration
+from tools.testbed.mqtt_rig import Subscriber
+from tools.testbed.patience import patience
 
 BASE = "tacshade/hand-1"
 

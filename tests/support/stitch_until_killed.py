@@ -5,8 +5,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from support.bumpy_surface import grid_poses, press_of
 from tacshade_edge.devices.files.stitch_file import SessionInfo, StitchFile
+from tools.testbed.bumpy_surface import grid_poses, press_of
 
 
 def main(folder: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import subprocess
 
-from support.patience import slowness, wait_until
+from tools.testbed.patience import slowness, wait_until
 
 NODE = "/dev/video0"
 WEBCAM = ("node_types=0x1", "num_inputs=1", "input_types=0")

@@ -1,1 +1,1 @@
-"""The fault bench: what is done to the daemon and its files, and what must come of it (tools/bench_faults.py)."""
+"""The fault bench: what is done to the daemon and its files, and what must come of it (``python -m tools.faults``)."""

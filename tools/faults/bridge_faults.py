@@ -17,14 +17,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from support.bridge_process import BridgeProcess
-from support.published_hand import CRC, PublishedHand, bump
-from support.published_health import health
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
-from faults.rig import Cell, Seen, pause
 from tacshade_edge.protocol import messages, wire
+from tools.faults.rig import Cell, Seen, pause
+from tools.testbed.bridge_process import BridgeProcess
+from tools.testbed.published_hand import CRC, PublishedHand, bump
+from tools.testbed.published_health import health
 
 MEMORY_MB_MAX = 400.0
 STOP_S_MAX = 2.0
@@ -38,7 +38,7 @@ HUGE = "1" + "0" * 400
 
 def hostile_infos() -> Iterator[bytes]:
     """Geometries that no sensor has."""
-    from support.published_hand import calibration
+    from tools.testbed.published_hand import calibration
 
     info = json.loads(messages.encode_info(version="0", config_digest="0", profile="fast", calibration=calibration()))
     for key in ("radius_px", "skin_radius_mm", "visible_half_angle_deg", "row_c", "camera_distance_mm"):
@@ -391,7 +391,7 @@ def other_shapes() -> Iterator[tuple[str, bytes]]:
     """`shear` and `sigma` of other grids than the `height` of their frame; grids that are none; the largest."""
     from dataclasses import replace
 
-    from support.published_hand import dragged, uncertain
+    from tools.testbed.published_hand import dragged, uncertain
 
     for other in (bump(7, 1.0, 236.0, 328.0, 8), bump(7, 1.0, 240.0, 300.0, 6)):
         for made in (dragged(other, 1.0, 0.0), uncertain(other, 0.1)):

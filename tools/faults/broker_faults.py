@@ -6,9 +6,8 @@ import socket
 import threading
 import time
 
-from support.mqtt_rig import Broker, Subscriber
-
-from faults.rig import BASE, SENSOR_ID, Cell, Proxy, Seen, pause
+from tools.faults.rig import BASE, SENSOR_ID, Cell, Proxy, Seen, pause
+from tools.testbed.mqtt_rig import Broker, Subscriber
 
 AWAY_S = 2.0
 STALL_S = 6.0

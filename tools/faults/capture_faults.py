@@ -6,13 +6,12 @@ import os
 import time
 from pathlib import Path
 
-from support.fake_printer import FakePrinter
-from support.person import Person, goes_to_the_skin, person
-
-from faults.rig import Cell, Seen, pause
 from tacshade_edge.devices.files.capture_folder import CaptureFolder
 from tacshade_edge.devices.files.presses import read_presses
 from tacshade_edge.settings.sensor_file import read_sensor
+from tools.faults.rig import Cell, Seen, pause
+from tools.testbed.fake_printer import FakePrinter
+from tools.testbed.person import Person, goes_to_the_skin, person
 
 REFERENCES, ASKED = "Enter takes 10 references.", "press 1"
 AFTER_S = (0.0, 0.2, 0.4, 0.8, 1.6)

@@ -23,12 +23,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from support.patience import stretched
-
-from faults import handed_in
-from faults.handed_in import Files, Kind, Read, warnings_kept
-from faults.handed_in_mcap import mcap_kinds
 from tacshade_edge.errors import TacshadeError
+from tools.faults import handed_in
+from tools.faults.handed_in import Files, Kind, Read, warnings_kept
+from tools.faults.handed_in_mcap import mcap_kinds
+from tools.testbed.patience import stretched
 
 MEMORY_MAX_MB = 400.0
 WAIT_MAX_S = 5.0

@@ -6,13 +6,12 @@ import shutil
 import time
 from pathlib import Path
 
-from support.mcap_bytes import CHUNK, flipped, record_starts
-
-from faults.rig import Cell, Seen, pause, small_disk
 from tacshade_edge.devices.files.recording import Recording
 from tacshade_edge.devices.files.stitch_file import PRESSES, SESSION
 from tacshade_edge.devices.files.whole_files import FREE_FLOOR_BYTES
 from tacshade_edge.errors import DecodeError
+from tools.faults.rig import Cell, Seen, pause, small_disk
+from tools.testbed.mcap_bytes import CHUNK, flipped, record_starts
 
 FLOOR_MB = FREE_FLOOR_BYTES >> 20
 

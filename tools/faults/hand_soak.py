@@ -22,15 +22,15 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from bench_rig import draw_rings, memory_mb
-from support.bridge_process import BridgeProcess
-from support.mqtt_rig import Broker, Subscriber
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
 from tacshade_edge.cli.demo_sensor import make_calibration
 from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.devices.files.frame_table import read_table
+from tools.testbed.bridge_process import BridgeProcess
+from tools.testbed.daemon_rig import draw_rings, memory_mb
+from tools.testbed.mqtt_rig import Broker, Subscriber
 
 FINGERS = tuple(f"finger{k}" for k in range(5))
 PRESSED = 2
@@ -184,8 +184,8 @@ def run(seconds: float, *, progress: bool = False) -> Soaked:
         rings = [folder / f"{'contact' if k < PRESSED else 'free'}.npy" for k in range(len(FINGERS))]
         log = stack.enter_context((folder / "log").open("w"))
         seen = stack.enter_context(Subscriber(broker.port, "tacshade/#"))
-        program = str(Path(__file__).parents[1] / "ring_hand.py")
-        hand = subprocess.Popen([sys.executable, program, config, str(FPS), *rings], stderr=log)
+        program = (sys.executable, "-m", "tools.testbed.ring_hand")
+        hand = subprocess.Popen([*program, config, str(FPS), *rings], stderr=log)
         stack.callback(hand.kill)
         prometheus = stack.enter_context(BridgeProcess("prometheus", broker.port, folder / "prometheus.log"))
         foxglove = stack.enter_context(BridgeProcess("foxglove", broker.port, folder / "foxglove.log"))

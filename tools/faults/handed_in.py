@@ -17,9 +17,6 @@ from typing import Any
 import cv2
 import msgspec
 import numpy as np
-from support.bumpy_surface import grid_poses, press_of
-from support.fitted import fitted_with
-from support.painted_sensor import FREE, TOUCHED, painted_calibration
 
 from tacshade_edge.core.calibration.inputs import Inputs, KnownPress, Sensor
 from tacshade_edge.core.profiles import PROFILES
@@ -44,6 +41,9 @@ from tacshade_edge.settings import load
 from tacshade_edge.settings.printer_file import read_printer
 from tacshade_edge.settings.sensor_file import read_sensor
 from tacshade_edge.types import Calibration, Frame, Pose
+from tools.testbed.bumpy_surface import grid_poses, press_of
+from tools.testbed.fitted import fitted_with
+from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 
 _log = logging.getLogger("tacshade_edge.faults")
 SENSOR_ID = "finger"

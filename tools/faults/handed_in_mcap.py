@@ -15,10 +15,7 @@ from typing import Any
 
 import lz4.frame
 import zstandard
-from support.mcap_bytes import CHUNK, chunk, described, file_of, flipped, message, record, record_starts
-from support.painted_sensor import FREE, TOUCHED, painted_calibration
 
-from faults.handed_in import Files, Junk, Kind, bytes_of
 from tacshade_edge.devices.files.mcap import messages
 from tacshade_edge.devices.files.mcap.writer import McapWriter
 from tacshade_edge.devices.files.mcap_recorder import McapRecorder
@@ -27,6 +24,9 @@ from tacshade_edge.devices.files.recording import Recording
 from tacshade_edge.devices.files.recording_content import content_of, events_in
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.types import Frame, Pose
+from tools.faults.handed_in import Files, Junk, Kind, bytes_of
+from tools.testbed.mcap_bytes import CHUNK, chunk, described, file_of, flipped, message, record, record_starts
+from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 
 _log = logging.getLogger("tacshade_edge.faults")
 _NAME = "a.mcap"

@@ -22,17 +22,17 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import cv2
-from support.calibrated_sensor import HALF, references
-from support.mqtt_rig import Broker, Subscriber
-from support.painted_sensor import painted_calibration
-from support.patience import patience
 
-from faults.rig import write_posed_images
 from tacshade_edge.devices.files import calibration_file, reference_file
 from tacshade_edge.devices.files.recording import Recording
 from tacshade_edge.devices.files.stitch_file import StitchFile, read_info
 from tacshade_edge.errors import TacshadeError
 from tacshade_edge.settings import load
+from tools.faults.rig import write_posed_images
+from tools.testbed.calibrated_sensor import HALF, references
+from tools.testbed.mqtt_rig import Broker, Subscriber
+from tools.testbed.painted_sensor import painted_calibration
+from tools.testbed.patience import patience
 
 SENSOR_ID = "finger"
 BASE = f"tacshade/{SENSOR_ID}"

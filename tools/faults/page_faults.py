@@ -8,15 +8,15 @@ import time
 import zlib
 
 from selenium.webdriver import Chrome
-from support.browser import CHROMIUM, DRIVER, browser, errors, page
-from support.dashboard_process import dashboard
-from support.mqtt_rig import Subscriber
-from support.patience import wait_until
-from support.published_hand import PublishedHand, bump
-from support.shown_page import until_shown
 
-from faults.rig import Cell, Seen, SkippedError
 from tacshade_edge.protocol import wire
+from tools.faults.rig import Cell, Seen, SkippedError
+from tools.testbed.browser import CHROMIUM, DRIVER, browser, errors, page
+from tools.testbed.dashboard_process import dashboard
+from tools.testbed.mqtt_rig import Subscriber
+from tools.testbed.patience import wait_until
+from tools.testbed.published_hand import PublishedHand, bump
+from tools.testbed.shown_page import until_shown
 
 LONG = "x y " * 50_000
 TASKS = """

@@ -9,11 +9,10 @@ import subprocess
 import time
 from pathlib import Path
 
-from support.patience import wait_until
-from support.processes import is_there, suspend
-
-from faults.rig import BASE, SENSOR_ID, Cell, Seen, ended, pause
 from tacshade_edge.devices.files.recording import Recording
+from tools.faults.rig import BASE, SENSOR_ID, Cell, Seen, ended, pause
+from tools.testbed.patience import wait_until
+from tools.testbed.processes import is_there, suspend
 
 FROZEN_S = 5.0
 YEAR_S = 365 * 86_400

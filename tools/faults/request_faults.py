@@ -7,10 +7,10 @@ import time
 
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
-from support.mqtt_rig import Subscriber
-from support.patience import patience
 
-from faults.rig import BASE, SENSOR_ID, Cell, Seen, pause
+from tools.faults.rig import BASE, SENSOR_ID, Cell, Seen, pause
+from tools.testbed.mqtt_rig import Subscriber
+from tools.testbed.patience import patience
 
 FLOOD = 5000
 

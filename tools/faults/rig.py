@@ -19,11 +19,11 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-from support.mqtt_rig import Broker, Subscriber
-from support.painted_sensor import FREE, TOUCHED, painted_calibration
-from support.patience import patience, wait_until
 
 from tacshade_edge.devices.files import calibration_file
+from tools.testbed.mqtt_rig import Broker, Subscriber
+from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
+from tools.testbed.patience import patience, wait_until
 
 FREE_FRAMES, TOUCHED_FRAMES = 32, 32
 """At 60 a second: a contact comes to rest (0.3 s), and between two of them a reference can be taken."""

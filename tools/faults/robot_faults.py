@@ -6,9 +6,8 @@ import os
 import time
 from pathlib import Path
 
-from robot import Faults, PtyRobot
-
-from faults.rig import SENSOR_ID, Cell, Seen, pause
+from tools.faults.rig import SENSOR_ID, Cell, Seen, pause
+from tools.testbed.robot import Faults, PtyRobot
 
 AWAY_S = 2.0
 

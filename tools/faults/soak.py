@@ -24,14 +24,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from bench_rig import draw_rings, memory_mb
-from robot import PtyRobot
-from support.mqtt_rig import Broker, Subscriber
-
 from tacshade_edge.cli.demo_sensor import make_calibration
 from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.devices.files.frame_table import read_table
 from tacshade_edge.protocol.serial.pose import PoseValues
+from tools.testbed.daemon_rig import draw_rings, memory_mb
+from tools.testbed.mqtt_rig import Broker, Subscriber
+from tools.testbed.robot import PtyRobot
 
 FPS = 60.0
 RESTART_S, AWAY_S = 60.0, 2.0
@@ -257,9 +256,9 @@ def run(seconds: float, *, progress: bool = False) -> Soaked:
             f"serial: {{device: /dev/..{link}}}\nmqtt: {{host: 127.0.0.1, port: {broker.port}}}\n"
             "recorder: {folder: recs}\nstitching: {folder: maps}\n"
         )
-        program = str(Path(__file__).parents[1] / "ring_daemon.py")
+        program = (sys.executable, "-m", "tools.testbed.ring_daemon")
         log = stack.enter_context((folder / "log").open("w"))
-        daemon = subprocess.Popen([sys.executable, program, config, folder / "contact.npy", str(FPS)], stderr=log)
+        daemon = subprocess.Popen([*program, config, folder / "contact.npy", str(FPS)], stderr=log)
         stack.callback(daemon.kill)
         with Subscriber(broker.port, f"{BASE}/#") as seen, never_reading(broker.port) as stalls:
             soak = Soak(folder, broker, seen, daemon.pid)

@@ -6,10 +6,10 @@ import signal
 import time
 
 import cv2
-from support.painted_sensor import BLACK, painted_calibration
 
-from faults.rig import Cell, Seen
 from tacshade_edge.devices.files import calibration_file
+from tools.faults.rig import Cell, Seen
+from tools.testbed.painted_sensor import BLACK, painted_calibration
 
 
 def damaged_image(cell: Cell) -> Seen:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from faults import (
+from tools.faults import (
     bridge_faults,
     broker_faults,
     capture_faults,
@@ -19,7 +19,7 @@ from faults import (
     robot_faults,
     source_faults,
 )
-from faults.rig import Cell, Seen, SkippedError
+from tools.faults.rig import Cell, Seen, SkippedError
 
 Fault = Callable[[Cell], Seen]
 FAULTS: dict[str, Fault] = {

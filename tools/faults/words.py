@@ -27,17 +27,17 @@ from typing import Any
 from paho.mqtt.client import MQTTMessage
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
-from support.mqtt_rig import Broker, Subscriber
-from support.painted_sensor import painted_calibration
-from support.patience import wait_until
 
-from faults.rig import write_posed_images
 from tacshade_edge.daemon.app import App
 from tacshade_edge.devices import registry
 from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.protocol.serial import cobs
 from tacshade_edge.protocol.serial.line import seal
 from tacshade_edge.settings import load
+from tools.faults.rig import write_posed_images
+from tools.testbed.mqtt_rig import Broker, Subscriber
+from tools.testbed.painted_sensor import painted_calibration
+from tools.testbed.patience import wait_until
 
 SENSOR_ID = "finger"
 BASE = f"tacshade/{SENSOR_ID}"

@@ -3,8 +3,8 @@
 
 ::
 
-    tools/rig/arm64.py [--python 3.11|3.13] COMMAND [ARGUMENT...]
-    tools/rig/arm64.py --count SCRIPT [ARGUMENT...]     prints the instructions that a Python script executes
+    python3 -m tools.rig.arm64 [--python 3.11|3.13] COMMAND [ARGUMENT...]
+    python3 -m tools.rig.arm64 --count -m MODULE [ARGUMENT...]     prints the instructions that Python executes
 
 The tree (Debian bookworm for Python 3.11, trixie for 3.13) is made once below ``.rig/``: Debian's packages unpacked,
 the wheels of ``systemd/requirements.lock`` installed, checked by their hashes, and what the tests need beside them.
@@ -138,20 +138,20 @@ def enter(python: str, command: list[str]) -> None:
     check(PROGRAMS)
     emulator()
     root = user_space(python)
-    environment = ENVIRONMENT | {"PYTHONPATH": "/src/tests:/src/tools:/src:/opt/lock:/opt/dev"}
+    environment = ENVIRONMENT | {"PYTHONPATH": "/src/tests:/src:/opt/lock:/opt/dev"}
     words = ("unshare", "--mount", "--propagation", "private", "bash", "-c", ENTER, "arm64", str(root), str(TREE))
     os.execvpe(words[0], (*words, shlex.join(command)), environment)
 
 
 def counted(script: list[str]) -> int:
-    """Run a script by Python 3.11, and print the instructions that it executed; return its exit status."""
+    """Print the instructions that Python 3.11 executes for a script, or -m and a module; return its exit status."""
     check(PROGRAMS | COUNT_PROGRAMS)
     root = user_space("3.11")
     plugin = CACHE / "count_instructions.so"
     if not plugin.exists():
         _run("cc", "-shared", "-fPIC", "-O2", "-o", str(plugin), str(HERE / "count_instructions.c"))
     (root / "proc/cpuinfo").write_text(CPUINFO)
-    paths = (TREE / "tests", TREE / "tools", TREE, root / "opt/lock", root / "opt/dev")
+    paths = (TREE / "tests", TREE, root / "opt/lock", root / "opt/dev")
     environment = os.environ | ENVIRONMENT | {"PYTHONPATH": ":".join(map(str, paths)), "PATH": os.environ["PATH"]}
     words = ("qemu-aarch64", "-plugin", str(plugin), "-L", str(root), str(root / "usr/bin/python3.11"), "-B")
     done = subprocess.run((*words, *script), env=environment, stderr=subprocess.PIPE, text=True, check=False)
@@ -173,7 +173,11 @@ def main() -> int:
     """Parse the command line and run."""
     parser = argparse.ArgumentParser(prog="arm64.py", description="Run COMMAND in an emulated arm64 user space.")
     parser.add_argument("--python", choices=list(SUITES), default="3.11")
-    parser.add_argument("--count", action="store_true", help="COMMAND is a Python script; print its instructions")
+    parser.add_argument(
+        "--count",
+        action="store_true",
+        help="COMMAND is a Python script, or -m and a module; print its instructions",
+    )
     parser.add_argument("command", nargs=argparse.REMAINDER, metavar="COMMAND", help="with its arguments")
     args = parser.parse_args()
     if not args.command:

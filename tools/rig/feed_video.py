@@ -3,7 +3,7 @@
 
 ::
 
-    tools/rig/feed_video.py [--rate FPS] [--hold] FRAMES
+    python3 -m tools.rig.feed_video [--rate FPS] [--hold] FRAMES
 
 FRAMES is a ``.npy`` stack, uint8 (N, 480, 640), or a folder of such images as PNG, played in the order of their
 names, round and round; with ``--hold`` each again and again until SIGUSR1. The kernel's test driver (vivid) is loaded

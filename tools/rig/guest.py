@@ -3,7 +3,7 @@
 
 ::
 
-    tools/rig/guest.py [--systemd] [--out DIR] [--silent SECONDS] COMMAND [ARGUMENT...]
+    python3 -m tools.rig.guest [--systemd] [--out DIR] [--silent SECONDS] COMMAND [ARGUMENT...]
 
 The guest sees this machine's files at the same paths, read-only (9p); what it writes goes to memory and is lost,
 except below ``/out``, which is DIR here. COMMAND runs in the tree's folder; its output and its exit status are
@@ -60,7 +60,7 @@ def check(systemd: bool) -> None:
     programs = PROGRAMS | (SYSTEMD_PROGRAMS if systemd else {})
     missing = sorted({package for program, package in programs.items() if not shutil.which(program)})
     if missing:
-        raise CannotRunError(f"missing Debian packages: {' '.join(missing)} (tools/install_debian.sh installs them)")
+        raise CannotRunError(f"missing Debian packages: {' '.join(missing)} (tools/ci/install_debian.sh installs them)")
 
 
 def kernel() -> tuple[Path, str]:

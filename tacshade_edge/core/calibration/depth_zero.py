@@ -23,7 +23,7 @@ from tacshade_edge.types import F64, Geometry
 
 # An offset counts where it is so many mm on the nominal skin and as many of its standard deviations, and the line's
 # slope is one that the network has on sensors of its kind. Of good tables it is 0.26 mm at most. What this finds, and
-# finds wrongly: tools/bench_calibration.py.
+# finds wrongly: tools/studies/calibration.py.
 _LEAST_OFFSET_MM, _OFFSET_DEVIATIONS, _SLOPES = 0.3, 3.0, (0.85, 1.15)
 # Depths are taken for travel from first touch from so great a coefficient on, when it is as many of its standard
 # deviations; beyond the greater ones a table is refused.

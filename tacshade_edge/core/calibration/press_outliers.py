@@ -14,7 +14,7 @@ from tacshade_edge.core.calibration.travel_fit import OUTLIER_DEVIATIONS, leave_
 from tacshade_edge.types import Geometry
 
 # A place is an outlier when it is further off than so many times the median press, with bounds in mm on the nominal
-# skin. What this finds, and finds wrongly: tools/bench_calibration.py.
+# skin. What this finds, and finds wrongly: tools/studies/calibration.py.
 _PLACE_MEDIANS, _PLACE_LEAST_MM, _PLACE_MOST_MM = 3.0, 3.5, 5.0
 # The same where a network located the presses.
 _SEEN_MEDIANS, _SEEN_LEAST_MM = 4.0, 2.0

@@ -11,7 +11,7 @@ from tacshade_edge.types import F32, Bool, Disc
 
 # A patch that differs this much from its ring is a load (grey levels, mm² on the nominal skin), where a fine pattern
 # does not make every ring uneven (in deviations of the disc), and where it is alone: a square lattice makes four of
-# them, a quarter turn apart. What this finds, and finds wrongly: tools/bench_calibration.py.
+# them, a quarter turn apart. What this finds, and finds wrongly: tools/studies/calibration.py.
 LOAD_GREY = 22.0
 LOAD_DEVIATIONS = 3.5
 LOAD_MM2 = 9.0

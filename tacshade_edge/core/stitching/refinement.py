@@ -35,7 +35,7 @@ _CG_ITERATIONS_MAX = 60
 _CG_TOLERANCE = 0.01  # of one Gauss-Newton step; the next one goes on
 _LATERAL_RATIO = 5.0  # a place found beside its own is off in height by the slope times so many height errors
 # How far the reconstruction's errors alone move presses in height, over what they leave in differences: typically, and
-# at most. With exact poses it is 1.1 to 2.5 (tools/bench_stitch_pads.py).
+# at most. With exact poses it is 1.1 to 2.5 (tools/studies/stitch_pads.py).
 _OWN_MOVES_TYPICAL, _OWN_MOVES_MAX = 1.8, 2.8
 _SLOPE_MAX = 2.0  # mm per mm; beyond, a slope between two cells is a step
 

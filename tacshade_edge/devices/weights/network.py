@@ -36,7 +36,7 @@ def load_network(name: str, fitted: FittedNetwork | None = None) -> Network:
 
 
 def read_network(onnx: Path, fitted: FittedNetwork | None = None) -> Network:
-    """Read an ONNX file and those beside it: JSON and ``.sensor.onnx`` (tools/train/export.py)."""
+    """Read an ONNX file and those beside it: JSON and ``.sensor.onnx`` (tools/training/export.py)."""
     about = _about(onnx)
     frame, once = onnx.read_bytes(), _beside(onnx).read_bytes()
     if fitted is not None:
@@ -58,7 +58,7 @@ def read_network(onnx: Path, fitted: FittedNetwork | None = None) -> Network:
 def in_integers(onnx: Path, frame: bytes) -> bytes:
     """The weights of a network that is run for every frame in its integer graph, where there is one.
 
-    ``NAME.integer.onnx`` (tools/train/integer.py) has no weights of its own and rounds those that it is given.
+    ``NAME.integer.onnx`` (tools/training/integer.py) has no weights of its own and rounds those that it is given.
     """
     graph = onnx.with_suffix(".integer.onnx")
     return with_weights_of(graph.read_bytes(), frame) if graph.exists() else frame
@@ -88,7 +88,7 @@ def can_run(name: str, fitted: FittedNetwork) -> bool:
 
 
 def _sigma(name: str) -> SigmaModel | None:
-    """The errors of a shipped network (tools/fit_sigma.py)."""
+    """The errors of a shipped network (tools/training/fit_sigma.py)."""
     known = json.loads((WEIGHTS / "sigma.json").read_text())["networks"].get(name)
     if known is None:
         return None

@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from support.fake_printer import FakePrinter, Faults
 
 from tacshade_edge.capture.printer.doubt import Doubt, Stopped
 from tacshade_edge.capture.printer.hand import Hand
@@ -18,6 +17,7 @@ from tacshade_edge.capture.terminal import Terminal
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.settings.printer_file import PrinterFile
+from tools.testbed.fake_printer import FakePrinter, Faults
 
 pytestmark = pytest.mark.slow
 

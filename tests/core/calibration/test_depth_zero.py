@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.calibrated_sensor import FULL, references, sensor_of, simulated
 
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.depth_zero import travel_mistake, zero_hint
@@ -18,6 +17,7 @@ from tacshade_edge.devices.weights.network import load_networks
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.types import Disc, Geometry
+from tools.testbed.calibrated_sensor import FULL, references, sensor_of, simulated
 
 GEOMETRY = Geometry(20.0, 14.0, 50.0, Disc(100, 100, 80))
 

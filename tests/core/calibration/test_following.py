@@ -6,7 +6,6 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from support.calibrated_sensor import HALF, TACTIP, calibrated, simulated, unloaded
 
 from tacshade_edge.core.calibration.following import (
     COMMON_GREY,
@@ -31,6 +30,7 @@ from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.types import U8, Calibration, Frame
+from tools.testbed.calibrated_sensor import HALF, TACTIP, calibrated, simulated, unloaded
 
 pytestmark = pytest.mark.slow
 

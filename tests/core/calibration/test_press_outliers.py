@@ -40,7 +40,7 @@ def found_and_others(change: Change) -> tuple[int, int, int]:
 
 
 def test_good_presses_pass() -> None:
-    """Of 720 presses `tools/bench_calibration.py --sensors 30 --detect 16 --first 8400` calls one wrong."""
+    """Of 720 presses `python -m tools.studies.calibration --sensors 30 --detect 16 --first 8400` calls one wrong."""
     false = sum(len(outliers(*observed(seed))) for seed in SEEDS)
     assert false <= most(len(SEEDS) * PRESSES, 1 / 720)
 

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
-from support.calibrated_sensor import HALF, TACTIP, presses, references, sensor_of, unloaded
 
 from tacshade_edge.core.calibration.calibrate import CalibrationResult, calibrate
 from tacshade_edge.core.calibration.inputs import KnownPress
@@ -16,6 +15,7 @@ from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.studies.evaluate.sensors import SensorName
 from tacshade_edge.types import U8, Polarity
+from tools.testbed.calibrated_sensor import HALF, TACTIP, presses, references, sensor_of, unloaded
 
 pytestmark = pytest.mark.slow
 

@@ -6,7 +6,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from support.calibrated_sensor import HALF, calibrated, presses, simulated
 
 from tacshade_edge.core.calibration.indenter import box, cylinder
 from tacshade_edge.core.calibration.inputs import KnownPress
@@ -20,6 +19,7 @@ from tacshade_edge.core.calibration.press_targets import (
 )
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.devices.weights.network import load_network
+from tools.testbed.calibrated_sensor import HALF, calibrated, presses, simulated
 
 FAST = load_network("fast")
 

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.calibrated_sensor import HALF, calibrated, pressed, presses, references, sensor_of, simulated
 
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.gain import stated_ball
@@ -16,6 +15,7 @@ from tacshade_edge.devices.weights.network import load_networks, make_reconstruc
 from tacshade_edge.simulator.objects import ball
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.types import Frame
+from tools.testbed.calibrated_sensor import HALF, calibrated, pressed, presses, references, sensor_of, simulated
 
 pytestmark = pytest.mark.slow
 

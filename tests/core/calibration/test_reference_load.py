@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from support.calibrated_sensor import loaded, references, sensor_of
 
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.reference_load import quarter_turned
@@ -14,6 +13,7 @@ from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.simulator.other_family import OtherSensor, other_model
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.types import Disc
+from tools.testbed.calibrated_sensor import loaded, references, sensor_of
 
 
 def test_a_turn_moves_what_stands_on_the_grid() -> None:
@@ -38,7 +38,7 @@ def test_light_at_the_rim_is_no_load() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("height", [240, 480])
 def test_a_load_is_told_from_none_on_other_sensors(height: int) -> None:
-    """Of 32 loads 3 mm deep `tools/bench_calibration.py --sensors 30 --detect 16 --first 8400` misses none."""
+    """Of 32 loads 3 mm deep `python -m tools.studies.calibration --sensors 30 --detect 16 --first 8400` misses none."""
     missed = []
     for seed in range(12):
         model = random_model(seed, height, height * 4 // 3)

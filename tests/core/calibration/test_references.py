@@ -1,17 +1,6 @@
 from __future__ import annotations
 
 import pytest
-from support.calibrated_sensor import (
-    HALF,
-    calibrated,
-    loaded,
-    pressed,
-    references,
-    sensor_of,
-    simulated,
-    step,
-    unloaded,
-)
 
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.references import rezero
@@ -22,6 +11,17 @@ from tacshade_edge.simulator import nuisance
 from tacshade_edge.simulator.objects import ball
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.types import U8, Frame
+from tools.testbed.calibrated_sensor import (
+    HALF,
+    calibrated,
+    loaded,
+    pressed,
+    references,
+    sensor_of,
+    simulated,
+    step,
+    unloaded,
+)
 
 SENSOR = sensor_of(HALF)
 

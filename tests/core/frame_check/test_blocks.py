@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from support.calibrated_sensor import FULL, HALF, TACTIP, calibrated, pressed, random_sensor, unloaded
 from support.plain_blocks import plain_blocks
 
 from tacshade_edge.core.frame_check.blocks import ROUNDED, block_check, block_means, block_reasons
@@ -13,6 +12,7 @@ from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.types import U8
+from tools.testbed.calibrated_sensor import FULL, HALF, TACTIP, calibrated, pressed, random_sensor, unloaded
 
 
 @given(grey=hnp.arrays(np.uint8, (16, 24)), rounded=st.integers(0, ROUNDED))

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.calibrated_sensor import FULL, HALF, TACTIP, calibrated, pressed, random_sensor, simulated, unloaded
 from support.plain_blocks import plain_blocks
 
 from tacshade_edge.core.frame_check import blocks, torn, validity
@@ -23,6 +22,16 @@ from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.studies.evaluate.scenes import scenes
 from tacshade_edge.types import U8, Bool, Disc
+from tools.testbed.calibrated_sensor import (
+    FULL,
+    HALF,
+    TACTIP,
+    calibrated,
+    pressed,
+    random_sensor,
+    simulated,
+    unloaded,
+)
 
 
 def check_of(model: SensorModel) -> FrameCheck:

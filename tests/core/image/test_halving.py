@@ -4,7 +4,6 @@ from itertools import product
 import numpy as np
 import pytest
 from support.built_sensor import built_calibration
-from support.calibrated_sensor import FULL, HALF, calibrated, pressed, random_sensor, unloaded
 
 from tacshade_edge.core.calibration.pattern import marker_pitch_px
 from tacshade_edge.core.contact.gate import ContactGate
@@ -25,6 +24,7 @@ from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.reasons import text_of
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.types import U8, Disc, Frame
+from tools.testbed.calibrated_sensor import FULL, HALF, calibrated, pressed, random_sensor, unloaded
 
 
 def grey_noise(rows: int, cols: int) -> U8:

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
 
 from tacshade_edge.core.contact.gate import ContactGate
 from tacshade_edge.core.image.median import median
@@ -12,6 +11,7 @@ from tacshade_edge.core.image.preprocess import Preprocessed, Preprocessor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.types import F32
+from tools.testbed.calibrated_sensor import HALF, calibrated, pressed, unloaded
 
 CHANGE = np.float32(60)
 

@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-from support.bumpy_surface import APEX_MM, DOWN, grid_poses, misreported, press_of
 
 from tacshade_edge.core.stitching.press_points import NO_POINTS, PressPoints
 from tacshade_edge.core.stitching.refinement import (
@@ -13,6 +12,7 @@ from tacshade_edge.core.stitching.refinement import (
 )
 from tacshade_edge.rigid import Rigid, shift, turn
 from tacshade_edge.types import F64
+from tools.testbed.bumpy_surface import APEX_MM, DOWN, grid_poses, misreported, press_of
 
 APEX = np.array((0, 0, APEX_MM))
 TRUE = grid_poses()

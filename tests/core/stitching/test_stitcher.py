@@ -2,12 +2,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.bumpy_surface import APEX_MM, grid_poses, height_mm, misreported, press_of
 
 from tacshade_edge.core.stitching import stitcher as module
 from tacshade_edge.core.stitching.press_points import NO_POINTS, PressPoints
 from tacshade_edge.core.stitching.stitcher import StitchedMap, Stitcher
 from tacshade_edge.rigid import Rigid, shift
+from tools.testbed.bumpy_surface import APEX_MM, grid_poses, height_mm, misreported, press_of
 
 TRUE = grid_poses()
 PRESSES = [press_of(pose, k) for k, pose in enumerate(TRUE)]

@@ -13,12 +13,12 @@ from typing import Any
 
 import cv2
 import pytest
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
-from support.painted_sensor import FREE, TOUCHED, painted_calibration
-from support.patience import patience, wait_until
 
 from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.protocol.hand import HandObjects, decode_hand
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
+from tools.testbed.patience import patience, wait_until
 
 pytestmark = [
     pytest.mark.broker,

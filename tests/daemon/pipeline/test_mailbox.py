@@ -4,9 +4,9 @@ import threading
 
 from hypothesis import given
 from hypothesis import strategies as st
-from support.patience import patience
 
 from tacshade_edge.daemon.pipeline.mailbox import Mailbox
+from tools.testbed.patience import patience
 
 
 @given(st.lists(st.sampled_from(["put", "take", "close"]), max_size=30))

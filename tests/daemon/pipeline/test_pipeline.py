@@ -5,7 +5,6 @@ import time
 from typing import Any
 
 import pytest
-from support.patience import stretched
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.daemon.pipeline.ledger import FrameLedger, FrameOutcome
@@ -14,6 +13,7 @@ from tacshade_edge.daemon.pipeline.workers import SourceState
 from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import Calibration, Frame, Need, Reconstruction
+from tools.testbed.patience import stretched
 
 
 class Published:

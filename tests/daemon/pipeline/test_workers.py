@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-from support.patience import patience
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
@@ -16,6 +15,7 @@ from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Calibration, Frame, Need, Reconstruction
+from tools.testbed.patience import patience
 
 GONE = DeviceError("camera /dev/video9: gone")
 

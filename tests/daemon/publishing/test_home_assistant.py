@@ -8,12 +8,12 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
-from support.patience import wait_until
 
 from tacshade_edge.daemon.publishing.home_assistant import STATUS, HomeAssistant
 from tacshade_edge.devices.mqtt.link import MqttLink
 from tacshade_edge.protocol.home_assistant import discovery_topics
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from tools.testbed.patience import wait_until
 
 pytestmark = [pytest.mark.broker, pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")]
 USERS = ("hand", "other", "homeassistant")

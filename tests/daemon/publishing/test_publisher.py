@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.painted_sensor import touched_depth_mm
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.daemon.publishing.publisher import Publisher
 from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.protocol import wire
 from tacshade_edge.types import Calibration, Frame, Need, Pose, Slip
+from tools.testbed.painted_sensor import touched_depth_mm
 
 POSE = Pose(5, 1.0, 2.0, 3.0, 0.0, 1.0, 0.0, 0.0)
 PERIOD_NS = 20_000_000  # 50 frames per second

@@ -5,13 +5,13 @@ from pathlib import Path
 from queue import SimpleQueue
 
 import pytest
-from support.painted_sensor import FREE
-from support.patience import patience
 from support.recordings import write_recording
 
 from tacshade_edge.daemon.recording.playback import Playback
 from tacshade_edge.devices.files.recording import Recording
 from tacshade_edge.protocol.messages import PlaybackCommand
+from tools.testbed.painted_sensor import FREE
+from tools.testbed.patience import patience
 
 
 def test_back_shows_the_frame_before_from_anywhere(tmp_path: Path) -> None:

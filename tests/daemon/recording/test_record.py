@@ -14,8 +14,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.painted_sensor import FREE, TOUCHED
-from support.patience import patience, wait_until
 
 from tacshade_edge.daemon.pipeline.ledger import FrameLedger
 from tacshade_edge.daemon.pipeline.mailbox import Mailbox
@@ -28,6 +26,8 @@ from tacshade_edge.devices.files.recording import Recording
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Calibration, Frame
+from tools.testbed.painted_sensor import FREE, TOUCHED
+from tools.testbed.patience import patience, wait_until
 
 
 class Live:

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.painted_sensor import FREE, TOUCHED
-from support.patience import patience, wait_until
+
+from tools.testbed.painted_sensor import FREE, TOUCHED
+from tools.testbed.patience import patience, wait_until
 
 pytest.importorskip("mcap")
 pytest.importorskip("foxglove_schemas_protobuf")

@@ -4,7 +4,6 @@ import time
 from pathlib import Path
 
 import pytest
-from support.painted_sensor import BLACK, FREE, TOUCHED, painted_calibration
 from support.recordings import write_recording
 
 from tacshade_edge.core.profiles import PROFILES
@@ -12,6 +11,7 @@ from tacshade_edge.daemon.recording.replay import Progress, replay
 from tacshade_edge.devices.files.recording import RecordedFrame, Recording
 from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.types import Reconstruction
+from tools.testbed.painted_sensor import BLACK, FREE, TOUCHED, painted_calibration
 
 IMAGES = [FREE, TOUCHED, BLACK, TOUCHED]
 PERIOD_NS = 20_000_000

@@ -7,9 +7,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
-from support.painted_sensor import FREE, TOUCHED, painted_calibration
-from support.patience import patience, wait_until
 from support.recordings import write_recording
 
 from tacshade_edge.cli import main
@@ -17,6 +14,9 @@ from tacshade_edge.core.profiles import DEFAULT
 from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.devices.files.run_files import CLOUDS, HEIGHTS, payloads
 from tacshade_edge.protocol import wire
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
+from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
+from tools.testbed.patience import patience, wait_until
 
 BASE = "tacshade/replay"
 needs_broker = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")

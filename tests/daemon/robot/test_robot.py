@@ -12,8 +12,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from robot import Clock, Faults, PtyRobot, motion
-from support.patience import stretched, wait_until
 
 from tacshade_edge.daemon.robot.robot import Robot
 from tacshade_edge.daemon.robot.serial_commands import WAITING_MAX
@@ -22,6 +20,8 @@ from tacshade_edge.protocol.messages import Request
 from tacshade_edge.protocol.results import ReferenceTaken, SessionBegun
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Calibration, Frame, HeightMap, Need, ObjectCloud, Reconstruction
+from tools.testbed.patience import stretched, wait_until
+from tools.testbed.robot import Clock, Faults, PtyRobot, motion
 
 numbers = itertools.count()
 
@@ -137,7 +137,7 @@ def test_every_pose_is_accounted_for_on_a_bad_line(link: Path) -> None:
 
 @pytest.mark.slow
 def test_a_thousand_poses_a_second_are_all_there(link: Path) -> None:
-    """`tools/bench_serial.py` has it for a minute."""
+    """`tools/benchmarks/serial_line.py` has it for a minute."""
     rate_hz = 1000 / stretched(1)
     print(f"{rate_hz:.0f} poses a second")
     with PtyRobot(link, rate_hz=rate_hz, binary=True, poses=10_000) as robot, Side(link) as side:

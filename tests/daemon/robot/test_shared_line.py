@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from robot import PtyRobot
-from support.patience import stretched, wait_until
 
 from tacshade_edge.daemon.robot.robot import Robot
 from tacshade_edge.daemon.robot.shared_line import SharedLine, share_lines
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.settings import Document, Serial, Settings
+from tools.testbed.patience import stretched, wait_until
+from tools.testbed.robot import PtyRobot
 
 pytestmark = pytest.mark.slow
 

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.bumpy_surface import grid_poses, press_of
-from support.painted_sensor import painted_calibration
 
 from tacshade_edge.daemon.stitching.session import RefusedError, Session
 from tacshade_edge.devices.files.stitch_file import StitchFile
 from tacshade_edge.protocol.results import PressAdded, SessionAborted, SessionBegun
 from tacshade_edge.reasons import ReasonCode
+from tools.testbed.bumpy_surface import grid_poses, press_of
+from tools.testbed.painted_sensor import painted_calibration
 
 POSES = grid_poses()[:3]
 

@@ -10,8 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.calibrated_sensor import calibrated, pressed, step, unloaded
-from support.patience import patience, wait_until
 
 from tacshade_edge.core.stitching.stitcher import StitchedMap, Stitcher
 from tacshade_edge.daemon.pipeline.workers import Sink
@@ -19,6 +17,8 @@ from tacshade_edge.daemon.stitching.session_requests import SessionRequests
 from tacshade_edge.devices.files.stitch_file import open_session
 from tacshade_edge.protocol.messages import Request, encode_reply
 from tacshade_edge.types import Calibration, Frame, Need, Pose, Reconstruction
+from tools.testbed.calibrated_sensor import calibrated, pressed, step, unloaded
+from tools.testbed.patience import patience, wait_until
 
 BEGIN, ADD, END, STATUS = (Request("stitch", n, action=a) for n, a in enumerate(("begin", "add", "end", "status")))  # type: ignore[arg-type]
 

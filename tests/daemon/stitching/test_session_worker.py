@@ -12,8 +12,6 @@ from queue import Empty, SimpleQueue
 
 import numpy as np
 import pytest
-from support.calibrated_sensor import calibrated, pressed, step, unloaded
-from support.patience import patience, wait_until
 
 from tacshade_edge.core.stitching.press_points import press_points
 from tacshade_edge.core.stitching.stitcher import Stitcher
@@ -33,6 +31,8 @@ from tacshade_edge.protocol.results import (
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.rigid import of_pose
 from tacshade_edge.types import Frame, Pose, Reconstruction
+from tools.testbed.calibrated_sensor import calibrated, pressed, step, unloaded
+from tools.testbed.patience import patience, wait_until
 
 DEADLINE_S = 20.0
 Outcome = SessionResult | Reason

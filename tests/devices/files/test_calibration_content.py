@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.painted_sensor import FREE, painted_calibration
 
 from tacshade_edge.core.calibration.inputs import Inputs, Sensor
 from tacshade_edge.devices import calibrations
 from tacshade_edge.devices.files import calibration_file, checked_npz
 from tacshade_edge.devices.files.checked_npz import Content
 from tacshade_edge.errors import ConfigError
+from tools.testbed.painted_sensor import FREE, painted_calibration
 
 _POSE = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
 _FIT = {"presses": 1.0, "agreement_mae_mm": 0.1, "position_mae_mm": 0.1}

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from support.calibrated_sensor import calibrated
-from support.painted_sensor import painted_calibration
 
 from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.types import Calibration, Fit, ProfileFit
+from tools.testbed.calibrated_sensor import calibrated
+from tools.testbed.painted_sensor import painted_calibration
 
 
 def assert_same(one: Calibration, other: Calibration) -> None:

@@ -12,8 +12,6 @@ import pytest
 pytest.importorskip("mcap")
 pytest.importorskip("foxglove_schemas_protobuf")
 from mcap.reader import NonSeekingReader, make_reader
-from support.mcap_bytes import CHUNK, SCHEMA, flipped, record_starts
-from support.painted_sensor import painted_calibration
 
 from tacshade_edge.devices.files import mcap_recorder
 from tacshade_edge.devices.files.mcap.mend import mend_recordings
@@ -23,6 +21,8 @@ from tacshade_edge.devices.files.recording import Recording
 from tacshade_edge.devices.files.recording_content import CALIBRATION_NAME, content_of, events_in
 from tacshade_edge.errors import DecodeError, DeviceError
 from tacshade_edge.types import U8, Frame, Pose
+from tools.testbed.mcap_bytes import CHUNK, SCHEMA, flipped, record_starts
+from tools.testbed.painted_sensor import painted_calibration
 
 WALL_NS, PERIOD_NS = 1_790_000_000_000_000_000, 16_666_667
 

@@ -5,13 +5,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from support.painted_sensor import BLACK, FREE, HEIGHT, TOUCHED, WIDTH, painted_calibration
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.devices.files.axes import BAR_PX, BOTTOM_PX, LEFT_PX, RIGHT_PX, TOP_PX, Axis, ticks
 from tacshade_edge.devices.files.panel import panel, write_panel
 from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.types import U8, Frame, Reconstruction
+from tools.testbed.painted_sensor import BLACK, FREE, HEIGHT, TOUCHED, WIDTH, painted_calibration
 
 GEOMETRY = painted_calibration().geometry
 

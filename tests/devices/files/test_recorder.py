@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.painted_sensor import painted_calibration
 
 from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.devices.files.frame_table import read_table
@@ -13,6 +12,7 @@ from tacshade_edge.devices.files.recorder import Recorder, png_of
 from tacshade_edge.devices.files.recording import Recording
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.types import U8, Frame, Pose
+from tools.testbed.painted_sensor import painted_calibration
 
 NOISE = np.random.default_rng(2)
 POSE = Pose(1007, 0.1 + 0.2, -3.0, 1e-17, 0.6, 0.0, -0.8, 0.0)

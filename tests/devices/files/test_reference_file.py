@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.painted_sensor import painted_calibration
 
 from tacshade_edge.devices.files import calibration_file, reference_file
 from tacshade_edge.devices.files.calibration_file import with_crc
@@ -15,6 +14,7 @@ from tacshade_edge.devices.files.checked_npz import Content
 from tacshade_edge.devices.files.reference_file import StoredReference, belongs_to, path_beside
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.reasons import ReasonCode
+from tools.testbed.painted_sensor import painted_calibration
 
 CALIBRATED = painted_calibration()
 ARRAYS = {"reference_white": CALIBRATED.reference_white, "reference_grey": CALIBRATED.reference_grey // 2}

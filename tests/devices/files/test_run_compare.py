@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.painted_sensor import FREE, TOUCHED, painted_calibration
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.devices.files.recording import RecordedFrame
@@ -19,6 +18,7 @@ from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Frame, HeightMap, ObjectCloud, Reconstruction
+from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 
 pytestmark = pytest.mark.slow
 

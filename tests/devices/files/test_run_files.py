@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.painted_sensor import FREE, TOUCHED, painted_calibration
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.devices.files.recording import RecordedFrame
@@ -23,6 +22,7 @@ from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
 from tacshade_edge.protocol import wire
 from tacshade_edge.types import Frame, Pose, Reconstruction
+from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 
 CRC32 = 0xABCD
 

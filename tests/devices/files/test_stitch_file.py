@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support import stitch_until_killed
-from support.bumpy_surface import grid_poses, press_of
 
 from tacshade_edge.core.stitching.press_points import PressPoints
 from tacshade_edge.devices.files.stitch_file import PRESSES, SESSION, SessionInfo, StitchFile, open_session, read_info
 from tacshade_edge.errors import DecodeError, DeviceError
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.rigid import Rigid
+from tools.testbed.bumpy_surface import grid_poses, press_of
 
 POSES = grid_poses()[:3]
 POINTS = [press_of(pose, k) for k, pose in enumerate(POSES)]

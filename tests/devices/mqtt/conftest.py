@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 from support.link_rig import BASE, Rig
-from support.mqtt_rig import Broker, Subscriber
+
+from tools.testbed.mqtt_rig import Broker, Subscriber
 
 
 @pytest.fixture

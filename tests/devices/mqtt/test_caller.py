@@ -7,12 +7,12 @@ import threading
 from pathlib import Path
 
 import pytest
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
 
 from tacshade_edge.devices.mqtt.caller import MqttCaller
 from tacshade_edge.devices.mqtt.client import BrokerAddress
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.reasons import ReasonCode
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
 
 pytestmark = [pytest.mark.broker, pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")]
 BASE = "tacshade/left"

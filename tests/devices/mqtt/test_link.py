@@ -11,12 +11,12 @@ import time
 import numpy as np
 import pytest
 from support.link_rig import BASE, Rig, broker_test, needs_mosquitto, numbers
-from support.mqtt_rig import Broker, Subscriber
-from support.patience import patience, wait_until
 
 from tacshade_edge.protocol import messages, wire
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import HeightMap, ObjectCloud, Reconstruction
+from tools.testbed.mqtt_rig import Broker, Subscriber
+from tools.testbed.patience import patience, wait_until
 
 
 def reconstruction(seq: int) -> Reconstruction:

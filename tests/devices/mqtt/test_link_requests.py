@@ -9,11 +9,11 @@ from paho.mqtt.client import MQTTMessage
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 from support.link_rig import BASE, Rig, broker_test, needs_mosquitto
-from support.mqtt_rig import Broker, Subscriber
-from support.patience import patience, wait_until
 
 from tacshade_edge.protocol import messages
 from tacshade_edge.protocol.messages import Request
+from tools.testbed.mqtt_rig import Broker, Subscriber
+from tools.testbed.patience import patience, wait_until
 
 
 @broker_test

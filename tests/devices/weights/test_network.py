@@ -10,8 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.calibrated_sensor import calibrated, pressed, unloaded
-from support.fitted import fitted_network, fitted_with
 
 from tacshade_edge.core.calibration.references import rezero
 from tacshade_edge.core.depth.learned import Network
@@ -21,6 +19,8 @@ from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.devices.files.calibration_file import VERSION
 from tacshade_edge.devices.weights.network import load_network, load_networks, make_reconstructor
 from tacshade_edge.types import F32, Frame
+from tools.testbed.calibrated_sensor import calibrated, pressed, unloaded
+from tools.testbed.fitted import fitted_network, fitted_with
 
 WEIGHTS = resources.files("tacshade_edge.devices.weights")
 NAMES = [name for name, profile in PROFILES.items() if profile.network]
@@ -55,7 +55,7 @@ def test_the_weights_are_those_of_their_provenance(name: str) -> None:
 def test_the_errors_are_those_of_the_shipped_weights() -> None:
     known = json.loads((WEIGHTS / "sigma.json").read_text())["networks"]
     found = {name: hashlib.sha256((WEIGHTS / f"{name}.onnx").read_bytes()).hexdigest() for name in NAMES}
-    assert {name: errors["sha256"] for name, errors in known.items()} == found, "run tools/fit_sigma.py"
+    assert {name: errors["sha256"] for name, errors in known.items()} == found, "run tools/training/fit_sigma.py"
     for name, network in load_networks().items():
         assert network.sigma is not None
         assert network.sigma.scale_without_presses > 1.2, name  # 1.44, the least, is accurate's

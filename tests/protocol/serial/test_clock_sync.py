@@ -5,11 +5,11 @@ from __future__ import annotations
 import random
 from collections.abc import Callable
 
-import bench_sync
 import pytest
 
 from tacshade_edge.protocol.serial.clock_sync import ONE_WAY_LATENCY_NS, ClockSync
 from tacshade_edge.reasons import Reason, ReasonCode
+from tools.studies import clock_sync
 
 S = 10**9
 MS = 10**6
@@ -18,7 +18,7 @@ REBOOT = Reason(ReasonCode.ROBOT_RESTARTED, "the robot began anew")
 
 @pytest.mark.parametrize(("line", "rms_ms"), [("usb", 0.15), ("loaded", 0.3), ("ftdi", 2.0)])
 def test_error_on_each_kind_of_line(line: str, rms_ms: float) -> None:
-    errors = bench_sync.run(line, 7, 240.0, 1.0, 40.0, False)
+    errors = clock_sync.run(line, 7, 240.0, 1.0, 40.0, False)
     assert errors.rms_ms(True) <= rms_ms
     assert errors.covered() >= 0.95
     assert errors.stated_ms() < 10 * rms_ms  # a bound that says something
@@ -26,7 +26,7 @@ def test_error_on_each_kind_of_line(line: str, rms_ms: float) -> None:
 
 @pytest.mark.parametrize("line", ["usb", "ftdi"])
 def test_error_of_a_robot_that_only_sends(line: str) -> None:
-    errors = bench_sync.run(line, 7, 60.0, 1.0, 40.0, True)
+    errors = clock_sync.run(line, 7, 60.0, 1.0, 40.0, True)
     assert errors.rms_ms(True) <= 1.0
     assert errors.covered() >= 0.95
 

@@ -2,7 +2,6 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from support.calibrated_sensor import HALF
 from support.half_family import HALF_SENSOR, half_family
 from support.toy_network import saying
 
@@ -16,6 +15,7 @@ from tacshade_edge.studies.ablation.work import VARIANTS, AblationRow, Plan, abl
 from tacshade_edge.studies.evaluate.score import Row
 from tacshade_edge.studies.evaluate.summary import figures
 from tacshade_edge.studies.tables import csv_text
+from tools.testbed.calibrated_sensor import HALF
 
 PLAN = Plan((HALF_SENSOR,), objects=("ball", "cube"), references=3, presses=10, depths_mm=(3.0,))
 

@@ -5,7 +5,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from support.painted_sensor import DISC, FREE, HEIGHT, TOUCHED, WIDTH, painted_calibration
 
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.studies.evaluate.own_images import evaluate_images, images_in, read_images, read_truth
@@ -13,6 +12,7 @@ from tacshade_edge.studies.evaluate.score import Row
 from tacshade_edge.studies.evaluate.sensors import reconstructor
 from tacshade_edge.studies.metrics import contact_iou, score_cloud
 from tacshade_edge.types import Bool, Frame, HeightMap
+from tools.testbed.painted_sensor import DISC, FREE, HEIGHT, TOUCHED, WIDTH, painted_calibration
 
 CALIBRATION = painted_calibration()
 SIZE = (HEIGHT, WIDTH)

@@ -3,12 +3,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.painted_sensor import FREE, TOUCHED, painted_calibration
 
 from tacshade_edge.studies.evaluate.score import KnownTruth, Label, Row, between_pixels, score
 from tacshade_edge.studies.evaluate.sensors import reconstructor
 from tacshade_edge.studies.metrics import contact_iou, score_cloud
 from tacshade_edge.types import Bool, Frame, HeightMap, Reconstruction
+from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 
 LABEL = Label("painted", "ball")
 NOTHING = np.zeros((0, 3), dtype=np.float32)

@@ -4,7 +4,6 @@ from dataclasses import fields
 import cv2
 import numpy as np
 import pytest
-from support.calibrated_sensor import HALF
 from support.half_family import HALF_SENSOR, half_family
 
 from tacshade_edge.simulator.skin import press_skin
@@ -12,6 +11,7 @@ from tacshade_edge.studies.limits import picture
 from tacshade_edge.studies.limits.summary import text
 from tacshade_edge.studies.limits.work import Limits, Plan, ball_press, cylinder_press, limits
 from tacshade_edge.studies.tables import csv_text
+from tools.testbed.calibrated_sensor import HALF
 
 PLAN = Plan(
     (HALF_SENSOR,),

@@ -2,12 +2,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.painted_sensor import TOUCHED, painted_calibration
 
 from tacshade_edge.core.image import greyscale
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.studies.tradeoff.grid import DENOISERS, WORDS, Setting, grid, make
 from tacshade_edge.types import Frame
+from tools.testbed.painted_sensor import TOUCHED, painted_calibration
 
 
 def test_the_whole_grid_has_every_profile_and_no_setting_twice() -> None:

@@ -2,11 +2,11 @@ import os
 from dataclasses import replace
 
 import pytest
-from support.painted_sensor import TOUCHED, enlarged, enlarged_calibration
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.studies.tradeoff.grid import Setting
 from tacshade_edge.studies.tradeoff.memory import peak_memory
+from tools.testbed.painted_sensor import TOUCHED, enlarged, enlarged_calibration
 
 
 @pytest.mark.slow  # it starts interpreters

@@ -2,12 +2,12 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from support.painted_sensor import FREE, TOUCHED, painted_calibration
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import STAGES
 from tacshade_edge.studies.tradeoff.grid import Setting
 from tacshade_edge.studies.tradeoff.timing import IDLE_FRAMES, time_settings
+from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 
 
 def quiet(what: str, done: int, total: int) -> None:

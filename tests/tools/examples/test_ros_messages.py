@@ -1,0 +1,72 @@
+"""The ROS 2 messages of tools/ros2, through another's definitions and serialisation (CDR): rosbags, without a ROS."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tacshade_edge.protocol import wire
+from tacshade_edge.protocol.wire import CloudMessage, HeightMessage
+from tacshade_edge.types import U8
+from tools.examples.ros2 import ros_messages
+from tools.testbed.published_hand import CRC, bump
+
+typesys = pytest.importorskip("rosbags.typesys", reason="rosbags is not installed")
+STORE = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
+PRESS = bump(7, 2.0, 236.0, 328.0, step_px=4)
+
+
+class Ros:
+    """The types of ROS 2 Jazzy."""
+
+    @staticmethod
+    def octets(data: bytes) -> U8:
+        return np.frombuffer(data, np.uint8)
+
+    @staticmethod
+    def make(name: str, /, **fields: Any) -> Any:
+        return STORE.types[name](**fields)
+
+
+def there_and_back(message: Any) -> Any:
+    return STORE.deserialize_cdr(STORE.serialize_cdr(message, message.__msgtype__), message.__msgtype__)
+
+
+def test_an_image() -> None:
+    height = wire.decode(wire.encode_height(PRESS, calibration_crc32=CRC))
+    assert isinstance(height, HeightMessage)
+    image = there_and_back(ros_messages.image(Ros(), height, "left-index"))
+    assert (image.encoding, image.height, image.width, image.step, image.is_bigendian) == ("32FC1", 120, 160, 640, 0)
+    assert image.header.frame_id == "left-index/sensor"
+    assert image.header.stamp.sec * 10**9 + image.header.stamp.nanosec == PRESS.wall_ns
+    np.testing.assert_allclose(image.data.view("<f4").reshape(120, 160), height.height_mm / 1000, rtol=1e-6)
+
+
+def test_a_cloud() -> None:
+    message = wire.decode(wire.encode_cloud(PRESS, calibration_crc32=CRC))
+    assert isinstance(message, CloudMessage)
+    cloud = there_and_back(ros_messages.cloud(Ros(), message, "left-index"))
+    assert cloud.height * cloud.width * cloud.point_step == cloud.row_step == len(cloud.data)
+    layout = np.dtype(
+        {
+            "names": [field.name for field in cloud.fields],
+            "formats": [{7: "<f4", 4: "<u2"}[field.datatype] for field in cloud.fields],
+            "offsets": [field.offset for field in cloud.fields],
+            "itemsize": cloud.point_step,
+        }
+    )
+    points = cloud.data.view(layout)
+    for axis, name in enumerate("xyz"):
+        np.testing.assert_allclose(points[name], message.points_mm[:, axis] / 1000, rtol=1e-6)
+    np.testing.assert_array_equal(points["object"], message.labels)
+
+
+def test_a_transform() -> None:
+    values = (100.0, -20.0, 300.0, 0.5, -0.5, 0.5, -0.5)
+    (moved,) = there_and_back(ros_messages.transform(Ros(), values, 5, "a", "b")).transforms
+    assert (moved.header.frame_id, moved.child_frame_id) == ("a", "b")
+    place, turn = moved.transform.translation, moved.transform.rotation
+    assert (place.x, place.y, place.z) == pytest.approx((0.1, -0.02, 0.3))
+    assert (turn.w, turn.x, turn.y, turn.z) == (0.5, -0.5, 0.5, -0.5)

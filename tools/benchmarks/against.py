@@ -1,0 +1,127 @@
+#!/usr/bin/env python3
+"""What a frame costs beside another checkout of the project: rounds of both take turns, on one thread each.
+
+::
+
+    git worktree add /tmp/before c08658c
+    .venv/bin/python -m tools.benchmarks.against /tmp/before [--rounds 20] [--frames 60]
+
+Colour frames of 640x480 of the simulated sensor, with nothing touching and with a cube that covers a fifth of the disc;
+each checkout calibrates it by itself. ``shear`` is what displacement adds, where somebody asks for it. A figure is the
+median over rounds of a round's median (p50) or 99th percentile (p99); the ratio is the median of the rounds' ratios.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).parents[2]
+KINDS = ("no contact", "contact", "shear")
+NO_ANSWER = "none"
+
+
+def serve(frames: int) -> None:
+    """Time frames for whoever asks, of the checkout that is imported."""
+    import cv2
+
+    from tacshade_edge import types
+    from tacshade_edge.simulator.objects import OBJECTS
+    from tacshade_edge.simulator.press import Press
+    from tacshade_edge.studies.evaluate.sensors import SensorName, calibrated, reconstructor
+
+    cv2.setNumThreads(1)
+    name = SensorName.parse("default")
+    calibration, sensor = calibrated(name, 8, 40).calibration, name.make()
+    press = Press(OBJECTS["cube"](), 0.0, 0.0, 3.0, 20.0, 1.45)
+    images = {"no contact": sensor.frame((), 4000).image, "contact": sensor.frame((press,), 3000).image}
+    needs = getattr(types, "Need", None)
+    made, t_ns = {}, 0
+    print("ready", flush=True)
+    for line in sys.stdin:
+        profile, kind = line.strip().split("/")
+        each = made.setdefault(profile, None) or reconstructor(calibration, profile)
+        made[profile] = each
+        image = images["no contact" if kind == "no contact" else "contact"]
+        if kind == "shear" and needs is None:
+            print(NO_ANSWER, flush=True)
+            continue
+        asked = {} if needs is None else {"need": needs.SHEAR if kind == "shear" else needs.DEPTH}
+        taken = np.empty(frames)
+        for k in range(-3, frames):
+            t_ns += 16_666_667
+            frame = types.Frame(0, t_ns, 0, image)
+            start = time.perf_counter_ns()
+            each.step(frame, **asked)
+            if k >= 0:
+                taken[k] = (time.perf_counter_ns() - start) / 1e6
+        print(np.median(taken), np.percentile(taken, 99), flush=True)
+
+
+class Checkout:
+    """A process of one checkout."""
+
+    def __init__(self, root: Path, frames: int) -> None:
+        command = [sys.executable, __file__, str(root), "--serve", "--frames", str(frames)]
+        environment = os.environ | {"PYTHONPATH": str(root), "OMP_NUM_THREADS": "1"}
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
+        )
+        if self._answer() != "ready":
+            raise SystemExit(f"{root}: its code cannot be timed")
+
+    def time_ms(self, profile: str, kind: str) -> tuple[float, float] | None:
+        """p50 and p99; None where the checkout has no such thing."""
+        assert self._process.stdin
+        self._process.stdin.write(f"{profile}/{kind}\n")
+        self._process.stdin.flush()
+        answer = self._answer()
+        if answer == NO_ANSWER:
+            return None
+        p50, p99 = map(float, answer.split())
+        return p50, p99
+
+    def _answer(self) -> str:
+        assert self._process.stdout
+        return self._process.stdout.readline().strip()
+
+
+def main() -> None:
+    """Compare."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("checkout", type=Path)
+    parser.add_argument("--rounds", type=int, default=20)
+    parser.add_argument("--frames", type=int, default=60, help="of a round")
+    parser.add_argument("--serve", action="store_true", help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.serve:
+        serve(args.frames)
+        return
+    from tacshade_edge.core.profiles import PROFILES
+    from tacshade_edge.studies.tables import markdown
+
+    now, before = Checkout(ROOT, args.frames), Checkout(args.checkout, args.frames)
+    lines = []
+    for profile in (name for name in PROFILES if name != "paper"):
+        for kind in KINDS:
+            rows = [(now.time_ms(profile, kind), before.time_ms(profile, kind)) for _ in range(args.rounds)]
+            mine = np.array([row[0] for row in rows])
+            cells = [f"{np.median(mine[:, k]):.2f}" for k in (0, 1)]
+            if rows[0][1] is None:
+                cells += ["", "", ""]
+            else:
+                other = np.array([row[1] for row in rows])
+                cells += [f"{np.median(other[:, k]):.2f}" for k in (0, 1)]
+                cells.append(f"{np.median(mine[:, 0] / other[:, 0]):.2f}")
+            lines.append([profile, kind, *cells])
+    print(markdown(["method", "frame", "p50 ms", "p99 ms", "before: p50 ms", "p99 ms", "ratio"], lines))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,314 @@
+"""Measure the daemon: frames in, decoded height maps at a subscriber, beside a null daemon that only publishes.
+
+::
+
+    .venv/bin/python -m tools.benchmarks.daemon [--fps 60] [--seconds 20] [--runs 1] [--profile NAME] [--record]
+        [--json F]
+
+Four processes: mosquitto on a loopback port, the daemon (`ring_daemon.py`) or the null daemon (`null_daemon.py`), a
+subscriber that decodes, and this one, which reads the daemon's figures from /proc. The frames are a ring of 640x480
+grey images in memory (10 MB, in the daemon's figures) that were drawn before; the null daemon publishes what was made
+of the same images. In the rows
+
+- ``contact`` a ball goes in and out, pressed from the first frame on, and everything is subscribed to;
+- ``free`` nothing touches;
+- ``unasked`` the ball goes in and out and nobody subscribes to anything but ``state`` and ``health``.
+
+Latency is from the frame's time stamp to the end of the subscriber's decode; both read the same CLOCK_MONOTONIC.
+First map: from the start of the process to the end of the first decode. CPU: of one core, all threads, without the
+first seconds. With several runs the rows take turns, and each figure is the best of its runs.
+
+With ``--record`` it is the daemon without a recording, with 10 s that are kept before one, and with one as a folder and
+as MCAP, to the folder for temporary files, and what encoding a frame costs is told for grey and for colour.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import pickle
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from paho.mqtt.client import Client, MQTTMessage
+from paho.mqtt.enums import CallbackAPIVersion
+
+from tacshade_edge.cli.demo_sensor import make_calibration
+from tacshade_edge.core.profiles import DEFAULT, PROFILES
+from tacshade_edge.devices import registry
+from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.devices.files.recorder import PNG_OPTIONS
+from tacshade_edge.devices.mqtt.caller import MqttCaller
+from tacshade_edge.devices.weights.network import make_reconstructor
+from tacshade_edge.protocol import wire
+from tacshade_edge.settings import load
+from tacshade_edge.types import Frame
+from tools.testbed.daemon_rig import BASE, broker, cpu_s, draw_rings, memory_mb
+
+RING_DAEMON, NULL_DAEMON = "tools.testbed.ring_daemon", "tools.benchmarks.null_daemon"
+OUTCOMES = ("published", "superseded", "without_contact", "unasked", "invalid", "failed")
+SETTLE_S = 4.0  # start, first frames
+ROWS = {  # name: program, ring, what the subscriber asks for
+    "contact": (RING_DAEMON, "contact", "#"),
+    "contact, null": (NULL_DAEMON, "contact", "#"),
+    "free": (RING_DAEMON, "free", "#"),
+    "free, null": (NULL_DAEMON, "free", "#"),
+    "unasked": (RING_DAEMON, "contact", ""),
+}
+RECORDING = {"recording": "folder", "recording, mcap": "mcap"}  # row: format
+BEFORE = "kept before"
+RECORD_ROWS = {"contact": ROWS["contact"], BEFORE: ROWS["contact"], **dict.fromkeys(RECORDING, ROWS["contact"])}
+
+
+def subscriber(port: int, warm_up: int, topics: str) -> None:
+    """Decode every height map; print latencies in ms and the last ``health`` once the daemon has stopped."""
+    arrived_ns: list[int] = []
+    latencies: list[float] = []
+    seqs: set[int] = set()
+    health: dict[str, Any] = {}
+    done = threading.Event()
+
+    def on_message(_client: Client, _data: None, message: MQTTMessage) -> None:
+        if message.retain:  # of the run before
+            return
+        if message.topic == f"{BASE}/height":
+            decoded = wire.decode(message.payload)
+            arrived_ns.append(time.monotonic_ns())
+            latencies.append((arrived_ns[-1] - decoded.t_ns) / 1e6)
+            seqs.add(decoded.seq)
+        elif message.topic == f"{BASE}/health":
+            health.update(json.loads(message.payload))
+        elif message.topic == f"{BASE}/state" and message.payload == b"stopped":
+            done.set()
+
+    client = Client(CallbackAPIVersion.VERSION2)
+    client.on_message = on_message
+    client.on_subscribe = lambda *_: print("ready", flush=True)
+    client.connect("127.0.0.1", port)
+    client.subscribe([(f"{BASE}/{topic}", 1) for topic in ("state", "health", *[topics] * bool(topics))])
+    client.loop_start()
+    done.wait()
+    client.disconnect()
+    client.loop_stop()
+    told: dict[str, Any] = {"received": len(latencies), "distinct": len(seqs), "health": health}
+    steady = sorted(latencies[warm_up:])
+    if steady:
+        told["first_ns"] = arrived_ns[0]
+        told |= {name: steady[int(len(steady) * part)] for name, part in (("p50_ms", 0.5), ("p99_ms", 0.99))}
+        told["max_ms"] = steady[-1]
+    print(json.dumps(told))
+
+
+def measure(name: str, row: tuple[str, str, str], folder: Path, port: int, args: argparse.Namespace) -> dict[str, Any]:
+    """One run of one daemon."""
+    program, ring, topics = row
+    listen = subprocess.Popen(
+        [
+            sys.executable,
+            "-m",
+            "tools.benchmarks.daemon",
+            "--role",
+            topics,
+            "--port",
+            str(port),
+            "--fps",
+            str(args.fps),
+        ],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert listen.stdout is not None
+    assert listen.stdout.readline() == "ready\n"
+    config, shown = (
+        folder / ("before.yaml" if name == BEFORE else "config.yaml"),
+        folder / (f"{ring}.npy" if program == RING_DAEMON else f"{ring}.pickle"),
+    )
+    pause = threading.Event()
+    began_s = time.monotonic()
+    worker = subprocess.Popen([sys.executable, "-m", program, config, shown, str(args.fps)])
+    try:
+        if name in RECORDING:
+            record(config, args.seconds, RECORDING[name])
+        pause.wait(began_s + SETTLE_S - time.monotonic())
+        used_s, since_s = cpu_s(worker.pid), time.monotonic()
+        pause.wait(began_s + args.seconds - since_s)
+        cpu = (cpu_s(worker.pid) - used_s) / (time.monotonic() - since_s)
+        memory = memory_mb(worker.pid)
+        worker.send_signal(signal.SIGTERM)
+        code = worker.wait(20)
+        told: dict[str, Any] = json.loads(listen.communicate(timeout=20)[0])
+    finally:
+        worker.kill()
+        listen.kill()
+    frames = told["health"]["frames"]
+    accounted = code == 0 and frames["pending"] == 0
+    accounted = accounted and frames["captured"] == sum(n for outcome, n in frames.items() if outcome != "captured")
+    if topics:
+        accounted = accounted and told["received"] == told["distinct"] == frames["published"]
+    if "first_ns" in told:
+        told["first_map_s"] = told["first_ns"] / 1e9 - began_s
+    return {"cpu": cpu, "resident_mb": memory["resident"], "peak_mb": memory["peak"], **told, "accounted": accounted}
+
+
+def record(config: Path, seconds: float, format_: str) -> None:
+    """Ask the daemon for a recording as soon as it runs; it ends a second before the run."""
+    document, began_s = load(config), time.monotonic()
+    caller = MqttCaller(
+        registry.broker_address(document), sensor_id=document.settings.sensor_id, verb="record", watched=("state",)
+    )
+    caller.start()
+    if not caller.wait_for(lambda: caller.latest("state") == b"online", 20):
+        raise SystemExit("daemon: the daemon does not come online")
+    left_s = seconds - (time.monotonic() - began_s) - 1.0
+    caller.ask({"action": "start", "name": format_, "format": format_, "seconds": left_s}, 5)
+    caller.stop()
+
+
+def an_hour(folder: Path, recorded: dict[str, Any], fps: float) -> str:
+    """What a recording takes of the disk."""
+    files = [path.stat().st_size for path in folder.iterdir()]
+    hour = sum(files) / recorded["written"] * fps * 3600 / 1e9
+    return f"{folder.name}: {recorded}, {len(files)} files; an hour {hour:.1f} GB"
+
+
+def encoding(folder: Path) -> str:
+    """What the recorder's encoding of a frame costs, beside OpenCV's with zlib's level 1 alone."""
+    lines = []
+    for what, ring in (("grey", "contact"), ("colour", "colour")):
+        for name, options in (("recorder", PNG_OPTIONS), ("zlib level 1", (cv2.IMWRITE_PNG_COMPRESSION, 1))):
+            ms, sizes = [], []
+            for image in np.load(folder / f"{ring}.npy"):
+                began_s = time.thread_time()
+                _, png = cv2.imencode(".png", image, options)
+                ms.append(1e3 * (time.thread_time() - began_s))
+                sizes.append(png.size)
+            lines.append(f"{what}, {name}: {np.median(ms):.1f} ms, {np.median(sizes) / 1e3:.0f} kB")
+    return "\n".join(lines)
+
+
+def prepare(folder: Path, port: int, profile: str) -> None:
+    """Images, calibration, settings, and for the null daemon what the real one makes of the images."""
+    draw_rings(folder)
+    calibration_file.save(folder / "c.npz", make_calibration())
+    for file, before_s in (("config", 0), ("before", 10)):
+        (folder / f"{file}.yaml").write_text(
+            f"sensor_id: bench\nprofile: {profile}\ncalibration: c.npz\nsource: {{kind: simulated}}\n"
+            f"mqtt: {{host: 127.0.0.1, port: {port}}}\nrecorder: {{folder: recs, before_s: {before_s}}}\n"
+        )
+    calibration = calibration_file.load(folder / "c.npz")
+    reconstructor, crc32 = make_reconstructor(calibration, PROFILES[profile]), calibration.crc32
+    for ring in ("contact", "free"):
+        made = [reconstructor.step(Frame(i, 0, 0, image)) for i, image in enumerate(np.load(folder / f"{ring}.npy"))]
+        ready = [
+            (wire.encode_height(r, calibration_crc32=crc32), wire.encode_cloud(r, calibration_crc32=crc32))
+            if r.contact
+            else None
+            for r in made
+        ]
+        (folder / f"{ring}.pickle").write_bytes(pickle.dumps(ready))
+
+
+def best(runs: list[dict[str, Any]]) -> dict[str, Any]:
+    """The last run's counts with the least of every other figure."""
+    figures = [name for name in runs[0] if name.endswith(("_ms", "_s", "_mb")) or name == "cpu"]
+    least = {name: min(run[name] for run in runs) for name in figures}
+    return {**runs[-1], **least, "accounted": all(run["accounted"] for run in runs)}
+
+
+def table(results: dict[str, dict[str, Any]]) -> str:
+    """For a person: Markdown."""
+    head = [
+        "",
+        "p50 ms",
+        "p99 ms",
+        "max ms",
+        "first map s",
+        "CPU core",
+        "resident MB",
+        "peak MB",
+        "captured",
+        *OUTCOMES,
+    ]
+    rows = [[*head, "received", "accounted"]]
+    for name, r in results.items():
+        timed = (("p50_ms", 1), ("p99_ms", 1), ("max_ms", 1), ("first_map_s", 2), ("cpu", 3))
+        cells = [f"{r[key]:.{digits}f}" if key in r else "" for key, digits in timed]
+        cells += [f"{r[key]:.0f}" for key in ("resident_mb", "peak_mb")]
+        frames = r["health"]["frames"]
+        counts = [frames["captured"], *(frames.get(o, 0) for o in OUTCOMES), r["received"]]
+        rows.append([name, *cells, *map(str, counts), "yes" if r["accounted"] else "NO"])
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    rows.insert(1, ["-" * width for width in widths])
+    return "\n".join(
+        "| " + " | ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) + " |" for row in rows
+    )
+
+
+def beside_null(results: dict[str, dict[str, Any]]) -> str:
+    """What the daemon takes beyond the null daemon of the same rows."""
+    contact, null, free = results["contact"], results["contact, null"], results["free"]
+    p50, p99 = (contact[key] - null[key] for key in ("p50_ms", "p99_ms"))
+    later_s = contact["first_map_s"] - null["first_map_s"]
+    times, free_times = contact["cpu"] / null["cpu"], free["cpu"] / results["free, null"]["cpu"]
+    return (
+        f"beside the null daemon: p50 {p50:+.1f} ms, p99 {p99:+.1f} ms, first map {later_s:+.2f} s, "
+        f"CPU {times:.1f} times, without contact {free_times:.1f} times"
+    )
+
+
+def main() -> int:
+    """Run the daemons one after the other; exit 1 when a frame is not accounted for."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--fps", type=float, default=60.0)
+    parser.add_argument("--seconds", type=float, default=20.0, help="of each run, start included")
+    parser.add_argument("--runs", type=int, default=1, help="of each row; its best figures are told")
+    parser.add_argument("--profile", choices=list(PROFILES), default=DEFAULT)
+    parser.add_argument("--record", action="store_true", help="the daemon without and with a recording")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures of every run there")
+    for hidden, kind in (("--role", str), ("--port", int)):  # of the subscriber
+        parser.add_argument(hidden, type=kind, help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.role is not None:
+        subscriber(args.port, warm_up=round(2 * args.fps), topics=args.role)
+        return 0
+    if args.seconds < SETTLE_S + 1:
+        parser.error(f"--seconds: expected {SETTLE_S + 1:.0f} or more")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        rows, hours = RECORD_ROWS if args.record else ROWS, list[str]()
+        runs: dict[str, list[dict[str, Any]]] = {row: [] for row in rows}
+        with broker(folder) as port:
+            prepare(folder, port, args.profile)
+            for _ in range(args.runs):
+                for row, what in rows.items():
+                    shutil.rmtree(folder / "recs", ignore_errors=True)
+                    runs[row].append(measure(row, what, folder, port, args))
+                    if row in RECORDING:
+                        recorded = runs[row][-1]["health"]["recorder"]
+                        hours.append(an_hour(folder / "recs" / RECORDING[row], recorded, args.fps))
+        told = encoding(folder) if args.record else ""
+    results = {row: best(made) for row, made in runs.items()}
+    print(table(results))
+    if not args.record:
+        print(beside_null(results))
+    for row in [row for row in results if row == "free" or row == "contact"]:
+        stages = results[row]["health"]["stages_ms"]
+        print(f"{row}, p50 / p99 ms: " + ", ".join(f"{stage} {s['p50']} / {s['p99']}" for stage, s in stages.items()))
+    if args.record:
+        print("\n".join((*hours, told)))
+    if args.json:
+        args.json.write_text(json.dumps(runs, indent=1) + "\n")
+    return 0 if all(r["accounted"] for r in results.values()) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

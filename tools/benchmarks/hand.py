@@ -1,0 +1,218 @@
+"""Measure a hand: several sensors in one command, beside as many null daemons that only publish.
+
+::
+
+    .venv/bin/python -m tools.benchmarks.hand [--sensors 5] [--fps 60] [--seconds 20] [--profile NAME] [--json FILE]
+
+As ``tools.benchmarks.daemon``, whose ring of images, null daemon and broker these are: two of the sensors are pressed,
+nothing touches the others, and one subscriber asks for ``TOPICS`` of all. In the rows
+
+- ``hand`` is ``run`` with one file of so many sensors: a process for each, forked from one;
+- ``objects`` is the same with a ``hand_id``: one process more, whose topic is subscribed too;
+- ``apart`` is as many commands ``run``, each with its own file, as under a template unit;
+- ``null`` is as many null daemons.
+
+Memory is the proportional set size (PSS) of all processes of a row: a page that five share is counted once. CPU is of
+one core, the sum of all processes, without the first seconds. Of the topic of the hand it is told how many messages
+came a second, and how old a touching finger's frame was when the message that first told of it was decoded.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+from paho.mqtt.client import Client, MQTTMessage
+from paho.mqtt.enums import CallbackAPIVersion
+
+from tacshade_edge.core.profiles import DEFAULT, PROFILES
+from tacshade_edge.protocol import wire
+from tacshade_edge.protocol.hand import decode_hand
+from tacshade_edge.studies.tables import markdown
+from tools.benchmarks.daemon import NULL_DAEMON, RING_DAEMON, SETTLE_S, prepare
+from tools.testbed.daemon_rig import broker, cpu_s
+
+PRESSED = 2
+TOPICS = ("height", "cloud", "contact", "health", "state")
+HAND_ID = "bench"
+ROWS = ("hand", "objects", "apart", "null")
+
+
+def subscriber(port: int, names: list[str]) -> None:
+    """Decode every height map; print latencies in ms and each sensor's last ``health`` once all have stopped."""
+    latencies: dict[str, list[float]] = {name: [] for name in names}
+    counted = {"messages": 0}
+    health: dict[str, Any] = {}
+    objects_ms: list[float] = []
+    seen: dict[str, int | None] = {}
+    left, done = set(names), threading.Event()
+
+    def on_message(_client: Client, _data: None, message: MQTTMessage) -> None:
+        name, topic = message.topic.split("/")[-2:]
+        if message.retain:
+            return
+        if topic == "objects":
+            for finger, told in decode_hand(message.payload).fingers.items():
+                if told.state == "contact" and told.t_ns is not None and told.seq != seen.get(finger):
+                    seen[finger] = told.seq
+                    objects_ms.append((time.monotonic_ns() - told.t_ns) / 1e6)
+            counted["messages"] += 1
+            return
+        if topic == "height":
+            latencies[name].append((time.monotonic_ns() - wire.decode(message.payload).t_ns) / 1e6)
+        elif topic == "health":
+            health[name] = json.loads(message.payload)["frames"]
+        elif topic == "state" and message.payload == b"stopped":
+            left.discard(name)
+            if not left:
+                done.set()
+
+    client = Client(CallbackAPIVersion.VERSION2)
+    client.on_message = on_message
+    client.on_subscribe = lambda *_: print("ready", flush=True)
+    client.connect("127.0.0.1", port)
+    topics = [f"{name}/{topic}" for name in names for topic in TOPICS]
+    client.subscribe([(f"tacshade/{topic}", 1) for topic in (*topics, f"hand/{HAND_ID}/objects")])
+    client.loop_start()
+    done.wait()
+    client.disconnect()
+    client.loop_stop()
+    print(json.dumps({"latencies": latencies, "health": health, "objects_ms": objects_ms, **counted}))
+
+
+def family(pid: int) -> list[int]:
+    """A process and its children."""
+    found = subprocess.run(("pgrep", "-P", str(pid)), capture_output=True, check=False).stdout
+    return [pid, *map(int, found.split())]
+
+
+def pss_mb(pid: int) -> float:
+    """Proportional set size."""
+    text = Path(f"/proc/{pid}/smaps_rollup").read_text()
+    return next(int(line.split()[1]) / 1024 for line in text.splitlines() if line.startswith("Pss:"))
+
+
+def measure(row: str, folder: Path, port: int, names: list[str], args: argparse.Namespace) -> dict[str, Any]:
+    """One row: its daemons for so many seconds."""
+    words = [sys.executable, "-m", "tools.benchmarks.hand", "--role", ",".join(names), "--port", str(port)]
+    listen = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+    assert listen.stdout is not None
+    assert listen.stdout.readline() == "ready\n"
+    kinds = ["contact" if k < PRESSED else "free" for k in range(len(names))]
+    rings = [str(folder / f"{kind}.npy") for kind in kinds]
+    if row in ("hand", "objects"):
+        commands = [
+            [sys.executable, "-m", "tools.testbed.ring_hand", str(folder / f"{row}.yaml"), str(args.fps), *rings]
+        ]
+    else:
+        program, ending = (RING_DAEMON, "npy") if row == "apart" else (NULL_DAEMON, "pickle")
+        commands = [
+            [sys.executable, "-m", program, folder / f"{name}.yaml", folder / f"{kind}.{ending}"]
+            for name, kind in zip(names, kinds, strict=True)
+        ]
+        commands = [[*map(str, command), str(args.fps)] for command in commands]
+    began_s, pause = time.monotonic(), threading.Event()
+    workers = [subprocess.Popen(command) for command in commands]
+    try:
+        pause.wait(began_s + SETTLE_S - time.monotonic())
+        pids = [pid for worker in workers for pid in family(worker.pid)]
+        used_s, since_s = sum(map(cpu_s, pids)), time.monotonic()
+        pause.wait(began_s + args.seconds - since_s)
+        cpu = (sum(map(cpu_s, pids)) - used_s) / (time.monotonic() - since_s)
+        memory = sum(map(pss_mb, pids))
+        for worker in workers:
+            worker.send_signal(signal.SIGTERM)
+        codes = [worker.wait(30) for worker in workers]
+        told = json.loads(listen.communicate(timeout=30)[0])
+    finally:
+        for worker in workers:
+            worker.kill()
+        listen.kill()
+    frames = told["health"]
+    accounted = not any(codes) and len(frames) == len(names)
+    for name in names:
+        counts = frames[name]
+        accounted &= counts["pending"] == 0
+        accounted &= counts["captured"] == sum(n for outcome, n in counts.items() if outcome != "captured")
+        accounted &= len(told["latencies"][name]) == counts["published"]
+    steady = sorted(ms for each in told["latencies"].values() for ms in each[round(2 * args.fps) :])
+    of = {f"p{p}_ms": steady[int(len(steady) * p / 100)] for p in (50, 99)}
+    captured = sum(counts["captured"] for counts in frames.values())
+    found = {"memory_mb": memory, "cpu": cpu, **of, "max_ms": steady[-1], "captured": captured, "accounted": accounted}
+    if row == "objects":
+        ages = sorted(told["objects_ms"][round(2 * args.fps) :])
+        found |= {f"objects_p{p}_ms": ages[int(len(ages) * p / 100)] for p in (50, 99)}
+        found["objects_per_s"] = told["messages"] / args.seconds
+    return found
+
+
+def main() -> int:
+    """Run the rows one after the other; exit 1 when a frame is not accounted for."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--sensors", type=int, default=5)
+    parser.add_argument("--fps", type=float, default=60.0)
+    parser.add_argument("--seconds", type=float, default=20.0, help="of each row, start included")
+    parser.add_argument("--profile", choices=list(PROFILES), default=DEFAULT)
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there")
+    for hidden, kind in (("--role", str), ("--port", int)):  # of the subscriber
+        parser.add_argument(hidden, type=kind, help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.role is not None:
+        subscriber(args.port, args.role.split(","))
+        return 0
+    names = [f"finger{k}" for k in range(args.sensors)]
+    with tempfile.TemporaryDirectory() as made:
+        folder = Path(made)
+        with broker(folder) as port:
+            prepare(folder, port, args.profile)
+            text, calibration = (folder / "config.yaml").read_text(), (folder / "c.npz").read_bytes()
+            sensors, fingers = [], []
+            for k, name in enumerate(names):
+                (folder / f"{name}.npz").write_bytes(calibration)
+                own = (
+                    text.replace("bench", name)
+                    .replace("c.npz", f"{name}.npz")
+                    .replace("folder: recs", f"folder: {name}")
+                )
+                (folder / f"{name}.yaml").write_text(f"{own}stitching: {{folder: {name}-maps}}\n")
+                own = f"calibration: {name}.npz, source: {{kind: simulated}}"
+                sensors.append(f"  {name}: {{{own}}}\n")
+                fingers.append(f"  {name}: {{{own}, hand_T_sensor: [{40 * k}, 0, 90, 1, 0, 0, 0]}}\n")
+            common = f"profile: {args.profile}\nmqtt: {{host: 127.0.0.1, port: {port}}}\nrecorder: {{folder: recs}}\n"
+            common += "stitching: {folder: maps}\n"
+            (folder / "hand.yaml").write_text(f"{common}sensors:\n{''.join(sensors)}")
+            (folder / "objects.yaml").write_text(f"{common}hand_id: {HAND_ID}\nsensors:\n{''.join(fingers)}")
+            results = {row: measure(row, folder, port, names, args) for row in ROWS}
+    head = ["", "memory MB", "CPU cores", "p50 ms", "p99 ms", "max ms", "captured", "accounted"]
+    rows = [
+        [
+            row,
+            f"{r['memory_mb']:.0f}",
+            f"{r['cpu']:.2f}",
+            *(f"{r[key]:.1f}" for key in ("p50_ms", "p99_ms", "max_ms")),
+            str(r["captured"]),
+            "yes" if r["accounted"] else "NO",
+        ]
+        for row, r in results.items()
+    ]
+    print(markdown(head, rows))
+    told = results["objects"]
+    print(
+        f"\nobjects: {told['objects_per_s']:.0f} messages/s, a touching finger's frame "
+        f"{told['objects_p50_ms']:.1f} ms old when told (p50), {told['objects_p99_ms']:.1f} ms (p99)"
+    )
+    if args.json:
+        args.json.write_text(json.dumps(results, indent=1) + "\n")
+    return 0 if all(r["accounted"] for r in results.values()) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

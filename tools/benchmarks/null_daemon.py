@@ -1,0 +1,71 @@
+"""A daemon that publishes ready bytes and reconstructs nothing: what it takes is Python and transport.
+
+A process of ``tools.benchmarks.daemon``: the same link, ledger and pace as the real one, and the bytes that one made of
+the same images, under each frame's own number and times.
+"""
+
+from __future__ import annotations
+
+import json
+import pickle
+import signal
+import struct
+import sys
+import threading
+import time
+import zlib
+from pathlib import Path
+
+from tacshade_edge.daemon.pipeline.ledger import FrameLedger
+from tacshade_edge.devices import registry
+from tacshade_edge.settings import load
+
+CONTACT_PERIOD_NS = 100_000_000
+
+
+def stamped(message: bytes, seq: int, t_ns: int) -> bytes:
+    """A height or cloud as of another frame."""
+    changed = bytearray(message)
+    struct.pack_into("<I", changed, 8, seq)
+    struct.pack_into("<QQ", changed, 16, t_ns, time.time_ns())
+    struct.pack_into("<I", changed, 88, zlib.crc32(memoryview(changed)[96:], zlib.crc32(memoryview(changed)[:88])))
+    return bytes(changed)
+
+
+def main() -> None:
+    """Publish until SIGTERM."""
+    config, ready, fps = Path(sys.argv[1]), Path(sys.argv[2]), float(sys.argv[3])
+    payloads: list[tuple[bytes, bytes] | None] = pickle.loads(ready.read_bytes())
+    period_ns = round(1e9 / fps)
+    ledger = FrameLedger()
+    link = registry.make_link(
+        load(config),
+        on_request=lambda request: None,
+        on_outcome=lambda stream, seq, outcome: ledger.settle(seq, outcome) if stream == "height" else None,
+    )
+    stop = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: stop.set())
+    link.start()
+    zero_ns, seq, told_ns = time.monotonic_ns(), 0, 0
+    while not stop.is_set():
+        seq = max(seq + 1, (time.monotonic_ns() - zero_ns) // period_ns)
+        t_ns = zero_ns + seq * period_ns
+        time.sleep(max(t_ns - time.monotonic_ns(), 0) / 1e9)
+        ledger.captured(seq)
+        pair = payloads[seq % len(payloads)]
+        if pair is not None:
+            link.offer("height", stamped(pair[0], seq, t_ns), seq)
+            link.offer("cloud", stamped(pair[1], seq, t_ns), seq)
+        else:
+            ledger.settle(seq, "without_contact")
+        if pair is not None or t_ns - told_ns >= CONTACT_PERIOD_NS:
+            told_ns = t_ns
+            link.offer(
+                "contact", json.dumps({"t_ns": t_ns, "seq": seq, "contact": int(pair is not None)}).encode(), seq
+            )
+    ledger.close(1.0)
+    link.set_retained("health", json.dumps({"frames": ledger.counts().as_dict()}).encode(), qos=0)
+    link.stop(1.0)
+
+
+main()

@@ -1,0 +1,80 @@
+"""What the same frames come to on this machine; a process of ``tools/ci/run_arm.py``, here and on the other machine.
+
+::
+
+    arm_frames.py write FOLDER           calibration.npz, images.npy and images: a free skin, then presses
+    arm_frames.py reconstruct FOLDER OUT each profile's result of each image, to OUT.npz
+    arm_frames.py step FOLDER PROFILE IMAGE COUNT    the same frame so many times, for what counts instructions
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from tacshade_edge.core.image.preprocess import Preprocessor
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.devices.weights.network import make_reconstructor
+from tacshade_edge.types import Frame, Need
+
+DEPTHS_MM = (0.6, 1.5, 3.0, 4.5)
+FREE, PRESSED = 0, 3
+"""Places in images.npy."""
+
+
+def write(folder: Path) -> None:
+    """Simulated, so here alone: the other machine would need minutes."""
+    from tacshade_edge.core.image.greyscale import to_grey
+    from tacshade_edge.simulator.objects import OBJECTS
+    from tacshade_edge.simulator.press import Press
+    from tacshade_edge.studies.evaluate.sensors import SensorName, calibrated
+
+    name = SensorName.parse("default")
+    calibration_file.save(folder / "calibration.npz", calibrated(name, 8, 20).calibration)
+    sensor = name.make()
+    presses = [(Press(OBJECTS["cube"](), 0.0, 0.0, depth_mm, 20.0, 1.45),) for depth_mm in DEPTHS_MM]
+    images = [to_grey(sensor.frame(press, seed).image) for seed, press in enumerate([(), *presses])]
+    np.save(folder / "images.npy", np.stack(images))
+    (folder / "images").mkdir(exist_ok=True)
+    for k, image in enumerate(images):
+        cv2.imwrite(str(folder / f"images/{k}.png"), image)
+
+
+def reconstruct(folder: Path, out: Path) -> None:
+    """Black and white, which is the end of the path of whole numbers, and the maps."""
+    calibration, images = calibration_file.load(folder / "calibration.npz"), np.load(folder / "images.npy")
+    found = {}
+    for name, profile in PROFILES.items():
+        made, preprocessor = make_reconstructor(calibration, profile), Preprocessor(calibration, profile)
+        for k, image in enumerate(images):
+            total = preprocessor.preprocess(preprocessor.grey(image)).white.total
+            found[f"{name} {k} white"] = np.diff(np.diff(total, axis=0), axis=1).astype(np.uint8)
+            result = made.step(Frame(k, k, k, image))
+            found[f"{name} {k} height"] = result.height.height_mm
+            found[f"{name} {k} contact"] = result.height.contact
+            if result.shear_mm is not None:
+                found[f"{name} {k} shear"] = result.shear_mm
+    np.savez(out, **found)
+
+
+def step(folder: Path, profile: str, image: int, count: int) -> None:
+    """As the daemon does where nobody asks for displacement and standard deviation."""
+    made = make_reconstructor(calibration_file.load(folder / "calibration.npz"), PROFILES[profile])
+    shown = np.load(folder / "images.npy")[image]
+    for k in range(count):
+        made.step(Frame(k, k, k, shown), need=Need.DEPTH)
+
+
+if __name__ == "__main__":
+    cv2.setNumThreads(1)
+    what, where, *rest = sys.argv[1:]
+    if what == "write":
+        write(Path(where))
+    elif what == "reconstruct":
+        reconstruct(Path(where), Path(rest[0]))
+    else:
+        step(Path(where), rest[0], int(rest[1]), int(rest[2]))

@@ -1,0 +1,206 @@
+#!/usr/bin/env python3
+"""``make test-arm``: what runs on a board's processor, on QEMU's model of one, for both Pythons of boards.
+
+::
+
+    python3 -m tools.ci.run_arm [--python 3.11 3.13] [--skip-quick]
+
+For each Python: the wheels of the lock, one frame after the other against this machine's, a minute of the daemon, maps
+by the command of its Debian package, the quick tests (half an hour each: nothing is emulated fast). For one: the
+instructions of a frame, and what they would take on a Pi. Needs root; tools/rig/arm64.py says what else. Exit 1 when
+something failed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from paho.mqtt.client import Client, MQTTMessage
+from paho.mqtt.enums import CallbackAPIVersion
+
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.studies.tables import markdown
+from tools.ci.arm_frames import FREE, PRESSED
+from tools.testbed.daemon_rig import BASE, broker
+
+TREE = Path(__file__).resolve().parents[2]
+ARM = (sys.executable, "-m", "tools.rig.arm64")
+GIVEN = Path(".rig/arm")  # below the tree, which is another folder there
+PYTHONS = ("3.11", "3.13")
+QUICK = "not guest and not broker and not slow and not browser"
+WORKERS = str(os.cpu_count() or 1)
+DAEMON_S, FPS = 60, 5
+HEIGHT_MAX_MM = {"paper": 0.25, "fast": 0.1, "balanced": 0.1, "accurate": 0.1}
+"""Between the two machines, of any cell: other kernels of OpenCV's interpolation and of the networks' first layer, and
+its floats are rounded to codes."""
+WHITE_MAX_PART = 0.002
+COUNT = 5
+# Instructions a second of one core: its clock times what code like ours completes in a cycle, between a scalar loop
+# that waits and vector code that does not.
+BOARDS = {"Pi 4 (Cortex-A72, 1.8 GHz)": (1.8e9, 0.8, 1.6), "Pi 5 (Cortex-A76, 2.4 GHz)": (2.4e9, 1.4, 2.8)}
+
+
+def arm(python: str, *command: str) -> int:
+    """Exit status of a command there."""
+    return subprocess.run((*ARM, "--python", python, *command), cwd=TREE, check=False).returncode
+
+
+def same_frames(python: str) -> list[str]:
+    """What differs by more than is stated; the rest is printed."""
+    there, here = TREE / GIVEN / f"there-{python}.npz", TREE / GIVEN / "here.npz"
+    if arm(python, "python3", "-m", "tools.ci.arm_frames", "reconstruct", str(GIVEN), str(GIVEN / there.name)):
+        return ["the frames could not be reconstructed there"]
+    ours, theirs = np.load(here), np.load(there)
+    wrong, rows = [], []
+    if sorted(ours) != sorted(theirs):
+        return ["other maps than here"]
+    for profile in PROFILES:
+        mine = [key for key in ours if key.startswith(f"{profile} ")]
+        white = np.concatenate([(ours[key] != theirs[key]).ravel() for key in mine if key.endswith("white")]).mean()
+        height, contact = [], []
+        for key in mine:
+            if key.endswith("height"):
+                height.append(float(np.nanmax(np.abs(ours[key] - theirs[key]))))
+            elif key.endswith("contact"):
+                contact.append(float((ours[key] != theirs[key]).mean()))
+        rows.append([profile, f"{1e6 * white:.0f}", f"{max(height):.4f}", f"{1e6 * max(contact):.0f}"])
+        if not white <= WHITE_MAX_PART or not max(height) <= HEIGHT_MAX_MM[profile]:
+            wrong.append(f"{profile}: height differs by {max(height):.3f} mm, {100 * white:.2f} % of white")
+    print(
+        markdown(["profile", "other white, px per million", "h, mm at most", "other contact, cells per million"], rows)
+    )
+    return wrong
+
+
+def daemon(python: str) -> list[str]:
+    """A minute of the command `run` on this machine's broker; what is wrong with it."""
+    health: list[dict[str, dict[str, int]]] = []
+    with tempfile.TemporaryDirectory() as folder, broker(Path(folder)) as port:
+        config = TREE / GIVEN / "run.yaml"
+        config.write_text(
+            f"sensor_id: {BASE.rpartition('/')[2]}\ncalibration: calibration.npz\nprofile: fast\n"
+            f"source: {{kind: files, path: images, fps: {FPS}, loop: true}}\nmqtt: {{host: 127.0.0.1, port: {port}}}\n"
+            "stitching: {folder: /tmp/maps}\n"
+        )
+        client = Client(CallbackAPIVersion.VERSION2)
+        seen = 0
+
+        def on_message(_client: Client, _data: None, message: MQTTMessage) -> None:
+            nonlocal seen
+            if message.topic.endswith("/health"):
+                health.append(json.loads(message.payload))
+            else:
+                seen += 1
+
+        client.on_message = on_message
+        client.connect("127.0.0.1", port)
+        client.subscribe([(f"{BASE}/health", 0), (f"{BASE}/height", 0)])
+        client.loop_start()
+        words = (*ARM, "--python", python, "python3", "-m", "tacshade_edge", "run", "--config", str(GIVEN / "run.yaml"))
+        child = subprocess.Popen(words, cwd=TREE)
+        try:
+            began_s = time.monotonic()
+            while not health and time.monotonic() - began_s < 10 * DAEMON_S and child.poll() is None:
+                time.sleep(0.5)
+            time.sleep(DAEMON_S)
+            child.send_signal(signal.SIGTERM)
+            code = child.wait(DAEMON_S)
+        finally:
+            if child.poll() is None:
+                child.kill()
+            client.loop_stop()
+    frames = health[-1]["frames"] if health else {}
+    print(f"daemon: {frames}, {seen} height maps received, exit status {code}")
+    wrong = [] if code == 0 else [f"the daemon ended with {code}"]
+    # How many it manages is the emulation's; that none is lost without a word is the daemon's.
+    if not seen or frames["captured"] != sum(n for outcome, n in frames.items() if outcome != "captured"):
+        wrong.append("frames are not accounted for")
+    if frames.get("published") != seen:
+        wrong.append(f"{frames.get('published', 0)} frames were published, {seen} maps received")
+    return wrong
+
+
+def package(python: str) -> list[str]:
+    """The Debian package, unpacked as dpkg would: its command, by Debian's Python, in its own environment."""
+    debs = TREE / GIVEN / f"deb-{python}"
+    words = ("--machine", "aarch64", "--python", python, "--level", "1", "--out", str(debs))
+    subprocess.run((sys.executable, "-m", "tools.release.package_debian", *words), cwd=TREE, check=True)
+    made = max(debs.glob("*.deb"), key=lambda file: file.stat().st_mtime).relative_to(TREE)
+    unpack = f"rm -rf /opt/tacshade-edge && dpkg-deb --extract {made} /"
+    command = f"{GIVEN}/images/*.png --calibration {GIVEN}/calibration.npz --out /tmp/maps"
+    script = f"{unpack} && cd /src && env -u PYTHONPATH tacshade-edge reconstruct {command}"
+    return ["its command failed"] if arm(python, "sh", "-c", script) else []
+
+
+def quick(python: str) -> list[str]:
+    """The quick tests there."""
+    words = ("-p", "no:cacheprovider", "-n", WORKERS, "--dist", "worksteal", "-m", QUICK)
+    there = (*ARM, "--python", python, "python3", "-m", "pytest", *words)
+    done = subprocess.run(there, cwd=TREE, stdout=subprocess.PIPE, text=True, check=False)
+    lines = done.stdout.splitlines()
+    print("\n".join(lines if done.returncode else lines[-1:]))
+    return ["quick tests failed"] if done.returncode else []
+
+
+def instructions(profile: str, image: int) -> float:
+    """Of one frame: of `COUNT` and one less one, over one less."""
+    found = []
+    for count in (1, 1 + COUNT):
+        script = ("-m", "tools.ci.arm_frames", "step", str(GIVEN), profile, str(image), str(count))
+        done = subprocess.run((*ARM, "--count", *script), cwd=TREE, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise SystemExit(f"{shlex.join(script)}: {done.stderr.strip()}")
+        found.append(int(done.stdout))
+    return (found[1] - found[0]) / COUNT
+
+
+def count() -> None:
+    """A table of instructions and what they would take."""
+    rows = []
+    for profile in PROFILES:
+        for name, image in (("no contact", FREE), ("contact", PRESSED)):
+            each = instructions(profile, image)
+            times = [
+                f"{1e3 * each / hz / most:.1f} to {1e3 * each / hz / least:.1f}" for hz, least, most in BOARDS.values()
+            ]
+            rows.append([profile, name, f"{each / 1e6:.1f}", *times])
+    print(markdown(["profile", "frame", "million instructions", *(f"{board}, ms" for board in BOARDS)], rows))
+
+
+def main() -> int:
+    """Everything, and what went wrong at the end."""
+    parser = argparse.ArgumentParser(description="What runs on a board's processor, emulated.")
+    parser.add_argument("--python", nargs="+", choices=PYTHONS, default=list(PYTHONS))
+    parser.add_argument("--skip-quick", action="store_true", help="without the quick tests")
+    args = parser.parse_args()
+    (TREE / GIVEN).mkdir(parents=True, exist_ok=True)
+    for words in (("write", str(GIVEN)), ("reconstruct", str(GIVEN), str(GIVEN / "here.npz"))):
+        subprocess.run((sys.executable, "-m", "tools.ci.arm_frames", *words), cwd=TREE, check=True)
+    wrong = []
+    for python in args.python:
+        stages = {"frames": same_frames, "daemon": daemon, "package": package} | (
+            {} if args.skip_quick else {"quick": quick}
+        )
+        for name, stage in stages.items():
+            began_s = time.monotonic()
+            print(f"\n--- Python {python}: {name}", flush=True)
+            wrong += [f"Python {python}, {name}: {what}" for what in stage(python)]
+            print(f"{name}: {time.monotonic() - began_s:.0f} s", flush=True)
+    print("\n--- instructions of a frame, 640x480", flush=True)
+    count()
+    print("\nnothing failed" if not wrong else "\nFAILED\n" + "\n".join(wrong))
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,96 @@
+#!/usr/bin/env python3
+"""Every stage of the tests, one after the other, and at the end what each ran, skipped (why) and took.
+
+::
+
+    python3 -m tools.ci.run_tests [STAGE...]
+
+`make test` runs it. A stage that fails does not keep the next from running. Exit 1 when one failed.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+TREE = Path(__file__).resolve().parents[2]
+PYTEST = (sys.executable, "-m", "pytest")
+WORKERS = str((os.cpu_count() or 1) + 1)
+"""One more than there are cores: every third test waits, for a broker, a second, a page."""
+QUICK = "not guest and not broker and not slow and not browser"
+SLOW = "(slow or broker or browser) and not guest and not container"
+ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+"""Tests are compiled once, not by each worker of each stage: 11 s of a core."""
+LINT = "lint"
+"""Runs beside the stage after it, whose tests wait now and then."""
+STAGES: dict[str, tuple[str, ...]] = {
+    LINT: ("make", "--no-print-directory", "lint"),
+    "quick": (*PYTEST, "-n", WORKERS, "--dist", "worksteal", "-m", QUICK),
+    "slow": (*PYTEST, "-n", WORKERS, "--dist", "loadfile", "-m", SLOW),
+    "guest": (*PYTEST, "-m", "guest"),
+}
+
+
+@dataclass(frozen=True)
+class Stage:
+    """How one went; the counts are 0 where it runs no tests."""
+
+    name: str
+    seconds: float
+    ok: bool
+    passed: int
+    failed: int
+    skipped: Counter[str]
+
+
+def run(name: str) -> Stage:
+    """Run a stage, its output as it comes; that of `LINT` when it is over."""
+    print(f"--- {name}", flush=True)
+    began_s = time.monotonic()
+    with tempfile.TemporaryDirectory() as folder:
+        results = Path(folder, "results.xml")
+        if name == LINT:
+            done = subprocess.run(STAGES[name], cwd=TREE, env=ENVIRONMENT, text=True, capture_output=True, check=False)
+            print(f"--- {name} ended\n{done.stdout}{done.stderr}", flush=True)
+            code = done.returncode
+        else:
+            words = (*STAGES[name], f"--junitxml={results}")
+            code = subprocess.run(words, cwd=TREE, env=ENVIRONMENT, check=False).returncode
+        cases = list(ElementTree.parse(results).iter("testcase")) if results.exists() else []
+    bad = sum(case.find("failure") is not None or case.find("error") is not None for case in cases)
+    skips = [found for case in cases if (found := case.find("skipped")) is not None]
+    skipped = Counter(found.get("message", "") for found in skips if found.get("type") != "pytest.xfail")
+    passed = len(cases) - bad - len(skips)
+    return Stage(name, time.monotonic() - began_s, code == 0, passed, bad, skipped)
+
+
+def main() -> int:
+    """Run the stages that are named, or all."""
+    began_s = time.monotonic()
+    names = sys.argv[1:] or list(STAGES)
+    with ThreadPoolExecutor() as pool:
+        lint = [pool.submit(run, name) for name in names if name == LINT]
+        stages = [run(name) for name in names if name != LINT]
+        stages = [future.result() for future in lint] + stages
+    print("\nstage       s   passed  failed  skipped")
+    for stage in stages:
+        counts = f"{stage.passed:8} {stage.failed:7} {stage.skipped.total():8}"
+        print(f"{stage.name:7}{stage.seconds:6.0f} {counts}{'' if stage.ok else '   FAILED'}")
+        for why, count in stage.skipped.items():
+            print(f"       {count} skipped: {why}")
+    print(f"all    {time.monotonic() - began_s:6.0f}")
+    total = [sum(stage.passed for stage in stages), sum(stage.failed for stage in stages)]
+    print(f"{total[0]} passed, {total[1]} failed, {sum(stage.skipped.total() for stage in stages)} skipped")
+    return 0 if all(stage.ok for stage in stages) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

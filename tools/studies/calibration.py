@@ -1,0 +1,344 @@
+#!/usr/bin/env python3
+"""What `calibrate` finds wrong, and what it finds wrong in good sets: docs/calibration-checks.md has the tables.
+
+::
+
+    .venv/bin/python -m tools.studies.calibration [--sensors 30] [--detect 30] [--first 8100] [--height 480] [--jobs 1]
+
+Every sensor is drawn at random, with 5 references and 24 ball presses. A good set must pass without a warning; then one
+thing at a time is made wrong in it, and the right warnings (or refusals) are counted. What is wrong at one press is
+made wrong at each of them in turn.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+
+import cv2
+import numpy as np
+
+from tacshade_edge.core.calibration.calibrate import CalibrationResult, calibrate
+from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
+from tacshade_edge.core.calibration.press_observation import PressObservation, first_touch_mm, observe_press
+from tacshade_edge.core.calibration.press_outliers import outliers
+from tacshade_edge.core.calibration.press_question import question
+from tacshade_edge.core.calibration.press_view import PressViewer, as_seen
+from tacshade_edge.core.calibration.quality import GRADED_PROFILE
+from tacshade_edge.core.calibration.references import PROFILE, rezero
+from tacshade_edge.core.calibration.skin_scale import skin_scale
+from tacshade_edge.core.frame_check import registration
+from tacshade_edge.core.image.grey_maps import GreyMapper
+from tacshade_edge.core.image.greyscale import to_grey
+from tacshade_edge.core.image.preprocess import Preprocessor
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.devices.weights.network import load_networks
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.simulator import nuisance
+from tacshade_edge.simulator.calibration_set import ball_presses
+from tacshade_edge.simulator.model import SensorModel, random_model
+from tacshade_edge.simulator.objects import ball
+from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.scene import SimulatedSensor
+from tacshade_edge.types import U8
+
+REFERENCES, PRESSES = 5, 24
+
+
+@dataclass(frozen=True, slots=True)
+class Set:
+    """What a user brings."""
+
+    model: SensorModel
+    simulated: SimulatedSensor
+    sensor: Sensor
+    references: list[U8]
+    presses: list[KnownPress]
+
+    @property
+    def scale(self) -> float:
+        """What lengths on the nominal skin are multiplied by."""
+        return skin_scale(self.model.geometry)
+
+    def loaded(self, depth_mm: float, x_mm: float, y_mm: float, noise_seed: int) -> U8:
+        """An image of the skin under a ball; mm on the nominal skin."""
+        press = Press(ball(6.0 * self.scale), x_mm * self.scale, y_mm * self.scale, depth_mm * self.scale)
+        return to_grey(self.simulated.frame((press,), noise_seed).image)
+
+    def calibrate(
+        self, references: list[U8] | None = None, presses: list[KnownPress] | None = None
+    ) -> CalibrationResult:
+        """Calibrate on this set, or on one of which something was changed."""
+        taken = self.presses if presses is None else presses
+        return calibrate(self.sensor, references or self.references, taken, networks=load_networks())
+
+
+def good_set(seed: int, height_px: int) -> Set:
+    """A good set of a random sensor."""
+    model = random_model(seed, height_px, height_px * 4 // 3)
+    simulated = SimulatedSensor(model)
+    sensor = Sensor(model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, "bright")
+    presses = [
+        KnownPress(f"press {k}", to_grey(simulated.frame([p], 2000 + k).image), r, p.depth_mm, p.x_mm, p.y_mm)
+        for k, (p, r) in enumerate(ball_presses(model, PRESSES, seed))
+    ]
+    references = [to_grey(simulated.frame((), 1000 + k).image) for k in range(REFERENCES)]
+    return Set(model, simulated, sensor, references, presses)
+
+
+def answer(made: Callable[[], CalibrationResult]) -> str:
+    """All warnings and advice for a set."""
+    try:
+        result = made()
+    except ConfigError as error:
+        return f"refused: {error}"
+    return "\n".join((*result.warnings, result.quality.line, *result.quality.advice))
+
+
+def shifted(image: U8, px: float) -> U8:
+    """Move an image to the right."""
+    matrix = np.array([[1, 0, px], [0, 1, 0]], dtype=np.float64)
+    size = (image.shape[1], image.shape[0])
+    return np.asarray(cv2.warpAffine(image, matrix, size, borderMode=cv2.BORDER_REPLICATE), np.uint8)
+
+
+def uneven(image: U8, part: float) -> U8:
+    """Darken one side: one LED of a ring has aged."""
+    ramp = 1 - part * np.linspace(0, 1, image.shape[1], dtype=np.float32)[None, :]
+    return np.asarray(np.rint(image * ramp), np.uint8)
+
+
+def wrong_presses(given: Set) -> Iterator[tuple[str, bool]]:
+    """What is wrong with one press, and whether it is found over all and asked about in capture; each press in turn."""
+    unloaded, scale = given.calibrate(presses=[]).calibration, given.scale
+    preprocessor, geometry = Preprocessor(unloaded, PROFILE), unloaded.geometry
+    mapper = GreyMapper(preprocessor)
+    viewer = PressViewer(unloaded, PROFILES[GRADED_PROFILE], load_networks()[GRADED_PROFILE])
+    grey = [observe_press(preprocessor, mapper, press) for press in given.presses]
+    views = [viewer.view(press) for press in given.presses]
+    observed = [as_seen(each, view) for each, view in zip(grey, views, strict=True)]
+    changes: dict[str, Callable[[KnownPress], KnownPress]] = {
+        f"one depth {off:+.1f} mm off": lambda p, off=off: replace(p, depth_mm=p.depth_mm + off * scale)
+        for off in (-1.5, 1.0, 1.5, 2.0, 2.5)
+    }
+    changes |= {
+        f"one ball radius times {factor}": lambda p, factor=factor: replace(p, radius_mm=p.radius_mm * factor)
+        for factor in (0.5, 0.67, 1.5, 2.0)
+    }
+    changes |= {
+        f"one place {off} mm off": lambda p, off=off: replace(p, x_mm=(p.x_mm or 0.0) + off * scale)
+        for off in (2, 3, 4, 5)
+    }
+    changes["x and y swapped at one press"] = lambda p: replace(p, x_mm=p.y_mm, y_mm=p.x_mm)
+    for press, view in zip(given.presses, views, strict=True):
+        yield "capture: asked about a right press", bool(view and question(view, press, geometry))
+    for label, change in changes.items():
+        for k, press in enumerate(given.presses):
+            wrong = change(press)
+            if wrong.depth_mm <= 0.2 * scale:
+                continue
+            view = viewer.view(wrong)
+            stated = replace(
+                grey[k], depth_mm=wrong.depth_mm, radius_mm=wrong.radius_mm, x_mm=wrong.x_mm, y_mm=wrong.y_mm
+            )
+            found = outliers([*observed[:k], as_seen(stated, view), *observed[k + 1 :]], geometry)
+            yield label, any(outlier.index == k for outlier in found)
+            yield f"capture: {label}", bool(view and question(view, wrong, geometry))
+
+
+def wrong_sets(given: Set, rng: np.random.Generator) -> Iterator[tuple[str, str, str]]:
+    """What is wrong, what must be in the answer, and the answer."""
+    presses, references, scale = given.presses, given.references, given.scale
+    press = presses[int(rng.integers(4, len(presses) - 2))]
+    name = f"{press.name}:"
+
+    def told(made: list[KnownPress]) -> str:
+        return answer(lambda: given.calibrate(presses=made))
+
+    shuffled = rng.permutation([p.depth_mm for p in presses])
+    yield (
+        "all depths shuffled", "refused|poor",
+        told([replace(p, depth_mm=float(d)) for p, d in zip(presses, shuffled, strict=True)]),
+    )  # fmt: skip
+    for unit, factor in (("cm", 0.1), ("inches", 1 / 25.4), ("m", 0.001)):
+        yield (
+            f"depths in {unit}",
+            f"depths in {unit}?",
+            told([replace(p, depth_mm=p.depth_mm * factor) for p in presses]),
+        )
+    touch = first_touch_mm(
+        [PressObservation("", 1, 1, 1, 0, 0, p.radius_mm, 0, p.x_mm, p.y_mm) for p in presses], given.model.geometry
+    )
+    travel = [replace(p, depth_mm=p.depth_mm - float(t)) for p, t in zip(presses, touch, strict=True)]
+    yield "depths are travel from first touch", "travel from first touch", told(travel)
+    for off in (-0.5, 0.5, 1.0):
+        made = [replace(p, depth_mm=p.depth_mm + off * scale) for p in presses]
+        size, wanted = ("small", "mm more: check") if off < 0 else ("great", "mm less: check")
+        yield f"all depths {abs(off)} mm too {size}", wanted, told([p for p in made if p.depth_mm > 0])
+    yield "x and y swapped", "swapped", told([replace(p, x_mm=p.y_mm, y_mm=p.x_mm) for p in presses])
+    yield "y with the other sign", "other sign", told([replace(p, y_mm=-(p.y_mm or 0)) for p in presses])
+    near = sorted(presses, key=lambda p: (p.x_mm or 0) ** 2 + (p.y_mm or 0) ** 2)[:8]
+    yield "8 presses in the middle", "close together", told(near)
+    yield "half the disc", "no press lies|close together", told([p for p in presses if (p.x_mm or 0) > -1])
+    alike = sorted(presses, key=lambda p: p.depth_mm)[-10:]
+    yield "10 presses of like depth", "deep: other depths", told(alike)
+    alike = sorted(presses, key=lambda p: p.radius_mm)[8:16]
+    yield "8 presses of like radius", "ball radii", told(alike)
+
+    for px in (0.5, 1.0, 2.0, 6.0):
+        yield (
+            f"camera {px} px away at one press", f"{name} the image moved",
+            told([replace(p, image=shifted(p.image, px)) if p is press else p for p in presses]),
+        )  # fmt: skip
+    for px in (1.0, 2.0, 6.0):
+        made = [references[0], *(shifted(image, px) for image in references[1:])]
+        yield (
+            f"camera {px} px away after the first reference",
+            "moved",
+            answer(lambda made=made: given.calibrate(made, [])),
+        )
+    for label, change in {
+        "light x 0.75": lambda image: nuisance.gain(image, 0.75),
+        "light x 0.9 (compensated)": lambda image: nuisance.gain(image, 0.9),
+        "one side 40 % darker": lambda image: uneven(image, 0.4),
+        "blurred by 1.5 px": lambda image: nuisance.defocus(image, 1.5),
+    }.items():
+        made = [replace(p, image=change(p.image)) if p is press else p for p in presses]
+        yield f"{label} at one press", f"{name}", told(made)
+    for depth in (1.0, 2.0):
+        image = given.loaded(depth, 3, 2, 5)
+        yield (
+            f"one reference of 5 under {depth} mm", "pressed|load",
+            answer(lambda image=image: given.calibrate([*references[1:], image], [])),
+        )  # fmt: skip
+    for depth in (1.0, 2.0, 3.0):
+        for place, x_mm in (("in the middle", 0.0), ("5 mm beside", 5.0)):
+            images = [given.loaded(depth, x_mm, 0, k) for k in range(3)]
+            yield (
+                f"all references under {depth} mm {place}", "under load",
+                answer(lambda images=images: given.calibrate(images, [])),
+            )  # fmt: skip
+
+
+def rezeros(given: Set, result: CalibrationResult) -> Iterator[tuple[str, str, str]]:
+    """New references that must be taken, and some that must not."""
+
+    def said(images: list[U8]) -> str:
+        try:
+            rezero(result.calibration, images)
+        except ConfigError as error:
+            return f"refused: {error}"
+        return "taken"
+
+    free = [to_grey(given.simulated.frame((), 3000 + k).image) for k in range(5)]
+    yield "rezero: untouched", "taken", said(free)
+    yield "rezero: light x 0.7", "taken", said([nuisance.gain(image, 0.7) for image in free])
+    yield "rezero: 2 px away", "taken", said([shifted(image, 2) for image in free])
+    yield "rezero: 6 px away", "refused", said([shifted(image, 6) for image in free])
+    yield "rezero: light x 0.4", "refused", said([nuisance.gain(image, 0.4) for image in free])
+    yield "rezero: blurred by 3 px", "refused", said([nuisance.defocus(image, 3) for image in free])
+    for depth in (1.0, 2.0, 3.0):
+        yield f"rezero: under {depth} mm", "refused", said([given.loaded(depth, 3, 2, 5)] * 3)
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """One sensor's figures: false alarms, what was found, (label, depth, agreement, grade), drift of good presses."""
+
+    alarms: list[str]
+    found: list[tuple[str, bool]]
+    quality: list[tuple[str, float, float, str]]
+    drifts: list[registration.Drift]
+
+
+def measure(seed: int, detect: bool, height_px: int) -> Measured:
+    """One sensor: as a good set, and, with `detect`, with everything that can be wrong."""
+    cv2.setNumThreads(1)
+    rng = np.random.default_rng(seed)
+    given = good_set(seed, height_px)
+    try:
+        result = given.calibrate()
+    except ConfigError as error:
+        return Measured([f"sensor {seed}: refused: {error}"], [], [], [])
+    calibration = result.calibration
+    look = registration.look(calibration.reference_grey, calibration.geometry.disc, calibration.pitch_px)
+    quality = []
+    for sigma in (0.0, 0.3, 0.6):
+        label = f"depths stated {sigma} mm off (standard deviation)" if sigma else "good sets"
+        jitter = sigma * given.scale * rng.standard_normal(PRESSES)
+        presses = [replace(p, depth_mm=max(p.depth_mm + e, 0.2)) for p, e in zip(given.presses, jitter, strict=True)]
+        try:
+            made = given.calibrate(presses=presses)
+        except ConfigError:
+            quality.append((label, np.nan, np.nan, "refused"))
+            continue
+        fit = made.calibration.fit
+        depth_mm = fit.profiles[GRADED_PROFILE].depth_mae_mm if fit and GRADED_PROFILE in fit.profiles else np.nan
+        agreement_mm = fit.agreement_mae_mm if fit else np.nan
+        quality.append((label, depth_mm / given.scale, agreement_mm / given.scale, made.quality.grade))
+    found = list(wrong_presses(given)) if detect else []
+    found += [
+        (label, any(part in said for part in wanted.split("|")))
+        for label, wanted, said in ((*wrong_sets(given, rng), *rezeros(given, result)) if detect else ())
+    ]
+    alarms = [f"sensor {seed}: {said}" for said in (*result.warnings, *result.quality.advice)]
+    return Measured(alarms, found, quality, [registration.drift(look, press.image) for press in given.presses])
+
+
+def report(measured: Sequence[Measured]) -> str:
+    """The document's tables, in Markdown."""
+    good = sum(bool(m.quality) for m in measured)
+    alarms = [alarm for m in measured for alarm in m.alarms]
+    lines = [f"False alarms in {len(measured)} good sets ({good} calibrated, {good * PRESSES} presses): {len(alarms)}"]
+    lines += [f"- {alarm}" for alarm in alarms] + ["", "| what was wrong | said |", "|---|---|"]
+    found: dict[str, list[bool]] = {}
+    for label, hit in (pair for m in measured for pair in m.found):
+        found.setdefault(label, []).append(hit)
+    lines += [f"| {label} | {sum(hits)} of {len(hits)} |" for label, hits in found.items()]
+    lines += [
+        "",
+        "| presses | depth error mm: median, 90 %, worst | agreement_mae_mm likewise | good, fair, poor, refused |",
+        "|---|---|---|---|",
+    ]
+    quality = [row for m in measured for row in m.quality]
+    for label in dict.fromkeys(row[0] for row in quality):
+        rows = [row for row in quality if row[0] == label]
+        cells = [label]
+        for column in (1, 2):
+            quantiles = np.nanquantile([row[column] for row in rows], [0.5, 0.9, 1.0])
+            cells.append(", ".join(f"{v:.2f}" for v in quantiles))
+        grades = [sum(row[3] == grade for row in rows) for grade in ("good", "fair", "poor", "refused")]
+        cells.append(", ".join(map(str, grades)))
+        lines.append(f"| {' | '.join(cells)} |")
+    all_drifts = [d for m in measured for d in m.drifts]
+    seen = [d for d in all_drifts if d.still_part > 0]
+    lines += [
+        "",
+        f"Drift of good presses: measured in {len(seen)} of {len(all_drifts)}; the most: "
+        f"shift {max(d.shift_px for d in seen):.2f} px, with turn and zoom {max(d.moved_px for d in seen):.2f} px, "
+        f"light {min(d.light for d in seen):.3f} to {max(d.light for d in seen):.3f}, "
+        f"uneven {max(d.uneven for d in seen):.3f}, contrast {min(d.contrast for d in seen):.2f}",
+    ]
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Measure, print the tables."""
+    parser = argparse.ArgumentParser(description="What `calibrate` detects, and its false alarms.")
+    parser.add_argument("--sensors", type=int, default=30)
+    parser.add_argument("--detect", type=int, default=30, help="so many of them are also made wrong (30)")
+    parser.add_argument("--first", type=int, default=8100, help="seed of the first sensor")
+    parser.add_argument("--height", type=int, default=480, help="of the images, px")
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    args = parser.parse_args()
+    with ProcessPoolExecutor(args.jobs) as pool:
+        wanted = [k < args.detect for k in range(args.sensors)]
+        seeds = range(args.first, args.first + args.sensors)
+        print(report(list(pool.map(partial(measure, height_px=args.height), seeds, wanted))))
+
+
+if __name__ == "__main__":
+    main()

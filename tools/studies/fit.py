@@ -1,0 +1,323 @@
+#!/usr/bin/env python3
+"""What ``calibrate --fit`` is worth: simulated sensors, fitted to presses, on objects that were not pressed.
+
+::
+
+    .venv/bin/python -m tools.studies.fit [--cases other:31,other:31/balls] [--folder FOLDER] [--threads 2]
+
+The presses are of balls of three sizes, flat ends of two, a square and a lying bar, or of the balls alone, 0.6 to
+4.5 mm deep; what is stated of them is off by 0.05 mm in place and 0.03 mm in depth (one standard deviation each). Each
+case is a process of its own. With a folder, what was measured of a case is kept in it and is not measured again while
+the program is the same.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import math
+import multiprocessing
+import resource
+import sys
+import tempfile
+import time
+from collections.abc import Mapping
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+import tacshade_edge
+from tacshade_edge.core.calibration import indenter
+from tacshade_edge.core.calibration.calibrate import CalibrationResult, calibrate
+from tacshade_edge.core.calibration.indenter import Indenter
+from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
+from tacshade_edge.core.calibration.skin_scale import skin_scale
+from tacshade_edge.core.profiles import DEFAULT, LADDER, PROFILES
+from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.devices.weights.network import load_networks, make_reconstructor
+from tacshade_edge.fitting.fit import fit
+from tacshade_edge.simulator.objects import OBJECTS, PAPER_OBJECTS, Shape, ball, ridge
+from tacshade_edge.simulator.press import Press
+from tacshade_edge.studies.evaluate.scenes import DEPTHS_MM, Scene, scenes
+from tacshade_edge.studies.evaluate.score import KnownTruth, Label, score
+from tacshade_edge.studies.evaluate.sensors import PRESS_NOISE, REFERENCE_NOISE, PressedSensor, SensorName
+from tacshade_edge.studies.tables import markdown
+from tacshade_edge.types import F64, Calibration, Frame
+
+CASES = "other:31,other:32,other:33,default,other:31/balls,other:32/balls,other:33/balls"
+PRESSES = 40
+REFERENCES = 5
+PRESSED_MM = (0.6, 4.5)
+"""Least and greatest depth of the presses."""
+PLACE_NOISE_MM, DEPTH_NOISE_MM = 0.05, 0.03
+BEYOND_MM = 6.0
+"""A third more than the deepest press."""
+DRAG_MM, DRAGGED_MM = 2.0, 3.0
+"""How far, and how deep meanwhile."""
+ROUNDS, STARTS = 40, 5
+"""Frames and starts of which the median is told."""
+CYLINDER_MM = 5.0
+"""Radius of the simulator's cylinder."""
+
+
+def lying(radius_mm: float, length_mm: float) -> Shape:
+    """A cylinder along x with flat ends."""
+
+    def sdf(p: F64) -> F64:
+        along = np.abs(p[:, 0]) - length_mm / 2
+        across = np.hypot(p[:, 1], p[:, 2] - radius_mm) - radius_mm
+        return np.minimum(np.maximum(along, across), 0) + np.hypot(np.maximum(along, 0), np.maximum(across, 0))
+
+    return Shape("bar", sdf)
+
+
+def indenters(scale: float, balls: bool) -> list[tuple[Shape, float, float, Indenter | None]]:
+    """Of each its shape, what that is enlarged by, and its ball's radius or what the user states."""
+    made: list[tuple[Shape, float, float, Indenter | None]] = [
+        (ball(radius * scale), 1.0, radius * scale, None) for radius in (3.0, 4.5, 7.0)
+    ]
+    if balls:
+        return made
+    for radius in (2.5 * scale, 4.0 * scale):
+        flat = indenter.cylinder(f"flat {2 * radius:.1f}", radius)
+        made.append((OBJECTS["cylinder"](), radius / CYLINDER_MM, 0.0, flat))
+    side, radius, length = 6 * scale, 2 * scale, 12 * scale
+    made.append((ridge(side, side), 1.0, 0.0, indenter.box("square", side, side)))
+    made.append((lying(radius, length), 1.0, 0.0, indenter.bar("bar", radius, length)))
+    return made
+
+
+def pressed(sensor: PressedSensor, seed: int, balls: bool) -> list[KnownPress]:
+    """What a user presses and states."""
+    rng, model = np.random.default_rng((seed, 77)), sensor.model
+    scale = skin_scale(model.geometry)
+    kinds = indenters(scale, balls)
+    reach_mm = 0.6 * model.skin_radius_mm * np.sin(np.radians(model.visible_half_angle_deg))
+    made = []
+    for k in range(PRESSES):
+        shape, enlarged, radius_mm, known = kinds[k % len(kinds)]
+        rho, angle, yaw = reach_mm * np.sqrt(rng.random()), rng.uniform(0, 2 * np.pi), rng.uniform(0, 180)
+        x, y, depth = rho * np.cos(angle), rho * np.sin(angle), rng.uniform(*PRESSED_MM)
+        image = sensor.frame((Press(shape, x, y, depth, yaw, enlarged),), PRESS_NOISE + k).image
+        x, y = x + rng.normal(0, PLACE_NOISE_MM), y + rng.normal(0, PLACE_NOISE_MM)
+        depth += rng.normal(0, DEPTH_NOISE_MM)
+        made.append(KnownPress(f"press {k}", image, radius_mm, depth, x, y, known, yaw if known else 0.0))
+    return made
+
+
+def calibrated(sensor: PressedSensor, presses: list[KnownPress]) -> CalibrationResult:
+    """As a user calibrates, not fitted."""
+    model = sensor.model
+    stated = Sensor(model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, "bright")
+    references = [sensor.frame((), REFERENCE_NOISE + k).image for k in range(REFERENCES)]
+    return calibrate(stated, references, presses, networks=load_networks())
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """A frame and a profile, as shipped or fitted; NaN where nothing was found or nothing is to be found."""
+
+    profile: str
+    what: str
+    object: str
+    judged: str
+    depth_mm: float
+    me_mm: float
+    sd_pct: float
+    iou: float
+    displacement_off_mm: float
+
+
+def judged_scenes(sensor: PressedSensor, seed: int | None) -> list[tuple[str, Scene]]:
+    """Table I's objects as deep as the presses, deeper, and dragged."""
+    made = []
+    for thing in PAPER_OBJECTS:
+        made += [("pressed", scene) for scene in scenes(sensor.model, seed, thing, DEPTHS_MM)]
+        made += [("beyond", scene) for scene in scenes(sensor.model, seed, thing, (BEYOND_MM,))]
+        for k, scene in enumerate(scenes(sensor.model, seed, thing, (DRAGGED_MM,))):
+            x, y = DRAG_MM * math.cos(2.4 * k), DRAG_MM * math.sin(2.4 * k)
+            made.append(("dragged", replace(scene, press=replace(scene.press, drag_x_mm=x, drag_y_mm=y))))
+    return made
+
+
+def judge(name: SensorName, sensor: PressedSensor, calibrations: Mapping[str, Calibration]) -> list[Judged]:
+    """Every scene by every profile, with every calibration."""
+    made = [(what, p, make_reconstructor(c, PROFILES[p])) for what, c in calibrations.items() for p in LADDER]
+    rows = []
+    for judged, scene in judged_scenes(sensor, name.seed):
+        frame = sensor.frame((scene.press,), scene.noise_seed)
+        truth = frame.truth()
+        row, col = np.nonzero(truth.contact)
+        true_shear = frame.shear_mm(row.astype(float), col.astype(float)).mean(axis=0)
+        for what, profile, reconstructor in made:
+            found = reconstructor.step(Frame(0, 0, 0, frame.image))
+            scored = score(Label(str(name), scene.object_name), KnownTruth.of(truth), found)
+            shear = found.shear_of_contact_mm or (math.nan, math.nan)
+            off = float(np.linalg.norm(np.subtract(shear, true_shear)))
+            depth = scene.press.depth_mm
+            rows.append(
+                Judged(profile, what, scene.object_name, judged, depth, scored.me_mm, scored.sd_pct, scored.iou, off)
+            )
+    return rows
+
+
+def cost(sensor: PressedSensor, calibrations: Mapping[str, Calibration]) -> dict[str, dict[str, float]]:
+    """Size of the file, start-up (file, weights, first frame) and a frame's time of the default profile, in turns."""
+    press = Press(OBJECTS["ball"](), depth_mm=3.0)
+    frame = Frame(0, 0, 0, sensor.frame((press,), 1).image)
+    starts_s: dict[str, list[float]] = {what: [] for what in calibrations}
+    frames_s: dict[str, list[float]] = {what: [] for what in calibrations}
+    made = {}
+    with tempfile.TemporaryDirectory() as folder:
+        paths = {what: Path(folder) / f"{what}.npz" for what in calibrations}
+        for what, calibration in calibrations.items():
+            calibration_file.save(paths[what], calibration)
+        for _ in range(STARTS):
+            for what, path in paths.items():
+                began_s = time.perf_counter()
+                made[what] = make_reconstructor(calibration_file.load(path), PROFILES[DEFAULT])
+                made[what].step(frame)
+                starts_s[what].append(time.perf_counter() - began_s)
+        sizes_kb = {what: path.stat().st_size / 1024 for what, path in paths.items()}
+    for _ in range(ROUNDS):
+        for what, reconstructor in made.items():
+            began_s = time.perf_counter()
+            reconstructor.step(frame)
+            frames_s[what].append(time.perf_counter() - began_s)
+    return {
+        what: {
+            "file_kb": sizes_kb[what],
+            "start_ms": 1e3 * float(np.median(starts_s[what])),
+            "frame_ms": 1e3 * float(np.median(frames_s[what])),
+        }
+        for what in calibrations
+    }
+
+
+def measured(case: str, threads: int) -> dict[str, object]:
+    """Calibrate, fit and judge a case."""
+    torch.set_num_threads(threads)
+    sensor_name, _, presses = case.partition("/")
+    name = SensorName.parse(sensor_name)
+    sensor = name.make()
+    result = calibrated(sensor, pressed(sensor, name.seed or 0, presses == "balls"))
+    began_s = time.monotonic()
+    fitted = fit(result.calibration, result.presses, lambda _: None)
+    fit_s = time.monotonic() - began_s
+    memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    calibrations = {"shipped": result.calibration, "fitted": fitted.calibration}
+    return {
+        "fit_s": fit_s,
+        "memory_mb": memory_mb,
+        "reports": {report.profile: report.kept for report in fitted.profiles},
+        "cost": cost(sensor, calibrations),
+        "rows": [asdict(row) for row in judge(name, sensor, calibrations)],
+    }
+
+
+def program() -> str:
+    """A hash of what is measured."""
+    digest = hashlib.sha256(Path(__file__).read_bytes())
+    package = Path(tacshade_edge.__file__).parent
+    for room in ("core", "fitting", "simulator", "devices/weights"):
+        for path in sorted((package / room).rglob("*")):
+            if path.is_file() and path.suffix != ".pyc":
+                digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def of_case(case: str, threads: int, folder: Path | None) -> dict[str, object]:
+    """What was measured of a case, or what is kept of it."""
+    kept = folder / f"{case.replace(':', '_').replace('/', '_')}.json" if folder else None
+    if kept and kept.exists():
+        found: dict[str, object] = json.loads(kept.read_text())
+        if found["program"] == program():
+            return found
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        made = {"program": program(), **pool.submit(measured, case, threads).result()}
+    if kept:
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        kept.write_text(json.dumps(made))
+    return made
+
+
+def of_objects(rows: list[Judged], value: str) -> list[float]:
+    """Mean of each object."""
+    each = [[getattr(row, value) for row in rows if row.object == thing] for thing in PAPER_OBJECTS]
+    return [float(np.nanmean(values)) for values in each]
+
+
+def accuracy(case: str, kept: Mapping[str, bool], rows: list[Judged]) -> list[list[str]]:
+    """Lines of the table of accuracy."""
+    lines = []
+    for profile in LADDER:
+        for judged in ("pressed", "beyond"):
+            cells = []
+            for what in ("shipped", "fitted"):
+                these = [r for r in rows if (r.profile, r.judged, r.what) == (profile, judged, what)]
+                me, sd = of_objects(these, "me_mm"), of_objects(these, "sd_pct")
+                iou = np.mean(of_objects(these, "iou"))
+                cells.append(
+                    (f"{np.mean(me):.3f}", f"{max(me):.3f}", f"{np.mean(sd):.1f}", f"{min(sd):.1f}", f"{iou:.2f}")
+                )
+            depth = f"{BEYOND_MM:g} mm" if judged == "beyond" else f"to {PRESSED_MM[1]:g} mm"
+            stays = "yes" if kept[profile] else "no"
+            lines.append([case, profile, depth, stays, *(cell for pair in zip(*cells, strict=True) for cell in pair)])
+    return lines
+
+
+def dragged(case: str, rows: list[Judged]) -> list[list[str]]:
+    """Lines of the table of drag: ME beside that of the same objects undragged, and how far off displacement is."""
+    lines = []
+    for profile in LADDER:
+        cells = []
+        for what in ("shipped", "fitted"):
+            of_both = [r for r in rows if (r.profile, r.what, r.depth_mm) == (profile, what, DRAGGED_MM)]
+            still = [r for r in of_both if r.judged == "pressed"]
+            moved = [r for r in of_both if r.judged == "dragged"]
+            me, before = np.mean(of_objects(moved, "me_mm")), np.mean(of_objects(still, "me_mm"))
+            off = np.nanmedian([r.displacement_off_mm for r in moved])
+            cells.append((f"{before:.3f}", f"{me:.3f}", f"{me / before:.2f}", f"{off:.3f}"))
+        lines.append([case, profile, *(cell for pair in zip(*cells, strict=True) for cell in pair)])
+    return lines
+
+
+def main() -> None:
+    """Fit and judge."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cases", default=CASES, help="a sensor, or a sensor and /balls for presses of balls alone")
+    parser.add_argument("--folder", type=Path, help="keeps what was measured, a file for each case")
+    parser.add_argument("--threads", type=int, default=2, help="of PyTorch")
+    args = parser.parse_args()
+    accurate, drags, costs = [], [], []
+    for case in args.cases.split(","):
+        found = of_case(case, args.threads, args.folder)
+        print(f"{case}: fitted in {found['fit_s']:.0f} s", file=sys.stderr, flush=True)
+        rows = [Judged(**row) for row in found["rows"]]
+        accurate += accuracy(case, found["reports"], rows)
+        drags += dragged(case, rows)
+        both = [found["cost"]["shipped"], found["cost"]["fitted"]]
+        cells = [
+            f"{each[key]:.{digits}f}"
+            for key, digits in (("file_kb", 0), ("start_ms", 0), ("frame_ms", 1))
+            for each in both
+        ]
+        costs.append([case, f"{found['fit_s']:.0f}", f"{found['memory_mb']:.0f}", *cells])
+
+    def pairs(*names: str) -> list[str]:
+        return [f"{name} {what}" for name in names for what in ("shipped", "fitted")]
+
+    first = ["sensor", "method"]
+    print(markdown([*first, "depth", "kept", *pairs("ME mm", "worst", "SD %", "worst SD", "IoU")], accurate))
+    print(f"\nDragged by {DRAG_MM:g} mm, {DRAGGED_MM:g} mm deep, fitted to presses that were not dragged\n")
+    print(markdown([*first, *pairs("ME still mm", "ME dragged mm", "ratio", "displacement off mm")], drags))
+    print(f"\nThe fit of all profiles; file, start and a frame of `{DEFAULT}`\n")
+    print(markdown(["sensor", "fit s", "memory MB", *pairs("file kB", "start ms", "frame ms")], costs))
+
+
+if __name__ == "__main__":
+    main()

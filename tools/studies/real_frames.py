@@ -1,0 +1,257 @@
+#!/usr/bin/env python3
+"""Frames of real sensors: what `calibrate` accepts, what is refused, felt in the air, lost, and how it follows labels.
+
+::
+
+    git clone https://github.com/BioMorphic-Intelligence-Lab/aerial_tactile_servoing out/real/aerial_tactile_servoing
+    git clone https://github.com/marselap/tactip-cnn-bayes out/real/tactip-cnn-bayes
+    git clone https://github.com/dexterousrobot/tactile_data_shear out/real/tactile_data_shear
+    .venv/bin/python -m tools.studies.real_frames raw out/real/aerial_tactile_servoing
+
+The sets have no licence, or the GPL: they stay outside the tree. `raw` are whole pictures of a camera with an LED ring,
+`binary` near-binary ones with few pins, `plates` thresholded ones of plates that a robot tilted and sheared (of that
+set `cr_tactip` alone). docs/results/real-*.md are what it prints.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from tacshade_edge.core.calibration.calibrate import calibrate
+from tacshade_edge.core.calibration.inputs import Sensor
+from tacshade_edge.core.image.greyscale import to_grey
+from tacshade_edge.devices.files.images import read_image
+from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.studies.evaluate.labelled import FoundRow, agreements, found_row, spearman
+from tacshade_edge.studies.evaluate.sensors import reconstructor
+from tacshade_edge.studies.tables import markdown
+from tacshade_edge.types import Calibration, Frame
+
+PROFILES = ("fast", "balanced", "accurate")
+SENSOR = Sensor(skin_radius_mm=20.0, camera_distance_mm=14.0, visible_half_angle_deg=50.0, polarity="dark")
+"""A TacTip as printed; its camera's distance is a guess, which ranks do not feel."""
+REFERENCES_EACH = 2
+"""Of a folder, the first so many free frames are tried as references."""
+OTHER_LIGHT = "REF_lightson_pointingup"
+PLATES = "data/cr_tactip/surface_3d/val_data"
+PUBLISHED = "0.106 mm of depth, 0.32° of tilt, 0.78 mm of shear, 1.48° of twist (mean absolute, 4002 labels)"
+
+
+@dataclass(frozen=True, slots=True)
+class RealFrame:
+    """A picture and what is known of it.
+
+    Attributes
+    ----------
+    path : Path
+    free : bool or None
+        Nothing touched; None where nobody says.
+    known : mapping of str to float
+        Some of the columns of LABELS.csv.
+    """
+
+    path: Path
+    free: bool | None
+    known: Mapping[str, float]
+
+
+def raw_frames(clone: Path) -> list[RealFrame]:
+    """Every whole picture, without the folder of another light; the labels are that project's own network's."""
+    frames = []
+    for table in sorted((clone / "data" / "tactip_images").glob("*/image_list.csv")):
+        if table.parent.name == OTHER_LIGHT:
+            continue
+        for row in rows_of(table):
+            free = row["contact"] == "False"
+            known = {} if free else labels_of(row)
+            # Images are numbered from 1 in the table and from 0 in their names.
+            frames.append(RealFrame(table.parent / f"raw_image{int(row['Image number']) - 1}.png", free, known))
+    return found(frames, clone, "data/tactip_images/*/image_list.csv")
+
+
+def plate_frames(clone: Path) -> list[RealFrame]:
+    """Every thresholded picture of `cr_tactip`'s validation set: none is free."""
+    folder = clone / PLATES
+    table = folder / "targets_images.csv"
+    rows = rows_of(table) if table.exists() else []
+    return found(
+        [RealFrame(folder / "processed_images" / row["sensor_image"], False, labels_of(row)) for row in rows],
+        clone,
+        f"{PLATES}/targets_images.csv",
+    )
+
+
+def binary_frames(clone: Path) -> list[RealFrame]:
+    """Every near-binary picture; nobody says which are free."""
+    paths = sorted((clone / "dataset-image").glob("*/*/*.png"))
+    return found([RealFrame(path, None, {}) for path in paths], clone, "dataset-image/*/*/*.png")
+
+
+SETS: dict[str, Callable[[Path], list[RealFrame]]] = {
+    "raw": raw_frames,
+    "binary": binary_frames,
+    "plates": plate_frames,
+}
+
+
+def found(frames: list[RealFrame], clone: Path, expected: str) -> list[RealFrame]:
+    """The same; raises ConfigError where there is none."""
+    if not frames:
+        raise ConfigError(f"{clone}: found no frame, expected a clone with {expected}")
+    return frames
+
+
+def rows_of(table: Path) -> list[dict[str, str]]:
+    """A table's rows, without the spaces around its words."""
+    with table.open(encoding="utf-8", newline="") as stream:
+        lines = [[cell.strip() for cell in row] for row in csv.reader(stream) if row]
+    return [dict(zip(lines[0], line, strict=False)) for line in lines[1:]]
+
+
+def labels_of(row: Mapping[str, str]) -> dict[str, float]:
+    """Both projects' columns as those of LABELS.csv."""
+    names = {
+        "pose_z": "depth_mm",
+        "pose_Rx": "tilt_x_deg",
+        "pose_Ry": "tilt_y_deg",
+        "shear_x": "shear_x_mm",
+        "shear_y": "shear_y_mm",
+    }
+    return {ours: float(row[theirs]) for theirs, ours in names.items()}
+
+
+def thinned(frames: list[RealFrame], count: int) -> list[RealFrame]:
+    """At most so many, evenly."""
+    if len(frames) <= count:
+        return frames
+    return [frames[k * len(frames) // count] for k in range(count)]
+
+
+def reference_candidates(frames: Sequence[RealFrame]) -> list[Path]:
+    """The first free frames of each folder; where none is free the least pressed one, or the one most like the mean."""
+    if any(frame.free for frame in frames):
+        folders: dict[Path, list[Path]] = {}
+        for frame in frames:
+            if frame.free:
+                folders.setdefault(frame.path.parent, []).append(frame.path)
+        return [path for paths in folders.values() for path in paths[:REFERENCES_EACH]]
+    if any(frame.known for frame in frames):
+        return [min(frames, key=lambda frame: frame.known["depth_mm"]).path]
+    some = [frame.path for frame in thinned(list(frames), 100)]
+    pictures = np.stack([to_grey(read_image(path)) for path in some]).astype(np.float32)
+    return [some[int(np.abs(pictures - pictures.mean(axis=0)).mean(axis=(1, 2)).argmin())]]
+
+
+def calibrated_from(path: Path) -> tuple[Calibration | None, str]:
+    """A calibration without presses, or why there is none."""
+    try:
+        return calibrate(SENSOR, [read_image(path)]).calibration, ""
+    except ConfigError as error:
+        return None, str(error)
+
+
+def forced(paths: Sequence[Path]) -> Calibration:
+    """From the first that works when it may be loaded. Raises ConfigError with the last one's reason."""
+    for path in paths[:-1]:
+        try:
+            return calibrate(SENSOR, [read_image(path)], allow_loaded_reference=True).calibration
+        except ConfigError:
+            continue
+    return calibrate(SENSOR, [read_image(paths[-1])], allow_loaded_reference=True).calibration
+
+
+def counted(reasons: Iterable[str]) -> str:
+    """How often each, the most frequent first."""
+    return ", ".join(f"{reason} {count}" for reason, count in Counter(reasons).most_common()) or "-"
+
+
+def summary(frames: Sequence[RealFrame], rows: Sequence[FoundRow]) -> tuple[str, ...]:
+    """One profile's counts: refused, why, false contacts on free frames, presses refused or empty."""
+    refused = [row.refused for row in rows if row.refused]
+    free = [row for frame, row in zip(frames, rows, strict=True) if frame.free]
+    pressed = [row for frame, row in zip(frames, rows, strict=True) if frame.free is False]
+    return (
+        rows[0].profile,
+        f"{len(refused)} of {len(rows)}",
+        counted(refused),
+        f"{sum(r.contact and not r.refused for r in free)} of {len(free)}" if free else "-",
+        f"{sum(bool(r.refused) or not r.contact for r in pressed)} of {len(pressed)}" if pressed else "-",
+    )
+
+
+def followed(frames: Sequence[RealFrame], rows: Sequence[FoundRow]) -> list[tuple[str, ...]]:
+    """One profile's ranks and errors; of shear also before any map."""
+    profile, known = rows[0].profile, [frame.known for frame in frames]
+    table: list[tuple[str, ...]] = [
+        (profile, a.quantity, str(a.frames), f"{a.rank_correlation:.2f}", f"{a.error:.2f}")
+        for a in agreements(rows, known)
+    ]
+    pairs = [
+        ((row.shear_x_mm, row.shear_y_mm), (labels["shear_x_mm"], labels["shear_y_mm"]))
+        for row, labels in zip(rows, known, strict=True)
+        if not row.refused and labels and np.isfinite((row.shear_x_mm, row.shear_y_mm)).all()
+    ]
+    if len(pairs) > 3:
+        ours, theirs = np.array(pairs).transpose(1, 2, 0)
+        ranks = [spearman(a, b) for a, b in zip(ours, theirs, strict=True)]
+        table.append((profile, "shear, no map", str(len(pairs)), f"{np.mean(ranks):.2f}", "-"))
+    return table
+
+
+def report(name: str, frames: list[RealFrame], profiles: Sequence[str]) -> None:
+    """Measure a set, print its tables."""
+    candidates = reference_candidates(frames)
+    tried = [calibrated_from(path) for path in candidates]
+    accepted = [calibration for calibration, _ in tried if calibration is not None]
+    free = "free frames" if any(frame.free for frame in frames) else "frames (none is known to be free)"
+    print(f"References: `calibrate` accepts {len(accepted)} of {len(candidates)} {free}.")
+    if any(reason for _, reason in tried):
+        print(f"Refused: {counted(reason.partition(':')[0] for _, reason in tried if reason)}.")
+    calibration = accepted[0] if accepted else forced(candidates)
+    if not accepted:
+        print("The first is taken all the same, as by `--allow-loaded-reference`.")
+    disc = calibration.geometry.disc
+    print(f"Circle: row {disc.row_c:.0f}, column {disc.col_c:.0f}, radius {disc.radius_px:.0f} px.\n")
+    made = {profile: reconstructor(calibration, profile) for profile in profiles}
+    rows: dict[str, list[FoundRow]] = {profile: [] for profile in profiles}
+    for frame in frames:
+        image = read_image(frame.path)
+        for profile, one in made.items():
+            rows[profile].append(found_row(frame.path.name, one.step(Frame(0, 0, 0, image))))
+    columns = ("profile", "refused", "why", "contacts on free frames", "presses refused or empty")
+    print(markdown(columns, [summary(frames, some) for some in rows.values()]))
+    figures = [line for some in rows.values() for line in followed(frames, some)]
+    if figures:
+        print("\n" + markdown(("profile", "quantity", "frames", "rank correlation", "mean error"), figures))
+    if name == "plates":
+        print(f"\nPublished networks, trained on this robot's own labels: {PUBLISHED}.")
+
+
+def main() -> int:
+    """Measure, print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("set", choices=SETS)
+    parser.add_argument("clone", type=Path)
+    parser.add_argument("--profile", nargs="+", choices=PROFILES, default=PROFILES)
+    parser.add_argument("--frames", type=int, default=500, metavar="N", help="of the set, evenly (500)")
+    args = parser.parse_args()
+    cv2.setNumThreads(1)
+    try:
+        report(args.set, thinned(SETS[args.set](args.clone), args.frames), args.profile)
+    except (ConfigError, DecodeError) as error:
+        print(f"real_frames.py: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,227 @@
+"""Judge the shipped networks on the third family: errors, displacement, intervals and what was refused, as tables.
+
+::
+
+    .venv/bin/python -m tools.studies.third_family.evaluate --range working --states FOLDER [--out FOLDER]
+
+FOLDER has the mechanics (states.py); the engine is not needed. Every sensor is calibrated on references alone.
+``--out`` writes a row for each frame and profile to third-family.csv, and ``--pictures`` the frames as PNG.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import dataclasses
+import math
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from tacshade_edge.core.calibration.calibrate import calibrate
+from tacshade_edge.core.calibration.inputs import Sensor
+from tacshade_edge.core.depth.sigma import INTERVAL_90
+from tacshade_edge.devices.weights.network import load_networks
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.simulator.model import SensorModel
+from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.skin import Skin, undeformed
+from tacshade_edge.simulator.truth import Truth, shear_mm, skin_points
+from tacshade_edge.studies.evaluate.score import KnownTruth, Label, score
+from tacshade_edge.studies.evaluate.sensors import REFERENCE_NOISE, REFERENCES, SCENE_NOISE, reconstructor
+from tacshade_edge.types import U8, Calibration, Frame, Reconstruction
+from tools.studies.third_family.dome import FIRST_SEED, RANGES, drawn
+from tools.studies.third_family.paths import Way, ways
+from tools.studies.third_family.seen import deformed, renderer, seen_truth
+from tools.studies.third_family.states import kept_file, read
+
+PROFILES = ("accurate", "balanced", "fast")
+LEAST_TRUE_CELLS = 30
+"""A frame whose skin truly touches in fewer pixels is not judged."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pictured:
+    """A state as the camera sees it, and what is true of it."""
+
+    label: Label
+    dragged: bool
+    press: Press
+    skin: Skin
+    truth: Truth
+    image: U8
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """One frame by one profile; a column of third-family.csv each, empty where it is NaN.
+
+    Attributes
+    ----------
+    profile, sensor, object : str
+    dragged : bool
+    drag_mm, true_depth_mm, found_depth_mm : float
+    refused : str
+        Why, or empty.
+    me_mm, sd_pct : float
+        Eqs. 13 and 14.
+    shear_error_mm : float
+        Median distance of the found displacement to the true one over the cells found in contact.
+    cells, covered : int
+        Cells found in contact, and those whose 90 % interval holds the true height.
+    """
+
+    profile: str
+    sensor: str
+    object: str
+    dragged: bool
+    drag_mm: float
+    true_depth_mm: float
+    found_depth_mm: float
+    refused: str
+    me_mm: float
+    sd_pct: float
+    shear_error_mm: float
+    cells: int
+    covered: int
+
+
+def pictured(range_name: str, sensor: int, way_count: int, folder: Path) -> Iterator[Pictured]:
+    """Draw every state of a sensor whose mechanics are kept."""
+    model, dome = drawn(range_name, sensor)
+    draws = renderer(model, FIRST_SEED[range_name] + sensor)
+    for k, way in enumerate(ways(dome, FIRST_SEED[range_name] + sensor, way_count)):
+        kept = read(kept_file(folder, range_name, sensor, k))
+        ends = (way.pressed(dome.radius_mm), kept.pressed_mm), (way.press, kept.dragged_mm)
+        for dragged, (press, at_mm) in enumerate(ends):
+            skin = deformed(dome.radius_mm, kept.rest_mm, at_mm)
+            truth = seen_truth(skin, (press,), model)
+            image = draws.expose(draws.draw(skin), SCENE_NOISE + 2 * k + dragged)
+            yield Pictured(_label(range_name, sensor, way, press), bool(dragged), press, skin, truth, image)
+
+
+def calibrated(range_name: str, sensor: int) -> Calibration:
+    """Calibrate a sensor on pictures of its untouched skin. Raises ConfigError."""
+    model, dome = drawn(range_name, sensor)
+    draws = renderer(model, FIRST_SEED[range_name] + sensor)
+    untouched = draws.draw(undeformed(dome.radius_mm))
+    stated = Sensor(model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, "bright")
+    references = [draws.expose(untouched, REFERENCE_NOISE + k) for k in range(REFERENCES)]
+    return calibrate(stated, references, [], networks=load_networks()).calibration
+
+
+def judged(each: Pictured, model: SensorModel, result: Reconstruction) -> Judged:
+    """Compare a reconstruction with its truth."""
+    row = score(each.label, KnownTruth.of(each.truth), result)
+    i, j = np.nonzero(result.height.contact)
+    at = (origin + result.height.step_px * k.astype(float) for origin, k in (
+        (result.height.row0, i), (result.height.col0, j)
+    ))  # fmt: skip
+    points = skin_points(each.skin, model.geometry, *at)
+    found = result.height.height_mm[result.height.contact]
+    off = np.abs(found - (each.skin.radius_mm - np.linalg.norm(points, axis=1)))
+    sheared = math.nan
+    if result.shear_mm is not None and len(points):
+        wrong = result.shear_mm[result.height.contact] - shear_mm(each.skin, points, model.friction)
+        sheared = float(np.median(np.linalg.norm(wrong, axis=1)))
+    covered = 0 if result.sigma_mm is None else off <= INTERVAL_90 * result.sigma_mm[result.height.contact]
+    return Judged(
+        profile=result.profile,
+        sensor=each.label.sensor,
+        object=each.label.object,
+        dragged=each.dragged,
+        drag_mm=math.hypot(each.press.drag_x_mm, each.press.drag_y_mm),
+        true_depth_mm=each.truth.depth_max_mm,
+        found_depth_mm=result.depth_max_mm,
+        refused="" if result.valid else row.degraded,
+        me_mm=row.me_mm,
+        sd_pct=row.sd_pct,
+        shear_error_mm=sheared,
+        cells=len(points),
+        covered=int(np.count_nonzero(covered)),
+    )
+
+
+def table(rows: list[Judged]) -> str:
+    """One line for each profile, pressed and dragged."""
+    lines = [
+        "| skin | profile | frames | refused | missed | ME mm | SD % | depth off % | displacement off mm "
+        "| in the 90 % interval % |",
+        "|---|---|--:|--:|--:|--:|--:|--:|--:|--:|",
+    ]
+    for dragged in (False, True):
+        for profile in PROFILES:
+            mine = [row for row in rows if row.profile == profile and row.dragged == dragged]
+            if not mine:
+                continue
+            taken = [row for row in mine if not row.refused]
+            found = [row for row in taken if row.cells]
+            off = [100 * abs(row.found_depth_mm / row.true_depth_mm - 1) for row in found]
+            cells = sum(row.cells for row in found)
+            lines.append(
+                f"| {'dragged' if dragged else 'pressed'} | {profile} | {len(mine)} | {len(mine) - len(taken)} "
+                f"| {len(taken) - len(found)} | {np.mean([row.me_mm for row in found]):.3f} "
+                f"| {np.mean([row.sd_pct for row in taken]):.1f} | {np.median(off):.0f} "
+                f"| {np.nanmedian([row.shear_error_mm for row in found]):.2f} "
+                f"| {100 * sum(row.covered for row in found) / max(cells, 1):.1f} |"
+            )
+    return "\n".join(lines)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Parse, judge, print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--range", choices=RANGES, default="working")
+    parser.add_argument("--sensors", type=int, default=6)
+    parser.add_argument("--ways", type=int, default=6)
+    parser.add_argument("--states", type=Path, required=True, help="what states.py wrote")
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--pictures", type=Path)
+    options = parser.parse_args(arguments)
+    missing = [
+        path for sensor in range(options.sensors) for k in range(options.ways)
+        if not (path := kept_file(options.states, options.range, sensor, k)).exists()
+    ]  # fmt: skip
+    if missing:
+        print(f"{missing[0]} is missing ({len(missing)} of these): solve them first with states.py", file=sys.stderr)
+        return 1
+    rows: list[Judged] = []
+    for sensor in range(options.sensors):
+        model, _ = drawn(options.range, sensor)
+        try:
+            calibration = calibrated(options.range, sensor)
+        except ConfigError as error:
+            print(f"sensor {sensor} cannot be calibrated: {error}", file=sys.stderr)
+            continue
+        made = [reconstructor(calibration, profile) for profile in PROFILES]
+        for k, each in enumerate(pictured(options.range, sensor, options.ways, options.states)):
+            if options.pictures:
+                options.pictures.mkdir(parents=True, exist_ok=True)
+                cv2.imwrite(str(options.pictures / f"{options.range}-{sensor}-{k:02d}.png"), each.image)
+            if len(each.truth.points_mm) >= LEAST_TRUE_CELLS:
+                rows += [judged(each, model, solver.step(Frame(0, 0, 0, each.image))) for solver in made]
+    if options.out:
+        options.out.mkdir(parents=True, exist_ok=True)
+        with (options.out / "third-family.csv").open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, [field.name for field in dataclasses.fields(Judged)])
+            writer.writeheader()
+            writer.writerows(
+                {k: "" if isinstance(v, float) and math.isnan(v) else v for k, v in dataclasses.asdict(row).items()}
+                for row in rows
+            )
+    print(table(rows))
+    return 0
+
+
+def _label(range_name: str, sensor: int, way: Way, press: Press) -> Label:
+    return Label(
+        f"third-{range_name}:{sensor}", way.object_name, "", press.depth_mm, press.x_mm, press.y_mm, press.rotation_deg
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,73 @@
+"""Show that a finer mesh changes little: the same ways on meshes of several fineness, compared with the finest.
+
+::
+
+    nice PYTHON -m tools.studies.third_family.mesh_check [--edges-mm 1.3,1.0] [--ways 3]
+
+PYTHON has the engine (requirements.txt). Heights and displacements are compared on the skin's grid, in the contact of
+the finest mesh and where its skirt is deeper than 0.1 mm.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+
+import numpy as np
+
+from tacshade_edge.simulator.press import Press, distance_mm
+from tacshade_edge.simulator.skin import Skin, node_directions
+from tools.studies.third_family.dome import FIRST_SEED, drawn
+from tools.studies.third_family.paths import ways
+from tools.studies.third_family.seen import TOUCHING_MM, deformed
+
+
+def compared(fine: Skin, coarse: Skin, press: Press) -> tuple[float, float, float, float]:
+    """Median and 95th percentile of |h - h| in contact, median beside it (h over 0.1 mm), and of displacement; mm."""
+    points = node_directions(fine.radius_mm).astype(np.float64) * (fine.radius_mm - fine.height_mm)[..., None]
+    distance = distance_mm((press,), fine.radius_mm, points.reshape(-1, 3)).reshape(fine.height_mm.shape)
+    contact = distance <= TOUCHING_MM
+    beside = (fine.height_mm > 0.1) & ~contact
+    off = np.abs(fine.height_mm - coarse.height_mm)
+    moved = np.linalg.norm(np.asarray(fine.origin_mm) - np.asarray(coarse.origin_mm), axis=-1)
+    return (
+        float(np.median(off[contact])), float(np.percentile(off[contact], 95)), float(np.median(off[beside])),
+        float(np.median(moved[contact])),
+    )  # fmt: skip
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Solve each way on each mesh and print a table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--edges-mm", default="1.3,1.0", help="at the tip of a skin of 20 mm; the finest last")
+    parser.add_argument("--gel-layers", default="3,4", help="for each of them")
+    parser.add_argument("--ways", type=int, default=3)
+    options = parser.parse_args(arguments)
+    from tools.studies.third_family.solve import solved
+
+    meshes = list(zip(map(float, options.edges_mm.split(",")), map(int, options.gel_layers.split(",")), strict=True))
+    print("| object | skin | edge mm | layers | CPU s | penetration mm "
+          "| h in contact, median mm | 95 % mm | h beside, median mm | displacement, median mm |")  # fmt: skip
+    print("|---|---|--:|--:|--:|--:|--:|--:|--:|--:|")
+    for sensor in range(options.ways):
+        _, dome = drawn("working", sensor)
+        way = ways(dome, FIRST_SEED["working"] + sensor, 1)[0]
+        skins = {}
+        for edge_mm, layers in reversed(meshes):
+            start = time.process_time()
+            rest, *states = solved(dome, way, edge_mm, layers)
+            took = time.process_time() - start
+            for what, state, press in zip(
+                ("pressed", "dragged"), states, (way.pressed(dome.radius_mm), way.press), strict=True
+            ):
+                skin = deformed(dome.radius_mm, rest, state.at_mm)
+                fine = skins.setdefault(what, skin)
+                off = " | ".join(["-"] * 4 if fine is skin else [f"{v:.3f}" for v in compared(fine, skin, press)])
+                print(f"| {way.object_name} | {what} | {edge_mm:g} | {layers + 1} | {took:.0f} | "
+                      f"{state.penetration_mm:.3f} | {off} |", flush=True)  # fmt: skip
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

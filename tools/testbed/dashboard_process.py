@@ -1,0 +1,30 @@
+"""The dashboard as its users run it: a child process that tells its address and has to stop cleanly."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from tools.testbed.patience import patience
+
+
+@contextmanager
+def dashboard(broker: str, *words: str) -> Iterator[str]:
+    """Run it on a free port for a broker at HOST:PORT; the page's address."""
+    command = [sys.executable, "-m", "tacshade_edge", "dashboard", "--broker", broker, "--http", "0", *words]
+    child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        assert child.stdout is not None
+        told = child.stdout.readline()
+        found = re.search(r"https?://\S+", told)
+        assert found, told
+        yield found[0]
+        child.send_signal(signal.SIGTERM)
+        assert child.wait(patience(10)) == 0
+    finally:
+        child.kill()
+        child.communicate()

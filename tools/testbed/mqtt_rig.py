@@ -1,0 +1,144 @@
+"""A real mosquitto on a free loopback port, and a subscriber to look with."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import threading
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from paho.mqtt.client import Client, MQTTMessage
+from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
+from paho.mqtt.properties import Properties
+
+from tools.testbed.certificate import certificate
+from tools.testbed.patience import patience, wait_until
+
+MOSQUITTO = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+class Broker:
+    """mosquitto with a configuration of its own; starts on request and always on the same port."""
+
+    def __init__(
+        self, folder: Path, *, users: dict[str, str] | None = None, tls: bool = False, more: tuple[str, ...] = ()
+    ) -> None:
+        assert MOSQUITTO is not None
+        self.port = free_port()
+        self._config = folder / "mosquitto.conf"
+        self._process: subprocess.Popen[bytes] | None = None
+        lines = [f"listener {self.port} 127.0.0.1", "persistence false", "max_queued_messages 20", *more]
+        if tls:
+            self.ca, key = certificate(folder)
+            lines += [f"certfile {self.ca}", f"keyfile {key}"]
+        if os.getuid() == 0:
+            lines.append("user root")
+        if users is None:
+            lines.append("allow_anonymous true")
+        else:
+            passwords = folder / "passwords"
+            passwords.touch(0o600)
+            for name, word in users.items():
+                subprocess.run(["mosquitto_passwd", "-b", passwords, name, word], check=True, capture_output=True)
+            lines += ["allow_anonymous false", f"password_file {passwords}"]
+        self._config.write_text("\n".join(lines) + "\n")
+
+    def start(self) -> None:
+        assert MOSQUITTO is not None
+        self._process = subprocess.Popen(
+            [MOSQUITTO, "-c", self._config], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
+        wait_until(self._accepts, 10, "mosquitto accepts connections")
+
+    def stop(self) -> None:
+        if self._process is not None:
+            self._process.send_signal(signal.SIGCONT)
+            self._process.terminate()
+            self._process.wait(patience(10))
+            self._process = None
+
+    def kill(self) -> None:
+        assert self._process is not None
+        self._process.kill()
+        self._process.wait(patience(10))
+        self._process = None
+
+    def stall(self) -> None:
+        """The kernel goes on accepting connections and bytes, mosquitto does nothing."""
+        self._signal(signal.SIGSTOP)
+
+    def resume(self) -> None:
+        self._signal(signal.SIGCONT)
+
+    def _signal(self, number: signal.Signals) -> None:
+        assert self._process is not None
+        self._process.send_signal(number)
+
+    def _accepts(self) -> bool:
+        assert self._process is not None
+        assert self._process.poll() is None, "mosquitto ended"
+        with socket.socket() as probe:
+            return probe.connect_ex(("127.0.0.1", self.port)) == 0
+
+    def __enter__(self) -> Broker:
+        self.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+
+class Subscriber:
+    """A subscriber, MQTT 3.1.1 unless told; it keeps every message in order and reconnects by itself."""
+
+    def __init__(self, port: int, topics: str = "#", *, v5: bool = False) -> None:
+        self.messages: list[MQTTMessage] = []
+        self._subscribed = threading.Event()
+        self.client = Client(
+            CallbackAPIVersion.VERSION2, protocol=MQTTProtocolVersion.MQTTv5 if v5 else MQTTProtocolVersion.MQTTv311
+        )
+        self.client.reconnect_delay_set(1, 1)
+        self.client.on_connect = lambda client, *_: client.subscribe(topics, qos=1)
+        self.client.on_subscribe = lambda *_: self._subscribed.set()
+        self.client.on_message = lambda _client, _data, message: self.messages.append(message)
+        self.client.connect_async("127.0.0.1", port, keepalive=5)
+
+    def __enter__(self) -> Subscriber:
+        self.client.loop_start()
+        assert self._subscribed.wait(patience(10))
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.client.disconnect()
+        self.client.loop_stop()
+
+    def publish(
+        self, topic: str, payload: bytes, qos: int = 1, properties: Properties | None = None, **other: Any
+    ) -> None:
+        self.client.publish(topic, payload, qos, properties=properties, **other)
+
+    def of(self, topic: str) -> list[bytes]:
+        return [bytes(m.payload) for m in list(self.messages) if m.topic == topic]
+
+    def wait_for(self, topic: str, count: int = 1, timeout_s: float = 5) -> list[bytes]:
+        wait_until(lambda: len(self.of(topic)) >= count, timeout_s, f"{count} x {topic}, got {len(self.of(topic))}")
+        return self.of(topic)
+
+    def wait_for_last(self, topic: str, payload: bytes, timeout_s: float = 5) -> None:
+        """Until the latest of a topic is this."""
+        wait_until(lambda: self.of(topic)[-1:] == [payload], timeout_s, f"{payload!r} last of {topic}")

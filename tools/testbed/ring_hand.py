@@ -1,0 +1,31 @@
+"""``run`` with several sensors, each on a ring of images in memory; a process of ``tools/benchmarks/hand.py``."""
+
+import signal
+import sys
+from pathlib import Path
+
+from tacshade_edge.cli.entry import leave
+from tacshade_edge.daemon.app import App
+from tacshade_edge.daemon.hand import process
+from tacshade_edge.daemon.hand.lines import Lines
+from tacshade_edge.daemon.supervisor import Supervisor
+from tacshade_edge.devices import registry
+from tacshade_edge.settings import Hand, load_all, load_hand
+from tools.testbed.daemon_rig import RingSource
+
+config, fps = Path(sys.argv[1]), float(sys.argv[2])
+rings = {name: RingSource(Path(name), fps) for name in sys.argv[3:]}  # in the order of the sensors, read once
+documents, hand = load_all(config), load_hand(config)
+lines = Lines(hand.fingers if hand else ())
+mine = Supervisor(documents, hand, lines.end).run()
+if isinstance(mine, int):
+    leave(mine)
+if isinstance(mine, Hand):
+    process.run(mine, lines)
+    leave(0)
+ring = dict(zip((document.settings.sensor_id for document in documents), sys.argv[3:], strict=True))
+source, line = rings[ring[mine.settings.sensor_id]], lines.fingers.get(mine.settings.sensor_id)
+app = App(mine, source, registry.load_calibration(mine), line)
+signal.signal(signal.SIGTERM, lambda *_: app.stop())
+app.run()
+leave(0)

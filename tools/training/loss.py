@@ -1,0 +1,129 @@
+"""What is trained for, and how far it is from it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from tools.training.data import Data, batch
+from tools.training.network import COARSE_CELLS, DISC_MM, HEIGHT_SCALE
+from tools.training.torn import spoil
+
+FOREIGN_WEIGHT = 0.5
+FOREIGN_CELLS = 0.05
+"""A frame with so many foreign cells counts as torn in the figures."""
+LEAST_CELLS, STILL_MM = 60, 0.1
+"""Contacts of fewer cells (of 112x112) have no figures; what moved by less was not dragged."""
+
+
+def split_output(y: Tensor, fold: int) -> tuple[Tensor, Tensor]:
+    """Height and contact logits (B, cells, cells)."""
+    y = functional.pixel_shuffle(y.float(), fold)
+    return y[:, 0], y[:, 1]
+
+
+def depth_loss(
+    outputs: tuple[Tensor, Tensor], fold: int, height: Tensor, contact: Tensor, shear: Tensor, foreign: Tensor
+) -> Tensor:
+    """Of height and its slope and the contact's outline, heavier in contact; and of what is foreign."""
+    y, odds = outputs
+    found, logit = split_output(y, fold)
+    top = height.amax((1, 2), keepdim=True)
+    weight = (0.5 + 5 * contact) * (1.5 / (top + 0.7))
+    off = found - height
+    level = (weight * off.abs()).mean()
+    slope = (weight[:, 1:] * (off[:, 1:] - off[:, :-1]).abs()).mean()
+    slope = slope + (weight[:, :, 1:] * (off[:, :, 1:] - off[:, :, :-1]).abs()).mean()
+    edge = functional.binary_cross_entropy_with_logits(logit, contact)
+    p = torch.sigmoid(logit)
+    dice = 1 - (2 * (p * contact).sum((1, 2)) + 20) / ((p + contact).sum((1, 2)) + 20)
+    seen = functional.adaptive_avg_pool2d(1 - foreign[:, None], COARSE_CELLS)
+    strange = functional.binary_cross_entropy_with_logits(odds.float(), 1 - seen)
+    return level + 1.5 * slope + edge + 0.15 * dice.mean() + FOREIGN_WEIGHT * strange
+
+
+def displacement_loss(
+    moved: Tensor, fold: int, height: Tensor, contact: Tensor, shear: Tensor, foreign: Tensor
+) -> Tensor:
+    """Of displacement, heavier in contact, where the skin is seen."""
+    touching = functional.adaptive_avg_pool2d(contact[:, None], COARSE_CELLS)
+    seen = functional.adaptive_avg_pool2d(1 - foreign[:, None], COARSE_CELLS)
+    off = (moved.float() - shear).abs().sum(1, keepdim=True) * (seen > 0.99)
+    return ((0.3 + 4 * touching) * off).mean()
+
+
+LOSSES: dict[str, Callable[..., Tensor]] = {"depth": depth_loss, "displacement": displacement_loss}
+"""Of `network.NETS`: what it says, its fold, and what is true."""
+
+
+def depth_figures(net: nn.Module, data: Data) -> dict[str, float]:
+    """Errors on sensors that were not trained on, as if their disc's radius were 15 mm."""
+    errors, relative, ious, shapes, still = [], [], [], [], []
+    strange, torn, rng = [], [], np.random.default_rng(0)
+    for x, height, contact, shear in _batches(data):
+        white, at_rest = functional.pixel_shuffle(x[:, : 2 * data.fold**2], data.fold).unbind(1)
+        white = white.contiguous()
+        spoil(white, at_rest, height.clone(), contact.clone(), 1.0, rng)
+        spoiled = torch.cat((functional.pixel_unshuffle(white[:, None], data.fold), x[:, data.fold**2 :]), 1)
+        with torch.autocast("cpu", torch.bfloat16):
+            torn += list((net(spoiled)[1].float() > 0).float().mean((1, 2, 3)))
+            y, odds = net(x)
+        strange += list((odds.float() > 0).float().mean((1, 2, 3)))
+        found, logit = split_output(y, data.fold)
+        dragged = (shear * touching_part(contact)).sum((2, 3)).norm(dim=1) / touching_part(contact).sum((1, 2, 3))
+        for f, h, p, c, d in zip(found, height, logit > 0, contact > 0, dragged, strict=True):
+            if c.sum() < LEAST_CELLS * (c.shape[-1] / 112) ** 2:
+                continue
+            off = (f - h)[c] * (DISC_MM / HEIGHT_SCALE)
+            errors.append(float(off.abs().mean()))
+            shapes.append(float((off - off.median()).abs().mean()))
+            relative.append(float(abs(f.max() / h.max() - 1)))
+            ious.append(float((p & c).sum() / (p | c).sum()))
+            if d * (DISC_MM / HEIGHT_SCALE) < STILL_MM:
+                still.append(errors[-1])
+    names = ("error_mm", "undragged_error_mm", "shape_error_mm", "depth_error", "iou")
+    values = (errors, still, shapes, relative, ious)
+    row = {n: round(float(np.mean(v)), 4) for n, v in zip(names, values, strict=True)}
+    return row | {"called_torn": share_over(strange, FOREIGN_CELLS), "torn": share_over(torn, FOREIGN_CELLS)}
+
+
+def displacement_figures(net: nn.Module, data: Data) -> dict[str, float]:
+    """How far off the displacement of contacts is, as if the disc's radius were 15 mm."""
+    off, size = [], []
+    for x, _, contact, shear in _batches(data):
+        with torch.autocast("cpu", torch.bfloat16):
+            moved = net(x).float()
+        touching = touching_part(contact)
+        found, true = ((touching * each).sum((2, 3)) / touching.sum((2, 3)).clamp(min=1e-3) for each in (moved, shear))
+        there = contact.sum((1, 2)) >= LEAST_CELLS
+        off += list((found - true).norm(dim=1)[there] * (DISC_MM / HEIGHT_SCALE))
+        size += list(true.norm(dim=1)[there] * (DISC_MM / HEIGHT_SCALE))
+    dragged = np.array(off)[np.array(size) > STILL_MM]
+    values = {"shear_error_mm": np.mean(off), "median_mm": np.median(off), "dragged_median_mm": np.median(dragged)}
+    return {name: round(float(value), 4) for name, value in values.items()}
+
+
+FIGURES: dict[str, Callable[[nn.Module, Data], dict[str, float]]] = {
+    "depth": depth_figures,
+    "displacement": displacement_figures,
+}
+
+
+@torch.no_grad()
+def _batches(data: Data) -> Iterator[tuple[Tensor, Tensor, Tensor, Tensor]]:
+    for start in range(0, len(data.frame), 32):
+        yield batch(data, np.arange(start, min(start + 32, len(data.frame))))
+
+
+def touching_part(contact: Tensor) -> Tensor:
+    """Part of each coarse cell that touches, (B, 1, COARSE_CELLS, COARSE_CELLS)."""
+    return functional.adaptive_avg_pool2d(contact[:, None], COARSE_CELLS)
+
+
+def share_over(values: list[Tensor], limit: float) -> float:
+    """The part of values over a limit."""
+    return round(float(np.mean(np.array(values) > limit)), 4)

@@ -1,0 +1,199 @@
+"""Sensors and presses as users have them: wide plates, soft domes, patterns that end before the rim, any camera.
+
+Most are TacTips of short pins, since most sensors that are in use are. A skin is solved once and seen by several
+sensors, which differ in print, camera and light, since the skin is what takes time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from tacshade_edge.simulator.model import SensorModel, random_model, tactip
+from tacshade_edge.simulator.objects import Shape
+from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.render import Print, print_features
+from tacshade_edge.simulator.skin import chart_to_direction
+from tacshade_edge.simulator.varied_print import PinProfile, VariedRenderer, lattice_print
+from tacshade_edge.types import F64, U8
+from tools.training.shapes import random_shape
+from tools.training.varied import pin_outline, varied_print
+
+VIEWS = 3
+"""Sensors that see a skin."""
+
+TACTIP_PART, PARTLY_PRINTED_PART, RINGED_PART, VIGNETTED_PART, PLATE_PART = 0.7, 0.5, 0.25, 0.25, 0.5
+SIZES = ((240, 320), (480, 640), (120, 160), (128, 128))
+SIZE_SHARES = (0.56, 0.12, 0.16, 0.16)
+
+Camera = Callable[[U8], U8]
+"""What becomes of a picture before anybody has it."""
+
+
+def soft_dome(seed: int) -> SensorModel:
+    """Draw the mechanics of a sensor: decays from a pitch to the dome, sway, a gel that keeps its volume."""
+    rng = np.random.default_rng((seed, 21))
+
+    def draw(low: float, high: float) -> float:
+        return float(rng.uniform(low, high))
+
+    def spread(low: float, high: float) -> float:
+        return math.exp(draw(math.log(low), math.log(high)))
+
+    return replace(
+        random_model(seed),
+        skin_decay_mm=spread(1.3, 8.0),
+        friction=draw(0.3, 1.0),
+        drag_decay_mm=spread(2.0, 16.0),
+        coulomb=spread(0.5, 10.0),
+        sway=draw(0.0, 0.8),
+        bulge=draw(0.0, 1.0) if rng.random() < 0.6 else 0.0,
+        pin_lag=draw(0.0, 0.4),
+    )
+
+
+def printed(dome: SensorModel, seed: int) -> SensorModel:
+    """Draw print, camera and light of a sensor that has this dome."""
+    rng = np.random.default_rng((seed, 22))
+
+    def draw(low: float, high: float) -> float:
+        return float(rng.uniform(low, high))
+
+    height, width = SIZES[rng.choice(len(SIZES), p=SIZE_SHARES)]
+    look = random_model(seed, height, width)
+    model = replace(
+        look,
+        **{name: getattr(dome, name) for name in (
+            "skin_radius_mm", "skin_decay_mm", "friction", "drag_decay_mm", "coulomb", "sway", "bulge", "pin_lag",
+        )},
+        camera_distance_mm=None if rng.random() < 0.08 else look.camera_distance_mm,
+        lattice_rotation_deg=draw(0.0, 180.0),
+        vignetting=draw(0.5, 0.85) if rng.random() < VIGNETTED_PART else draw(0.05, 0.5),
+        blur_px=draw(0.3, 1.0),
+    )  # fmt: skip
+    if rng.random() >= TACTIP_PART:
+        return replace(
+            model,
+            pitch_mm=draw(1.4, 2.8),
+            pin_length_pitches=draw(0.8, 2.1),
+            pin_tip_radius_pitches=draw(0.22, 0.42),
+            pin_base_radius_pitches=draw(0.18, 0.36),
+            marker_radius_pitches=draw(0.33, 0.52),
+        )
+    tip = draw(0.12, 0.40)  # a twentieth of the skin is white, or half of it
+    return replace(
+        tactip(model),
+        pitch_mm=draw(1.4, 3.6),
+        pin_length_pitches=draw(0.3, 1.1),
+        pin_tip_radius_pitches=tip,
+        pin_base_radius_pitches=tip * draw(0.8, 1.2),
+        skin_reflectance=(ground := draw(0.02, 0.2)),
+        marker_reflectance=ground,
+        pin_reflectance=ground * draw(0.7, 1.0),
+        pin_tip_reflectance=draw(0.6, 0.98),
+    )
+
+
+class OutsideRenderer(VariedRenderer):
+    """Draws a print that may end before the rim, perhaps under a ring of LEDs that the camera sees."""
+
+    def __init__(self, model: SensorModel, rng: np.random.Generator) -> None:
+        profile = PinProfile(()) if rng.random() < 0.6 else pin_outline(rng)
+        super().__init__(model, _any_print(model, rng), profile)
+        if rng.random() < PARTLY_PRINTED_PART:
+            self.print = _inner_part(self.print, model, float(rng.uniform(0.6, 1.0)))
+        if rng.random() < RINGED_PART:
+            self._glints = self._glints + _leds(model, rng)
+
+
+def camera(rng: np.random.Generator) -> Camera:
+    """Draw a camera: most give what they see, some a picture of two grey levels."""
+    kind, level = rng.random(), float(rng.uniform(60, 130))
+    part, offset = float(rng.uniform(0.06, 0.2)), float(rng.uniform(-25, -3))
+    if kind < 0.7:
+        return lambda image: image
+    if kind < 0.8:
+        return lambda image: np.where(image > level, 255, 0).astype(np.uint8)
+
+    def adaptive(image: U8) -> U8:
+        grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+        window = 2 * round(part / 2 * min(grey.shape)) + 3
+        white = cv2.adaptiveThreshold(grey, 255, cv2.ADAPTIVE_THRESH_GAUSSIAN_C, cv2.THRESH_BINARY, window, offset)
+        return np.asarray(white if image.ndim == 2 else cv2.merge((white, white, white)), np.uint8)
+
+    return adaptive
+
+
+def outside_presses(model: SensorModel, rng: np.random.Generator) -> tuple[Press, ...]:
+    """A plate wider than the dome, perhaps with an edge, tilted by up to 25 degrees; or a random object."""
+    scale = model.skin_radius_mm / 20
+    reach = 0.8 * model.skin_radius_mm * math.sin(math.radians(model.visible_half_angle_deg))
+    target = float(rng.uniform(0.2, 6.5)) * scale
+    if rng.random() < PLATE_PART:
+        return (Press(_plate(rng, reach), 0.0, 0.0, target, float(rng.uniform(0, 360))),)
+    rho, angle = reach * rng.uniform() ** 0.6, rng.uniform(0, 2 * math.pi)
+    size = float(rng.uniform(0.8, 2.0))
+    x, y = rho * math.cos(angle), rho * math.sin(angle)
+    return (Press(random_shape(rng), x, y, target, float(rng.uniform(0, 360)), size),)
+
+
+def _plate(rng: np.random.Generator, reach: float) -> Shape:
+    """Everything above a tilted plane, cut off along up to two lines."""
+    tilt = math.radians(25.0) * math.sqrt(rng.uniform())
+    normal = np.array((math.sin(tilt), 0.0, math.cos(tilt)))
+    cuts = []
+    for _ in range(int(rng.choice((0, 1, 2), p=(0.6, 0.3, 0.1)))):
+        angle, far = rng.uniform(0, 2 * math.pi), float(rng.uniform(-0.5, 0.8)) * reach
+        cuts.append((math.cos(angle), math.sin(angle), max(far, 1.0) if cuts else far))
+
+    def sdf(p: F64) -> F64:
+        distance = -(p @ normal.astype(p.dtype))
+        for c, s, far in cuts:
+            distance = np.maximum(distance, c * p[:, 0] + s * p[:, 1] - far)
+        return np.asarray(distance)
+
+    return Shape("plate", sdf)
+
+
+def _any_print(model: SensorModel, rng: np.random.Generator) -> Print:
+    kind = rng.random()
+    if kind < 0.45:
+        return print_features(model)
+    if kind < 0.8:
+        return lattice_print(model, float(rng.uniform(50, 90)), float(rng.uniform(1.0, 1.25)))
+    return varied_print(model, rng)
+
+
+def _inner_part(marks: Print, model: SensorModel, part: float) -> Print:
+    """The pins and markers within a part of the visible circle."""
+    most = math.sin(math.radians(model.visible_half_angle_deg)) * part
+
+    def inside(chart_mm: F64) -> np.typing.NDArray[np.bool_]:
+        direction = chart_to_direction(chart_mm[:, 0], chart_mm[:, 1], model.skin_radius_mm)
+        return np.asarray((np.hypot(direction[:, 0], direction[:, 1]) < most) & (direction[:, 2] > 0))
+
+    pins = inside(marks.pin_chart_mm)
+    return Print(
+        marker_chart_mm=marks.marker_chart_mm[inside(marks.marker_chart_mm.mean(axis=1))],
+        pin_chart_mm=marks.pin_chart_mm[pins],
+        pin_base_mm=marks.pin_base_mm[pins],
+        pin_tip_mm=marks.pin_tip_mm[pins],
+        pin_length_mm=marks.pin_length_mm[pins],
+    )
+
+
+def _leds(model: SensorModel, rng: np.random.Generator) -> np.typing.NDArray[np.float32]:
+    """LEDs in a ring at the rim of the visible circle, and what the camera's lens makes of them."""
+    rows, cols = np.mgrid[: model.image_height_px, : model.image_width_px].astype(np.float32)
+    image = np.zeros(rows.shape, np.float32)
+    ring, size = float(rng.uniform(0.95, 1.15)), float(rng.uniform(0.015, 0.05)) * model.disc_radius_px
+    count, turn, grey = int(rng.integers(4, 17)), float(rng.uniform(0, 7)), float(rng.uniform(100, 255))
+    for angle in turn + np.arange(count) * (2 * math.pi / count):
+        row = model.row_c + ring * model.disc_radius_px * math.sin(angle)
+        col = model.col_c + ring * model.disc_radius_px * math.cos(angle)
+        image += grey * np.exp(-((rows - row) ** 2 + (cols - col) ** 2) / (2 * size * size))
+    return image

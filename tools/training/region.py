@@ -1,0 +1,104 @@
+#!/usr/bin/env python3
+"""How much of the disc a network must see: run it on the contact's surroundings alone, beside the whole disc.
+
+::
+
+    .venv-train/bin/python -m tools.training.region --run RUN --profile accurate
+
+The paper's five objects at three places and depths on the default sensor. The piece is the contact's box, as the
+network sees it on the whole disc, and a margin to each side, in whole cells of its coarsest level.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch.nn import functional
+
+from tacshade_edge.core.depth import Network
+from tacshade_edge.core.depth.network_maps import HEIGHT_SCALE
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.studies.evaluate.scenes import scenes
+from tacshade_edge.studies.evaluate.sensors import SensorName, calibrated
+from tacshade_edge.studies.tables import markdown
+from tacshade_edge.types import F32, Bool, Frame
+from tools.training.network import Net, trained
+
+OBJECTS = ("ball", "cube", "cylinder", "edge", "ring")
+MARGINS = (1 / 28, 1 / 14, 1 / 7, 2 / 7, 5 / 14)
+
+
+def main() -> None:
+    """Measure, print."""
+    parser = argparse.ArgumentParser(description="A network on a part of the disc.")
+    parser.add_argument("--run", type=Path, required=True)
+    learned = [name for name, profile in PROFILES.items() if profile.network]
+    parser.add_argument("--profile", choices=learned, required=True)
+    args = parser.parse_args()
+    net, _ = trained(args.run)
+    maps, inside, unit_mm = inputs(args.profile, net.fold)
+    lines = []
+    for margin in MARGINS:
+        found = [piece(net, x, inside, max(1, round(margin * x.shape[-1]))) for x in maps]
+        parts, errors, flips = (np.array(values) for values in zip(*found, strict=True))
+        worst, middle = unit_mm * errors.max(), unit_mm * float(np.median(errors))
+        lines.append([f"{100 * margin:.0f} %", f"{100 * parts.mean():.0f} %", f"{middle:.2f}", f"{worst:.2f}",
+                      f"{flips.mean():.0f}"])  # fmt: skip
+    heads = ["margin, of the map", "seen of it", "greatest error mm, median", "worst", "contact cells told otherwise"]
+    print(markdown(heads, lines))
+
+
+def inputs(profile: str, fold: int) -> tuple[list[F32], Bool, float]:
+    """Maps of each press, (channels, N, N); the map's cells in the disc; mm of the network's unit."""
+    name = SensorName.parse("default")
+    sensor, calibration = name.make(), calibrated(name, 8, 0).calibration
+    known: list[F32] = []
+    seen: list[F32] = []
+
+    def sense(maps: F32) -> F32:
+        known.append(maps)
+        return maps
+
+    def run(white: F32, _sensor: F32) -> F32:
+        seen.append(np.concatenate((white, known[0])))
+        return np.zeros((2 * fold * fold, *white.shape[1:]), np.float32)
+
+    made = Reconstructor(calibration, PROFILES[profile], Network(fold, sense, run))
+    for what in OBJECTS:
+        for scene in scenes(sensor.model, name.seed, what):
+            made.step(Frame(0, 0, 0, sensor.frame((scene.press,), scene.noise_seed).image))
+    half = np.sin(np.radians(calibration.geometry.visible_half_angle_deg))
+    return seen, made.rays.inside, float(calibration.geometry.skin_radius_mm * half / HEIGHT_SCALE)
+
+
+def piece(net: Net, x: F32, inside: Bool, margin: int) -> tuple[float, float, int]:
+    """Part of the map that is seen, greatest error of h in the contact, cells whose contact is told otherwise."""
+    height, logit = answer(net, x)
+    touched = (logit > 0) & inside
+    rows, cols = (at // net.fold for at in np.nonzero(touched))
+    each = 2 ** (len(net.down) - 1)
+    size = x.shape[-1]
+    (top, bottom), (left, right) = (
+        (max(0, (at.min() - margin) // each * each), min(size, -(-(at.max() + 1 + margin) // each) * each))
+        for at in (rows, cols)
+    )
+    part_height, part_logit = answer(net, x[:, top:bottom, left:right])
+    cut = (slice(top * net.fold, bottom * net.fold), slice(left * net.fold, right * net.fold))
+    error = np.abs(part_height - height[cut])[touched[cut]].max()
+    flips = np.count_nonzero((part_logit > 0)[inside[cut]] != (logit[cut] > 0)[inside[cut]])
+    return (bottom - top) * (right - left) / size**2, float(error), flips
+
+
+def answer(net: Net, x: F32) -> tuple[F32, F32]:
+    """Height and contact."""
+    with torch.no_grad():
+        height, logit = functional.pixel_shuffle(net(torch.from_numpy(x.copy())[None]), net.fold)[0].numpy()
+    return height, logit
+
+
+if __name__ == "__main__":
+    main()

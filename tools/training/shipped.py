@@ -1,0 +1,67 @@
+"""The shipped weights as a network that can be trained on: their batch normalisation is made again from frames."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import onnx
+import torch
+from onnx import numpy_helper
+from torch import Tensor, nn
+
+from tools.training.network import Net
+
+WEIGHTS = Path(__file__).parents[2] / "tacshade_edge" / "devices" / "weights"
+
+
+def shipped(net: Net, name: str, inputs: list[Tensor]) -> None:
+    """Give a network of depth the shipped weights; it computes the same.
+
+    Parameters
+    ----------
+    net : Net
+    name : str
+        Of the weights.
+    inputs : list of Tensor
+        Frames as `Net` takes them: what each normalisation then has for mean and spread is theirs.
+    """
+    frame, sensor = (_tensors(WEIGHTS / f"{name}{end}") for end in (".onnx", ".sensor.onnx"))
+    for name_of, head in (("head", net.head), ("foreign_head", net.foreign_head)):
+        head.load_state_dict({part: frame.pop(f"rest.{name_of}.{part}") for part in ("weight", "bias")})
+    for k, narrow in enumerate(net.narrow):
+        narrow.load_state_dict({"weight": frame.pop(f"rest.narrow.{k}.weight")})
+    first = torch.cat((frame.pop("weight"), sensor["weight"]), 1), sensor["bias"]
+    rest = list(frame.values())
+    folded = [first, *zip(rest[::2], rest[1::2], strict=True)]
+    blocks = [*net.down, *reversed(net.up)]
+    pairs = [(part[k], part[k + 1]) for part in blocks for k in (0, 3)]
+    net.eval()
+    with torch.no_grad():
+        for (conv, norm), (weight, bias) in zip(pairs, folded, strict=True):
+            conv.weight.copy_(weight)
+            norm.reset_running_stats()
+            norm.weight.copy_(torch.full_like(bias, (1 + norm.eps) ** 0.5))
+            norm.bias.copy_(bias)
+        for conv, norm in pairs:  # those before it compute what they will
+            _measured(net, conv, norm, inputs)
+    net.train()
+
+
+def _measured(net: Net, conv: nn.Module, norm: nn.Module, inputs: list[Tensor]) -> None:
+    """Set a normalisation's statistics to what its convolution gives, and its scale and shift to undo them."""
+    seen: list[Tensor] = []
+    hook = conv.register_forward_hook(lambda _module, _given, made: seen.append(made.transpose(0, 1).flatten(1)))
+    for x in inputs:
+        net(x)
+    hook.remove()
+    values = torch.cat(seen, 1)
+    norm.running_mean.copy_(values.mean(1))
+    norm.running_var.copy_(values.var(1))
+    norm.weight.copy_((norm.running_var + norm.eps).sqrt())
+    norm.bias.add_(norm.running_mean)
+
+
+def _tensors(path: Path) -> dict[str, Tensor]:
+    return {
+        each.name: torch.from_numpy(numpy_helper.to_array(each).copy()) for each in onnx.load(path).graph.initializer
+    }
