@@ -109,7 +109,7 @@ presses. All thirteen objects at four places, each dragged in another direction,
 skin of 20 mm). ME, SD and IoU as of [the paper's five objects](objects.md). Silently wrong is a greatest depth that is
 off by a quarter and 0.3 mm and is neither refused nor said to be saturated or in doubt. Shear off is the error of the
 mean displacement of a contact, direction and twist those of contacts that moved by 0.5 mm or more, and of all.""",
-        (*EVALUATE, "--drag", "--final"),
+        ("tools.studies.drag", "--final"),
         drawn=("drag.png",),
     ),
     "sigma": Page(
@@ -120,7 +120,7 @@ ball presses. Four objects that the errors were not fitted to (`training.fit_sig
 deep, undragged and dragged by 2 mm (lengths on a skin of 20 mm). A cell is one that is found in contact; its 90 %
 interval is h ± 1.645 σ. The last columns are the part of all absolute error that the tenth of the cells with the
 greatest σ has, and the most that any tenth has. In the plot the grey band is 85 to 95 %.""",
-        (*EVALUATE, "--sigma", "--final", "--objects", "large_crescent,cone,edge,ring"),
+        ("tools.studies.sigma", "--final", "--objects", "large_crescent,cone,edge,ring"),
         drawn=("sigma.png",),
     ),
     "slip": Page(
@@ -129,7 +129,7 @@ greatest σ has, and the most that any tenth has. In the plot the grey band is 8
 Sensors of the trained family at 60 frames a second. A slip is told in time from 50 ms before to 100 ms after the
 whole contact slides, by the truth. Held objects were dragged by 1 mm, and nothing slides. After a release the skin
 keeps a dent that recovers; a phantom is a frame in which something is still, or again, told to touch.""",
-        (*EVALUATE, "--slip"),
+        ("tools.studies.slip",),
     ),
     "displacement": Page(
         "Displacement by a network, by optical flow, by tracked points",
@@ -142,7 +142,7 @@ keeps a dent that recovers; a phantom is a frame in which something is still, or
 Three simulated sensors, each calibrated on 8 references and 40 ball presses. Lengths are mm whatever the skin's radius
 (20.0, 25.9, 22.5 mm); depth is the greatest h of the skin. A phantom is a frame taken for a contact; a silent one has
 no `degraded` beside it. What is beyond use is refused or said, at best.""",
-        (*EVALUATE, "--limits"),
+        ("tools.studies.limits",),
         drawn=("limits_detection.png", "limits_depth.png", "limits_resolution.png", "limits_disturbed.png"),
     ),
     "ablation": Page(
@@ -151,7 +151,7 @@ no `degraded` beside it. What is beyond use is refused or said, at best.""",
 Profile `accurate`, 8 references and 40 presses, the paper's five objects, one cause of error taken away at a time.
 "Perfect calibration" is the true geometry and the best factor that the scored presses themselves allow; "true gradient"
 is what a true gradient integrates to from h = 0 at the rim.""",
-        (*EVALUATE, "--ablation"),
+        ("tools.studies.ablation",),
     ),
     "iterations": Page(
         "What the paper's 25 iterations buy",

@@ -16,42 +16,16 @@ from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.devices.files.labels import COLUMNS
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator.objects import OBJECTS, PAPER_OBJECTS
-from tacshade_edge.studies.ablation.work import AblationRow, ablate, object_rows
-from tacshade_edge.studies.ablation.work import Plan as AblationPlan
-from tacshade_edge.studies.ablation.work import text as ablation_text
-from tacshade_edge.studies.drag.picture import draw as draw_drag
-from tacshade_edge.studies.drag.summary import text as drag_text
-from tacshade_edge.studies.drag.work import DragRow
-from tacshade_edge.studies.drag.work import Plan as DragPlan
-from tacshade_edge.studies.drag.work import study as drag
 from tacshade_edge.studies.evaluate import picture, report
 from tacshade_edge.studies.evaluate.own_images import evaluate_images
 from tacshade_edge.studies.evaluate.score import Row
-from tacshade_edge.studies.evaluate.sensors import FINAL_SEED, PRESSES, REFERENCES, SensorName
+from tacshade_edge.studies.evaluate.sensors import FINAL_SEED, FINAL_SENSORS, PRESSES, REFERENCES
 from tacshade_edge.studies.evaluate.summary import figures
 from tacshade_edge.studies.evaluate.work import Evaluation, Plan, Timing, evaluate, time_profiles
-from tacshade_edge.studies.limits import picture as limits_picture
-from tacshade_edge.studies.limits.summary import text as limits_text
-from tacshade_edge.studies.limits.work import Plan as LimitsPlan
-from tacshade_edge.studies.limits.work import limits
 from tacshade_edge.studies.parallel import usable_cores
-from tacshade_edge.studies.sigma.picture import draw as draw_sigma
-from tacshade_edge.studies.sigma.summary import text as sigma_text
-from tacshade_edge.studies.sigma.work import Plan as SigmaPlan
-from tacshade_edge.studies.sigma.work import SigmaRow
-from tacshade_edge.studies.sigma.work import study as sigma
-from tacshade_edge.studies.slip.summary import text as slip_text
-from tacshade_edge.studies.slip.work import HeldRow, ReleaseRow, SlideRow
-from tacshade_edge.studies.slip.work import Plan as SlipPlan
-from tacshade_edge.studies.slip.work import study as slip
 from tacshade_edge.studies.tables import csv_text
 
 WORKING_SENSORS = "default,5,11,21"
-FINAL_SENSORS = tuple(SensorName(family, FINAL_SEED + k) for family in ("tacshade", "other") for k in (18, 19, 20))
-FINAL_DRAGGED = tuple(FINAL_SENSORS[k] for k in (0, 1, 3, 4))  # a dragged frame takes a second
-LIMITS_SENSORS = "default,5,11"
-DRAG_SENSORS = "default,5,other:31,other:32"
-ABLATION_SENSORS = "default,5,11,other:31,other:32,other:33"
 SIMULATED = ("sensors", "final", "objects", "presses", "references")
 """Options that mean nothing to a user's own images."""
 
@@ -71,32 +45,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     labelled.add_argument(
         "--reference", type=Path, nargs="+", metavar="IMG", help="with --sensor: unloaded (the least loaded frame)"
     )
-    instead = parser.add_mutually_exclusive_group()
-    instead.add_argument(
-        "--ablation",
-        action="store_true",
-        help=f"where the error comes from instead: one profile with parts of it made perfect ({ABLATION_SENSORS})",
-    )
-    instead.add_argument(
-        "--limits",
-        action="store_true",
-        help=f"where it ends instead: phantoms, least and greatest depth, finest shape ({LIMITS_SENSORS})",
-    )
-    instead.add_argument(
-        "--drag",
-        action="store_true",
-        help=f"objects that are dragged, twisted and tilted instead ({DRAG_SENSORS})",
-    )
-    instead.add_argument(
-        "--slip",
-        action="store_true",
-        help=f"slips and releases instead: told how soon, and falsely ({LIMITS_SENSORS})",
-    )
-    instead.add_argument(
-        "--sigma",
-        action="store_true",
-        help=f"whether the standard deviation of each height holds instead ({DRAG_SENSORS})",
-    )
     simulated, which = study.add_simulated(parser, WORKING_SENSORS, "all")
     which.add_argument(
         "--final",
@@ -112,23 +60,12 @@ def run(args: argparse.Namespace) -> int:
     """Evaluate; print the tables, write the files."""
     if args.labels is not None or args.sensor is not None or args.reference is not None:
         return evaluate_labels.run(_labels_checked(args), _profiles(args))
-    if args.limits:
-        return _limits(args)
-    if args.ablation:
-        return _ablation(args)
-    if args.drag:
-        return _drag(args)
-    if args.slip:
-        return _slip(args)
-    if args.sigma:
-        return _sigma(args)
     return _own(args) if study.is_own(args, SIMULATED) else _simulated(args)
 
 
 def _labels_checked(args: argparse.Namespace) -> argparse.Namespace:
     """Refuse what does not go with labels."""
     given = [name for name in SIMULATED if getattr(args, name) is not None]
-    given += [name for name in ("ablation", "limits", "drag", "slip", "sigma") if getattr(args, name)]
     if given:
         args.usage_error(f"--{given[0]} does not go with --labels")
     if args.images is None or args.labels is None:
@@ -140,90 +77,8 @@ def _labels_checked(args: argparse.Namespace) -> argparse.Namespace:
     return args
 
 
-def _alone(args: argparse.Namespace, option: str) -> None:
-    """Refuse what a study of its own would not heed."""
-    others = ("images", "calibration", "objects", "presses", "references")
-    unfit = [name for name in others if getattr(args, name) is not None]
-    if unfit or args.json:
-        args.usage_error(f"--{unfit[0] if unfit else 'json'} does not go with --{option}")
-
-
 def _profiles(args: argparse.Namespace) -> tuple[str, ...]:
     return tuple(dict.fromkeys(args.profile or (name for name in PROFILES if name != "paper")))
-
-
-def _ablation(args: argparse.Namespace) -> int:
-    _alone(args, "ablation")
-    profile, *more = dict.fromkeys(args.profile or ["accurate"])
-    if more or PROFILES[profile].network is None:
-        args.usage_error(f"--profile: found {' '.join((profile, *more))}, expected one that runs a network")
-    sensors = args.sensors or study.sensors(ABLATION_SENSORS)
-    study.make_folder(args.out)
-    found = ablate(AblationPlan(FINAL_SENSORS if args.final else sensors, profile), usable_cores(), Progress())
-    study.publish(args, "ablation", ablation_text(found), {"": csv_text(AblationRow, object_rows(found))})
-    return 0
-
-
-def _limits(args: argparse.Namespace) -> int:
-    _alone(args, "limits")
-    sensors = args.sensors or study.sensors(LIMITS_SENSORS)
-    plan = LimitsPlan(FINAL_SENSORS if args.final else sensors, _profiles(args))
-    study.make_folder(args.out)
-    drawn = study.will_draw(args, "the plots")
-    found = limits(plan, usable_cores(), Progress())
-    rows = {f"_{kind}": csv_text(type(some[0]), some) for kind, some in found.tables()}
-    study.publish(args, "limits", limits_text(found, plan), rows)
-    for name, content in (limits_picture.draw(found) if drawn else {}).items():
-        study.write(args.out / name, content)
-    return 0
-
-
-def _drag(args: argparse.Namespace) -> int:
-    if args.images is not None or args.calibration is not None:
-        args.usage_error("--drag is for simulated sensors, not for your own images")
-    sensors = FINAL_DRAGGED if args.final else args.sensors or study.sensors(DRAG_SENSORS)
-    presses = PRESSES if args.presses is None else args.presses
-    plan = DragPlan(sensors, _profiles(args), args.objects or tuple(OBJECTS), args.references or REFERENCES, presses)
-    study.make_folder(args.out)
-    drawn = study.will_draw(args, "drag.png")
-    rows = drag(plan, usable_cores(), Progress())
-    study.publish(args, "drag", drag_text(rows), {"": csv_text(DragRow, rows)}, [asdict(row) for row in rows])
-    if drawn:
-        study.write(args.out / "drag.png", draw_drag(rows))
-    return 0
-
-
-def _sigma(args: argparse.Namespace) -> int:
-    if args.images is not None or args.calibration is not None:
-        args.usage_error("--sigma is for simulated sensors, not for your own images")
-    if args.json:
-        args.usage_error("--json does not go with --sigma")
-    if "paper" in (profiles := _profiles(args)):
-        args.usage_error("--profile: found paper, which tells no errors")
-    sensors = FINAL_SENSORS if args.final else args.sensors or study.sensors(DRAG_SENSORS)
-    presses = _presses(args)
-    plan = SigmaPlan(sensors, profiles, args.objects or tuple(OBJECTS), args.references or REFERENCES, presses)
-    study.make_folder(args.out)
-    drawn = study.will_draw(args, "sigma.png")
-    found = sigma(plan, usable_cores(), Progress())
-    study.publish(args, "sigma", sigma_text(found), {"": csv_text(SigmaRow, [each.row for each in found])})
-    if drawn:
-        study.write(args.out / "sigma.png", draw_sigma(found))
-    return 0
-
-
-def _slip(args: argparse.Namespace) -> int:
-    _alone(args, "slip")
-    sensors = args.sensors or study.sensors(LIMITS_SENSORS)
-    plan = SlipPlan(FINAL_SENSORS[:3] if args.final else sensors, _profiles(args))
-    if any(sensor.family != "tacshade" for sensor in plan.sensors):
-        args.usage_error("--slip: only sensors of the family tacshade move in time")
-    study.make_folder(args.out)
-    rows = slip(plan, usable_cores(), Progress())
-    kinds = {"_slides": SlideRow, "_held": HeldRow, "_releases": ReleaseRow}
-    files = {name: csv_text(kind, [row for row in rows if isinstance(row, kind)]) for name, kind in kinds.items()}
-    study.publish(args, "slip", slip_text(rows), files)
-    return 0
 
 
 def _simulated(args: argparse.Namespace) -> int:

@@ -5,7 +5,6 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import fields
-from functools import partial
 from pathlib import Path
 
 import cv2
@@ -14,9 +13,10 @@ import pytest
 from support.half_family import half_family
 from support.progress_lines import only_progress
 
-from tacshade_edge.cli import evaluate, main, study
+from tacshade_edge.cli import main, study
 from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.studies.evaluate.score import Row
+from tacshade_edge.studies.evaluate.sensors import FINAL_SENSORS
 from tools.testbed.painted_sensor import HEIGHT, TOUCHED, WIDTH, painted_calibration
 from tools.testbed.patience import patience
 
@@ -170,136 +170,8 @@ def test_an_output_that_is_a_file_is_told_before_the_work(own: Path, capsys: pyt
 
 
 def test_final_sensors_are_those_that_nobody_may_name() -> None:
-    assert len(evaluate.FINAL_SENSORS) >= 3
-    assert all(name.seed is not None and name.seed >= 9000 for name in evaluate.FINAL_SENSORS)
-    for name in evaluate.FINAL_SENSORS:
+    assert len(FINAL_SENSORS) >= 3
+    assert all(name.seed is not None and name.seed >= 9000 for name in FINAL_SENSORS)
+    for name in FINAL_SENSORS:
         with pytest.raises(Exception, match="kept for --final"):
             study.sensors(str(name))
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("half")
-def test_limits_writes_its_tables_and_plots(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    small = partial(
-        evaluate.LimitsPlan,
-        references=1,
-        presses=8,
-        null_frames=8,
-        beyond_frames=5,
-        ball_radii_mm=(6.0,),
-        faint_depths_mm=(1.0,),
-        faint_places=1,
-        depths_mm=(3.0,),
-        deep_places=1,
-        pitches_mm=(1.9,),
-        gaps_mm=(4.0,),
-        widths_mm=(2.0,),
-        fine_places=1,
-        disturbed_places=1,
-    )
-    monkeypatch.setattr(evaluate, "LimitsPlan", small)
-    words = ["evaluate", "--limits", "--sensors", "half:default", "--profile", "accurate", "--out", str(tmp_path)]
-    assert main(words) == 0
-    printed = capsys.readouterr()
-    assert only_progress(printed.err)
-    assert printed.out == (tmp_path / "limits.md").read_text(encoding="utf-8")
-    kinds = ("deep", "disturbed", "faint", "fine", "nulls")
-    assert sorted(p.name for p in tmp_path.glob("*.csv")) == [f"limits_{kind}.csv" for kind in kinds]
-    assert len(list(tmp_path.glob("limits_*.png"))) == 4
-    assert {row["profile"] for row in table(tmp_path / "limits_faint.csv")} == {"accurate"}
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("half")
-def test_ablation_writes_its_table(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    small = partial(evaluate.AblationPlan, objects=("ball",), references=1, presses=8, depths_mm=(3.0,))
-    monkeypatch.setattr(evaluate, "AblationPlan", small)
-    assert main(["evaluate", "--ablation", "--sensors", "half:default", "--out", str(tmp_path)]) == 0
-    printed = capsys.readouterr()
-    assert only_progress(printed.err)
-    assert printed.out == (tmp_path / "ablation.md").read_text(encoding="utf-8")
-    assert {row["object"] for row in table(tmp_path / "ablation.csv")} == {"ball"}
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("half")
-def test_drag_writes_its_table_and_plot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["--sensors", "half:default", "--objects", "ball", "--profile", "fast", "--references", "1"]
-    assert main(["evaluate", "--drag", *words, "--presses", "8", "--out", str(tmp_path)]) == 0
-    printed = capsys.readouterr()
-    assert only_progress(printed.err)
-    assert printed.out == (tmp_path / "drag.md").read_text(encoding="utf-8")
-    assert len(table(tmp_path / "drag.csv")) == 5 * 4 * 3
-    assert (tmp_path / "drag.png").stat().st_size > 10_000
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("half")
-def test_sigma_writes_its_table_and_plot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["--sensors", "half:default", "--objects", "ball", "--profile", "fast", "--references", "1"]
-    assert main(["evaluate", "--sigma", *words, "--presses", "8", "--out", str(tmp_path)]) == 0
-    printed = capsys.readouterr()
-    assert only_progress(printed.err)
-    assert printed.out == (tmp_path / "sigma.md").read_text(encoding="utf-8")
-    assert len(table(tmp_path / "sigma.csv")) == 2 * 4 * 3
-    assert (tmp_path / "sigma.png").stat().st_size > 10_000
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--json"], "--json does not go with --sigma"),
-        (["--profile", "paper"], "found paper, which tells no errors"),
-        (["--presses", "3"], "--presses: found 3"),
-        (["--images", "x", "--calibration", "y"], "--sigma is for simulated sensors"),
-    ],
-)
-def test_sigma_refuses_what_it_would_not_heed(
-    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as left:
-        main(["evaluate", "--sigma", *words])
-    assert left.value.code == 2
-    assert message in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_slip_writes_its_tables(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    small = partial(evaluate.SlipPlan, objects=("ball",), speeds_mm_s=(20.0,), held_s=0.2, released_s=3.0)
-    monkeypatch.setattr(evaluate, "SlipPlan", small)
-    words = ["evaluate", "--slip", "--sensors", "5", "--profile", "fast", "--out", str(tmp_path)]
-    assert main(words) == 0
-    assert capsys.readouterr().out == (tmp_path / "slip.md").read_text(encoding="utf-8")
-    assert [len(table(tmp_path / f"slip_{kind}.csv")) for kind in ("slides", "held", "releases")] == [2, 1, 1]
-
-
-def test_only_the_trained_family_moves_in_time(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as left:
-        main(["evaluate", "--slip", "--sensors", "other:31"])
-    assert left.value.code == 2
-    assert "--slip: only sensors of the family tacshade" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("study", ["limits", "ablation", "slip"])
-@pytest.mark.parametrize("words", [["--json"], ["--objects", "ball"], ["--presses", "8"]])
-def test_a_study_refuses_what_it_would_not_heed(
-    study: str, words: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as left:
-        main(["evaluate", f"--{study}", *words])
-    assert left.value.code == 2
-    assert f"{words[0]} does not go with --{study}" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("profiles", [["fast", "accurate"], ["paper"]])
-def test_an_ablation_is_of_one_network(profiles: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as left:
-        main(["evaluate", "--ablation", "--profile", *profiles])
-    assert left.value.code == 2
-    assert f"--profile: found {' '.join(profiles)}, expected one" in capsys.readouterr().err

@@ -17,9 +17,9 @@ from tacshade_edge.core.image import total_variation
 from tacshade_edge.core.image.greyscale import denoise_tv
 from tacshade_edge.core.image.total_variation import chambolle
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.studies import total_variation_int16
-from tacshade_edge.studies.total_variation_int16 import chambolle_int16, fraction_bits
 from tacshade_edge.types import F32
+from tools.studies import total_variation_int16
+from tools.studies.total_variation_int16 import chambolle_int16, fraction_bits
 
 WEIGHTS = sorted({p.tv_weight for p in PROFILES.values() if p.tv_weight > 0} | {1e-3, 1.0, 100.0})
 LONG_BOUND = 0.02 / 255  # 0.02 grey levels

@@ -36,8 +36,8 @@ from tacshade_edge.core.reconstruct import no_mark
 from tacshade_edge.devices.weights.network import WEIGHTS, load_networks
 from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.studies.evaluate.sensors import PRESS_NOISE, PRESSES, REFERENCE_NOISE, REFERENCES, SensorName
-from tacshade_edge.studies.sigma.work import NOISE, presses, true_height_mm
 from tacshade_edge.types import F32, F64, Calibration, Geometry
+from tools.studies.sigma.work import NOISE, presses, true_height_mm
 
 SENSORS = ("5", "11", "21", "50", "51", "52", "other:31", "other:32", "other:33", "other:34", "other:35", "other:36")
 WEIGHT_OBJECTS = ("cube", "ball", "cylinder", "bar", "cross")

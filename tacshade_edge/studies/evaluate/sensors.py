@@ -92,6 +92,9 @@ class SensorName:
         return FAMILIES[self.family](self.seed)
 
 
+FINAL_SENSORS = tuple(SensorName(family, FINAL_SEED + k) for family in ("tacshade", "other") for k in (18, 19, 20))
+
+
 def calibrated(name: SensorName, references: int, presses: int) -> CalibrationResult:
     """Calibrate on references and known ball presses, without looking at the model beyond its SENSOR.yaml.
 

@@ -18,7 +18,6 @@ from tacshade_edge.core.profiles import PROFILES, Profile
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.devices.weights.network import load_network
 from tacshade_edge.studies.scaled_grey import scaled_grey
-from tacshade_edge.studies.total_variation_int16 import chambolle_int16
 from tacshade_edge.types import F32, Bool, Calibration, Geometry
 
 
@@ -29,7 +28,6 @@ def chambolle_float64(image: F32, weight: float, iterations: int = ITERATIONS_MA
 
 DENOISERS: Mapping[str, Callable[[F32, float, int], F32]] = {
     "float32": chambolle,
-    "int16": chambolle_int16,
     "float64": chambolle_float64,
 }
 """The total-variation denoising in each precision: an image of 0 to 1, the weight, iterations at most."""
@@ -54,9 +52,7 @@ _AROUND_NETWORK: tuple[dict[str, Any], ...] = (
 # At stride 1 a frame takes half a second; around it only what decides.
 _AROUND_PAPER: tuple[dict[str, Any], ...] = (
     {"scaled_grey": True},
-    {"tv_precision": "int16"},
     {"tv_precision": "float64"},
-    {"scaled_grey": True, "tv_precision": "int16"},
     {"halved": True},
     {"stride_px": 2},
     {"stride_px": 4},
@@ -68,7 +64,6 @@ _AROUND_PAPER: tuple[dict[str, Any], ...] = (
     {"stride_px": 4, "tv_weight": 0.2},
     {"stride_px": 4, "tv_iterations": 5},
     {"stride_px": 4, "tv_iterations": 10},
-    {"stride_px": 4, "tv_precision": "int16"},
     {"stride_px": 4, "scaled_grey": True},
 )
 
