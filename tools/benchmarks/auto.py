@@ -5,9 +5,8 @@
     .venv/bin/python -m tools.benchmarks.auto --budget-ms 10 [--fps 60] [--idle 10] [--load 30] [--after 90]
         [--processes 4]
 
-The processes multiply matrices in an endless loop. One
-line a second: what `health` told, and each change of profile as `info` told it. The frames are those of
-`tools.benchmarks.daemon`: 640x480, nearly all in contact.
+The processes multiply matrices in an endless loop. One line a second: what `health` told, and each change of profile as
+`info` told it. The frames are those of `tools.benchmarks.daemon`: 640x480, nearly all in contact.
 """
 
 from __future__ import annotations
@@ -28,7 +27,8 @@ from paho.mqtt.enums import CallbackAPIVersion
 
 from tacshade_edge.cli.demo_sensor import make_calibration
 from tacshade_edge.devices.files import calibration_file
-from tools.benchmarks.daemon import BASE, broker
+from tools.benchmarks.daemon import RING_DAEMON
+from tools.testbed.daemon_rig import BASE, broker, draw_rings
 
 BUSY = "import numpy\na = numpy.random.rand(200, 200)\nwhile True: a @ a"
 
@@ -86,6 +86,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         calibration_file.save(folder / "c.npz", make_calibration())
+        draw_rings(folder)
         with broker(folder) as port:
             config = folder / "config.yaml"
             config.write_text(
@@ -93,17 +94,7 @@ def main() -> int:
                 f"source: {{kind: simulated}}\nmqtt: {{host: 127.0.0.1, port: {port}}}\n"
             )
             told = Told(port)
-            words = [
-                sys.executable,
-                "-m",
-                "tools.benchmarks.daemon",
-                "--role",
-                "daemon",
-                "--config",
-                config,
-                "--fps",
-                str(args.fps),
-            ]
+            words = [sys.executable, "-m", RING_DAEMON, config, folder / "contact.npy", str(args.fps)]
             daemon = subprocess.Popen(words, stdout=subprocess.DEVNULL)
             try:
                 if not told.first.wait(60):

@@ -14,7 +14,6 @@ import time
 from typing import Any
 
 import rclpy
-import ros_messages
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from rosidl_runtime_py.utilities import get_message
 
@@ -22,6 +21,7 @@ from tacshade_edge.devices.mqtt.client import BrokerAddress
 from tacshade_edge.devices.mqtt.follower import Follower
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol import wire
+from tools.examples.ros2 import ros_messages
 
 POLL_S = 0.1
 
