@@ -350,7 +350,7 @@ class FittedNetwork:
     Attributes
     ----------
     layout : str
-        Of the shipped network that it began with (`devices.weights.onnx_weights`): it runs in no other.
+        Of the shipped network that it began with (`inference.onnx_weights`): it runs in no other.
     weights : float32 (P,)
         All of its weights, in the order of the shipped file's.
     correction : float32 (channels, N, N)
@@ -388,7 +388,7 @@ class FittedNetwork:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """Everything that is known of one sensor; stored as one ``.npz`` by ``devices.files.calibration_file``.
+    """Everything that is known of one sensor; stored as one ``.npz`` by ``storage.calibration.calibration_file``.
 
     Attributes
     ----------
@@ -411,7 +411,7 @@ class Calibration:
     alpha : float
         The paper's α: depth of a normalised height of 1, in pixels.
     factors : mapping of str to float
-        On h, of each profile that was refitted to presses (`core.calibration.gain`).
+        On h, of each profile that was refitted to presses (`core.calibration.refit.gain`).
     fit : Fit or None
         How good the fit to ball presses is; None without presses.
     fitted : mapping of str to FittedNetwork

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import pytest
 from hypothesis import settings
 
-from tacshade_edge.cli.logs import OneLineHandler
+from tacshade_edge.cli.shared.logs import OneLineHandler
 
 settings.register_profile("tacshade", deadline=None, print_blob=True, derandomize="CI" in os.environ)
 settings.load_profile("tacshade")

@@ -12,13 +12,13 @@ import pytest
 
 from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.devices.files.summary import summary
-from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.doctor.calibration import check_images
 from tacshade_edge.doctor.camera import check_picture
+from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.protocol import messages, wire
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.simulator import nuisance
+from tacshade_edge.storage.runs.summary import summary
 from tacshade_edge.types import U8, Frame
 from tools.testbed.calibrated_sensor import FULL, calibrated, pressed, unloaded
 

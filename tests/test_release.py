@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.storage.calibration import calibration_file
 from tools.release.version import version
 from tools.testbed.calibrated_sensor import calibrated, pressed
 from tools.testbed.patience import patience
@@ -62,7 +62,7 @@ def test_the_wheel_works_out_of_any_checkout(tmp_path: Path) -> None:
     wheel = built(tree, "wheel", tmp_path / "wheel")
     assert wheel.name.split("-")[1] == version() == sdist.name.removesuffix(".tar.gz").split("-")[1]
     names = zipfile.ZipFile(wheel).namelist()
-    assert {"tacshade_edge/py.typed", "tacshade_edge/devices/weights/fast.onnx"} <= set(names)
+    assert {"tacshade_edge/py.typed", "tacshade_edge/inference/weights/fast.onnx"} <= set(names)
     assert {name.split("/")[0].split("-")[0] for name in names} == {"tacshade_edge"}
 
     command = installed(wheel, tmp_path / "environment")

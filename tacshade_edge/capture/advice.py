@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from tacshade_edge.core.calibration.coverage import advice
-from tacshade_edge.core.calibration.indenter import Indenter
-from tacshade_edge.core.calibration.press_check import PressCheck
-from tacshade_edge.devices.files.capture_folder import CaptureFolder, TakenPress
-from tacshade_edge.devices.files.presses import BALL
-from tacshade_edge.devices.files.tables import number
+from tacshade_edge.core.calibration.indenters.indenter import Indenter
+from tacshade_edge.core.calibration.presses.coverage import advice
+from tacshade_edge.core.calibration.presses.press_check import PressCheck
+from tacshade_edge.storage.tables.capture_folder import CaptureFolder, TakenPress
+from tacshade_edge.storage.tables.presses import BALL
+from tacshade_edge.storage.tables.tables import number
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from tacshade_edge.core.calibration.fixed_indenter import FixedIndenter, Touch, fixed_indenter
 from tacshade_edge.core.calibration.inputs import Sensor
-from tacshade_edge.devices.files.presses import BALL
+from tacshade_edge.core.calibration.observation.fixed_indenter import FixedIndenter, Touch, fixed_indenter
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.rigid import Rigid, from_seven, of_pose
+from tacshade_edge.storage.tables.presses import BALL
 from tacshade_edge.types import Frame, Pose
 
 PoseAt = Callable[[Frame], Pose | str]

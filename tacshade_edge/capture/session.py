@@ -13,13 +13,15 @@ from tacshade_edge.capture.live import STILL_FRAMES, Live
 from tacshade_edge.capture.robot_place import Name, RobotPlaces
 from tacshade_edge.capture.terminal import Terminal
 from tacshade_edge.core.calibration.calibrate import calibrate
-from tacshade_edge.core.calibration.indenter import Indenter
+from tacshade_edge.core.calibration.indenters.indenter import Indenter
 from tacshade_edge.core.calibration.inputs import Sensor
-from tacshade_edge.core.calibration.press_check import Judgement, PressCheck
+from tacshade_edge.core.calibration.presses.press_check import Judgement, PressCheck
 from tacshade_edge.core.calibration.quality import GRADED_PROFILE
-from tacshade_edge.core.calibration.stillness import REST_MOST_GREY, block_means, motion_grey
+from tacshade_edge.core.calibration.reference.stillness import REST_MOST_GREY, block_means, motion_grey
 from tacshade_edge.core.image.greyscale import to_grey
-from tacshade_edge.devices.files.capture_folder import (
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.inference.network import load_network
+from tacshade_edge.storage.tables.capture_folder import (
     CaptureFolder,
     Stated,
     TakenPress,
@@ -27,9 +29,7 @@ from tacshade_edge.devices.files.capture_folder import (
     next_number,
     stated,
 )
-from tacshade_edge.devices.files.presses import BALL
-from tacshade_edge.devices.weights.network import load_network
-from tacshade_edge.errors import ConfigError
+from tacshade_edge.storage.tables.presses import BALL
 from tacshade_edge.types import U8, Calibration, Frame
 
 REFERENCES = STILL_FRAMES

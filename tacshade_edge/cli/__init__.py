@@ -59,7 +59,7 @@ def command_line(is_wanted: Callable[[str], bool]) -> tuple[argparse.ArgumentPar
     for name, (module_name, summary) in COMMANDS.items():
         sub = commands.add_parser(name, help=summary, description=summary[0].upper() + summary[1:] + ".")
         if is_wanted(name):
-            modules[name] = importlib.import_module(f"tacshade_edge.cli.{module_name}")
+            modules[name] = importlib.import_module(f"tacshade_edge.cli.commands.{module_name}")
             modules[name].add_arguments(sub)
     return parser, modules
 

@@ -32,19 +32,19 @@ from tacshade_edge.daemon.reference.references import References
 from tacshade_edge.daemon.reload import reload
 from tacshade_edge.daemon.requests import Requests
 from tacshade_edge.daemon.systemd import Progress, Service
-from tacshade_edge.devices import registry
 from tacshade_edge.devices.base import FrameSource
-from tacshade_edge.devices.files import reference_file
 from tacshade_edge.devices.fixes import with_fix
 from tacshade_edge.devices.mqtt.outlet import PayloadOutcome
-from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.factories import registry
+from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.protocol import messages
 from tacshade_edge.protocol.messages import Request
 from tacshade_edge.protocol.results import RequestResult
 from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
 from tacshade_edge.rigid import from_seven
 from tacshade_edge.settings import Document, digest
+from tacshade_edge.storage.calibration import reference_file
 from tacshade_edge.types import Calibration
 from tacshade_edge.version import installed_version
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import msgspec
 
-from tacshade_edge.devices import registry
+from tacshade_edge.factories import registry
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.settings import Document, load
 from tacshade_edge.types import Calibration

@@ -23,8 +23,8 @@ from dataclasses import dataclass, field
 
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
 from tacshade_edge.daemon.systemd import STOP_USEC, notify
-from tacshade_edge.devices.weights.network import runtime
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.inference.network import runtime
 from tacshade_edge.quoting import escaped
 from tacshade_edge.settings import Document, Hand, load_all, load_hand
 

@@ -19,13 +19,13 @@ from typing import Any
 import cv2
 import msgspec
 
-from tacshade_edge.devices import calibrations, registry
-from tacshade_edge.devices.files.whole_files import disk_errors, write_whole
 from tacshade_edge.doctor.finding import Finding
 from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.factories import calibrations, registry
 from tacshade_edge.protocol.messages import encode_info
 from tacshade_edge.protocol.strict import decode_object
 from tacshade_edge.settings import Document, Settings, to_yaml
+from tacshade_edge.storage.whole_files import disk_errors, write_whole
 from tacshade_edge.types import U8
 from tacshade_edge.version import installed_version
 

@@ -6,16 +6,17 @@ import os
 import time
 from collections.abc import Sequence
 
-from tacshade_edge.core.calibration import pattern
-from tacshade_edge.core.calibration.references import rezero
+from tacshade_edge.core.calibration.reference import pattern
+from tacshade_edge.core.calibration.reference.references import rezero
 from tacshade_edge.core.frame_check import registration
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
-from tacshade_edge.devices import calibrations, fixes, registry
-from tacshade_edge.devices.weights.network import make_reconstructor
+from tacshade_edge.devices import fixes
 from tacshade_edge.doctor.finding import Finding, fault, ok, warning
 from tacshade_edge.doctor.settings import AS_SERVICE
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.factories import calibrations, registry
+from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import Reason
 from tacshade_edge.settings import Document
 from tacshade_edge.types import U8, Calibration, Frame

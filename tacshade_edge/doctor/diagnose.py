@@ -12,7 +12,6 @@ from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
-from tacshade_edge.devices import registry
 from tacshade_edge.doctor import calibration
 from tacshade_edge.doctor.board import check_board
 from tacshade_edge.doctor.broker import DaemonState, check_broker, judge_daemon
@@ -27,6 +26,7 @@ from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.doctor.serial import check_serial
 from tacshade_edge.doctor.settings import check_settings
 from tacshade_edge.doctor.usb import check_usb
+from tacshade_edge.factories import registry
 from tacshade_edge.settings import Document, Rpicam, Source, V4l2, load_all
 
 T = TypeVar("T")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from tacshade_edge.devices import registry
 from tacshade_edge.doctor.finding import Finding, fault, ok
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.factories import registry
 from tacshade_edge.regular_files import open_regular
 from tacshade_edge.settings import Document, load
 

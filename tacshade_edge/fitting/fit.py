@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tacshade_edge.core.calibration.inputs import KnownPress
-from tacshade_edge.core.calibration.press_targets import (
+from tacshade_edge.core.calibration.refit.press_targets import (
     Targets,
     fitted_error_scale,
     held_out,
@@ -18,11 +18,11 @@ from tacshade_edge.core.calibration.press_targets import (
     press_targets,
 )
 from tacshade_edge.core.profiles import DEFAULT, LADDER, PROFILES
-from tacshade_edge.devices.weights.network import load_network, network_files, shipped_layout
-from tacshade_edge.devices.weights.onnx_weights import values_of
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.fitting import training
 from tacshade_edge.fitting.torch_network import TorchNetwork
+from tacshade_edge.inference.network import load_network, network_files, shipped_layout
+from tacshade_edge.inference.onnx_weights import values_of
 from tacshade_edge.types import Calibration, FittedNetwork
 
 LEAST_PRESSES, ENOUGH_PRESSES = 16, 40

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from tacshade_edge.devices.weights.onnx_weights import Node, nodes_of, values_of, weights_of
+from tacshade_edge.inference.onnx_weights import Node, nodes_of, values_of, weights_of
 from tacshade_edge.types import F32
 
 Operation = Callable[[dict[str, Any], list[Tensor]], Tensor]

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from tacshade_edge.core.calibration.press_targets import VIEWS, PressTarget, Targets
+from tacshade_edge.core.calibration.refit.press_targets import VIEWS, PressTarget, Targets
 from tacshade_edge.fitting.torch_network import TorchNetwork
 
 STEPS, BATCH = 300, 12

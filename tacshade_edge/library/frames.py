@@ -9,16 +9,16 @@ from typing import Final
 
 from tacshade_edge.core.contact.tracking import ContactTracker
 from tacshade_edge.core.profiles import AUTO, DEFAULT
-from tacshade_edge.devices import calibrations, registry
 from tacshade_edge.devices.base import FrameSource
-from tacshade_edge.devices.files.recording import Recording
-from tacshade_edge.devices.files.recording_content import CALIBRATION_NAME
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
+from tacshade_edge.factories import calibrations, registry
 from tacshade_edge.library.arguments import path_of, wrong
 from tacshade_edge.library.result import Result, Results
 from tacshade_edge.library.sensor import Sensor, load
 from tacshade_edge.settings import Settings, V4l2
 from tacshade_edge.settings import load as load_settings
+from tacshade_edge.storage.recording.recording import Recording
+from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME
 from tacshade_edge.types import Frame
 
 _log = logging.getLogger(__name__)

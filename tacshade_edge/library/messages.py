@@ -6,10 +6,10 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from tacshade_edge.devices.files.run_files import payloads
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.library.arguments import path_of, wrong
 from tacshade_edge.protocol import wire
+from tacshade_edge.storage.runs.run_files import payloads
 
 Message = wire.HeightMessage | wire.CloudMessage | wire.ShearMessage | wire.SigmaMessage
 

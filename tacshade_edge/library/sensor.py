@@ -10,12 +10,12 @@ import numpy as np
 
 from tacshade_edge.core.contact.tracking import ContactTracker, follow
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
-from tacshade_edge.devices import calibrations
-from tacshade_edge.devices.files.images import read_image
-from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.factories import calibrations
+from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.library.arguments import path_of, wrong
 from tacshade_edge.library.result import Result, result_of
+from tacshade_edge.storage.images import read_image
 from tacshade_edge.types import U8, Calibration, Frame, Geometry
 
 _EXPECTED: Final = "a path, or uint8 (rows, cols) or (rows, cols, 3), blue first"

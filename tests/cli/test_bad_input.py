@@ -18,7 +18,7 @@ from pathlib import Path
 import cv2
 import pytest
 
-from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.mqtt_rig import free_port
 from tools.testbed.painted_sensor import FREE, painted_calibration
 from tools.testbed.patience import patience, wait_until

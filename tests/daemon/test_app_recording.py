@@ -20,10 +20,10 @@ from support.running_app import (
     paced,
 )
 
-from tacshade_edge.devices.files import calibration_file
-from tacshade_edge.devices.files.frame_table import read_table
-from tacshade_edge.devices.files.recording import Recording
 from tacshade_edge.settings import load
+from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.storage.recording.recording import Recording
+from tacshade_edge.storage.tables.frame_table import read_table
 from tacshade_edge.types import Calibration
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from tools.testbed.patience import wait_until

@@ -21,8 +21,8 @@ from support.running_app import (
 )
 
 from tacshade_edge.daemon.reference import untouched
-from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.protocol import wire
+from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.types import Calibration
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from tools.testbed.patience import wait_until

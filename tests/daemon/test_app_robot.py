@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 
 from tacshade_edge.daemon.app import App
-from tacshade_edge.devices.files.frame_table import read_table
 from tacshade_edge.protocol import wire
 from tacshade_edge.settings import load
+from tacshade_edge.storage.tables.frame_table import read_table
 from tacshade_edge.types import Calibration
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from tools.testbed.patience import patience, wait_until

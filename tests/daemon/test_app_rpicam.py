@@ -16,7 +16,7 @@ import pytest
 from support import rpicam_vid
 
 from tacshade_edge.daemon.app import App
-from tacshade_edge.devices import registry
+from tacshade_edge.factories import registry
 from tacshade_edge.reasons import Reason
 from tacshade_edge.settings import load
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber

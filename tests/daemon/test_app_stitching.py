@@ -16,12 +16,12 @@ import pytest
 
 from tacshade_edge.cli import main
 from tacshade_edge.daemon.app import App
-from tacshade_edge.devices.files.stitch_file import StitchFile
 from tacshade_edge.protocol import wire
 from tacshade_edge.protocol.serial.pose import PoseValues
 from tacshade_edge.settings import load
 from tacshade_edge.simulator.pad import Bar, Pad, scan
 from tacshade_edge.simulator.press import Press
+from tacshade_edge.storage.stitching.stitch_file import StitchFile
 from tacshade_edge.types import U8
 from tools.testbed.calibrated_sensor import HALF, calibrated, simulated, unloaded
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber

@@ -16,12 +16,12 @@ import pytest
 
 from tacshade_edge.daemon.app import App
 from tacshade_edge.daemon.reload import reload
-from tacshade_edge.devices import registry
-from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.factories import registry
 from tacshade_edge.protocol import wire
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.settings import load
+from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.types import Calibration
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from tools.testbed.patience import patience, wait_until

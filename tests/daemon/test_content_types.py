@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from support.running_app import BASE, Running, ask, last
 
-from tacshade_edge.devices import registry
 from tacshade_edge.errors import DecodeError
+from tacshade_edge.factories import registry
 from tacshade_edge.protocol import wire
 from tacshade_edge.settings import load
 from tools.faults.rig import write_posed_images

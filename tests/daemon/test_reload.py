@@ -6,10 +6,11 @@ import cv2
 import pytest
 
 from tacshade_edge.daemon.reload import reload
-from tacshade_edge.devices.files import calibration_file, checked_npz
-from tacshade_edge.devices.files.checked_npz import Content
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.settings import load
+from tacshade_edge.storage import checked_npz
+from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.storage.checked_npz import Content
 from tools.testbed.painted_sensor import FREE, painted_calibration
 
 

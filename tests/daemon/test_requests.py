@@ -15,7 +15,7 @@ from tacshade_edge.daemon.profiles.active_profile import ActiveProfile
 from tacshade_edge.daemon.reference.collector import REFERENCE_FRAMES
 from tacshade_edge.daemon.reference.references import References
 from tacshade_edge.daemon.requests import Requests
-from tacshade_edge.devices.weights.network import make_reconstructor
+from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.protocol.messages import Request, encode_reply
 from tacshade_edge.types import Calibration, Frame
 

@@ -15,10 +15,10 @@ from support.reworded import NONSENSE, reword
 from tacshade_edge.daemon import app as app_module
 from tacshade_edge.daemon.app import App
 from tacshade_edge.daemon.profiles.profile_chooser import ProfileChooser
-from tacshade_edge.devices import registry
 from tacshade_edge.devices.mqtt.link import MqttLink
-from tacshade_edge.devices.registry import make_link
 from tacshade_edge.errors import DecodeError, DeviceError
+from tacshade_edge.factories import registry
+from tacshade_edge.factories.registry import make_link
 from tacshade_edge.protocol.messages import Request, parse_request
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.settings import Document, load

@@ -16,8 +16,8 @@ import cv2
 import pytest
 
 from tacshade_edge.cli import EXIT_CONFIG
-from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.protocol import wire
+from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 from tools.testbed.patience import patience, wait_until

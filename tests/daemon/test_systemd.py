@@ -18,9 +18,9 @@ from tacshade_edge.daemon.pipeline.ledger import FrameLedger, Timings
 from tacshade_edge.daemon.pipeline.mailbox import Mailbox
 from tacshade_edge.daemon.pipeline.workers import Grab, Reconstruct
 from tacshade_edge.daemon.systemd import STOP_USEC, Progress, Service
-from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.errors import DecodeError, DeviceError
 from tacshade_edge.settings import load
+from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.types import Calibration, Frame, Need
 from tools.testbed.mqtt_rig import free_port
 from tools.testbed.painted_sensor import painted_calibration

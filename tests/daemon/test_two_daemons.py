@@ -17,9 +17,9 @@ from typing import Any
 import cv2
 import pytest
 
-from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.doctor.broker import check_broker, judge_daemon
 from tacshade_edge.doctor.machine import Process
+from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 from tools.testbed.patience import patience, wait_until

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from selenium.webdriver import Chrome
 
-from tacshade_edge.cli.demo_sensor import make_calibration
-from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.demo.sensor import make_calibration
+from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.browser import browser, errors
 
 

@@ -15,7 +15,7 @@ import pytest
 
 import tacshade_edge as ts
 from tacshade_edge.cli import main
-from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.calibrated_sensor import FULL, calibrated, pressed, unloaded
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from tools.testbed.patience import patience

@@ -6,9 +6,9 @@ from pathlib import Path
 import cv2
 import pytest
 
-from tacshade_edge.devices.files.image_source import FilesSource
 from tacshade_edge.doctor.capture import FRAMES, Captured, capture
 from tacshade_edge.reasons import ReasonCode
+from tacshade_edge.storage.recording.image_source import FilesSource
 from tools.testbed.painted_sensor import FREE
 
 

@@ -9,9 +9,9 @@ from typing import Any
 import cv2
 import pytest
 
-from tacshade_edge.devices.files import calibration_file
 from tacshade_edge.doctor.diagnose import CAPTURE_S, JUDGE_S, MACHINE_S, NODE_S, diagnose
 from tacshade_edge.doctor.finding import Finding
+from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.mqtt_rig import free_port
 from tools.testbed.painted_sensor import FREE, painted_calibration
 from tools.testbed.patience import stretched

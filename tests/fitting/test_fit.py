@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
-from tacshade_edge.devices.weights.network import make_reconstructor, shipped_layout
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.inference.network import make_reconstructor, shipped_layout
 from tacshade_edge.types import Calibration, Frame
 from tools.testbed.calibrated_sensor import calibrated, presses
 

@@ -8,8 +8,8 @@ from support.float_network import float_network
 
 from tacshade_edge.core.depth.network_maps import KNOWN
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.devices.weights.network import network_files
-from tacshade_edge.devices.weights.onnx_weights import values_of
+from tacshade_edge.inference.network import network_files
+from tacshade_edge.inference.onnx_weights import values_of
 
 torch = pytest.importorskip("torch", reason="PyTorch (the extra fit) is not installed")
 pytestmark = pytest.mark.fit

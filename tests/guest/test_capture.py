@@ -12,8 +12,8 @@ from support.handed_in import CAPTURED, CAPTURED_PRESS
 from support.vivid import unload_driver
 
 from tacshade_edge.core.image.greyscale import to_grey
-from tacshade_edge.devices.files.capture_folder import CaptureFolder
 from tacshade_edge.settings import V4l2, load
+from tacshade_edge.storage.tables.capture_folder import CaptureFolder
 from tools.testbed.person import person
 
 FEEDER = Path(__file__).resolve().parents[2] / "tools/rig/feed_video.py"

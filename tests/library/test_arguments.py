@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import tacshade_edge as ts
-from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.calibrated_sensor import calibrated
 
 NO_TEXT = [None, [], [1], {}, (1, 2), 5, 1.5, True, b"x", np.zeros((0, 0)), np.zeros((0, 0), np.uint8), object()]

@@ -12,7 +12,7 @@ import pytest
 
 import tacshade_edge as ts
 from tacshade_edge.cli import main
-from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.calibrated_sensor import HALF, calibrated, pressed, unloaded
 
 

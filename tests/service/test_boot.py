@@ -11,7 +11,7 @@ import pytest
 from support.booted_machine import CHECKOUT, cannot_boot, seen_there
 from support.locked_wheels import fetch
 
-from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.calibrated_sensor import FULL, calibrated
 from tools.testbed.patience import stretched
 

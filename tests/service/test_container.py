@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from support.locked_wheels import fetch
 
-from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.storage.calibration import calibration_file
 from tools.release.version import version
 from tools.testbed.painted_sensor import FREE, TOUCHED, enlarged, enlarged_calibration
 

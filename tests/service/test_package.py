@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from support.booted_machine import CHECKOUT, cannot_boot, seen_there
 
-from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.storage.calibration import calibration_file
 from tools.release.package_debian import CONFFILES, RELEASES
 from tools.release.version import version
 from tools.testbed.calibrated_sensor import FULL, calibrated
@@ -109,7 +109,7 @@ def test_the_package_says_what_it_is(package: Path) -> None:
     assert [row for row in rows if row[0][0] != "l" and "w" in (row[0][5], row[0][8])] == []
     names = {row[5].removeprefix(".") for row in rows}
     assert {f"/{name}" for name in CONFFILES} <= names
-    assert f"/opt/tacshade-edge/lib/python{python}/site-packages/tacshade_edge/devices/weights/fast.onnx" in names
+    assert f"/opt/tacshade-edge/lib/python{python}/site-packages/tacshade_edge/inference/weights/fast.onnx" in names
     assert [name for name in names if name.endswith((".pyc", "direct_url.json"))] == []
 
 

@@ -16,7 +16,7 @@ from support.soundness import everything, sound_step
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.devices.weights.network import make_reconstructor
+from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.types import U8, Binarisation, Calibration, Disc, Frame, Polarity
 
 

@@ -15,7 +15,7 @@ from support.soundness import sound_step
 from tacshade_edge.core.depth.learned import DEEPEST_RADII
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.devices.weights.network import make_reconstructor
+from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.types import U8, Calibration, Disc, Geometry
 

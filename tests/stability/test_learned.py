@@ -19,7 +19,7 @@ from tacshade_edge.core.depth import Network, NetworkMaps
 from tacshade_edge.core.depth.displacement import LearnedDisplacement
 from tacshade_edge.core.depth.learned import Inverse, LearnedInverse
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.devices.weights.network import WEIGHTS, load_network
+from tacshade_edge.inference.network import WEIGHTS, load_network
 from tacshade_edge.types import F32, Disc, Geometry
 
 NAMES = [name for name, profile in PROFILES.items() if profile.network]

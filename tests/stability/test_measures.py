@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from support.toy_network import NOTHING_FOREIGN
 
-from tacshade_edge.core.calibration import gain
+from tacshade_edge.core.calibration.refit import gain
 from tacshade_edge.core.depth.learned import Inverse
 from tacshade_edge.core.geometry.disc_map import CELLS
 from tacshade_edge.studies.metrics import contact_iou, score_cloud

@@ -15,8 +15,8 @@ from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import Sensor
 from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.types import U8, Calibration, Disc
 
 SMALL = [(1, 1), (2, 3), (8, 8), (9, 8), (17, 300), (64, 64)]

@@ -6,7 +6,7 @@ import shutil
 from pathlib import Path
 
 from tacshade_edge.core.depth import DisplacementNetwork, Network
-from tacshade_edge.devices.weights.network import WEIGHTS, read_displacement, read_network
+from tacshade_edge.inference.network import WEIGHTS, read_displacement, read_network
 
 
 def float_network(name: str, folder: Path) -> Network:

@@ -15,11 +15,11 @@ import numpy as np
 from tacshade_edge.cli import main
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
-from tacshade_edge.devices.files import calibration_file
-from tacshade_edge.devices.weights.network import make_reconstructor
+from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.simulator.objects import OBJECTS, ball
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedSensor
+from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.types import Frame
 from tools.testbed.painted_sensor import FREE, TOUCHED, enlarged, enlarged_calibration
 

@@ -6,8 +6,8 @@ from functools import cache
 
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import KnownPress
-from tacshade_edge.core.calibration.press_observation import PressObservation, observe_press
-from tacshade_edge.core.calibration.references import PROFILE
+from tacshade_edge.core.calibration.observation.press_observation import PressObservation, observe_press
+from tacshade_edge.core.calibration.reference.references import PROFILE
 from tacshade_edge.core.image.grey_maps import GreyMapper
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.simulator.calibration_set import ball_presses

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from tacshade_edge.devices.files.stitch_file import SessionInfo, StitchFile
+from tacshade_edge.storage.stitching.stitch_file import SessionInfo, StitchFile
 from tools.testbed.bumpy_surface import grid_poses, press_of
 
 

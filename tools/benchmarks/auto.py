@@ -25,8 +25,8 @@ from pathlib import Path
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 
-from tacshade_edge.cli.demo_sensor import make_calibration
-from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.demo.sensor import make_calibration
+from tacshade_edge.storage.calibration import calibration_file
 from tools.benchmarks.daemon import RING_DAEMON
 from tools.testbed.daemon_rig import BASE, broker, draw_rings
 

@@ -42,15 +42,15 @@ import numpy as np
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 
-from tacshade_edge.cli.demo_sensor import make_calibration
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
-from tacshade_edge.devices import registry
-from tacshade_edge.devices.files import calibration_file
-from tacshade_edge.devices.files.recorder import PNG_OPTIONS
+from tacshade_edge.demo.sensor import make_calibration
 from tacshade_edge.devices.mqtt.caller import MqttCaller
-from tacshade_edge.devices.weights.network import make_reconstructor
+from tacshade_edge.factories import registry
+from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.protocol import wire
 from tacshade_edge.settings import load
+from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.storage.recording.recorder import PNG_OPTIONS
 from tacshade_edge.types import Frame
 from tools.testbed.daemon_rig import BASE, broker, cpu_s, draw_rings, memory_mb
 

@@ -36,9 +36,9 @@ import numpy as np
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 
-from tacshade_edge.cli.demo_sensor import make_calibration
 from tacshade_edge.core.profiles import AUTO, DEFAULT, PROFILES
-from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.demo.sensor import make_calibration
+from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.daemon_rig import BASE, FIELDS, broker, draw_rings, memory_mb
 
 TOP = 8

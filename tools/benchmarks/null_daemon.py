@@ -17,7 +17,7 @@ import zlib
 from pathlib import Path
 
 from tacshade_edge.daemon.pipeline.ledger import FrameLedger
-from tacshade_edge.devices import registry
+from tacshade_edge.factories import registry
 from tacshade_edge.settings import load
 
 CONTACT_PERIOD_NS = 100_000_000

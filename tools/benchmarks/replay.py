@@ -18,12 +18,12 @@ from pathlib import Path
 
 import numpy as np
 
-from tacshade_edge.cli.demo_sensor import make_calibration
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.devices.files.recorder import Recorder, png_of
-from tacshade_edge.devices.files.run_files import CLOUDS, HEIGHTS, SUMMARY
+from tacshade_edge.demo.sensor import make_calibration
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.simulator.script import demonstration
+from tacshade_edge.storage.recording.recorder import Recorder, png_of
+from tacshade_edge.storage.runs.run_files import CLOUDS, HEIGHTS, SUMMARY
 from tacshade_edge.types import Frame, Pose
 
 DRAWN = 48  # drawing costs more than replaying: these again and again, under other noise

@@ -17,7 +17,7 @@ import numpy as np
 import onnxruntime
 
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.devices.weights.network import WEIGHTS, in_integers
+from tacshade_edge.inference.network import WEIGHTS, in_integers
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import F32
 from tools.benchmarks.stages import timed_ms

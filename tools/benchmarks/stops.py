@@ -32,8 +32,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tacshade_edge.cli.demo_sensor import make_calibration
-from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.demo.sensor import make_calibration
+from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.daemon_rig import broker
 
 LONGEST_S = 6.0

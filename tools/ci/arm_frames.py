@@ -17,8 +17,8 @@ import numpy as np
 
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.devices.files import calibration_file
-from tacshade_edge.devices.weights.network import make_reconstructor
+from tacshade_edge.inference.network import make_reconstructor
+from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.types import Frame, Need
 
 DEPTHS_MM = (0.6, 1.5, 3.0, 4.5)

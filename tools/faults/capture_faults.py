@@ -6,9 +6,9 @@ import os
 import time
 from pathlib import Path
 
-from tacshade_edge.devices.files.capture_folder import CaptureFolder
-from tacshade_edge.devices.files.presses import read_presses
 from tacshade_edge.settings.sensor_file import read_sensor
+from tacshade_edge.storage.tables.capture_folder import CaptureFolder
+from tacshade_edge.storage.tables.presses import read_presses
 from tools.faults.rig import Cell, Seen, pause
 from tools.testbed.fake_printer import FakePrinter
 from tools.testbed.person import Person, goes_to_the_skin, person

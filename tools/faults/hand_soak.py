@@ -25,9 +25,9 @@ from typing import Any
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
-from tacshade_edge.cli.demo_sensor import make_calibration
-from tacshade_edge.devices.files import calibration_file
-from tacshade_edge.devices.files.frame_table import read_table
+from tacshade_edge.demo.sensor import make_calibration
+from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.storage.tables.frame_table import read_table
 from tools.testbed.bridge_process import BridgeProcess
 from tools.testbed.daemon_rig import draw_rings, memory_mb
 from tools.testbed.mqtt_rig import Broker, Subscriber

@@ -21,25 +21,26 @@ import numpy as np
 from tacshade_edge.core.calibration.inputs import Inputs, KnownPress, Sensor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.daemon.stitching.session import Session
-from tacshade_edge.devices import calibrations
-from tacshade_edge.devices.files import calibration_file, checked_npz, reference_file
-from tacshade_edge.devices.files.checked_npz import Content
-from tacshade_edge.devices.files.images import read_image
-from tacshade_edge.devices.files.indenters import read_indenters
-from tacshade_edge.devices.files.labels import read_labels
-from tacshade_edge.devices.files.poses_table import read_poses
-from tacshade_edge.devices.files.pressed_file import PressedFile
-from tacshade_edge.devices.files.presses import read_presses
-from tacshade_edge.devices.files.recorder import Recorder, png_of
-from tacshade_edge.devices.files.recording import Recording
-from tacshade_edge.devices.files.reference_file import StoredReference
-from tacshade_edge.devices.files.stitch_file import PRESSES, SESSION, SessionInfo, StitchFile, open_session
-from tacshade_edge.devices.files.stl import read_stl, stl_bytes
-from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.errors import DecodeError
+from tacshade_edge.factories import calibrations
+from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.settings import load
 from tacshade_edge.settings.printer_file import read_printer
 from tacshade_edge.settings.sensor_file import read_sensor
+from tacshade_edge.storage import checked_npz
+from tacshade_edge.storage.calibration import calibration_file, reference_file
+from tacshade_edge.storage.calibration.reference_file import StoredReference
+from tacshade_edge.storage.checked_npz import Content
+from tacshade_edge.storage.images import read_image
+from tacshade_edge.storage.meshes.stl import read_stl, stl_bytes
+from tacshade_edge.storage.recording.recorder import Recorder, png_of
+from tacshade_edge.storage.recording.recording import Recording
+from tacshade_edge.storage.stitching.stitch_file import PRESSES, SESSION, SessionInfo, StitchFile, open_session
+from tacshade_edge.storage.tables.indenters import read_indenters
+from tacshade_edge.storage.tables.labels import read_labels
+from tacshade_edge.storage.tables.poses_table import read_poses
+from tacshade_edge.storage.tables.pressed_file import PressedFile
+from tacshade_edge.storage.tables.presses import read_presses
 from tacshade_edge.types import Calibration, Frame, Pose
 from tools.testbed.bumpy_surface import grid_poses, press_of
 from tools.testbed.fitted import fitted_with

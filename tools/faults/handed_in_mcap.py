@@ -16,13 +16,13 @@ from typing import Any
 import lz4.frame
 import zstandard
 
-from tacshade_edge.devices.files.mcap import messages
-from tacshade_edge.devices.files.mcap.writer import McapWriter
-from tacshade_edge.devices.files.mcap_recorder import McapRecorder
-from tacshade_edge.devices.files.recorder import png_of
-from tacshade_edge.devices.files.recording import Recording
-from tacshade_edge.devices.files.recording_content import content_of, events_in
 from tacshade_edge.errors import DecodeError
+from tacshade_edge.storage.recording.mcap import messages
+from tacshade_edge.storage.recording.mcap.writer import McapWriter
+from tacshade_edge.storage.recording.mcap_recorder import McapRecorder
+from tacshade_edge.storage.recording.recorder import png_of
+from tacshade_edge.storage.recording.recording import Recording
+from tacshade_edge.storage.recording.recording_content import content_of, events_in
 from tacshade_edge.types import Frame, Pose
 from tools.faults.handed_in import Files, Junk, Kind, bytes_of
 from tools.testbed.mcap_bytes import CHUNK, chunk, described, file_of, flipped, message, record, record_starts

@@ -23,11 +23,11 @@ from typing import Any
 
 import cv2
 
-from tacshade_edge.devices.files import calibration_file, reference_file
-from tacshade_edge.devices.files.recording import Recording
-from tacshade_edge.devices.files.stitch_file import StitchFile, read_info
 from tacshade_edge.errors import TacshadeError
 from tacshade_edge.settings import load
+from tacshade_edge.storage.calibration import calibration_file, reference_file
+from tacshade_edge.storage.recording.recording import Recording
+from tacshade_edge.storage.stitching.stitch_file import StitchFile, read_info
 from tools.faults.rig import write_posed_images
 from tools.testbed.calibrated_sensor import HALF, references
 from tools.testbed.mqtt_rig import Broker, Subscriber

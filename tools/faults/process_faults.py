@@ -9,7 +9,7 @@ import subprocess
 import time
 from pathlib import Path
 
-from tacshade_edge.devices.files.recording import Recording
+from tacshade_edge.storage.recording.recording import Recording
 from tools.faults.rig import BASE, SENSOR_ID, Cell, Seen, ended, pause
 from tools.testbed.patience import wait_until
 from tools.testbed.processes import is_there, suspend

@@ -24,10 +24,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from tacshade_edge.cli.demo_sensor import make_calibration
-from tacshade_edge.devices.files import calibration_file
-from tacshade_edge.devices.files.frame_table import read_table
+from tacshade_edge.demo.sensor import make_calibration
 from tacshade_edge.protocol.serial.pose import PoseValues
+from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.storage.tables.frame_table import read_table
 from tools.testbed.daemon_rig import draw_rings, memory_mb
 from tools.testbed.mqtt_rig import Broker, Subscriber
 from tools.testbed.robot import PtyRobot

@@ -7,7 +7,7 @@ import time
 
 import cv2
 
-from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.storage.calibration import calibration_file
 from tools.faults.rig import Cell, Seen
 from tools.testbed.painted_sensor import BLACK, painted_calibration
 

@@ -29,11 +29,11 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
 from tacshade_edge.daemon.app import App
-from tacshade_edge.devices import registry
-from tacshade_edge.devices.files import calibration_file
+from tacshade_edge.factories import registry
 from tacshade_edge.protocol.serial import cobs
 from tacshade_edge.protocol.serial.line import seal
 from tacshade_edge.settings import load
+from tacshade_edge.storage.calibration import calibration_file
 from tools.faults.rig import write_posed_images
 from tools.testbed.mqtt_rig import Broker, Subscriber
 from tools.testbed.painted_sensor import painted_calibration

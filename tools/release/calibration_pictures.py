@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 from selenium.webdriver.common.by import By
 
-from tacshade_edge.core.calibration.view import find_pattern, view
+from tacshade_edge.core.calibration.reference.view import find_pattern, view
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator import nuisance

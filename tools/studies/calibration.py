@@ -23,20 +23,24 @@ import numpy as np
 
 from tacshade_edge.core.calibration.calibrate import CalibrationResult, calibrate
 from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
-from tacshade_edge.core.calibration.press_observation import PressObservation, first_touch_mm, observe_press
-from tacshade_edge.core.calibration.press_outliers import outliers
-from tacshade_edge.core.calibration.press_question import question
-from tacshade_edge.core.calibration.press_view import PressViewer, as_seen
+from tacshade_edge.core.calibration.observation.press_observation import (
+    PressObservation,
+    first_touch_mm,
+    observe_press,
+)
+from tacshade_edge.core.calibration.presses.press_outliers import outliers
+from tacshade_edge.core.calibration.presses.press_question import question
+from tacshade_edge.core.calibration.presses.press_view import PressViewer, as_seen
 from tacshade_edge.core.calibration.quality import GRADED_PROFILE
-from tacshade_edge.core.calibration.references import PROFILE, rezero
+from tacshade_edge.core.calibration.reference.references import PROFILE, rezero
 from tacshade_edge.core.calibration.skin_scale import skin_scale
 from tacshade_edge.core.frame_check import registration
 from tacshade_edge.core.image.grey_maps import GreyMapper
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.devices.weights.network import load_networks
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.inference.network import load_networks
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.simulator.model import SensorModel, random_model

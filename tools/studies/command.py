@@ -7,8 +7,8 @@ import contextlib
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
-from tacshade_edge.cli import study
-from tacshade_edge.core.calibration.press_selection import MIN_PRESSES
+from tacshade_edge.cli.shared import study
+from tacshade_edge.core.calibration.presses.press_selection import MIN_PRESSES
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import TacshadeError
 from tacshade_edge.simulator.objects import OBJECTS

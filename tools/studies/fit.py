@@ -31,17 +31,17 @@ import numpy as np
 import torch
 
 import tacshade_edge
-from tacshade_edge.core.calibration import indenter
 from tacshade_edge.core.calibration.calibrate import CalibrationResult, calibrate
-from tacshade_edge.core.calibration.indenter import Indenter
+from tacshade_edge.core.calibration.indenters import indenter
+from tacshade_edge.core.calibration.indenters.indenter import Indenter
 from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
 from tacshade_edge.core.calibration.skin_scale import skin_scale
 from tacshade_edge.core.profiles import DEFAULT, LADDER, PROFILES
-from tacshade_edge.devices.files import calibration_file
-from tacshade_edge.devices.weights.network import load_networks, make_reconstructor
 from tacshade_edge.fitting.fit import fit
+from tacshade_edge.inference.network import load_networks, make_reconstructor
 from tacshade_edge.simulator.objects import OBJECTS, PAPER_OBJECTS, Shape, ball, ridge
 from tacshade_edge.simulator.press import Press
+from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.studies.evaluate.scenes import DEPTHS_MM, Scene, scenes
 from tacshade_edge.studies.evaluate.score import KnownTruth, Label, score
 from tacshade_edge.studies.evaluate.sensors import PRESS_NOISE, REFERENCE_NOISE, PressedSensor, SensorName
@@ -223,7 +223,7 @@ def program() -> str:
     """A hash of what is measured."""
     digest = hashlib.sha256(Path(__file__).read_bytes())
     package = Path(tacshade_edge.__file__).parent
-    for room in ("core", "fitting", "simulator", "devices/weights"):
+    for room in ("core", "fitting", "simulator", "inference"):
         for path in sorted((package / room).rglob("*")):
             if path.is_file() and path.suffix != ".pyc":
                 digest.update(path.read_bytes())

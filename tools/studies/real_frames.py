@@ -29,8 +29,8 @@ import numpy as np
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import Sensor
 from tacshade_edge.core.image.greyscale import to_grey
-from tacshade_edge.devices.files.images import read_image
 from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.storage.images import read_image
 from tacshade_edge.studies.evaluate.labelled import FoundRow, agreements, found_row, spearman
 from tacshade_edge.studies.evaluate.sensors import reconstructor
 from tacshade_edge.studies.tables import markdown

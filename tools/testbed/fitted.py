@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.devices.weights.network import load_network, network_files, shipped_layout
-from tacshade_edge.devices.weights.onnx_weights import values_of
+from tacshade_edge.inference.network import load_network, network_files, shipped_layout
+from tacshade_edge.inference.onnx_weights import values_of
 from tacshade_edge.types import Calibration, FittedNetwork
 
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from tacshade_edge.core.image.binarise import binarise
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
-from tacshade_edge.devices.files.calibration_file import with_crc
-from tacshade_edge.devices.weights.network import make_reconstructor
+from tacshade_edge.inference.network import make_reconstructor
+from tacshade_edge.storage.calibration.calibration_file import with_crc
 from tacshade_edge.types import U8, Calibration, Disc, Fit, Frame, Geometry, ProfileFit
 
 HEIGHT, WIDTH, PITCH_PX = 120, 160, 8.0

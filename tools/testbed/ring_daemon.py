@@ -6,7 +6,7 @@ from pathlib import Path
 
 from tacshade_edge.cli.entry import leave
 from tacshade_edge.daemon.app import App
-from tacshade_edge.devices import registry
+from tacshade_edge.factories import registry
 from tacshade_edge.settings import load
 from tools.testbed.daemon_rig import RingSource
 

@@ -9,7 +9,7 @@ from tacshade_edge.daemon.app import App
 from tacshade_edge.daemon.hand import process
 from tacshade_edge.daemon.hand.lines import Lines
 from tacshade_edge.daemon.supervisor import Supervisor
-from tacshade_edge.devices import registry
+from tacshade_edge.factories import registry
 from tacshade_edge.settings import Hand, load_all, load_hand
 from tools.testbed.daemon_rig import RingSource
 

@@ -32,7 +32,7 @@ from torch.nn import functional
 from torch.nn.utils.fusion import fuse_conv_bn_weights
 
 from tacshade_edge.core.geometry import disc_map
-from tacshade_edge.devices.weights.onnx_weights import values_of, with_values
+from tacshade_edge.inference.onnx_weights import values_of, with_values
 from tools.training.network import DisplacementNet, Net, trained
 from tools.training.shipped import WEIGHTS
 

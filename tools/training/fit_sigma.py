@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Fit how far off the shipped networks are: ``tacshade_edge/devices/weights/sigma.json`` (`core.depth.sigma`).
+"""Fit how far off the shipped networks are: ``tacshade_edge/inference/weights/sigma.json`` (`core.depth.sigma`).
 
 ::
 
@@ -25,7 +25,7 @@ from scipy.optimize import minimize
 
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
-from tacshade_edge.core.calibration.profile_refit import refit_profile
+from tacshade_edge.core.calibration.refit.profile_refit import refit_profile
 from tacshade_edge.core.contact.objects import contact_of
 from tacshade_edge.core.depth.learned import LearnedSolver
 from tacshade_edge.core.depth.sigma import INTERVAL_90, TERMS, SigmaModel, sigma_of_scale_1, terms
@@ -33,7 +33,7 @@ from tacshade_edge.core.geometry.disc import rays_in_image
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import LADDER, PROFILES
 from tacshade_edge.core.reconstruct import no_mark
-from tacshade_edge.devices.weights.network import WEIGHTS, load_networks
+from tacshade_edge.inference.network import WEIGHTS, load_networks
 from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.studies.evaluate.sensors import PRESS_NOISE, PRESSES, REFERENCE_NOISE, REFERENCES, SensorName
 from tacshade_edge.types import F32, F64, Calibration, Geometry

@@ -26,7 +26,7 @@ import onnxruntime
 from tools.training.data import Data, batch, load, shards_in
 from tools.training.integer_graph import Channels, Graph, Network
 
-WEIGHTS = Path(__file__).parents[2] / "tacshade_edge" / "devices" / "weights"
+WEIGHTS = Path(__file__).parents[2] / "tacshade_edge" / "inference" / "weights"
 
 
 def channels(network: Network, once: bytes, frames: Sequence[Data], part: float) -> dict[str, Channels]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from tacshade_edge.core.calibration import pattern
+from tacshade_edge.core.calibration.reference import pattern
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.disc import Window, disc_mask
 from tacshade_edge.core.image import greyscale

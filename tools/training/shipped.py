@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from tools.training.network import Net
 
-WEIGHTS = Path(__file__).parents[2] / "tacshade_edge" / "devices" / "weights"
+WEIGHTS = Path(__file__).parents[2] / "tacshade_edge" / "inference" / "weights"
 
 
 def shipped(net: Net, name: str, inputs: list[Tensor]) -> None:

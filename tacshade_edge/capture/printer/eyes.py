@@ -9,8 +9,8 @@ import numpy as np
 from tacshade_edge.capture.live import Live
 from tacshade_edge.capture.printer.doubt import Doubt, Stopped
 from tacshade_edge.capture.printer.hand import Hand
-from tacshade_edge.core.calibration.press_check import Judgement, PressCheck
-from tacshade_edge.core.calibration.stillness import REST_MOST_GREY, block_means, motion_grey
+from tacshade_edge.core.calibration.presses.press_check import Judgement, PressCheck
+from tacshade_edge.core.calibration.reference.stillness import REST_MOST_GREY, block_means, motion_grey
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.types import F32, U8, Frame
 

@@ -10,8 +10,8 @@ from tacshade_edge.capture.printer.doubt import Doubt
 from tacshade_edge.capture.printer.plan import BESIDE_START_MM
 from tacshade_edge.capture.printer.touch import Touch
 from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
-from tacshade_edge.core.calibration.press_observation import pictured_places
-from tacshade_edge.core.calibration.touches import Stand, first_touch_mm, skin_centre, stand, yaw_of
+from tacshade_edge.core.calibration.observation.press_observation import pictured_places
+from tacshade_edge.core.calibration.observation.touches import Stand, first_touch_mm, skin_centre, stand, yaw_of
 from tacshade_edge.types import F64, Calibration
 
 # First touches around the start, then those around the axis (in skin radii), where the ball goes on by so much.

@@ -6,13 +6,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from tacshade_edge.core.calibration.indenter import Indenter
+from tacshade_edge.core.calibration.indenters.indenter import Indenter
 from tacshade_edge.core.calibration.inputs import Sensor
-from tacshade_edge.core.calibration.touches import first_touch_mm
-from tacshade_edge.devices.files.capture_folder import Stated
-from tacshade_edge.devices.files.presses import BALL
+from tacshade_edge.core.calibration.observation.touches import first_touch_mm
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.settings.printer_file import PrinterFile
+from tacshade_edge.storage.tables.capture_folder import Stated
+from tacshade_edge.storage.tables.presses import BALL
 
 BESIDE_START_MM = 5.0
 """So far the skin's axis may be from the stated start."""

@@ -24,8 +24,8 @@ from tacshade_edge.capture.printer.touch import Touch
 from tacshade_edge.capture.session import Session
 from tacshade_edge.capture.terminal import Terminal
 from tacshade_edge.core.calibration.inputs import Sensor
-from tacshade_edge.core.calibration.press_check import PressCheck
-from tacshade_edge.core.calibration.touches import Stand, first_touch_mm
+from tacshade_edge.core.calibration.observation.touches import Stand, first_touch_mm
+from tacshade_edge.core.calibration.presses.press_check import PressCheck
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.settings.printer_file import PrinterFile
 from tacshade_edge.types import Calibration

@@ -7,18 +7,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tacshade_edge.core.calibration import pattern
-from tacshade_edge.core.calibration.coverage import missing_coverage
-from tacshade_edge.core.calibration.depth_zero import travel_mistake, zero_hint
 from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
-from tacshade_edge.core.calibration.press_observation import position_mae_mm
-from tacshade_edge.core.calibration.press_selection import select_presses
-from tacshade_edge.core.calibration.profile_refit import refit_profile
+from tacshade_edge.core.calibration.observation.press_observation import position_mae_mm
+from tacshade_edge.core.calibration.presses.coverage import missing_coverage
+from tacshade_edge.core.calibration.presses.depth_zero import travel_mistake, zero_hint
+from tacshade_edge.core.calibration.presses.press_selection import select_presses
+from tacshade_edge.core.calibration.presses.travel_fit import agreement_mae_mm
 from tacshade_edge.core.calibration.quality import AGREEMENT_FAIR_MM, GRADED_PROFILE, UNCALIBRATED, Quality, assess
-from tacshade_edge.core.calibration.references import ASSUMED_NOISE_GREY, check_references, with_reference
+from tacshade_edge.core.calibration.reference import pattern
+from tacshade_edge.core.calibration.reference.references import (
+    ASSUMED_NOISE_GREY,
+    check_references,
+    with_reference,
+)
+from tacshade_edge.core.calibration.reference.threshold_choice import choose_binarisation
+from tacshade_edge.core.calibration.refit.profile_refit import refit_profile
 from tacshade_edge.core.calibration.skin_scale import skin_scale
-from tacshade_edge.core.calibration.threshold_choice import choose_binarisation
-from tacshade_edge.core.calibration.travel_fit import agreement_mae_mm
 from tacshade_edge.core.depth import Network
 from tacshade_edge.core.image import greyscale
 from tacshade_edge.core.profiles import PROFILES

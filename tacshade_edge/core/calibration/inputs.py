@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from tacshade_edge.core.calibration.indenter import Indenter
+from tacshade_edge.core.calibration.indenters.indenter import Indenter
 from tacshade_edge.types import IDENTITY_POSE, U8, Binarisation, Disc, Polarity
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import Inputs, KnownPress, Sensor
-from tacshade_edge.core.calibration.references import rezero
+from tacshade_edge.core.calibration.reference.references import rezero
 from tacshade_edge.core.depth import Network
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.types import U8, Calibration

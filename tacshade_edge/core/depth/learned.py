@@ -2,7 +2,7 @@
 
 The network is trained on simulated sensors alone (tools/train). It sees every sensor on the same square of cells
 (`core.geometry.disc_map`) and is told what is known of it; its heights are in tenths of the disc's radius. How it is
-run is the caller's choice (`devices.weights.network` takes ONNX Runtime).
+run is the caller's choice (`inference.network` takes ONNX Runtime).
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """How far off a height is: one standard deviation for every cell of a contact.
 
 A log-linear model of what a network itself tells, fitted on simulated sensors of two families
-(tools/training/fit_sigma.py), times a scale of the sensor, which its presses tell (`core.calibration.error_scale`).
-With k the skin's radius over 20 mm,
+(tools/training/fit_sigma.py), times a scale of the sensor, which its presses tell
+(`core.calibration.refit.error_scale`). With k the skin's radius over 20 mm,
 
     log(σ / k) = log scale + Σ w_i x_i,    x = (1, log(0.1 + h / k), min(|∇h|, 2), l_c, l_f),
 
@@ -43,7 +43,7 @@ class SigmaModel:
     scale_without_presses : float
         Of a sensor of which nothing is known but its references: that of the other family.
     press_offset, press_slope : float
-        Of a sensor whose presses are off by q σ of scale 1 (`core.calibration.error_scale`):
+        Of a sensor whose presses are off by q σ of scale 1 (`core.calibration.refit.error_scale`):
         log scale = press_offset + press_slope · log q.
 
     Raises

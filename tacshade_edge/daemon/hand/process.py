@@ -16,8 +16,8 @@ from tacshade_edge.daemon.hand.lines import HandLine, Lines
 from tacshade_edge.daemon.hand.together import Together
 from tacshade_edge.daemon.pipeline.pipeline import Crash, crashes_to
 from tacshade_edge.daemon.systemd import STOP_USEC, notify
-from tacshade_edge.devices import registry
 from tacshade_edge.errors import DecodeError
+from tacshade_edge.factories import registry
 from tacshade_edge.protocol import messages
 from tacshade_edge.protocol.hand import encode_hand
 from tacshade_edge.protocol.messages import Request

@@ -12,7 +12,7 @@ from tacshade_edge.core.profiles import AUTO, LADDER, PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.pipeline.workers import Reconstruct
 from tacshade_edge.daemon.profiles.profile_chooser import ProfileChooser, Step
-from tacshade_edge.devices.weights.network import make_reconstructor
+from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import Reason
 from tacshade_edge.types import Calibration, Frame
 

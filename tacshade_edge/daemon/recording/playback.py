@@ -7,8 +7,8 @@ import time
 from collections.abc import Callable
 from typing import Any, Final
 
-from tacshade_edge.devices.files.recording import RecordedFrame, Recording
 from tacshade_edge.protocol.messages import PlaybackCommand
+from tacshade_edge.storage.recording.recording import RecordedFrame, Recording
 
 Changed = Callable[[dict[str, Any]], None]
 _MS: Final = 3  # decimals of a second

@@ -17,10 +17,10 @@ import numpy as np
 from tacshade_edge.daemon.pipeline.workers import Grab
 from tacshade_edge.daemon.recording.before import BEFORE_BYTES, EVENT_BYTES, Event, Kept, Shot
 from tacshade_edge.daemon.recording.byte_queue import ByteQueue
-from tacshade_edge.devices.files.recorder import Recorder, png_of
-from tacshade_edge.devices.files.whole_files import FREE_FLOOR_BYTES
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
+from tacshade_edge.storage.recording.recorder import Recorder, png_of
+from tacshade_edge.storage.whole_files import FREE_FLOOR_BYTES
 from tacshade_edge.types import Calibration, Frame
 
 # 54 grey frames of 640x480: almost a second at 60 per second. Of the 150 MB that the service may use.

@@ -14,14 +14,14 @@ from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.pipeline.workers import SourceState
 from tacshade_edge.daemon.recording.record import STOPPED, LiveRecorder, Recorded
 from tacshade_edge.daemon.requests import Reply
-from tacshade_edge.devices.files.mcap.mend import mend_recordings
-from tacshade_edge.devices.files.mcap_recorder import McapRecorder
-from tacshade_edge.devices.files.recorder import Recorder
-from tacshade_edge.devices.files.recording_content import CALIBRATION_NAME
 from tacshade_edge.errors import DeviceError, TacshadeError
 from tacshade_edge.protocol.messages import Request, encode_status
 from tacshade_edge.reasons import ReasonCode, reason_fields
 from tacshade_edge.settings import Settings, to_yaml
+from tacshade_edge.storage.recording.mcap.mend import mend_recordings
+from tacshade_edge.storage.recording.mcap_recorder import McapRecorder
+from tacshade_edge.storage.recording.recorder import Recorder
+from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME
 from tacshade_edge.version import installed_version
 
 FIGURES_PERIOD_S = 1.0

@@ -15,8 +15,8 @@ from tacshade_edge.core.contact.tracking import ContactTracker, follow
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.pipeline.ledger import Timings
 from tacshade_edge.daemon.recording.playback import Playback
-from tacshade_edge.devices.files.recording import RecordedFrame, Recording
 from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.storage.recording.recording import RecordedFrame, Recording
 from tacshade_edge.types import Reconstruction
 
 Deliver = Callable[[RecordedFrame, Reconstruction], None]

@@ -9,7 +9,6 @@ from typing import Any
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.publishing.publisher import Publisher
 from tacshade_edge.daemon.recording.playback import Playback
-from tacshade_edge.devices.files.recording import RecordedFrame
 from tacshade_edge.devices.mqtt.client import BrokerAddress
 from tacshade_edge.devices.mqtt.link import MqttLink
 from tacshade_edge.devices.mqtt.outlet import PayloadOutcome
@@ -17,6 +16,7 @@ from tacshade_edge.errors import DeviceError
 from tacshade_edge.protocol import messages
 from tacshade_edge.protocol.messages import Request
 from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.storage.recording.recording import RecordedFrame
 from tacshade_edge.types import Reconstruction
 from tacshade_edge.version import installed_version
 

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from tacshade_edge.core.calibration.references import rezero
-from tacshade_edge.devices.files import reference_file
-from tacshade_edge.devices.files.calibration_file import with_crc
-from tacshade_edge.devices.files.reference_file import StoredReference
+from tacshade_edge.core.calibration.reference.references import rezero
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
+from tacshade_edge.storage.calibration import reference_file
+from tacshade_edge.storage.calibration.calibration_file import with_crc
+from tacshade_edge.storage.calibration.reference_file import StoredReference
 from tacshade_edge.types import U8, Calibration
 
 _log = logging.getLogger(__name__)

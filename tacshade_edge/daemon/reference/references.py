@@ -7,15 +7,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-from tacshade_edge.core.calibration import following
-from tacshade_edge.core.calibration.following import Distance
+from tacshade_edge.core.calibration.reference import following
+from tacshade_edge.core.calibration.reference.following import Distance
 from tacshade_edge.daemon.reference.origin import Origin, requested, restored
 from tacshade_edge.daemon.reference.untouched import UntouchedFrames
-from tacshade_edge.devices.files.calibration_file import with_crc
-from tacshade_edge.devices.files.folder_lock import FolderLock
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.protocol.results import ReferenceTaken
 from tacshade_edge.reasons import Reason, ReasonCode, code_of, reason_fields
+from tacshade_edge.storage.calibration.calibration_file import with_crc
+from tacshade_edge.storage.folder_lock import FolderLock
 from tacshade_edge.types import U8, Calibration
 
 _log = logging.getLogger(__name__)

@@ -11,13 +11,13 @@ import numpy as np
 from tacshade_edge.core.stitching.press_points import PressPoints
 from tacshade_edge.core.stitching.stitcher import Stitcher
 from tacshade_edge.daemon.stitching.map_revision import MapRevision
-from tacshade_edge.devices.files.map_files import press_record, write_map
-from tacshade_edge.devices.files.stitch_file import SessionInfo, StitchFile, open_session
-from tacshade_edge.devices.files.whole_files import disk_errors
 from tacshade_edge.protocol.results import PressAdded, SessionAborted, SessionBegun, SessionEnded, SessionStatus
 from tacshade_edge.quoting import quoted
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.rigid import Rigid
+from tacshade_edge.storage.stitching.map_files import press_record, write_map
+from tacshade_edge.storage.stitching.stitch_file import SessionInfo, StitchFile, open_session
+from tacshade_edge.storage.whole_files import disk_errors
 from tacshade_edge.types import Calibration
 
 _NAME_MAX = 64

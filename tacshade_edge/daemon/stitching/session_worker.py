@@ -22,13 +22,13 @@ from tacshade_edge.core.stitching.rest import RestDetector
 from tacshade_edge.daemon.stitching.map_revision import MapRevision
 from tacshade_edge.daemon.stitching.pending_adds import WAITING_MAX, PendingAdds, Reply
 from tacshade_edge.daemon.stitching.session import RefusedError, Session
-from tacshade_edge.devices.files.folder_lock import FolderLock
-from tacshade_edge.devices.files.whole_files import disk_errors
-from tacshade_edge.devices.free_memory import return_free_memory
 from tacshade_edge.errors import TacshadeError
+from tacshade_edge.free_memory import return_free_memory
 from tacshade_edge.protocol.results import NoSession, PressAdded, SessionAborted, SessionEnded, SessionResult
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.rigid import Rigid, from_seven, of_pose
+from tacshade_edge.storage.folder_lock import FolderLock
+from tacshade_edge.storage.whole_files import disk_errors
 from tacshade_edge.types import Calibration, Frame, Reconstruction
 
 _log = logging.getLogger(__name__)

@@ -22,9 +22,9 @@ import time
 import cv2
 import numpy as np
 
+from tacshade_edge.core.image.image_bytes import decode_image
 from tacshade_edge.devices.camera import v4l2_controls, v4l2_node
 from tacshade_edge.devices.camera.frame_gaps import FrameGaps
-from tacshade_edge.devices.image_bytes import decode_image
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError, TacshadeError
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.types import U8, Frame

@@ -9,8 +9,8 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from scipy.stats import rankdata
 
-from tacshade_edge.devices.files.labels import COLUMNS
 from tacshade_edge.reasons import code_of
+from tacshade_edge.storage.tables.labels import COLUMNS
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import F64, Reconstruction
 

@@ -15,8 +15,8 @@ import numpy as np
 
 from tacshade_edge.core.geometry.back_projection import skin_points
 from tacshade_edge.core.geometry.disc import Grid, disc_rays
-from tacshade_edge.devices.files.images import SUFFIXES, read_image
 from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.storage.images import SUFFIXES, read_image
 from tacshade_edge.studies.cases import Case
 from tacshade_edge.studies.evaluate.score import KnownTruth, Label, Row, between_pixels, score
 from tacshade_edge.studies.evaluate.sensors import reconstructor

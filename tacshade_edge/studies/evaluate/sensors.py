@@ -10,8 +10,8 @@ from tacshade_edge.core.calibration.calibrate import CalibrationResult, calibrat
 from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.devices.weights.network import load_networks, make_reconstructor
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.inference.network import load_networks, make_reconstructor
 from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.simulator.model import SensorModel, random_model
 from tacshade_edge.simulator.other_family import OtherSensor, other_model

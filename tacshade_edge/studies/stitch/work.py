@@ -11,13 +11,13 @@ from tacshade_edge.core.profiles import Profile
 from tacshade_edge.core.stitching.press_points import NO_POINTS, PressPoints, press_points
 from tacshade_edge.core.stitching.rest import RestDetector
 from tacshade_edge.core.stitching.stitcher import Stitcher
-from tacshade_edge.devices.files.images import read_image
-from tacshade_edge.devices.files.poses_table import PosedImage
-from tacshade_edge.devices.files.recording import Recording
-from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.rigid import Rigid, from_seven, of_pose
+from tacshade_edge.storage.images import read_image
+from tacshade_edge.storage.recording.recording import Recording
+from tacshade_edge.storage.tables.poses_table import PosedImage
 from tacshade_edge.types import F64, Calibration, Frame
 
 AVERAGED_POINTS = 500

@@ -16,7 +16,7 @@ from tacshade_edge.core.geometry.disc import DiscRays
 from tacshade_edge.core.image.total_variation import ITERATIONS_MAX, chambolle
 from tacshade_edge.core.profiles import PROFILES, Profile
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.devices.weights.network import load_network
+from tacshade_edge.inference.network import load_network
 from tacshade_edge.studies.scaled_grey import scaled_grey
 from tacshade_edge.types import F32, Bool, Calibration, Geometry
 

@@ -22,12 +22,12 @@ from tacshade_edge.capture.printer.touch import Touch
 from tacshade_edge.capture.terminal import Terminal
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import Sensor as Stated
-from tacshade_edge.core.calibration.press_check import PressCheck
+from tacshade_edge.core.calibration.presses.press_check import PressCheck
 from tacshade_edge.devices.camera.simulated import SimulatedSource
-from tacshade_edge.devices.files.pressed_file import PressedFile
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.settings.printer_file import PrinterFile
 from tacshade_edge.simulator.scene import SimulatedSensor
+from tacshade_edge.storage.tables.pressed_file import PressedFile
 from tacshade_edge.types import Frame
 from tools.testbed.fake_printer import FakePrinter, Faults, Sensor
 

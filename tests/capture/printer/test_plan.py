@@ -3,11 +3,11 @@ from __future__ import annotations
 import pytest
 
 from tacshade_edge.capture.printer.plan import planned_presses
-from tacshade_edge.core.calibration.indenter import box
+from tacshade_edge.core.calibration.indenters.indenter import box
 from tacshade_edge.core.calibration.inputs import Sensor
-from tacshade_edge.devices.files.capture_folder import Stated
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.settings.printer_file import PrinterFile
+from tacshade_edge.storage.tables.capture_folder import Stated
 
 SENSOR = Sensor(20, 14, 50, "bright")
 LIMITS = PrinterFile(x_mm=[0, 220], y_mm=[0, 220], z_mm=[40, 200], start_mm=[110, 110, 90], feed_mm_s=50)

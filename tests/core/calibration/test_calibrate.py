@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from tacshade_edge.core.calibration.calibrate import calibrate
-from tacshade_edge.core.calibration.press_selection import MIN_PRESSES
-from tacshade_edge.devices.weights.network import load_networks
+from tacshade_edge.core.calibration.presses.press_selection import MIN_PRESSES
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.inference.network import load_networks
 from tools.testbed.calibrated_sensor import HALF, calibrated, presses, references, sensor_of, unloaded
 
 pytestmark = pytest.mark.slow

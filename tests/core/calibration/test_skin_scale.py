@@ -11,14 +11,14 @@ import pytest
 from support.observed_presses import SEEDS, observed
 
 from tacshade_edge.core.calibration.calibrate import CalibrationResult, calibrate
-from tacshade_edge.core.calibration.coverage import missing_coverage
 from tacshade_edge.core.calibration.inputs import KnownPress
-from tacshade_edge.core.calibration.press_observation import PressObservation
-from tacshade_edge.core.calibration.press_outliers import outliers
+from tacshade_edge.core.calibration.observation.press_observation import PressObservation
+from tacshade_edge.core.calibration.presses.coverage import missing_coverage
+from tacshade_edge.core.calibration.presses.press_outliers import outliers
+from tacshade_edge.core.calibration.presses.table_hints import table_hints
+from tacshade_edge.core.calibration.presses.travel_fit import agreement_mae_mm
 from tacshade_edge.core.calibration.skin_scale import skin_scale
-from tacshade_edge.core.calibration.table_hints import table_hints
-from tacshade_edge.core.calibration.travel_fit import agreement_mae_mm
-from tacshade_edge.devices.weights.network import load_networks
+from tacshade_edge.inference.network import load_networks
 from tacshade_edge.types import Disc, Geometry
 from tools.testbed.calibrated_sensor import HALF, presses, references, sensor_of
 

@@ -6,7 +6,7 @@ from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.image.integral_image import CellMeans
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.devices.weights.network import make_reconstructor
+from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.simulator.model import SensorModel

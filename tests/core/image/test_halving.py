@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from support.built_sensor import built_calibration
 
-from tacshade_edge.core.calibration.pattern import marker_pitch_px
+from tacshade_edge.core.calibration.reference.pattern import marker_pitch_px
 from tacshade_edge.core.contact.gate import ContactGate
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.disc import disc_mask
@@ -20,7 +20,7 @@ from tacshade_edge.core.image.halving import (
 from tacshade_edge.core.image.integral_image import CellMeans
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.devices.weights.network import make_reconstructor
+from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import text_of
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.types import U8, Disc, Frame

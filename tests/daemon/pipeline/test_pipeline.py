@@ -10,8 +10,8 @@ from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.daemon.pipeline.ledger import FrameLedger, FrameOutcome
 from tacshade_edge.daemon.pipeline.pipeline import Crash, Pipeline, crashes_to
 from tacshade_edge.daemon.pipeline.workers import SourceState
-from tacshade_edge.devices.weights.network import make_reconstructor
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.types import Calibration, Frame, Need, Reconstruction
 from tools.testbed.patience import stretched
 

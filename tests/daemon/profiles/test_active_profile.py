@@ -12,8 +12,8 @@ from tacshade_edge.daemon.pipeline.mailbox import Mailbox
 from tacshade_edge.daemon.pipeline.workers import Reconstruct
 from tacshade_edge.daemon.profiles.active_profile import CALM_S, ActiveProfile, Stepped, step_cost_ms
 from tacshade_edge.daemon.profiles.profile_chooser import PATIENCE_S, WINDOW_FRAMES
-from tacshade_edge.devices.files.calibration_file import with_crc
-from tacshade_edge.devices.weights.network import make_reconstructor
+from tacshade_edge.inference.network import make_reconstructor
+from tacshade_edge.storage.calibration.calibration_file import with_crc
 from tacshade_edge.types import Calibration, Frame
 
 pytestmark = pytest.mark.slow

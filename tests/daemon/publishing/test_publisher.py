@@ -9,7 +9,7 @@ import pytest
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.daemon.publishing.publisher import Publisher
-from tacshade_edge.devices.weights.network import make_reconstructor
+from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.protocol import wire
 from tacshade_edge.types import Calibration, Frame, Need, Pose, Slip
 from tools.testbed.painted_sensor import touched_depth_mm

@@ -20,11 +20,11 @@ from tacshade_edge.daemon.pipeline.mailbox import Mailbox
 from tacshade_edge.daemon.pipeline.workers import Grab
 from tacshade_edge.daemon.recording import record
 from tacshade_edge.daemon.recording.record import STOPPED, TIME, LiveRecorder, Recorded, RecordingEnded
-from tacshade_edge.devices.files.frame_table import read_table
-from tacshade_edge.devices.files.recorder import png_of
-from tacshade_edge.devices.files.recording import Recording
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.storage.recording.recorder import png_of
+from tacshade_edge.storage.recording.recording import Recording
+from tacshade_edge.storage.tables.frame_table import read_table
 from tacshade_edge.types import Calibration, Frame
 from tools.testbed.painted_sensor import FREE, TOUCHED
 from tools.testbed.patience import patience, wait_until

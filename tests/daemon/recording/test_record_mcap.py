@@ -20,8 +20,8 @@ from tacshade_edge.daemon.pipeline.mailbox import Mailbox
 from tacshade_edge.daemon.pipeline.workers import Grab
 from tacshade_edge.daemon.recording.record import STOPPED, LiveRecorder, Recorded
 from tacshade_edge.daemon.recording.record_requests import RecordRequests
-from tacshade_edge.devices.files.mcap_recorder import McapRecorder
-from tacshade_edge.devices.files.recording import Recording
+from tacshade_edge.storage.recording.mcap_recorder import McapRecorder
+from tacshade_edge.storage.recording.recording import Recording
 from tacshade_edge.types import Calibration, Frame
 
 

@@ -8,8 +8,8 @@ from support.recordings import write_recording
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.daemon.recording.replay import Progress, replay
-from tacshade_edge.devices.files.recording import RecordedFrame, Recording
-from tacshade_edge.devices.weights.network import make_reconstructor
+from tacshade_edge.inference.network import make_reconstructor
+from tacshade_edge.storage.recording.recording import RecordedFrame, Recording
 from tacshade_edge.types import Reconstruction
 from tools.testbed.painted_sensor import BLACK, FREE, TOUCHED, painted_calibration
 

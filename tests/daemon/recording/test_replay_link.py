@@ -11,9 +11,9 @@ from support.recordings import write_recording
 
 from tacshade_edge.cli import main
 from tacshade_edge.core.profiles import DEFAULT
-from tacshade_edge.devices.files import calibration_file
-from tacshade_edge.devices.files.run_files import CLOUDS, HEIGHTS, payloads
 from tacshade_edge.protocol import wire
+from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.storage.runs.run_files import CLOUDS, HEIGHTS, payloads
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
 from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 from tools.testbed.patience import patience, wait_until

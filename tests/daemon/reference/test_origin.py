@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from tacshade_edge.daemon.reference.origin import requested, restored
-from tacshade_edge.devices.files.calibration_file import with_crc
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.reasons import ReasonCode
+from tacshade_edge.storage.calibration.calibration_file import with_crc
 from tacshade_edge.types import Calibration
 
 IMAGES = 10

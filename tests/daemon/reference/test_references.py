@@ -7,14 +7,14 @@ from typing import Any
 
 import pytest
 
-from tacshade_edge.core.calibration.following import bounds
+from tacshade_edge.core.calibration.reference.following import bounds
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.daemon.reference.references import References
 from tacshade_edge.daemon.reference.untouched import PERIOD_S, REST_S, UNTOUCHED_FRAMES
-from tacshade_edge.devices.files.calibration_file import with_crc
-from tacshade_edge.devices.weights.network import make_reconstructor
+from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.simulator import nuisance
+from tacshade_edge.storage.calibration.calibration_file import with_crc
 from tacshade_edge.types import U8, Calibration, Frame
 
 FPS = 10

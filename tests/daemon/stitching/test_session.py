@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from tacshade_edge.daemon.stitching.session import RefusedError, Session
-from tacshade_edge.devices.files.stitch_file import StitchFile
 from tacshade_edge.protocol.results import PressAdded, SessionAborted, SessionBegun
 from tacshade_edge.reasons import ReasonCode
+from tacshade_edge.storage.stitching.stitch_file import StitchFile
 from tools.testbed.bumpy_surface import grid_poses, press_of
 from tools.testbed.painted_sensor import painted_calibration
 

@@ -14,8 +14,8 @@ import pytest
 from tacshade_edge.core.stitching.stitcher import StitchedMap, Stitcher
 from tacshade_edge.daemon.pipeline.workers import Sink
 from tacshade_edge.daemon.stitching.session_requests import SessionRequests
-from tacshade_edge.devices.files.stitch_file import open_session
 from tacshade_edge.protocol.messages import Request, encode_reply
+from tacshade_edge.storage.stitching.stitch_file import open_session
 from tacshade_edge.types import Calibration, Frame, Need, Pose, Reconstruction
 from tools.testbed.calibrated_sensor import calibrated, pressed, step, unloaded
 from tools.testbed.patience import patience, wait_until

@@ -18,7 +18,6 @@ from tacshade_edge.core.stitching.stitcher import Stitcher
 from tacshade_edge.daemon.stitching import session_worker
 from tacshade_edge.daemon.stitching.map_revision import MapRevision
 from tacshade_edge.daemon.stitching.session_worker import SessionWorker
-from tacshade_edge.devices.files.stitch_file import open_session
 from tacshade_edge.protocol.results import (
     NoSession,
     PressAdded,
@@ -30,6 +29,7 @@ from tacshade_edge.protocol.results import (
 )
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.rigid import of_pose
+from tacshade_edge.storage.stitching.stitch_file import open_session
 from tacshade_edge.types import Frame, Pose, Reconstruction
 from tools.testbed.calibrated_sensor import calibrated, pressed, step, unloaded
 from tools.testbed.patience import patience, wait_until

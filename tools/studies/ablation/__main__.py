@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from tacshade_edge.cli.progress import Progress
+from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.studies.parallel import usable_cores
 from tacshade_edge.studies.tables import csv_text

@@ -8,13 +8,13 @@ from itertools import chain
 
 import numpy as np
 
-from tacshade_edge.core.calibration.gain import LEAST_CELLS, PressRows, fit_factor
+from tacshade_edge.core.calibration.refit.gain import LEAST_CELLS, PressRows, fit_factor
 from tacshade_edge.core.depth.learned import LearnedSolver
 from tacshade_edge.core.depth.network_maps import HEIGHT_SCALE
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.devices.weights.network import load_network
+from tacshade_edge.inference.network import load_network
 from tacshade_edge.simulator.objects import PAPER_OBJECTS
 from tacshade_edge.simulator.scene import SimulatedFrame
 from tacshade_edge.studies import tables

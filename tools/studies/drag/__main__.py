@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from tacshade_edge.cli.progress import Progress
+from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.studies.evaluate.sensors import FINAL_SENSORS
 from tacshade_edge.studies.parallel import usable_cores
 from tacshade_edge.studies.tables import csv_text

@@ -25,8 +25,8 @@ import numpy as np
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import Sensor
 from tacshade_edge.core.depth.sigma import INTERVAL_90
-from tacshade_edge.devices.weights.network import load_networks
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.inference.network import load_networks
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.skin import Skin, undeformed

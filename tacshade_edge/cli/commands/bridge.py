@@ -1,0 +1,163 @@
+"""``tacshade-edge bridge``: what hands publish, for other tools, in a process of its own."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from urllib.parse import urlsplit
+
+from tacshade_edge.cli.shared.dashboard_access import is_loopback
+from tacshade_edge.cli.shared.logs import add_verbosity, start_logging
+from tacshade_edge.devices.mqtt.client import BrokerAddress
+from tacshade_edge.devices.mqtt.follower import Follower
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.factories.registry import password_in
+from tacshade_edge.version import how_to_install
+
+POLL_S = 0.1
+_ENDS = (signal.SIGTERM, signal.SIGINT)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's options."""
+    kinds = parser.add_subparsers(dest="kind", metavar="KIND", required=True)
+    for name, port, text in (
+        ("foxglove", 8765, "live data for Foxglove and Lichtblick: their WebSocket protocol"),
+        ("prometheus", 9469, "every hand's health as metrics, on /metrics"),
+    ):
+        kind = kinds.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
+        kind.add_argument(
+            "--broker",
+            type=_address(1883),
+            default=("localhost", 1883),
+            metavar="HOST[:PORT]",
+            help="the broker (default: localhost:1883)",
+        )
+        kind.add_argument("--sensor", nargs="+", default=[], metavar="ID", help="only these hands (default: all)")
+        kind.add_argument(
+            "--listen",
+            type=_address(port),
+            default=("127.0.0.1", port),
+            metavar="HOST[:PORT]",
+            help=f"address to listen on; port 0: any free one (default: 127.0.0.1:{port}, this machine only)",
+        )
+        kind.add_argument("--username", metavar="NAME", help="user name at the broker")
+        kind.add_argument("--password-file", metavar="FILE", help="file whose first line is the password")
+        kind.add_argument("--ca-file", metavar="FILE", help="PEM file of the broker's CA: use TLS to it")
+        add_verbosity(kind)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve until SIGTERM or Ctrl-C."""
+    if args.password_file and not args.username:
+        raise ConfigError("--password-file: found a password without a user name, expected --username too")
+    host, port = args.broker
+    broker = BrokerAddress(
+        host=host,
+        port=port,
+        username=args.username,
+        password=password_in(args.password_file, "--password-file") if args.password_file else None,
+        tls_ca=args.ca_file,
+    )
+    # Waited for below: no handler runs amid anything. Threads inherit it, so it comes before any of them.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDS)
+    # A library's thread that was there before the mask takes a signal too: that must not end the process by default.
+    ended = threading.Event()
+    handlers = {number: signal.signal(number, lambda *_: ended.set()) for number in _ENDS}
+    try:
+        start_logging(args.log_level)
+        {"foxglove": _foxglove, "prometheus": _prometheus}[args.kind](args, broker, ended)
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    return 0
+
+
+def _foxglove(args: argparse.Namespace, broker: BrokerAddress, ended: threading.Event) -> None:
+    try:
+        from tacshade_edge.bridge.foxglove import FoxgloveBridge
+    except ModuleNotFoundError as error:
+        raise _missing(error, "foxglove", "foxglove-sdk") from None
+    host, port = args.listen
+    follower = Follower(broker, lambda *message: bridge.hear(*message))
+    bridge = FoxgloveBridge(host, port, args.sensor, follower.follow)
+    _tell(args, f"ws://{_in_url(host)}:{bridge.port}")
+    try:
+        _serve(follower, bridge.poll, ended)
+    finally:
+        bridge.stop()
+
+
+def _prometheus(args: argparse.Namespace, broker: BrokerAddress, ended: threading.Event) -> None:
+    try:
+        from prometheus_client import CollectorRegistry
+
+        from tacshade_edge.bridge.prometheus import Hands, MetricsServer
+    except ModuleNotFoundError as error:
+        raise _missing(error, "prometheus", "prometheus_client") from None
+    host, port = args.listen
+    hands = Hands(args.sensor)
+    registry = CollectorRegistry()
+    registry.register(hands)
+    follower = Follower(broker, hands.hear)
+    follower.follow(hands.topics)
+    try:
+        server = MetricsServer(host, port, registry)
+    except OSError as error:
+        reason = error.strerror or error
+        raise ConfigError(f"--listen {host}:{port}: {reason}, expected an address to listen on") from None
+    _tell(args, f"http://{_in_url(host)}:{server.server_port}/metrics")
+    try:
+        _serve(follower, lambda: None, ended)
+    finally:
+        server.stop()
+
+
+def _serve(follower: Follower, poll: Callable[[], None], ended: threading.Event) -> None:
+    crashes: list[BaseException] = []
+    threading.excepthook = lambda hook: crashes.append(hook.exc_value or RuntimeError(hook.exc_type.__name__))
+    follower.start()
+    try:
+        while signal.sigtimedwait(_ENDS, POLL_S) is None and not ended.is_set():
+            if crashes:
+                raise crashes[0]
+            poll()
+    finally:
+        follower.stop()
+
+
+def _tell(args: argparse.Namespace, url: str) -> None:
+    host, port = args.broker
+    print(f"{args.kind}: {url} for the broker {host}:{port}; Ctrl-C ends", flush=True)
+    if not is_loopback(args.listen[0]):
+        print(f"{args.kind}: unencrypted, without a password: all of the network may read", file=sys.stderr)
+
+
+def _missing(error: ModuleNotFoundError, extra: str, package: str) -> Exception:
+    if error.name is None or error.name.partition(".")[0] not in ("foxglove", "prometheus_client", "websockets"):
+        return error
+    return ConfigError(f"the package {package} is missing: {how_to_install(extra)}")
+
+
+def _in_url(host: str) -> str:
+    return f"[{host}]" if ":" in host else host
+
+
+def _address(port: int) -> Callable[[str], tuple[str, int]]:
+    """Read HOST or HOST:PORT; without one the port is this."""
+
+    def address(text: str) -> tuple[str, int]:
+        try:
+            parts = urlsplit(f"//{text}")
+            host, found = parts.hostname, parts.port
+        except ValueError:
+            host = found = None
+        if not host or parts.netloc != text or parts.username is not None or text.endswith(":"):
+            raise argparse.ArgumentTypeError(f"found {text!r}, expected HOST or HOST:PORT such as localhost:{port}")
+        return host, port if found is None else found
+
+    return address

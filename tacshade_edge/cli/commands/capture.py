@@ -1,0 +1,249 @@
+"""``tacshade-edge capture``: a sensor's references and presses, taken with the person who presses."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import msgspec
+import yaml
+
+from tacshade_edge.capture.live import Live
+from tacshade_edge.capture.page import Page
+from tacshade_edge.capture.printer.line import PrinterLine
+from tacshade_edge.capture.printer.plan import planned_presses
+from tacshade_edge.capture.printer.pressing import Pressing
+from tacshade_edge.capture.robot_place import RobotPlaces
+from tacshade_edge.capture.session import Session
+from tacshade_edge.capture.terminal import InputEnded, Terminal
+from tacshade_edge.cli.commands.capture_robot import robot_poses
+from tacshade_edge.cli.commands.check_config import add_sensor
+from tacshade_edge.core.calibration.inputs import Sensor
+from tacshade_edge.core.calibration.presses.press_selection import MIN_PRESSES
+from tacshade_edge.devices.camera import v4l2_node
+from tacshade_edge.devices.camera.v4l2 import FOURCCS
+from tacshade_edge.devices.camera.v4l2_controls import Lock
+from tacshade_edge.devices.serial.port import SerialPort
+from tacshade_edge.doctor.cameras import CSI_MEND, csi_cameras, found_cameras, has_csi_receiver
+from tacshade_edge.doctor.machine import Machine
+from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.factories import registry
+from tacshade_edge.settings import Rpicam, Serial, Source, V4l2, load
+from tacshade_edge.settings.printer_file import read_printer
+from tacshade_edge.settings.sensor_file import check_value, read_sensor, with_visible_circle
+from tacshade_edge.storage.tables.capture_folder import REFERENCES, CaptureFolder, read_plan
+from tacshade_edge.storage.tables.indenters import read_indenters, write_printables
+from tacshade_edge.storage.tables.presses import BALL
+from tacshade_edge.types import Disc
+
+_CALIBRATION = "calibration.npz"
+_QUESTIONS = {
+    "skin_radius_mm": "Radius of the undeformed skin, mm:",
+    "visible_half_angle_deg": "Half angle of the circle that the camera sees of it, from the skin's centre, degrees:",
+    "camera_distance_mm": "How far the lens lies behind the skin's centre, mm (Enter: not known):",
+    "polarity": "Does a press show more white (bright: TacShade) or less (dark: TacTip)?",
+}
+_MAY_BE_EMPTY = "camera_distance_mm"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument(
+        "folder",
+        type=Path,
+        nargs="?",
+        metavar="DIR",
+        help="where everything is written; an earlier one goes on where it stopped",
+    )
+    what.add_argument(
+        "--indenters",
+        type=Path,
+        metavar="DIR",
+        help="write indenters to print (STL), INDENTERS.yaml and a PLAN.csv of presses, and end",
+    )
+    camera = parser.add_mutually_exclusive_group()
+    camera.add_argument("--camera", metavar="DEVICE", help="the camera, where the machine has several")
+    camera.add_argument("--config", type=Path, metavar="FILE", help="settings whose source is the camera")
+    add_sensor(parser)
+    parser.add_argument("--plan", type=Path, metavar="PLAN.csv", help="presses to offer: a table like PRESSES.csv")
+    parser.add_argument(
+        "--printer",
+        metavar="PORT",
+        help="the presses of --plan by a 3-D printer on this serial port, as DIR/PRINTER.yaml says (docs/printer.md)",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Take references and presses; say what to do with them."""
+    if args.indenters is not None:
+        for path in write_printables(args.indenters):
+            print(path)
+        return 0
+    if args.printer is not None and args.plan is None:
+        raise ConfigError("--printer: found no --plan, expected the presses to take (--indenters DIR writes some)")
+    terminal = Terminal(0, sys.stdout)
+    folder = CaptureFolder(args.folder)
+    source, serial = _source(args, folder)
+    folder.make()
+    try:
+        sensor = _sensor(folder, terminal)
+        indenters = read_indenters(folder.indenters) if folder.indenters.exists() else {}
+        plan = read_plan(args.plan, indenters, sensor.skin_radius_mm) if args.plan else ()
+        if args.printer is None:
+
+            def by_hand(live: Live) -> None:
+                with robot_poses(serial) as pose_at:
+                    robot = RobotPlaces(sensor, pose_at) if pose_at else None
+                    Session(folder, sensor, live, terminal, plan, indenters, robot).run()
+
+            _run(folder, source, serial, terminal, sensor, by_hand)
+        else:
+            limits = read_printer(folder.printer)
+            presses = planned_presses(plan, indenters, sensor, limits)
+            line = PrinterLine(SerialPort(args.printer, limits.baud))
+
+            def by_printer(live: Live) -> None:
+                session = Session(folder, sensor, live, terminal, (), indenters)
+                pressing = Pressing(session, live, terminal, line, limits, sensor, presses)
+                line.connect()
+                pressing.run()
+
+            try:
+                _run(folder, source, serial, terminal, sensor, by_printer)
+            finally:
+                line.close()
+    except InputEnded:
+        terminal.say("")
+    except KeyboardInterrupt:
+        terminal.say("")
+        terminal.say(f"what was taken is kept; go on with: tacshade-edge capture {shlex.quote(str(folder.path))}")
+        raise
+    except DeviceError as error:
+        raise DeviceError(f"{error}; the same command goes on in {folder.path}", code=error.code) from None
+    _say_next(folder, terminal)
+    return 0
+
+
+def _run(
+    folder: CaptureFolder,
+    chosen: Source,
+    serial: Serial | None,
+    terminal: Terminal,
+    sensor: Sensor,
+    session: Callable[[Live], None],
+) -> None:
+    def state_circle(circle: Disc | None) -> None:
+        read_sensor(folder.sensor)  # it may have been edited meanwhile
+        text = folder.sensor.read_text(encoding="utf-8")
+        folder.write(folder.sensor, with_visible_circle(text, circle))
+
+    source, page = registry.make_source(chosen), Page()
+    try:
+        source.open()
+        described = source.describe()
+        terminal.say("camera: " + ", ".join(f"{name} {value}" for name, value in described.items()))
+        if described.get("exposure_lock") == Lock.AUTOMATIC:
+            terminal.say("warning: the driver does not lock the exposure, and its changes look like touch")
+        if not folder.settings.exists():
+            folder.write(folder.settings, _settings_text(chosen, serial, described))
+        terminal.say(f"the picture: {page.address}")
+        session(Live(source, terminal, page, sensor.visible_circle, state_circle))
+    finally:
+        source.close()
+        page.close()
+
+
+def _source(args: argparse.Namespace, folder: CaptureFolder) -> tuple[Source, Serial | None]:
+    """The camera as an earlier start set it, as settings say, or the machine's only one; and the settings' robot.
+
+    Raises
+    ------
+    ConfigError
+    """
+    device: str | None = args.camera
+    path = folder.settings if args.config is None and folder.settings.exists() else args.config
+    if path is not None:
+        document = load(path, args.sensor)
+        registry.check_source(document)
+        registry.check_serial(document)
+        source = document.settings.source
+        if device is not None and not (isinstance(source, V4l2) and source.device == device):
+            where = document.where("source")
+            raise ConfigError(f"--camera {device}: expected the camera of {where}; change it there, or delete the file")
+        return source, document.settings.serial
+    if device is None:
+        cameras = found_cameras(Machine())
+        if not cameras and len(numbers := list(csi_cameras())) == 1:
+            return Rpicam(camera=numbers[0]), None
+        if len(cameras) != 1:
+            raise ConfigError(_which(cameras))
+        device = cameras[0]
+    v4l2_node.check_node(device)
+    offered = v4l2_node.formats(device)
+    known = [code for code in FOURCCS if code in offered]
+    if not known:
+        found = ", ".join(offered) or "none"
+        raise ConfigError(f"--camera {device}: found the formats {found}, expected one of {', '.join(FOURCCS)}")
+    return msgspec.convert({"kind": "v4l2", "device": device, "fourcc": known[0]}, V4l2), None
+
+
+def _which(cameras: Sequence[str]) -> str:
+    if cameras:
+        return f"found {len(cameras)} cameras, expected --camera with one of {', '.join(cameras)}"
+    if has_csi_receiver(Machine()):
+        return f"found no USB camera; {CSI_MEND}"
+    return "found no camera, expected one (lsusb shows whether USB sees it), or --config with a source"
+
+
+def _settings_text(chosen: Source, serial: Serial | None, described: Mapping[str, object]) -> str:
+    """Settings of a daemon for this sensor, with the exposure that the camera was locked at."""
+    locked = described.get("exposure_lock") == Lock.LOCKED
+    value = described.get("exposure_value")
+    if isinstance(chosen, V4l2) and locked and isinstance(value, float) and value >= 1:
+        chosen = msgspec.structs.replace(chosen, exposure=round(value))
+    told = "".join(f"#   {name}: {value}\n" for name, value in described.items())
+    keys = {"calibration": _CALIBRATION, "source": msgspec.to_builtins(chosen)}
+    keys |= {"serial": msgspec.to_builtins(serial)} if serial else {}
+    text = yaml.safe_dump(keys, sort_keys=False, allow_unicode=True)
+    return (
+        f"# Settings for `tacshade-edge run`, and for going on with this capture.\n{text}# As the camera told:\n{told}"
+    )
+
+
+def _sensor(folder: CaptureFolder, terminal: Terminal) -> Sensor:
+    """SENSOR.yaml, asked for where there is none. Raises ConfigError, InputEnded."""
+    if not folder.sensor.exists():
+        values: dict[str, float | str] = {}
+        for key, question in _QUESTIONS.items():
+            while key not in values:
+                terminal.ask(question)
+                text = terminal.wait()
+                if not text and key == _MAY_BE_EMPTY:
+                    break
+                try:
+                    values[key] = check_value(key, text)
+                except ConfigError as error:
+                    terminal.say(f"  {error}")
+        folder.write(folder.sensor, yaml.safe_dump(values, sort_keys=False))
+    return read_sensor(folder.sensor)
+
+
+def _say_next(folder: CaptureFolder, terminal: Terminal) -> None:
+    """The commands that come next, to be copied."""
+    taken, shown = folder.taken(), shlex.quote(str(folder.path))
+    if not list(folder.path.glob(REFERENCES)):
+        terminal.say(f"no reference was taken; go on with: tacshade-edge capture {shown}")
+        return
+    words = f"tacshade-edge calibrate --sensor {shown}/{folder.sensor.name} --reference {shown}/{REFERENCES}"
+    if len(taken) >= MIN_PRESSES:
+        words += f" --presses {shown}/{folder.presses.name}"
+        if any(one.stated.columns[0] != BALL for one in taken):
+            words += f" --indenters {shown}/{folder.indenters.name}"
+    else:
+        terminal.say(f"{len(taken)} presses: a fit needs {MIN_PRESSES}, 20 to 40 are better; the same command goes on")
+    terminal.say(f"next:\n  {words} --out {shown}/{_CALIBRATION}")
+    terminal.say(f"  tacshade-edge run --config {shown}/{folder.settings.name}")

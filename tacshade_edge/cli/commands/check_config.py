@@ -1,0 +1,67 @@
+"""``tacshade-edge check-config``: is a settings file right, as far as can be told without hardware?"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.factories import registry
+from tacshade_edge.reasons import Reason
+from tacshade_edge.settings import Document, file_schema, load_all, load_hand
+
+DEFAULT_CONFIG = Path("/etc/tacshade-edge/config.yaml")
+
+
+def add_sensor(parser: argparse.ArgumentParser) -> None:
+    """Declare ``--sensor``."""
+    parser.add_argument("--sensor", metavar="ID", help="which, where the settings have several")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's options."""
+    parser.add_argument(
+        "file", nargs="?", type=Path, default=DEFAULT_CONFIG, metavar="FILE", help="default: %(default)s"
+    )
+    parser.add_argument("--schema", action="store_true", help="print the JSON Schema of a settings file instead")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print ``FILE: ok``, or raise the ConfigError that has all that is wrong."""
+    if args.schema:
+        print(json.dumps(file_schema(), indent=2))
+        return 0
+    documents = load_all(args.file)
+    checks: tuple[Callable[[Document], object], ...]
+    checks = (registry.check_source, registry.check_serial, _check_broker, registry.find_calibration)
+    mistakes: list[str] = []
+    warnings: list[str] = []
+    for document in documents:
+        for check in checks:
+            try:
+                found = check(document)
+            except ConfigError as error:
+                mistakes.append(str(error))
+            else:
+                if isinstance(found, Reason):
+                    warnings.append(f"{document.where('calibration')}: warning: {found}")
+    if hand := load_hand(args.file):
+        try:
+            registry.check_broker_files(hand.common)
+            registry.make_hand_link(hand, on_request=lambda _: None, on_outcome=lambda *_: None)
+        except ConfigError as error:
+            mistakes.append(str(error))
+    if mistakes := list(dict.fromkeys(mistakes)):
+        raise ConfigError(mistakes[0], others=mistakes[1:])
+    for document in documents:
+        registry.make_source(document.settings.source)
+    print(f"{args.file}: ok", *warnings, sep="\n")
+    return 0
+
+
+def _check_broker(document: Document) -> None:
+    """Make what `run` makes, and do not start it: a wrong certificate is found here."""
+    registry.check_broker_files(document)
+    registry.make_link(document, on_request=lambda _: None, on_outcome=lambda *_: None)

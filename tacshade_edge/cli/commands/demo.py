@@ -1,0 +1,163 @@
+"""``tacshade-edge demo``: simulated hands, the real daemon for each, a private broker and the dashboard.
+
+All are on loopback, but for the page with ``--listen``. With ``--hand`` five fingers of one hand in place of the two
+single hands, not beside them: what one board can bear.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import math
+import signal
+import socket
+import sys
+import tempfile
+import threading
+import time
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from typing import Final
+
+from tacshade_edge.cli.shared.dashboard_access import is_loopback, make_token
+from tacshade_edge.demo import hand as demo_hand
+from tacshade_edge.demo import touchpad
+from tacshade_edge.demo.broker import broker_command
+from tacshade_edge.demo.child import Child, free_port, wait_for_port
+from tacshade_edge.demo.sensor import make_calibration
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.version import how_to_install
+
+FPS: Final = 20  # a laptop draws a simulated frame in 10 to 40 ms, few of them in up to 170
+PORT: Final = 8080
+START_S: Final = 30.0
+CHECK_PERIOD_S: Final = 0.5
+ANY: Final = ("0.0.0.0", "::")
+ELSEWHERE: Final = ("192.0.2.1", 9)  # an address of documentation (RFC 5737)
+STOP_SIGNALS: Final = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+
+_SETTINGS = """\
+sensor_id: demo
+calibration: calibration.npz
+source: {{kind: simulated, fps: {fps}}}
+recorder: {{folder: recordings}}
+mqtt: {{host: 127.0.0.1, port: {port}}}
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's options."""
+    add = parser.add_argument
+    add("--http", type=int, metavar="PORT", help=f"the page's port (default: {PORT}, or any free one)")
+    add(
+        "--listen",
+        default="127.0.0.1",
+        metavar="ADDRESS",
+        help="where the page listens, such as 0.0.0.0 (this machine only)",
+    )
+    add("--hand", action="store_true", help="a hand of five fingers that grasp, in place of the two single ones")
+    add("--seconds", type=float, default=math.inf, metavar="N", help="end by itself after N seconds")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run until Ctrl-C, SIGTERM, the terminal's end, or ``--seconds``."""
+    if importlib.util.find_spec("websockets") is None:  # the page's; said before a minute of work
+        raise ConfigError(f"demo: the package websockets is missing: {how_to_install('demo')}")
+    asked = threading.Event()
+
+    def stop(*_: object) -> None:
+        """Leave what is being done and stop the children; a second Ctrl-C does not interrupt that."""
+        for number in STOP_SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
+        asked.set()
+        raise KeyboardInterrupt
+
+    def end_if_asked() -> None:
+        """Leave now where the exception was lost: what a destructor or a library's callback raises goes nowhere."""
+        if asked.is_set():
+            raise KeyboardInterrupt
+
+    for number in STOP_SIGNALS:
+        signal.signal(number, stop)
+    me = [sys.executable, "-m", "tacshade_edge"]
+    host = args.listen
+    http = _free(host, PORT) if args.http is None else args.http
+    with suppress(KeyboardInterrupt), ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tacshade-demo-")))
+        children: list[Child] = []
+
+        def start(name: str, command: list[str]) -> Child:
+            child = Child(name, command, folder)
+            stack.callback(child.stop)  # the last started is stopped first
+            children.append(child)
+            return child
+
+        mqtt = free_port()
+        broker = start("broker", broker_command(folder, mqtt))
+        page = [*me, "dashboard", "--broker", f"127.0.0.1:{mqtt}", "--http", str(http), "--host", host]
+        login = ""
+        if not is_loopback(host):
+            # The hand is simulated: who was told the address may play with it.
+            token_file = folder / "token"
+            login = f"login#{make_token(token_file)}"
+            page += ["--token-file", str(token_file), "--allow-control"]
+        dashboard = start("dashboard", page)
+        print("Calibrating a simulated sensor on simulated ball presses ...", flush=True)
+        calibration_file.save(folder / "calibration.npz", make_calibration())
+        end_if_asked()
+        if args.hand:
+            settings = demo_hand.write(folder, mqtt)
+        else:
+            settings = folder / "settings.yaml"
+            settings.write_text(_SETTINGS.format(fps=FPS, port=mqtt), encoding="utf-8")
+        end_if_asked()
+        wait_for_port(broker, mqtt, START_S)
+        start("daemon", [*me, "run", "--config", str(settings)])
+        names = addresses(host)
+        wait_for_port(dashboard, http, START_S, "127.0.0.1" if host in ANY else host)
+        page_of = login or (f"#hand/{demo_hand.HAND_ID}" if args.hand else "")
+        shown = " or ".join(f"http://{f'[{name}]' if ':' in name else name}:{http}/{page_of}" for name in names)
+        what = (
+            "Five simulated fingers grasp a ball"
+            if args.hand
+            else "A simulated hand presses and drags objects, soon another one stitches a map"
+        )
+        print(f"{what}: open {shown}", flush=True)
+        if login:
+            print("Unencrypted: others on the network may read the address and what is shown.", flush=True)
+        print("Ctrl-C ends.", flush=True)
+        other = None
+        if not args.hand:
+            other = touchpad.hand(folder, mqtt, lambda config: start("map", [*me, "run", "--config", str(config)]))
+            stack.callback(other.close)
+        deadline_s = time.monotonic() + args.seconds
+        while (left_s := deadline_s - time.monotonic()) > 0:
+            time.sleep(min(CHECK_PERIOD_S, left_s))
+            end_if_asked()
+            for child in children:
+                child.check()
+            if other:
+                next(other)
+    return 0
+
+
+def addresses(host: str) -> tuple[str, ...]:
+    """What to open from where somebody sits: of an address for all networks, this machine's name and its own."""
+    if host not in ANY:
+        return (host,)
+    with socket.socket(type=socket.SOCK_DGRAM) as probe, suppress(OSError):
+        probe.connect(ELSEWHERE)  # sends nothing: it asks the routes
+        return probe.getsockname()[0], socket.gethostname()
+    return (socket.gethostname(),)
+
+
+def _free(host: str, port: int) -> int:
+    """The port itself, or another one when it is taken."""
+    with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError:
+            return free_port()
+    return port

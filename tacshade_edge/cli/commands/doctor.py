@@ -1,0 +1,73 @@
+"""``tacshade-edge doctor``: what is wrong with a sensor and its machine, and what mends it."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from dataclasses import asdict
+from pathlib import Path
+
+from tacshade_edge.cli import EXIT_CONFIG, EXIT_FAILED, EXIT_OK
+from tacshade_edge.cli.commands.check_config import DEFAULT_CONFIG, add_sensor
+from tacshade_edge.doctor.bundle import Seen, write_bundle
+from tacshade_edge.doctor.diagnose import diagnose
+from tacshade_edge.doctor.finding import Finding, State
+from tacshade_edge.doctor.machine import Machine
+from tacshade_edge.doctor.settings import SETTINGS
+from tacshade_edge.quoting import escaped
+
+_COLOURS: dict[State, int] = {"ok": 32, "warning": 33, "fault": 31}
+_INDENT = " " * 9
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's options."""
+    parser.add_argument(
+        "--config", type=Path, default=DEFAULT_CONFIG, metavar="FILE", help="settings (default: %(default)s)"
+    )
+    add_sensor(parser)
+    parser.add_argument("--bundle", type=Path, metavar="FILE", help="write what somebody needs who is to help, a zip")
+    parser.add_argument("--with-frame", action="store_true", help="the camera's picture is in the bundle too")
+    parser.set_defaults(refuse=parser.error)
+    parser.add_argument("--json", action="store_true", help="print a list of {check, state, found, mend}")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print every finding; 78 with bad settings, 1 with another fault."""
+    if args.with_frame and args.bundle is None:
+        args.refuse("--with-frame: found no --bundle FILE to put it in")
+    findings, seen = [], Seen()
+    for finding in diagnose(args.config, Machine(), seen, args.sensor):
+        findings.append(finding)
+        if not args.json:
+            print(shown(finding, colour=sys.stdout.isatty() and "NO_COLOR" not in os.environ), flush=True)
+    if args.bundle is not None:
+        write_bundle(args.bundle, findings, seen, with_frame=args.with_frame)
+    if args.json:
+        print(json.dumps([asdict(finding) for finding in findings], indent=2))
+    else:
+        print(_summary(findings))
+        if args.bundle is not None:
+            print(f"{args.bundle} is written; look at it before you give it away")
+    faults = {finding.check for finding in findings if finding.state == "fault"}
+    if SETTINGS in faults:
+        return EXIT_CONFIG
+    return EXIT_FAILED if faults else EXIT_OK
+
+
+def shown(finding: Finding, *, colour: bool) -> str:
+    """The finding as it is printed: a line, and the mend below it."""
+    state = f"{finding.state:<7}"
+    if colour:
+        state = f"\x1b[{_COLOURS[finding.state]}m{state}\x1b[0m"
+    line = f"{state}  {finding.check:<17}  {escaped(finding.found)}"
+    return f"{line}\n{_INDENT}-> {escaped(finding.mend)}" if finding.mend else line
+
+
+def _summary(findings: list[Finding]) -> str:
+    faults, warnings = (sum(finding.state == state for finding in findings) for state in ("fault", "warning"))
+    if not faults and not warnings:
+        return "all is well"
+    return f"{faults} fault{'' if faults == 1 else 's'}, {warnings} warning{'' if warnings == 1 else 's'}"

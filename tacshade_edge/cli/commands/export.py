@@ -1,0 +1,111 @@
+"""``tacshade-edge export``: a recording, reconstructed, in the files of others."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from pathlib import Path
+
+from tacshade_edge.cli.shared.profile_option import add_profile
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.daemon.recording.replay import Progress, replay
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.factories import calibrations
+from tacshade_edge.inference.network import make_reconstructor
+from tacshade_edge.settings import load
+from tacshade_edge.storage.exports import Export
+from tacshade_edge.storage.recording.mcap import is_mcap, require_mcap
+from tacshade_edge.storage.recording.recording import Recording
+from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME, SETTINGS_NAME, content_of
+from tacshade_edge.types import Calibration
+
+SENSOR_ID = "replay"
+# What is added to the recording's name where --out is not given.
+_ENDINGS = {"mcap": ".mcap", "csv": ".csv", "ply": "-ply", "lerobot": "-lerobot"}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add = parser.add_argument
+    add("--to", choices=tuple(_ENDINGS), required=True, help="the format; mcap and lerobot need the extra of that name")
+    add("--calibration", type=Path, metavar="CAL.npz", help="from `calibrate` (the recording's own)")
+    add_profile(parser)
+    add("--out", type=Path, metavar="PATH", help="a new file, of ply and lerobot a new folder (beside the recording)")
+    add("input", type=Path, metavar="RECORDING", help="what `replay` reads")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Export; 1 where images could not be read."""
+    if args.to == "mcap":
+        require_mcap()
+    recording = Recording(args.input)
+    for line in (recording.damage, "the recording was cut off: what is whole is exported" if recording.cut_off else ""):
+        if line:
+            _tell(f"{args.input}: {line}")
+    content = content_of(args.input)
+    calibration, out = _calibration(args), args.out or _beside(args.input, args.to)
+    export = _export(args, out, calibration, content)
+    reconstructor = make_reconstructor(calibration, PROFILES[args.profile])
+    progress = Progress()
+    try:
+        replay(recording, reconstructor, [export.add], progress, speed=None, undecodable=_tell)
+        export.finish()
+    finally:
+        export.discard()
+    left_out = f", {progress.undecodable} unreadable" if progress.undecodable else ""
+    print(f"{out}: {progress.frames} frames, {progress.contacts} in contact, {progress.invalid} invalid{left_out}")
+    return 1 if progress.undecodable else 0
+
+
+def _export(args: argparse.Namespace, out: Path, calibration: Calibration, content: dict[str, bytes]) -> Export:
+    """Imported on demand: each needs packages of its own."""
+    if args.to == "csv":
+        from tacshade_edge.storage.exports.csv_export import CsvExport
+
+        return CsvExport(out)
+    if args.to == "ply":
+        from tacshade_edge.storage.exports.ply_export import PlyExport
+
+        return PlyExport(out)
+    if args.to == "lerobot":
+        from tacshade_edge.storage.exports.lerobot_export import LeRobotExport
+
+        return LeRobotExport(out)
+    from tacshade_edge.storage.exports.mcap_export import McapExport
+
+    return McapExport(
+        out, sensor_id=_sensor_id(content), calibration=calibration, profile=args.profile, content=content
+    )
+
+
+def _beside(recording: Path, to: str) -> Path:
+    recording = recording.resolve()
+    name = recording.name.removesuffix(".part").removesuffix(".mcap") if is_mcap(recording) else recording.name
+    return recording.with_name(name + _ENDINGS[to])
+
+
+def _calibration(args: argparse.Namespace) -> Calibration:
+    """The one that is given, or the recording's own."""
+    if args.calibration is not None:
+        return calibrations.load(args.calibration)
+    if (own := calibrations.of_recording(args.input)) is None:
+        raise ConfigError(f"{args.input}: found no {CALIBRATION_NAME} in it, expected --calibration CAL.npz")
+    return own
+
+
+def _sensor_id(content: dict[str, bytes]) -> str:
+    """Of the settings that the recording was made with."""
+    if SETTINGS_NAME not in content:
+        return SENSOR_ID
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / SETTINGS_NAME
+        path.write_bytes(content[SETTINGS_NAME])
+        try:
+            return load(path).settings.sensor_id
+        except ConfigError:  # of another version of this program
+            return SENSOR_ID
+
+
+def _tell(line: str) -> None:
+    print(f"tacshade-edge: {line}", file=sys.stderr)

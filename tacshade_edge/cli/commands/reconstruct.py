@@ -1,0 +1,117 @@
+"""``tacshade-edge reconstruct``: images to height maps, clouds and a summary."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tacshade_edge.cli.shared.profile_option import add_profile
+from tacshade_edge.cli.shared.progress import Progress
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
+from tacshade_edge.factories import calibrations
+from tacshade_edge.inference.network import make_reconstructor
+from tacshade_edge.reasons import text_of
+from tacshade_edge.storage.images import read_image
+from tacshade_edge.storage.pictures.panel import write_panel
+from tacshade_edge.storage.runs.summary import summary
+from tacshade_edge.types import Frame, Reconstruction
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--calibration", type=Path, required=True, metavar="CAL.npz", help="from `calibrate`")
+    add_profile(parser)
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="a .npz per image and summary.json")
+    parser.add_argument("--plot", action="store_true", help="also write a picture per image")
+    parser.add_argument("--json", action="store_true", help="print the summary")
+    parser.add_argument("images", type=Path, nargs="+", metavar="IMG")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Reconstruct every image; one that is unreadable or invalid is named and the others go on."""
+    stems = [path.stem for path in args.images]
+    twice = next((path for i, path in enumerate(args.images) if path.stem in stems[:i]), None)
+    if twice is not None:
+        raise ConfigError(
+            f"{twice}: another image is called {twice.stem} too; their results would overwrite each other"
+        )
+    calibration = calibrations.load(args.calibration)
+    reconstructor = make_reconstructor(calibration, PROFILES[args.profile])
+    records, unreadable, invalid = [], 0, 0
+    progress = Progress()
+    try:
+        args.out.mkdir(parents=True, exist_ok=True)
+        for index, path in enumerate(args.images):
+            try:
+                image = read_image(path)
+            except DecodeError as error:
+                progress.say(f"tacshade-edge: {error}")
+                unreadable += 1
+                continue
+            result, elapsed_ms = _step(reconstructor, Frame(seq=index, t_ns=0, wall_ns=0, image=image))
+            _write(args.out / f"{path.stem}.npz", result)
+            if args.plot:
+                write_panel(args.out / f"{path.stem}.png", image, result, calibration.geometry)
+            records.append({"image": str(path), **summary(result), "elapsed_ms": elapsed_ms})
+            if not result.valid:  # its record says so too, and its height is 0 everywhere
+                progress.say(f"tacshade-edge: {path}: invalid: {text_of(result.reason)}")
+                invalid += 1
+            progress("images", index + 1, len(args.images))
+        text = json.dumps(records, indent=2) + "\n"
+        (args.out / "summary.json").write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise DeviceError(f"{error.filename or args.out}: cannot be written: {error.strerror or error}") from None
+    progress.end()
+    if args.json:
+        print(text, end="")
+    else:
+        touched = sum(record["contact"] for record in records)
+        measured = len(records) - invalid
+        print(
+            f"{args.out}: {measured} of {len(args.images)} images reconstructed, {touched} in contact, "
+            f"{invalid} invalid, {unreadable} unreadable"
+        )
+    return 1 if invalid or unreadable else 0
+
+
+def _step(reconstructor: Reconstructor, frame: Frame) -> tuple[Reconstruction, dict[str, float]]:
+    """One step with the time of each stage."""
+    elapsed_ms: dict[str, float] = {}
+    last = time.perf_counter_ns()
+    start = last
+
+    def mark(stage: str) -> None:
+        nonlocal last
+        now = time.perf_counter_ns()
+        elapsed_ms[stage] = round((now - last) / 1e6, 4)
+        last = now
+
+    result = reconstructor.step(frame, mark)
+    elapsed_ms["total"] = round((time.perf_counter_ns() - start) / 1e6, 4)
+    return result, elapsed_ms
+
+
+def _write(path: Path, result: Reconstruction) -> None:
+    height = result.height
+    arrays: dict[str, Any] = {name: getattr(result, name) for name in ("shear_mm", "sigma_mm")}
+    untrusted = np.zeros(height.contact.shape, bool) if result.untrusted is None else result.untrusted
+    with path.open("wb") as stream:
+        np.savez_compressed(
+            stream,
+            **{name: array for name, array in arrays.items() if array is not None},
+            height_mm=height.height_mm,
+            contact=height.contact,
+            untrusted=untrusted,
+            row0=height.row0,
+            col0=height.col0,
+            step_px=height.step_px,
+            points_mm=result.cloud.points_mm,
+            labels=result.cloud.labels.astype(np.int32),
+        )

@@ -1,0 +1,124 @@
+"""``tacshade-edge record``: asks the running daemon for a recording, and waits for it."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import signal
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+from tacshade_edge.cli.commands.check_config import DEFAULT_CONFIG, add_sensor
+from tacshade_edge.cli.commands.replay import positive
+from tacshade_edge.devices.mqtt.caller import MqttCaller
+from tacshade_edge.errors import DecodeError, DeviceError
+from tacshade_edge.factories import registry
+from tacshade_edge.protocol.messages import RECORD_NAME, RECORD_NAME_RULE, RECORD_S_MAX
+from tacshade_edge.protocol.strict import decode_object
+from tacshade_edge.settings import load
+
+ANSWER_S, WRITTEN_S, PERIOD_S = 3.0, 20.0, 0.5
+STATUS = "status/recorder"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add = parser.add_argument
+    add("--config", type=Path, default=DEFAULT_CONFIG, metavar="FILE", help="the daemon's settings (%(default)s)")
+    add_sensor(parser)
+    add("--name", type=_name, metavar="NAME", help=f"of its folder: {RECORD_NAME_RULE} (date and time)")
+    add("--format", choices=("folder", "mcap"), default="folder", help="of the frames (%(default)s)")
+    add("--seconds", type=_seconds, required=True, metavar="N", help="how long; Ctrl-C ends it earlier")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Record; 1 when something else than the time or a person ended it, or no frame came."""
+    document = load(args.config, args.sensor)
+    registry.check_broker_files(document)
+    stop = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: stop.set())
+    caller = MqttCaller(
+        registry.broker_address(document),
+        sensor_id=document.settings.sensor_id,
+        verb="record",
+        watched=(STATUS, "state"),
+    )
+    try:
+        caller.start()
+        name = {} if args.name is None else {"name": args.name}
+        format_ = {} if args.format == "folder" else {"format": args.format}  # an older daemon knows no other
+        folder = caller.ask({"action": "start", "seconds": args.seconds, **name, **format_}, ANSWER_S)["folder"]
+        ended = _follow(caller, folder, args.seconds, stop)
+    finally:
+        caller.stop()
+    dropped = f", {ended['dropped']} dropped" if ended["dropped"] else ""
+    print(f"{folder}: {ended['frames']} frames, {ended['bytes'] / 1e6:.1f} MB{dropped} ({ended['ending']})")
+    if reason := ended.get("reason"):  # as `status/recorder` has it
+        raise DeviceError(f"{folder}: stopped: {reason}; what is there stays")
+    if ended["frames"] == 0:
+        raise DeviceError(f"{folder}: no frame came")
+    return 0
+
+
+def _name(text: str) -> str:
+    if not re.match(RECORD_NAME, text):
+        raise argparse.ArgumentTypeError(f"found {text!r}, expected {RECORD_NAME_RULE}")
+    return text
+
+
+def _seconds(text: str) -> float:
+    if (value := positive(text)) > RECORD_S_MAX:
+        raise argparse.ArgumentTypeError(f"found {text}, expected at most {RECORD_S_MAX}")
+    return value
+
+
+_seconds.__name__ = "number"  # argparse's messages show it
+
+
+def _follow(caller: MqttCaller, folder: str, seconds: float, stop: threading.Event) -> dict[str, Any]:
+    """Show how it goes until it is over; what the daemon said of it last."""
+    live = sys.stderr.isatty()
+    deadline_s = time.monotonic() + seconds + WRITTEN_S
+    try:
+        while not stop.is_set():
+            status = _status(caller, folder)
+            if _over(status):
+                return status
+            if caller.latest("state") in (b"stopped", b"offline") or time.monotonic() > deadline_s:
+                return _last_words(caller, folder)
+            if live:
+                figures = f"{status.get('frames', 0)} frames, {status.get('bytes', 0) / 1e6:.1f} MB"
+                print(f"\r{folder}: {figures}, {status.get('dropped', 0)} dropped ", end="", file=sys.stderr)
+            caller.wait_for(stop.is_set, PERIOD_S)
+        try:
+            return caller.ask({"action": "stop"}, WRITTEN_S)
+        except DeviceError:  # it may have ended by itself just now
+            return _last_words(caller, folder)
+    finally:
+        if live:
+            print(file=sys.stderr)
+
+
+def _last_words(caller: MqttCaller, folder: str) -> dict[str, Any]:
+    """What was told of a recording that must be over. Raises DeviceError."""
+    if caller.wait_for(lambda: _over(_status(caller, folder)), ANSWER_S):
+        return _status(caller, folder)
+    state = caller.latest("state").decode() or "silent"
+    raise DeviceError(f"{folder}: the daemon is {state} and did not say how it ended; what it wrote is there")
+
+
+def _over(status: dict[str, Any]) -> bool:
+    return status.get("state") in ("idle", "stopped")
+
+
+def _status(caller: MqttCaller, folder: str) -> dict[str, Any]:
+    """``status/recorder`` of this recording; empty before it comes."""
+    try:
+        status = decode_object(STATUS, caller.latest(STATUS) or b"{}")
+    except DecodeError:
+        return {}
+    return status if status.get("folder") == folder else {}

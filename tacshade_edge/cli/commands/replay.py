@@ -1,0 +1,201 @@
+"""``tacshade-edge replay``: a recording through the reconstructor, to files, to a broker, or both."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import math
+import re
+import signal
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from tacshade_edge.cli.shared.profile_option import add_profile
+from tacshade_edge.cli.shared.progress import Progress as Shown
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.daemon.recording.playback import Playback
+from tacshade_edge.daemon.recording.replay import Deliver, Progress, replay
+from tacshade_edge.daemon.recording.replay_link import ReplayLink
+from tacshade_edge.devices.mqtt.client import BrokerAddress
+from tacshade_edge.factories import calibrations, registry
+from tacshade_edge.inference.network import make_reconstructor
+from tacshade_edge.settings import load
+from tacshade_edge.storage.recording.recording import Recording
+from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME, content_of
+from tacshade_edge.storage.runs.run_compare import figures, first_difference
+from tacshade_edge.storage.runs.run_files import RunWriter
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add = parser.add_argument
+    add("--calibration", type=Path, metavar="CAL.npz", help="from `calibrate` (the recording's own)")
+    add_profile(parser)
+    add("--out", type=Path, metavar="DIR", help="write heights.bin, clouds.bin and summary.json")
+    add("--against", type=Path, metavar="DIR", help="compare --out with this earlier run; exit 1 when they differ")
+    add("--fps", type=positive, metavar="N", help="times of a recording without a table beside it (30)")
+    add("--speed", type=positive, metavar="FACTOR", help="times the recording's pace (as fast as possible)")
+    add(
+        "--play",
+        action="store_true",
+        help="to be paused, stepped and wound from the page, until Ctrl-C",
+    )
+    add("--loop", type=_count, default=1, metavar="TIMES", help="go through it TIMES times, 0 until stopped (1)")
+    add("--mqtt", type=_address, metavar="HOST:PORT", help="publish as `run` does")
+    add("--config", type=Path, metavar="FILE", help="publish as `run` does, to the broker of these settings")
+    add("--sensor-id", type=_sensor_id, default="replay", metavar="ID", help="publish on tacshade/ID (replay)")
+    add("input", type=Path, nargs="?", metavar="INPUT", help="folder of images or video; none: compare two runs only")
+    parser.set_defaults(refuse=parser.error)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Replay, then compare."""
+    _check(args, args.refuse)
+    code = 0
+    if args.input is not None:
+        code = _replay(args)
+    if args.against is None:
+        return code
+    difference = first_difference(args.out, args.against)
+    if difference:
+        print(f"{args.out} differs from {args.against}: {difference}")
+        for line in figures(args.out, args.against):
+            print(f"  {line}")
+        return 1
+    print(f"{args.out} is the same as {args.against}")
+    return code
+
+
+def _check(args: argparse.Namespace, refuse: Callable[[str], None]) -> None:
+    """What argparse cannot say; `refuse` exits with 2."""
+    if args.against is not None and args.out is None:
+        refuse("--against compares --out DIR, which is missing")
+    if args.input is None:
+        if args.against is None:
+            refuse("expected INPUT, or --out DIR and --against DIR of two runs")
+        return
+    if args.calibration is None and CALIBRATION_NAME not in content_of(args.input):
+        refuse(f"expected --calibration CAL.npz: {args.input} has no {CALIBRATION_NAME} of its own")
+    if args.mqtt is not None and args.config is not None:
+        refuse("--mqtt and --config both name a broker, expected one of them")
+    if args.out is None and args.mqtt is None and args.config is None:
+        refuse("expected --out DIR, a broker (--mqtt HOST:PORT or --config FILE), or both")
+    if args.play and (args.out is not None or (args.mqtt is None and args.config is None) or args.loop != 1):
+        refuse("--play is for a page, expected --mqtt HOST:PORT or --config FILE, and neither --out nor --loop")
+    if args.loop == 0 and args.out is not None:
+        refuse("--loop 0 never ends and would fill --out DIR, expected a number from 1")
+    if args.out is not None and args.against is not None and args.out.resolve() == args.against.resolve():
+        refuse("--out and --against are the same folder, which would be overwritten")
+
+
+def _replay(args: argparse.Namespace) -> int:
+    broker = _broker(args)
+    recording = Recording(args.input, fps=args.fps, times=args.loop)
+    if recording.cut_off:
+        _tell(f"{args.input}: the recording was cut off, what was written until then is replayed")
+    if recording.damage:
+        _tell(recording.damage)
+    given = args.calibration
+    calibration = calibrations.of_recording(args.input) if given is None else calibrations.load(given)
+    assert calibration is not None  # `_check` has looked
+    reconstructor = make_reconstructor(calibration, PROFILES[args.profile])
+    for number in (signal.SIGTERM, signal.SIGINT):  # SIGINT too: a shell's background jobs start with it ignored
+        signal.signal(number, signal.default_int_handler)
+    progress, shown = Progress(), Shown()
+    sinks: list[Deliver] = []
+    interrupted = False
+    with contextlib.ExitStack() as stack:
+        if broker is not None:
+            wait = args.speed is None and not args.play
+            link = ReplayLink(broker=broker, sensor_id=args.sensor_id, reconstructor=reconstructor, wait=wait)
+            stack.callback(link.stop)
+            link.start()
+            sinks.append(link.add)
+            if args.play:
+                player = Playback(lambda: Recording(args.input, fps=args.fps), args.speed or 1.0, link.tell_playback)
+                link.obey(player)
+        if args.out is not None:
+            writer = RunWriter(args.out, calibration_crc32=reconstructor.calibration.crc32)
+            stack.callback(writer.discard)
+            sinks.append(writer.add)
+        # Of the frames that were delivered, so it is one behind. A person plays frames as often as he likes.
+        total = None if args.play else recording.frames
+        sinks.append(lambda *_: shown("frames", progress.frames + 1, total))
+        try:
+            played = player if args.play else recording
+            speed = None if args.play else args.speed
+            replay(
+                played,
+                reconstructor,
+                sinks,
+                progress,
+                speed=speed,
+                undecodable=lambda line: shown.say(f"tacshade-edge: {line}"),
+            )
+        except KeyboardInterrupt:
+            interrupted = True
+        shown.end()
+        if args.out is not None and not interrupted:
+            writer.finish(progress.as_dict())
+    print(_line(args, progress))
+    if broker is not None:
+        counters = link.counters()
+        print(
+            ", ".join(f"{counters[name]} payloads {name}" for name in ("published", "superseded", "failed", "refused"))
+        )
+    if interrupted:
+        if args.out is not None:
+            _tell(f"{args.out}: stopped before the end, so nothing was written")
+        return 0 if args.loop == 0 or args.play else 130
+    return 1 if progress.undecodable else 0
+
+
+def _broker(args: argparse.Namespace) -> BrokerAddress | None:
+    if args.config is not None:
+        document = load(args.config)
+        registry.check_broker_files(document)
+        return registry.broker_address(document)
+    if args.mqtt is None:
+        return None
+    host, port = args.mqtt
+    return BrokerAddress(host=host, port=port, username=None, password=None, tls_ca=None)
+
+
+def _line(args: argparse.Namespace, progress: Progress) -> str:
+    return (
+        f"{args.input}: {progress.frames} frames, {progress.contacts} in contact, {progress.invalid} invalid, "
+        f"{progress.undecodable} unreadable; {progress.recorded_seconds:.2f} s of recording in "
+        f"{progress.seconds:.2f} s, {progress.speed_up:.2f} times real time"
+    )
+
+
+def _tell(line: str) -> None:
+    print(f"tacshade-edge: {line}", file=sys.stderr)
+
+
+def positive(text: str) -> float:
+    """A finite number over 0, for argparse."""
+    value = float(text)
+    if not (math.isfinite(value) and 0 < value <= 1e6):
+        raise argparse.ArgumentTypeError(f"found {text}, expected a number over 0, up to a million")
+    return value
+
+
+def _count(text: str) -> int:
+    if not (text.isascii() and text.isdecimal() and len(text) < 10):
+        raise argparse.ArgumentTypeError(f"found {text}, expected a whole number from 0")
+    return int(text)
+
+
+def _address(text: str) -> tuple[str, int]:
+    host, colon, port = text.rpartition(":")
+    if not (host and colon and port.isascii() and port.isdecimal() and 0 < int(port) < 65536):
+        raise argparse.ArgumentTypeError(f"found {text}, expected HOST:PORT")
+    return host.strip("[]"), int(port)
+
+
+def _sensor_id(text: str) -> str:
+    if not re.fullmatch(r"(?!hand$)[A-Za-z0-9_-]{1,64}", text):
+        raise argparse.ArgumentTypeError(f"found {text}, expected letters, digits, - and _, not hand")
+    return text

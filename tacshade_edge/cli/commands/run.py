@@ -1,0 +1,82 @@
+"""``tacshade-edge run``: the daemon."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tacshade_edge.cli import EXIT_OK
+from tacshade_edge.cli.commands.check_config import DEFAULT_CONFIG
+from tacshade_edge.cli.shared.logs import add_verbosity, start_logging
+from tacshade_edge.daemon.app import App
+from tacshade_edge.daemon.supervisor import EXIT_STOPPED, Supervisor, name_of
+from tacshade_edge.factories import registry
+from tacshade_edge.settings import Document, Hand, load_all, load_hand
+
+if TYPE_CHECKING:
+    from tacshade_edge.daemon.robot.shared_line import SharedLine
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's options."""
+    add_verbosity(parser)
+    parser.add_argument(
+        "--config", type=Path, default=DEFAULT_CONFIG, metavar="FILE", help="settings (default: %(default)s)"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run until SIGTERM, SIGINT, or the end of a finite source; SIGHUP reloads, unless a terminal hangs up.
+
+    With several sensors in the file this goes on in a process for each.
+    """
+    start_logging(args.log_level)
+    documents = load_all(args.config)
+    document, line, shared = documents[0], None, None
+    if document.several:
+        from tacshade_edge.daemon.hand import process  # needed nowhere else, and by no single sensor
+        from tacshade_edge.daemon.hand.lines import Lines
+
+        hand = load_hand(args.config)
+        lines = Lines(hand.fingers if hand else ())
+        shared_lines = _shared_lines(documents)
+        mine = Supervisor(documents, hand, lines.end).run()
+        if isinstance(mine, int):
+            lines.close()
+            for each in shared_lines.values():
+                each.close()
+            return mine
+        start_logging(args.log_level, name_of(mine))
+        if isinstance(mine, Hand):
+            process.run(mine, lines)
+            return EXIT_STOPPED
+        document, name = mine, mine.settings.sensor_id
+        line, shared = lines.fingers.get(name), shared_lines.get(name)
+    registry.check_files(document)
+    calibration = registry.find_calibration(document, store=True)
+    app = App(document, registry.make_source(document.settings.source), calibration, line, shared)
+    stopped: list[int] = []
+
+    def stop(number: int, _: object) -> None:
+        stopped.append(number)
+        app.stop()
+
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, stop)
+    if not os.isatty(0):
+        signal.signal(signal.SIGHUP, lambda *_: app.reload())
+    app.run()
+    return EXIT_STOPPED if stopped and document.several else EXIT_OK
+
+
+def _shared_lines(documents: Sequence[Document]) -> dict[str, SharedLine]:
+    """Imported only where a robot is."""
+    if not any(document.settings.serial for document in documents):
+        return {}
+    from tacshade_edge.daemon.robot.shared_line import share_lines
+
+    return share_lines(documents)

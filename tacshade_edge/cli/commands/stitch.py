@@ -1,0 +1,123 @@
+"""``tacshade-edge stitch``: images and the robot's poses, or a recording of both, to one large map."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+from tacshade_edge.cli.shared.profile_option import add_profile
+from tacshade_edge.cli.shared.progress import Progress
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.stitching.stitcher import StitchedMap
+from tacshade_edge.core.stitching.surface_map import STEP_MM, Raster
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.factories import calibrations
+from tacshade_edge.reasons import text_of
+from tacshade_edge.storage.recording.recording import Recording
+from tacshade_edge.storage.stitching.map_files import press_record, write_map
+from tacshade_edge.storage.tables.poses_table import read_poses
+from tacshade_edge.studies.stitch.average import radius_average
+from tacshade_edge.studies.stitch.picture import write_comparison
+from tacshade_edge.studies.stitch.score import KnownSurface, read_known, score
+from tacshade_edge.studies.stitch.work import Press, all_points, read_presses, read_recording, stitcher_of
+
+EXIT_FAILED = 1
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--calibration", type=Path, required=True, metavar="CAL.npz", help="from `calibrate`")
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("--poses", type=Path, metavar="POSES.csv", help="images and base_T_flange")
+    source.add_argument(
+        "--recording", type=Path, metavar="INPUT", help="as `replay` reads; each settled contact counts"
+    )
+    add_profile(parser, default="accurate")  # no one waits for a map
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="map.npz, .ply, .png, .json, preview.png"
+    )
+    parser.add_argument(
+        "--truth", type=Path, metavar="PAD.npz", help="score the map against this known surface, and picture both"
+    )
+    parser.add_argument("--json", action="store_true", help="print map.json")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Stitch; a press that cannot be used is named in map.json, an image that cannot be read here too."""
+    calibration = calibrations.load(args.calibration)
+    profile, known = PROFILES[args.profile], None if args.truth is None else read_known(args.truth)
+    if args.recording is None:
+        presses = read_presses(calibration, profile, read_poses(args.poses), Progress())
+    else:
+        presses = read_recording(calibration, profile, Recording(args.recording), str(args.recording))
+    failed = [p for p in presses if p.failed]
+    for press in failed:
+        print(f"tacshade-edge: {press.where}: {press.skipped}", file=sys.stderr)
+    stitcher = stitcher_of(presses, calibration.geometry.skin_radius_mm)
+    if stitcher.presses == 0:
+        why = presses[0].skipped if presses else "no contact settled"
+        raise ConfigError(f"{args.poses or args.recording}: found no press that can be used: {why}")
+    finished = stitcher.finish()
+    about = {"profile": args.profile, **_details(presses, finished)}
+    if known is not None:
+        about["score"] = score(finished.raster, known).as_json()
+        average = radius_average(all_points(presses), STEP_MM)
+        about["paper"] = _scored(average, known)
+        if finished.refined:
+            about["unrefined"] = _scored(stitcher.finish(None).raster, known)
+    write_map(args.out, finished.raster, about)
+    if known is not None:
+        write_comparison(args.out / "comparison.png", known.raster, finished.raster, average)
+    if args.json:
+        print((args.out / "map.json").read_text(encoding="utf-8"), end="")
+    else:
+        _print(args.out, about)
+    return EXIT_FAILED if failed else 0
+
+
+def _details(presses: list[Press], finished: StitchedMap) -> dict[str, Any]:
+    placed = iter(finished.presses)
+    records = []
+    for press in presses:
+        record: dict[str, Any] = {
+            "image": press.name,
+            "used": False,
+            "reason": text_of(press.skipped),
+        }
+        if not press.skipped:
+            record |= press_record(next(placed))
+        records.append(record)
+    return {
+        "refined": finished.refined,
+        "disagreement_mm": round(finished.disagreement_mm, 4),
+        "used": sum(r["used"] for r in records),
+        "presses": records,
+    }
+
+
+def _scored(raster: Raster, known: KnownSurface) -> dict[str, Any]:
+    return score(raster, known).as_json()
+
+
+def _print(out: Path, about: dict[str, Any]) -> None:
+    poses = (
+        f"poses refined (they disagreed by {about['disagreement_mm']:.2f} mm)" if about["refined"] else "poses exact"
+    )
+    print(f"{out}: {about['used']} of {len(about['presses'])} presses, {poses}")
+    for name, key in (("map", "score"), ("not refined", "unrefined"), ("paper's average", "paper")):
+        if key in about:
+            print(f"  {name}: {_line(about[key])}")
+
+
+def _line(s: dict[str, Any]) -> str:
+    def worst(records: list[dict[str, Any]], key: str) -> str:
+        values = [abs(r[key]) for r in records if r[key] is not None]
+        return f"{max(values):.2f}" if values else "-"
+
+    return (
+        f"RMS {s['rms_mm']:.3f} mm over {s['covered_mm2']:.0f} mm², raised {100 * s['raised_coverage']:.1f} % covered, "
+        f"bars within {worst(s['bars'], 'angle_deg')}° and {worst(s['bars'], 'bent_mm')} mm, "
+        f"circle within {worst(s['circles'], 'radius_percent')} %"
+    )

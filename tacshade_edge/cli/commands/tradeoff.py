@@ -1,0 +1,91 @@
+"""``tacshade-edge tradeoff``: speed against accuracy of the profiles and of what differs from them, on this machine."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+from tacshade_edge.cli.shared import study
+from tacshade_edge.cli.shared.progress import Progress
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.simulator.objects import PAPER_OBJECTS
+from tacshade_edge.studies.parallel import usable_cores
+from tacshade_edge.studies.tradeoff import budget, picture, report
+from tacshade_edge.studies.tradeoff.cases import SensorCases, simulated
+from tacshade_edge.studies.tradeoff.grid import grid
+from tacshade_edge.studies.tradeoff.summary import Point
+from tacshade_edge.studies.tradeoff.work import tradeoff
+
+SENSORS = "default,5"
+BUSY = 1.1
+"""From so many times the processor time on, the machine was not this command's alone."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    study.add_arguments(
+        parser,
+        profiles="all, each with what differs from it",
+        files="tradeoff.md, tradeoff.csv, tradeoff.json, tradeoff.png",
+    )
+    parser.add_argument(
+        "--budget-ms",
+        type=_milliseconds,
+        metavar="MS",
+        help="print the settings of the most accurate profile that takes no longer for 99 of 100 frames in contact",
+    )
+    study.add_simulated(parser, SENSORS, "the paper's five")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure; print the tables and the settings, write the files."""
+    mistakes: list[str] = []
+    if study.is_own(args, ("sensors", "objects")):
+        calibration, cases, mistakes = study.own_images(args)
+        images: tuple[SensorCases, ...] = (SensorCases(calibration, tuple(cases)),)
+        if not any(case.touched for case in images[0].cases):
+            expected = "found no image of a contact that can be scored, expected one with its truth"
+            raise ConfigError(f"{args.images}: {expected}")
+        data: dict[str, Any] = {"calibration": str(args.calibration), "images": str(args.images)}
+    else:
+        study.make_folder(args.out)
+        sensors = args.sensors or study.sensors(SENSORS)
+        objects = args.objects or tuple(PAPER_OBJECTS)
+        data = {"sensors": [str(name) for name in sensors], "objects": list(objects)}
+        images = simulated(sensors, objects, usable_cores(), Progress())
+    drawn = study.will_draw(args, "tradeoff.png")
+    names = tuple(dict.fromkeys(args.profile or PROFILES))
+    found, busy = tradeoff(grid(names), images, usable_cores(), Progress())
+    if busy > BUSY:
+        words = f"the machine was busy: frames took {busy:.1f} times as long as the processor time that is shown"
+        print(f"tacshade-edge: {words}", file=sys.stderr)
+    document = report.document(found, data, busy)
+    study.publish(args, "tradeoff", report.table(found), {"": report.csv_text(found)}, document)
+    if drawn:
+        study.write(args.out / "tradeoff.png", picture.draw(found, args.budget_ms))
+    kept = args.budget_ms is None or _print_settings(found, args.budget_ms, aside=args.json)
+    return 0 if kept and not mistakes else 1
+
+
+def _print_settings(found: Sequence[Point], budget_ms: float, *, aside: bool) -> bool:
+    """Print the settings for a budget; where none keeps it, say so and return False."""
+    block = budget.settings_block(found, budget_ms)
+    if block is None:
+        print(f"tacshade-edge: {budget.over_budget(found, budget_ms)}", file=sys.stderr)
+        return False
+    print(f"\n{block}", file=sys.stderr if aside else sys.stdout)
+    return True
+
+
+def _milliseconds(text: str) -> float:
+    value = float(text)
+    if not (math.isfinite(value) and value > 0):
+        raise ValueError(text)
+    return value
+
+
+_milliseconds.__name__ = "number above 0"  # argparse's messages show it

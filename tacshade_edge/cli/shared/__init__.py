@@ -1,0 +1,1 @@
+"""What commands share: log, progress, options."""

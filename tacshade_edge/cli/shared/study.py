@@ -1,0 +1,162 @@
+"""What the commands of studies share: options, sensors and objects as words, own images, files."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import json
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from tacshade_edge.cli.shared.progress import Progress
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.errors import DeviceError
+from tacshade_edge.factories import calibrations
+from tacshade_edge.simulator.objects import OBJECTS
+from tacshade_edge.studies.cases import Case
+from tacshade_edge.studies.evaluate.own_images import images_in, read_images
+from tacshade_edge.studies.evaluate.sensors import FAMILIES, FINAL_SEED, SensorName
+from tacshade_edge.types import Calibration
+from tacshade_edge.version import how_to_install
+
+
+def sensors(text: str) -> tuple[SensorName, ...]:
+    """Read ``SEED,...``; those kept for final figures are refused. Raises argparse.ArgumentTypeError."""
+    try:
+        names = tuple(SensorName.parse(word) for word in text.split(","))
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    kept = [name for name in names if name.seed is not None and name.seed >= FINAL_SEED]
+    if kept:
+        raise argparse.ArgumentTypeError(f"{kept[0]}: seeds from {FINAL_SEED} on are kept for --final")
+    return tuple(dict.fromkeys(names))
+
+
+def objects(text: str) -> tuple[str, ...]:
+    """Read ``NAME,...``. Raises argparse.ArgumentTypeError."""
+    names = tuple(dict.fromkeys(word.strip() for word in text.split(",")))
+    unknown = [name for name in names if name not in OBJECTS]
+    if unknown:
+        raise argparse.ArgumentTypeError(f"{unknown[0]!r} is not known, expected some of {', '.join(OBJECTS)}")
+    return names
+
+
+def add_arguments(parser: argparse.ArgumentParser, profiles: str, files: str) -> None:
+    """Declare what every study takes; `profiles` says which are taken, `files` which are written."""
+    parser.add_argument(
+        "--profile",
+        nargs="+",
+        choices=list(PROFILES),
+        metavar="NAME",
+        help=f"some of {', '.join(PROFILES)} ({profiles})",
+    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help=f"write {files}")
+    parser.add_argument("--json", action="store_true", help="print the JSON file in place of the tables")
+    own = parser.add_argument_group("your own images")
+    own.add_argument("--calibration", type=Path, metavar="CAL.npz", help="from `calibrate`")
+    own.add_argument("--images", type=Path, metavar="DIR", help="images, each with its truth as STEM.npz beside it")
+    parser.set_defaults(usage_error=parser.error)
+
+
+def add_simulated(
+    parser: argparse.ArgumentParser, sensor_names: str, object_names: str
+) -> tuple[argparse._ArgumentGroup, argparse._ActionsContainer]:
+    """Take simulated sensors and objects by name; the group, and that of options which take the place of sensors."""
+    group = parser.add_argument_group("simulated sensors")
+    which = group.add_mutually_exclusive_group()
+    which.add_argument(
+        "--sensors",
+        type=sensors,
+        metavar="SEED,...",
+        help=f"[FAMILY:]SEED below {FINAL_SEED} or default ({sensor_names}); families: {', '.join(FAMILIES)}",
+    )
+    group.add_argument("--objects", type=objects, metavar="NAME,...", help=f"of {', '.join(OBJECTS)} ({object_names})")
+    return group, which
+
+
+def is_own(args: argparse.Namespace, simulated: tuple[str, ...]) -> bool:
+    """Whether a user's own images are to be taken; with them, and with half of them, mistakes end the command.
+
+    Parameters
+    ----------
+    simulated : tuple of str
+        Options that mean nothing to a user's own images.
+    """
+    if (args.calibration is None) != (args.images is None):
+        args.usage_error("--calibration CAL.npz and --images DIR belong together")
+    if args.images is None:
+        return False
+    given = [name for name in simulated if getattr(args, name) is not None]
+    if given:
+        args.usage_error(f"--{given[0]} is for simulated sensors, not for your own images")
+    return True
+
+
+def own_images(args: argparse.Namespace) -> tuple[Calibration, Iterator[Case], list[str]]:
+    """A user's calibration, his images one by one, and what is wrong with those read so far, each also printed.
+
+    Raises
+    ------
+    ConfigError, DeviceError
+        No calibration, no images, or no room for what is found.
+    """
+    calibration, paths = calibrations.load(args.calibration), images_in(args.images)
+    make_folder(args.out)
+    mistakes: list[str] = []
+    report = Progress()
+
+    def mistake(text: str) -> None:
+        mistakes.append(text)
+        report.say(f"tacshade-edge: {text}")
+
+    return calibration, read_images(calibration, args.calibration.name, paths, report, mistake), mistakes
+
+
+def will_draw(args: argparse.Namespace, files: str, packages: Sequence[str] = ("matplotlib",)) -> bool:
+    """Whether pictures are wanted and can be drawn (nothing is imported); a line where a package is not installed."""
+    missing = [name for name in packages if importlib.util.find_spec(name) is None]
+    if args.out and missing:
+        words = f"{files} will be missing without {' and '.join(missing)}: {how_to_install('studies')}"
+        print(f"tacshade-edge: {words}", file=sys.stderr)
+    return args.out is not None and not missing
+
+
+def publish(args: argparse.Namespace, stem: str, table: str, rows: Mapping[str, str], document: Any = None) -> None:
+    """Print the table or, with --json, the document; write both and the rows.
+
+    Parameters
+    ----------
+    stem : str
+        Of the files' names.
+    rows : mapping
+        What follows the stem in a CSV file's name, to its text.
+    document : object or None
+        For JSON; NaN is no part of it.
+    """
+    files = {".md": f"{table}\n"} | {f"{end}.csv": text for end, text in rows.items()}
+    if document is not None:
+        files[".json"] = json.dumps(document, indent=1) + "\n"
+    print(files[".json" if args.json else ".md"], end="")
+    if args.out:
+        for end, text in files.items():
+            write(args.out / f"{stem}{end}", text.encode())
+
+
+def make_folder(folder: Path | None) -> None:
+    """Before minutes of work, not after. Raises DeviceError."""
+    if folder is None:
+        return
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DeviceError(f"{folder}: cannot be written: {error.strerror or error}") from None
+
+
+def write(path: Path, content: bytes) -> None:
+    """Write a file. Raises DeviceError."""
+    try:
+        path.write_bytes(content)
+    except OSError as error:
+        raise DeviceError(f"{path}: cannot be written: {error.strerror or error}") from None

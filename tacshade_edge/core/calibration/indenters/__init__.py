@@ -1,0 +1,1 @@
+"""Shapes that press: balls and others, and such to print."""

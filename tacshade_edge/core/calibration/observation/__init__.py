@@ -1,0 +1,1 @@
+"""A press as its image shows it, and as a machine places it."""

@@ -1,0 +1,172 @@
+"""Where a sensor stands under a machine that presses it, from places at which a ball first touched the skin.
+
+The sensor's axis is upright: the sensor frame is the machine's, moved and turned about z by a yaw. The head's place is
+that of the ball's lowest point.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tacshade_edge.core.calibration.indenters.indenter import Indenter, place
+from tacshade_edge.core.calibration.inputs import KnownPress
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.rigid import Rigid, shift, turn
+from tacshade_edge.types import F64
+
+_ITERATIONS = 20
+# Touches beside a sphere by so much (RMS, skin radii) are no touches of that skin; and pictured places so far from
+# where the ball was (RMS, in parts of how far it was from the axis) are none of this sensor.
+_MOST_RMS, _MOST_PICTURED_RMS = 0.004, 0.2
+_PICTURED_SCALE = (0.6, 1.6)  # of where it was over where it is pictured
+
+
+def skin_centre(touches_mm: F64, skin_radius_mm: float, ball_radius_mm: float) -> tuple[F64, float]:
+    """Fit the centre of the undeformed skin (Gauss-Newton): the ball's centre touches at the sum of both radii.
+
+    Parameters
+    ----------
+    touches_mm : float64 (N, 3)
+        Head at first touch, N at least 4, not all in a line.
+    skin_radius_mm, ball_radius_mm : float
+
+    Returns
+    -------
+    centre_mm : float64 (3,)
+    rms_mm : float
+        Of the touches' distances to that skin.
+
+    Raises
+    ------
+    ConfigError
+        They do not lie on such a skin.
+    """
+    balls_mm = touches_mm + np.array((0.0, 0.0, ball_radius_mm))
+    reach_mm = skin_radius_mm + ball_radius_mm
+    centre = np.append(touches_mm[:, :2].mean(axis=0), touches_mm[:, 2].max() - skin_radius_mm)
+    for _ in range(_ITERATIONS):
+        towards = balls_mm - centre
+        distance = np.maximum(np.linalg.norm(towards, axis=1), 1e-9)
+        centre = centre + np.linalg.lstsq(towards / distance[:, None], distance - reach_mm, rcond=None)[0]
+    rms_mm = float(np.sqrt(np.mean((np.linalg.norm(balls_mm - centre, axis=1) - reach_mm) ** 2)))
+    if not rms_mm <= _MOST_RMS * skin_radius_mm:
+        expected = f"expected a skin of {skin_radius_mm:g} mm touched by a ball of {ball_radius_mm:g} mm, upright"
+        raise ConfigError(f"found touches that lie {rms_mm:.2f} mm beside one sphere (RMS), {expected}")
+    return centre, rms_mm
+
+
+def yaw_of(places_mm: F64, pictured_mm: F64) -> float:
+    """Fit how far the sensor frame is turned about z in the machine's, from x towards y.
+
+    Parameters
+    ----------
+    places_mm : float64 (N, 2)
+        Of the ball in the machine's frame, from the skin's axis.
+    pictured_mm : float64 (N, 2)
+        Where the pictures show it, in the sensor frame.
+
+    Returns
+    -------
+    float
+        rad, -π to π.
+
+    Raises
+    ------
+    ConfigError
+        The pictures show other places, or mirrored ones.
+    """
+    shown, put = pictured_mm @ (1, 1j), places_mm @ (1, 1j)
+    turned, mirrored = (float(abs(np.vdot(s, put))) for s in (shown, shown.conj()))
+    if mirrored > 2 * turned:
+        raise ConfigError("the pictures show the places mirrored: x or y of the machine runs the other way")
+    yaw = float(np.angle(np.vdot(shown, put)))
+    size = float(np.sqrt(np.mean(np.abs(put) ** 2)))
+    scale = float(np.vdot(shown, put * np.exp(-1j * yaw)).real / max(np.vdot(shown, shown).real, 1e-9))
+    seen = shown * np.exp(1j * yaw)
+    rms, unscaled_rms = (float(np.sqrt(np.mean(np.abs(each - put) ** 2))) for each in (scale * seen, seen))
+    if not (rms <= _MOST_PICTURED_RMS * size and _PICTURED_SCALE[0] <= scale <= _PICTURED_SCALE[1]):
+        found = f"found the ball {unscaled_rms:.1f} mm (RMS) beside where it was put in the pictures"
+        raise ConfigError(f"{found}, expected {_MOST_PICTURED_RMS * size:.1f} mm at most")
+    return yaw
+
+
+@dataclass(frozen=True, slots=True)
+class Stand:
+    """Where the sensor stands.
+
+    Attributes
+    ----------
+    machine_T_sensor : Rigid
+        z upwards in both.
+    skin_radius_mm : float
+    """
+
+    machine_T_sensor: Rigid
+    skin_radius_mm: float
+
+    @property
+    def yaw_deg(self) -> float:
+        """Of the sensor frame in the machine's, from x towards y."""
+        rotation = self.machine_T_sensor.rotation
+        return math.degrees(math.atan2(rotation[1, 0], rotation[0, 0]))
+
+    @property
+    def indenter_yaw_deg(self) -> float:
+        """Of what keeps the machine's directions, in the sensor frame."""
+        return -self.yaw_deg
+
+    def head_mm(self, x_mm: float, y_mm: float, depth_mm: float) -> tuple[float, float, float]:
+        """Place in the machine's frame of a lowest point that is so deep, as PRESSES.csv has it, at (x, y)."""
+        skin_z_mm = math.sqrt(max(self.skin_radius_mm**2 - x_mm**2 - y_mm**2, 0.0))
+        x, y, z = self.machine_T_sensor.apply(np.array((x_mm, y_mm, skin_z_mm - depth_mm))).tolist()
+        return x, y, z
+
+
+def stand(centre_mm: F64, yaw_rad: float, skin_radius_mm: float) -> Stand:
+    """From `skin_centre` and `yaw_of`."""
+    return Stand(shift(*centre_mm.tolist()) @ turn((0.0, 0.0, yaw_rad)), skin_radius_mm)
+
+
+def first_touch_mm(
+    indenter: Indenter | float, skin_radius_mm: float, x_mm: float, y_mm: float, yaw_deg: float = 0.0
+) -> float:
+    """Depth, as PRESSES.csv has it, at which an indenter first touches the undeformed skin: at most 0 of a ball.
+
+    Parameters
+    ----------
+    indenter : Indenter or float
+        A float is a ball's radius in mm.
+    skin_radius_mm, x_mm, y_mm : float
+    yaw_deg : float
+    """
+    r, q = skin_radius_mm, x_mm**2 + y_mm**2
+    if isinstance(indenter, Indenter):
+        return place(indenter, r, x_mm, y_mm, r / 2, yaw_deg).first_touch_mm(r)
+    return math.sqrt(max(r * r - q, 0.0)) - (math.sqrt((r + indenter) ** 2 - q) - indenter)
+
+
+def from_travel(press: KnownPress, skin_radius_mm: float) -> KnownPress:
+    """A press whose depth was stated as travel from first touch, with the depth that PRESSES.csv has.
+
+    It is 0 or less where the lowest point of what presses is still above the skin at (x, y).
+
+    Raises
+    ------
+    ConfigError
+        No place is stated, or one that is not over the skin.
+    """
+    if press.x_mm is None or press.y_mm is None:
+        raise ConfigError(f"{press.name}: x_mm, y_mm: found nothing, expected both with --depth-from-touch")
+    r, x_mm, y_mm = skin_radius_mm, press.x_mm, press.y_mm
+    if not x_mm**2 + y_mm**2 < r * r:
+        expected = f"expected a place over the skin, whose radius is {r:g} mm"
+        raise ConfigError(f"{press.name}: x_mm, y_mm: found {x_mm:g}, {y_mm:g}, {expected}")
+    if press.indenter is None:
+        first_mm = first_touch_mm(press.radius_mm, r, x_mm, y_mm)
+    else:
+        angles = press.yaw_deg, press.tilt_x_deg, press.tilt_y_deg
+        first_mm = place(press.indenter, r, x_mm, y_mm, r / 2, *angles).first_touch_mm(r)
+    return replace(press, depth_mm=press.depth_mm + first_mm)

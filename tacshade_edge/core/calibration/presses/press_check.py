@@ -1,0 +1,93 @@
+"""Is an image a press that `calibrate` can use? Told while the indenter is still there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from tacshade_edge.core.calibration.inputs import KnownPress
+from tacshade_edge.core.calibration.observation.press_observation import observe_press
+from tacshade_edge.core.calibration.presses.press_question import question
+from tacshade_edge.core.calibration.presses.press_view import PressViewer
+from tacshade_edge.core.calibration.quality import GRADED_PROFILE
+from tacshade_edge.core.calibration.reference.references import PROFILE
+from tacshade_edge.core.contact.gate import ContactGate
+from tacshade_edge.core.depth import Network
+from tacshade_edge.core.frame_check import registration
+from tacshade_edge.core.frame_check.validity import invalid_reason, sensor_check
+from tacshade_edge.core.image.grey_maps import GreyMapper
+from tacshade_edge.core.image.preprocess import Preprocessor
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.reasons import Reason
+from tacshade_edge.types import U8, Calibration
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """What an image of a press shows.
+
+    Attributes
+    ----------
+    unusable : Reason or None
+        Why no image of the sensor can be judged by it; the others say nothing then.
+    moved : str
+        How the camera moved too far since the references; empty when it did not.
+    changed : str
+        What changed less; empty when nothing did.
+    in_contact : bool
+    """
+
+    unusable: Reason | None
+    moved: str = ""
+    changed: str = ""
+    in_contact: bool = False
+
+
+class PressCheck:
+    """Judges images of one sensor.
+
+    Parameters
+    ----------
+    unloaded : Calibration
+        From the references alone.
+    network : Network, optional
+        Of `GRADED_PROFILE`: with it, a press is compared with what is stated of it.
+
+    Attributes
+    ----------
+    geometry : Geometry
+    """
+
+    def __init__(self, unloaded: Calibration, network: Network | None = None) -> None:
+        self.geometry = unloaded.geometry
+        self._preprocessor = Preprocessor(unloaded, PROFILE)
+        self._mapper = GreyMapper(self._preprocessor)
+        self._gate = ContactGate(self._preprocessor)
+        self._check = sensor_check(unloaded)
+        self._viewer = PressViewer(unloaded, PROFILES[GRADED_PROFILE], network) if network else None
+        self._disc = unloaded.geometry.disc
+        self._reference = registration.look(unloaded.reference_grey, self._disc, unloaded.pitch_px)
+
+    def located_mm(self, image: U8, depth_mm: float) -> tuple[float, float]:
+        """Where a ball presses, x and y in mm, as `calibrate` finds it."""
+        press = KnownPress("", image, 1.0, depth_mm, None, None)
+        return observe_press(self._preprocessor, self._mapper, press).place_mm
+
+    def question(self, press: KnownPress) -> str:
+        """What the picture of a press shows otherwise than stated; empty without a network."""
+        view = self._viewer.view(press) if self._viewer else None
+        return question(view, press, self.geometry) if view else ""
+
+    def judge(self, image: U8) -> Judgement:
+        """Judge an image (H, W) or (H, W, 3)."""
+        grey = self._preprocessor.grey(image)
+        if reason := invalid_reason(grey, self._check):
+            return Judgement(reason)
+        drift = registration.drift(self._reference, grey)
+        shift = registration.shift_reason(drift, self._disc)
+        if shift and registration.shifted_too_far(drift, self._disc):
+            return Judgement(None, moved=str(shift))
+        changed = str(shift or registration.light_drift_reason(drift) or "")
+        in_contact = self._gate.opens(self._preprocessor.preprocess(grey))
+        if not in_contact and self._viewer:
+            in_contact = self._viewer.touches(grey)
+        return Judgement(None, changed=changed, in_contact=in_contact)

@@ -1,0 +1,112 @@
+"""Presses that do not agree with what is stated of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tacshade_edge.core.calibration.observation.press_observation import PressObservation, with_stated_place
+from tacshade_edge.core.calibration.presses.travel_fit import OUTLIER_DEVIATIONS, leave_one_out
+from tacshade_edge.core.calibration.skin_scale import skin_scale
+from tacshade_edge.types import Geometry
+
+# A place is an outlier when it is further off than so many times the median press, with bounds in mm on the nominal
+# skin. What this finds, and finds wrongly: tools/studies/calibration.py.
+_PLACE_MEDIANS, _PLACE_LEAST_MM, _PLACE_MOST_MM = 3.0, 3.5, 5.0
+# The same where a network located the presses.
+_SEEN_MEDIANS, _SEEN_LEAST_MM = 4.0, 2.0
+# A ball is, when it looks larger or smaller than the median press by so many robust deviations of the logarithms, and
+# by this factor at least; of shallower presses (mm on the nominal skin) the radius is not seen.
+_BALL_DEVIATIONS, _BALL_LEAST, _BALL_DEPTH_MM = 4.0, 1.55, 0.8
+# A small ball may look larger than it is: that counts where the stated radius fits so many times worse.
+_LARGER_MISFIT_RATIO = 4.0
+# With fewer presses no fit tells which is wrong.
+_LEAST_PRESSES = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Outlier:
+    """A press that does not agree: its index, and why, for a person."""
+
+    index: int
+    reason: str
+
+
+def outliers(observations: Sequence[PressObservation], geometry: Geometry) -> tuple[Outlier, ...]:
+    """Presses whose place, ball, or depth predicted from all the others, is far from what is stated."""
+    reasons = _misplaced(observations, geometry) | _of_another_size(observations, geometry)
+    while True:
+        # Without the worst, what is left may show more: many wrong presses widen the deviation that hides them.
+        rest = [k for k in range(len(observations)) if k not in reasons]
+        if len(rest) < _LEAST_PRESSES:
+            break
+        left_out = leave_one_out([observations[k] for k in rest], geometry)
+        found = {
+            k: _depth_reason(observations[k], float(error))
+            for k, error, deviations in zip(rest, left_out.error_mm, left_out.deviations, strict=True)
+            if deviations > OUTLIER_DEVIATIONS
+        }
+        if not found:
+            break
+        reasons |= found
+    return tuple(Outlier(k, reasons[k]) for k in sorted(reasons))
+
+
+def _depth_reason(press: PressObservation, error_mm: float) -> str:
+    return (
+        f"{press.name}: depth {press.depth_mm:.2f} mm is stated, {press.depth_mm + error_mm:.2f} mm is what "
+        f"the other presses say of {press.indenter or f'a ball of {press.radius_mm:g} mm'}"
+    )
+
+
+def _misplaced(observations: Sequence[PressObservation], geometry: Geometry) -> dict[int, str]:
+    """Presses far from where they are stated, beyond what all of them are."""
+    errors = [o.place_error_mm(*o.place_mm) for o in observations]  # 0 where no place is stated
+    scale = skin_scale(geometry)
+    reasons: dict[int, str] = {}
+    for is_seen, medians, least_mm in ((True, _SEEN_MEDIANS, _SEEN_LEAST_MM), (False, _PLACE_MEDIANS, _PLACE_LEAST_MM)):
+        alike = [k for k, o in enumerate(observations) if o.is_seen == is_seen]
+        stated = [o.place_error_mm(*o.place_mm) for o in with_stated_place([observations[k] for k in alike])]
+        if stated:
+            limit_mm = np.clip(medians * np.median(stated), least_mm * scale, _PLACE_MOST_MM * scale)
+            reasons |= {k: _place_reason(observations[k]) for k in alike if errors[k] > limit_mm}
+    return reasons
+
+
+def _of_another_size(observations: Sequence[PressObservation], geometry: Geometry) -> dict[int, str]:
+    """Balls that look larger or smaller than stated, against what all of them do."""
+    logs = {k: math.log(o.ball_factor) for k, o in enumerate(observations) if math.isfinite(o.ball_factor)}
+    if len(logs) < _LEAST_PRESSES:
+        return {}
+    middle = float(np.median(list(logs.values())))
+    deviation = 1.4826 * float(np.median([abs(log - middle) for log in logs.values()]))
+    limit, shallow_mm = max(_BALL_DEVIATIONS * deviation, math.log(_BALL_LEAST)), _BALL_DEPTH_MM * skin_scale(geometry)
+    return {
+        k: _ball_reason(observations[k], math.exp(log - middle))
+        for k, log in logs.items()
+        if abs(log - middle) > limit
+        and observations[k].depth_mm > shallow_mm
+        and (log < middle or observations[k].misfit_ratio > _LARGER_MISFIT_RATIO)
+    }
+
+
+def _ball_reason(press: PressObservation, factor: float) -> str:
+    """For a person: the ball of a press looks so many times as large as stated."""
+    asked = ""
+    if factor < 1:
+        asked = f": is {press.radius_mm:g} mm its diameter?"
+    return (
+        f"{press.name}: a ball of {press.radius_mm:g} mm is stated, one of about {factor * press.radius_mm:.1f} mm is "
+        f"what the image shows{asked}"
+    )
+
+
+def _place_reason(press: PressObservation) -> str:
+    x_mm, y_mm = press.place_mm
+    return (
+        f"{press.name}: x {x_mm:.1f}, y {y_mm:.1f} mm is stated, "
+        f"x {press.located_x_mm:.1f}, y {press.located_y_mm:.1f} mm is what the image shows"
+    )

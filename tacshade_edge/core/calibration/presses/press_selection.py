@@ -1,0 +1,141 @@
+"""The presses that a calibration is fitted to, and why the others are left out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from tacshade_edge.core.calibration.inputs import KnownPress
+from tacshade_edge.core.calibration.observation.press_observation import PressObservation, observe_press
+from tacshade_edge.core.calibration.presses.press_check import PressCheck
+from tacshade_edge.core.calibration.presses.press_outliers import outliers
+from tacshade_edge.core.calibration.presses.press_view import PressView, PressViewer, as_seen
+from tacshade_edge.core.calibration.presses.stated_sizes import shown_sizes, size_mistake, unit_mistake
+from tacshade_edge.core.calibration.presses.table_hints import axes_hint, polarity_hint, table_hints
+from tacshade_edge.core.calibration.quality import GRADED_PROFILE
+from tacshade_edge.core.calibration.reference.references import PROFILE
+from tacshade_edge.core.depth import Network
+from tacshade_edge.core.image.grey_maps import GreyMapper
+from tacshade_edge.core.image.preprocess import Preprocessor
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.types import Calibration, Geometry
+
+MIN_PRESSES = 8
+# With a greater part of the presses left out, what is stated of them is wrong as a whole.
+_MAX_LEFT_OUT = 0.25
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Selection:
+    """The presses to fit, what their images show, and warnings about all of them."""
+
+    presses: tuple[KnownPress, ...]
+    observations: tuple[PressObservation, ...]
+    warnings: tuple[str, ...]
+
+
+def select_presses(unloaded: Calibration, presses: Sequence[KnownPress], network: Network | None = None) -> Selection:
+    """Leave out presses without contact, of a camera that moved, or that disagree with what is stated of them.
+
+    Parameters
+    ----------
+    unloaded : Calibration
+        From the references.
+    presses : sequence of KnownPress
+    network : Network, optional
+        Of `GRADED_PROFILE`: what it sees says whether something touches and where, and depths, balls and skin of
+        another size than stated are found too.
+
+    Raises
+    ------
+    ConfigError
+        A gross mistake of the whole table or of what is stated of the sensor; too few presses, too many to leave
+        out, or one that cannot be a press of this sensor.
+    """
+    if len(presses) < MIN_PRESSES:
+        raise ConfigError(f"{len(presses)} presses: at least {MIN_PRESSES} are needed (20 are better)")
+    geometry = unloaded.geometry
+    preprocessor = Preprocessor(unloaded, PROFILE)
+    viewer = PressViewer(unloaded, PROFILES[GRADED_PROFILE], network) if network else None
+    mapper, check = GreyMapper(preprocessor), PressCheck(unloaded)
+    views: list[PressView | None] = []
+    pressed: list[KnownPress] = []
+    left_out: list[str] = []
+    warnings: list[str] = []
+    for press in presses:
+        _check_press(unloaded, press)
+        judged = check.judge(press.image)
+        if judged.unusable:
+            raise ConfigError(f"{press.name}: not usable: {judged.unusable}")
+        if judged.moved:
+            left_out.append(f"{press.name}: {judged.moved} since the references")
+            continue
+        view = viewer.view(press) if viewer else None
+        if not (judged.in_contact or view):
+            left_out.append(f"{press.name}: no contact to be seen, {press.depth_mm} mm is stated")
+        else:
+            pressed.append(press)
+            views.append(view)
+            if judged.changed:
+                warnings.append(f"{press.name}: {judged.changed} since the references")
+    observations = [observe_press(preprocessor, mapper, press) for press in pressed]
+    if len(observations) >= MIN_PRESSES and (hint := _polarity_mistake(unloaded, pressed, observations)):
+        raise ConfigError(hint)
+    observations = [as_seen(observed, view) for observed, view in zip(observations, views, strict=True)]
+    if len(observations) >= MIN_PRESSES and (
+        mistakes := _gross_mistakes(geometry, pressed, views if viewer else None, observations)
+    ):
+        raise ConfigError("; ".join(mistakes))
+    disagreeing = {outlier.index: outlier.reason for outlier in outliers(observations, geometry)}
+    left_out += disagreeing.values()
+    usable = [k for k in range(len(pressed)) if k not in disagreeing]
+    if len(left_out) > _MAX_LEFT_OUT * len(presses) or len(usable) < MIN_PRESSES:
+        raise ConfigError(f"{len(left_out)} of {len(presses)} presses cannot be used; {left_out[0]}")
+    return Selection(
+        tuple(pressed[k] for k in usable),
+        tuple(observations[k] for k in usable),
+        (*warnings, *(f"{reason}; left out" for reason in left_out)),
+    )
+
+
+def _polarity_mistake(
+    unloaded: Calibration, presses: Sequence[KnownPress], observations: Sequence[PressObservation]
+) -> str:
+    """The other polarity, by where the skin brightens; empty when it is the stated one."""
+    other = replace(unloaded, polarity="dark" if unloaded.polarity == "bright" else "bright")
+    preprocessor = Preprocessor(other, PROFILE)
+    mapper = GreyMapper(preprocessor)
+    seen_otherwise = [observe_press(preprocessor, mapper, press) for press in presses]
+    return polarity_hint(observations, seen_otherwise, unloaded.polarity)
+
+
+def _gross_mistakes(
+    geometry: Geometry,
+    presses: Sequence[KnownPress],
+    views: Sequence[PressView | None] | None,
+    observations: Sequence[PressObservation],
+) -> tuple[str, ...]:
+    """What is wrong with all presses alike, or with the size of the skin; empty when nothing is."""
+    if views is None:
+        return table_hints(observations, geometry)
+    shown = shown_sizes(presses, views)
+    mistakes = unit_mistake(shown), axes_hint(observations, geometry)
+    if not any(mistakes):  # with a wrong unit or place, other sizes mean nothing
+        mistakes = (size_mistake(shown, observations, geometry), "")
+    return tuple(mistake for mistake in mistakes if mistake)
+
+
+def _check_press(calibration: Calibration, press: KnownPress) -> None:
+    """Refuse what cannot be a press of this sensor."""
+    r = calibration.geometry.skin_radius_mm
+    if press.image.shape[:2] != (calibration.image_height_px, calibration.image_width_px):
+        raise ConfigError(
+            f"{press.name}: {press.image.shape[1]}x{press.image.shape[0]} px, "
+            f"the reference is {calibration.image_width_px}x{calibration.image_height_px}"
+        )
+    if not 0 < press.depth_mm < r or not (press.indenter or press.radius_mm > 0):
+        raise ConfigError(
+            f"{press.name}: depth {press.depth_mm} mm, ball radius {press.radius_mm} mm; "
+            f"expected 0 < depth < {r} and a radius above 0"
+        )

@@ -1,0 +1,153 @@
+"""What a learned profile sees of a press, without a refit: whether something touches, where, and how large a ball."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tacshade_edge.core.calibration.inputs import KnownPress
+from tacshade_edge.core.calibration.observation.press_observation import PressObservation
+from tacshade_edge.core.calibration.refit import gain
+from tacshade_edge.core.calibration.refit.profile_refit import placed_press
+from tacshade_edge.core.depth import Network
+from tacshade_edge.core.depth.learned import Inverse, LearnedSolver
+from tacshade_edge.core.geometry import disc_map
+from tacshade_edge.core.geometry.back_projection import skin_points
+from tacshade_edge.core.geometry.disc import disc_rays
+from tacshade_edge.core.image.preprocess import Preprocessor
+from tacshade_edge.core.profiles import Profile
+from tacshade_edge.types import F32, F64, U8, Bool, Calibration, Geometry
+
+# Radii to try, as parts of the stated one, which is in the middle; no misfit is told from this one.
+_LEAST_MISFIT = 1e-3
+_TRIED = np.exp(np.linspace(math.log(0.25), math.log(4.0), 49))
+
+
+@dataclass(frozen=True, slots=True)
+class PressView:
+    """A press as a network sees it.
+
+    Attributes
+    ----------
+    depth_mm : float
+        Greatest height in the contact.
+    x_mm, y_mm : float
+        Where the indenter is, its radius and depth being those stated.
+    ball_factor : float
+        The radius, as a part of the stated one, whose surface is most like the heights in the contact, at any place and
+        any factor on the heights; NaN where no ball presses.
+    misfit_ratio : float
+        How much worse the stated radius fits: 1 where it fits best.
+    """
+
+    depth_mm: float
+    x_mm: float
+    y_mm: float
+    ball_factor: float
+    misfit_ratio: float = 1.0
+
+
+class PressViewer:
+    """Looks at presses of one sensor.
+
+    Parameters
+    ----------
+    unloaded : Calibration
+        From the references alone.
+    profile : Profile
+    network : Network
+        Of that profile.
+    """
+
+    def __init__(self, unloaded: Calibration, profile: Profile, network: Network) -> None:
+        self._geometry = unloaded.geometry
+        self._preprocessor = Preprocessor(unloaded, profile)
+        self._solver = LearnedSolver(self._preprocessor, network)
+
+    def view(self, press: KnownPress) -> PressView | None:
+        """What is seen; None where no contact is."""
+        return view_of(self._inverse(press.image), self._geometry, press)
+
+    def touches(self, image: U8) -> bool:
+        """Whether a contact is seen in an image."""
+        return bool(np.count_nonzero(_contact(self._inverse(image))) >= gain.LEAST_CELLS)
+
+    def _inverse(self, image: U8) -> Inverse:
+        return self._solver.inverse(self._preprocessor.preprocess(self._preprocessor.grey(image)))
+
+
+def view_of(inverse: Inverse, geometry: Geometry, press: KnownPress) -> PressView | None:
+    """What a network's answer says of a press; None where it sees no contact."""
+    contact = _contact(inverse)
+    if np.count_nonzero(contact) < gain.LEAST_CELLS:
+        return None
+    depth_mm = float(inverse.height_mm[contact].max())
+    if press.indenter is not None:
+        x_mm, y_mm = _indenter_place(inverse, geometry, press)
+        return PressView(depth_mm, x_mm, y_mm, math.nan)
+    along = gain.contact_direction(geometry, inverse)
+    if along is None:
+        return None
+    ball = gain.ball_along(geometry, along, press.depth_mm, press.radius_mm)
+    misfits = _misfits(inverse, geometry, along, press)
+    best, stated = int(np.argmin(misfits)), misfits[len(_TRIED) // 2]
+    ratio = stated / max(misfits[best], _LEAST_MISFIT)
+    return PressView(depth_mm, ball.x_mm, ball.y_mm, float(_TRIED[best]), max(ratio, 1.0))
+
+
+def as_seen(observation: PressObservation, view: PressView | None) -> PressObservation:
+    """The same, located by a network where that sees a contact."""
+    if view is None:
+        return observation
+    return replace(
+        observation,
+        located_x_mm=view.x_mm,
+        located_y_mm=view.y_mm,
+        reach_mm=0.0,
+        ball_factor=view.ball_factor,
+        misfit_ratio=view.misfit_ratio,
+        is_seen=True,
+    )
+
+
+def _contact(inverse: Inverse) -> Bool:
+    return np.asarray((inverse.contact_logit > 0) & np.isfinite(inverse.height_mm))
+
+
+def _indenter_place(inverse: Inverse, geometry: Geometry, press: KnownPress) -> tuple[float, float]:
+    """The stated place, moved by what the middle of the heights is beside that of the indenter's surface."""
+    placed = placed_press(geometry, inverse, press)
+    found = np.where(_contact(inverse), inverse.height_mm, np.float32(0))
+    middle = _middle(found, geometry)
+    if placed is None or press.x_mm is None or press.y_mm is None:
+        return float(middle[0]), float(middle[1])
+    under: F32 = np.maximum(np.nan_to_num(gain.known_height(geometry, placed, len(found))), np.float32(0))
+    if np.count_nonzero(under) < gain.LEAST_CELLS:
+        return float(middle[0]), float(middle[1])
+    beside = middle - _middle(under, geometry)
+    return press.x_mm + float(beside[0]), press.y_mm + float(beside[1])
+
+
+def _middle(height_mm: F32, geometry: Geometry) -> F64:
+    """Mean x and y of the skin, weighted by its height, where that is above 0."""
+    height = np.maximum(height_mm, np.float32(0))
+    rays = disc_rays(disc_map.map_grid(geometry.disc, len(height)), geometry)
+    use = (height > 0) & rays.inside
+    points = skin_points(height, rays, geometry)[use].astype(np.float64)
+    return np.asarray(np.average(points[:, :2], axis=0, weights=height[use])) if use.any() else np.zeros(2)
+
+
+def _misfits(inverse: Inverse, geometry: Geometry, along: F64, press: KnownPress) -> list[float]:
+    """Of each radius tried the part of the heights in the contact, in squares, that its surface does not explain."""
+    use = _contact(inverse)
+    found = inverse.height_mm[use].astype(np.float64)
+    misfits = []
+    for part in _TRIED:
+        ball = gain.ball_along(geometry, along, press.depth_mm, part * press.radius_mm)
+        known = np.nan_to_num(gain.ball_height(geometry, ball, len(inverse.height_mm)))[use].astype(np.float64)
+        np.maximum(known, 0, out=known)
+        likeness = float(found @ known) ** 2 / max(float(found @ found) * float(known @ known), np.finfo(float).tiny)
+        misfits.append(1 - likeness)
+    return misfits

@@ -1,0 +1,137 @@
+"""Are depths, balls and skin as large as they are stated? What a learned profile sees of them, without a refit.
+
+A network is off on a sensor by a factor that hardly changes within it (`gain`), so the greatest height that it finds
+tells a wrong unit, and how the height falls off around that, at any factor, tells the radius of a ball.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tacshade_edge.core.calibration.inputs import KnownPress
+from tacshade_edge.core.calibration.observation.press_observation import PressObservation
+from tacshade_edge.core.calibration.presses.press_view import PressView
+from tacshade_edge.types import F64, Geometry
+
+# Fewer presses tell nothing of all of them; nor does a network that sees a smaller part of them.
+_LEAST_PRESSES, _LEAST_SEEN_PART = 4, 0.5
+# Shown over stated, the median of all presses. On good tables depths are 0.6 to 1.3, balls 0.79 to 1.6 and places
+# 0.95 to 1.05.
+_UNIT_FACTOR = 4.0
+_UNITS = {"cm": 10.0, "inches": 25.4, "m": 1000.0}
+_BALL_FACTORS = (0.8, 1.85)
+# Where all depths are stated too great by a constant, balls look smaller, shallow ones most, and depths as much so.
+# Without that balls are 0.95 and more of good tables, and 0.83 and less of diameters. Over the depths they are 0.96 and
+# more where those are 0.7 or 1 mm too great, and 0.82 and less of diameters.
+_LEAST_BALL_SLOPE, _LEAST_BALL_PER_DEPTH = 0.9, 0.9
+_PLACE_FACTORS = (0.6, 1.4)
+# Places that lie nearer to the middle than this, in skin radii (RMS), tell no factor: a place is found within 1 mm.
+_LEAST_REACH_RADII = 0.1
+# Without a place: a skin of twice the radius makes balls look three times as large and more, and depths larger too.
+_SKIN_BALL_FACTORS, _SKIN_DEPTH_FACTORS = (0.45, 2.5), (0.8, 1.3)
+
+
+@dataclass(frozen=True, slots=True)
+class ShownSizes:
+    """What the images show over what is stated, the median of all presses; NaN where too few tell.
+
+    Attributes
+    ----------
+    depth : float
+        Of the depths.
+    ball : float
+        Of the balls' radii.
+    ball_slope : float
+        The same whatever constant all depths are off by: what shows is the product of radius and depth, so its slope
+        over the stated depth; NaN too where the depths are equal.
+    """
+
+    depth: float
+    ball: float
+    ball_slope: float
+
+
+def shown_sizes(presses: Sequence[KnownPress], views: Sequence[PressView | None]) -> ShownSizes:
+    """Compare what a network sees of the presses with what is stated of them."""
+    seen = [(press, view) for press, view in zip(presses, views, strict=True) if view is not None]
+    depths = [view.depth_mm / press.depth_mm for press, view in seen]
+    balls = [(press.depth_mm, view.ball_factor) for press, view in seen if math.isfinite(view.ball_factor)]
+    if len(seen) < _LEAST_SEEN_PART * len(presses):
+        balls = []
+    stated_mm, factors = np.array(balls).reshape(-1, 2).T
+    slope = math.nan
+    if len(balls) >= _LEAST_PRESSES and np.ptp(stated_mm) > 0:
+        slope = theil_sen_slope(stated_mm, factors * stated_mm)
+    return ShownSizes(_median(depths), _median(factors), slope)
+
+
+def theil_sen_slope(x: F64, y: F64) -> float:
+    """The Theil-Sen slope of y over x (float64 (N,), N at least 2, not all x equal).
+
+    H. Theil, "A rank-invariant method of linear and polynomial regression analysis", 1950; P. K. Sen, "Estimates of the
+    regression coefficient based on Kendall's tau", J. Am. Stat. Assoc. 63, 1968.
+    """
+    i, j = np.triu_indices(len(x), 1)
+    apart = x[i] != x[j]
+    return float(np.median((y[j] - y[i])[apart] / (x[j] - x[i])[apart]))
+
+
+def unit_mistake(shown: ShownSizes) -> str:
+    """Another unit of the depths, for a person; empty when there is none."""
+    if not shown.depth > _UNIT_FACTOR:
+        return ""
+    unit = min(_UNITS, key=lambda name: abs(math.log(_UNITS[name] / shown.depth)))
+    return (
+        f"PRESSES.csv: depth_mm: the images show presses about {shown.depth:.0f} times as deep as stated: "
+        f"are the depths in {unit}? expected mm"
+    )
+
+
+def size_mistake(shown: ShownSizes, observations: Sequence[PressObservation], geometry: Geometry) -> str:
+    """A wrong size of the skin or of all balls, for a person; empty when there is none."""
+    places = _place_factor(observations, geometry.skin_radius_mm)
+    skin = math.nan
+    if math.isfinite(places):
+        skin = places if not _PLACE_FACTORS[0] < places < _PLACE_FACTORS[1] else math.nan
+    elif _beyond(shown.ball, _SKIN_BALL_FACTORS) and _beyond(shown.depth, _SKIN_DEPTH_FACTORS):
+        skin = math.sqrt(shown.ball * shown.depth)
+    if math.isfinite(skin):
+        radius_mm = geometry.skin_radius_mm
+        asked = "a diameter" if skin > 1 else "half of the radius"
+        return (
+            f"SENSOR.yaml: skin_radius_mm: found {radius_mm:g}, and with it the images show presses about {skin:.1f} "
+            f"times as large as PRESSES.csv: is it {asked}? expected about {radius_mm / skin:.0f}"
+        )
+    too_deep = shown.ball_slope > _LEAST_BALL_SLOPE or shown.ball > _LEAST_BALL_PER_DEPTH * shown.depth
+    if _beyond(shown.ball, _BALL_FACTORS) and not (shown.ball < 1 and too_deep):
+        asked = "are they diameters?" if shown.ball < 1 else "are they halved?"
+        return (
+            f"PRESSES.csv: radius_mm: the images show balls of about {shown.ball:.1f} times the stated radii: "
+            f"{asked} expected radii in mm"
+        )
+    return ""
+
+
+def _place_factor(observations: Sequence[PressObservation], skin_radius_mm: float) -> float:
+    """How far from the middle the images show balls, over how far is stated; NaN where too little is stated."""
+    balls = [o for o in observations if o.x_mm is not None and not o.indenter]
+    if len(balls) < _LEAST_PRESSES:
+        return math.nan
+    stated = np.array([o.place_mm for o in balls])
+    shown = np.array([(o.located_x_mm, o.located_y_mm) for o in balls])
+    squares = float((stated * stated).sum())
+    if squares < len(stated) * (_LEAST_REACH_RADII * skin_radius_mm) ** 2:
+        return math.nan
+    return float((shown * stated).sum() / squares)
+
+
+def _median(values: Sequence[float] | F64) -> float:
+    return float(np.median(values)) if len(values) >= _LEAST_PRESSES else math.nan
+
+
+def _beyond(value: float, bounds: tuple[float, float]) -> bool:
+    return value < bounds[0] or value > bounds[1]

@@ -1,0 +1,116 @@
+"""How far the indenter of each press travelled into the skin, predicted from all the other presses.
+
+A robust regression, sharper than a reconstruction because here the indenter and its place are known: the travel from
+first touch is a power law of what the image shows. (The depth of a press is that travel and how far the indenter's
+lowest point lay from the skin at first touch.)
+
+References
+----------
+P. W. Holland, R. E. Welsch, "Robust regression using iteratively reweighted least-squares", Comm. Stat. A 6, 1977:
+the iteration. P. J. Huber, "Robust estimation of a location parameter", Ann. Math. Stat. 35, 1964: the weights, here
+0 beyond `OUTLIER_DEVIATIONS`. A. E. Hoerl, R. W. Kennard, "Ridge regression", Technometrics 12, 1970: the pull, here
+towards usual weights in place of 0. D. M. Allen, "The relationship between variable selection and data augmentation and
+a method for prediction", Technometrics 16, 1974: leave-one-out residuals from the leverage.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tacshade_edge.core.calibration.observation.press_observation import PressObservation, first_touch_mm
+from tacshade_edge.core.calibration.skin_scale import skin_scale
+from tacshade_edge.types import F64, Geometry, freeze
+
+OUTLIER_DEVIATIONS = 4.0
+"""A press is an outlier beyond so many standard deviations of all of them."""
+
+# log(travel) on 1, log χ, ρ², ρ⁴, log ball radius, log brightened area, log brightening, and 1 for each
+# other indenter, on the nominal skin: usual weights (0 for those), which decide where the presses leave a weight open,
+# and how strongly the fit is pulled there.
+_USUAL_WEIGHTS = np.array([0.0, 1.2, 0.0, 0.0, -0.3, 0.2, -0.25])
+_RIDGE = 0.01
+# The standard deviation of log(travel) is at least this, and that of the travel these mm on the nominal skin.
+_LEAST_DEVIATION, _LEAST_DEVIATION_MM = 0.06, 0.1
+# The standard deviation of log(travel) that the weight of a shallow press is for.
+_USUAL_DEVIATION = 0.1
+_HUBER = 1.5
+_LEAST_TRAVEL_MM = 0.05
+_MAX_LEVERAGE = 0.9
+_ITERATIONS = 12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LeftOut:
+    """Each press against the fit without it.
+
+    Attributes
+    ----------
+    error_mm : float64 (N,)
+        Predicted travel less the stated one.
+    deviations : float64 (N,)
+        Size of the residual in robust standard deviations of all presses; less where the press alone decides the fit.
+    """
+
+    error_mm: F64
+    deviations: F64
+
+    def __post_init__(self) -> None:
+        freeze(self, "error_mm", "deviations")
+
+
+def leave_one_out(observations: Sequence[PressObservation], geometry: Geometry) -> LeftOut:
+    """Fit all presses robustly, and predict each from the others."""
+    scale = skin_scale(geometry)
+    features = _features(observations, geometry)
+    depth_mm = np.array([o.depth_mm for o in observations])
+    travel = np.maximum((depth_mm - first_touch_mm(observations, geometry)) / scale, _LEAST_TRAVEL_MM)
+    log_travel, least = np.log(travel), _LEAST_DEVIATION_MM / travel
+    # An error in mm is a larger ratio of a shallow press.
+    trust = 1 / (1 + (least / _USUAL_DEVIATION) ** 2)
+    weight = trust
+    usual = np.concatenate((_USUAL_WEIGHTS, np.zeros(features.shape[1] - len(_USUAL_WEIGHTS))))
+    pulled = np.diag([0.0] + [1.0] * (features.shape[1] - 1))
+    for _ in range(_ITERATIONS):
+        ridge = _RIDGE * float(weight.sum()) * pulled
+        weighted = features * weight[:, None]
+        normal = weighted.T @ features + ridge
+        residual = log_travel - features @ np.linalg.solve(normal, weighted.T @ log_travel + ridge @ usual)
+        deviation = np.hypot(max(1.4826 * float(np.median(np.abs(residual))), _LEAST_DEVIATION), least)
+        z = np.abs(residual) / deviation
+        kept = np.where(z < _HUBER, 1.0, _HUBER / np.maximum(z, _HUBER)) * (z < OUTLIER_DEVIATIONS)
+        if not kept.any():
+            break
+        weight = trust * kept
+    leverage = weight * np.einsum("ij,ij->i", features, np.linalg.solve(normal, features.T).T)
+    rest = 1 - np.minimum(leverage, _MAX_LEVERAGE)
+    without = residual / rest
+    error = (np.exp(np.clip(-without, -5, 5)) - 1) * travel * scale
+    return LeftOut(error, np.abs(without) * np.sqrt(rest) / deviation)
+
+
+def agreement_mae_mm(observations: Sequence[PressObservation], geometry: Geometry) -> float:
+    """Mean error of each press predicted from all the others, the indenter and the place being known."""
+    return float(np.mean(np.abs(leave_one_out(observations, geometry).error_mm)))
+
+
+def _features(observations: Sequence[PressObservation], geometry: Geometry) -> F64:
+    scale = skin_scale(geometry)
+    visible_mm = geometry.skin_radius_mm * math.sin(math.radians(geometry.visible_half_angle_deg))
+    places = np.array([o.place_mm for o in observations])
+    rho2 = np.minimum((places**2).sum(axis=1) / visible_mm**2, 1.5)
+    columns = [
+        np.ones(len(observations)),
+        np.log([o.change_grey for o in observations]),
+        rho2,
+        rho2**2,
+        np.log([o.radius_mm / scale for o in observations]),
+        np.log([o.bright_mm2 / scale**2 for o in observations]),
+        np.log([o.brightening_grey for o in observations]),
+    ]
+    others = sorted({o.indenter for o in observations} - {""})
+    columns += [np.array([float(o.indenter == name) for o in observations]) for name in others]
+    return np.stack(columns, axis=1)

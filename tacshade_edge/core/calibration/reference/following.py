@@ -1,0 +1,157 @@
+"""While nothing touches, the reference may follow slow change of the picture, within bounds that are counted from where
+it began: the calibration's own reference, or the latest that was asked for.
+
+A light ages, a lens warms up, dust settles: such change is smooth, and g has little of it. What rests on the skin, a
+lost marker or dirt change a patch. An object laid on so gently that the gate stays shut is such a patch too, so bounds
+on the whole way from the beginning, not on each renewal, keep it from being taken for skin.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from tacshade_edge.core.calibration.reference.references import PROFILE, with_reference
+from tacshade_edge.core.contact.gate import GATE_MM2
+from tacshade_edge.core.frame_check import registration
+from tacshade_edge.core.frame_check.registration import Drift
+from tacshade_edge.core.frame_check.trust import DRIFT_LEVELS
+from tacshade_edge.core.frame_check.validity import invalid_reason, sensor_check
+from tacshade_edge.core.image import greyscale
+from tacshade_edge.core.image.preprocess import Preprocessor
+from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.types import U8, Calibration, Disc
+
+# As much of g as the gate judges by may differ so much from the beginning, beside what all of it has in common: more
+# than an aged lamp does, less than a marker that is lost. How much later what is laid on slowly is found for it, the
+# tests state; far below the gate's least 10, nothing that was followed looks like a contact when it goes.
+PATCH_GREY = 4.0
+# And all of it by so much: beyond, frames are in doubt against the reference of the beginning.
+COMMON_GREY = DRIFT_LEVELS
+# A renewal that changes less is not worth another calibration number (grey levels, and RMS of g between still frames).
+RENEW_GREY, RENEW_NOISE = 2.0, 2.0
+_BLOCK_PX = 8  # noise of single pixels is no change
+
+
+@dataclass(frozen=True, slots=True)
+class Distance:
+    """How far a reference is from another.
+
+    Attributes
+    ----------
+    drift : Drift
+    common_grey : float
+        Change of g that all of the skin has in common, grey levels.
+    patch_grey : float
+        The most that `GATE_MM2` of skin differ from that, lighter or darker.
+    """
+
+    drift: Drift
+    common_grey: float
+    patch_grey: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Followed:
+    """What came of some untouched images.
+
+    Attributes
+    ----------
+    calibration : Calibration or None
+        With a reference from them; None where the present one stays.
+    distance : Distance or None
+        Of the images from the beginning; None where an image cannot be compared.
+    reason : Reason or None
+        What bound they are beyond; None within all.
+    """
+
+    calibration: Calibration | None
+    distance: Distance | None
+    reason: Reason | None
+
+
+def bounds(disc: Disc) -> dict[str, float]:
+    """How far a reference may be followed, as `Distance` has it; for messages."""
+    return {
+        "shift_px": round(registration.SHIFT_PART * disc.radius_px, 3),
+        "moved_px": round(registration.RIM_PART * disc.radius_px, 3),
+        "light_low": registration.LIGHT_LOW,
+        "light_high": registration.LIGHT_HIGH,
+        "uneven": registration.UNEVEN,
+        "contrast": registration.CONTRAST,
+        "common_grey": COMMON_GREY,
+        "patch_grey": PATCH_GREY,
+    }
+
+
+def follow(origin: Calibration, current: Calibration, images: Sequence[U8]) -> Followed:
+    """A reference from untouched images, if they are within the bounds.
+
+    Parameters
+    ----------
+    origin : Calibration
+        With the reference that the bounds count from.
+    current : Calibration
+        The same with the reference in use.
+    images : sequence of uint8 (H, W) or (H, W, 3)
+        At least one.
+    """
+    greys = [greyscale.to_grey(image) for image in images]
+    check = sensor_check(origin, unloaded=True)
+    for grey in greys:
+        if reason := invalid_reason(grey, check):
+            return Followed(None, None, reason)
+    # The noise stays: a sensor that trembles must not raise its own gate.
+    renewed = replace(with_reference(replace(origin, crc32=0), greys), noise_grey=origin.noise_grey)
+    prepared = Preprocessor(renewed, PROFILE)
+    disc = origin.geometry.disc
+    drift = registration.drift(registration.look(origin.reference_grey, disc, origin.pitch_px), renewed.reference_grey)
+    distance = Distance(drift, *g_change(Preprocessor(origin, PROFILE), prepared))
+    reason = beyond(distance, disc)
+    if reason or not _worth(Preprocessor(current, PROFILE), prepared):
+        return Followed(None, distance, reason)
+    return Followed(renewed, distance, None)
+
+
+def beyond(distance: Distance, disc: Disc) -> Reason | None:
+    """What bound a reference is beyond; None within all of them."""
+    drift = distance.drift
+    if drift.still_part == 0:
+        return Reason(ReasonCode.REFERENCE_INVALID, "the pattern is not that of the reference")
+    if reason := registration.shift_reason(drift, disc) or registration.light_drift_reason(drift):
+        return reason
+    if abs(distance.common_grey) > COMMON_GREY:
+        text = f"light or focus: g moved by {distance.common_grey:.0f} levels everywhere"
+        return Reason(ReasonCode.LIGHT_DRIFT, text)
+    if distance.patch_grey > PATCH_GREY:
+        text = f"a patch of the skin changed by {distance.patch_grey:.1f} levels: a resting load, dirt or damage"
+        return Reason(ReasonCode.PATCH_CHANGED, text)
+    return None
+
+
+def g_change(old: Preprocessor, new: Preprocessor) -> tuple[float, float]:
+    """`Distance.common_grey` and `Distance.patch_grey` between two references of one sensor."""
+    g_d = (new.reference_g - old.reference_g)[old.voting].astype(np.float64)
+    if not g_d.size:
+        return 0.0, 0.0
+    common = float(np.median(g_d))
+    beside = np.sort(g_d - common)
+    cells = min(math.ceil(GATE_MM2 / old.cell_mm2), beside.size)
+    return common, max(float(beside[-cells]), -float(beside[cells - 1]), 0.0)
+
+
+def _worth(current: Preprocessor, renewed: Preprocessor) -> bool:
+    """Whether two references differ by more than noise."""
+    common, patch = g_change(current, renewed)
+    if abs(common) + patch > max(RENEW_GREY, RENEW_NOISE * current.calibration.noise_grey):
+        return True
+    size = tuple(math.ceil(side / _BLOCK_PX) for side in current.calibration.reference_grey.shape[::-1])
+    old, new = (
+        cv2.resize(np.asarray(p.calibration.reference_grey), size, interpolation=cv2.INTER_AREA)
+        for p in (current, renewed)
+    )
+    return bool(np.mean(cv2.absdiff(old, new)) > RENEW_GREY)

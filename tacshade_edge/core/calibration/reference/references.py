@@ -1,0 +1,169 @@
+"""From images of the unloaded skin to a calibration's reference, and whether the images can serve as one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from tacshade_edge.core.calibration.reference import pattern
+from tacshade_edge.core.calibration.reference.reference_load import reference_load_reason
+from tacshade_edge.core.contact.gate import ContactGate
+from tacshade_edge.core.frame_check import registration
+from tacshade_edge.core.frame_check.validity import invalid_reason, sensor_check
+from tacshade_edge.core.geometry.disc import Grid, Window, disc_mask, disc_rays
+from tacshade_edge.core.image import greyscale
+from tacshade_edge.core.image.binarise import Binariser, odd
+from tacshade_edge.core.image.integral_image import BoxSums, Integrator
+from tacshade_edge.core.image.preprocess import Preprocessor
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.types import F32, U8, Calibration
+
+PROFILE = replace(PROFILES["accurate"], name="calibration", tv_weight=0.05, gate_levels=20, gate_dark_levels=12)
+"""The maps by which references and presses are compared."""
+ASSUMED_NOISE_GREY = 1.0
+"""RMS of g between frames of one still scene, where there are fewer references than `NOISE_REFERENCES`."""
+NOISE_REFERENCES = 3
+# A new reference with less contrast than this part of the old one's cannot serve the old refit.
+_WORN_CONTRAST = 0.6
+
+
+def with_reference(calibration: Calibration, greys: Sequence[U8]) -> Calibration:
+    """Replace the reference by the mean of binarised images, and the noise by how much g differs between them.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    greys : sequence of uint8 (H, W)
+        At least one, of the calibration's size.
+    """
+    geometry = calibration.geometry
+    height, width = calibration.image_height_px, calibration.image_width_px
+    window = Window.of_disc(height, width, geometry.disc)
+    mask = window.cut(disc_mask(height, width, geometry.disc).astype(np.uint8))
+    side = odd(PROFILE.window_pitches * calibration.pitch_px)
+    grid, integrator = Grid.of_window(window, PROFILE.stride_px), Integrator(window, side // 2 + 1)
+    box_sums = BoxSums(integrator, grid, side)
+    total, inside = box_sums.sums(integrator.integrate(mask)), disc_rays(grid, geometry).inside
+    binariser = Binariser(mask, calibration.binarisation, calibration.pitch_px)
+    white_sum: F32 = np.zeros((height, width), dtype=np.float32)
+    ratios = []
+    for grey in greys:
+        white = binariser(window.cut(grey))
+        window.cut(white_sum)[...] += white
+        ratios.append(greyscale.white_ratio(box_sums.sums(integrator.integrate(white)), total)[inside])
+    noise = calibration.noise_grey
+    if len(greys) >= NOISE_REFERENCES:
+        noise = float(np.sqrt(np.mean(np.var(np.stack(ratios), axis=0, ddof=1))))
+    return replace(
+        calibration,
+        reference_white=np.rint(white_sum * (255 / len(greys))).astype(np.uint8),
+        reference_grey=pattern.mean_image(greys),
+        noise_grey=noise,
+    )
+
+
+def check_references(
+    calibration: Calibration, greys: Sequence[U8], allow_loaded: bool, names: Sequence[str] = ()
+) -> tuple[str, ...]:
+    """Look for a load on the references and for differences between them.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        With their mean as its reference.
+    greys : sequence of uint8 (H, W)
+    allow_loaded : bool
+        Warn of a load instead of refusing.
+    names : sequence of str
+        What the messages call each; their numbers from 1 if none are given.
+
+    Returns
+    -------
+    tuple of str
+        Warnings.
+
+    Raises
+    ------
+    ConfigError
+        A load that is not allowed, or a camera that moved so far that no mean is a reference.
+    """
+    names = names or [str(number) for number in range(1, len(greys) + 1)]
+    warnings = []
+    if len(greys) < NOISE_REFERENCES:
+        warnings.append(f"{len(greys)} reference: noise assumed to be {ASSUMED_NOISE_GREY} grey levels; 5 are better")
+    if load := reference_load_reason(Preprocessor(calibration, PROFILE)):
+        warnings.append(_allowed(load, allow_loaded))
+    disc = calibration.geometry.disc
+    first = registration.look(greys[0], disc, calibration.pitch_px)
+    for name, grey in zip(names[1:], greys[1:], strict=True):
+        drift = registration.drift(first, grey)
+        shift = registration.shift_reason(drift, disc)
+        if registration.shifted_too_far(drift, disc):
+            raise ConfigError(
+                f"reference {name}: {shift} since reference {names[0]}; fix the camera and take them all again"
+            )
+        if change := shift or registration.light_drift_reason(drift):
+            warnings.append(f"reference {name}: {change} against reference {names[0]}")
+    # A pressed reference raises the measured noise, and would hide behind it.
+    preprocessor = Preprocessor(replace(calibration, noise_grey=ASSUMED_NOISE_GREY), PROFILE)
+    gate = ContactGate(preprocessor)
+    pressed = [name for name, grey in zip(names, greys, strict=True) if gate.opens(preprocessor.preprocess(grey))]
+    if pressed:
+        load = f"reference {', '.join(pressed)}: seems pressed, it differs from the mean of all references"
+        warnings.append(_allowed(load, allow_loaded))
+    return tuple(warnings)
+
+
+def _allowed(load: str, allow_loaded: bool) -> str:
+    """The same; raises where a load is not allowed."""
+    if not allow_loaded:
+        raise ConfigError(f"{load}; take it again without contact, or pass --allow-loaded-reference")
+    return load
+
+
+def rezero(
+    calibration: Calibration, images: Sequence[U8], allow_loaded: bool = False, names: Sequence[str] = ()
+) -> Calibration:
+    """The same calibration with a reference from new images of the unloaded skin.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    images : sequence of uint8 (H, W) or (H, W, 3)
+    allow_loaded : bool
+        Take it even when the skin seems touched.
+    names : sequence of str
+        What the messages call each image, where that helps.
+
+    Raises
+    ------
+    ConfigError
+        An image cannot be used, the camera moved too far for the calibration's geometry, or the skin is touched.
+    """
+    if not images:
+        raise ConfigError("no image to take a reference from")
+    greys = [greyscale.to_grey(image) for image in images]
+    disc = calibration.geometry.disc
+    check = sensor_check(calibration, unloaded=True)
+    refused = [f"reference refused: {name}: " for name in names] or ["reference refused: "] * len(greys)
+    for grey, lead in zip(greys, refused, strict=True):
+        if reason := invalid_reason(grey, check):
+            raise ConfigError(f"{lead}{reason}")
+    old = registration.look(calibration.reference_grey, disc, calibration.pitch_px)
+    for grey, lead in zip(greys, refused, strict=True):
+        drift = registration.drift(old, grey)
+        if registration.shifted_too_far(drift, disc):
+            shift = registration.shift_reason(drift, disc)
+            raise ConfigError(f"{lead}{shift}; fix the camera where it was, or calibrate again")
+        if drift.contrast < _WORN_CONTRAST:
+            raise ConfigError(
+                f"{lead}{drift.contrast:.2f} times the contrast, expected {_WORN_CONTRAST} or more: "
+                "clean or focus the lens, or calibrate again"
+            )
+    renewed = with_reference(replace(calibration, crc32=0), greys)
+    if not allow_loaded and (load := reference_load_reason(Preprocessor(renewed, PROFILE))):
+        raise ConfigError(f"reference refused: {load}")
+    return renewed

@@ -1,0 +1,110 @@
+"""What matters of a picture before there is a calibration: is the disc there, sharp, bright enough, not too bright?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from tacshade_edge.core.calibration.reference.pattern import find_disc, marker_pitch_px, visible_disc
+from tacshade_edge.core.frame_check.validity import SATURATED_LEVEL
+from tacshade_edge.core.geometry.disc import disc_mask
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.types import U8, Disc
+
+# The circle is looked for in an image of so many rows: a third of the time, and within 1 px.
+_SEARCH_ROWS = 240
+# Inside the rim, where the housing's edge is no marker.
+_INNER = 0.95
+_PERCENTILES = (5, 95)
+_SATURATED_PART, _CONTRAST_GREY = 0.02, 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class Pattern:
+    """Where an image shows the marker pattern, and the pitch of its markers; px."""
+
+    disc: Disc
+    pitch_px: float
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """How well an image shows the pattern.
+
+    Attributes
+    ----------
+    focus : float
+        Fine over coarse detail: RMS of the Laplacian over that of the pattern, whatever the light. It is greatest where
+        the lens is sharpest (an energy of Laplacian, Subbarao, Choi and Nikzad 1993); another sensor has another.
+    contrast_grey : float
+        Of the markers: from 5 % to 95 % of the disc, without slow light; grey levels.
+    saturated_part : float
+        Part of the disc at 250 grey levels or above.
+    """
+
+    focus: float
+    contrast_grey: float
+    saturated_part: float
+
+    @property
+    def advice(self) -> str:
+        """What to mend; empty when nothing is to be."""
+        if self.saturated_part > _SATURATED_PART:
+            return "too bright: less light, or a shorter exposure"
+        if self.contrast_grey < _CONTRAST_GREY:
+            return "too flat: more light, a longer exposure, a sharper lens"
+        return ""
+
+
+def find_pattern(grey: U8, stated: Disc | None = None) -> Pattern:
+    """Find disc and pitch.
+
+    Parameters
+    ----------
+    grey : uint8 (H, W)
+    stated : Disc, optional
+        The circle, where somebody stated it.
+
+    Raises
+    ------
+    ConfigError
+        There is no circle, or no pattern in it.
+    """
+    if stated is not None:
+        return Pattern(visible_disc(grey, stated), marker_pitch_px(grey, stated))
+    scale = max(grey.shape[0] / _SEARCH_ROWS, 1.0)
+    if min(grey.shape) < 16 * scale:
+        raise ConfigError(f"no visible circle found: the image is {grey.shape[1]}x{grey.shape[0]} px")
+    small = cv2.resize(grey, None, fx=1 / scale, fy=1 / scale, interpolation=cv2.INTER_AREA)
+    disc = find_disc(np.asarray(small, np.uint8))
+    # Pixel centres are whole numbers: resizing keeps the image's corners, not its first pixel.
+    row_c, col_c = ((centre + 0.5) * scale - 0.5 for centre in (disc.row_c, disc.col_c))
+    found = Disc(row_c, col_c, disc.radius_px * scale)
+    return Pattern(found, marker_pitch_px(grey, found))
+
+
+def view(grey: U8, pattern: Pattern) -> View:
+    """Measure an image.
+
+    Parameters
+    ----------
+    grey : uint8 (H, W)
+    pattern : Pattern
+        Of this image or an earlier one.
+    """
+    disc, (height, width) = pattern.disc, grey.shape
+    inside = disc_mask(height, width, Disc(disc.row_c, disc.col_c, _INNER * disc.radius_px))
+    if not inside.any():
+        return View(0.0, 0.0, 0.0)
+    values = grey.astype(np.float32)
+    side = max(int(2 * pattern.pitch_px) | 1, 3)
+    detail = (values - cv2.blur(values, (side, side)))[inside]
+    fine = cv2.Laplacian(cv2.GaussianBlur(values, (0, 0), 1.0), cv2.CV_32F)[inside]
+    low, high = np.percentile(detail, _PERCENTILES)
+    return View(
+        focus=float(fine.std() / max(detail.std(), 1e-3)),
+        contrast_grey=float(high - low),
+        saturated_part=float(np.mean(grey[inside] >= SATURATED_LEVEL)),
+    )

@@ -1,1 +1,0 @@
-"""Files: images, tables, calibrations, recordings, sessions, maps."""

@@ -1,0 +1,1 @@
+"""From settings to what they name: sources, ports, links, calibrations."""

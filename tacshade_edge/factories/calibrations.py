@@ -1,0 +1,97 @@
+"""Calibrations as every command loads them.
+
+One of another version of the program is made again from what it keeps. Its fitted weights stay while the layout of the
+shipped network does; where it does not, the shipped network runs.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+from tacshade_edge.core.calibration.inputs import Inputs
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.inference.network import can_run, load_networks
+from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME, content_of
+from tacshade_edge.storage.whole_files import write_whole
+from tacshade_edge.types import Calibration, FittedNetwork
+
+_log = logging.getLogger(__name__)
+
+
+def load(path: str | os.PathLike[str], *, store: bool = True) -> Calibration:
+    """Load a calibration, made again if it is of another version and keeps what it was made of.
+
+    It has those fitted networks that can run; the log tells of others.
+
+    Parameters
+    ----------
+    path : str
+    store : bool
+        Write what was made again in its place, and keep the old file beside it.
+
+    Raises
+    ------
+    ConfigError
+        It cannot be used.
+    """
+    version = calibration_file.version_of(path)
+    inputs = None if version in (None, calibration_file.VERSION) else calibration_file.inputs_in(path)
+    if version is None or inputs is None:
+        return _running(path, calibration_file.load(path))
+    from tacshade_edge.core.calibration.making_again import make_again  # once in an update's life
+
+    _log.warning("%s: of version %s: making it again for version %d", path, version, calibration_file.VERSION)
+    try:
+        made = replace(make_again(inputs, load_networks()), fitted=calibration_file.fitted_in(path))
+    except ConfigError as error:
+        raise ConfigError(f"{path}: cannot be made again by this version: {error}; calibrate again") from None
+    return _running(path, _stored(Path(path), made, inputs, version) if store else calibration_file.with_crc(made))
+
+
+def of_recording(recording: Path) -> Calibration | None:
+    """A recording's own, which is never written; None where it has none. Raises ConfigError as `load`."""
+    content = content_of(recording)
+    if CALIBRATION_NAME not in content:
+        return None
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / CALIBRATION_NAME
+        path.write_bytes(content[CALIBRATION_NAME])
+        return load(path, store=False)
+
+
+def fits_to_renew(path: str | os.PathLike[str]) -> tuple[str, ...]:
+    """Profiles whose fitted weights in a file are of another layout than the shipped network. Raises ConfigError."""
+    return tuple(name for name, fitted in calibration_file.fitted_in(path).items() if not _can_run(name, fitted))
+
+
+def _running(path: str | os.PathLike[str], calibration: Calibration) -> Calibration:
+    """The same with those fitted networks alone that can run."""
+    can_run = {name: fitted for name, fitted in calibration.fitted.items() if _can_run(name, fitted)}
+    if len(can_run) == len(calibration.fitted):
+        return calibration
+    renew = ", ".join(sorted(set(calibration.fitted) - set(can_run)))
+    _log.warning("%s: the networks have changed since %s was fitted: as shipped; calibrate --fit again", path, renew)
+    return calibration_file.with_crc(replace(calibration, fitted=can_run))
+
+
+def _can_run(profile: str, fitted: FittedNetwork) -> bool:
+    network = PROFILES[profile].network if profile in PROFILES else None
+    return network is not None and can_run(network, fitted)
+
+
+def _stored(path: Path, made: Calibration, inputs: Inputs, version: int) -> Calibration:
+    kept = path.with_name(f"{path.stem}.v{version}{path.suffix}")
+    try:
+        write_whole(kept, path.read_bytes())
+        stored = calibration_file.save(path, made, inputs)
+    except (OSError, DeviceError) as error:
+        _log.warning("%s: made again each time, it cannot be stored: %s", path, error)
+        return calibration_file.with_crc(made)
+    _log.warning("%s: made again; the old file is %s", path, kept)
+    return stored

@@ -1,0 +1,155 @@
+"""The networks of `core.depth.learned`, shipped or fitted, run by ONNX Runtime on one thread (decision 5)."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tacshade_edge.core.depth import DisplacementNetwork, Network, NetworkMaps, SigmaModel
+from tacshade_edge.core.depth.sigma import TERMS
+from tacshade_edge.core.profiles import PROFILES, Profile
+from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.free_memory import return_free_memory
+from tacshade_edge.inference.onnx_weights import layout_of, values_of, weights_of, with_values, with_weights_of
+from tacshade_edge.types import F32, Calibration, FittedNetwork
+
+if TYPE_CHECKING:
+    from onnxruntime import InferenceSession
+
+WEIGHTS = Path(str(resources.files("tacshade_edge.inference") / "weights"))
+
+
+def load_network(name: str, fitted: FittedNetwork | None = None) -> Network:
+    """Read shipped weights (`Profile.network`), or run those of a fit. One network is for one thread at a time.
+
+    Raises
+    ------
+    ValueError
+        The fit is of another layout.
+    """
+    return read_network(WEIGHTS / f"{name}.onnx", fitted)
+
+
+def read_network(onnx: Path, fitted: FittedNetwork | None = None) -> Network:
+    """Read an ONNX file and those beside it: JSON and ``.sensor.onnx`` (tools/training/export.py)."""
+    about = _about(onnx)
+    frame, once = onnx.read_bytes(), _beside(onnx).read_bytes()
+    if fitted is not None:
+        if fitted.layout != layout_of(frame, once):
+            raise ValueError(f"fitted to another layout than that of {onnx.name}")
+        frames = len(values_of(frame))
+        frame, once = with_values(frame, fitted.weights[:frames]), with_values(once, fitted.weights[frames:])
+    session, correction = _session(in_integers(onnx, frame)), None if fitted is None else fitted.correction
+
+    def run(white: F32, sensor: F32) -> NetworkMaps:
+        maps, foreign = session.run(None, {"white": white[None], "sensor": sensor[None]})
+        return NetworkMaps(maps[0], foreign[0, 0])
+
+    displacement = read_displacement(WEIGHTS / "displacement.onnx")
+    return_free_memory()  # of `accurate` 8 MB
+    return Network(int(about["fold"]), _sensing(once, correction), run, displacement, _sigma(onnx.stem))
+
+
+def in_integers(onnx: Path, frame: bytes) -> bytes:
+    """The weights of a network that is run for every frame in its integer graph, where there is one.
+
+    ``NAME.integer.onnx`` (tools/training/integer.py) has no weights of its own and rounds those that it is given.
+    """
+    graph = onnx.with_suffix(".integer.onnx")
+    return with_weights_of(graph.read_bytes(), frame) if graph.exists() else frame
+
+
+def network_files(name: str) -> tuple[bytes, bytes]:
+    """The shipped ONNX file that is run for every frame, and the one beside it that is run for a sensor."""
+    onnx = WEIGHTS / f"{name}.onnx"
+    return onnx.read_bytes(), _beside(onnx).read_bytes()
+
+
+@cache
+def shipped_layout(name: str) -> str:
+    """The layout of a shipped network: fitted weights of another one cannot run (`FittedNetwork.layout`)."""
+    return layout_of(*network_files(name))
+
+
+def can_run(name: str, fitted: FittedNetwork) -> bool:
+    """Whether fitted weights are of the layout of a shipped network, and as many as it has."""
+    if fitted.layout != shipped_layout(name):
+        return False
+    about, files = _about(WEIGHTS / f"{name}.onnx"), network_files(name)
+    side = int(about["cells"]) // int(about["fold"])
+    channels = weights_of(files[1])[0].shape[0]
+    count = sum(len(values_of(data)) for data in files)
+    return fitted.weights.shape == (count,) and fitted.correction.shape == (channels, side, side)
+
+
+def _sigma(name: str) -> SigmaModel | None:
+    """The errors of a shipped network (tools/training/fit_sigma.py)."""
+    known = json.loads((WEIGHTS / "sigma.json").read_text())["networks"].get(name)
+    if known is None:
+        return None
+    others = (float(known[key]) for key in ("scale_without_presses", "press_offset", "press_slope"))
+    return SigmaModel(tuple(float(known["weights"][term]) for term in TERMS), *others)
+
+
+def read_displacement(onnx: Path) -> DisplacementNetwork:
+    """Read the network of displacement."""
+    session, about = _session(in_integers(onnx, onnx.read_bytes())), _about(onnx)
+
+    def run(white: F32, sensor: F32) -> F32:
+        answer: F32 = session.run(None, {"white": white[None], "sensor": sensor[None]})[0][0]
+        return answer
+
+    return DisplacementNetwork(int(about["fold"]), int(about["cells"]), _sensing(_beside(onnx)), run)
+
+
+def _about(onnx: Path) -> dict[str, Any]:
+    about: dict[str, Any] = json.loads(onnx.with_suffix(".json").read_text())
+    return about
+
+
+def _beside(onnx: Path) -> Path:
+    return onnx.with_suffix(".sensor.onnx")
+
+
+def _sensing(model: bytes | Path, correction: F32 | None = None) -> Callable[[F32], F32]:
+    def sense(known: F32) -> F32:
+        answer: F32 = _session(model).run(None, {"known": known[None]})[0][0]
+        return answer if correction is None else answer + correction
+
+    return sense
+
+
+def runtime() -> Any:
+    """ONNX Runtime, imported on demand: 20 MB that `paper` does without."""
+    os.environ["ORT_DISABLE_TELEMETRY"] = "1"  # read once, when the library is loaded
+    import onnxruntime
+
+    return onnxruntime
+
+
+def _session(model: bytes | Path) -> InferenceSession:
+    onnxruntime = runtime()
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.enable_cpu_mem_arena = False  # it keeps 2 MB for no time won
+    options.log_severity_level = 3  # it warns of processors that it does not know
+    session: InferenceSession = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+    return session
+
+
+def load_networks() -> dict[str, Network]:
+    """Those of all profiles that a calibration is refitted for."""
+    return {name: load_network(profile.network) for name, profile in PROFILES.items() if profile.network}
+
+
+def make_reconstructor(calibration: Calibration, profile: Profile) -> Reconstructor:
+    """A reconstructor, with a network of its own where the profile names one: the fitted one where there is one."""
+    name = profile.network
+    return Reconstructor(
+        calibration, profile, load_network(name, calibration.fitted.get(profile.name)) if name else None
+    )

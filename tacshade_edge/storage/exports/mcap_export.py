@@ -1,0 +1,86 @@
+"""Frames, results and what lies beside them as one MCAP file that Foxglove, Lichtblick and Rerun open."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+from tacshade_edge.storage.exports.new_place import NewPlace
+from tacshade_edge.storage.exports.numbers import contact_numbers
+from tacshade_edge.storage.recording.mcap import messages
+from tacshade_edge.storage.recording.mcap.writer import McapWriter
+from tacshade_edge.storage.recording.recorder import png_of
+from tacshade_edge.storage.recording.recording import RecordedFrame
+from tacshade_edge.storage.recording.recording_content import Event, events_in
+from tacshade_edge.storage.whole_files import sync
+from tacshade_edge.types import Calibration, Reconstruction
+from tacshade_edge.version import installed_version
+
+
+class McapExport:
+    """One file: see docs/recordings.md for its topics.
+
+    Parameters
+    ----------
+    path : Path
+    sensor_id : str
+    calibration : Calibration
+        That of the results.
+    profile : str
+    content : mapping of str to bytes
+        What lies beside the frames (`recording_content`); becomes attachments, its events lines of the log.
+    """
+
+    def __init__(
+        self, path: Path, *, sensor_id: str, calibration: Calibration, profile: str, content: Mapping[str, bytes]
+    ) -> None:
+        self._place = NewPlace(path)
+        with self._place.writing():
+            self._stream = self._place.partial.open("wb")
+            self._writer = McapWriter(self._stream, sensor_id)
+            about = {"version": installed_version(), "profile": profile, "calibration_crc32": str(calibration.crc32)}
+            self._writer.describe("tacshade", about | {"sensor_id": sensor_id})
+            for name, data in content.items():
+                self._writer.attach(name, data, 0)
+        self._sensor_id, self._flange_T_sensor = sensor_id, calibration.flange_T_sensor
+        self._events = list(events_in(dict(content)))
+        self._first = True
+        self._wall_minus_t_ns = 0
+
+    def add(self, recorded: RecordedFrame, result: Reconstruction) -> None:
+        """Write a frame and its results, and the events before it."""
+        frame, wall_ns, ident = recorded.frame, recorded.wall_ns, self._sensor_id
+        self._wall_minus_t_ns = wall_ns - frame.t_ns
+        with self._place.writing():
+            while self._events and self._events[0].t_ns <= frame.t_ns:
+                self._log(self._events.pop(0))
+            if self._first:
+                self._first = False
+                mounted = messages.transform(self._flange_T_sensor, "flange", "sensor", ident, wall_ns)
+                self._writer.write("tf", mounted, wall_ns)
+            self._writer.frame(recorded.name, frame, png_of(frame.image), wall_ns)
+            self._writer.write("height", messages.height(result.height.height_mm, ident, wall_ns), wall_ns, frame.seq)
+            self._writer.write("cloud", messages.cloud(result.cloud, ident, wall_ns), wall_ns, frame.seq)
+            contact = json.dumps(contact_numbers(recorded, result)).encode()
+            self._writer.write("contact", contact, wall_ns, frame.seq)
+
+    def finish(self) -> None:
+        """Make it whole."""
+        with self._place.writing():
+            for event in self._events:
+                self._log(event)
+            self._writer.finish()
+            self._stream.close()
+            sync(self._place.partial)
+        self._place.take()
+
+    def discard(self) -> None:
+        """Remove what is not whole."""
+        self._stream.close()
+        self._place.discard()
+
+    def _log(self, event: Event) -> None:
+        wall_ns = max(0, event.t_ns + self._wall_minus_t_ns)
+        text = f"{event.kind}: {json.dumps(event.data)}" if event.data else event.kind
+        self._writer.write("log", messages.log("recorder", text, wall_ns), wall_ns)

@@ -1,0 +1,39 @@
+"""Image files, whole or refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+
+from tacshade_edge.core.image.image_bytes import decode_image
+from tacshade_edge.errors import DecodeError
+from tacshade_edge.quoting import shown
+from tacshade_edge.regular_files import read_regular
+from tacshade_edge.types import U8
+
+SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp"})
+BYTES_MAX = 64 << 20
+
+
+def read_image(path: Path) -> U8:
+    """Read one image of at most 64 MiB.
+
+    Returns
+    -------
+    uint8 (H, W) grey or (H, W, 3) BGR
+        As stored: turned by no EXIF mark, an alpha channel left out, 16 bits brought to 8.
+
+    Raises
+    ------
+    DecodeError
+        Not readable, not an image, too large, or cut short.
+    """
+    try:
+        data = read_regular(path, BYTES_MAX)
+    except OSError as error:
+        raise DecodeError(f"{shown(path)}: {error.strerror or error}, expected an image") from None
+    try:
+        return decode_image(data, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    except DecodeError as error:
+        raise DecodeError(f"{shown(path)}: {error}") from None

@@ -1,0 +1,1 @@
+"""Pictures for a person, with axes and colours."""

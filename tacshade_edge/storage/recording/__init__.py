@@ -1,0 +1,1 @@
+"""Recordings: written, read, as PNG files or as MCAP."""

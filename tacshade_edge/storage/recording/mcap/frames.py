@@ -1,0 +1,239 @@
+"""The frames of a recording in MCAP: ours, with their times and poses, or the images of somebody else."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.quoting import quoted, shown
+from tacshade_edge.storage.recording.mcap.images import DECODERS, image_of
+from tacshade_edge.storage.recording.mcap.records import McapFile, Message
+from tacshade_edge.storage.recording.mcap.summary import Channel, SchemaName
+from tacshade_edge.storage.recording.mcap.walk import Damage
+from tacshade_edge.storage.tables.frame_table import ERROR_US_MAX, T_NS_MAX, UNIT_TOLERANCE, Row
+from tacshade_edge.storage.tables.tables import NUMBER_MAX
+from tacshade_edge.types import U8, Pose
+
+OURS: Final = "tacshade"
+"""Key in a channel's metadata, with `CAMERA` or `FRAME`; the channel of frames has their times and poses."""
+CAMERA, FRAME = "camera", "frame"
+POSE_KEYS: Final = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
+_ABOUT_BYTES_MAX: Final = 1 << 16
+_NAME_CHARS_MAX: Final = 255
+_UNUSABLE_MAX: Final = 10_000
+"""Of pictures and damaged places in one pass; each is a line, and a small file can have millions."""
+Picture = Callable[[], U8]
+
+
+class McapFrames:
+    """The images of a recording.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Its files in order, one at least.
+
+    Attributes
+    ----------
+    cut_off : bool
+        Its writer did not end it: what is whole is here.
+    damage : str
+        Lines of what is wrong beside the frames, for a person; empty where nothing is.
+    length_ns : int
+        From the first message to the last, of whichever topic; 0 where a file does not tell.
+    topic : str
+        Of the images.
+
+    Raises
+    ------
+    ConfigError
+        No MCAP file; not exactly one topic of images that can be read.
+    """
+
+    def __init__(self, paths: Sequence[Path]) -> None:
+        self._paths: list[Path] = []
+        self.cut_off = False
+        damage, spans = [], []
+        for path in paths:
+            try:
+                with contextlib.closing(McapFile(path)) as file:
+                    self.cut_off = self.cut_off or file.cut_off
+                    spans.append(file.summary.span_ns if file.summary else None)
+                    damage.extend([file.damage] if file.damage else [])
+            except ConfigError as error:  # one of several: the others have frames
+                if len(paths) == 1:
+                    raise
+                damage.append(f"{error}; its frames are left out")
+                continue
+            self._paths.append(path)
+        told = [span for span in spans if span is not None]
+        self.length_ns = max(0, told[-1][1] - told[0][0]) if told and len(told) == len(paths) else 0
+        self.damage = "; ".join(damage)
+        self.topic, self._is_ours = _topic_of(self._paths or paths)
+        self._unusable = 0
+
+    def __iter__(self) -> Iterator[tuple[Row, Picture, int]]:
+        """Every frame, its picture, which raises DecodeError where it cannot be used, and the time of its message."""
+        last_ns = -1
+        self._unusable = 0
+        for count, found in enumerate(self._messages()):
+            if self._unusable > _UNUSABLE_MAX:
+                unusable = f"found {self._unusable} messages that cannot be used: the rest is passed over"
+                error = DecodeError(f"{shown(self.topic)}: {unusable}")
+                yield Row(str(count), max(last_ns, 0), None), self._refusal(error), 0
+                return
+            if isinstance(found, Damage):
+                yield Row(str(count), max(last_ns, 0), None), self._refusal(found.error), 0
+                continue
+            path, schema, encoding, message, about = found
+            where = f"{shown(path)}: message {count} of {shown(self.topic)}"
+            try:
+                row = self._row(count, message, about)
+                if row.t_ns <= last_ns:
+                    raise DecodeError(f"found the time {row.t_ns}, expected more than {last_ns} ns of the one before")
+            except DecodeError as error:
+                yield Row(str(count), max(last_ns, 0), None), self._refusal(DecodeError(f"{where}: {error}")), 0
+                continue
+            last_ns = row.t_ns
+            yield row, self._picture(where, schema, encoding, bytes(message.data)), message.log_ns
+
+    def _picture(self, where: str, schema: str, encoding: str, payload: bytes) -> Picture:
+        def picture() -> U8:
+            try:
+                return image_of(schema, encoding, payload)
+            except DecodeError as error:
+                self._unusable += 1
+                raise DecodeError(f"{where}: {error}") from None
+
+        return picture
+
+    def _refusal(self, error: DecodeError) -> Picture:
+        def picture() -> U8:
+            self._unusable += 1
+            raise error
+
+        return picture
+
+    def _messages(self) -> Iterator[tuple[Path, str, str, Message, dict[str, Any]] | Damage]:
+        """Those with images, each with its schema, its encoding, and what our channel of frames said before it."""
+        for path in self._paths:
+            with contextlib.closing(McapFile(path)) as file:
+                yield from self._messages_in(path, file)
+
+    def _messages_in(
+        self, path: Path, file: McapFile
+    ) -> Iterator[tuple[Path, str, str, Message, dict[str, Any]] | Damage]:
+        # The first to be found counts: all of one number are equal, and our writer repeats them.
+        schemas = dict(file.summary.schemas) if file.summary else {}
+        channels = dict(file.summary.channels) if file.summary else {}
+        about: dict[str, Any] = {}
+        images = damaged = unknown = 0
+        for record in file.records():
+            match record:
+                case SchemaName():
+                    schemas.setdefault(record.id, record)
+                case Channel():
+                    channels.setdefault(record.id, record)
+                case Damage():
+                    damaged += 1
+                    yield record
+                case Message() if (channel := channels.get(record.channel_id)) is None:
+                    unknown += 1
+                case Message() if channel.metadata.get(OURS) == FRAME:
+                    about = _object(record.data)
+                case Message() if channel.topic == self.topic:
+                    images += 1
+                    schema = schemas.get(channel.schema_id)
+                    yield path, schema.name if schema else "", channel.encoding, record, about
+        if unknown:
+            found = f"{unknown} messages of channels that it does not describe"
+            yield Damage(DecodeError(f"{shown(path)}: found {found}, which are passed over"))
+        counts = file.summary.counts if file.summary else {}
+        expected = sum(counts.get(channel.id, 0) for channel in channels.values() if channel.topic == self.topic)
+        if expected - images > damaged:
+            found = f"{images} messages of {shown(self.topic)}, expected {expected} by the file's own count"
+            yield Damage(DecodeError(f"{shown(path)}: found {found}: the others are lost"))
+
+    def _row(self, count: int, message: Message, about: dict[str, Any]) -> Row:
+        """By what our channel of frames says of this one; of others by the time of the message. Raises DecodeError."""
+        if not self._is_ours:
+            if message.log_ns > T_NS_MAX:
+                raise DecodeError(f"found the time {message.log_ns}, expected at most 2^62 ns")
+            return Row(str(count), message.log_ns, None)
+        if about.get("seq") != message.sequence:
+            raise DecodeError("found nothing before it that tells its time, expected a message of the channel frame")
+        name, t_ns = about.get("image"), _whole(about, "t_ns", T_NS_MAX)
+        if not isinstance(name, str) or len(name) > _NAME_CHARS_MAX:
+            raise DecodeError(f"image: found {_short(name)}, expected at most {_NAME_CHARS_MAX} characters")
+        found = [about.get(key) for key in POSE_KEYS]
+        if found == [None] * len(POSE_KEYS):
+            return Row(name, t_ns, None)
+        values = [_number(key, value) for key, value in zip(POSE_KEYS, found, strict=True)]
+        if abs((norm := math.hypot(*values[3:])) - 1) > UNIT_TOLERANCE:
+            raise DecodeError(f"qw, qx, qy, qz: found the norm {norm:.4g}, expected a unit quaternion")
+        return Row(name, t_ns, Pose(t_ns, *values), _whole(about, "pose_error_us", ERROR_US_MAX))
+
+
+def _topic_of(paths: Sequence[Path]) -> tuple[str, bool]:
+    """Ours, or the only one with images; and whether it is ours."""
+    topics: set[str] = set()
+    damage = ""
+    for path in paths:
+        with contextlib.closing(McapFile(path)) as file:
+            schemas: dict[int, SchemaName] = {}
+            for record in _described(file):
+                if isinstance(record, SchemaName):
+                    schemas[record.id] = record
+                elif isinstance(record, Damage):
+                    damage = damage or f"; {record.error}"
+                elif isinstance(record, Channel) and record.metadata.get(OURS) == CAMERA:
+                    return record.topic, True
+                elif isinstance(record, Channel) and (found := schemas.get(record.schema_id)):
+                    topics |= {record.topic} if (found.name, record.encoding) in DECODERS else set()
+    if len(topics) == 1:
+        return topics.pop(), False
+    named = quoted(", ".join(sorted(topics)), _NAME_CHARS_MAX).strip("'")
+    count = f"{len(topics)} topics of images ({named})" if topics else "no topic of images"
+    expected = ", ".join(f"{schema} in {encoding}" for schema, encoding in DECODERS)
+    raise ConfigError(f"{shown(paths[0])}: found {count}, expected one: {expected}{damage}")
+
+
+def _described(file: McapFile) -> Iterator[SchemaName | Channel | Message | Damage]:
+    """From the summary, or from the whole of a file without one."""
+    if file.summary is not None and file.summary.channels:
+        return iter((*file.summary.schemas.values(), *file.summary.channels.values()))
+    return file.records()
+
+
+def _whole(about: dict[str, Any], key: str, most: int) -> int:
+    value = about.get(key)
+    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= most:
+        raise DecodeError(f"{key}: found {_short(value)}, expected a whole number from 0 to {most}")
+    return value
+
+
+def _number(key: str, value: object) -> float:
+    """Bounded before it becomes a float: JSON has whole numbers of any size."""
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not (is_number and -NUMBER_MAX <= value <= NUMBER_MAX):  # type: ignore[operator]
+        raise DecodeError(f"{key}: found {_short(value)}, expected a number from {-NUMBER_MAX:g} to {NUMBER_MAX:g}")
+    return float(value)  # type: ignore[arg-type]
+
+
+def _short(value: object) -> str:
+    return quoted(json.dumps(value)).strip("'")
+
+
+def _object(payload: memoryview) -> dict[str, Any]:
+    if len(payload) > _ABOUT_BYTES_MAX:
+        return {}
+    try:
+        found = json.loads(bytes(payload))
+    except (ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}

@@ -1,0 +1,70 @@
+"""MCAP files whose writer died: cut after their last whole record, and ended."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from pathlib import Path
+from typing import BinaryIO, Final
+
+from tacshade_edge.errors import DeviceError
+from tacshade_edge.reasons import ReasonCode
+from tacshade_edge.storage.recording.mcap.layout import HEAD, MAGIC, ByteFile, Kind
+from tacshade_edge.storage.recording.mcap.walk import Place, places
+from tacshade_edge.storage.whole_files import sync
+
+# Of a data section without a checksum, and no summary: readers go through the file.
+_END: Final = HEAD.pack(Kind.DATA_END, 4) + bytes(4) + HEAD.pack(Kind.FOOTER, 20) + bytes(20) + MAGIC
+_SUFFIX: Final = ".mcap.part"
+
+
+def mend_recordings(folder: Path) -> list[Path]:
+    """Mend every recording below `folder` that nobody writes to.
+
+    Returns
+    -------
+    list of Path
+        The files that were mended, by their new names.
+
+    Raises
+    ------
+    DeviceError
+        The disk refuses; what was not mended is as it was.
+    """
+    try:
+        found = (mend(path) for path in sorted(folder.glob(f"*/*{_SUFFIX}")))
+        return [path for path in found if path is not None]
+    except OSError as error:
+        where = error.filename or folder
+        raise DeviceError(f"{where}: cannot be mended: {error.strerror or error}", code=ReasonCode.DISK) from None
+
+
+def mend(path: Path) -> Path | None:
+    """Make ``NAME.mcap`` of ``NAME.mcap.part``; None where it is being written to, or has not even a header.
+
+    Raises OSError.
+    """
+    with path.open("r+b") as stream:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return None
+        if (end := _end_of_records(stream)) is None:
+            return None
+        stream.truncate(end)
+        stream.seek(end)
+        stream.write(_END)
+        stream.flush()
+        os.fsync(stream.fileno())
+        whole = path.with_name(path.name.removesuffix(".part"))
+        path.rename(whole)
+        sync(path.parent)
+    return whole
+
+
+def _end_of_records(stream: BinaryIO) -> int | None:
+    """Where the last whole record of the data section ends, past damage amid them, which whoever reads it is told."""
+    file = ByteFile(stream)
+    if file.at(0, len(MAGIC)) != MAGIC:
+        return None
+    return max((place.end for place in places(file, "", None) if isinstance(place, Place)), default=None)

@@ -1,0 +1,131 @@
+"""Writes our channels to an MCAP file, in Foxglove's schemas (protobuf) and flat JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any, BinaryIO, Final
+
+from google.protobuf.descriptor import FileDescriptor
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from mcap.data_stream import RecordBuilder
+from mcap.records import Channel, McapRecord, Schema
+from mcap.writer import CompressionType, Writer
+
+from tacshade_edge.storage.recording.mcap import messages
+from tacshade_edge.storage.recording.mcap.frames import CAMERA, FRAME, OURS, POSE_KEYS
+from tacshade_edge.types import Frame
+from tacshade_edge.version import installed_version
+
+CHUNK_BYTES: Final = 1 << 20
+_MEDIA_TYPES: Final = {"yaml": "application/yaml", "json": "application/json", "jsonl": "application/jsonl"}
+_NUMBER: Final = {"type": "number"}
+_FRAME_KEYS: Final = ("seq", "t_ns", *POSE_KEYS, "pose_error_us")
+_CONTACT_KEYS: Final = (
+    *("t_ns", "seq", "contact", "depth_max_mm", "area_mm2", "volume_mm3", "objects", "x_mm", "y_mm"),
+    *("shear_x_mm", "shear_y_mm", "twist_deg", "slip", "slip_mm_s"),
+)
+# All may be null, which the viewers' JSON Schema has no word for.
+_SCHEMAS: Final[dict[str, dict[str, Any]]] = {
+    FRAME: dict.fromkeys(_FRAME_KEYS, _NUMBER) | {"image": {"type": "string"}},
+    "contact": dict.fromkeys(_CONTACT_KEYS, _NUMBER)
+    | {key: {"type": "string"} for key in ("reason_code", "degraded_code")},
+}
+
+
+class McapWriter:
+    """One file. Its messages have the capture's Unix time twice, as what was logged and what was published.
+
+    Schemas and channels stand again after each chunk, so that a damaged one takes nothing but its own messages along.
+
+    Parameters
+    ----------
+    stream : BinaryIO
+        Empty and buffered; stays open.
+    sensor_id : str
+        The topics are ``/tacshade/ID/NAME``.
+    chunk_bytes : int
+        A chunk is written when it has so much.
+    compress : bool
+        The chunks.
+    """
+
+    def __init__(
+        self, stream: BinaryIO, sensor_id: str, *, chunk_bytes: int = CHUNK_BYTES, compress: bool = True
+    ) -> None:
+        compression = CompressionType.ZSTD if compress else CompressionType.NONE
+        self._writer = Writer(stream, chunk_size=chunk_bytes, compression=compression)
+        self._writer.start(profile="", library=f"tacshade-edge {installed_version()}")
+        self._stream, self._sensor_id = stream, sensor_id
+        self._channels: dict[str, int] = {}
+        self._described = b""
+        self._chunk_at = stream.tell()
+
+    def frame(self, name: str, frame: Frame, png: bytes, wall_ns: int) -> None:
+        """A captured frame: its name, times and pose, then its picture."""
+        about: dict[str, Any] = {"image": name, "seq": frame.seq, "t_ns": frame.t_ns}
+        values = None if (pose := frame.pose) is None else tuple(float(getattr(pose, key)) for key in POSE_KEYS)
+        about |= dict(zip(POSE_KEYS, values or (None,) * 7, strict=True))
+        about["pose_error_us"] = None if values is None else frame.pose_error_us
+        self.write(FRAME, json.dumps(about).encode(), wall_ns, frame.seq)
+        if values is not None:
+            self.write("tf", messages.transform(values, "base", "flange", self._sensor_id, wall_ns), wall_ns)
+        self.write(CAMERA, messages.camera(png, self._sensor_id, wall_ns), wall_ns, frame.seq)
+
+    def write(self, name: str, payload: bytes, wall_ns: int, seq: int = 0) -> None:
+        """A message of the channel of this name."""
+        if name not in self._channels:
+            self._channels[name] = self._registered(name)
+        self._writer.add_message(self._channels[name], wall_ns, payload, wall_ns, seq)
+        if self._stream.tell() > self._chunk_at:  # a chunk was written
+            self._stream.write(self._described)
+            self._chunk_at = self._stream.tell()
+
+    def attach(self, name: str, data: bytes, wall_ns: int) -> None:
+        """A whole file."""
+        media_type = _MEDIA_TYPES.get(name.rpartition(".")[2], "application/octet-stream")
+        self._writer.add_attachment(wall_ns, wall_ns, name, media_type, data)
+        self._chunk_at = self._stream.tell()
+
+    def describe(self, name: str, about: Mapping[str, str]) -> None:
+        """Words for a person or a program."""
+        self._writer.add_metadata(name, dict(about))
+        self._chunk_at = self._stream.tell()
+
+    def finish(self) -> None:
+        """Write what waits, and the summary that makes the file whole."""
+        self._writer.finish()
+
+    def _registered(self, name: str) -> int:
+        if name in _SCHEMAS:
+            title = f"tacshade.{name.capitalize()}"
+            schema = {"title": title, "type": "object", "properties": _SCHEMAS[name]}
+            return self._channel(name, "json", title, "jsonschema", json.dumps(schema).encode())
+        descriptor = messages.MESSAGES[name].DESCRIPTOR
+        files: dict[str, FileDescriptor] = {}
+        _with_what_it_imports(descriptor.file, files)
+        described = FileDescriptorSet()
+        for file in files.values():
+            file.CopyToProto(described.file.add())
+        return self._channel(name, "protobuf", descriptor.full_name, "protobuf", described.SerializeToString())
+
+    def _channel(self, name: str, encoding: str, title: str, schema_encoding: str, schema: bytes) -> int:
+        topic, ours = f"/tacshade/{self._sensor_id}/{name}", {OURS: name}
+        schema_id = self._writer.register_schema(title, schema_encoding, schema)
+        channel_id = int(self._writer.register_channel(topic, encoding, schema_id, ours))
+        self._described += _bytes_of(Schema(id=schema_id, data=schema, encoding=schema_encoding, name=title))
+        channel = Channel(id=channel_id, topic=topic, message_encoding=encoding, metadata=ours, schema_id=schema_id)
+        self._described += _bytes_of(channel)
+        return channel_id
+
+
+def _bytes_of(record: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)
+    return bytes(builder.end())
+
+
+def _with_what_it_imports(file: FileDescriptor, found: dict[str, FileDescriptor]) -> None:
+    for other in file.dependencies:
+        _with_what_it_imports(other, found)
+    found[file.name] = file

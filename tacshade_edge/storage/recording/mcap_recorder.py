@@ -1,0 +1,135 @@
+"""Writes a recording whose frames are in MCAP files; all else of its folder is as `recorder` has it."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import shutil
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, BinaryIO, Final
+
+from tacshade_edge.storage.recording.mcap import require_mcap
+from tacshade_edge.storage.recording.mcap.mend import mend
+from tacshade_edge.storage.recording.recorder import Recorder
+from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME, SETTINGS_NAME
+from tacshade_edge.storage.whole_files import FREE_FLOOR_BYTES, disk_errors, part, sync
+from tacshade_edge.types import Frame
+
+if TYPE_CHECKING:
+    from tacshade_edge.storage.recording.mcap.writer import McapWriter
+
+FILE_BYTES_MAX: Final = 512 << 20
+FILE_NS_MAX: Final = 300 * 1_000_000_000
+"""Of one file; its index is in memory until its end, 0.7 kB for a frame."""
+_CHUNK_BYTES: Final = 16 << 10
+"""A chunk ends when it has more, so a picture ends one: a cut costs a frame or two."""
+
+
+class McapRecorder(Recorder):
+    """One recording in one new folder, in ``000.mcap``, ``001.mcap`` ...; each opens alone, and grows as ``.part``.
+
+    Parameters
+    ----------
+    folder : Path
+    sensor_id : str
+        Names the topics.
+    free_floor_bytes : int
+    """
+
+    def __init__(self, folder: Path, sensor_id: str, *, free_floor_bytes: int = FREE_FLOOR_BYTES) -> None:
+        require_mcap()
+        from tacshade_edge.storage.recording.mcap.writer import McapWriter
+
+        super().__init__(folder, free_floor_bytes=free_floor_bytes)
+        # PNG cannot be compressed further.
+        self._make = partial(McapWriter, sensor_id=sensor_id, chunk_bytes=_CHUNK_BYTES, compress=False)
+        self._files = 0
+        self._open: tuple[BinaryIO, McapWriter] | None = None
+        self._torn = False
+        self._begun_ns = 0
+        self._path = folder
+
+    def _begin_frames(self) -> None:
+        """No table: the files have the times and poses."""
+
+    def add(self, frame: Frame, png: bytes) -> bool:
+        """Write a frame, whose image is the `png`; False, and nothing written, when the disk is down to the floor."""
+        with disk_errors(self.folder):
+            if shutil.disk_usage(self.folder).free < self._floor:
+                return False
+            try:
+                stream, writer = self._file_for(frame)
+                writer.frame(f"{self.frames:06d}.png", frame, png, frame.wall_ns)
+                stream.flush()
+            except OSError:
+                self._torn = True
+                raise
+            self.frames += 1
+            self.bytes += len(png)
+        return True
+
+    def sync(self) -> None:
+        """Wait until the disk has all that was written."""
+        super().sync()
+        if self._open is not None and not self._torn:
+            with disk_errors(self.folder):
+                os.fsync(self._open[0].fileno())
+
+    def finish(self, about: Mapping[str, object]) -> None:
+        """Make the recording whole, with ``recording.json``."""
+        with disk_errors(self.folder):
+            self._end_file()
+        super().finish(about)
+
+    def close(self) -> None:
+        """Give up the open files."""
+        super().close()
+        if self._open is not None:
+            self._leave_torn(self._open[0])
+
+    def _file_for(self, frame: Frame) -> tuple[BinaryIO, McapWriter]:
+        """The file that this frame goes to, the next one where the last is full."""
+        if self._open is not None and (
+            self._open[0].tell() > FILE_BYTES_MAX or frame.t_ns - self._begun_ns > FILE_NS_MAX
+        ):
+            self._end_file()
+        if self._open is None:
+            self._open = self._begin_file(frame)
+        return self._open
+
+    def _begin_file(self, frame: Frame) -> tuple[BinaryIO, McapWriter]:
+        self._path = self.folder / f"{self._files:03d}.mcap"
+        self._files += 1
+        self._begun_ns = frame.t_ns
+        stream = part(self._path).open("wb")
+        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)  # nobody mends it meanwhile
+        writer = self._make(stream)
+        for name in (CALIBRATION_NAME, SETTINGS_NAME):
+            writer.attach(name, (self.folder / name).read_bytes(), frame.wall_ns)
+        sync(self.folder)
+        return stream, writer
+
+    def _end_file(self) -> None:
+        if self._open is None:
+            return
+        stream, writer = self._open
+        if self._torn:
+            self._leave_torn(stream)
+            mend(part(self._path))
+            return
+        writer.finish()
+        stream.flush()
+        os.fsync(stream.fileno())
+        part(self._path).rename(self._path)
+        sync(self.folder)
+        stream.close()
+        self._open = None
+
+    def _leave_torn(self, stream: BinaryIO) -> None:
+        """A record that was not written whole must be the last thing in its file."""
+        with contextlib.suppress(OSError):  # what is buffered cannot be written either
+            stream.close()
+        self._open = None

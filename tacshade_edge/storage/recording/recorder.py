@@ -1,0 +1,137 @@
+"""Writes a recording that `storage.recording.recording` reads: PNG frames, their table, events, and what made them."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import BinaryIO
+
+import cv2
+
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.reasons import ReasonCode
+from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME, EVENTS_NAME, SETTINGS_NAME
+from tacshade_edge.storage.tables.frame_table import HEADER, MORE, TABLE_NAME
+from tacshade_edge.storage.tables.tables import line_crc32
+from tacshade_edge.storage.whole_files import FREE_FLOOR_BYTES, disk_errors, part, require_free, sync, write_whole
+from tacshade_edge.types import U8, Calibration, Frame
+
+# Lossless. Of grey images, 2.5 times as fast as zlib's level 1 and no larger (docs/replay.md).
+PNG_OPTIONS = (
+    *(cv2.IMWRITE_PNG_COMPRESSION, 1),
+    *(cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY),
+    *(cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_UP),
+)
+
+
+def png_of(image: U8) -> bytes:
+    """What `Recorder.add` writes of a frame's image."""
+    return cv2.imencode(".png", image, PNG_OPTIONS)[1].tobytes()
+
+
+class Recorder:
+    """One recording in one new folder.
+
+    Images and small files are written beside their place and renamed. The table and the events grow as ``.part``,
+    a whole line at a time after what it names, and are renamed by `finish`: after a crash `storage.recording.recording`
+    reads the ``.part``. `begin` comes before all else.
+
+    Parameters
+    ----------
+    folder : Path
+        Made now.
+    free_floor_bytes : int
+        `add` refuses to begin a frame with less than this free on the disk.
+
+    Raises
+    ------
+    ConfigError
+        The folder is there already.
+    DeviceError
+        It cannot be written (from the methods too), or the disk is down to the floor.
+    """
+
+    def __init__(self, folder: Path, *, free_floor_bytes: int = FREE_FLOOR_BYTES) -> None:
+        self.folder = folder
+        self.frames = self.bytes = 0
+        self._floor = free_floor_bytes
+        self._unsynced: list[Path] = []
+        self._lines: dict[str, BinaryIO] = {}
+        with disk_errors(folder):
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            require_free(folder.parent, free_floor_bytes)
+            try:
+                folder.mkdir()
+            except FileExistsError:
+                raise ConfigError(
+                    f"{folder}: found it there already, expected the name of a new folder", code=ReasonCode.NAME_TAKEN
+                ) from None
+
+    def begin(self, settings_yaml: str, calibration: Calibration) -> None:
+        """Write what a replay needs beside the frames."""
+        calibration_file.save(self.folder / CALIBRATION_NAME, calibration)
+        with disk_errors(self.folder):
+            write_whole(self.folder / SETTINGS_NAME, settings_yaml.encode())
+            self._lines[EVENTS_NAME] = part(self.folder / EVENTS_NAME).open("wb", buffering=0)
+            self._begin_frames()
+            sync(self.folder)
+
+    def _begin_frames(self) -> None:
+        self._lines[TABLE_NAME] = part(self.folder / TABLE_NAME).open("wb", buffering=0)
+        self._lines[TABLE_NAME].write((",".join((*HEADER, *MORE)) + "\n").encode())
+
+    def add(self, frame: Frame, png: bytes) -> bool:
+        """Write a frame, whose image is the `png`; False, and nothing written, when the disk is down to the floor."""
+        with disk_errors(self.folder):
+            if shutil.disk_usage(self.folder).free < self._floor:
+                return False
+            name = f"{self.frames:06d}.png"
+            write_whole(self.folder / name, png, sync=False)
+            self._unsynced.append(self.folder / name)
+            columns = f"{name},{frame.t_ns},{_columns(frame)}"
+            self._lines[TABLE_NAME].write(f"{columns},{line_crc32(columns)}\n".encode())
+            self.frames += 1
+            self.bytes += len(png)
+        return True
+
+    def event(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
+        """Write what happened, on the clock of the frames."""
+        line = json.dumps({"t_ns": t_ns, "kind": kind, "data": data}) + "\n"
+        with disk_errors(self.folder):
+            self._lines[EVENTS_NAME].write(line.encode())
+
+    def sync(self) -> None:
+        """Wait until the disk has all that was written: many frames at once, as each alone would cost too much."""
+        with disk_errors(self.folder):
+            for path in self._unsynced:
+                sync(path)
+            self._unsynced.clear()
+            for stream in self._lines.values():
+                os.fsync(stream.fileno())
+            sync(self.folder)
+
+    def finish(self, about: Mapping[str, object]) -> None:
+        """Make the recording whole, with ``recording.json``."""
+        self.sync()
+        with disk_errors(self.folder):
+            for name, stream in self._lines.items():
+                stream.close()
+                os.replace(part(self.folder / name), self.folder / name)
+            write_whole(self.folder / "recording.json", (json.dumps(about, indent=2) + "\n").encode())
+            sync(self.folder)
+
+    def close(self) -> None:
+        """Give up the open files; for a recording that could not be finished."""
+        for stream in self._lines.values():
+            stream.close()
+
+
+def _columns(frame: Frame) -> str:
+    if (pose := frame.pose) is None:
+        return ",,,,,,,"
+    values = (pose.x_mm, pose.y_mm, pose.z_mm, pose.qw, pose.qx, pose.qy, pose.qz)
+    return ",".join((*(repr(float(v)) for v in values), str(frame.pose_error_us)))

@@ -1,0 +1,213 @@
+"""A recording: images, a video or an MCAP file with their own time stamps, read frame by frame and never dropped.
+
+The table beside images and videos is ``frames.csv`` in a folder, and ``NAME.csv`` beside a video ``NAME.mp4``.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.storage.images import SUFFIXES, read_image
+from tacshade_edge.storage.recording.image_source import look_at
+from tacshade_edge.storage.recording.mcap import is_mcap, mcap_frames
+from tacshade_edge.storage.recording.recording_content import wall_minus_t_ns
+from tacshade_edge.storage.tables.frame_table import FrameTable, Row, read_table, table_in
+from tacshade_edge.types import U8, Frame
+
+DEFAULT_FPS = 30.0
+Picture = Path | U8 | Callable[[], U8]
+"""Read when its turn comes."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedFrame:
+    """A frame with the name of its image (of a video or an MCAP file: the frame's number).
+
+    Attributes
+    ----------
+    name : str
+    frame : Frame
+        Its `wall_ns` is 0, so that equal recordings give equal bytes.
+    wall_ns : int
+        Unix time of the capture; the frame's `t_ns` where the recording does not know it.
+    """
+
+    name: str
+    frame: Frame
+    wall_ns: int = 0
+
+
+class Recording:
+    """A folder of images, one image, a video file, in the order and at the times of its table, or an MCAP file.
+
+    Reading MCAP needs the extra ``mcap``.
+
+    Parameters
+    ----------
+    path : Path
+    fps : float or None
+        Makes the time stamps (from 0) where no table is, 30 by default; refused where one is.
+    times : int
+        How often it is gone through; 0 is for ever. Time stamps and numbers go on growing.
+
+    Attributes
+    ----------
+    cut_off : bool
+        Its writer died: what it wrote until then is here.
+    damage : str
+        What is left out of its table, or wrong in an MCAP file beside the frames, for a person; empty where nothing is.
+    frames : int or None
+        How many `read` will give at most, in all passes; None where only the end tells.
+
+    Raises
+    ------
+    ConfigError
+        Nothing to replay, or a wrong table.
+    """
+
+    def __init__(self, path: Path, *, fps: float | None = None, times: int = 1) -> None:
+        self._path = path
+        self._period_ns = 1e9 / (fps or DEFAULT_FPS)
+        self._mcap = mcap_frames(path) if is_mcap(path) else None
+        self._table = None if self._mcap else _table_beside(path)
+        self.cut_off = self._table is not None and self._table.suffix == ".part"
+        if self._mcap is not None:
+            self.cut_off = self._mcap.cut_off
+            if fps is not None:
+                raise ConfigError(f"--fps: found {fps:g}, expected none: {path} has the time stamps")
+        self._wall_minus_t_ns = wall_minus_t_ns(path) if path.is_dir() else 0
+        self._rows = None if self._table is None else read_table(self._table, cut_off=self.cut_off)
+        self.damage = "" if self._rows is None else self._rows.damage
+        if self._mcap is not None:
+            self.damage = self._mcap.damage
+        if fps is not None and self._table is not None:
+            raise ConfigError(f"--fps: found {fps:g}, expected none: {self._table} has the time stamps")
+        one_pass = 0
+        if self._rows is not None:
+            one_pass = len(self._rows)
+        elif self._mcap is None:
+            one_pass = len(look_at(path)[0])
+        self.frames = one_pass * times or None
+        self._shift_ns = 0
+        passes = itertools.count() if times == 0 else range(times)
+        entries = enumerate(entry for _ in passes for entry in self._one_pass())
+        self._entries: Iterator[tuple[int, tuple[Row, Picture, int]]] = entries
+
+    def read(self) -> RecordedFrame | None:
+        """The next frame; None after the last.
+
+        Raises
+        ------
+        DecodeError
+            This image cannot be used; the next call goes on with the next, and its number is left out.
+        ConfigError
+            The table has more or fewer rows than the video has frames.
+        """
+        entry = next(self._entries, None)
+        if entry is None:
+            return None
+        seq, (row, picture, wall_ns) = entry
+        if isinstance(picture, Path):
+            image = read_image(picture)
+        else:
+            image = picture if isinstance(picture, np.ndarray) else picture()
+        return RecordedFrame(row.image, Frame(seq, row.t_ns, 0, image, row.pose, row.pose_error_us), wall_ns)
+
+    @property
+    def length_ns(self) -> int:
+        """From the first frame of a pass to its last; 0 where nothing tells it: a video, MCAP that was cut off."""
+        if self._mcap is not None:
+            return self._mcap.length_ns
+        if self._rows is not None:
+            return self._rows[-1].t_ns - self._rows[0].t_ns if len(self._rows) else 0
+        images, video = look_at(self._path)
+        if video is not None:
+            video.release()
+        return round(max(len(images) - 1, 0) * self._period_ns)
+
+    def skip_to(self, t_ns: int) -> None:
+        """Leave out the frames before this time; of a folder their images are not read."""
+        for entry in self._entries:
+            if entry[1][0].t_ns >= t_ns:
+                self._entries = itertools.chain((entry,), self._entries)
+                return
+
+    def skip_to_before(self, t_ns: int, frames: int) -> None:
+        """Leave out the frames before the last so many that are before this time."""
+        before: deque[tuple[int, tuple[Row, Picture, int]]] = deque(maxlen=frames)
+        for entry in self._entries:
+            if entry[1][0].t_ns >= t_ns:
+                self._entries = itertools.chain((entry,), self._entries)
+                break
+            before.append(entry)
+        self._entries = itertools.chain(before, self._entries)
+
+    def _one_pass(self) -> Iterator[tuple[Row, Picture, int]]:
+        first_ns = last_ns = count = 0
+        for row, picture, wall_ns in self._items():
+            first_ns = row.t_ns if count == 0 else first_ns
+            last_ns = row.t_ns
+            count += 1
+            t_ns = row.t_ns + self._shift_ns
+            pose = None if row.pose is None else replace(row.pose, t_ns=t_ns)
+            yield replace(row, t_ns=t_ns, pose=pose), picture, wall_ns + self._shift_ns
+        self._shift_ns += (
+            last_ns - first_ns + round((last_ns - first_ns) / (count - 1) if count > 1 else self._period_ns)
+        )
+
+    def _items(self) -> Iterator[tuple[Row, Picture, int]]:
+        if self._mcap is not None:
+            yield from self._mcap
+            return
+        for row, picture in self._files():
+            yield row, picture, row.t_ns + self._wall_minus_t_ns
+
+    def _files(self) -> Iterator[tuple[Row, Path | U8]]:
+        rows = self._rows
+        if rows is not None and self._path.is_dir():
+            yield from ((row, self._path / row.image) for row in rows)
+            return
+        images, video = look_at(self._path)
+        for index, image in enumerate(images):
+            yield Row(image.name, round(index * self._period_ns), None), image
+        if video is not None:
+            yield from self._video(video, rows)
+            video.release()
+
+    def _video(self, video: cv2.VideoCapture, rows: FrameTable | None) -> Iterator[tuple[Row, U8]]:
+        index = 0
+        while (grabbed := video.read())[0]:
+            image = np.asarray(grabbed[1], dtype=np.uint8)
+            if rows is None:
+                yield Row(str(index), round(index * self._period_ns), None), image
+            elif index == len(rows) or rows[index].image != str(index):
+                found = f"row {index + 1} of frame {rows[index].image!r}" if index < len(rows) else f"{index} rows"
+                raise ConfigError(f"{self._table}: found {found}, expected one for each frame of the video, from 0")
+            else:
+                yield rows[index], image
+            index += 1
+        if rows is not None and index < len(rows):
+            raise ConfigError(f"{self._table}: found {len(rows)} rows, expected {index}, the frames of the video")
+
+
+def _table_beside(path: Path) -> Path | None:
+    if path.is_dir():
+        if (found := table_in(path)) is not None:
+            return found
+        table = path
+    elif path.is_file() and path.suffix.lower() not in SUFFIXES:
+        table = path.with_suffix(".csv")
+    else:
+        table = path
+    if table != path and table.exists():
+        return table
+    look_at(path)  # says what is wrong with it
+    return None

@@ -1,0 +1,102 @@
+"""What lies beside the frames of a recording: in its folder, or as attachments in its MCAP file."""
+
+from __future__ import annotations
+
+import errno
+import json
+import logging
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, TypeGuard
+
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.quoting import shown
+from tacshade_edge.regular_files import read_regular
+from tacshade_edge.storage.recording.mcap import is_mcap, require_mcap
+from tacshade_edge.storage.tables.frame_table import T_NS_MAX
+from tacshade_edge.storage.whole_files import part
+
+_log = logging.getLogger(__name__)
+
+CALIBRATION_NAME, SETTINGS_NAME, EVENTS_NAME = "calibration.npz", "settings.yaml", "events.jsonl"
+ABOUT_NAME: Final = "recording.json"
+_BYTES_MAX: Final = {CALIBRATION_NAME: 64 << 20, SETTINGS_NAME: 1 << 20, EVENTS_NAME: 8 << 20, ABOUT_NAME: 1 << 20}
+_LINE_BYTES_MAX: Final = 1 << 16
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that happened, on the clock of the frames."""
+
+    t_ns: int
+    kind: str
+    data: dict[str, Any]
+
+
+def content_of(recording: Path) -> dict[str, bytes]:
+    """Calibration, settings, events and ``recording.json``: those that are there, by name.
+
+    The log tells of what is left out of an MCAP file because it is damaged, or too large.
+
+    Raises
+    ------
+    ConfigError
+        An MCAP file that is none; a file that is too large.
+    """
+    if not recording.is_dir() and is_mcap(recording):
+        require_mcap()
+        from tacshade_edge.storage.recording.mcap.records import attachments_in
+
+        attached, damage = attachments_in(recording, _BYTES_MAX)
+        for line in damage:
+            _log.warning("%s", line)
+        return attached
+    found = {name: data for name in _BYTES_MAX if (data := _read(recording / name)) is not None}
+    unfinished = _read(part(recording / EVENTS_NAME))
+    return found if EVENTS_NAME in found or unfinished is None else found | {EVENTS_NAME: unfinished}
+
+
+def events_in(content: dict[str, bytes]) -> Iterator[Event]:
+    """The events in order; a line that is none is passed over."""
+    for line in content.get(EVENTS_NAME, b"").splitlines():
+        if len(line) > _LINE_BYTES_MAX:
+            continue
+        try:
+            found = json.loads(line)
+            event = Event(found["t_ns"], found["kind"], found["data"])
+        except (ValueError, KeyError, TypeError, RecursionError):
+            continue
+        if _is_time(event.t_ns) and isinstance(event.kind, str) and isinstance(event.data, dict):
+            yield event
+
+
+def wall_minus_t_ns(folder: Path) -> int:
+    """Unix time minus the clock of the frames; 0 where nothing tells it."""
+    content = {name: data for name in (ABOUT_NAME, EVENTS_NAME) if (data := _read(folder / name)) is not None}
+    try:
+        about = json.loads(content.get(ABOUT_NAME, b"{}"))
+        wall_ns, t_ns = about["first_wall_ns"], about["first_t_ns"]
+        if _is_time(wall_ns) and _is_time(t_ns):
+            return wall_ns - t_ns
+    except (ValueError, KeyError, TypeError, RecursionError):
+        pass
+    unfinished = _read(part(folder / EVENTS_NAME))
+    for event in events_in({EVENTS_NAME: unfinished or content.get(EVENTS_NAME, b"")}):
+        if _is_time(wall_ns := event.data.get("wall_ns")):
+            return wall_ns - event.t_ns
+    return 0
+
+
+def _is_time(value: object) -> TypeGuard[int]:
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= T_NS_MAX
+
+
+def _read(path: Path) -> bytes | None:
+    bytes_max = _BYTES_MAX[path.name.removesuffix(".part")]
+    try:
+        return read_regular(path, bytes_max)
+    except OSError as error:
+        if error.errno == errno.EFBIG:
+            raise ConfigError(f"{shown(path)}: {error.strerror}") from None
+        return None

@@ -1,0 +1,1 @@
+"""What `reconstruct` and `replay` leave, and two runs compared."""

@@ -1,0 +1,1 @@
+"""Stitching sessions and maps on disk."""

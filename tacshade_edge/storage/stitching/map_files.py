@@ -1,0 +1,95 @@
+"""A stitched map as files: map.npz, map.ply, map.png and map.json, preview.png."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tacshade_edge.core.stitching.stitcher import PlacedPress
+from tacshade_edge.core.stitching.surface_map import BAND_ROWS, Raster
+from tacshade_edge.reasons import text_of
+from tacshade_edge.storage.meshes import ply
+from tacshade_edge.storage.pictures.map_preview import height_span_mm, preview
+from tacshade_edge.storage.whole_files import disk_errors, write_whole
+from tacshade_edge.types import F32
+
+_PNG_SCALE_MM = 0.001
+
+
+def press_record(press: PlacedPress) -> dict[str, Any]:
+    """What ``map.json`` tells of a press in the map."""
+    return {
+        "used": press.rejected is None,
+        "reason": text_of(press.rejected),
+        "points": press.points,
+        "moved_mm": round(press.correction_mm, 4),
+        "turned_deg": round(press.correction_deg, 4),
+    }
+
+
+def write_map(folder: Path, raster: Raster, details: Mapping[str, Any]) -> None:
+    """Write all files of a map; each is there whole or not at all.
+
+    Parameters
+    ----------
+    folder : Path
+        Made when missing.
+    raster : Raster
+    details : mapping
+        More keys of ``map.json``.
+
+    Raises
+    ------
+    DeviceError
+        The folder cannot be written.
+    """
+    levels, z0_mm, scale_mm = _levels(raster.z_mm)
+    about = {
+        "x0_mm": raster.x0_mm,
+        "y0_mm": raster.y0_mm,
+        "step_mm": raster.step_mm,
+        "rows": raster.z_mm.shape[0],
+        "cols": raster.z_mm.shape[1],
+        "touched_mm2": float(np.count_nonzero(levels)) * raster.step_mm**2,
+        # Of map.png: 0 is untouched, level n is z0_mm + (n - 1) scale_mm.
+        "png": {"z0_mm": z0_mm, "scale_mm": scale_mm},
+        **details,
+    }
+    png = cv2.imencode(".png", levels)[1].tobytes()
+    del levels  # of a large map 30 MB
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, z_mm=raster.z_mm, x0_mm=raster.x0_mm, y0_mm=raster.y0_mm, step_mm=raster.step_mm)
+    with disk_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        write_whole(folder / "map.npz", buffer.getvalue())
+        write_whole(folder / "map.ply", _points(raster))
+        write_whole(folder / "map.png", png)
+        write_whole(folder / "preview.png", cv2.imencode(".png", preview(raster))[1].tobytes())
+        write_whole(folder / "map.json", (json.dumps(about, indent=2) + "\n").encode())
+
+
+def _points(raster: Raster) -> Iterator[bytes]:
+    """The touched cells as PLY, in parts."""
+    count = sum(int(np.count_nonzero(np.isfinite(band.z_mm))) for band in raster.bands())
+    yield ply.head(count, "millimetres, base frame")
+    for band in raster.bands():
+        yield ply.rows(band.points())
+
+
+def _levels(z_mm: F32) -> tuple[NDArray[np.uint16], float, float]:
+    """16-bit levels, the z of level 1 and the step in mm; the step grows where the heights need it."""
+    low, high = height_span_mm(z_mm)
+    scale_mm = max(_PNG_SCALE_MM, (high - low) / 65534)
+    levels = np.empty(z_mm.shape, np.uint16)
+    for first in range(0, len(z_mm), BAND_ROWS):
+        band = z_mm[first : first + BAND_ROWS]
+        level = np.rint((np.nan_to_num(band, nan=low) - low) / scale_mm) + 1
+        levels[first : first + BAND_ROWS] = np.where(np.isfinite(band), level, 0)
+    return levels, low, scale_mm

@@ -1,0 +1,304 @@
+"""A stitching session on disk: what was acknowledged is there after a kill or a power cut.
+
+A folder has ``session.json`` (written whole, by renaming) and ``presses.bin``, to which every press is appended and
+brought to the disk before it is acknowledged. Both have checksums. Where ``presses.bin`` is damaged, or its last press
+was cut by a crash, the file is kept beside as it was, and every whole press goes on, those after the damage too.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import mmap
+import os
+import shutil
+import struct
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, BinaryIO, Literal
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from tacshade_edge.core.stitching.press_points import PressPoints
+from tacshade_edge.errors import DecodeError, DeviceError
+from tacshade_edge.quoting import shown
+from tacshade_edge.reasons import ReasonCode
+from tacshade_edge.regular_files import open_regular, read_regular
+from tacshade_edge.rigid import Rigid
+from tacshade_edge.storage.whole_files import disk_errors, require_free, sync, write_whole
+
+_log = logging.getLogger(__name__)
+
+SESSION, PRESSES = "session.json", "presses.bin"
+VERSION = 2
+"""Version 1 has no `sensor_id` and no `crc32`; it is read, too."""
+_HEAD = struct.Struct("<4sII")  # magic, bytes and CRC-32 of what follows
+_MAGIC = b"TCSP"
+_POSE_VALUES, _POINT_VALUES = 12, 7
+_PRESS_POINTS_MAX = 1_000_000
+_INFO_BYTES_MAX, _PRESSES_BYTES_MAX = 64 * 2**10, 2**30
+_MOST_MM = 1e6
+
+_Crc32 = Annotated[int, Meta(ge=0, lt=2**32)]
+
+
+class SessionInfo(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What ``session.json`` holds.
+
+    Attributes
+    ----------
+    name : str
+    begun_wall_ns : int
+        Unix time.
+    calibration_crc32 : int
+        Of the calibration that it began with.
+    skin_radius_mm : float
+    sensor_id : str
+        Whose session it is; empty in those of version 1.
+    state : str
+        ``open``, or ``ended``.
+    version : int
+    crc32 : int
+        CRC-32 of the above as compact JSON, in the file only.
+    """
+
+    name: Annotated[str, Meta(min_length=1, max_length=64)]
+    begun_wall_ns: Annotated[int, Meta(ge=0)]
+    calibration_crc32: _Crc32
+    skin_radius_mm: Annotated[float, Meta(gt=0, lt=_MOST_MM)]
+    sensor_id: str = ""
+    state: Literal["open", "ended"] = "open"
+    version: int = VERSION
+    crc32: _Crc32 = 0
+
+
+class StitchFile:
+    """An open session's files.
+
+    Parameters
+    ----------
+    folder : Path
+    info : SessionInfo
+
+    Raises
+    ------
+    DeviceError
+        The folder cannot be written; from the methods too.
+    """
+
+    def __init__(self, folder: Path, info: SessionInfo) -> None:
+        self.folder = folder
+        self.info = info
+        self._stream: BinaryIO | None = None
+        self._end = self._before = 0  # of the last whole press, and of the one before
+
+    @classmethod
+    def create(cls, folder: Path, info: SessionInfo) -> StitchFile:
+        """Begin a session in a folder that is not there yet; nothing is left of one that could not be begun."""
+        with disk_errors(folder):
+            require_free(folder.parent)
+            folder.mkdir(parents=True)
+            file = cls(folder, info)
+            try:
+                (folder / PRESSES).touch(exist_ok=False)
+                write_whole(folder / SESSION, _json(info))
+                sync(folder)
+                sync(folder.parent)
+            except OSError:
+                with contextlib.suppress(DeviceError):
+                    file.remove()
+                raise
+        return file
+
+    @classmethod
+    def resume(cls, folder: Path) -> tuple[StitchFile, list[tuple[PressPoints, Rigid]]]:
+        """Go on with a session: its presses, those that are whole, in order.
+
+        Raises
+        ------
+        DecodeError
+            ``session.json`` is damaged or of another version.
+        """
+        file = cls(folder, read_info(folder))
+        path = folder / PRESSES
+        with disk_errors(folder):
+            with open_regular(path, _PRESSES_BYTES_MAX) as stream:
+                size = os.fstat(stream.fileno()).st_size
+                data = mmap.mmap(stream.fileno(), size, access=mmap.ACCESS_READ) if size else b""
+            found = list(_presses(data))
+            file._end = sum(end - start for _, _, start, end in found)
+            if lost := len(data) - file._end:
+                beside = _free_name(path)
+                _keep(path, beside)
+                write_whole(path, b"".join(data[start:end] for _, _, start, end in found))
+                sync(folder)
+                _log.warning(
+                    "%s: %d bytes are no whole press (damage, or a write that was cut); "
+                    "%d presses are whole and go on; kept as %s",
+                    *(path, lost, len(found), beside.name),
+                )
+        return file, [(points, pose) for points, pose, _, _ in found]
+
+    @property
+    def gone(self) -> bool:
+        """Whether somebody deleted it."""
+        return not os.path.lexists(self.folder / SESSION)
+
+    def append(self, points: PressPoints, base_T_sensor: Rigid) -> None:
+        """Add a press; it is on the disk when this returns."""
+        pose = np.concatenate((base_T_sensor.rotation.ravel(), base_T_sensor.translation_mm))
+        columns = np.column_stack((points.points_mm, points.normals, points.confidence)).astype("<f4")
+        body = pose.astype("<f8").tobytes() + columns.tobytes()
+        record = _HEAD.pack(_MAGIC, len(body), zlib.crc32(body)) + body
+        with disk_errors(self.folder):
+            if self.gone:  # the stream may be open still, to a file without a name
+                raise DeviceError(f"{self.folder}: the session's files are gone", code=ReasonCode.DISK)
+            require_free(self.folder)
+            if self._stream is None:
+                self._stream = (self.folder / PRESSES).open("r+b", buffering=0)
+            # Over what a write that failed left behind.
+            self._stream.seek(self._end)
+            self._stream.truncate()
+            written = self._stream.write(record)
+            if written < len(record):  # the disk took a part; the next write would say that it is full
+                raise DeviceError(f"{self.folder}: cannot be written: the disk is full", code=ReasonCode.DISK_FULL)
+            os.fsync(self._stream.fileno())
+        self._before, self._end = self._end, self._end + len(record)
+
+    def take_back(self) -> None:
+        """Remove the press that `append` added just now, and that nobody was told of."""
+        assert self._stream is not None
+        self._end = self._before
+        with disk_errors(self.folder):
+            self._stream.truncate(self._end)
+
+    def end(self) -> None:
+        """Mark the session as ended; its presses stay."""
+        self.close()
+        self.info = msgspec.structs.replace(self.info, state="ended")
+        with disk_errors(self.folder):
+            write_whole(self.folder / SESSION, _json(self.info))
+
+    def remove(self) -> None:
+        """Delete the session's files, and the folder if nothing else is in it; fine if somebody did already."""
+        self.close()
+        if not self.folder.exists():
+            return
+        with disk_errors(self.folder):
+            # Without session.json it is no session, whatever a crash leaves of the rest.
+            (self.folder / SESSION).unlink(missing_ok=True)
+            (self.folder / PRESSES).unlink(missing_ok=True)
+            if not any(self.folder.iterdir()):
+                self.folder.rmdir()
+
+    def close(self) -> None:
+        """Close the file; `append` opens it again."""
+        if self._stream is not None:
+            with disk_errors(self.folder):
+                self._stream.close()
+            self._stream = None
+
+
+def open_session(folder: Path, sensor_id: str) -> Path | None:
+    """Find a sensor's session below a folder that was not ended: the newest, or None.
+
+    Damaged ones and those of other sensors are passed over, with a line in the log.
+    """
+    found = []
+    for path in sorted(folder.glob(f"*/{SESSION}")):
+        try:
+            info = read_info(path.parent)
+        except DecodeError as error:
+            _log.warning("session passed over: %s", error)
+            continue
+        if info.state != "open":
+            continue
+        if info.sensor_id in ("", sensor_id):
+            found.append((info.begun_wall_ns, path.parent))
+        else:
+            _log.info("%s: open session of sensor %s, not of %s", path.parent, shown(info.sensor_id), sensor_id)
+    return max(found)[1] if found else None
+
+
+def read_info(folder: Path) -> SessionInfo:
+    """Read ``session.json``.
+
+    Raises
+    ------
+    DecodeError
+        Not readable, damaged, or of another version.
+    """
+    path = folder / SESSION
+    try:
+        info = msgspec.json.decode(read_regular(path, _INFO_BYTES_MAX), type=SessionInfo)
+    except OSError as error:
+        raise DecodeError(f"{path}: {error.strerror or error}, expected a stitching session") from None
+    except (ValueError, RecursionError) as error:  # msgspec's are ValueErrors
+        raise DecodeError(f"{path}: {shown(str(error))}, expected a stitching session") from None
+    if not 1 <= info.version <= VERSION:
+        raise DecodeError(f"{path}: found version {info.version}, expected {VERSION}")
+    if info.version >= 2 and info.crc32 != _crc32(info):
+        raise DecodeError(f"{path}: damaged: its checksum is {_crc32(info)}, {info.crc32} is stored in it")
+    return msgspec.structs.replace(info, crc32=0)
+
+
+def _crc32(info: SessionInfo) -> int:
+    return zlib.crc32(msgspec.json.encode(msgspec.structs.replace(info, crc32=0)))
+
+
+def _json(info: SessionInfo) -> bytes:
+    info = msgspec.structs.replace(info, version=VERSION)
+    return msgspec.json.format(msgspec.json.encode(msgspec.structs.replace(info, crc32=_crc32(info)))) + b"\n"
+
+
+def _free_name(path: Path) -> Path:
+    number = 1
+    while (beside := path.with_name(f"{path.name}.damaged-{number}")).exists():
+        number += 1
+    return beside
+
+
+def _keep(path: Path, beside: Path) -> None:
+    """Give a file a second name; a copy where the file system has no links."""
+    try:
+        os.link(path, beside)
+    except OSError:
+        shutil.copyfile(path, beside)
+        sync(beside)
+
+
+def _presses(data: bytes | mmap.mmap) -> Iterator[tuple[PressPoints, Rigid, int, int]]:
+    """Every whole press, wherever it begins and ends."""
+    start = data.find(_MAGIC)
+    while start >= 0:
+        end = start + _HEAD.size
+        if len(data) >= end:
+            _, size, crc32 = _HEAD.unpack_from(data, start)
+            end += size
+        press = None
+        if start + _HEAD.size <= end <= len(data):
+            press = _press(data, start + _HEAD.size, end, crc32)
+        if press is not None:
+            yield (*press, start, end)
+        start = data.find(_MAGIC, end if press is not None else start + 1)
+
+
+def _press(data: bytes | mmap.mmap, start: int, end: int, crc32: int) -> tuple[PressPoints, Rigid] | None:
+    """What a checked body holds; None where it is damaged, or holds what no press is."""
+    rest = end - start - 8 * _POSE_VALUES
+    if not 0 <= rest <= 4 * _POINT_VALUES * _PRESS_POINTS_MAX or rest % (4 * _POINT_VALUES):
+        return None
+    body = memoryview(data)[start:end]
+    if zlib.crc32(body) != crc32:
+        return None
+    pose = np.frombuffer(body, "<f8", _POSE_VALUES).astype(np.float64)
+    columns = np.frombuffer(body, "<f4", offset=8 * _POSE_VALUES).reshape(-1, _POINT_VALUES).astype(np.float32)
+    if not (np.abs(pose) <= _MOST_MM).all() or not (np.abs(columns) <= _MOST_MM).all():
+        return None
+    points_mm, normals, confidence = (
+        np.ascontiguousarray(part) for part in (columns[:, :3], columns[:, 3:6], columns[:, 6])
+    )
+    return PressPoints(points_mm, normals, confidence), Rigid(pose[:9].reshape(3, 3), pose[9:])

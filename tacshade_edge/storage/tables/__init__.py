@@ -1,0 +1,1 @@
+"""Tables of presses, labels, poses and frames; the folder that `capture` fills."""

@@ -1,0 +1,253 @@
+"""The folder that ``tacshade-edge capture`` fills, and that ``calibrate`` and ``run`` read as it is."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+
+from tacshade_edge.core.calibration.indenters.indenter import Indenter
+from tacshade_edge.core.calibration.inputs import KnownPress
+from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.storage.images import read_image
+from tacshade_edge.storage.tables.presses import BALL, HEADER, MORE, press_rows
+from tacshade_edge.storage.tables.tables import number, read_rows
+from tacshade_edge.storage.whole_files import disk_errors, write_whole
+from tacshade_edge.types import U8
+
+SENSOR, SETTINGS, PRESSES, INDENTERS = "SENSOR.yaml", "config.yaml", "PRESSES.csv", "INDENTERS.yaml"
+PRINTER = "PRINTER.yaml"
+REFERENCES = "reference_*.png"
+
+_PNG_OPTIONS = (cv2.IMWRITE_PNG_COMPRESSION, 3)
+
+
+@dataclass(frozen=True, slots=True)
+class Stated:
+    """What is stated of a press: the columns of PRESSES.csv but the image, as text."""
+
+    columns: tuple[str, ...]
+
+    def __str__(self) -> str:
+        indenter, radius_mm, depth_mm, x_mm, y_mm, *more = self.columns
+        size = f" of {radius_mm} mm" if radius_mm else ""
+        place = f" at x {x_mm}, y {y_mm} mm" if x_mm else ""
+        rest = "".join(f", {name} {text}" for name, text in zip(MORE, more, strict=False) if text)
+        return f"{indenter}{size}, {depth_mm} mm deep{place}{rest}"
+
+
+@dataclass(frozen=True, slots=True)
+class TakenPress:
+    """A row of PRESSES.csv."""
+
+    image: str
+    stated: Stated
+
+    @property
+    def number(self) -> int:
+        """As in its image's name; 0 of a name that is not ours."""
+        digits = self.image.removeprefix("press_").removesuffix(".png")
+        return int(digits) if digits.isascii() and digits.isdecimal() else 0
+
+
+def stated(where: str, columns: Sequence[str], names: Collection[str], skin_radius_mm: float) -> Stated:
+    """Check what is stated of a press.
+
+    Parameters
+    ----------
+    where : str
+        For messages.
+    columns : sequence of str
+        ``indenter, radius_mm, depth_mm, x_mm, y_mm`` and those of `MORE`, or none of these.
+    names : collection of str
+        Indenters besides the ball.
+    skin_radius_mm : float
+
+    Raises
+    ------
+    ConfigError
+        ``WHERE: column: found …, expected …``.
+    """
+    indenter, radius_text, depth_text, x_text, y_text, *more = columns
+    if indenter != BALL and indenter not in names:
+        raise ConfigError(f"{where}: indenter: found {indenter!r}, expected {' or '.join((BALL, *sorted(names)))}")
+    if indenter != BALL and radius_text:
+        raise ConfigError(f"{where}: radius_mm: found {radius_text!r}, expected nothing: {INDENTERS} has it")
+    if indenter == BALL and not number(where, "radius_mm", radius_text) > 0:
+        raise ConfigError(f"{where}: radius_mm: found {radius_text}, expected a number above 0")
+    if not 0 < number(where, "depth_mm", depth_text) < skin_radius_mm:
+        expected = f"a number above 0 and below the skin's radius of {skin_radius_mm:g} mm"
+        raise ConfigError(f"{where}: depth_mm: found {depth_text}, expected {expected}")
+    if (x_text == "") != (y_text == ""):
+        raise ConfigError(f"{where}: x_mm, y_mm: found one of them, expected both or none")
+    if x_text and not number(where, "x_mm", x_text) ** 2 + number(where, "y_mm", y_text) ** 2 < skin_radius_mm**2:
+        expected = f"a place over the skin, whose radius is {skin_radius_mm:g} mm"
+        raise ConfigError(f"{where}: x_mm, y_mm: found {x_text}, {y_text}, expected {expected}")
+    for name, text in zip(MORE, more, strict=False):
+        if text:
+            number(where, name, text)
+    return Stated(tuple(columns))
+
+
+def known_press(name: str, image: U8, press: Stated, names: Mapping[str, Indenter | float]) -> KnownPress:
+    """A press that `stated` has checked, as `calibrate` takes it; `names` are the indenters besides the ball."""
+    indenter, radius_text, depth_text, x_text, y_text, *more = press.columns
+    known = names.get(indenter)
+    ball_mm = known if isinstance(known, float) else 0.0
+    angles = [float(text or 0) for text in more[:3]] + [0.0] * (3 - len(more[:3]))
+    return KnownPress(
+        name,
+        image,
+        float(radius_text) if indenter == BALL else ball_mm,
+        float(depth_text),
+        float(x_text) if x_text else None,
+        float(y_text) if y_text else None,
+        known if isinstance(known, Indenter) else None,
+        *angles,
+    )
+
+
+def read_plan(path: Path, names: Collection[str], skin_radius_mm: float) -> tuple[Stated, ...]:
+    """Read presses to be taken, from a table like PRESSES.csv whose images do not matter.
+
+    Raises
+    ------
+    ConfigError
+        ``FILE:LINE: column: found …, expected …``.
+    """
+    rows, _ = press_rows(path)
+    if not rows:
+        raise ConfigError(f"{path}: found no press, expected a row for each")
+    cells = [(where, [row.get(column, "").strip() for column in (*HEADER, *MORE)]) for where, row in rows]
+    return tuple(stated(where, _columns(row[1:]), names, skin_radius_mm) for where, row in cells)
+
+
+def _columns(cells: Sequence[str]) -> tuple[str, ...]:
+    """Without those of `MORE`, where all are empty."""
+    least = len(HEADER) - 1
+    return tuple(cells) if any(cells[least:]) else tuple(cells[:least])
+
+
+class CaptureFolder:
+    """The folder; every change is whole on the disk when the call returns, or a DeviceError.
+
+    Parameters
+    ----------
+    path : Path
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @property
+    def sensor(self) -> Path:
+        """SENSOR.yaml."""
+        return self.path / SENSOR
+
+    @property
+    def settings(self) -> Path:
+        """The daemon's settings, with the camera as it was set."""
+        return self.path / SETTINGS
+
+    @property
+    def presses(self) -> Path:
+        """PRESSES.csv."""
+        return self.path / PRESSES
+
+    @property
+    def indenters(self) -> Path:
+        """INDENTERS.yaml, which may be missing."""
+        return self.path / INDENTERS
+
+    @property
+    def printer(self) -> Path:
+        """PRINTER.yaml, of a machine that presses."""
+        return self.path / PRINTER
+
+    def make(self) -> None:
+        """Make the folder where there is none."""
+        with disk_errors(self.path):
+            self.path.mkdir(parents=True, exist_ok=True)
+
+    def write(self, path: Path, text: str) -> None:
+        """Write a text file."""
+        with disk_errors(self.path):
+            write_whole(path, text.encode())
+
+    def references(self) -> list[U8]:
+        """Those that were taken. Raises ConfigError."""
+        try:
+            return [read_image(path) for path in sorted(self.path.glob(REFERENCES))]
+        except DecodeError as error:
+            raise ConfigError(f"{error}; delete it to take the references again") from None
+
+    def write_references(self, images: Sequence[U8]) -> None:
+        """Replace them; an end in between leaves fewer than were asked for, and never two sets."""
+        with disk_errors(self.path):
+            for path in self.path.glob(REFERENCES):
+                path.unlink()
+            for k, image in enumerate(images):
+                write_whole(self.path / f"reference_{k:02d}.png", _png(image))
+
+    def picture(self, press: TakenPress) -> U8:
+        """The image of a press. Raises ConfigError."""
+        try:
+            return read_image(self.path / press.image)
+        except DecodeError as error:
+            raise ConfigError(str(error)) from None
+
+    def taken(self) -> list[TakenPress]:
+        """The rows of PRESSES.csv; none without a table.
+
+        Raises
+        ------
+        ConfigError
+            ``FILE:LINE: …``.
+        """
+        if not self.presses.exists():
+            return []
+        taken = []
+        for where, (image, *columns) in read_rows(self.presses, HEADER, "presses", more=MORE):
+            if not (self.path / image).is_file():
+                raise ConfigError(f"{where}: image: found no file {image}, expected it beside the table")
+            taken.append(TakenPress(image, Stated(_columns(columns))))
+        return taken
+
+    def add(self, taken: Sequence[TakenPress], image: U8, press: Stated) -> TakenPress:
+        """Write a press after those that were taken: first its image, then the table."""
+        added = TakenPress(f"press_{next_number(taken):03d}.png", press)
+        with disk_errors(self.path):
+            write_whole(self.path / added.image, _png(image))
+            write_whole(self.presses, _table([*taken, added]))
+        return added
+
+    def remove(self, taken: Sequence[TakenPress], removed: TakenPress) -> None:
+        """Take a press out of the table, then delete its image."""
+        with disk_errors(self.path):
+            write_whole(self.presses, _table([one for one in taken if one is not removed]))
+            (self.path / removed.image).unlink()
+
+
+def next_number(taken: Sequence[TakenPress]) -> int:
+    """Of the press that comes after these."""
+    return max((one.number for one in taken), default=0) + 1
+
+
+def _png(image: U8) -> bytes:
+    return bytes(cv2.imencode(".png", image, _PNG_OPTIONS)[1].tobytes())
+
+
+def _table(rows: Sequence[TakenPress]) -> bytes:
+    least = len(HEADER) - 1
+    wide = any(len(row.stated.columns) > least for row in rows)
+    stream = io.StringIO(newline="")
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(HEADER + MORE if wide else HEADER)
+    for row in rows:
+        empty = ("",) * (len(MORE) if wide and len(row.stated.columns) == least else 0)
+        writer.writerow((row.image, *row.stated.columns, *empty))
+    return stream.getvalue().encode()

@@ -1,0 +1,154 @@
+"""The table beside the frames of a recording: their order, time stamps and poses."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import overload
+
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.quoting import quoted
+from tacshade_edge.storage.tables.tables import CRC_COLUMN, iter_rows, number
+from tacshade_edge.storage.whole_files import part
+from tacshade_edge.types import Pose
+
+HEADER = ("image", "t_ns", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
+ERROR_COLUMN = "pose_error_us"
+MORE = (ERROR_COLUMN, CRC_COLUMN)  # may be missing: older tables have none of them, or the first
+TABLE_NAME = "frames.csv"
+T_NS_MAX = 2**62  # a looped recording goes on from here, and the wire holds 64 bits
+ROWS_MAX = 1 << 21  # 9.7 h at 60 frames/s; 150 bytes of memory each
+UNIT_TOLERANCE = 1e-3
+ERROR_US_MAX = 2**32 - 1  # as on the wire
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One line of the table; `pose_error_us` is how far from `t_ns` the pose is known."""
+
+    image: str
+    t_ns: int
+    pose: Pose | None
+    pose_error_us: int = 0
+
+
+class FrameTable(Sequence[Row]):
+    """The rows of a table, packed: a row of its own for each would take three times the memory.
+
+    Attributes
+    ----------
+    damaged : int
+        How many lines were left out because their checksum is not theirs.
+    first_damaged : str
+        ``FILE:LINE`` of the first of them; empty where none was.
+    """
+
+    def __init__(self) -> None:
+        self.damaged = 0
+        self.first_damaged = ""
+        self._images: list[str] = []
+        self._t_ns = array("q")
+        self._poses = array("d")
+        self._errors_us = array("q")  # -1 without a pose
+
+    def append(self, row: Row) -> None:
+        """Add one at the end."""
+        pose = row.pose
+        values = (pose.x_mm, pose.y_mm, pose.z_mm, pose.qw, pose.qx, pose.qy, pose.qz) if pose else (0.0,) * 7
+        self._images.append(row.image)
+        self._t_ns.append(row.t_ns)
+        self._poses.extend(values)
+        self._errors_us.append(row.pose_error_us if pose else -1)
+
+    @property
+    def damage(self) -> str:
+        """What was left out, for a person; empty where nothing was."""
+        if not self.damaged:
+            return ""
+        lines = "a damaged line is" if self.damaged == 1 else f"{self.damaged} damaged lines are"
+        return f"{self.first_damaged}: {lines} left out, with their frames; the checksum is not theirs"
+
+    def __len__(self) -> int:
+        """How many."""
+        return len(self._images)
+
+    @overload
+    def __getitem__(self, index: int) -> Row: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> list[Row]: ...
+
+    def __getitem__(self, index: int | slice) -> Row | list[Row]:
+        """One row, or a list of some."""
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        at = range(len(self))[index]
+        t_ns, error_us = self._t_ns[at], self._errors_us[at]
+        pose = None if error_us < 0 else Pose(t_ns, *self._poses[7 * at : 7 * at + 7])
+        return Row(self._images[at], t_ns, pose, max(error_us, 0))
+
+
+def table_in(folder: Path) -> Path | None:
+    """The table of a folder of frames, or the ``.part`` that a writer who died has left; None without one."""
+    table = folder / TABLE_NAME
+    return next((path for path in (table, part(table)) if path.exists()), None)
+
+
+def read_table(path: Path, *, cut_off: bool = False) -> FrameTable:
+    """Read ``image,t_ns,x_mm,y_mm,z_mm,qw,qx,qy,qz``; the seven columns of the pose may be empty, all or none.
+
+    ``pose_error_us`` may follow: empty is 0. ``crc32`` may follow that: lines with a wrong one are left out, counted.
+
+    `cut_off` leaves out a last line without an end: of a recording whose writer died.
+
+    Raises
+    ------
+    ConfigError
+        ``FILE:LINE: column: found …, expected …``; time stamps that do not increase; no row, or more than `ROWS_MAX`.
+    """
+    rows = FrameTable()
+    last_ns = -1
+
+    def leave_out(where: str) -> None:
+        rows.damaged += 1
+        rows.first_damaged = rows.first_damaged or where
+
+    read = iter_rows(path, HEADER, "frames", more=MORE, cut_off=cut_off, rows_max=ROWS_MAX, on_damage=leave_out)
+    for where, columns in read:
+        row = _row(where, columns)
+        if row.t_ns <= last_ns:
+            raise ConfigError(f"{where}: t_ns: found {row.t_ns}, expected more than {last_ns} of the row before")
+        rows.append(row)
+        last_ns = row.t_ns
+    if not rows:
+        damage = f" ({rows.damage})" if rows.damage else ""
+        raise ConfigError(f"{path}: found no row, expected one for each frame{damage}")
+    return rows
+
+
+def _row(where: str, columns: list[str]) -> Row:
+    name, time, *pose = columns[: len(HEADER)]
+    error = "".join(columns[len(HEADER) :])
+    if not name:
+        raise ConfigError(f"{where}: image: found nothing, expected a file's name, or a frame's number in a video")
+    if not _whole(time, T_NS_MAX):
+        raise ConfigError(f"{where}: t_ns: found {quoted(time)}, expected a whole number from 0 to 2^62")
+    empty = [text == "" for text in pose]
+    if error and not (_whole(error, ERROR_US_MAX) and not all(empty)):
+        expected = "nothing, as there is no pose" if all(empty) else "a whole number from 0 to 2^32 - 1, or nothing"
+        raise ConfigError(f"{where}: {ERROR_COLUMN}: found {quoted(error)}, expected {expected}")
+    if all(empty):
+        return Row(name, int(time), None)
+    if any(empty):
+        raise ConfigError(f"{where}: x_mm to qz: found {7 - sum(empty)} of the 7, expected all or none")
+    values = [number(where, column, text) for column, text in zip(HEADER[2:], pose, strict=True)]
+    if abs((norm := math.hypot(*values[3:])) - 1) > UNIT_TOLERANCE:
+        raise ConfigError(f"{where}: qw, qx, qy, qz: found the norm {norm:.4g}, expected a unit quaternion")
+    return Row(name, int(time), Pose(int(time), *values), int(error or "0"))
+
+
+def _whole(text: str, most: int) -> bool:
+    return text.isascii() and text.isdecimal() and len(text) < 20 and int(text) <= most

@@ -1,0 +1,86 @@
+"""INDENTERS.yaml and its meshes to indenters, for ``tacshade-edge calibrate``; and a folder of those to print."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import yaml
+
+from tacshade_edge.core.calibration.indenters import indenter as shapes
+from tacshade_edge.core.calibration.indenters.indenter import Indenter
+from tacshade_edge.core.calibration.indenters.printable import planned_presses, printables
+from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.settings.indenters_file import IndenterEntry, read_indenters_file
+from tacshade_edge.storage.meshes.stl import read_stl, stl_bytes
+from tacshade_edge.storage.tables.presses import HEADER
+from tacshade_edge.storage.whole_files import disk_errors, write_whole
+
+# A mesh has one side within these, mm: another size is one in metres or inches, or a mistake.
+_LEAST_MM, _MOST_MM = 0.5, 500.0
+
+
+def read_indenters(path: Path) -> dict[str, Indenter | float]:
+    """Read the file and its meshes (relative to it): name to indenter, or to the radius of a ball in mm.
+
+    Raises
+    ------
+    ConfigError
+        ``FILE:LINE: NAME.key: found …, expected …``.
+    """
+    return {name: _indenter(path, name, *entry) for name, entry in read_indenters_file(path).items()}
+
+
+def write_printables(folder: Path) -> list[Path]:
+    """Write an STL file for each of `printables`, their INDENTERS.yaml, and a plan of presses, PLAN.csv.
+
+    Raises
+    ------
+    ConfigError
+        There is one of the tables, which may be a person's own.
+    DeviceError
+        The folder cannot be written.
+    """
+    table, plan = folder / "INDENTERS.yaml", folder / "PLAN.csv"
+    for path in (table, plan):
+        if path.exists():
+            raise ConfigError(f"{path}: found one, expected none: it is not replaced")
+    written = []
+    with disk_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        for each in printables():
+            written.append(folder / f"{each.name}.stl")
+            write_whole(written[-1], stl_bytes(each.triangles_mm))
+        entries = {each.name: dict(each.entry) for each in printables()}
+        write_whole(table, yaml.safe_dump(entries, sort_keys=False, default_flow_style=None).encode())
+        rows = (f",{p.name},,{p.depth_mm},{p.x_mm},{p.y_mm}\n" for p in planned_presses())
+        write_whole(plan, "".join((",".join(HEADER) + "\n", *rows)).encode())
+    return [*written, table, plan]
+
+
+def _indenter(path: Path, name: str, where: str, entry: IndenterEntry) -> Indenter | float:
+    match entry:
+        case IndenterEntry(shape="ball", radius_mm=float(radius_mm)):
+            return radius_mm
+        case IndenterEntry(shape="cylinder", radius_mm=float(radius_mm)):
+            return shapes.cylinder(name, radius_mm)
+        case IndenterEntry(shape="box", length_mm=float(length_mm), width_mm=float(width_mm)):
+            return shapes.box(name, length_mm, width_mm)
+        case IndenterEntry(shape="bar", radius_mm=float(radius_mm), length_mm=float(length_mm)):
+            return shapes.bar(name, radius_mm, length_mm)
+        case IndenterEntry(shape="cone", angle_deg=float(angle_deg)):
+            return shapes.cone(name, angle_deg)
+        case IndenterEntry(shape="mesh", file=str(file)):
+            return _mesh(path.parent / file, name, where)
+    raise AssertionError(entry)  # what a shape needs was checked
+
+
+def _mesh(path: Path, name: str, where: str) -> Indenter:
+    try:
+        triangles_mm = read_stl(path)
+    except DecodeError as error:
+        raise ConfigError(f"{where}: {name}.file: {error}") from None
+    size_mm = float((triangles_mm.max(axis=(0, 1)) - triangles_mm.min(axis=(0, 1))).max())
+    if not _LEAST_MM <= size_mm <= _MOST_MM:
+        expected = f"expected {_LEAST_MM} to {_MOST_MM:g} mm: an STL file has no unit, mm are read"
+        raise ConfigError(f"{where}: {name}.file: {path}: found a greatest size of {size_mm:.3g}, {expected}")
+    return shapes.mesh(name, triangles_mm)

@@ -1,0 +1,57 @@
+"""POSES.csv: where the robot's flange was when each image was taken, for ``tacshade-edge stitch``."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.rigid import Rigid, from_seven
+from tacshade_edge.storage.tables.tables import iter_rows, number
+
+HEADER = ("image", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
+ROWS_MAX = 100_000
+_UNIT = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class PosedImage:
+    """A line of the table.
+
+    Attributes
+    ----------
+    where : str
+        ``FILE:LINE``.
+    path : Path
+        Of the image.
+    base_T_flange : Rigid
+    """
+
+    where: str
+    path: Path
+    base_T_flange: Rigid
+
+
+def read_poses(path: Path) -> list[PosedImage]:
+    """Read the table; images are relative to it and are not read yet.
+
+    Raises
+    ------
+    ConfigError
+        ``FILE:LINE: column: found …, expected …``; a table without a line.
+    """
+    found = [_posed(path, where, row) for where, row in iter_rows(path, HEADER, "poses", rows_max=ROWS_MAX)]
+    if not found:
+        raise ConfigError(f"{path}: found no pose, expected a line for each image")
+    return found
+
+
+def _posed(path: Path, where: str, row: list[str]) -> PosedImage:
+    values = [number(where, column, text) for column, text in zip(HEADER[1:], row[1:], strict=True)]
+    norm = math.hypot(*values[3:])
+    if abs(norm - 1) > _UNIT:
+        raise ConfigError(f"{where}: qw, qx, qy, qz: found a quaternion of length {norm:.4g}, expected 1")
+    if not row[0]:
+        raise ConfigError(f"{where}: image: found nothing, expected a file")
+    return PosedImage(where, path.parent / row[0], from_seven(values))

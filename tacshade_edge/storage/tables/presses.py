@@ -1,0 +1,131 @@
+"""PRESSES.csv: known presses, for ``tacshade-edge calibrate``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from tacshade_edge.core.calibration.indenters.indenter import Indenter
+from tacshade_edge.core.calibration.inputs import KnownPress
+from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.quoting import quoted, shown
+from tacshade_edge.storage.images import read_image
+from tacshade_edge.storage.tables.tables import number, read_columns
+
+BALL = "ball"
+"""The indenter that needs no entry in INDENTERS.yaml."""
+
+HEADER = ("image", "indenter", "radius_mm", "depth_mm", "x_mm", "y_mm")
+MORE = ("yaw_deg", "tilt_x_deg", "tilt_y_deg", "shear_x_mm", "shear_y_mm")
+"""Columns that a table may have too; an empty cell is 0."""
+
+_YAW_MOST_DEG, _TILT_MOST_DEG = 360.0, 60.0
+
+
+def read_presses(
+    path: Path, indenters: Mapping[str, Indenter | float] | None = None
+) -> tuple[list[KnownPress], tuple[str, ...]]:
+    """Read the table and its images (relative to the table).
+
+    Parameters
+    ----------
+    path : Path
+    indenters : mapping of str to Indenter or float, optional
+        Those of INDENTERS.yaml; a float is a ball's radius in mm.
+
+    Returns
+    -------
+    presses : list of KnownPress
+    notes : tuple of str
+        What a person should know of the table, a line each.
+
+    Raises
+    ------
+    ConfigError
+        ``FILE:LINE: column: found …, expected …``, or an image that cannot be read.
+    """
+    rows, notes = press_rows(path)
+    return [_press(path, where, row, indenters or {}) for where, row in rows], notes
+
+
+def press_rows(path: Path) -> tuple[list[tuple[str, dict[str, str]]], tuple[str, ...]]:
+    """Cells of the table's rows by column, numbers with a decimal point, each with ``FILE:LINE``; and notes on them.
+
+    Raises
+    ------
+    ConfigError
+        No such table.
+    """
+    table = read_columns(path, HEADER, MORE, "presses")
+    notes: tuple[str, ...] = ()
+    if table.unknown:
+        names = ", ".join(shown(name or "one without a name", 40) for name in table.unknown[:10])
+        notes = (f"{path}: columns that are not known are ignored: {names}",)
+    if table.decimal_comma:
+        numbers = {*HEADER[2:], *MORE}
+        rows = [
+            (where, {k: v.replace(",", ".") if k in numbers else v for k, v in row.items()})
+            for where, row in table.rows
+        ]
+    else:
+        rows = list(table.rows)
+    return rows, notes
+
+
+def _press(path: Path, where: str, row: dict[str, str], indenters: Mapping[str, Indenter | float]) -> KnownPress:
+    name = row["indenter"]
+    if name != BALL and name not in indenters:
+        others = f" or one of INDENTERS.yaml: {', '.join(indenters)}" if indenters else " (others need --indenters)"
+        raise ConfigError(f"{where}: indenter: found {quoted(name)}, expected ball{others}")
+    indenter = None if name == BALL else indenters[name]
+    if indenter is not None and row["radius_mm"].strip():
+        raise ConfigError(
+            f"{where}: radius_mm: found {quoted(row['radius_mm'])}, expected nothing: INDENTERS.yaml has its size"
+        )
+    place = [row[column].strip() for column in ("x_mm", "y_mm")]
+    if (place[0] == "") != (place[1] == ""):
+        raise ConfigError(f"{where}: x_mm, y_mm: found one of them, expected both or none")
+    if isinstance(indenter, Indenter) and not place[0]:
+        raise ConfigError(f"{where}: x_mm, y_mm: found nothing, expected both: only a ball is located, {name} is none")
+    try:
+        image = read_image(path.parent / row["image"])
+    except DecodeError as error:
+        raise ConfigError(f"{where}: image: {error}") from None
+    angles = [
+        _within(where, row, "yaw_deg", _YAW_MOST_DEG),
+        _within(where, row, "tilt_x_deg", _TILT_MOST_DEG),
+        _within(where, row, "tilt_y_deg", _TILT_MOST_DEG),
+    ]
+    # x and y are as pictured: the drag says nothing of where the indenter is, but must be a number.
+    for column in MORE[3:]:
+        _optional(where, row, column)
+    if indenter is None:
+        radius_mm = number(where, "radius_mm", row["radius_mm"])
+    else:
+        radius_mm = 0.0 if isinstance(indenter, Indenter) else indenter
+    return KnownPress(
+        name=f"{where}: {row['image']}",
+        image=image,
+        radius_mm=radius_mm,
+        depth_mm=number(where, "depth_mm", row["depth_mm"]),
+        x_mm=number(where, "x_mm", place[0]) if place[0] else None,
+        y_mm=number(where, "y_mm", place[1]) if place[1] else None,
+        indenter=indenter if isinstance(indenter, Indenter) else None,
+        yaw_deg=angles[0],
+        tilt_x_deg=angles[1],
+        tilt_y_deg=angles[2],
+    )
+
+
+def _optional(where: str, row: dict[str, str], column: str) -> float:
+    text = row.get(column, "").strip()
+    return number(where, column, text) if text else 0.0
+
+
+def _within(where: str, row: dict[str, str], column: str, most: float) -> float:
+    value = _optional(where, row, column)
+    if abs(value) > most:
+        raise ConfigError(
+            f"{where}: {column}: found {quoted(row[column])}, expected a number from -{most:g} to {most:g}"
+        )
+    return value

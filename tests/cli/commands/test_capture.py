@@ -1,0 +1,168 @@
+"""A person who presses the simulated sensor."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+
+import pytest
+
+from tacshade_edge.cli import main
+from tacshade_edge.core.calibration.calibrate import calibrate
+from tacshade_edge.rigid import shift, turn
+from tacshade_edge.settings import load
+from tacshade_edge.settings.sensor_file import read_sensor
+from tacshade_edge.simulator.model import SensorModel
+from tacshade_edge.storage.tables.capture_folder import CaptureFolder
+from tacshade_edge.storage.tables.presses import read_presses
+from tools.testbed.patience import wait_until
+from tools.testbed.person import person
+from tools.testbed.robot import PtyRobot
+
+SENSOR = "skin_radius_mm: 20\nvisible_half_angle_deg: 50\ncamera_distance_mm: 14\npolarity: bright\n"
+SOURCE = "source: {kind: simulated, fps: 20, pressed: hand.csv}\n"
+
+
+def press(folder: Path, row: str = "") -> None:
+    beside = folder / "hand.part"
+    beside.write_text(f"indenter,radius_mm,depth_mm,x_mm,y_mm\n{row}\n")
+    os.replace(beside, folder / "hand.csv")
+
+
+@pytest.mark.slow
+def test_from_an_empty_folder_to_what_calibrate_reads(tmp_path: Path) -> None:
+    config, plan, out = tmp_path / "sim.yaml", tmp_path / "PLAN.csv", tmp_path / "my sensor"
+    config.write_text(SOURCE)
+    plan.write_text("image,indenter,radius_mm,depth_mm,x_mm,y_mm\n,ball,6,2.5,1,-3\n,ball,4,2,-5,2\n")
+    press(tmp_path)
+    with person(str(out), "--config", str(config), "--plan", str(plan)) as one:
+        one.hears("Radius of the undeformed skin")
+        one.types("0.02")
+        one.hears("skin_radius_mm: found 0.02, expected a number from 1 to 200")
+        model = SensorModel()
+        for answer in (model.skin_radius_mm, model.visible_half_angle_deg, model.camera_distance_mm, "bright"):
+            one.types(str(answer))
+        one.hears("the picture: http://127.0.0.1:")
+        one.hears("Enter takes 10 references.")
+        one.hears("focus 0.")
+        press(tmp_path, "ball,6,2.5,9,0")
+        one.types("")
+        one.hears("refused: ")  # by whichever of the checks sees it: moving or loaded
+        press(tmp_path)
+        one.hears("Enter takes 10 references.")
+        one.types("")
+        one.hears("10 references, noise")
+        one.hears("press 1, 2 planned are left [ball of 6 mm, 2.5 mm deep at x 1, y -3 mm]:")
+        one.types("")
+        one.hears("not taken: nothing touches the skin")
+        press(tmp_path, "ball,6,2.5,1,-3")
+        one.types("")
+        one.hears("press_001.png: ball of 6 mm")
+        one.types("undo")
+        one.hears("press_001.png is taken back")
+        one.types("ball 12 2.5 1 -3")
+        one.hears("press_001.png: ball of 12 mm")
+        one.hears("looks like a ball of ")
+        one.hears("mm; is 12 its diameter? (undo takes it back)")
+        one.types("undo")
+        one.hears("press_001.png is taken back")
+        one.types("skip")
+        one.types("ball 6 2.5 1 15 15")
+        one.hears("found 4 numbers after the indenter")
+        one.types("")
+        one.hears("press_001.png: ball of 6 mm")
+        one.hears("press 2, 1 planned are left [ball of 4 mm")
+        one.process.terminate()
+        one.ends()
+    with person(str(out), "--plan", str(plan)) as one:  # goes on, with the same camera
+        one.hears("10 references and 1 presses are here already")
+        one.hears("press 2, 1 planned are left [ball of 4 mm, 2 mm deep at x -5, y 2 mm]:")
+        one.types("skip")
+        one.hears("all planned presses are taken")
+        one.types("2.5 1 -3")
+        one.hears("press_002.png: ball of 6 mm, 2.5 mm deep at x 1, y -3 mm")
+        one.hears("next helps most a press around x ")
+        one.hears("one ball radius, 6 mm")
+        one.types("done")
+        assert one.ends() == 0
+        assert f"--sensor '{out}'/SENSOR.yaml --reference '{out}'/reference_*.png --out" in one.heard
+    folder = CaptureFolder(out)
+    presses, _ = read_presses(folder.presses)
+    assert [(one.radius_mm, one.depth_mm, one.x_mm, one.y_mm) for one in presses] == [(6, 2.5, 1, -3)] * 2
+    assert load(folder.settings).settings.calibration == str(out / "calibration.npz")
+    calibrate(read_sensor(folder.sensor), folder.references())
+
+
+@pytest.mark.slow
+def test_a_robot_tells_place_and_depth(tmp_path: Path) -> None:
+    """It holds the sensor, turned and off its flange, and presses it on a ball that stands still."""
+    link, config, out = Path(f"/dev/shm/tacshade-capture-{os.getpid()}"), tmp_path / "sim.yaml", tmp_path / "out"
+    config.write_text(f"{SOURCE}serial: {{device: {link}}}\n")
+    model, flange_T_sensor = SensorModel(), shift(0, 5, 80) @ turn((0, 0, 0.5))
+    out.mkdir()
+    (out / "SENSOR.yaml").write_text(
+        f"skin_radius_mm: {model.skin_radius_mm}\nvisible_half_angle_deg: {model.visible_half_angle_deg}\n"
+        f"camera_distance_mm: {model.camera_distance_mm}\npolarity: bright\n"
+        f"flange_T_sensor: {list(map(float, flange_T_sensor.seven()))}\n"
+    )
+    held = shift(300, -20, 150) @ turn((2.0, 0.3, 0)) @ flange_T_sensor
+    moved = held @ shift(-3, 1.5, 0.5)
+    flange = [(one @ flange_T_sensor.inverse()).seven() for one in (held, moved)]
+    skin_z_mm = [math.sqrt(model.skin_radius_mm**2 - x * x - y * y) for x, y in ((1, -3), (4, -4.5))]
+    depth_mm = f"{2.5 + 0.5 + skin_z_mm[1] - skin_z_mm[0]:.3f}"
+    place = flange[0]
+    press(tmp_path)
+    with (
+        PtyRobot(link, rate_hz=50, binary=True, where=lambda _: place) as robot,
+        person(str(out), "--config", str(config)) as one,
+    ):
+        one.hears("Enter takes 10 references.")
+        one.types("")
+        one.hears("press 1 (ball")
+        robot.ask("CAPTURE")
+        wait_until(lambda: any(" UNCALIBRATED " in reply for reply in robot.replies.values()), 10, "the refusal")
+        press(tmp_path, "ball,6,2.5,1,-3")
+        one.types("ball 6")
+        one.hears("no press of ball with depth, x and y was typed")
+        one.types("ball 6 2.5 1 -3")
+        one.hears("press_001.png: ball of 6 mm, 2.5 mm deep at x 1, y -3 mm")
+        one.hears("press 2 [ball 6, where the robot holds it]:")
+        place = flange[1]
+        press(tmp_path, f"ball,6,{depth_mm},4,-4.5")
+        one.types("")
+        one.hears("press_002.png: ball of 6 mm, ")
+        one.types("undo")
+        one.hears("press 2 [ball 6, where the robot holds it]:")
+        one.types("ball 6")
+        one.hears("press_002.png: ball of 6 mm, ")
+        robot.unplug()
+        one.types("")
+        one.hears("not taken: the robot told no pose for this picture (/dev/shm/tacshade-capture-")
+        one.types("done")
+        assert one.ends() == 0
+    link.unlink(missing_ok=True)
+    told = CaptureFolder(out).taken()[1].stated.columns
+    assert [float(text) for text in told[1:]] == pytest.approx([6, float(depth_mm), 4, -4.5], abs=0.002)
+    assert load(out / "config.yaml").settings.serial is not None
+
+
+def test_what_cannot_work_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    config = tmp_path / "sim.yaml"
+    config.write_text(SOURCE)
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "SENSOR.yaml").write_text(SENSOR)
+    (tmp_path / "PLAN.csv").write_text("image,indenter\n")
+    (tmp_path / "none.yaml").write_text("source: {kind: files, path: nothing}\n")
+    cases = {
+        "PLAN.csv:1: found the header": ["--config", str(config), "--plan", str(tmp_path / "PLAN.csv")],
+        "found nothing, expected a folder of images": ["--config", str(tmp_path / "none.yaml")],
+        "--camera /dev/none: expected the camera of": ["--camera", "/dev/none"],
+    }
+    (out / "config.yaml").write_text(SOURCE)
+    for said, words in cases.items():
+        assert main(["capture", str(out), *words]) == 78
+        error = capfd.readouterr().err
+        assert error.count("\n") == 1
+        assert said in error

@@ -1,0 +1,262 @@
+from __future__ import annotations
+
+import contextlib
+import http.client
+import json
+import math
+import os
+import pty
+import re
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tacshade_edge.demo import hand as demo_hand
+from tacshade_edge.protocol.hand import decode_hand
+from tacshade_edge.settings import load_hand
+from tools.testbed.browser import CHROMIUM, DRIVER, browser, errors
+from tools.testbed.mqtt_rig import MOSQUITTO, Subscriber
+from tools.testbed.page_client import PageClient
+from tools.testbed.patience import patience, wait_until
+
+# As on a machine without mosquitto.
+WITHOUT_MOSQUITTO = "import shutil, sys; shutil.which = lambda *a, **k: None; from tacshade_edge.cli import main; "
+COMMANDS = {
+    "mosquitto": [sys.executable, "-m", "tacshade_edge", "demo"],
+    "embedded": [sys.executable, "-c", WITHOUT_MOSQUITTO + "sys.exit(main(sys.argv[1:]))", "demo"],
+}
+ADDRESS = re.compile(r"open http://127\.0\.0\.1:(\d+)/")
+
+
+@contextlib.contextmanager
+def demo(command: list[str], folder: Path) -> Iterator[tuple[subprocess.Popen[str], int]]:
+    """A running demo and the port of its page; its temporary files are in `folder`. Killed, it leaves no process."""
+    process = subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "TMPDIR": str(folder)},
+    )
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline().startswith("Calibrating")
+        line = process.stdout.readline()
+        found = ADDRESS.search(line)
+        assert found, (line, process.poll(), process.stderr and process.poll() and process.stderr.read())
+        assert process.stdout.readline() == "Ctrl-C ends.\n"
+        yield process, int(found[1])
+    finally:
+        process.kill()
+        process.communicate()
+        wait_until(lambda: not running(folder), 10, "every process of the demo is gone")
+
+
+def running(folder: Path) -> list[str]:
+    """Command lines of the processes that were started with this folder."""
+    found = []
+    for entry in Path("/proc").glob("[0-9]*/cmdline"):
+        with contextlib.suppress(OSError):
+            line = entry.read_bytes().replace(b"\0", b" ").decode(errors="replace")
+            if str(folder) in line:
+                found.append(line)
+    return found
+
+
+def asked(page: PageClient, verb: str, body: dict[str, object]) -> dict[str, Any]:
+    """What the demo's hand answers, as the page would ask it."""
+    page.client.publish(f"tacshade/demo/req/{verb}", json.dumps({**body, "transaction": "test"}))
+
+    def answers() -> list[dict[str, Any]]:
+        told = [json.loads(m.payload) for m in list(page.messages) if m.topic.startswith("tacshade/demo/res/")]
+        return [answer for answer in told if answer["transaction"] == "test"]
+
+    wait_until(answers, 10, "the answer")
+    result: dict[str, Any] = answers()[0]["result"]
+    return result
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("broker", list(COMMANDS))
+def test_a_browser_sees_moving_maps_and_ctrl_c_leaves_nothing(broker: str, tmp_path: Path) -> None:
+    if broker == "mosquitto" and MOSQUITTO is None:
+        pytest.skip("mosquitto is not installed")
+    if broker == "embedded":
+        pytest.importorskip("iotcore")
+    with demo(COMMANDS[broker], tmp_path) as (process, port):
+        with PageClient(port) as page:
+            heights = page.wait_for_heights(20, 30)
+            recording = asked(page, "record", {"action": "start", "seconds": 5})
+            assert Path(recording["folder"]).is_relative_to(tmp_path)
+        assert running(tmp_path)
+        process.send_signal(signal.SIGINT)
+        out, errors = process.communicate(timeout=patience(20))
+        assert (process.returncode, out, errors) == (0, "", "")
+    depths = [float(np.nanmax(message.height_mm)) for message in heights]
+    assert heights[0].height_mm.shape == (112, 112)
+    assert 1.0 < max(depths) < 6.0  # 3 mm is pressed
+    assert len(set(depths)) > 5  # it moves
+    assert running(tmp_path) == []
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
+def test_a_hand_of_five_grasps_a_ball_and_what_it_feels_lies_on_it(tmp_path: Path) -> None:
+    with demo([*COMMANDS["mosquitto"], "--hand"], tmp_path) as (process, _):
+        (settings,) = tmp_path.glob("tacshade-demo-*/hand.yaml")
+        hand = load_hand(settings)
+        assert hand is not None
+        assert hand.fingers == tuple(demo_hand.FINGERS_DEG)
+        with Subscriber(hand.common.settings.mqtt.port, f"tacshade/hand/{hand.hand_id}/objects") as seen:
+
+            def all_hold() -> bool:
+                told = [decode_hand(bytes(message.payload)) for message in seen.messages[-1:]]
+                return bool(told) and all(finger.objects for finger in told[0].fingers.values())
+
+            wait_until(all_hold, 60, "all fingers hold it")
+            fingers = decode_hand(bytes(seen.messages[-1].payload)).fingers
+        process.send_signal(signal.SIGINT)
+        assert process.communicate(timeout=patience(20)) == ("", "")
+    for name, finger in fingers.items():
+        away_mm = math.dist(finger.objects[0].centroid_mm, (0, 0, 0))
+        assert away_mm == pytest.approx(demo_hand.BALL_MM, abs=2.0), name  # it may be closing
+        inwards = -np.array(demo_hand.place_of(name).translation_mm)
+        assert np.dot(finger.objects[0].normal, inwards) / np.linalg.norm(inwards) > 0.95, name
+    assert running(tmp_path) == []
+
+
+@pytest.mark.slow
+def test_a_board_without_a_screen_is_opened_from_elsewhere_with_the_token_that_is_printed(tmp_path: Path) -> None:
+    if MOSQUITTO is None:
+        pytest.importorskip("iotcore")
+    done = subprocess.Popen(
+        [*COMMANDS["mosquitto"], "--listen", "0.0.0.0"],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "TMPDIR": str(tmp_path)},
+    )
+    try:
+        assert done.stdout is not None
+        assert done.stdout.readline().startswith("Calibrating")
+        addresses = re.findall(r"http://(\S+):(\d+)/login#(\S+)", done.stdout.readline())
+        assert addresses[-1][0] == socket.gethostname()
+        _, port, token = addresses[0]
+        for sent, answer in (({}, 401), ({"Authorization": "Bearer of-somebody-else"}, 401), (bearer(token), 200)):
+            page = http.client.HTTPConnection("127.0.0.1", int(port))
+            page.request("GET", "/main.js", headers=sent)
+            assert page.getresponse().status == answer
+            page.close()
+    finally:
+        done.send_signal(signal.SIGINT)
+        done.communicate(timeout=patience(20))
+    assert running(tmp_path) == []
+
+
+def bearer(token: str) -> dict[str, str]:
+    return {"Authorization": f"Bearer {token}"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_while_it_starts_leaves_nothing(number: signal.Signals, tmp_path: Path) -> None:
+    leader, follower = pty.openpty()
+    process = subprocess.Popen(
+        COMMANDS["embedded"], stdout=follower, stderr=subprocess.PIPE, env={**os.environ, "TMPDIR": str(tmp_path)}
+    )
+    os.close(follower)
+    assert os.read(leader, 100).startswith(b"Calibrating")
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=patience(20))
+    os.close(leader)
+    assert (process.returncode, errors) == (0, b"")
+    assert running(tmp_path) == []
+    assert list(tmp_path.iterdir()) == []
+
+
+def ended(command: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
+    """A demo that ends by itself, whose files lie in a folder."""
+    env = {**os.environ, "TMPDIR": str(folder)}
+    return subprocess.run(command, capture_output=True, text=True, timeout=patience(60), check=False, env=env)
+
+
+LOSES_IT = """
+import os, signal, sys
+from tacshade_edge.cli import demo, main
+calibration = demo.make_calibration
+class Destroyed:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGTERM)
+def make_calibration():
+    Destroyed()
+    return calibration()
+demo.make_calibration = make_calibration
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.slow
+def test_a_signal_whose_exception_is_lost_ends_it_all_the_same(tmp_path: Path) -> None:
+    # The first signal comes while a destructor runs, out of which nothing is raised.
+    done = ended([sys.executable, "-c", LOSES_IT, "demo"], tmp_path)
+    assert done.returncode == 0
+    assert "Exception ignored in" in done.stderr
+    assert "A simulated hand" not in done.stdout
+    assert running(tmp_path) == []
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_it_ends_by_itself_and_two_fit_on_one_machine(tmp_path: Path) -> None:
+    with demo([*COMMANDS["embedded"], "--seconds", "2"], tmp_path) as (first, port):
+        with demo([*COMMANDS["embedded"], "--seconds", "1"], tmp_path) as (second, other):
+            assert other != port
+            assert second.wait(patience(30)) == 0
+        assert first.wait(patience(30)) == 0
+
+
+@pytest.mark.slow
+def test_a_port_in_use_is_one_line(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        done = ended([*COMMANDS["embedded"], "--http", str(port)], tmp_path)
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+    assert re.match(rf"tacshade-edge: demo: the dashboard .*port {port}", done.stderr), done.stderr
+    assert tempfile.gettempdir() not in done.stderr
+
+
+@pytest.mark.browser
+@pytest.mark.skipif(not (CHROMIUM and DRIVER), reason="Chromium or its driver is not installed")
+@pytest.mark.parametrize("broker", list(COMMANDS))
+def test_the_page_draws_the_presses(broker: str, tmp_path: Path) -> None:
+    if broker == "mosquitto" and MOSQUITTO is None:
+        pytest.skip("mosquitto is not installed")
+    if broker == "embedded":
+        pytest.importorskip("iotcore")
+    profile = tmp_path / "chromium"
+    with demo(COMMANDS[broker], tmp_path) as (_, port), browser(profile) as page:
+        page.get(f"http://127.0.0.1:{port}/")
+        peaks: set[float] = set()
+
+        def moves() -> bool:
+            peaks.add(page.execute_script("return window.tacshade?.seq == null ? 0 : tacshade.drawnPeak()"))
+            return 0 in peaks and len(peaks) > 5 and 1.0 < max(peaks) < 8.0
+
+        wait_until(moves, 60, "depths that change on the canvas")
+        if broker == "mosquitto":
+            wait_until(lambda: page.execute_script("return tacshade.arrows > 0"), 60, "the skin is dragged")
+            pad = "return [...document.querySelectorAll('#hands button')].find((tab) => tab.textContent === 'demo-map')"
+            wait_until(lambda: page.execute_script(pad), 60, "the other hand")
+            page.execute_script(f"{pad}.click()")  # at once: tabs are drawn anew as hands come
+            presses = "return tacshade.stitched?.presses ?? 0"
+            wait_until(lambda: page.execute_script(presses) >= 4, 60, "a map grows on the page")
+        assert errors(page) == []

@@ -1,0 +1,80 @@
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import cv2
+import pytest
+
+from tacshade_edge.cli import EXIT_CONFIG, EXIT_FAILED, EXIT_OK, main
+from tacshade_edge.cli.commands.doctor import shown
+from tacshade_edge.doctor.finding import fault, ok, warning
+from tacshade_edge.storage.calibration import calibration_file
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker, free_port
+from tools.testbed.painted_sensor import FREE, painted_calibration
+from tools.testbed.patience import patience
+
+
+def write(folder: Path, port: int, more: str = "") -> str:
+    calibration_file.save(folder / "c.npz", painted_calibration())
+    cv2.imwrite(str(folder / "a.png"), FREE)
+    path = folder / "s.yaml"
+    source = "source: {kind: files, path: a.png, fps: 240, loop: true}\n"
+    path.write_text(f"calibration: c.npz\nmqtt: {{host: 127.0.0.1, port: {port}}}\n{source}{more}")
+    return str(path)
+
+
+def test_a_fault_is_exit_1_and_its_mend_stands_below(tmp_path: Path, capsys: Any) -> None:
+    config = write(tmp_path, free_port())
+    assert main(["doctor", "--config", config]) == EXIT_FAILED
+    printed = capsys.readouterr()
+    lines = printed.out.splitlines()
+    assert printed.err == ""
+    assert lines[0] == f"ok       settings           {config}, sensor tacshade"
+    assert lines[1].startswith("fault    broker             127.0.0.1:")
+    assert lines[2].startswith("         -> start it: sudo systemctl")
+    assert lines[-1].startswith("1 fault, ")
+    assert "\x1b" not in printed.out, "colour only on a terminal"
+
+
+def test_json_of_bad_settings_is_a_list_and_exit_78(tmp_path: Path, capsys: Any) -> None:
+    config = write(tmp_path, 1883, more="sensor: 1\n")
+    assert main(["doctor", "--config", config, "--json"]) == EXIT_CONFIG
+    found = json.loads(capsys.readouterr().out)
+    assert all(set(each) == {"check", "state", "found", "mend"} for each in found)
+    assert found[0]["check"] == "settings"
+    assert found[0]["state"] == "fault"
+    assert found[0]["found"].startswith(f"{config}:4: sensor: found an unknown key")
+    assert {each["check"] for each in found} >= {"serial", "disk", "clock", "camera"}
+
+
+@pytest.mark.broker
+@pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
+def test_no_fault_is_exit_0_in_a_process_of_its_own(tmp_path: Path) -> None:
+    with Broker(tmp_path) as broker:
+        command = [sys.executable, "-m", "tacshade_edge", "doctor", "--config", write(tmp_path, broker.port)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=patience(60), check=False)
+    assert (done.returncode, done.stderr) == (EXIT_OK, ""), done.stdout
+    assert "fault " not in done.stdout
+    assert "ok       broker round trip  38 KB there and back in" in done.stdout
+
+
+def test_how_a_finding_is_shown() -> None:
+    assert shown(ok("clock", "right"), colour=False) == "ok       clock              right"
+    assert shown(warning("a", "b", "c"), colour=False) == "warning  a                  b\n         -> c"
+    assert shown(fault("a", "b", "c"), colour=True).startswith("\x1b[31mfault  \x1b[0m  a ")
+
+
+def test_a_bundle_for_somebody_who_helps(tmp_path: Path, capsys: Any) -> None:
+    config = write(tmp_path, free_port())
+    assert main(["doctor", "--config", config, "--bundle", str(tmp_path / "b.zip"), "--with-frame"]) == EXIT_FAILED
+    assert capsys.readouterr().out.splitlines()[-1].startswith(f"{tmp_path / 'b.zip'} is written; look at it")
+    with zipfile.ZipFile(tmp_path / "b.zip") as bundle:
+        assert {"findings.json", "frame.png", "settings.yaml"} <= set(bundle.namelist())
+        assert json.loads(bundle.read("findings.json"))[0]["check"] == "settings"
+    with pytest.raises(SystemExit, match="2"):
+        main(["doctor", "--config", config, "--with-frame"])

@@ -1,0 +1,178 @@
+import csv
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import fields
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from support.half_family import half_family
+from support.progress_lines import only_progress
+
+from tacshade_edge.cli import main
+from tacshade_edge.cli.shared import study
+from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.studies.evaluate.score import Row
+from tacshade_edge.studies.evaluate.sensors import FINAL_SENSORS
+from tools.testbed.painted_sensor import HEIGHT, TOUCHED, WIDTH, painted_calibration
+from tools.testbed.patience import patience
+
+WRITTEN = ["evaluation.csv", "evaluation.json", "evaluation.md"]
+SMALL = ["evaluate", "--objects", "ball", "--presses", "0", "--references", "1"]
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.fixture
+def half() -> Iterator[None]:
+    with half_family():
+        yield
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Path:
+    """A calibration and one image with its truth."""
+    calibration_file.save(tmp_path / "cal.npz", painted_calibration())
+    (tmp_path / "images").mkdir()
+    cv2.imwrite(str(tmp_path / "images" / "coin.png"), TOUCHED)
+    rows, cols = np.ogrid[:HEIGHT, :WIDTH]
+    contact = np.hypot(rows - 59.5, cols - 79.5) < 20
+    np.savez(tmp_path / "images" / "coin.npz", height_mm=np.where(contact, 2.0, 0.0), contact=contact)
+    return tmp_path
+
+
+def of_own(folder: Path, *more: str) -> list[str]:
+    return ["evaluate", "--calibration", str(folder / "cal.npz"), "--images", str(folder / "images"), *more]
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("half")
+def test_the_files_and_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*SMALL, "--profile", "fast", "--sensors", "half:default", "--out", str(tmp_path / "out")]) == 0
+    printed = capsys.readouterr()
+    assert only_progress(printed.err)
+    assert "Table I (real sensor)" in printed.out
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [*WRITTEN, "figure6.png"]
+    rows = table(tmp_path / "out" / "evaluation.csv")
+    assert list(rows[0]) == [field.name for field in fields(Row)]
+    assert [row["object"] for row in rows] == ["ball"] * 9 + ["none"] * 20
+    summary = json.loads((tmp_path / "out" / "evaluation.json").read_text())
+    assert summary["settings"]["sensors"][0]["model"]["image_width_px"] == 320
+    assert summary["profiles"]["fast"]["timing"]["p50_ms"] > 0
+    assert cv2.imread(str(tmp_path / "out" / "figure6.png")).std() > 20
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("half")
+def test_without_matplotlib_all_but_the_picture(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    assert main([*SMALL, "--sensors", "half:default", "--out", str(tmp_path), "--json"]) == 0
+    printed = capsys.readouterr()
+    assert printed.err.startswith("tacshade-edge: figure6.png will be missing without matplotlib: pip install")
+    assert json.loads(printed.out) == json.loads((tmp_path / "evaluation.json").read_text())
+    assert sorted(p.name for p in tmp_path.iterdir()) == WRITTEN
+
+
+@pytest.mark.slow
+def test_one_core_or_all_the_same_bytes(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "tacshade_edge", *SMALL, "--sensors", "default"]
+    one = ["taskset", "-c", str(min(os.sched_getaffinity(0)))]
+    for words, name in (([*one, *command], "one"), (command, "all")):
+        done = subprocess.run(
+            [*words, "--out", str(tmp_path / name)], capture_output=True, text=True, timeout=patience(300)
+        )
+        assert done.returncode == 0, done.stderr
+        assert only_progress(done.stderr)
+    first, second = ((tmp_path / name / "evaluation.csv").read_bytes() for name in ("one", "all"))
+    assert first == second
+
+
+def test_own_images(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(of_own(own, "--profile", "fast", "--out", str(own / "out"))) == 0
+    printed = capsys.readouterr()
+    assert only_progress(printed.err)
+    assert "coin" in printed.out
+    (row,) = table(own / "out" / "evaluation.csv")
+    assert (row["sensor"], row["image"], row["object"], row["contact"]) == ("cal.npz", "coin.png", "coin", "1")
+    summary = json.loads((own / "out" / "evaluation.json").read_text())
+    assert summary["settings"]["crc32"] == f"{calibration_file.load(own / 'cal.npz').crc32:08x}"
+    assert sorted(p.name for p in (own / "out").iterdir()) == WRITTEN
+
+
+def test_an_image_without_truth_is_one_line_and_exit_1(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cv2.imwrite(str(own / "images" / "alone.png"), TOUCHED)
+    assert main(of_own(own)) == 1
+    printed = capsys.readouterr()
+    assert printed.err.count("\n") == 1
+    assert "alone.npz: found no such file, expected the image's truth" in printed.err
+    assert "coin" in printed.out
+    (own / "images" / "coin.npz").unlink()
+    assert main(of_own(own)) == 78
+    assert "found no image that can be scored" in capsys.readouterr().err.splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--sensors", "9000"], "9000: seeds from 9000 on are kept for --final"),
+        (["--sensors", "5,tacshade:12345"], "12345: seeds from 9000 on are kept for --final"),
+        (["--sensors", "teapot:1"], "no sensor family is called 'teapot', expected one of tacshade"),
+        (["--sensors", "5,"], "found '', expected a seed"),
+        (["--sensors", "5", "--final"], "not allowed with"),
+        (["--objects", "ball,teapot"], "'teapot' is not known, expected some of cube"),
+        (["--presses", "5"], "--presses: found 5, expected 0, or 8 or more"),
+        (["--presses", "-1"], "invalid whole number value"),
+        (["--references", "0"], "--references: found 0, expected 1 or more"),
+        (["--profile", "best"], "invalid choice: 'best'"),
+        (["--images", "x"], "belong together"),
+        (["--calibration", "x"], "belong together"),
+        (["--calibration", "x", "--images", "x", "--presses", "8"], "--presses is for simulated sensors"),
+        (["--calibration", "x", "--images", "x", "--final"], "--final is for simulated sensors"),
+    ],
+)
+def test_usage_mistakes_exit_2(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["evaluate", *words])
+    assert stop.value.code == 2
+    assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("calibration", "images", "code", "message"),
+    [
+        ("nowhere.npz", "images", 78, "nowhere.npz: cannot read the calibration"),
+        ("cal.npz", "nowhere", 78, "nowhere: found no folder there"),
+        ("cal.npz", "empty", 78, "empty: found no image"),
+    ],
+)
+def test_what_is_not_there_is_one_line(
+    own: Path, calibration: str, images: str, code: int, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (own / "empty").mkdir()
+    words = ["evaluate", "--calibration", str(own / calibration), "--images", str(own / images)]
+    assert main(words) == code
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert message in error
+
+
+def test_an_output_that_is_a_file_is_told_before_the_work(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*SMALL, "--out", str(own / "cal.npz")]) == 1
+    assert "cal.npz: cannot be written" in capsys.readouterr().err
+
+
+def test_final_sensors_are_those_that_nobody_may_name() -> None:
+    assert len(FINAL_SENSORS) >= 3
+    assert all(name.seed is not None and name.seed >= 9000 for name in FINAL_SENSORS)
+    for name in FINAL_SENSORS:
+        with pytest.raises(Exception, match="kept for --final"):
+            study.sensors(str(name))

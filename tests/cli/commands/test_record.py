@@ -1,0 +1,255 @@
+"""`record` against the real daemon, both as their users run them."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from tacshade_edge.cli import main
+from tacshade_edge.protocol import wire
+from tacshade_edge.settings import load
+from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.storage.recording.recording import Recording
+from tacshade_edge.storage.runs.run_files import HEIGHTS, payloads
+from tacshade_edge.storage.tables.frame_table import HEADER, read_table
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
+from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
+from tools.testbed.patience import patience, wait_until
+
+pytestmark = [pytest.mark.broker, pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")]
+BASE = "tacshade/tacshade"
+Child = subprocess.Popen[str]
+Start = Callable[..., Child]
+
+
+@pytest.fixture
+def broker(tmp_path: Path) -> Iterator[Broker]:
+    with Broker(tmp_path) as started:
+        yield started
+
+
+@pytest.fixture
+def seen(broker: Broker) -> Iterator[Subscriber]:
+    with Subscriber(broker.port) as subscriber:
+        yield subscriber
+
+
+@pytest.fixture
+def start(tmp_path: Path, broker: Broker, seen: Subscriber) -> Iterator[Start]:
+    """Starts a command with the settings; `run` is waited for until it streams a looped press."""
+    calibration_file.save(tmp_path / "c.npz", painted_calibration())
+    (tmp_path / "images").mkdir()
+    noise = np.random.default_rng(3)
+    for i, image in enumerate([FREE] * 3 + [TOUCHED] * 30):
+        noisy = np.clip(image + noise.normal(0, 4, image.shape), 0, 255).astype(np.uint8)
+        cv2.imwrite(str(tmp_path / "images" / f"{i:02d}.png"), noisy)
+    rows = [f"{i:02d}.png,{i},{i / 7},2,3,0,0,-1,0\n" for i in range(33)]
+    (tmp_path / "images" / "frames.csv").write_text(",".join(HEADER) + "\n" + "".join(rows))
+    write_settings(tmp_path, broker.port)
+    children: list[Child] = []
+
+    def started(*words: str) -> Child:
+        command = [sys.executable, "-m", "tacshade_edge", words[0], "--config", str(tmp_path / "s.yaml"), *words[1:]]
+        pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "stdin": subprocess.DEVNULL}
+        children.append(subprocess.Popen(command, text=True, **pipes))
+        if words[0] == "run":
+            seen.wait_for(f"{BASE}/height", 1, 20)
+        return children[-1]
+
+    yield started
+    for child in children:
+        child.kill()
+        child.communicate()
+
+
+def write_settings(folder: Path, port: int) -> Path:
+    lines = (
+        "calibration: c.npz",
+        "source: {kind: files, path: images, fps: 30, loop: true}",
+        f"mqtt: {{host: 127.0.0.1, port: {port}}}",
+        "recorder: {folder: recs}",
+    )
+    (folder / "s.yaml").write_text("\n".join(lines) + "\n")
+    return folder / "s.yaml"
+
+
+def record(folder: Path, seconds: str, *more: str) -> int:
+    return main(["record", "--config", str(folder / "s.yaml"), "--seconds", seconds, *more])
+
+
+def about(folder: Path) -> dict[str, Any]:
+    read: dict[str, Any] = json.loads((folder / "recording.json").read_text())
+    return read
+
+
+def replayed(rec: Path, out: Path) -> list[wire.HeightMessage]:
+    """The heights of a replay of a recording with the calibration beside it."""
+    assert main(["replay", str(rec), "--calibration", str(rec / "calibration.npz"), "--out", str(out)]) == 0
+    heights = [wire.decode(payload) for payload in payloads(out, HEIGHTS)]
+    return [height for height in heights if isinstance(height, wire.HeightMessage)]
+
+
+def recording_frames(seen: Subscriber) -> int:
+    status = json.loads((seen.of(f"{BASE}/status/recorder") or [b"{}"])[-1])
+    return int(status.get("frames", 0)) if status.get("state") == "recording" else 0
+
+
+def test_a_replay_of_the_recording_gives_what_the_daemon_published(
+    tmp_path: Path, start: Start, seen: Subscriber, capsys: pytest.CaptureFixture[str]
+) -> None:
+    start("run")
+    assert record(tmp_path, "2", "--name", "a") == 0
+    rec = tmp_path / "recs" / "a"
+    written = about(rec)
+    printed = capsys.readouterr()
+    assert printed.out == f"{rec}: {written['frames']} frames, {written['bytes'] / 1e6:.1f} MB (time)\n"
+    assert printed.err == ""
+    assert (written["dropped"], written["ending"]) == (0, "time")
+    assert not list(rec.glob("*.part"))
+    again = {height.t_ns: height for height in replayed(rec, tmp_path / "run")}
+    rows = read_table(rec / "frames.csv")
+    assert len(rows) == written["frames"] == len(again) > 20
+    live = [wire.decode(payload) for payload in seen.of(f"{BASE}/height")]
+    meanwhile = [height for height in live if rows[0].t_ns <= height.t_ns <= rows[-1].t_ns]
+    assert len(meanwhile) > 10
+    assert {row.pose and (row.pose.x_mm, row.pose.qy) for row in rows} <= {(i / 7, -1.0) for i in range(33)}
+    for height in meanwhile:
+        assert isinstance(height, wire.HeightMessage)
+        assert height.height_mm.tobytes() == again[height.t_ns].height_mm.tobytes()
+        assert height.pose == again[height.t_ns].pose
+        assert (height.contact, height.calibration_crc32) == (again[height.t_ns].contact, written["calibration_crc32"])
+    settings, kept = load(tmp_path / "s.yaml").settings, load(rec / "settings.yaml").settings
+    assert kept.calibration == str(rec / "calibration.npz")
+    assert (kept.source, kept.mqtt, kept.recorder) == (settings.source, settings.mqtt, settings.recorder)
+
+    for name, said in (("a", "a: found it there already"),):
+        assert record(tmp_path, "1", "--name", name) == 1
+        err = capsys.readouterr().err
+        assert said in err
+        assert err.count("\n") == 1
+
+
+@pytest.mark.slow
+def test_a_killed_daemon_leaves_what_it_wrote(tmp_path: Path, start: Start, seen: Subscriber) -> None:
+    daemon = start("run")
+    client = start("record", "--seconds", "600", "--name", "a")
+    wait_until(lambda: recording_frames(seen) > 20, 30, "a recording")
+    told = recording_frames(seen)
+    daemon.kill()
+    said, errors = client.communicate(timeout=patience(30))
+    assert (client.returncode, said) == (1, "")
+    rec = tmp_path / "recs" / "a"
+    assert (
+        errors == f"tacshade-edge: {rec}: the daemon is offline and did not say how it ended; what it wrote is there\n"
+    )
+    assert Recording(rec).cut_off
+    images = len(list(rec.glob("*.png")))
+    frames = len(replayed(rec, tmp_path / "run"))
+    assert frames >= told
+    assert images - 1 <= frames <= images
+    events = [json.loads(line) for line in (rec / "events.jsonl.part").read_text().splitlines()]
+    assert events[0]["kind"] == "start"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_recording_and_the_daemon_goes_on(
+    tmp_path: Path, start: Start, seen: Subscriber, number: signal.Signals
+) -> None:
+    start("run")
+    client = start("record", "--seconds", "600")
+    wait_until(lambda: recording_frames(seen) > 5, 30, "a recording")
+    client.send_signal(number)
+    said, errors = client.communicate(timeout=patience(30))
+    assert (client.returncode, errors) == (0, "")
+    (rec,) = (tmp_path / "recs").iterdir()
+    assert said.startswith(f"{rec}: {about(rec)['frames']} frames, ")
+    assert said.endswith(" (stopped)\n")
+    assert len(read_table(rec / "frames.csv")) == about(rec)["frames"] > 5
+    seen.wait_for(f"{BASE}/height", len(seen.of(f"{BASE}/height")) + 10, 10)
+
+
+@pytest.mark.slow
+def test_a_daemon_that_is_stopped_finishes_the_recording(tmp_path: Path, start: Start, seen: Subscriber) -> None:
+    daemon = start("run")
+    client = start("record", "--seconds", "600", "--name", "a")
+    wait_until(lambda: recording_frames(seen) > 5, 30, "a recording")
+    daemon.terminate()
+    assert daemon.wait(patience(20)) == 0
+    said, errors = client.communicate(timeout=patience(30))
+    assert (client.returncode, errors) == (0, "")
+    assert said.endswith(" (daemon stopped)\n")
+    assert about(tmp_path / "recs" / "a")["ending"] == "daemon stopped"
+
+
+@pytest.mark.slow
+def test_a_reload_is_an_event_and_another_calibration_ends_it(tmp_path: Path, start: Start, seen: Subscriber) -> None:
+    daemon = start("run")
+    client = start("record", "--seconds", "600", "--name", "a")
+    wait_until(lambda: recording_frames(seen) > 5, 30, "a recording")
+    daemon.send_signal(signal.SIGHUP)
+    events = tmp_path / "recs" / "a" / "events.jsonl.part"
+    wait_until(lambda: '"reload"' in events.read_text(), 20, "the reload is an event")
+    before = recording_frames(seen)
+    wait_until(lambda: recording_frames(seen) > before, 20, "the recording goes on")
+    calibration_file.save(tmp_path / "c.npz", replace(painted_calibration(), alpha=16.0))
+    daemon.send_signal(signal.SIGHUP)
+    said, errors = client.communicate(timeout=patience(30))
+    assert client.returncode == 1
+    assert said.endswith("(another reference or calibration came into use)\n")
+    assert errors.endswith("stopped: another reference or calibration came into use; what is there stays\n")
+    assert calibration_file.load(tmp_path / "recs" / "a" / "calibration.npz").crc32 == painted_calibration().crc32
+
+
+@pytest.mark.slow
+def test_no_daemon_and_no_broker_are_one_line(
+    tmp_path: Path, broker: Broker, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_settings(tmp_path, broker.port)
+    assert record(tmp_path, "1") == 1
+    err = capsys.readouterr().err
+    found = f"127.0.0.1:{broker.port}: no answer from sensor tacshade within 3 s"
+    assert err == f"tacshade-edge: {found}, expected a running daemon\n"
+    port = free_port()
+    write_settings(tmp_path, port)
+    assert record(tmp_path, "1") == 1
+    assert capsys.readouterr().err == f"tacshade-edge: 127.0.0.1:{port}: Connection refused; expected a broker\n"
+    with pytest.raises(SystemExit) as stop:
+        record(tmp_path, "0")
+    assert stop.value.code == 2
+
+
+@pytest.fixture(autouse=True)
+def signals() -> Iterator[None]:
+    """The command takes the signals of its process, which is ours here."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--name", "../a"], "found '../a', expected up to 64 letters, digits, '.', '_' and '-', not a dot first"),
+        (["--name", "a b"], "found 'a b', expected up to 64 letters"),
+        (["--name", "a" * 65], "expected up to 64 letters"),
+        (["--seconds", "4000"], "found 4000, expected at most 3600"),
+        (["--seconds", "soon"], "invalid number value: 'soon'"),
+    ],
+)
+def test_words_that_do_not_fit(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["record", "--seconds", "1", *words])
+    assert stop.value.code == 2
+    assert said in capsys.readouterr().err

@@ -1,0 +1,265 @@
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import pty
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from support.recordings import write_recording
+
+from tacshade_edge.cli import main
+from tacshade_edge.protocol import wire
+from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.storage.runs.run_files import CLOUDS, HEIGHTS, SUMMARY, payloads
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from tools.testbed.painted_sensor import BLACK, FREE, TOUCHED, painted_calibration, touched_depth_mm
+from tools.testbed.patience import patience, wait_until
+
+COMMAND = [sys.executable, "-m", "tacshade_edge"]
+IMAGES = [FREE, TOUCHED, TOUCHED, BLACK, FREE]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    calibration_file.save(tmp_path / "cal.npz", painted_calibration())
+    write_recording(tmp_path / "rec", IMAGES)
+    return tmp_path
+
+
+def words(folder: Path, *more: str, recording: str = "rec") -> list[str]:
+    return ["replay", str(folder / recording), "--calibration", str(folder / "cal.npz"), *more]
+
+
+def summary(run: Path) -> list[dict[str, Any]]:
+    records: list[dict[str, Any]] = json.loads((run / SUMMARY).read_text())
+    return records
+
+
+def test_every_frame_by_the_recordings_clock(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = folder / "out"
+    assert main(words(folder, "--out", str(out))) == 0
+    printed = capsys.readouterr().out
+    assert "5 frames, 2 in contact, 1 invalid, 0 unreadable; 0.05 s of recording in " in printed
+    assert "times real time" in printed
+    records = summary(out)
+    assert [r["contact"] for r in records] == [False, True, True, False, False]
+    assert [r["valid"] for r in records] == [True, True, True, False, True]
+    heights = [wire.decode(payload) for payload in payloads(out, HEIGHTS)]
+    clouds = [wire.decode(payload) for payload in payloads(out, CLOUDS)]
+    for k, (record, height, cloud) in enumerate(zip(records, heights, clouds, strict=True)):
+        assert isinstance(height, wire.HeightMessage)
+        assert isinstance(cloud, wire.CloudMessage)
+        times = (record["t_ns"], height.t_ns, cloud.t_ns)
+        assert times == (500 + k * 10_000_000,) * 3
+        assert (record["seq"], height.seq, cloud.seq) == (k, k, k)
+        assert height.wall_ns == 0
+        depth_mm = touched_depth_mm() if record["contact"] else 0.0
+        assert np.nanmax(height.height_mm) == pytest.approx(depth_mm, abs=1e-3)
+        assert (len(cloud.labels) > 0) == record["contact"]
+    assert records[1]["pose"] == [1.0, 2.5, -3.0, 1.0, 0.0, 0.0, 0.0]
+    assert records[0]["pose"] is None
+    timings = json.loads((out / "timings.json").read_text())
+    assert timings["frames"] == 5
+    assert timings["recorded_seconds"] == 0.05
+    assert set(timings["stages_ms"]) >= {"check", "grey", "cloud", "deliver"}
+
+
+def test_a_second_run_is_compared(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    first, second = str(folder / "a"), str(folder / "b")
+    assert main(words(folder, "--out", first)) == 0
+    assert main(words(folder, "--out", second, "--against", first)) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == f"{second} is the same as {first}"
+    cv2.imwrite(str(folder / "rec" / "000002.png"), FREE)
+    assert main(words(folder, "--out", second, "--against", first)) == 1
+    said = f"{second} differs from {first}: frame 2 (000002.png): contact: False, against True"
+    lines = capsys.readouterr().out.splitlines()[1:]
+    deep_mm = touched_depth_mm()
+    assert lines[:2] == [said, "  contact: differs in 1 of 5 frames, first frame 2 (000002.png)"]
+    depth, height = (
+        re.fullmatch(rf"  {name}: mean ([0-9.]+), worst ([0-9.]+) mm apart in (.*)", line)
+        for name, line in zip(("depth_max_mm", "height_mm"), lines[2:], strict=True)
+    )
+    assert depth is not None
+    assert height is not None
+    assert float(depth[1]) == pytest.approx(deep_mm / 5, abs=1e-3)
+    assert float(depth[2]) == pytest.approx(deep_mm, abs=1e-3)
+    assert depth[3] == "frame 2 (000002.png)"
+    assert 0 < float(height[1]) < float(height[2])
+    assert float(height[2]) == pytest.approx(deep_mm, abs=1e-3)
+    assert re.fullmatch(r"frame 2 \(000002\.png\) at image row \d+, col \d+", height[3])
+    assert main(["replay", "--out", second, "--against", first]) == 1
+    assert capsys.readouterr().out.splitlines() == lines
+
+
+def test_runs_on_other_cells_are_compared_by_depth(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    first, second = str(folder / "a"), str(folder / "b")
+    assert main(words(folder, "--out", first)) == 0
+    assert main(words(folder, "--out", second, "--profile", "fast", "--against", first)) == 1
+    *_, contact, depth, height = capsys.readouterr().out.splitlines()
+    assert contact.startswith("  contact: differs in ")
+    assert depth.startswith("  depth_max_mm: mean ")
+    assert height == "  height_mm: on other cells in frame 0 (000000.png), so not compared cell by cell"
+
+
+def test_the_recordings_own_calibration_is_taken(folder: Path) -> None:
+    assert main(words(folder, "--out", str(folder / "a"))) == 0
+    (folder / "rec" / "calibration.npz").write_bytes((folder / "cal.npz").read_bytes())
+    assert main(["replay", str(folder / "rec"), "--out", str(folder / "b"), "--against", str(folder / "a")]) == 0
+
+
+def test_a_loop_is_one_longer_run(folder: Path) -> None:
+    assert main(words(folder, "--out", str(folder / "out"), "--loop", "3")) == 0
+    records = summary(folder / "out")
+    assert [r["t_ns"] for r in records] == [500 + k * 10_000_000 for k in range(15)]
+    assert [r["contact"] for r in records] == 3 * [False, True, True, False, False]
+
+
+def test_a_paced_replay_keeps_the_recordings_time_and_bytes(folder: Path) -> None:
+    assert main(words(folder, "--out", str(folder / "a"))) == 0
+    assert main(words(folder, "--out", str(folder / "b"), "--speed", "0.2", "--against", str(folder / "a"))) == 0
+    seconds = json.loads((folder / "b" / "timings.json").read_text())["seconds"]
+    assert seconds >= 0.2  # the last frame is due after 40 ms of the recording, five times as slow
+
+
+def test_an_unreadable_image_does_not_stop_the_others(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "rec" / "000001.png").write_bytes(b"torn")
+    assert main(words(folder, "--out", str(folder / "out"))) == 1
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert "000001.png: found 4 bytes that are no image" in err
+    assert [r["seq"] for r in summary(folder / "out")] == [0, 2, 3, 4]
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ([], "expected --out DIR, a broker (--mqtt HOST:PORT or --config FILE), or both"),
+        (["--mqtt", "h:1", "--config", "c"], "--mqtt and --config both name a broker"),
+        (["--out", "o", "--loop", "0"], "--loop 0 never ends"),
+        (["--out", "o", "--loop", "-1"], "found -1, expected a whole number from 0"),
+        (["--out", "o", "--speed", "0"], "found 0, expected a number over 0"),
+        (["--out", "o", "--fps", "nan"], "found nan, expected a number over 0"),
+        (["--mqtt", "localhost"], "found localhost, expected HOST:PORT"),
+        (["--mqtt", "h:1", "--sensor-id", "a/b"], "found a/b, expected letters"),
+        (["--against", "o"], "--against compares --out DIR, which is missing"),
+        (["--out", "o", "--against", "./o"], "--out and --against are the same folder"),
+    ],
+)
+def test_words_that_do_not_fit(
+    folder: Path, more: list[str], said: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    with pytest.raises(SystemExit) as stop:
+        main(words(folder, *more))
+    assert stop.value.code == 2
+    assert said in capsys.readouterr().err
+    assert not (folder / "o").exists()
+
+
+def test_nothing_given(capsys: pytest.CaptureFixture[str]) -> None:
+    for given in (["replay"], ["replay", "rec", "--out", "o"]):
+        with pytest.raises(SystemExit) as stop:
+            main(given)
+        assert stop.value.code == 2
+    err = capsys.readouterr().err
+    assert "expected INPUT, or --out DIR and --against DIR of two runs" in err
+    assert "expected --calibration CAL.npz" in err
+
+
+def test_bad_files_are_one_line_and_leave_no_run(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = folder / "out"
+    write_recording(folder / "large", [cv2.resize(FREE, (320, 240))])
+    write_recording(folder / "wrong", IMAGES)
+    (folder / "wrong" / "frames.csv").write_text("image,t_ns\n")
+    (folder / "cut.npz").write_bytes((folder / "cal.npz").read_bytes()[:200])
+    cases = [
+        (words(folder, "--out", str(out), recording="large"), 78, "found 320x240 px, expected 160x120 px"),
+        (words(folder, "--out", str(out), recording="wrong"), 78, "frames.csv:1: found the header image,t_ns"),
+        (words(folder, "--out", str(out), recording="none"), 78, "none: found nothing, expected a folder of images"),
+        ([*words(folder, "--out", str(out))[:3], str(folder / "cut.npz"), "--out", str(out)], 78, "not a calibration"),
+        (words(folder, "--out", str(folder / "cal.npz")), 1, "cal.npz: cannot be written: File exists"),
+        (["replay", "--out", str(out), "--against", str(out)], 78, "summary.json: No such file"),
+    ]
+    for given, code, said in cases:
+        assert main(given) == code
+        err = capsys.readouterr().err
+        assert said in err
+        assert err.count("\n") == 1
+    assert not out.exists() or list(out.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_two_processes_give_the_same_bytes() -> None:
+    """300 different images of 640x480, some in contact."""
+    done = subprocess.run(
+        [sys.executable, "-m", "tools.benchmarks.replay", "--frames", "300"],
+        capture_output=True,
+        text=True,
+        timeout=patience(600),
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    first, second, *files = done.stdout.splitlines()
+    counted = first.partition(";")[0]
+    assert counted == second.partition(";")[0]
+    touched = re.fullmatch(r"rec: 300 frames, (\d+) in contact, 0 invalid, 0 unreadable", counted)
+    assert touched is not None
+    assert 75 < int(touched[1]) < 300
+    sizes = [re.fullmatch(r"(\S+): (\d+) bytes, the same in both processes", line) for line in files]
+    assert [size[1] for size in sizes if size] == [HEIGHTS, CLOUDS, SUMMARY]
+    assert all(int(size[2]) > 10_000 for size in sizes if size)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_run_leaves_nothing(folder: Path, number: signal.Signals) -> None:
+    out = folder / "out"
+    given = words(folder, "--out", str(out), "--speed", "1", "--loop", "1000")
+    child = subprocess.Popen([*COMMAND, *given], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    heights = out / "heights.bin.part"
+    try:
+        wait_until(lambda: heights.exists() and heights.stat().st_size > 0, 30, "the run has begun")
+        child.send_signal(number)
+        said, errors = child.communicate(timeout=patience(20))
+    finally:
+        child.kill()
+    assert child.returncode == 130, errors
+    assert errors == f"tacshade-edge: {out}: stopped before the end, so nothing was written\n"
+    assert "frames, " in said
+    assert list(out.iterdir()) == []
+
+
+@pytest.mark.broker
+@pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
+def test_a_played_recording_has_no_number_of_frames(folder: Path) -> None:
+    """A person may see each of its five as often as he likes: progress went to "frames: 341/170"."""
+    leader, follower = pty.openpty()
+    os.set_blocking(leader, False)
+    heard = ""
+
+    def is_past_its_end() -> bool:
+        nonlocal heard
+        asks.publish("tacshade/run/req/replay", b'{"seek_s": 0}')
+        with contextlib.suppress(BlockingIOError):
+            heard += os.read(leader, 4096).decode()
+        return any(int(count) > len(IMAGES) for count in re.findall(r"frames: (\d+)", heard))
+
+    with Broker(folder) as broker, Subscriber(broker.port) as asks:
+        command = [*COMMAND, *words(folder, "--play", "--mqtt", f"127.0.0.1:{broker.port}", "--sensor-id", "run")]
+        with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=follower) as child:
+            try:
+                wait_until(is_past_its_end, 20, "more frames are shown than it has")
+            finally:
+                child.terminate()
+            assert child.wait(patience(20)) == 0
+    os.close(follower)
+    os.close(leader)
+    assert "/" not in heard

@@ -1,0 +1,204 @@
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from support.progress_lines import without_progress
+
+from tacshade_edge.cli import main
+from tacshade_edge.cli.commands import simulate_pad
+from tacshade_edge.rigid import from_seven
+from tacshade_edge.simulator.pad import Bar, Pad
+from tacshade_edge.storage.calibration import calibration_file
+from tools.testbed.calibrated_sensor import HALF, calibrated, unloaded
+
+pytestmark = pytest.mark.slow
+
+SMALL = Pad(14.0, 10.0, (Bar(2.1, 5.1, 12.1, 5.1, 3.0),))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("pad")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("tacshade_edge.simulator.pad.touchpad", lambda: SMALL)
+        patch.setattr(simulate_pad, "usable_cores", lambda: 1)
+        simulate_pad.write_pad(
+            HALF, folder, step_mm=5.0, depth_mm=2.5, varied=False, seed=0, noise_seed=0, report=lambda *_: None
+        )
+    calibration_file.save(folder / "cal.npz", calibrated())
+    return folder
+
+
+def words(folder: Path, out: Path, *more: str, poses: str = "POSES.csv") -> list[str]:
+    stitch = ["stitch", "--calibration", str(folder / "cal.npz"), "--poses", str(folder / poses)]
+    return [*stitch, "--out", str(out), "--profile", "fast", *more]
+
+
+def test_the_files_keep_their_contract(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(words(folder, tmp_path, "--truth", str(folder / "PAD.npz"), "--json")) == 0
+    about = json.loads(capsys.readouterr().out)
+    assert about == json.loads((tmp_path / "map.json").read_text())
+    with np.load(tmp_path / "map.npz") as npz:
+        z, x0, y0, step = (npz[key] for key in ("z_mm", "x0_mm", "y0_mm", "step_mm"))
+    assert z.dtype == np.float32
+    assert z.shape == (about["rows"], about["cols"])
+    assert (x0, y0, step) == (about["x0_mm"], about["y0_mm"], about["step_mm"])
+    levels = cv2.imread(str(tmp_path / "map.png"), cv2.IMREAD_UNCHANGED)
+    assert levels.dtype == np.uint16
+    np.testing.assert_array_equal(levels == 0, np.isnan(z))
+    from_png = about["png"]["z0_mm"] + (levels.astype(float) - 1) * about["png"]["scale_mm"]
+    assert np.nanmax(np.abs(np.where(levels > 0, from_png, np.nan) - z)) <= about["png"]["scale_mm"]
+    ply = (tmp_path / "map.ply").read_bytes()
+    head, body = ply.split(b"end_header\n", 1)
+    count = np.count_nonzero(np.isfinite(z))
+    assert f"element vertex {count}\n".encode() in head
+    assert np.frombuffer(body, "<f4").reshape(count, 3)[:, 2] == pytest.approx(z[np.isfinite(z)])
+    preview = cv2.imread(str(tmp_path / "preview.png"))
+    assert preview.ndim == 3
+    assert max(preview.shape) < 1000
+    assert about["used"] == len(about["presses"]) == 12
+    assert about["score"]["rms_mm"] < 0.5
+    assert about["score"]["raised_coverage"] > 0.9
+    assert {"rms_mm", "bars", "circles"} <= set(about["paper"])
+    # Two by two panels of the known surface, each with a title and a gap.
+    zoom = 600 // 57
+    assert cv2.imread(str(tmp_path / "comparison.png")).shape == (2 * (41 * zoom + 32), 2 * (57 * zoom + 10), 3)
+
+
+def test_the_same_again_is_the_same(folder: Path, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        assert main(words(folder, tmp_path / name)) == 0
+    for file in ("map.json", "map.ply", "map.png", "preview.png"):
+        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
+
+
+def test_noisy_poses(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(words(folder, tmp_path, "--truth", str(folder / "PAD.npz"), poses="POSES_NOISY.csv")) == 0
+    printed = capsys.readouterr().out
+    about = json.loads((tmp_path / "map.json").read_text())
+    assert about["refined"]
+    assert "poses refined" in printed
+    assert "not refined: RMS" in printed
+    assert "paper's average: RMS" in printed
+
+
+def test_the_calibrations_flange_is_used(folder: Path, tmp_path: Path) -> None:
+    # The flange is 50 mm above the sensor's middle and a quarter turned.
+    half = np.sqrt(0.5)
+    other = {"flange_T_sensor": (0.0, 0.0, 50.0, half, 0.0, 0.0, half)}
+    shutil.copytree(folder, tmp_path / "pad")
+    calibration_file.save(tmp_path / "pad" / "cal.npz", replace(calibrated(), **other))  # type: ignore[arg-type]
+    header, *lines = (folder / "POSES.csv").read_text().splitlines()
+    sensor_T_flange = from_seven(other["flange_T_sensor"]).inverse()
+    rows = [header]
+    for line in lines:
+        name, *numbers = line.split(",")
+        flange = from_seven([float(n) for n in numbers]) @ sensor_T_flange
+        rows.append(",".join((name, *(f"{v:.9f}" for v in flange.seven()))))
+    (tmp_path / "pad" / "POSES.csv").write_text("\n".join(rows) + "\n")
+    assert main(words(folder, tmp_path / "a")) == 0
+    assert main(words(tmp_path / "pad", tmp_path / "b")) == 0
+    a, b = (np.load(tmp_path / name / "map.npz")["z_mm"] for name in ("a", "b"))
+    assert a.shape == b.shape
+    assert np.nanmax(np.abs(a - b)) < 1e-3
+
+
+def recorded(folder: Path, path: Path, *, poses: bool = True) -> Path:
+    """A robot that presses three times and holds still for half a second, at 30 frames a second."""
+    path.mkdir()
+    rows, t_ns = ["image,t_ns,x_mm,y_mm,z_mm,qw,qx,qy,qz"], 0
+    cv2.imwrite(str(path / "free.png"), unloaded())
+    for line in (folder / "POSES.csv").read_text().splitlines()[1:4]:
+        name, numbers = line.split(",", 1)
+        shutil.copy(folder / name, path / name)
+        for image in ("free.png",) * 3 + (name,) * 15:
+            t_ns += 33_333_333
+            rows.append(f"{image},{t_ns},{numbers if poses else ',,,,,,'}")
+    (path / "frames.csv").write_text("\n".join(rows) + "\n")
+    return path
+
+
+def test_a_recording_is_the_presses_in_it(folder: Path, tmp_path: Path) -> None:
+    recording = recorded(folder, tmp_path / "recording")
+    lines = (folder / "POSES.csv").read_text().splitlines()[:4]
+    (recording / "POSES.csv").write_text("\n".join(lines) + "\n")
+    given = ["stitch", "--calibration", str(folder / "cal.npz"), "--profile", "fast"]
+    assert main([*given, "--recording", str(recording), "--out", str(tmp_path / "a")]) == 0
+    assert main([*given, "--poses", str(recording / "POSES.csv"), "--out", str(tmp_path / "b")]) == 0
+    assert (tmp_path / "a" / "map.ply").read_bytes() == (tmp_path / "b" / "map.ply").read_bytes()
+    assert json.loads((tmp_path / "a" / "map.json").read_text())["used"] == 3
+
+
+def test_a_recording_without_poses(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recording = recorded(folder, tmp_path / "recording", poses=False)
+    given = ["stitch", "--calibration", str(folder / "cal.npz"), "--profile", "fast", "--recording", str(recording)]
+    assert main([*given, "--out", str(tmp_path / "a")]) == 78
+    assert "found no press that can be used: the table has no pose for it" in capsys.readouterr().err
+
+
+def test_images_that_cannot_be_used(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copytree(folder, tmp_path / "pad")
+    cv2.imwrite(str(tmp_path / "pad" / "press_0000.png"), unloaded())
+    (tmp_path / "pad" / "press_0001.png").unlink()
+    cv2.imwrite(str(tmp_path / "pad" / "press_0002.png"), unloaded()[:-20])
+    assert main(words(tmp_path / "pad", tmp_path / "out")) == 1
+    captured = capsys.readouterr()
+    first, second = without_progress(captured.err)
+    assert "POSES.csv:3: " in first
+    assert "press_0001.png: No such file" in first
+    assert "POSES.csv:4: " in second
+    records = json.loads((tmp_path / "out" / "map.json").read_text())["presses"]
+    assert [r["used"] for r in records[:4]] == [False, False, False, True]
+    assert records[0]["reason"] == "no contact"
+
+
+def test_nothing_touched(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copytree(folder, tmp_path / "pad")
+    for path in (tmp_path / "pad").glob("press_*.png"):
+        cv2.imwrite(str(path), unloaded())
+    assert main(words(tmp_path / "pad", tmp_path / "out")) == 78
+    assert "found no press that can be used: no contact" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("POSES.csv", "image,x_mm\n"), "POSES.csv:1: found the header"),
+        (("POSES.csv", "image,x_mm,y_mm,z_mm,qw,qx,qy,qz\n"), "found no pose"),
+        (("PAD.npz", "nothing"), "PAD.npz: not a known surface"),
+    ],
+)
+def test_a_bad_table_is_told(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], change: tuple[str, str], message: str
+) -> None:
+    shutil.copytree(folder, tmp_path / "pad")
+    (tmp_path / "pad" / change[0]).write_text(change[1])
+    code = main(words(tmp_path / "pad", tmp_path / "out", "--truth", str(tmp_path / "pad" / "PAD.npz")))
+    assert code == 78
+    error = capsys.readouterr().err
+    assert message in error
+    assert len(error.splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_presses_too_far_apart_are_told(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tacshade_edge.core.stitching.surface_map.TILES_MAX", 2)
+    assert main(words(folder, tmp_path / "out")) == 78
+    error = capsys.readouterr().err
+    assert "POSES.csv:" in error
+    assert "the map would get larger than 2 tiles of 16 mm" in error
+    assert len(without_progress(error)) == 1
+
+
+def test_a_folder_that_cannot_be_written(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("")
+    assert main(words(folder, tmp_path / "file" / "out")) == 1
+    assert "cannot be written" in capsys.readouterr().err

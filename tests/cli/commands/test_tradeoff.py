@@ -1,0 +1,111 @@
+import csv
+import json
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from support.progress_lines import only_progress, without_progress
+from support.trade_points import point
+
+from tacshade_edge.cli import main
+from tacshade_edge.cli.commands import tradeoff
+from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.studies.tradeoff.budget import settings_block
+from tools.testbed.painted_sensor import FREE, HEIGHT, TOUCHED, WIDTH, painted_calibration
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Path:
+    """A calibration, an image of a contact and one without, with their truth."""
+    calibration_file.save(tmp_path / "cal.npz", painted_calibration())
+    (tmp_path / "images").mkdir()
+    rows, cols = np.ogrid[:HEIGHT, :WIDTH]
+    coin = np.hypot(rows - 59.5, cols - 79.5) < 20
+    for name, image, contact in (("coin", TOUCHED, coin), ("none", FREE, 0 * coin > 0)):
+        cv2.imwrite(str(tmp_path / "images" / f"{name}.png"), image)
+        np.savez(tmp_path / "images" / f"{name}.npz", height_mm=np.where(contact, 2.0, 0.0), contact=contact)
+    return tmp_path
+
+
+def of_own(folder: Path, *more: str) -> list[str]:
+    return ["tradeoff", "--calibration", str(folder / "cal.npz"), "--images", str(folder / "images"), *more]
+
+
+@pytest.mark.slow  # it starts interpreters
+def test_own_images_the_files_and_the_settings(
+    own: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tradeoff, "BUSY", 1e9)  # this machine may be
+    assert main(of_own(own, "--profile", "fast", "--out", str(own / "out"), "--budget-ms", "10000")) == 0
+    printed = capsys.readouterr()
+    assert only_progress(printed.err)
+    assert printed.out.splitlines()[-1] == "profile: fast"
+    written = ["tradeoff.csv", "tradeoff.json", "tradeoff.md", "tradeoff.png"]
+    assert sorted(p.name for p in (own / "out").iterdir()) == written
+    assert (own / "out" / "tradeoff.md").read_text() in printed.out
+    with (own / "out" / "tradeoff.csv").open(encoding="utf-8") as file:
+        lines = list(csv.DictReader(file))
+    assert lines[0]["setting"] == "fast"
+    assert {(line["presses"], line["untouched"], line["phantoms"]) for line in lines} == {("1", "1", "0")}
+    summary = json.loads((own / "out" / "tradeoff.json").read_text())
+    assert len(summary["points"]) == len(lines)
+    assert summary["data"]["images"] == str(own / "images")
+
+
+@pytest.mark.slow
+def test_a_budget_that_none_keeps_and_a_missing_truth_exit_1(
+    own: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tradeoff, "BUSY", 0.0)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    cv2.imwrite(str(own / "images" / "alone.png"), TOUCHED)
+    words = of_own(own, "--profile", "fast", "--budget-ms", "0.001", "--json", "--out", str(own / "out"))
+    assert main(words) == 1
+    printed = capsys.readouterr()
+    alone, missing, busy, over = without_progress(printed.err)
+    assert "alone.npz: found no such file" in alone
+    assert missing.startswith("tacshade-edge: tradeoff.png will be missing without matplotlib")
+    assert "the machine was busy: frames took" in busy
+    assert "no shipped profile keeps 0.001 ms" in over
+    assert json.loads(printed.out) == json.loads((own / "out" / "tradeoff.json").read_text())
+
+
+def test_the_settings_are_those_of_a_settings_file(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    block = settings_block([point("fast", 0.2, 1.0), point("accurate", 0.1, 3.0)], 6.0)
+    config = own / "config.yaml"
+    config.write_text(f"calibration: cal.npz\nsource:\n  kind: files\n  path: images/\n{block}\n")
+    assert main(["check-config", str(config)]) == 0
+    assert capsys.readouterr().out == f"{config}: ok\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--profile", "best"], "invalid choice: 'best'"),
+        (["--budget-ms", "0"], "invalid number above 0 value: '0'"),
+        (["--budget-ms", "nan"], "invalid number above 0"),
+        (["--budget-ms", "soon"], "invalid number above 0"),
+        (["--sensors", "9000"], "9000: seeds from 9000 on are kept"),
+        (["--objects", "teapot"], "'teapot' is not known"),
+        (["--images", "x"], "belong together"),
+        (["--calibration", "x", "--images", "x", "--objects", "ball"], "--objects is for simulated sensors"),
+    ],
+)
+def test_usage_mistakes_exit_2(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["tradeoff", *words])
+    assert stop.value.code == 2
+    assert message in capsys.readouterr().err
+
+
+def test_what_is_not_there_is_one_line_before_the_work(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for path in (own / "images").glob("coin.*"):
+        path.unlink()
+    assert main(of_own(own)) == 78
+    assert "found no image of a contact that can be scored" in capsys.readouterr().err
+    assert main(["tradeoff", "--out", str(own / "cal.npz")]) == 1
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "cal.npz: cannot be written" in error

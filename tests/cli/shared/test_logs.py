@@ -1,0 +1,107 @@
+from __future__ import annotations
+
+import io
+import logging
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+
+import pytest
+
+from tacshade_edge.cli.shared.logs import AT_ONCE, PERIOD_S, Limit, OneLineHandler
+
+
+@pytest.fixture
+def written() -> Iterator[tuple[logging.Logger, OneLineHandler, io.StringIO]]:
+    logger, handler, stream = logging.Logger("test"), OneLineHandler(), io.StringIO()
+    handler.setStream(stream)
+    logger.addHandler(handler)
+    yield logger, handler, stream
+    handler.close()
+
+
+def test_text_from_outside_cannot_forge_a_line(
+    written: tuple[logging.Logger, OneLineHandler, io.StringIO],
+) -> None:
+    logger, _, stream = written
+    logger.info("req/%s refused", "a\nWARNING root: all is lost\x1b[2J\u2028\u202e")
+    try:
+        raise ValueError("b\nWARNING root: all is lost\x1b[2J")
+    except ValueError:
+        logger.exception("it failed")
+    lines = stream.getvalue().splitlines()
+    assert lines[:2] == [
+        r"INFO test: req/a\nWARNING root: all is lost\x1b[2J\u2028\u202e refused",
+        "ERROR test: it failed",
+    ]
+    assert all(line.startswith("    ") for line in lines[2:])
+    assert all(line.isprintable() for line in lines)
+
+
+def test_a_line_has_a_most_of_characters(written: tuple[logging.Logger, OneLineHandler, io.StringIO]) -> None:
+    logger, _, stream = written
+    logger.info("%s", "x" * 10**6)
+    assert len(stream.getvalue()) < 1100
+
+
+def test_a_flood_is_counted_and_hides_nothing(written: tuple[logging.Logger, OneLineHandler, io.StringIO]) -> None:
+    logger, handler, stream = written
+    for number in range(15_000):
+        logger.info("req/%s refused: %d", "profile", number)
+    logger.info("another")
+    assert len(stream.getvalue().splitlines()) == AT_ONCE + 1
+    handler.close()
+    told = f"WARNING test: {15_000 - AT_ONCE} more like this were not logged: req/%s refused: %d"
+    assert stream.getvalue().splitlines()[-1] == told
+
+
+def test_how_many_pass_and_when_the_others_are_told() -> None:
+    limit, kind = Limit(), ("a", "b")
+    assert sum(limit.passes(kind, 0.0) for _ in range(100)) == AT_ONCE
+    assert limit.take_left_out(0.9 * PERIOD_S) == []
+    assert limit.take_left_out(PERIOD_S) == [(kind, 100 - AT_ONCE)]
+    assert limit.take_left_out(PERIOD_S) == []
+    assert limit.passes(kind, PERIOD_S)
+    assert not limit.passes(kind, 1.9 * PERIOD_S)
+    assert sum(limit.passes(kind, 100 * PERIOD_S) for _ in range(100)) == AT_ONCE
+    for number in range(10_000):  # of messages that are made, each another
+        limit.passes(("c", str(number)), 0.0)
+    assert len(limit._kinds) <= 258
+
+
+LOGS = """
+import argparse, logging, sys
+from tacshade_edge.cli.shared.logs import add_verbosity, start_logging
+parser = argparse.ArgumentParser()
+add_verbosity(parser)
+start_logging(parser.parse_args(sys.argv[1:]).log_level)
+for level in (logging.DEBUG, logging.INFO, logging.WARNING):
+    logging.getLogger("test").log(level, "said")
+"""
+
+
+def logged(*words: str, journal: bool = False) -> list[str]:
+    """What a process with these words logs, to a file that is the journal's or not."""
+    with tempfile.TemporaryFile("w+") as stream:
+        found = os.fstat(stream.fileno())
+        # A shell below a service inherits the variable: only the very stream counts.
+        inode = found.st_ino if journal else found.st_ino + 1
+        environment = os.environ | {"JOURNAL_STREAM": f"{found.st_dev}:{inode}"}
+        subprocess.run([sys.executable, "-c", LOGS, *words], stderr=stream, env=environment, check=True)
+        stream.seek(0)
+        return stream.read().splitlines()
+
+
+def test_the_journal_gets_no_second_time_stamp() -> None:
+    assert logged(journal=True) == ["INFO test: said", "WARNING test: said"]
+    stamp = r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}[+-]\d\d:\d\d"
+    for line, said in zip(logged(), ("INFO test: said", "WARNING test: said"), strict=True):
+        assert re.fullmatch(f"{stamp} {said}", line)
+
+
+def test_more_and_less_is_logged() -> None:
+    assert [line.split()[0] for line in logged("-v", journal=True)] == ["DEBUG", "INFO", "WARNING"]
+    assert [line.split()[0] for line in logged("-q", journal=True)] == ["WARNING"]

@@ -1,0 +1,90 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tacshade_edge.core.calibration.observation.screened_change import (
+    DARKENING_FLOOR,
+    DARKENING_WEIGHT,
+    screened_change,
+    screened_poisson,
+)
+from tacshade_edge.core.image.grey_maps import GreyMaps
+from tacshade_edge.types import F32
+
+SIZES = st.integers(1, 33)
+
+
+def maps_of(g_d: F32, inside: np.ndarray | None = None) -> GreyMaps:
+    g0 = np.full(g_d.shape, 100, np.float32)
+    return GreyMaps(g0 + g_d, g0, g_d, np.ones(g_d.shape, bool) if inside is None else inside)
+
+
+@given(SIZES, SIZES, st.floats(0, 255, width=32), st.floats(0, 30))
+def test_a_constant_stays(rows: int, cols: int, level: float, reach: float) -> None:
+    psi = screened_poisson(np.full((rows, cols), level, np.float32), reach)
+    assert psi.shape == (rows, cols)
+    np.testing.assert_allclose(psi, level, atol=1e-3)
+
+
+@settings(deadline=None)
+@given(SIZES, SIZES, st.floats(0.1, 30), st.integers(0, 2**32 - 1))
+def test_psi_solves_its_equation(rows: int, cols: int, reach: float, seed: int) -> None:
+    """ψ - ℓ² ∇²ψ = change with mirrored borders, by a dense float64 solve (even sizes: no padding)."""
+    rows, cols = 2 * (rows // 8 + 1), 2 * (cols // 8 + 1)
+    change = np.random.default_rng(seed).uniform(0, 255, (rows, cols)).astype(np.float32)
+
+    def second_difference(n: int) -> np.ndarray:
+        d = np.diag(np.full(n, 2.0)) - np.eye(n, k=1) - np.eye(n, k=-1)
+        d[0, 0] = d[-1, -1] = 1.0
+        return d if n > 1 else np.zeros((1, 1))
+
+    laplace = np.kron(second_difference(rows), np.eye(cols)) + np.kron(np.eye(rows), second_difference(cols))
+    psi = np.linalg.solve(np.eye(rows * cols) + reach**2 * laplace, change.ravel().astype(float))
+    np.testing.assert_allclose(screened_poisson(change, reach), psi.reshape(rows, cols), atol=0.01)
+
+
+def test_psi_is_symmetric_linear_and_has_unit_gain() -> None:
+    spot = np.zeros((64, 64), np.float32)
+    spot[31, 32] = 100.0
+    psi = screened_poisson(spot, 3.0)
+    assert psi.sum() == pytest.approx(100, rel=1e-4)
+    assert np.unravel_index(int(psi.argmax()), psi.shape) == (31, 32)
+    np.testing.assert_allclose(screened_poisson(spot.T, 3.0), psi.T, atol=1e-4)
+    np.testing.assert_allclose(screened_poisson(spot[::-1, ::-1], 3.0), psi[::-1, ::-1], atol=1e-4)
+    np.testing.assert_allclose(screened_poisson(3 * spot, 3.0), 3 * psi, atol=1e-3)
+    np.testing.assert_allclose(psi[31, 32 - 9 : 32 + 10], psi[31, 32 - 9 : 32 + 10][::-1], atol=1e-3)
+
+
+def test_odd_sizes_are_like_even_ones() -> None:
+    spot = np.zeros((41, 61), np.float32)
+    spot[20, 30] = 100.0
+    wide = screened_poisson(np.pad(spot, ((0, 1), (0, 1))), 3.0)
+    np.testing.assert_allclose(screened_poisson(spot, 3.0), wide[:41, :61], atol=1e-2)
+
+
+def test_darkening_counts_as_change_and_the_outside_does_not() -> None:
+    change = np.random.default_rng(6).normal(0, 30, (20, 22)).astype(np.float32)
+    inside = np.zeros(change.shape, bool)
+    inside[4:15, 5:16] = True
+    psi = screened_change(maps_of(change, inside), 3.0)
+    assert (psi >= 0).all()
+    assert not psi[~inside].any()
+    # A dark rim says more of the depth than a bright middle: the same change is worth more as darkening.
+    dark, bright = (screened_change(maps_of(sign * np.abs(change), inside), 3.0) for sign in (-1, 1))
+    assert (dark[inside] > bright[inside]).all()
+
+
+def test_a_constant_brightening_has_the_floor_as_its_darkening() -> None:
+    wide = np.full((120, 120), 30, np.float32)  # beyond the window nothing changes; the middle is far from there
+    chi = screened_change(maps_of(wide), 4.0)[58:62, 58:62]
+    np.testing.assert_allclose(chi, 30 ** (1 - DARKENING_WEIGHT) * DARKENING_FLOOR**DARKENING_WEIGHT, rtol=1e-3)
+
+
+def test_what_is_not_finite_counts_as_no_change() -> None:
+    change = np.full((20, 20), 30, np.float32)
+    change[3, 4], change[5, 6] = np.nan, np.inf
+    repaired = np.where(np.isfinite(change), change, np.float32(0))
+    np.testing.assert_array_equal(screened_change(maps_of(change), 4.0), screened_change(maps_of(repaired), 4.0))

@@ -1,0 +1,99 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from tacshade_edge.core.calibration.indenters.indenter import box, cylinder
+from tacshade_edge.core.calibration.inputs import KnownPress
+from tacshade_edge.core.calibration.observation.touches import first_touch_mm, from_travel, skin_centre, stand, yaw_of
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.types import F64
+
+RING = np.array([(math.cos(a), math.sin(a)) for a in np.arange(6) + 0.2])
+
+
+def touches(centre_mm: F64, r: float, ball_mm: float, places_mm: F64) -> F64:
+    z = np.sqrt((r + ball_mm) ** 2 - (places_mm**2).sum(axis=1)) - ball_mm
+    return centre_mm + np.column_stack((places_mm, z))
+
+
+@given(
+    st.floats(10, 40),
+    st.floats(1, 12),
+    st.tuples(st.floats(-300, 300), st.floats(-300, 300), st.floats(-300, 300)),
+    st.tuples(st.floats(-5, 5), st.floats(-5, 5)),
+)
+def test_the_centre_is_found_wherever_the_touches_lie(
+    r: float, ball_mm: float, centre: tuple[float, float, float], beside: tuple[float, float]
+) -> None:
+    places = np.vstack(((0, 0), 0.2 * r * RING, 0.4 * r * RING)) + beside
+    assume(float(np.hypot(*places.T).max()) < 0.9 * r)
+    found, rms_mm = skin_centre(touches(np.array(centre), r, ball_mm, places), r, ball_mm)
+    assert np.abs(found - centre).max() < 1e-6
+    assert rms_mm < 1e-6
+
+
+def test_another_skin_is_refused() -> None:
+    places = np.vstack(((0, 0), 8 * RING))
+    with pytest.raises(ConfigError, match="expected a skin of 32 mm touched by a ball of 6 mm"):
+        skin_centre(touches(np.zeros(3), 20, 6, places), 32, 6)
+
+
+@given(st.floats(-math.pi, math.pi), st.floats(0.7, 1.5))
+def test_the_yaw_is_that_of_the_pictures(yaw_rad: float, scale: float) -> None:
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    shown = 8 * RING
+    put = shown @ np.array(((c, s), (-s, c)))
+    found = yaw_of(put, shown / scale)
+    assert math.remainder(found - yaw_rad, 2 * math.pi) == pytest.approx(0, abs=1e-9)
+
+
+def test_mirrored_and_foreign_pictures_are_refused() -> None:
+    with pytest.raises(ConfigError, match="mirrored"):
+        yaw_of(8 * RING, 8 * RING * (1, -1))
+    with pytest.raises(ConfigError, match="beside where it was put"):
+        yaw_of(8 * RING, 8 * RING[[0, 3, 1, 4, 2, 5]])
+    with pytest.raises(ConfigError, match="beside where it was put"):
+        yaw_of(8 * RING, 0 * RING)
+
+
+def test_the_head_stands_where_a_press_is_stated() -> None:
+    found = stand(np.array((100.0, 90.0, 50.0)), math.radians(90), 20.0)
+    assert found.head_mm(0, 0, 1.5) == pytest.approx((100, 90, 68.5))
+    assert found.head_mm(12, 0, 1) == pytest.approx((100, 102, 50 + 16 - 1))  # x of the sensor is the machine's y
+    assert (found.yaw_deg, found.indenter_yaw_deg) == pytest.approx((90, -90))
+
+
+@given(st.floats(0, 12), st.floats(1, 10))
+def test_a_ball_touches_before_its_lowest_point_is_at_the_skin(x_mm: float, ball_mm: float) -> None:
+    depth_mm = first_touch_mm(ball_mm, 20.0, x_mm, 0.0)
+    centre = np.array((x_mm, math.sqrt(400 - x_mm**2) - depth_mm + ball_mm))
+    assert float(np.hypot(*centre)) == pytest.approx(20 + ball_mm)
+
+
+def test_flat_ends_touch_beside_their_middle() -> None:
+    assert first_touch_mm(cylinder("flat", 4), 20, 0, 0) == pytest.approx(0, abs=1e-6)
+    assert first_touch_mm(cylinder("flat", 4), 20, 6, 0) == pytest.approx(
+        math.sqrt(400 - 36) - math.sqrt(400 - 4), abs=1e-3
+    )
+    turned = first_touch_mm(box("square", 8, 4), 20, 6, 0, 90), first_touch_mm(box("square", 8, 4), 20, 6, 0)
+    assert turned[0] == pytest.approx(math.sqrt(400 - 36) - math.sqrt(400 - 16), abs=1e-3)
+    assert turned[1] < turned[0]
+
+
+def test_travel_becomes_depth() -> None:
+    image = np.zeros((2, 2), np.uint8)
+    ball = KnownPress("ball", image, 6.0, 2.0, 6.0, 0.0)
+    assert from_travel(ball, 20).depth_mm == pytest.approx(2 + first_touch_mm(6.0, 20, 6, 0))
+    flat = KnownPress("flat", image, 0.0, 2.0, 6.0, 0.0, cylinder("flat", 4), tilt_x_deg=5.0)
+    upright = KnownPress("flat", image, 0.0, 2.0, 6.0, 0.0, cylinder("flat", 4))
+    assert from_travel(upright, 20).depth_mm == pytest.approx(2 + first_touch_mm(cylinder("flat", 4), 20, 6, 0))
+    assert from_travel(flat, 20).depth_mm != pytest.approx(from_travel(upright, 20).depth_mm, abs=0.01)
+    with pytest.raises(ConfigError, match="ball: x_mm, y_mm: found nothing"):
+        from_travel(KnownPress("ball", image, 6.0, 2.0, None, None), 20)
+    with pytest.raises(ConfigError, match="expected a place over the skin"):
+        from_travel(KnownPress("ball", image, 6.0, 2.0, 30.0, 0.0), 20)

@@ -1,0 +1,103 @@
+"""On presses of simulated sensors, each of which is made wrong in turn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+from support.observed_presses import PRESSES, SEEDS, observed
+
+from tacshade_edge.core.calibration.observation.press_observation import PressObservation
+from tacshade_edge.core.calibration.presses.press_outliers import outliers
+from tacshade_edge.core.calibration.skin_scale import skin_scale
+
+pytestmark = pytest.mark.slow
+
+Change = Callable[[PressObservation, float], PressObservation]
+
+
+def most(trials: int, rate: float) -> int:
+    """The most of a count that chance gives 999 times in 1000."""
+    return int(binom.ppf(0.999, trials, rate))
+
+
+def found_and_others(change: Change) -> tuple[int, int, int]:
+    """Presses that were made wrong, those of them that are found, and others that are called wrong besides."""
+    trials = hits = others = 0
+    for seed in SEEDS:
+        presses, geometry = observed(seed)
+        good = {outlier.index for outlier in outliers(presses, geometry)}
+        for k, press in enumerate(presses):
+            wrong = change(press, skin_scale(geometry))
+            if wrong.depth_mm <= 0:
+                continue
+            found = {o.index for o in outliers([*presses[:k], wrong, *presses[k + 1 :]], geometry)}
+            trials, hits, others = trials + 1, hits + (k in found), others + len(found - good - {k})
+    return trials, hits, others
+
+
+def test_good_presses_pass() -> None:
+    """Of 720 presses `python -m tools.studies.calibration --sensors 30 --detect 16 --first 8400` calls one wrong."""
+    false = sum(len(outliers(*observed(seed))) for seed in SEEDS)
+    assert false <= most(len(SEEDS) * PRESSES, 1 / 720)
+
+
+@pytest.mark.parametrize(("off_mm", "missed"), [(2.0, 4 / 384), (1.5, 10 / 384), (-1.5, 5 / 252)])
+def test_a_false_depth_is_found(off_mm: float, missed: float) -> None:
+    """The same command misses so many of those that it makes wrong."""
+    trials, hits, others = found_and_others(lambda o, scale: replace(o, depth_mm=o.depth_mm + off_mm * scale))
+    assert trials > 40
+    assert trials - hits <= most(trials, missed)
+    assert others <= most(trials, 0.01)
+
+
+def test_a_false_place_is_found() -> None:
+    """The same command misses none of 384."""
+    trials, hits, others = found_and_others(lambda o, scale: replace(o, x_mm=(o.x_mm or 0.0) + 6 * scale))
+    assert trials == len(SEEDS) * PRESSES
+    assert trials - hits <= most(trials, 1 / 384)
+    assert others <= most(trials, 0.01)
+
+
+def test_both_values_are_named() -> None:
+    presses, geometry = observed(SEEDS[0])
+    scale, k = skin_scale(geometry), 6
+    true_mm, (x_mm, y_mm) = presses[k].depth_mm, presses[k].place_mm
+    deeper = replace(presses[k], depth_mm=true_mm + 2.5 * scale)
+    (found,) = outliers([*presses[:k], deeper, *presses[k + 1 :]], geometry)
+    assert found.index == k
+    assert found.reason.startswith(f"press {k}: depth {deeper.depth_mm:.2f} mm is stated, ")
+    predicted_mm = float(found.reason.split("is stated, ")[1].split(" mm")[0])
+    assert abs(predicted_mm - true_mm) < abs(predicted_mm - deeper.depth_mm) / 3
+    beside = replace(presses[k], x_mm=x_mm + 6 * scale)
+    (found,) = outliers([*presses[:k], beside, *presses[k + 1 :]], geometry)
+    assert found.reason.startswith(f"press {k}: x {x_mm + 6 * scale:.1f}, y {y_mm:.1f} mm is stated, x ")
+    assert found.reason.endswith("mm is what the image shows")
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_several_false_depths_do_not_hide_each_other(seed: int) -> None:
+    presses, geometry = observed(seed)
+    wrong = {3, 9, 14, 20}
+    false = [
+        replace(o, depth_mm=o.depth_mm + 2.5 * skin_scale(geometry)) if k in wrong else o for k, o in enumerate(presses)
+    ]
+    assert {o.index for o in outliers(false, geometry)} == wrong
+
+
+def test_presses_without_a_place_are_judged_where_they_are_located() -> None:
+    stated, geometry = observed(SEEDS[0])
+    presses = [replace(o, x_mm=None, y_mm=None) for o in stated]
+    assert outliers(presses, geometry) == ()
+    false = replace(presses[5], depth_mm=presses[5].depth_mm + 2.5 * skin_scale(geometry))
+    assert [o.index for o in outliers([*presses[:5], false, *presses[6:]], geometry)] == [5]
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_of_few_presses_none_is_called_wrong(count: int) -> None:
+    presses, geometry = observed(SEEDS[0])
+    false = [replace(o, depth_mm=float(d)) for o, d in zip(presses[:count], np.linspace(0.1, 9, count), strict=True)]
+    assert len(outliers(false, geometry)) <= max(count - 2, 0)

@@ -1,0 +1,95 @@
+from __future__ import annotations
+
+import pytest
+
+from tacshade_edge.core.calibration.calibrate import calibrate
+from tacshade_edge.core.calibration.reference.references import rezero
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.inference.network import make_reconstructor
+from tacshade_edge.simulator import nuisance
+from tacshade_edge.simulator.objects import ball
+from tacshade_edge.simulator.press import Press
+from tacshade_edge.types import U8, Frame
+from tools.testbed.calibrated_sensor import (
+    HALF,
+    calibrated,
+    loaded,
+    pressed,
+    references,
+    sensor_of,
+    simulated,
+    step,
+    unloaded,
+)
+
+SENSOR = sensor_of(HALF)
+
+
+def test_noise_is_measured_from_the_references() -> None:
+    noisy = [nuisance.noise(image, 12, k) for k, image in enumerate(references())]
+    assert calibrate(SENSOR, noisy).calibration.noise_grey > 1.5 * calibrated(count=0).noise_grey
+
+
+def test_few_references_are_a_warning() -> None:
+    (warning,) = calibrate(SENSOR, references()[:1]).warnings
+    assert warning.startswith("1 reference: noise assumed")
+
+
+def test_references_that_differ_from_each_other() -> None:
+    others = list(references()[1:])
+    (warning,) = calibrate(SENSOR, [nuisance.shift(references()[0], 0, 1), *others[:3]]).warnings[:1]
+    assert warning == "reference 2: the image moved by 1.0 px against reference 1"
+    with pytest.raises(ConfigError, match=r"reference 3: the image moved by 5\.0 px since reference 1; fix the camera"):
+        calibrate(SENSOR, [*others[:2], nuisance.shift(others[2], 0, 5)])
+    (warning,) = calibrate(SENSOR, [*others, nuisance.gain(references()[0], 0.7)]).warnings
+    assert warning.startswith("reference 5: 0.7")
+    one_loaded = [*others, simulated(HALF).frame((Press(ball(6.0), 3, 2, 1.5),), 9).image]
+    with pytest.raises(ConfigError, match="reference 5: seems pressed"):
+        calibrate(SENSOR, one_loaded)
+    assert any("seems pressed" in warning for warning in calibrate(SENSOR, one_loaded, (), True).warnings)
+
+
+def test_a_new_reference_keeps_everything_else() -> None:
+    dimmer = [nuisance.gain(unloaded(noise_seed=60 + k), 0.8) for k in range(3)]
+    renewed = rezero(calibrated(), dimmer)
+    assert renewed.crc32 == 0
+    assert renewed.reference_grey.mean() < 0.85 * calibrated().reference_grey.mean()
+    for name in ("geometry", "polarity", "pitch_px", "alpha", "fit"):
+        assert getattr(renewed, name) == getattr(calibrated(), name)
+    assert renewed.factors == calibrated().factors
+    image = pressed("ball", 3.0).image
+    depth_mm = (
+        make_reconstructor(renewed, PROFILES["fast"]).step(Frame(0, 0, 0, nuisance.gain(image, 0.8))).depth_max_mm
+    )
+    assert depth_mm == pytest.approx(step("fast", image).depth_max_mm, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("images", "reason"),
+    [
+        ([], "no image"),
+        ([unloaded() * 0], "reference refused: black"),
+        ([unloaded(), unloaded()[:-1]], "reference refused: size"),
+        (loaded(3.0, 0.0), "reference refused: .*under load"),
+        (loaded(3.0, 6.0), "reference refused: .*under load"),
+        ([nuisance.shift(unloaded(), 0, 4)] * 3, "reference refused: the image moved by 4.0 px; .*calibrate again"),
+        ([nuisance.defocus(unloaded(), 2.5)] * 3, "reference refused: 0.* times the contrast"),
+    ],
+    ids=["none", "black", "size", "load in the middle", "load", "moved", "blurred"],
+)
+def test_a_new_reference_that_cannot_be_used(images: list[U8], reason: str) -> None:
+    with pytest.raises(ConfigError, match=reason):
+        rezero(calibrated(), images)
+
+
+def test_a_load_may_be_allowed() -> None:
+    assert rezero(calibrated(), loaded(3.0, 6.0), allow_loaded=True).crc32 == 0
+
+
+@pytest.mark.parametrize("x_mm", [0.0, 5.0])
+def test_a_reference_under_load_is_refused_or_allowed(x_mm: float) -> None:
+    with pytest.raises(ConfigError, match=r"taken under load.*--allow-loaded-reference"):
+        calibrate(SENSOR, loaded(3.0, x_mm))
+    (warning,) = calibrate(SENSOR, loaded(3.0, x_mm), allow_loaded_reference=True).warnings
+    assert "taken under load" in warning

@@ -1,0 +1,58 @@
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tacshade_edge.cli import main
+from tacshade_edge.demo.broker import broker_command
+from tacshade_edge.demo.child import Child, free_port, wait_for_port
+from tacshade_edge.errors import DeviceError
+from tools.testbed.mqtt_rig import MOSQUITTO, Subscriber
+
+FULL_SIZE = 640 * 480 * 2 + 96
+
+
+@pytest.mark.parametrize("kind", ["mosquitto", "embedded"])
+def test_the_broker_carries_full_size_maps_and_keeps_retained_ones(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if kind == "embedded":
+        pytest.importorskip("iotcore")
+        monkeypatch.setattr(shutil, "which", lambda *_, **__: None)
+    elif MOSQUITTO is None:
+        pytest.skip("mosquitto is not installed")
+    port = free_port()
+    child = Child("broker", broker_command(tmp_path, port), tmp_path)
+    try:
+        wait_for_port(child, port, 20)
+        with Subscriber(port, "tacshade/#", v5=True) as early:
+            early.publish("tacshade/demo/state", b"online", retain=True)
+            early.wait_for("tacshade/demo/state")
+            for number in range(5):
+                early.publish("tacshade/demo/height", bytes([number]) * FULL_SIZE, qos=0)
+            maps = early.wait_for("tacshade/demo/height", 5)
+            assert [(m[0], len(m)) for m in maps] == [(number, FULL_SIZE) for number in range(5)]
+            with Subscriber(port, "tacshade/#", v5=True) as late:
+                assert late.wait_for("tacshade/demo/state") == [b"online"]
+        child.check()
+    finally:
+        child.stop()
+    assert child.output.count("\n") < 30  # not a line for every message
+
+
+def test_without_any_broker_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shutil, "which", lambda *_, **__: None)
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    with pytest.raises(DeviceError, match=r"expected it or the extra: pip install '\.\[demo\]'"):
+        broker_command(tmp_path, 1883)
+
+
+def test_without_the_page_it_names_the_extra_of_the_demo(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    assert main(["demo"]) == 78
+    said = "tacshade-edge: demo: the package websockets is missing: pip install '.[demo]' in the clone\n"
+    assert capsys.readouterr() == ("", said)

@@ -1,0 +1,151 @@
+"""A calibration outlives updates of the program."""
+
+from __future__ import annotations
+
+import logging
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tacshade_edge.core.calibration.calibrate import calibrate
+from tacshade_edge.core.calibration.inputs import Inputs
+from tacshade_edge.core.calibration.making_again import inputs_of, with_new_reference
+from tacshade_edge.core.calibration.reference.references import rezero
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.factories import calibrations
+from tacshade_edge.inference.network import load_networks
+from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.types import Calibration
+from tools.testbed.calibrated_sensor import HALF, calibrated, presses, references, sensor_of, unloaded
+from tools.testbed.fitted import fitted_network, fitted_with
+
+INPUTS = inputs_of(sensor_of(HALF), references(), presses())
+OLDER = calibration_file.VERSION - 1
+
+
+def made() -> Calibration:
+    return calibrate(INPUTS.sensor, references(), presses(), networks=load_networks()).calibration
+
+
+def stored(path: Path, monkeypatch: pytest.MonkeyPatch, inputs: Inputs | None, version: int = OLDER) -> None:
+    """As a program of another version would."""
+    saved(path, monkeypatch, calibrated(), inputs, version)
+
+
+def saved(
+    path: Path, monkeypatch: pytest.MonkeyPatch, calibration: Calibration, inputs: Inputs | None, version: int
+) -> None:
+    """Made before, as tests share it: its checksum has the version in it."""
+    with monkeypatch.context() as patch:
+        patch.setattr(calibration_file, "VERSION", version)
+        calibration_file.save(path, calibration, inputs)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "hand.npz"
+
+
+@pytest.mark.slow
+def test_one_of_another_version_is_made_again_and_the_old_file_kept(
+    path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    stored(path, monkeypatch, INPUTS)
+    before, expected = path.read_bytes(), calibration_file.with_crc(made())
+    with caplog.at_level(logging.INFO):
+        found = calibrations.load(path)
+    assert found.crc32 == expected.crc32
+    assert found.factors == expected.factors != {}
+    kept = path.with_name(f"hand.v{OLDER}.npz")
+    assert kept.read_bytes() == before
+    assert [record.message for record in caplog.records] == [
+        f"{path}: of version {OLDER}: making it again for version {calibration_file.VERSION}",
+        f"{path}: made again; the old file is {kept}",
+    ]
+    caplog.clear()
+    assert calibrations.load(path).crc32 == expected.crc32
+    assert not caplog.records
+    assert calibration_file.inputs_in(path) is not None
+
+
+@pytest.mark.slow
+def test_a_new_reference_is_made_again_too(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    images = [unloaded(noise_seed=seed) // 8 * 7 for seed in range(900, 905)]
+    stored(path, monkeypatch, with_new_reference(INPUTS, images))
+    found, expected = calibrations.load(path, store=False), rezero(made(), images)
+    np.testing.assert_array_equal(found.reference_grey, expected.reference_grey)
+    assert found.factors == expected.factors
+
+
+def test_nothing_is_written_where_that_is_not_wanted(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stored(path, monkeypatch, Inputs(INPUTS.sensor, INPUTS.references))
+    before = path.read_bytes()
+    assert calibrations.load(path, store=False).factors == {}
+    assert path.read_bytes() == before
+    assert os.listdir(path.parent) == [path.name]
+
+
+def test_it_is_used_where_it_cannot_be_stored(
+    path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    stored(path, monkeypatch, Inputs(INPUTS.sensor, INPUTS.references))
+    before = path.read_bytes()
+    path.with_name(f"hand.v{OLDER}.npz.part").mkdir()
+    assert calibrations.load(path).crc32
+    assert path.read_bytes() == before
+    assert "made again each time, it cannot be stored" in caplog.messages[-1]
+
+
+def test_one_without_what_it_was_made_of_is_read_as_ever(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stored(path, monkeypatch, None)
+    assert calibrations.load(path).factors == {}
+    stored(path, monkeypatch, None, 5)
+    with pytest.raises(ConfigError, match=r"calibration version 5, expected .*: calibrate again"):
+        calibrations.load(path)
+
+
+def test_what_can_no_longer_be_used_says_so(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    black = tuple(image * 0 for image in INPUTS.references)
+    stored(path, monkeypatch, Inputs(INPUTS.sensor, black))
+    with pytest.raises(ConfigError, match=f"{path}: cannot be made again by this version: .*; calibrate again"):
+        calibrations.load(path)
+    stored(path, monkeypatch, Inputs(INPUTS.sensor, (black[0][:-2],)))
+    with pytest.raises(ConfigError, match="what it was made of cannot be read: found 320x238 px, expected a grey PNG"):
+        calibrations.load(path)
+
+
+@pytest.mark.slow
+def test_fitted_weights_stay_when_it_is_made_again(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    saved(path, monkeypatch, fitted_with("fast", calibrated()), INPUTS, OLDER)
+    found = calibrations.load(path)
+    assert found.factors == made().factors
+    np.testing.assert_array_equal(found.fitted["fast"].weights, fitted_network("fast").weights)
+    assert calibrations.load(path).crc32 == found.crc32
+    assert calibrations.fits_to_renew(path) == ()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("version", [OLDER, calibration_file.VERSION])
+def test_those_of_another_layout_do_not_run_and_a_new_fit_is_asked_for(
+    path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, version: int
+) -> None:
+    saved(path, monkeypatch, fitted_with("fast", calibrated(), layout="another"), INPUTS, version)
+    for _ in range(2):
+        caplog.clear()
+        found = calibrations.load(path)
+        assert found.fitted == {}
+        assert found.crc32 == calibration_file.with_crc(made()).crc32
+        assert "calibrate --fit again" in caplog.records[-1].message
+        assert calibrations.fits_to_renew(path) == ("fast",)
+
+
+def test_weights_that_are_not_those_of_their_layout_do_not_run(path: Path) -> None:
+    network = fitted_network("fast")
+    for changed in ({"weights": network.weights[1:]}, {"correction": network.correction[:, 1:]}):
+        calibration_file.save(path, replace(calibrated(), fitted={"fast": replace(network, **changed)}))
+        assert calibrations.load(path).fitted == {}
+    calibration_file.save(path, replace(calibrated(), fitted={"other": network}))
+    assert calibrations.load(path).fitted == {}

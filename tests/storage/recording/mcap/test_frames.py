@@ -1,0 +1,319 @@
+from __future__ import annotations
+
+import io
+import itertools
+import json
+import random
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+pytest.importorskip("mcap")
+pytest.importorskip("foxglove_schemas_protobuf")
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+from mcap.writer import CompressionType, Writer
+
+from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.storage.recording.image_source import FilesSource, first_size_px
+from tacshade_edge.storage.recording.mcap import frames, messages
+from tacshade_edge.storage.recording.mcap.writer import McapWriter
+from tacshade_edge.storage.recording.recording import RecordedFrame, Recording
+from tacshade_edge.types import U8, Frame, Pose
+from tools.testbed.mcap_bytes import CHUNK, described, file_of, flipped, message, record_starts
+
+PERIOD_NS = 33_333_333
+WALL_NS = 1_790_000_000_000_000_000
+
+
+def picture(seq: int) -> U8:
+    return np.random.default_rng(seq).integers(0, 256, (48, 64), dtype=np.uint8)
+
+
+def frame(seq: int) -> Frame:
+    t_ns = 500 + seq * PERIOD_NS
+    pose = Pose(t_ns, 0.1 * seq, 2.5, -3.0, 0.6, 0.0, -0.8, 0.0) if seq % 2 else None
+    return Frame(seq, t_ns, WALL_NS + t_ns, picture(seq), pose, 412 if pose else 0)
+
+
+def ours(frames: int, chunk_bytes: int = 1 << 15) -> bytes:
+    stream = io.BytesIO()
+    writer = McapWriter(stream, "left", chunk_bytes=chunk_bytes)
+    writer.attach("calibration.npz", b"12", 0)
+    for seq in range(frames):
+        png = cv2.imencode(".png", picture(seq))[1].tobytes()
+        writer.frame(f"{seq:06d}.png", frame(seq), png, WALL_NS + frame(seq).t_ns)
+    writer.finish()
+    return stream.getvalue()
+
+
+def every(path: Path) -> tuple[list[RecordedFrame], list[str]]:
+    recording, frames, refused = Recording(path), [], []
+    while True:
+        try:
+            recorded = recording.read()
+        except DecodeError as error:
+            refused.append(str(error))
+            continue
+        if recorded is None:
+            return frames, refused
+        frames.append(recorded)
+
+
+def test_ours_gives_back_times_poses_and_pixels(tmp_path: Path) -> None:
+    path = tmp_path / "rec.mcap"
+    path.write_bytes(ours(5))
+    frames, refused = every(path)
+    assert refused == []
+    for seq, recorded in enumerate(frames):
+        was, found = frame(seq), recorded.frame
+        assert (recorded.name, recorded.wall_ns) == (f"{seq:06d}.png", was.wall_ns)
+        assert (found.seq, found.t_ns, found.wall_ns) == (seq, was.t_ns, 0)
+        assert (found.pose, found.pose_error_us) == (was.pose, was.pose_error_us)
+        np.testing.assert_array_equal(found.image, was.image)
+    assert len(frames) == 5
+    assert not Recording(path).cut_off
+
+
+def test_it_tells_its_length_unless_it_was_cut_off(tmp_path: Path) -> None:
+    path = tmp_path / "rec.mcap"
+    path.write_bytes(ours(5))
+    assert Recording(path).length_ns == 4 * PERIOD_NS
+    path.write_bytes(ours(5)[:-20])
+    assert Recording(path).length_ns == 0
+
+
+def test_a_loop_goes_on_in_time(tmp_path: Path) -> None:
+    path = tmp_path / "rec.mcap"
+    path.write_bytes(ours(2))
+    recording = Recording(path, times=2)
+    times = [recorded.frame.t_ns for _ in range(4) if (recorded := recording.read()) is not None]
+    assert np.diff(times).tolist() == [PERIOD_NS] * 3
+    with pytest.raises(ConfigError, match="has the time stamps"):
+        Recording(path, fps=30)
+
+
+def test_a_cut_at_any_of_100_bytes_leaves_all_but_the_last_chunk(tmp_path: Path) -> None:
+    whole, frames = ours(40), 40
+    path = tmp_path / "rec.mcap.part"
+    draw = random.Random(7)
+    for at in (draw.randrange(len(whole) // 3, len(whole) - 8) for _ in range(100)):
+        path.write_bytes(whole[:at])
+        assert Recording(path).cut_off
+        found, refused = every(path)
+        assert refused == []
+        # A chunk holds 32 KiB, here 10 frames; the summary is behind all of them.
+        assert len(found) >= min(frames, frames * at // len(whole) - 11)
+
+
+def test_a_damaged_chunk_is_told_and_passed_over(tmp_path: Path) -> None:
+    whole = bytearray(ours(40))
+    whole[len(whole) // 2] ^= 16
+    path = tmp_path / "rec.mcap"
+    path.write_bytes(whole)
+    frames, refused = every(path)
+    assert 25 <= len(frames) < 40
+    assert len(refused) == 2
+    assert "is damaged and passed over" in refused[0]
+    assert f"found {len(frames)} messages of /tacshade/left/camera, expected 40 by the file's own count" in refused[1]
+
+
+def test_one_flipped_bit_costs_a_chunk_at_most_and_is_told(tmp_path: Path) -> None:
+    whole = ours(4, chunk_bytes=1 << 11)  # a picture ends a chunk
+    good = {recorded.name: recorded for recorded in every(_written(tmp_path, whole))[0]}
+    assert len(good) == 4
+    heads = [begin + byte for begin in record_starts(whole) for byte in range(9)]
+    draw = random.Random(5)
+    # All of a record's head, for every kind; some of the rest.
+    for at in (*draw.sample(heads, 120), *(draw.randrange(len(whole)) for _ in range(200))):
+        path = _written(tmp_path, flipped(whole, at, draw.randrange(8)))
+        frames, refused = every(path)
+        for recorded in frames:
+            was, found = good[recorded.name].frame, recorded.frame
+            assert (found.t_ns, found.pose) == (was.t_ns, was.pose)
+            np.testing.assert_array_equal(found.image, was.image)
+        assert len(frames) >= 3
+        assert len(frames) == 4 or refused
+
+
+def test_without_an_index_a_flipped_bit_in_any_head_costs_a_chunk_at_most(tmp_path: Path) -> None:
+    whole = ours(5, chunk_bytes=1 << 11)
+    chunks = [begin for begin in record_starts(whole) if whole[begin] == CHUNK]
+    path = tmp_path / "rec.mcap.part"
+    for begin in chunks[:-1]:
+        for byte, bit in itertools.product((0, 1, 2, 3, 4, 5, 8), range(8)):
+            path.write_bytes(flipped(whole, begin + byte, bit)[: chunks[-1] + 100])
+            frames, refused = every(path)
+            # The last chunk is torn, as in a recording that still goes on.
+            assert len(frames) == len(chunks) - 2
+            assert len(refused) == 1
+            assert "damaged and passed over" in refused[0]
+
+
+@pytest.mark.parametrize("number", ["1" + "0" * 400, "1e308", "-2e6", "Infinity", "NaN", "true", "{}", "[]", "null"])
+@pytest.mark.parametrize("key", ["x_mm", "qw", "t_ns", "pose_error_us", "image"])
+def test_what_is_said_of_a_frame_is_bounded_before_it_is_used(tmp_path: Path, key: str, number: str) -> None:
+    about = {"image": "1.png", "seq": 1, "t_ns": 90, "x_mm": 1.0, "y_mm": 2.0, "z_mm": 3.0, "qw": 1.0}
+    about |= {"qx": 0.0, "qy": 0.0, "qz": 0.0, "pose_error_us": 0}
+    stream = io.BytesIO()
+    writer = McapWriter(stream, "left")
+    for seq in range(3):
+        text = json.dumps({**about, "seq": seq, "t_ns": 90 + seq})
+        if seq == 1:
+            text = json.dumps({**about, key: "HERE"}).replace('"HERE"', number)
+        writer.write("frame", text.encode(), 90 + seq, seq)
+        writer.write("camera", messages.camera(cv2.imencode(".png", picture(seq))[1].tobytes(), "left", 0), 0, seq)
+    writer.finish()
+    frames, refused = every(_written(tmp_path, stream.getvalue()))
+    assert [recorded.frame.t_ns for recorded in frames] == [90, 92]
+    assert len(refused) == 1
+    assert f"message 1 of /tacshade/left/camera: {key}: found" in refused[0]
+    assert len(refused[0]) < 500
+
+
+def test_a_picture_of_ours_whose_times_are_lost_is_told(tmp_path: Path) -> None:
+    stream = io.BytesIO()
+    writer = McapWriter(stream, "left")
+    png = cv2.imencode(".png", picture(0))[1].tobytes()
+    writer.write("camera", messages.camera(png, "left", WALL_NS), WALL_NS, 0)
+    writer.frame("1.png", frame(1), png, WALL_NS)
+    writer.finish()
+    frames, refused = every(_written(tmp_path, stream.getvalue()))
+    assert [recorded.frame.t_ns for recorded in frames] == [frame(1).t_ns]
+    assert len(refused) == 1
+    assert "expected a message of the channel frame" in refused[0]
+
+
+def test_a_file_of_several_that_is_none_is_told_and_the_others_are_read(tmp_path: Path) -> None:
+    (tmp_path / "000.mcap").write_bytes(ours(3))
+    (tmp_path / "001.mcap.part").write_bytes(b"")
+    recording = Recording(tmp_path)
+    assert "001.mcap.part: found no MCAP file, expected one; its frames are left out" in recording.damage
+    assert len(every(tmp_path)[0]) == 3
+
+
+def test_a_file_that_its_writer_ends_meanwhile_is_found(tmp_path: Path) -> None:
+    (tmp_path / "000.mcap").write_bytes(ours(3))
+    assert len(every(tmp_path / "000.mcap.part")[0]) == 3
+
+
+def _written(folder: Path, content: bytes) -> Path:
+    path = folder / "rec.mcap"
+    path.write_bytes(content)
+    return path
+
+
+def test_the_daemons_source_reads_it(tmp_path: Path) -> None:
+    path = tmp_path / "rec.mcap"
+    path.write_bytes(ours(2))
+    assert first_size_px(path) == (64, 48)
+    source = FilesSource(path=path, fps=1000, loop=False)
+    source.open()
+    first, second, end = source.read(), source.read(), source.read()
+    assert first is not None
+    assert second is not None
+    assert end is None
+    np.testing.assert_array_equal(first.image, picture(0))
+    assert second.pose is not None
+    assert second.pose.x_mm == frame(1).pose.x_mm  # type: ignore[union-attr]
+
+
+RGB = np.stack((picture(0), picture(1), picture(2)), axis=-1)
+FOREIGN = {
+    "foxglove.RawImage": RawImage(width=64, height=48, encoding="rgb8", step=192, data=RGB.tobytes()),
+    "foxglove.CompressedImage": CompressedImage(data=cv2.imencode(".png", RGB[:, :, ::-1])[1].tobytes(), format="png"),
+}
+
+
+@pytest.mark.parametrize("schema", FOREIGN)
+@pytest.mark.parametrize("compression", list(CompressionType))
+def test_images_of_others(tmp_path: Path, schema: str, compression: CompressionType) -> None:
+    path = tmp_path / "rec.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream, compression=compression)
+        writer.start()
+        channel = writer.register_channel("/cam", "protobuf", writer.register_schema(schema, "protobuf", b""))
+        for t_ns in (5, 9, 7):
+            writer.add_message(channel, t_ns, FOREIGN[schema].SerializeToString(), t_ns)
+        writer.finish()
+    frames, refused = every(path)
+    assert [(recorded.frame.t_ns, recorded.wall_ns) for recorded in frames] == [(5, 5), (9, 9)]
+    np.testing.assert_array_equal(frames[0].frame.image, RGB[:, :, ::-1])
+    assert "message 2 of /cam: found the time 7" in refused[0]
+
+
+def test_a_bag_of_ros_2(tmp_path: Path) -> None:
+    ros2 = pytest.importorskip("mcap_ros2.writer")
+    text = (
+        "std_msgs/Header header\nuint32 height\nuint32 width\nstring encoding\nuint8 is_bigendian\nuint32 step\n"
+        f"uint8[] data\n{'=' * 80}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
+        f"{'=' * 80}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+    )
+    header = {"stamp": {"sec": 1, "nanosec": 2}, "frame_id": "finger"}
+    image = {"header": header, "height": 48, "width": 64, "encoding": "mono8", "is_bigendian": 0, "step": 64}
+    path = tmp_path / "bag_0.mcap"
+    with path.open("wb") as stream:
+        writer = ros2.Writer(stream)
+        schema = writer.register_msgdef("sensor_msgs/msg/Image", text)
+        writer.write_message("/cam", schema, {**image, "data": picture(3).tobytes()}, log_time=11)
+        writer.finish()
+    frames, refused = every(path)
+    assert refused == []
+    np.testing.assert_array_equal(frames[0].frame.image, picture(3))
+
+
+def test_what_has_no_one_topic_of_images_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "rec.mcap"
+    for topics, found in (([], "no topic of images"), (["/a", "/b"], "2 topics of images (/a, /b)")):
+        with path.open("wb") as stream:
+            writer = Writer(stream)
+            writer.start()
+            schema = writer.register_schema("foxglove.RawImage", "protobuf", b"")
+            for topic in topics:
+                writer.register_channel(topic, "protobuf", schema)
+            writer.finish()
+        with pytest.raises(ConfigError, match="expected one") as error:
+            Recording(path)
+        assert found in str(error.value)
+    for content in (b"", b"\x89PNG\r\n\x1a\n"):
+        path.write_bytes(content)
+        with pytest.raises(ConfigError, match="found no MCAP file"):
+            Recording(path)
+    with pytest.raises(ConfigError, match="No such file"):
+        Recording(tmp_path / "none.mcap")
+
+
+def test_what_is_told_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(frames, "_UNUSABLE_MAX", 10)
+    inside = described() + message(b"no image", 5) + message(b"", 6) * 100
+    read, refused = every(_written(tmp_path, file_of(inside)))
+    assert read == []
+    assert len(refused) == 12
+    assert refused[-1] == "/cam: found 11 messages that cannot be used: the rest is passed over"
+
+
+@pytest.mark.parametrize(
+    ("message", "found"),
+    [
+        (RawImage(width=64, height=48, encoding="32FC1", step=256, data=b"1234"), "the encoding '32FC1'"),
+        (RawImage(width=64, height=48, encoding="mono8", step=64, data=b"1234"), "found 4 bytes"),
+        (RawImage(width=1 << 30, height=1 << 30, encoding="mono8", step=1 << 30), "expected at most"),
+        (RawImage(width=64, height=48, encoding="mono8", step=3, data=bytes(48 * 64)), "expected whole rows"),
+    ],
+)
+def test_an_image_that_is_none_is_told(tmp_path: Path, message: RawImage, found: str) -> None:
+    path = tmp_path / "rec.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        schema = writer.register_schema("foxglove.RawImage", "protobuf", b"")
+        channel = writer.register_channel("/cam", "protobuf", schema)
+        writer.add_message(channel, 1, message.SerializeToString(), 1)
+        writer.add_message(channel, 2, b"\xff\xff\xff", 2)
+        writer.finish()
+    frames, refused = every(path)
+    assert frames == []
+    assert found in refused[0]
+    assert len(refused) == 2

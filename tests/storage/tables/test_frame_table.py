@@ -1,0 +1,149 @@
+from __future__ import annotations
+
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.storage.tables.frame_table import ERROR_COLUMN, HEADER, MORE, Row, read_table, table_in
+from tacshade_edge.storage.tables.tables import line_crc32
+from tacshade_edge.types import Pose
+
+
+@pytest.mark.parametrize(
+    ("row", "said"),
+    [
+        ("", r"frames\.csv: found no row, expected one for each frame"),
+        ("a.png,1\n", r"frames\.csv:2: found 2 columns, expected 9"),
+        (",1,,,,,,,\n", ":2: image: found nothing, expected a file's name"),
+        ("a.png,,,,,,,,\n", ":2: t_ns: found '', expected a whole number from 0 to"),
+        ("a.png,-1,,,,,,,\n", ":2: t_ns: found '-1', expected a whole number"),
+        ("a.png,1.5,,,,,,,\n", ":2: t_ns: found '1.5', expected a whole number"),
+        (f"a.png,{2**62 + 1},,,,,,,\n", ":2: t_ns: found '4611686018427387905', expected a whole number"),
+        ("a.png,5,,,,,,,\na.png,5,,,,,,,\n", ":3: t_ns: found 5, expected more than 5 of the row before"),
+        ("a.png,5,1,,,,,,\n", ":2: x_mm to qz: found 1 of the 7, expected all or none"),
+        ("a.png,5,1,2,x,1,0,0,0\n", ":2: z_mm: found 'x', expected a number"),
+        ("a.png,5,1,2,3,1,1,0,0\n", ":2: qw, qx, qy, qz: found the norm 1.414, expected a unit quaternion"),
+    ],
+)
+def test_a_wrong_table_is_told_by_line_and_column(tmp_path: Path, row: str, said: str) -> None:
+    (tmp_path / "frames.csv").write_text(",".join(HEADER) + "\n" + row)
+    with pytest.raises(ConfigError, match=said) as refusal:
+        read_table(tmp_path / "frames.csv")
+    assert "\n" not in str(refusal.value)
+
+
+ERRORS = ",".join((*HEADER, ERROR_COLUMN)) + "\n"
+
+
+def test_the_time_error_of_a_pose_is_a_column_that_older_tables_lack(tmp_path: Path) -> None:
+    table = tmp_path / "frames.csv"
+    table.write_text(ERRORS + f"a.png,5,1,2,3,1,0,0,0,{2**32 - 1}\nb.png,6,1,2,3,1,0,0,0,\nc.png,7,,,,,,,,\n")
+    assert [(row.pose is None, row.pose_error_us) for row in read_table(table)] == [
+        (False, 2**32 - 1),
+        (False, 0),
+        (True, 0),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("row", "said"),
+    [
+        ("a.png,5,1,2,3,1,0,0,0", "found 9 columns, expected 10"),
+        ("a.png,5,1,2,3,1,0,0,0,-1", "pose_error_us: found '-1', expected a whole number from 0 to"),
+        (f"a.png,5,1,2,3,1,0,0,0,{2**32}", "pose_error_us: found '4294967296', expected a whole number"),
+        ("a.png,5,,,,,,,,3", "pose_error_us: found '3', expected nothing, as there is no pose"),
+    ],
+)
+def test_a_wrong_time_error_is_told(tmp_path: Path, row: str, said: str) -> None:
+    (tmp_path / "frames.csv").write_text(f"{ERRORS}{row}\n")
+    with pytest.raises(ConfigError, match=rf"frames\.csv:2: {said}"):
+        read_table(tmp_path / "frames.csv")
+
+
+def test_the_table_of_a_writer_that_died_is_read_to_its_last_whole_line(tmp_path: Path) -> None:
+    assert table_in(tmp_path) is None
+    partial, table = tmp_path / "frames.csv.part", tmp_path / "frames.csv"
+    partial.write_text(",".join(HEADER) + "\na.png,5,,,,,,,\nb.png,61,,,,,,")
+    assert table_in(tmp_path) == partial
+    assert [row.image for row in read_table(partial, cut_off=True)] == ["a.png"]
+    with pytest.raises(ConfigError, match="part:3: found 8 columns, expected 9"):
+        read_table(partial)
+    table.touch()
+    assert table_in(tmp_path) == table
+
+
+def test_a_pose_that_no_robot_has_is_told(tmp_path: Path) -> None:
+    (tmp_path / "frames.csv").write_text(",".join(HEADER) + "\na.png,5,1e300,2,3,1,0,0,0\n")
+    with pytest.raises(ConfigError, match=r":2: x_mm: found '1e300', expected a number from -1e\+06 to 1e\+06"):
+        read_table(tmp_path / "frames.csv")
+
+
+def test_a_row_takes_150_bytes_of_memory(tmp_path: Path) -> None:
+    rows = "".join(f"frame_{i:06d}.png,{i},1,2,3,1,0,0,0,7\n" for i in range(20_000))
+    (tmp_path / "frames.csv").write_text(ERRORS + rows)
+    tracemalloc.start()
+    table = read_table(tmp_path / "frames.csv")
+    kept, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert kept < 170 * len(table) == 170 * 20_000
+    assert most < kept + (1 << 20)
+    pose = Pose(19_999, 1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0)
+    assert table[-1] == table[19_999:][0] == Row("frame_019999.png", 19_999, pose, 7)
+
+
+def checked_table(rows: int) -> bytes:
+    lines = [f"{i:06d}.png,{81_200_000_000 + i * 33_333_333},120.5,-3,{i}.25,1,0,0,0,412" for i in range(rows)]
+    header = ",".join((*HEADER, *MORE))
+    return "\n".join((header, *(f"{line},{line_crc32(line)}" for line in lines), "")).encode()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_flipped_bit_goes_unnoticed(tmp_path: Path, seed: int) -> None:
+    """Rows before and after it are the ones that were written; those of the damaged line are left out and counted."""
+    good, path = checked_table(12), tmp_path / "frames.csv"
+    path.write_bytes(good)
+    written = list(read_table(path))
+    assert len(written) == 12
+    rng = np.random.default_rng(seed)
+    places = [*range(good.index(b"\n") + 1), *rng.integers(len(good), size=200)]
+    for at, bit in zip(places, rng.integers(8, size=len(places)), strict=True):
+        bad = bytearray(good)
+        bad[at] ^= 1 << bit
+        path.write_bytes(bad)
+        table = read_table(path)
+        assert set(table) <= set(written)
+        if at < len(good) - 1:  # without the last line's end it is still that line
+            assert table.damaged in (1, 2)  # two where a line's end is hit
+            assert len(table) >= 10
+            assert f"{path}:" in table.damage
+
+
+def test_where_and_how_many_lines_were_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "frames.csv"
+    lines = checked_table(6).splitlines(keepends=True)
+    lines[2] = lines[2].replace(b"120.5", b"121.5")
+    lines[5] = b"\xff\x00" + lines[5]
+    path.write_bytes(b"".join(lines))
+    table = read_table(path)
+    assert [row.image for row in table] == [f"{i:06d}.png" for i in (0, 2, 3, 5)]
+    assert table.damage == f"{path}:3: 2 damaged lines are left out, with their frames; the checksum is not theirs"
+    lines[4] = lines[4].replace(b"120.5", b"x")
+    columns = lines[4].rpartition(b",")[0].decode()
+    lines[4] = f"{columns},{line_crc32(columns)}\n".encode()
+    path.write_bytes(b"".join(lines))
+    with pytest.raises(ConfigError, match=":5: x_mm: found 'x'"):
+        read_table(path)
+    path.write_bytes(lines[0] + lines[2])
+    with pytest.raises(
+        ConfigError, match=r"found no row, expected one for each frame \(.*:2: a damaged line is left out"
+    ):
+        read_table(path)
+
+
+def test_text_that_is_none_is_refused_without_checksums(tmp_path: Path) -> None:
+    (tmp_path / "frames.csv").write_bytes(ERRORS.encode() + b"\xff.png,5,,,,,,,,\n")
+    with pytest.raises(ConfigError, match="not a CSV file: 'utf-8' codec can't decode byte 0xff"):
+        read_table(tmp_path / "frames.csv")

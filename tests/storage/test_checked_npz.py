@@ -1,0 +1,97 @@
+from __future__ import annotations
+
+import io
+import os
+import tracemalloc
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.lib import format as npy
+
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.storage import checked_npz
+from tacshade_edge.storage.checked_npz import BYTES_MAX, Content
+
+CONTENT = Content({"version": 1}, {"image": np.arange(12, dtype=np.uint8).reshape(3, 4), "h": np.eye(2, order="F")})
+
+
+def read(path: Path, data: bytes) -> Content:
+    path.write_bytes(data)
+    return checked_npz.read(str(path), "calibration", "somebody")[0]
+
+
+def packed(members: dict[str, bytes]) -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in members.items():
+            archive.writestr(name, data)
+    return stream.getvalue()
+
+
+def array(value: object) -> bytes:
+    stream = io.BytesIO()
+    np.save(stream, np.asarray(value), allow_pickle=True)
+    return stream.getvalue()
+
+
+def test_what_is_written_is_read(tmp_path: Path) -> None:
+    content = read(tmp_path / "c.npz", CONTENT.packed())
+    assert content.meta == CONTENT.meta
+    assert list(content.arrays) == ["image", "h"]
+    for name, value in content.arrays.items():
+        np.testing.assert_array_equal(value, CONTENT.arrays[name])
+
+
+def of_shape(shape: tuple[int, ...]) -> bytes:
+    """An array whose header says so, with 12 values."""
+    stream = io.BytesIO()
+    npy.write_array_header_1_0(stream, {"descr": "|u1", "fortran_order": False, "shape": shape})
+    return stream.getvalue() + bytes(12)
+
+
+@pytest.mark.parametrize(
+    "members",
+    [
+        pytest.param({"a.npy": of_shape((300_000, 400_000))}, id="a shape that is not there"),
+        pytest.param({"a.npy": array([None])}, id="objects"),
+        pytest.param({"a.npy": bytes(BYTES_MAX)}, id="a bomb"),
+        pytest.param({f"{i}.npy": bytes(BYTES_MAX // 10) for i in range(11)}, id="a bomb of parts"),
+        pytest.param({f"{i}.npy": b"" for i in range(17)}, id="many"),
+    ],
+)
+def test_what_is_larger_than_it_can_be_is_not_unpacked(tmp_path: Path, members: dict[str, bytes]) -> None:
+    data = packed({"meta.npy": array(np.zeros(2, np.uint8)), "crc32.npy": array(np.uint32(0)), **members})
+    tracemalloc.start()
+    try:
+        with pytest.raises(ConfigError, match=r"c\.npz: not a calibration, or damaged; expected a file written by so"):
+            read(tmp_path / "c.npz", data)
+        assert tracemalloc.get_traced_memory()[1] < 2 << 20
+    finally:
+        tracemalloc.stop()
+
+
+def test_only_a_regular_file_is_read(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "c.npz")
+    with pytest.raises(ConfigError, match=r"c\.npz: cannot read the calibration: found no regular file; expected a fi"):
+        checked_npz.read(str(tmp_path / "c.npz"), "calibration", "somebody")
+
+
+@given(st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.integers(0, 255)), min_size=1, max_size=3))
+def test_damage_is_told_in_one_line(tmp_path_factory: pytest.TempPathFactory, damage: list[tuple[float, int]]) -> None:
+    data = bytearray(CONTENT.packed())
+    for place, value in damage:
+        data[int(place * len(data))] = value
+    try:
+        content = read(tmp_path_factory.getbasetemp() / "damaged.npz", bytes(data))
+    except ConfigError as error:
+        said = str(error)
+    else:
+        said = ""
+        assert content.meta == CONTENT.meta
+        for name, value in content.arrays.items():
+            np.testing.assert_array_equal(value, CONTENT.arrays[name])
+    assert "\n" not in said

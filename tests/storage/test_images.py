@@ -1,0 +1,72 @@
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from tacshade_edge.errors import DecodeError
+from tacshade_edge.storage.images import BYTES_MAX, read_image
+
+PICTURE = np.random.default_rng(5).integers(0, 256, (48, 64, 3), dtype=np.uint8)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".bmp", ".tiff", ".ppm"])
+def test_a_lossless_image_is_read_as_written(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"a{suffix}"
+    assert cv2.imwrite(str(path), PICTURE)
+    np.testing.assert_array_equal(read_image(path), PICTURE)
+
+
+def test_a_grey_image_stays_grey_and_16_bits_become_8(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "grey.png"), PICTURE[:, :, 0])
+    np.testing.assert_array_equal(read_image(tmp_path / "grey.png"), PICTURE[:, :, 0])
+    cv2.imwrite(str(tmp_path / "deep.png"), PICTURE[:, :, 0].astype(np.uint16) * 256)
+    np.testing.assert_array_equal(read_image(tmp_path / "deep.png"), PICTURE[:, :, 0])
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".webp"])
+@pytest.mark.parametrize("part", [0.3, 0.999])
+def test_a_truncated_image_is_refused_by_name(tmp_path: Path, suffix: str, part: float) -> None:
+    path = tmp_path / f"cut{suffix}"
+    assert cv2.imwrite(str(path), PICTURE)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(part * len(data))])
+    with pytest.raises(DecodeError, match=rf"cut\{suffix}: .*expected a whole image$"):
+        read_image(path)
+
+
+def test_a_jpeg_padded_by_the_camera_is_whole(tmp_path: Path) -> None:
+    path = tmp_path / "padded.jpg"
+    cv2.imwrite(str(path), PICTURE)
+    path.write_bytes(path.read_bytes() + bytes(100))
+    assert read_image(path).shape == PICTURE.shape
+
+
+def test_what_is_no_image_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "empty.png").touch()
+    (tmp_path / "text.png").write_text("hello")
+    for name, said in {
+        "empty.png": "found 0 bytes",
+        "text.png": "found 5 bytes",
+        "none.png": "No such file",
+        "nul\0.png": "embedded null",
+    }.items():
+        with pytest.raises(DecodeError, match=said):
+            read_image(tmp_path / name)
+
+
+def test_only_a_regular_file_is_read(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.png")
+    for path in (tmp_path / "pipe.png", Path("/dev/zero")):
+        with pytest.raises(DecodeError, match=f"{path.name}: found no regular file, expected an image$"):
+            read_image(path)
+
+
+def test_a_file_of_more_than_64_mib_is_not_read(tmp_path: Path) -> None:
+    with (tmp_path / "huge.png").open("wb") as stream:
+        stream.truncate(BYTES_MAX + 1)
+    with pytest.raises(DecodeError, match=r"huge\.png: found more than 67108864 bytes, expected an image$"):
+        read_image(tmp_path / "huge.png")
