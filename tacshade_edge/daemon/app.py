@@ -36,7 +36,7 @@ from tacshade_edge.devices.base import FrameSource
 from tacshade_edge.devices.fixes import with_fix
 from tacshade_edge.devices.mqtt.outlet import PayloadOutcome
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.factories import registry
+from tacshade_edge.factories import links, ports, sources
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.protocol import messages
 from tacshade_edge.protocol.messages import Request
@@ -120,7 +120,7 @@ class App:
         self._events: SimpleQueue[Event] = SimpleQueue()
         self._source = source
         self.ledger = FrameLedger()
-        self.link = registry.make_link(document, on_request=self._on_request, on_outcome=self._on_outcome)
+        self.link = links.make_link(document, on_request=self._on_request, on_outcome=self._on_outcome)
         self._publisher = Publisher(
             self.link.offer, self.link.tell, self.link.has_listener, settings.displacement == "always"
         )
@@ -333,7 +333,7 @@ class App:
     def _make_robot(self, shared: SharedLine | None) -> Robot | None:
         """Imported only where a robot is: without one, no pyserial and no poses."""
         follows = shared is not None and shared.hears is not None
-        port = None if follows else registry.make_serial_port(self._document.settings.serial)
+        port = None if follows else ports.make_serial_port(self._document.settings.serial)
         if port is None and not follows:
             return None
         from tacshade_edge.daemon.robot.robot import Robot
@@ -350,7 +350,7 @@ class App:
     def _make_sessions(self) -> SessionRequests | None:
         """Imported only where frames have poses."""
         settings = self._document.settings
-        if not registry.frames_have_poses(settings):
+        if not sources.frames_have_poses(settings):
             return None
         from tacshade_edge.daemon.stitching.session_requests import SessionRequests
 
@@ -424,7 +424,7 @@ class App:
         if reason is None or reason.code is ReasonCode.STARTING or camera.state not in ("away", "unusable"):
             _log.info("source %s%s", camera.state, f": {reason}" if reason else "")
         else:
-            fix = registry.how_to_fix(self._document.settings.source, reason.code)
+            fix = sources.how_to_fix(self._document.settings.source, reason.code)
             _log.warning("source %s: %s", camera.state, with_fix(reason, fix))
 
     def _publish_info(self) -> None:

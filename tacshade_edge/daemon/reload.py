@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import msgspec
 
-from tacshade_edge.factories import registry
+from tacshade_edge.factories import calibrations, checks
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.settings import Document, load
 from tacshade_edge.types import Calibration
@@ -55,9 +55,9 @@ def reload(running: Document, *, calibrated: bool) -> Reloaded:
         They are bad, or the calibration does not fit the running source.
     """
     new = load(running.path, running.settings.sensor_id if running.several else None)
-    registry.check_files(new)
+    checks.check_files(new)
     kept = {key: getattr(running.settings, key) for key in RESTART_KEYS}
     waiting = tuple(key for key, value in kept.items() if getattr(new.settings, key) != value)
     document = replace(new, settings=msgspec.structs.replace(new.settings, **kept))
-    find = registry.load_calibration if calibrated else registry.find_calibration
+    find = calibrations.load_calibration if calibrated else calibrations.find_calibration
     return Reloaded(document, find(document), waiting)

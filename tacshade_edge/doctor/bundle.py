@@ -21,7 +21,7 @@ import msgspec
 
 from tacshade_edge.doctor.finding import Finding
 from tacshade_edge.errors import ConfigError, DecodeError
-from tacshade_edge.factories import calibrations, registry
+from tacshade_edge.factories import calibrations, links
 from tacshade_edge.protocol.messages import encode_info
 from tacshade_edge.protocol.strict import decode_object
 from tacshade_edge.settings import Document, Settings, to_yaml
@@ -137,7 +137,7 @@ def _secrets(document: Document) -> tuple[str, ...]:
     """Words that must not be in any text; not the user's name where it is the sensor's, as the shipped ACL wants."""
     settings = document.settings
     try:
-        password = registry.read_password(document)
+        password = links.read_password(document)
     except ConfigError:
         password = None
     username = settings.mqtt.username

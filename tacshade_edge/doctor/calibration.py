@@ -15,7 +15,7 @@ from tacshade_edge.devices import fixes
 from tacshade_edge.doctor.finding import Finding, fault, ok, warning
 from tacshade_edge.doctor.settings import AS_SERVICE
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.factories import calibrations, registry
+from tacshade_edge.factories import calibrations
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import Reason
 from tacshade_edge.settings import Document
@@ -37,15 +37,15 @@ def load(document: Document) -> tuple[Calibration | None, tuple[Finding, ...]]:
     """The calibration that the settings name, and what is to be said of the file; None when it cannot be used."""
     path = document.settings.calibration
     try:
-        calibration = registry.find_calibration(document)
+        calibration = calibrations.find_calibration(document)
     except ConfigError as error:
-        mend = registry.how_to_calibrate(document)
+        mend = calibrations.how_to_calibrate(document)
         if os.path.exists(path) and not os.access(path, os.R_OK):
             mend = f"run this with sudo, or as the service does: {AS_SERVICE}"
         return None, (fault("calibration", str(error), mend),)
     if isinstance(calibration, Reason):
         found = f"{document.where('calibration')}: found no file {path}: the camera's picture is all that is served"
-        return None, (warning("calibration", found, registry.how_to_calibrate(document)),)
+        return None, (warning("calibration", found, calibrations.how_to_calibrate(document)),)
     days = (time.time() - os.stat(path).st_mtime) / _DAY_S
     found = f"{path}: {calibration.crc32:08x}, {max(days, 0):.0f} days old"
     if not calibration.factors:

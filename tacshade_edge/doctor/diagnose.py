@@ -26,7 +26,7 @@ from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.doctor.serial import check_serial
 from tacshade_edge.doctor.settings import check_settings
 from tacshade_edge.doctor.usb import check_usb
-from tacshade_edge.factories import registry
+from tacshade_edge.factories import links, sources
 from tacshade_edge.settings import Document, Rpicam, Source, V4l2, load_all
 
 T = TypeVar("T")
@@ -100,7 +100,7 @@ def _sensor(document: Document, daemon: DaemonState, machine: Machine, seen: See
 
 
 def _watch(source: Source, daemon: DaemonState, machine: Machine) -> tuple[Captured, Findings]:
-    captured = capture(registry.make_source(source))
+    captured = capture(sources.make_source(source))
     if not isinstance(source, V4l2 | Rpicam):
         return captured, check_other_source(captured, source.fps)
     silent = "nothing, it is not on this broker" if machine.daemon() else ""
@@ -122,7 +122,7 @@ def _ask_broker(document: Document, machine: Machine) -> tuple[Findings, DaemonS
         port=mqtt.port,
         sensor_id=sensor_id,
         username=mqtt.username,
-        password=registry.read_password(document),
+        password=links.read_password(document),
         tls_ca=mqtt.ca_file,
     )
     if any(finding.state == "fault" for finding in findings):

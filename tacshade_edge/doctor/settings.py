@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tacshade_edge.doctor.finding import Finding, fault, ok
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.factories import registry
+from tacshade_edge.factories import links
 from tacshade_edge.regular_files import open_regular
 from tacshade_edge.settings import Document, load
 
@@ -34,8 +34,8 @@ def check_settings(config: Path, sensor_id: str | None = None) -> tuple[Finding,
         more = f" (and {len(error.others)} more: tacshade-edge check-config {config})" if error.others else ""
         return fault(SETTINGS, f"{error}{more}", f"{_mend(config)}; {until}"), None, False
     try:
-        registry.check_broker_files(document)
-        registry.make_link(document, on_request=lambda _: None, on_outcome=lambda *_: None)
+        links.check_broker_files(document)
+        links.make_link(document, on_request=lambda _: None, on_outcome=lambda *_: None)
     except ConfigError as error:
         return fault(SETTINGS, str(error), f"mend that line; {_UNTIL.format('the broker is')}"), document, False
     return ok(SETTINGS, f"{config}, sensor {document.settings.sensor_id}"), document, True

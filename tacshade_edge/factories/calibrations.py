@@ -15,7 +15,10 @@ from pathlib import Path
 from tacshade_edge.core.calibration.inputs import Inputs
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.factories import sources
 from tacshade_edge.inference.network import can_run, load_networks
+from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.settings import Document, Files, Rpicam, V4l2
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME, content_of
 from tacshade_edge.storage.whole_files import write_whole
@@ -95,3 +98,60 @@ def _stored(path: Path, made: Calibration, inputs: Inputs, version: int) -> Cali
         return calibration_file.with_crc(made)
     _log.warning("%s: made again; the old file is %s", path, kept)
     return stored
+
+
+def find_calibration(document: Document, *, store: bool = False) -> Calibration | Reason:
+    """Load the calibration as `load_calibration`, or tell that there is none yet, and how it is made.
+
+    Raises
+    ------
+    ConfigError
+        There is a file, and it cannot be used.
+    """
+    path = document.settings.calibration
+    try:
+        os.stat(path)
+    except FileNotFoundError:
+        text = f"not calibrated: found no file {path}; {how_to_calibrate(document)}"
+        return Reason(ReasonCode.NOT_CALIBRATED, text)
+    except OSError:
+        pass  # the loading tells it
+    return load_calibration(document, store=store)
+
+
+def how_to_calibrate(document: Document) -> str:
+    """The commands that make the calibration of the settings."""
+    return (
+        f"while nothing else has the camera, tacshade-edge capture DIR --config {document.path} takes what it needs; "
+        "then tacshade-edge calibrate --sensor DIR/SENSOR.yaml --reference DIR/reference_*.png "
+        f"--presses DIR/PRESSES.csv --out {document.settings.calibration}"
+    )
+
+
+def load_calibration(document: Document, *, store: bool = False) -> Calibration:
+    """Load the calibration that the settings name, and check that it fits the source.
+
+    `store` is of `load`.
+
+    Raises
+    ------
+    ConfigError
+    """
+    settings = document.settings
+    try:
+        calibration = load(settings.calibration, store=store)
+    except ConfigError as error:
+        raise ConfigError(f"{document.where('calibration')}: {error}") from error
+    source = settings.source
+    expected = (calibration.image_width_px, calibration.image_height_px)
+    size: tuple[int, int] | None = None
+    if isinstance(source, V4l2 | Rpicam):
+        key, size = "width_px", (source.width_px, source.height_px)
+    elif isinstance(source, Files):
+        key, size = "path", sources.first_size(document, source)
+    if size is not None and size != expected:
+        raise ConfigError(
+            f"{document.where('source', key)}: found {size[0]}x{size[1]} px, "
+            f"expected {expected[0]}x{expected[1]} px, the size of the calibration's images"
+        )
+    return calibration

@@ -11,7 +11,7 @@ from tacshade_edge.core.contact.tracking import ContactTracker
 from tacshade_edge.core.profiles import AUTO, DEFAULT
 from tacshade_edge.devices.base import FrameSource
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
-from tacshade_edge.factories import calibrations, registry
+from tacshade_edge.factories import calibrations, sources
 from tacshade_edge.library.arguments import path_of, wrong
 from tacshade_edge.library.result import Result, Results
 from tacshade_edge.library.sensor import Sensor, load
@@ -54,20 +54,20 @@ def open(source: str | os.PathLike[str], sensor: Sensor | None = None) -> Result
     _check_sensor(sensor)
     if path.suffix.lower() in (".yaml", ".yml"):
         document = load_settings(path)
-        registry.check_source(document)
+        sources.check_source(document)
         settings = document.settings
         if sensor is None:
             if settings.profile == AUTO:
                 where = document.where("profile")
                 raise ConfigError(f"{where}: found {AUTO}, which the daemon alone has, expected a profile or a sensor")
-            sensor = Sensor(registry.load_calibration(document), settings.profile)
+            sensor = Sensor(calibrations.load_calibration(document), settings.profile)
     elif path.is_relative_to("/dev"):
         sensor = sensor or load(Settings().calibration)
         height_px, width_px = sensor.image_size_px
         settings = Settings(source=V4l2(device=str(path), width_px=width_px, height_px=height_px))
     else:
         raise ConfigError(f"{path}: found neither a settings file (.yaml) nor a device, such as /dev/video0")
-    return _Live(registry.make_source(settings.source), sensor, settings.source.fps)
+    return _Live(sources.make_source(settings.source), sensor, settings.source.fps)
 
 
 def read(recording: str | os.PathLike[str], sensor: Sensor | None = None) -> Results:

@@ -16,7 +16,7 @@ import pytest
 from support import rpicam_vid
 
 from tacshade_edge.daemon.app import App
-from tacshade_edge.factories import registry
+from tacshade_edge.factories import calibrations, sources
 from tacshade_edge.reasons import Reason
 from tacshade_edge.settings import load
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
@@ -45,9 +45,9 @@ def test_its_program_is_started_again_and_ends_with_the_daemon(tmp_path: Path, m
             f"calibration: c.npz\nsource: {{kind: rpicam, fps: 60}}\nmqtt: {{host: 127.0.0.1, port: {broker.port}}}\n"
         )
         document = load(path)
-        missing = registry.find_calibration(document)
+        missing = calibrations.find_calibration(document)
         assert isinstance(missing, Reason)
-        app = App(document, registry.make_source(document.settings.source), missing)
+        app = App(document, sources.make_source(document.settings.source), missing)
         thread = threading.Thread(target=app.run)
         thread.start()
 

@@ -17,7 +17,7 @@ import pytest
 from tacshade_edge.daemon.app import App
 from tacshade_edge.daemon.reload import reload
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.factories import registry
+from tacshade_edge.factories import calibrations
 from tacshade_edge.protocol import wire
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.settings import load
@@ -54,7 +54,7 @@ def test_the_picture_until_a_calibration_comes(
             f"serial: {{device: {link}}}\nstitching: {{folder: sessions}}\n"
         )
         document = load(path)
-        missing = registry.find_calibration(document)
+        missing = calibrations.find_calibration(document)
         assert isinstance(missing, Reason)
         app = App(document, scripted(stream(pictures, touched)), missing)
         thread = threading.Thread(target=app.run)

@@ -9,7 +9,7 @@ import pytest
 from support.running_app import BASE, Running, ask, last
 
 from tacshade_edge.errors import DecodeError
-from tacshade_edge.factories import registry
+from tacshade_edge.factories import sources
 from tacshade_edge.protocol import wire
 from tacshade_edge.settings import load
 from tools.faults.rig import write_posed_images
@@ -60,7 +60,7 @@ def test_every_topic_says_what_its_payload_is(tmp_path: Path) -> None:
         def heard() -> set[str]:
             return {message.topic.removeprefix(f"{BASE}/") for message in list(seen.messages)}
 
-        running = Running(settings, registry.make_source(settings.settings.source), painted_calibration())
+        running = Running(settings, sources.make_source(settings.settings.source), painted_calibration())
         try:
             wait_until(lambda: heard() >= STREAMS | RETAINED, 30, "streams and retained values")
             assert ask(seen, "stitch", action="begin")["ok"]

@@ -17,8 +17,8 @@ from tacshade_edge.daemon.app import App
 from tacshade_edge.daemon.profiles.profile_chooser import ProfileChooser
 from tacshade_edge.devices.mqtt.link import MqttLink
 from tacshade_edge.errors import DecodeError, DeviceError
-from tacshade_edge.factories import registry
-from tacshade_edge.factories.registry import make_link
+from tacshade_edge.factories import links
+from tacshade_edge.factories.links import make_link
 from tacshade_edge.protocol.messages import Request, parse_request
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.settings import Document, load
@@ -36,7 +36,7 @@ class Observed:
         settings.write_text(f"source: {{kind: simulated}}\nrecorder: {{folder: recs}}\n{broker}\n")
         self.values: list[tuple[str, dict[str, Any]]] = []
         self.replies: list[dict[str, Any]] = []
-        monkeypatch.setattr(registry, "make_link", self._make_link)
+        monkeypatch.setattr(links, "make_link", self._make_link)
         self.app = App(load(settings), source, calibration)
         self.thread = threading.Thread(target=self.app.run, daemon=True)
         self.thread.start()

@@ -18,7 +18,7 @@ from tacshade_edge.doctor.camera import check_device, check_frames, list_cameras
 from tacshade_edge.doctor.capture import Captured, capture
 from tacshade_edge.doctor.finding import Finding
 from tacshade_edge.doctor.machine import Machine
-from tacshade_edge.factories import registry
+from tacshade_edge.factories import sources
 from tacshade_edge.settings import V4l2
 from tools.testbed.patience import patience, wait_until
 
@@ -47,7 +47,7 @@ def states(findings: tuple[Finding, ...]) -> dict[str, str]:
 
 
 def frames(source: V4l2, daemon_says: str = "") -> tuple[Captured, tuple[Finding, ...]]:
-    captured = capture(registry.make_source(source))
+    captured = capture(sources.make_source(source))
     return captured, check_frames(source, captured, MACHINE, daemon_says)
 
 

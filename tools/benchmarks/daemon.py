@@ -45,7 +45,7 @@ from paho.mqtt.enums import CallbackAPIVersion
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
 from tacshade_edge.demo.sensor import make_calibration
 from tacshade_edge.devices.mqtt.caller import MqttCaller
-from tacshade_edge.factories import registry
+from tacshade_edge.factories import links
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.protocol import wire
 from tacshade_edge.settings import load
@@ -163,7 +163,7 @@ def record(config: Path, seconds: float, format_: str) -> None:
     """Ask the daemon for a recording as soon as it runs; it ends a second before the run."""
     document, began_s = load(config), time.monotonic()
     caller = MqttCaller(
-        registry.broker_address(document), sensor_id=document.settings.sensor_id, verb="record", watched=("state",)
+        links.broker_address(document), sensor_id=document.settings.sensor_id, verb="record", watched=("state",)
     )
     caller.start()
     if not caller.wait_for(lambda: caller.latest("state") == b"online", 20):

@@ -17,7 +17,7 @@ import zlib
 from pathlib import Path
 
 from tacshade_edge.daemon.pipeline.ledger import FrameLedger
-from tacshade_edge.factories import registry
+from tacshade_edge.factories import links
 from tacshade_edge.settings import load
 
 CONTACT_PERIOD_NS = 100_000_000
@@ -38,7 +38,7 @@ def main() -> None:
     payloads: list[tuple[bytes, bytes] | None] = pickle.loads(ready.read_bytes())
     period_ns = round(1e9 / fps)
     ledger = FrameLedger()
-    link = registry.make_link(
+    link = links.make_link(
         load(config),
         on_request=lambda request: None,
         on_outcome=lambda stream, seq, outcome: ledger.settle(seq, outcome) if stream == "height" else None,

@@ -29,7 +29,7 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
 from tacshade_edge.daemon.app import App
-from tacshade_edge.factories import registry
+from tacshade_edge.factories import calibrations, sources
 from tacshade_edge.protocol.serial import cobs
 from tacshade_edge.protocol.serial.line import seal
 from tacshade_edge.settings import load
@@ -158,7 +158,7 @@ def bench() -> Iterator[Bench]:
             "recorder: {folder: recs}\nstitching: {folder: maps}\n"
         )
         document = load(path)
-        app = App(document, registry.make_source(document.settings.source), registry.load_calibration(document))
+        app = App(document, sources.make_source(document.settings.source), calibrations.load_calibration(document))
         WRITTEN.paths.clear()
         WRITTEN.watch(True)
         thread = threading.Thread(target=app.run)

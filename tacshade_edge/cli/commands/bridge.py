@@ -14,7 +14,7 @@ from tacshade_edge.cli.shared.logs import add_verbosity, start_logging
 from tacshade_edge.devices.mqtt.client import BrokerAddress
 from tacshade_edge.devices.mqtt.follower import Follower
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.factories.registry import password_in
+from tacshade_edge.factories.links import password_in
 from tacshade_edge.version import how_to_install
 
 POLL_S = 0.1

@@ -30,7 +30,7 @@ from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.doctor.cameras import CSI_MEND, csi_cameras, found_cameras, has_csi_receiver
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.errors import ConfigError, DeviceError
-from tacshade_edge.factories import registry
+from tacshade_edge.factories import ports, sources
 from tacshade_edge.settings import Rpicam, Serial, Source, V4l2, load
 from tacshade_edge.settings.printer_file import read_printer
 from tacshade_edge.settings.sensor_file import check_value, read_sensor, with_visible_circle
@@ -141,7 +141,7 @@ def _run(
         text = folder.sensor.read_text(encoding="utf-8")
         folder.write(folder.sensor, with_visible_circle(text, circle))
 
-    source, page = registry.make_source(chosen), Page()
+    source, page = sources.make_source(chosen), Page()
     try:
         source.open()
         described = source.describe()
@@ -168,8 +168,8 @@ def _source(args: argparse.Namespace, folder: CaptureFolder) -> tuple[Source, Se
     path = folder.settings if args.config is None and folder.settings.exists() else args.config
     if path is not None:
         document = load(path, args.sensor)
-        registry.check_source(document)
-        registry.check_serial(document)
+        sources.check_source(document)
+        ports.check_serial(document)
         source = document.settings.source
         if device is not None and not (isinstance(source, V4l2) and source.device == device):
             where = document.where("source")

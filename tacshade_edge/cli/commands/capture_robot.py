@@ -7,7 +7,7 @@ import json
 from collections.abc import Iterator
 
 from tacshade_edge.capture.robot_place import PoseAt
-from tacshade_edge.factories import registry
+from tacshade_edge.factories import ports
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.settings import Serial
 from tacshade_edge.types import Frame, Pose
@@ -18,7 +18,7 @@ _MISSING = Reason(ReasonCode.NOT_CALIBRATED, "not calibrated: tacshade-edge capt
 @contextlib.contextmanager
 def robot_poses(serial: Serial | None) -> Iterator[PoseAt | None]:
     """Serve the line of the settings as the daemon does (docs/serial.md); None where there is no robot."""
-    if serial is None or (port := registry.make_serial_port(serial)) is None:
+    if serial is None or (port := ports.make_serial_port(serial)) is None:
         yield None
         return
     from tacshade_edge.daemon.robot.robot import Robot

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.factories import registry
+from tacshade_edge.factories import calibrations, links, ports, sources
 from tacshade_edge.reasons import Reason
 from tacshade_edge.settings import Document, file_schema, load_all, load_hand
 
@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
         return 0
     documents = load_all(args.file)
     checks: tuple[Callable[[Document], object], ...]
-    checks = (registry.check_source, registry.check_serial, _check_broker, registry.find_calibration)
+    checks = (sources.check_source, ports.check_serial, _check_broker, calibrations.find_calibration)
     mistakes: list[str] = []
     warnings: list[str] = []
     for document in documents:
@@ -49,19 +49,19 @@ def run(args: argparse.Namespace) -> int:
                     warnings.append(f"{document.where('calibration')}: warning: {found}")
     if hand := load_hand(args.file):
         try:
-            registry.check_broker_files(hand.common)
-            registry.make_hand_link(hand, on_request=lambda _: None, on_outcome=lambda *_: None)
+            links.check_broker_files(hand.common)
+            links.make_hand_link(hand, on_request=lambda _: None, on_outcome=lambda *_: None)
         except ConfigError as error:
             mistakes.append(str(error))
     if mistakes := list(dict.fromkeys(mistakes)):
         raise ConfigError(mistakes[0], others=mistakes[1:])
     for document in documents:
-        registry.make_source(document.settings.source)
+        sources.make_source(document.settings.source)
     print(f"{args.file}: ok", *warnings, sep="\n")
     return 0
 
 
 def _check_broker(document: Document) -> None:
     """Make what `run` makes, and do not start it: a wrong certificate is found here."""
-    registry.check_broker_files(document)
-    registry.make_link(document, on_request=lambda _: None, on_outcome=lambda *_: None)
+    links.check_broker_files(document)
+    links.make_link(document, on_request=lambda _: None, on_outcome=lambda *_: None)

@@ -15,7 +15,7 @@ from tacshade_edge.cli.commands.check_config import DEFAULT_CONFIG, add_sensor
 from tacshade_edge.cli.commands.replay import positive
 from tacshade_edge.devices.mqtt.caller import MqttCaller
 from tacshade_edge.errors import DecodeError, DeviceError
-from tacshade_edge.factories import registry
+from tacshade_edge.factories import links
 from tacshade_edge.protocol.messages import RECORD_NAME, RECORD_NAME_RULE, RECORD_S_MAX
 from tacshade_edge.protocol.strict import decode_object
 from tacshade_edge.settings import load
@@ -37,12 +37,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Record; 1 when something else than the time or a person ended it, or no frame came."""
     document = load(args.config, args.sensor)
-    registry.check_broker_files(document)
+    links.check_broker_files(document)
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
     caller = MqttCaller(
-        registry.broker_address(document),
+        links.broker_address(document),
         sensor_id=document.settings.sensor_id,
         verb="record",
         watched=(STATUS, "state"),

@@ -18,7 +18,7 @@ from tacshade_edge.daemon.recording.playback import Playback
 from tacshade_edge.daemon.recording.replay import Deliver, Progress, replay
 from tacshade_edge.daemon.recording.replay_link import ReplayLink
 from tacshade_edge.devices.mqtt.client import BrokerAddress
-from tacshade_edge.factories import calibrations, registry
+from tacshade_edge.factories import calibrations, links
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.settings import load
 from tacshade_edge.storage.recording.recording import Recording
@@ -154,8 +154,8 @@ def _replay(args: argparse.Namespace) -> int:
 def _broker(args: argparse.Namespace) -> BrokerAddress | None:
     if args.config is not None:
         document = load(args.config)
-        registry.check_broker_files(document)
-        return registry.broker_address(document)
+        links.check_broker_files(document)
+        return links.broker_address(document)
     if args.mqtt is None:
         return None
     host, port = args.mqtt

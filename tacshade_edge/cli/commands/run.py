@@ -14,7 +14,7 @@ from tacshade_edge.cli.commands.check_config import DEFAULT_CONFIG
 from tacshade_edge.cli.shared.logs import add_verbosity, start_logging
 from tacshade_edge.daemon.app import App
 from tacshade_edge.daemon.supervisor import EXIT_STOPPED, Supervisor, name_of
-from tacshade_edge.factories import registry
+from tacshade_edge.factories import calibrations, checks, sources
 from tacshade_edge.settings import Document, Hand, load_all, load_hand
 
 if TYPE_CHECKING:
@@ -56,9 +56,9 @@ def run(args: argparse.Namespace) -> int:
             return EXIT_STOPPED
         document, name = mine, mine.settings.sensor_id
         line, shared = lines.fingers.get(name), shared_lines.get(name)
-    registry.check_files(document)
-    calibration = registry.find_calibration(document, store=True)
-    app = App(document, registry.make_source(document.settings.source), calibration, line, shared)
+    checks.check_files(document)
+    calibration = calibrations.find_calibration(document, store=True)
+    app = App(document, sources.make_source(document.settings.source), calibration, line, shared)
     stopped: list[int] = []
 
     def stop(number: int, _: object) -> None:

@@ -17,7 +17,7 @@ from tacshade_edge.daemon.hand.together import Together
 from tacshade_edge.daemon.pipeline.pipeline import Crash, crashes_to
 from tacshade_edge.daemon.systemd import STOP_USEC, notify
 from tacshade_edge.errors import DecodeError
-from tacshade_edge.factories import registry
+from tacshade_edge.factories import links
 from tacshade_edge.protocol import messages
 from tacshade_edge.protocol.hand import encode_hand
 from tacshade_edge.protocol.messages import Request
@@ -50,7 +50,7 @@ class HandProcess:
     def __init__(self, hand: Hand, lines: Lines) -> None:
         self._lines = lines
         self._together = Together(hand.fingers)
-        self._link = registry.make_hand_link(hand, self._on_request, lambda *_: None)
+        self._link = links.make_hand_link(hand, self._on_request, lambda *_: None)
         self._began_s = time.monotonic()
         self._heard: Counter[str] = Counter(dict.fromkeys(hand.fingers, 0))
         self._undecodable = 0
@@ -155,7 +155,7 @@ class HandProcess:
 
 def run(hand: Hand, lines: Lines) -> None:
     """Be a hand's process until SIGTERM or SIGINT. Raises ConfigError as `HandProcess`."""
-    registry.check_broker_files(hand.common)
+    links.check_broker_files(hand.common)
     process = HandProcess(hand, lines)
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: process.stop())

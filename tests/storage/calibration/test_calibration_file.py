@@ -143,7 +143,7 @@ def test_numbers_that_no_sensor_has_are_refused(
     changed = {name: value}
     with pytest.raises(ValueError, match="which no sensor has"):
         replace(painted_calibration(), **changed)  # type: ignore[arg-type]
-    monkeypatch.setattr("tacshade_edge.types._check_numbers", lambda calibration: None)
+    monkeypatch.setattr("tacshade_edge.types.calibration._check_numbers", lambda calibration: None)
     calibration_file.save(tmp_path / "odd.npz", replace(painted_calibration(), **changed))  # type: ignore[arg-type]
     monkeypatch.undo()
     with pytest.raises(ConfigError, match=rf"odd\.npz: {'factor of fast' if name == 'factors' else name} is "):

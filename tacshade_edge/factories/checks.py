@@ -1,0 +1,15 @@
+"""All that can be checked of the settings' paths without opening a device."""
+
+from __future__ import annotations
+
+from tacshade_edge.factories.links import check_broker_files
+from tacshade_edge.factories.ports import check_serial
+from tacshade_edge.factories.sources import check_source
+from tacshade_edge.settings import Document
+
+
+def check_files(document: Document) -> None:
+    """Check the paths of the source and the serial port, the files of the broker's settings. Raises ConfigError."""
+    check_source(document)
+    check_broker_files(document)
+    check_serial(document)

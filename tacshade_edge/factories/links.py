@@ -1,0 +1,102 @@
+"""The link to the broker that the settings name, and what can be checked of it without connecting."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from tacshade_edge.devices.mqtt.client import BrokerAddress
+from tacshade_edge.devices.mqtt.link import MqttLink
+from tacshade_edge.devices.mqtt.outlet import PayloadOutcome
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.protocol.messages import Request
+from tacshade_edge.regular_files import read_regular
+from tacshade_edge.settings import Document, Hand
+
+_PASSWORD_BYTES_MAX = 1 << 16
+
+
+def read_password(document: Document) -> str | None:
+    """First line of the password file; None without one. Raises ConfigError."""
+    mqtt = document.settings.mqtt
+    if mqtt.password_file is None:
+        return None
+    where = document.where("mqtt", "password_file")
+    if mqtt.username is None:
+        raise ConfigError(f"{where}: found a password without a user name, expected mqtt.username too")
+    return password_in(mqtt.password_file, where)
+
+
+def password_in(path: str | Path, where: str) -> str:
+    """First line of a password file that `where` names. Raises ConfigError."""
+    try:
+        text = read_regular(path, _PASSWORD_BYTES_MAX).decode()
+        password = text.partition("\n")[0].rstrip("\r")
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise ConfigError(f"{where}: {path}: {reason}, expected a file with the password") from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{where}: {path}: found no UTF-8 text, expected the password") from error
+    if not password:
+        raise ConfigError(f"{where}: {path}: found an empty first line, expected the password")
+    return password
+
+
+def check_broker_files(document: Document) -> None:
+    """Check the files of the broker's settings. Raises ConfigError."""
+    mqtt = document.settings.mqtt
+    if mqtt.ca_file is not None and not Path(mqtt.ca_file).is_file():
+        raise ConfigError(f"{document.where('mqtt', 'ca_file')}: found no file {mqtt.ca_file}, expected a PEM file")
+    read_password(document)
+
+
+def make_link(
+    document: Document, on_request: Callable[[Request], None], on_outcome: Callable[[str, int, PayloadOutcome], None]
+) -> MqttLink:
+    """The link to the broker that the settings name, not started. Raises ConfigError."""
+    sensor_id = document.settings.sensor_id
+    return _link(document, f"tacshade/{sensor_id}", f"tacshade-{sensor_id}", on_request, on_outcome)
+
+
+def make_hand_link(
+    hand: Hand, on_request: Callable[[Request], None], on_outcome: Callable[[str, int, PayloadOutcome], None]
+) -> MqttLink:
+    """The link of the hand's own topics, not started; its client's id is none that a sensor can have.
+
+    Raises
+    ------
+    ConfigError
+    """
+    hand_id = hand.hand_id
+    return _link(hand.common, f"tacshade/hand/{hand_id}", f"tacshade-hand.{hand_id}", on_request, on_outcome)
+
+
+def _link(
+    document: Document,
+    base_topic: str,
+    client_id: str,
+    on_request: Callable[[Request], None],
+    on_outcome: Callable[[str, int, PayloadOutcome], None],
+) -> MqttLink:
+    try:
+        return MqttLink(
+            **broker_address(document),
+            base_topic=base_topic,
+            client_id=client_id,
+            on_request=on_request,
+            on_outcome=on_outcome,
+        )
+    except ConfigError as error:
+        raise ConfigError(f"{document.where('mqtt')}: {error}") from error
+
+
+def broker_address(document: Document) -> BrokerAddress:
+    """The broker that the settings name, with the password. Raises ConfigError."""
+    mqtt = document.settings.mqtt
+    return BrokerAddress(
+        host=mqtt.host,
+        port=mqtt.port,
+        username=mqtt.username,
+        password=read_password(document),
+        tls_ca=mqtt.ca_file,
+    )

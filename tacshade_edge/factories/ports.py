@@ -1,0 +1,32 @@
+"""The robot's port that the settings name."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.settings import Document, Serial
+
+if TYPE_CHECKING:
+    from tacshade_edge.devices.serial.port import SerialPort
+
+
+def make_serial_port(settings: Serial | None) -> SerialPort | None:
+    """The robot's port that the settings name, not opened; None where there is no robot, and pyserial is not needed."""
+    if settings is None:
+        return None
+    from tacshade_edge.devices.serial.port import SerialPort
+
+    return SerialPort(settings.device, settings.baud)
+
+
+def check_serial(document: Document) -> None:
+    """Check that the robot's port, if it is there, can be one. Raises ConfigError."""
+    if (settings := document.settings.serial) is None:
+        return
+    from tacshade_edge.devices.serial.port import check_kind
+
+    try:
+        check_kind(settings.device)
+    except ConfigError as error:
+        raise ConfigError(f"{document.where('serial', 'device')}: {error}") from None

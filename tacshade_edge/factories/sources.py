@@ -1,0 +1,105 @@
+"""The frame source that the settings name, and what can be checked of it without opening it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from tacshade_edge.devices import fixes
+from tacshade_edge.devices.base import FrameSource
+from tacshade_edge.devices.camera import v4l2_node
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.reasons import ReasonCode
+from tacshade_edge.settings import Document, Files, Rpicam, Settings, Simulated, Source, V4l2
+from tacshade_edge.storage.tables.frame_table import table_in
+
+
+def _v4l2(source: V4l2) -> FrameSource:
+    from tacshade_edge.devices.camera.v4l2 import V4l2Source
+
+    return V4l2Source(
+        device=source.device,
+        width_px=source.width_px,
+        height_px=source.height_px,
+        fps=source.fps,
+        fourcc=source.fourcc,
+        exposure=source.exposure,
+    )
+
+
+def _rpicam(source: Rpicam) -> FrameSource:
+    from tacshade_edge.devices.camera.rpicam import RpicamSource
+
+    return RpicamSource(
+        camera=source.camera,
+        width_px=source.width_px,
+        height_px=source.height_px,
+        fps=source.fps,
+        exposure_us=source.exposure_us,
+        gain=source.gain,
+    )
+
+
+def _files(source: Files) -> FrameSource:
+    from tacshade_edge.storage.recording.image_source import FilesSource
+
+    return FilesSource(path=Path(source.path), fps=source.fps, loop=source.loop)
+
+
+def _simulated(source: Simulated) -> FrameSource:
+    from tacshade_edge.devices.camera.simulated import SimulatedSource
+
+    if source.pressed is None:
+        return SimulatedSource(fps=source.fps)
+    from tacshade_edge.storage.tables.pressed_file import PressedFile
+
+    return SimulatedSource(fps=source.fps, script=PressedFile(Path(source.pressed)))
+
+
+# The modules are imported on demand: a camera needs no simulator.
+SOURCES: dict[type, Callable[[Any], FrameSource]] = {
+    V4l2: _v4l2,
+    Rpicam: _rpicam,
+    Files: _files,
+    Simulated: _simulated,
+}
+
+
+def make_source(source: Source) -> FrameSource:
+    """The frame source that the settings name, not opened."""
+    return SOURCES[type(source)](source)
+
+
+def frames_have_poses(settings: Settings) -> bool:
+    """Whether a robot tells them, or the source's folder has a table that may."""
+    source = settings.source
+    return settings.serial is not None or (isinstance(source, Files) and table_in(Path(source.path)) is not None)
+
+
+def how_to_fix(source: Source, code: ReasonCode) -> str | None:
+    """What a person does about a source's state; None where that is not known, or the reason itself says it."""
+    of_cameras = {V4l2: fixes.OF_USB_CAMERAS, Rpicam: fixes.OF_CSI_CAMERAS}.get(type(source), {})
+    return of_cameras.get(code) or fixes.OF_FRAMES.get(code)
+
+
+def check_source(document: Document) -> None:
+    """Check the path of the source. Raises ConfigError."""
+    source = document.settings.source
+    if isinstance(source, Files):
+        first_size(document, source)
+    elif isinstance(source, V4l2):
+        try:
+            v4l2_node.check_kind(source.device)
+        except ConfigError as error:
+            raise ConfigError(f"{document.where('source', 'device')}: {error}") from None
+
+
+def first_size(document: Document, source: Files) -> tuple[int, int] | None:
+    """Width and height of the first image, in px; None where there is none yet. Raises ConfigError."""
+    from tacshade_edge.storage.recording.image_source import first_size_px
+
+    try:
+        return first_size_px(Path(source.path))
+    except ConfigError as error:
+        raise ConfigError(f"{document.where('source', 'path')}: {error}") from None

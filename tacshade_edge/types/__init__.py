@@ -1,0 +1,35 @@
+"""The values that the layers hand each other. Frozen; every array in them is read-only."""
+
+from tacshade_edge.types.arrays import F32, F64, I32, I64, U8, U16, Bool, freeze
+from tacshade_edge.types.calibration import Binarisation, Calibration, Fit, FittedNetwork, Polarity, ProfileFit
+from tacshade_edge.types.frame import IDENTITY_POSE, Frame, Pose
+from tacshade_edge.types.geometry import Disc, Geometry
+from tacshade_edge.types.reconstruction import HeightMap, Need, ObjectCloud, Reconstruction, Slip, TouchedObject
+
+__all__ = [
+    "F32",
+    "F64",
+    "I32",
+    "I64",
+    "IDENTITY_POSE",
+    "U8",
+    "U16",
+    "Binarisation",
+    "Bool",
+    "Calibration",
+    "Disc",
+    "Fit",
+    "FittedNetwork",
+    "Frame",
+    "Geometry",
+    "HeightMap",
+    "Need",
+    "ObjectCloud",
+    "Polarity",
+    "Pose",
+    "ProfileFit",
+    "Reconstruction",
+    "Slip",
+    "TouchedObject",
+    "freeze",
+]

@@ -1,0 +1,188 @@
+"""What becomes of one frame: heights, points, objects."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Flag, IntEnum
+
+import numpy as np
+
+from tacshade_edge.reasons import Reason
+from tacshade_edge.types.arrays import F32, U16, Bool, freeze
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeightMap:
+    """Radial deformation on a grid of the image.
+
+    Attributes
+    ----------
+    height_mm : float32 (rows, cols)
+        h, positive inwards, of the deformed skin point that the pixel's ray meets; NaN outside the disc.
+    contact : bool (rows, cols)
+        Where the skin touches an object.
+    row0, col0, step_px : float
+        Grid cell (i, j) is image pixel (row0 + i·step_px, col0 + j·step_px); not whole pixels in general.
+    """
+
+    height_mm: F32
+    contact: Bool
+    row0: float
+    col0: float
+    step_px: float
+
+    def __post_init__(self) -> None:
+        freeze(self, "height_mm", "contact")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObjectCloud:
+    """Points of the contacted skin.
+
+    Attributes
+    ----------
+    points_mm : float32 (N, 3)
+        x, y, z in the sensor frame.
+    labels : uint16 (N,)
+        Object number of each point, from 1.
+    """
+
+    points_mm: F32
+    labels: U16
+
+    def __post_init__(self) -> None:
+        freeze(self, "points_mm", "labels")
+
+
+class Need(Flag):
+    """How much of a frame is asked for; both the displacement and the error of depth have depth with them."""
+
+    CONTACT = 0
+    DEPTH = 1
+    SHEAR = 3
+    SIGMA = 5
+    ALL = 7
+
+
+class Slip(IntEnum):
+    """How an object holds the skin that it touches."""
+
+    STICK = 0
+    PARTIAL = 1
+    FULL = 2
+
+
+@dataclass(frozen=True, slots=True)
+class TouchedObject:
+    """One connected contact.
+
+    Attributes
+    ----------
+    label : int
+        From 1, the greatest area first.
+    centroid_mm, extent_mm : (float, float, float)
+        Mean, and max - min, of its points.
+    depth_max_mm : float
+        Its greatest h.
+    area_mm2 : float
+    normal : (float, float, float)
+        Unit normal of the plane through its points, away from the camera.
+    shear_mm : (float, float) or None
+        Mean displacement along x and y of the skin that it touches; None where the solver tells none.
+    twist_deg : float or None
+        Angle about z, from x towards y, of the least-squares rotation of that skin; None also where it is too small.
+    strain_mm : float or None
+        Root mean square of what displacement and rotation leave: nothing of skin that it holds.
+    id : int or None
+        The same while it touches, from frame to frame; None of a single image, as what follows.
+    slip : Slip or None
+    slip_mm_s : float or None
+        Speed of its imprint over the skin.
+    """
+
+    label: int
+    centroid_mm: tuple[float, float, float]
+    extent_mm: tuple[float, float, float]
+    depth_max_mm: float
+    area_mm2: float
+    normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    shear_mm: tuple[float, float] | None = None
+    twist_deg: float | None = None
+    strain_mm: float | None = None
+    id: int | None = None
+    slip: Slip | None = None
+    slip_mm_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reconstruction:
+    """What one frame gave.
+
+    Attributes
+    ----------
+    seq, t_ns, wall_ns : int
+        The frame's.
+    profile : str
+    valid : bool
+        False: the frame could not be used, `reason` says why; height 0 inside the disc.
+    reason : Reason or None
+        None when valid.
+    contact : bool
+        Without contact, height is exactly 0 inside the disc and the cloud is empty.
+    saturated : bool
+        The grey left the range that the calibration covers: depth is a lower bound.
+    degraded : Reason or None
+        Why the result deserves less trust (glare, light drift).
+    height : HeightMap
+    cloud : ObjectCloud
+    objects : tuple of TouchedObject
+        In the order of their labels, the greatest first.
+    volume_mm3 : float
+        Displaced volume under the contacts.
+    repaired_px : int
+        Pixels whose solver value was not finite and was replaced.
+    shear_mm : float32 (rows, cols, 2) or None
+        Displacement along x and y, from every cause, of the skin that a cell's ray meets; on the grid of `height`, NaN
+        outside the disc, 0 without contact. None where the solver tells none.
+    sigma_mm : float32 (rows, cols) or None
+        Standard deviation of `height` where its `contact` is true, elsewhere NaN (`core.depth.sigma`). None where the
+        solver tells none.
+    untrusted : bool (rows, cols) or None
+        Cells that do not show the sensor's skin: their values say nothing, and they are no contact. None: no cell.
+    """
+
+    seq: int
+    t_ns: int
+    wall_ns: int
+    profile: str
+    valid: bool
+    reason: Reason | None
+    contact: bool
+    saturated: bool
+    degraded: Reason | None
+    height: HeightMap
+    cloud: ObjectCloud
+    objects: tuple[TouchedObject, ...] = ()
+    volume_mm3: float = 0.0
+    repaired_px: int = 0
+    shear_mm: F32 | None = None
+    sigma_mm: F32 | None = None
+    untrusted: Bool | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("shear_mm", "sigma_mm", "untrusted"):
+            if getattr(self, name) is not None:
+                freeze(self, name)
+
+    @property
+    def shear_of_contact_mm(self) -> tuple[float, float] | None:
+        """Mean displacement over all cells of the contact; None without contact or where none is told."""
+        if self.shear_mm is None or not self.contact:
+            return None
+        x_mm, y_mm = self.shear_mm[self.height.contact].mean(axis=0, dtype=np.float64).tolist()
+        return x_mm, y_mm
+
+    @property
+    def depth_max_mm(self) -> float:
+        """Greatest h of the touched objects, in mm; 0 without contact."""
+        return max((o.depth_max_mm for o in self.objects), default=0.0)
