@@ -19,6 +19,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -42,7 +43,8 @@ def serve(frames: int) -> None:
     press = Press(OBJECTS["cube"](), 0.0, 0.0, 3.0, 20.0, 1.45)
     images = {"no contact": sensor.frame((), 4000).image, "contact": sensor.frame((press,), 3000).image}
     needs = getattr(types, "Need", None)
-    made, t_ns = {}, 0
+    made: dict[str, Any] = {}
+    t_ns = 0
     print("ready", flush=True)
     for line in sys.stdin:
         profile, kind = line.strip().split("/")

@@ -94,7 +94,7 @@ def main() -> int:
                 f"source: {{kind: simulated}}\nmqtt: {{host: 127.0.0.1, port: {port}}}\n"
             )
             told = Told(port)
-            words = [sys.executable, "-m", RING_DAEMON, config, folder / "contact.npy", str(args.fps)]
+            words = [sys.executable, "-m", RING_DAEMON, str(config), str(folder / "contact.npy"), str(args.fps)]
             daemon = subprocess.Popen(words, stdout=subprocess.DEVNULL)
             try:
                 if not told.first.wait(60):

@@ -47,8 +47,8 @@ def publish(port: int, fps: float, step_px: int, stop: Event) -> None:
         while not stop.is_set():
             seq = max(seq + 1, int((time.monotonic() - began) * fps))
             time.sleep(max(0.0, began + seq / fps - time.monotonic()))
-            now = {"seq": seq, "t_ns": time.monotonic_ns(), "wall_ns": time.time_ns()}
-            hand.show(dataclasses.replace(ring[seq % RING], **now))
+            t_ns, wall_ns = time.monotonic_ns(), time.time_ns()
+            hand.show(dataclasses.replace(ring[seq % RING], seq=seq, t_ns=t_ns, wall_ns=wall_ns))
 
 
 def cpu_s(pid: int) -> float:

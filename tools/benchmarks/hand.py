@@ -60,7 +60,7 @@ def subscriber(port: int, names: list[str]) -> None:
         if message.retain:
             return
         if topic == "objects":
-            for finger, told in decode_hand(message.payload).fingers.items():
+            for finger, told in decode_hand(bytes(message.payload)).fingers.items():
                 if told.state == "contact" and told.t_ns is not None and told.seq != seen.get(finger):
                     seen[finger] = told.seq
                     objects_ms.append((time.monotonic_ns() - told.t_ns) / 1e6)
@@ -115,10 +115,10 @@ def measure(row: str, folder: Path, port: int, names: list[str], args: argparse.
     else:
         program, ending = (RING_DAEMON, "npy") if row == "apart" else (NULL_DAEMON, "pickle")
         commands = [
-            [sys.executable, "-m", program, folder / f"{name}.yaml", folder / f"{kind}.{ending}"]
+            [sys.executable, "-m", program, str(folder / f"{name}.yaml"), str(folder / f"{kind}.{ending}")]
             for name, kind in zip(names, kinds, strict=True)
         ]
-        commands = [[*map(str, command), str(args.fps)] for command in commands]
+        commands = [[*command, str(args.fps)] for command in commands]
     began_s, pause = time.monotonic(), threading.Event()
     workers = [subprocess.Popen(command) for command in commands]
     try:

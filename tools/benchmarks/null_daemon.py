@@ -17,6 +17,7 @@ import zlib
 from pathlib import Path
 
 from tacshade_edge.daemon.pipeline.ledger import FrameLedger
+from tacshade_edge.devices.mqtt.outlet import PayloadOutcome
 from tacshade_edge.factories import links
 from tacshade_edge.settings import load
 
@@ -38,10 +39,15 @@ def main() -> None:
     payloads: list[tuple[bytes, bytes] | None] = pickle.loads(ready.read_bytes())
     period_ns = round(1e9 / fps)
     ledger = FrameLedger()
+
+    def settle(stream: str, seq: int, outcome: PayloadOutcome) -> None:
+        if stream == "height":
+            ledger.settle(seq, "failed" if outcome == "refused" else outcome)
+
     link = links.make_link(
         load(config),
         on_request=lambda request: None,
-        on_outcome=lambda stream, seq, outcome: ledger.settle(seq, outcome) if stream == "height" else None,
+        on_outcome=settle,
     )
     stop = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: stop.set())

@@ -57,7 +57,7 @@ def timed(methods: dict[str, Reconstructor], image: U8, rounds: int, frames: int
     for _ in range(rounds):
         for name, made in methods.items():
             count = frames if name not in (PLAIN, PAPER) else max(1, frames // 40)
-            taken[name].append(timed_ms(lambda made=made: made.step(next_frame(image)), count))  # type: ignore[misc]
+            taken[name].append(timed_ms(lambda made=made: made.step(next_frame(image)), count))
     return {name: (median(p50 for p50, _ in each), median(p99 for _, p99 in each)) for name, each in taken.items()}
 
 

@@ -83,7 +83,7 @@ def main() -> None:
     steps: dict[tuple[str, str], Callable[[], object]] = {("floor", ""): floor}
     for profile, each in made.items():
         for what, image in images.items():
-            steps[profile, what] = lambda each=each, image=image: each.step(next_frame(image))  # type: ignore[misc]
+            steps[profile, what] = lambda each=each, image=image: each.step(next_frame(image))
     rounds: dict[tuple[str, str], list[tuple[float, float]]] = {key: [] for key in steps}
     parts: dict[tuple[str, str], list[dict[str, float]]] = {key: [] for key in steps}
     for _ in range(args.rounds):

@@ -41,7 +41,9 @@ def touch(pose: Rigid, points: int, rng: np.random.Generator) -> PressPoints:
     x, y = x0 + rho * np.cos(angle), y0 + rho * np.sin(angle)
     z = 0.5 * np.sin(x / 4) * np.cos(y / 5) + rng.normal(0, 0.05, points)
     local = pose.inverse().apply(np.stack((x, y, z), axis=1)).astype(np.float32)
-    return PressPoints(local, np.broadcast_to(np.float32((0, 0, 1)), local.shape), np.ones(points, np.float32))
+    return PressPoints(
+        local, np.broadcast_to(np.array((0, 0, 1), np.float32), local.shape), np.ones(points, np.float32)
+    )
 
 
 def main() -> None:

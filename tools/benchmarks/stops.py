@@ -91,8 +91,8 @@ def main() -> int:
                 print(f"stop {number}: exit {code} after {took_s:.2f} s: {said.strip()[-300:]}", flush=True)
     print("phase        stops   s p50   p99   most   exit codes")
     for phase, ends in phases.items():
-        took_s = np.array([seconds for _, seconds in ends] or [np.nan])
-        figures = f"{np.median(took_s):6.2f} {np.quantile(took_s, 0.99):5.2f} {took_s.max():6.2f}"
+        all_s = np.array([seconds for _, seconds in ends] or [np.nan])
+        figures = f"{np.median(all_s):6.2f} {np.quantile(all_s, 0.99):5.2f} {all_s.max():6.2f}"
         print(f"{phase:12} {len(ends):5}  {figures}   {dict(Counter(code for code, _ in ends))}")
     return int(any(code for phase, ends in phases.items() if phase != "interpreter" for code, _ in ends))
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -47,7 +48,7 @@ def write(folder: Path) -> None:
 def reconstruct(folder: Path, out: Path) -> None:
     """Black and white, which is the end of the path of whole numbers, and the maps."""
     calibration, images = calibration_file.load(folder / "calibration.npz"), np.load(folder / "images.npy")
-    found = {}
+    found: dict[str, Any] = {}
     for name, profile in PROFILES.items():
         made, preprocessor = make_reconstructor(calibration, profile), Preprocessor(calibration, profile)
         for k, image in enumerate(images):

@@ -19,6 +19,7 @@ from typing import Any
 
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Subprotocol
 
 from tacshade_edge.protocol import messages, wire
 from tools.faults.rig import Cell, Seen, pause
@@ -26,6 +27,7 @@ from tools.testbed.bridge_process import BridgeProcess
 from tools.testbed.published_hand import CRC, PublishedHand, bump
 from tools.testbed.published_health import health
 
+FOXGLOVE = Subprotocol("foxglove.sdk.v1")
 MEMORY_MB_MAX = 400.0
 STOP_S_MAX = 2.0
 THREADS_MAX = 40
@@ -199,7 +201,7 @@ def invented_states(cell: Cell) -> Seen:
 
 def watching(bridge: BridgeProcess, names: tuple[str, ...]) -> tuple[ClientConnection, bool]:
     """A viewer of the real hand; whether it was told of it within 5 s."""
-    viewer = connect(bridge.url, subprotocols=["foxglove.sdk.v1"], max_size=None, max_queue=1, compression=None)
+    viewer = connect(bridge.url, subprotocols=[FOXGLOVE], max_size=None, max_queue=1, compression=None)
     ids: dict[str, int] = {}
     end_s = time.monotonic() + 5
     with contextlib.suppress(TimeoutError):
@@ -255,7 +257,7 @@ def bad_infos(cell: Cell) -> Seen:
     """Each geometry that no sensor has, while its skin is looked at; the last is retained."""
 
     def attack(bad: PublishedHand, real: PublishedHand, bridge: BridgeProcess) -> None:
-        viewer = connect(bridge.url, subprotocols=["foxglove.sdk.v1"], max_size=None, compression=None)
+        viewer = connect(bridge.url, subprotocols=[FOXGLOVE], max_size=None, compression=None)
         with viewer:
             ids: list[int] = []
             while len(ids) < 18:
@@ -366,8 +368,8 @@ def listener(cell: Cell) -> Seen:
                 hand.show(touched)
                 pause(0.02)
             hand.tell_info("fast", profiles=("fast",))
-            for payload in other_shapes():
-                hand.tell(*payload)
+            for message in other_shapes():
+                hand.tell(*message)
                 pause(0.02)
             since_s = time.monotonic()
 

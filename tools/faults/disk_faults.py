@@ -155,7 +155,8 @@ def flipped_in_mcap(cell: Cell) -> Seen:
 
 def _frames_of(path: Path) -> tuple[int, list[str]]:
     """How many can be read; and what was told."""
-    recording, read, told = Recording(path), 0, []
+    recording, read = Recording(path), 0
+    told: list[str] = []
     while True:
         try:
             if recording.read() is None:

@@ -358,7 +358,8 @@ def _recording(root: Path) -> Kind:
 
 
 def _read_recording(folder: Path) -> Any:
-    recording, read = Recording(folder / "rec"), []
+    recording = Recording(folder / "rec")
+    read: list[Any] = []
     if recording.damage:
         _log.warning("%s", recording.damage)  # a line of `replay` and `export`
     while True:

@@ -43,7 +43,7 @@ def load(path: Path) -> list[bytes]:
     frames = []
     for image in images:
         frame = np.full((*SHAPE, 2), 128, np.uint8)
-        frame[..., 0] = image
+        frame[..., 0] = np.asarray(image)
         frames.append(frame.tobytes())
     return frames
 

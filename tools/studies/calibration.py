@@ -198,11 +198,11 @@ def wrong_sets(given: Set, rng: np.random.Generator) -> Iterator[tuple[str, str,
             told([replace(p, image=shifted(p.image, px)) if p is press else p for p in presses]),
         )  # fmt: skip
     for px in (1.0, 2.0, 6.0):
-        made = [references[0], *(shifted(image, px) for image in references[1:])]
+        views = [references[0], *(shifted(image, px) for image in references[1:])]
         yield (
             f"camera {px} px away after the first reference",
             "moved",
-            answer(lambda made=made: given.calibrate(made, [])),
+            answer(lambda views=views: given.calibrate(views, [])),
         )
     for label, change in {
         "light x 0.75": lambda image: nuisance.gain(image, 0.75),

@@ -26,6 +26,7 @@ from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -230,7 +231,7 @@ def program() -> str:
     return digest.hexdigest()
 
 
-def of_case(case: str, threads: int, folder: Path | None) -> dict[str, object]:
+def of_case(case: str, threads: int, folder: Path | None) -> dict[str, Any]:
     """What was measured of a case, or what is kept of it."""
     kept = folder / f"{case.replace(':', '_').replace('/', '_')}.json" if folder else None
     if kept and kept.exists():

@@ -26,7 +26,9 @@ class Ros(Protocol):
         Bytes as a ``uint8[]`` field takes them.
     """
 
-    octets: Callable[[bytes], Any]
+    @property
+    def octets(self) -> Callable[[bytes], Any]:
+        """Of bytes."""
 
     def make(self, name: str, /, **fields: Any) -> Any:
         """A message of a type such as ``sensor_msgs/msg/Image``."""

@@ -71,8 +71,10 @@ def main() -> None:
         except DecodeError as error:
             node.get_logger().warning(f"{topic}: {error}")
             return
-        make = ros_messages.cloud if topic.endswith("/cloud") else ros_messages.image
-        streams[topic].publish(make(ros, message, sensor_id))
+        if isinstance(message, wire.CloudMessage):
+            streams[topic].publish(ros_messages.cloud(ros, message, sensor_id))
+        elif isinstance(message, wire.HeightMessage):
+            streams[topic].publish(ros_messages.image(ros, message, sensor_id))
         if (p := message.pose) is not None:
             values = (p.x_mm, p.y_mm, p.z_mm, p.qw, p.qx, p.qy, p.qz)
             moved = values, message.wall_ns, f"{sensor_id}/base", f"{sensor_id}/flange"

@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from typing import Any
 
 import numpy as np
 
@@ -53,7 +54,7 @@ def main(arguments: list[str] | None = None) -> int:
     for sensor in range(options.ways):
         _, dome = drawn("working", sensor)
         way = ways(dome, FIRST_SEED["working"] + sensor, 1)[0]
-        skins = {}
+        skins: dict[str, Any] = {}
         for edge_mm, layers in reversed(meshes):
             start = time.process_time()
             rest, *states = solved(dome, way, edge_mm, layers)
