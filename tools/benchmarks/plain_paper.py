@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import median_filter
 from skimage.restoration import denoise_tv_chambolle
 
@@ -40,9 +39,9 @@ def solve(maps: GreyMaps, alpha_mm: float) -> Depth:
 
 def hybrid_sfs(image: F64) -> C128:
     """Z of eq. 11."""
-    p: npt.NDArray[Any] = np.fft.fft2(backward(image, axis=1))
-    q: npt.NDArray[Any] = np.fft.fft2(backward(image, axis=0))
-    z: npt.NDArray[Any] = image - reflectance(p, q)
+    p: Any = np.fft.fft2(backward(image, axis=1))
+    q: Any = np.fft.fft2(backward(image, axis=0))
+    z: Any = image - reflectance(p, q)
     for _ in range(ITERATIONS):
         p, q = backward(z, axis=1), backward(z, axis=0)
         f = image - reflectance(p, q)
