@@ -56,8 +56,8 @@ def test_the_glossary_names_modules_that_are_there() -> None:
 
 
 def test_there_is_one_way_to_get_it() -> None:
-    """No index has the package: pip takes extras of the clone, and README.md alone says where that comes from."""
+    """No index has the package: pip takes extras of the clone, and pyproject.toml alone says where that comes from."""
     texts = {name(path): path.read_text() for path in DOCUMENTS}
-    assert [path for path, text in texts.items() if "REPOSITORY_URL" in text] == ["README.md"]
-    assert texts["README.md"].count("REPOSITORY_URL") == 1
+    assert [path for path, text in texts.items() if "REPOSITORY_URL" in text] == []
+    assert re.findall(r"REPOSITORY_URL", (ROOT / "pyproject.toml").read_text()) == ["REPOSITORY_URL"]
     assert [path for path, text in texts.items() if re.search(r"install (--force )?'?tacshade-edge\[", text)] == []
