@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 
+from support.shared import once_for_all_workers
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
 from tacshade_edge.core.calibration.skin_scale import skin_scale
@@ -70,8 +71,12 @@ def presses(model: SensorModel = HALF, count: int = 20) -> tuple[KnownPress, ...
 @cache
 def calibrated(model: SensorModel = HALF, count: int = 20) -> Calibration:
     """From 5 references and `count` ball presses; 0: references alone."""
-    table = presses(model, count) if count else ()
-    return with_crc(calibrate(sensor_of(model), references(model), table, networks=load_networks()).calibration)
+
+    def made() -> Calibration:
+        table = presses(model, count) if count else ()
+        return with_crc(calibrate(sensor_of(model), references(model), table, networks=load_networks()).calibration)
+
+    return once_for_all_workers(f"calibrated {model!r} {count}", made)
 
 
 @cache
