@@ -339,6 +339,23 @@ def arm() -> Claims:
     )
 
 
+WRONG_PRESSES = (
+    ("one depth +1.0, +1.5, +2.0 mm off", tuple(f"one depth {off} mm off" for off in ("+1.0", "+1.5", "+2.0"))),
+    ("one depth -1.5 mm off", ("one depth -1.5 mm off",)),
+    ("one place 2, 3, 4 mm off", tuple(f"one place {off} mm off" for off in (2, 3, 4))),
+    ("x and y swapped at one press", ("x and y swapped at one press",)),
+    ("one ball radius times 0.5, 0.67, 1.5, 2", tuple(f"one ball radius times {k}" for k in (0.5, 0.67, 1.5, 2.0))),
+)
+
+
+def wrong_presses() -> Claims:
+    page = Page("calibration")
+    for title, labels in WRONG_PRESSES:
+        found = [page.cell("said", label).split(" of ") for label in labels]
+        asked = [page.cell("said", f"capture: {label}").split(" of ")[0] for label in labels]
+        yield f"| {title} | {', '.join(hits for hits, _ in found)} of {found[0][1]} | {', '.join(asked)} |"
+
+
 def hand() -> Claims:
     page = Page("../decisions/0010-several-sensors")
     column = "memory, MB"
@@ -371,34 +388,40 @@ def faults_of_thousands() -> Claims:
     yield f"# kill -9, {Page('faults-kills').cell('kills', 'all')} times"
 
 
-CLAIMS: tuple[tuple[str, Callable[[], Claims]], ...] = (
-    ("docs/accuracy.md", objects),
-    ("docs/accuracy.md", drag),
-    ("docs/accuracy.md", no_presses),
-    ("docs/accuracy.md", other_objects),
-    ("docs/accuracy.md", limits),
-    ("docs/displacement.md", displacement_under_drag),
-    ("docs/sigma.md", sigma),
-    ("docs/speed.md", stages),
-    ("docs/speed.md", as_printed),
-    ("docs/speed.md", iterations),
-    ("docs/speed.md", cost),
-    ("docs/speed.md", daemon),
-    ("docs/speed.md", tradeoff),
-    ("docs/hand.md", hand),
-    ("docs/numerics.md", stages_in_numerics),
-    ("docs/numerics.md", displacement),
-    ("docs/numerics.md", runtime),
-    ("docs/numerics.md", arm),
-    ("docs/service.md", memory),
-    ("docs/reliability.md", faults),
-    ("docs/reliability.md", faults_of_thousands),
-    ("config/default.yaml", paper_in_the_settings),
-    ("CHANGELOG.md", networks_in_the_changelog),
+AWAITED = pytest.mark.xfail(
+    "capture:" not in (ROOT / "docs/results/calibration.md").read_text(encoding="utf-8"),
+    strict=True,
+    reason="the page is of a bench that asked less, and has to be made again",
+)
+CLAIMS = (
+    pytest.param("docs/calibration-checks.md", wrong_presses, marks=AWAITED, id="wrong_presses"),
+    pytest.param("docs/accuracy.md", objects, id="objects"),
+    pytest.param("docs/accuracy.md", drag, id="drag"),
+    pytest.param("docs/accuracy.md", no_presses, id="no_presses"),
+    pytest.param("docs/accuracy.md", other_objects, id="other_objects"),
+    pytest.param("docs/accuracy.md", limits, id="limits"),
+    pytest.param("docs/displacement.md", displacement_under_drag, id="displacement_under_drag"),
+    pytest.param("docs/sigma.md", sigma, id="sigma"),
+    pytest.param("docs/speed.md", stages, id="stages"),
+    pytest.param("docs/speed.md", as_printed, id="as_printed"),
+    pytest.param("docs/speed.md", iterations, id="iterations"),
+    pytest.param("docs/speed.md", cost, id="cost"),
+    pytest.param("docs/speed.md", daemon, id="daemon"),
+    pytest.param("docs/speed.md", tradeoff, id="tradeoff"),
+    pytest.param("docs/hand.md", hand, id="hand"),
+    pytest.param("docs/numerics.md", stages_in_numerics, id="stages_in_numerics"),
+    pytest.param("docs/numerics.md", displacement, id="displacement"),
+    pytest.param("docs/numerics.md", runtime, id="runtime"),
+    pytest.param("docs/numerics.md", arm, id="arm"),
+    pytest.param("docs/service.md", memory, id="memory"),
+    pytest.param("docs/reliability.md", faults, id="faults"),
+    pytest.param("docs/reliability.md", faults_of_thousands, id="faults_of_thousands"),
+    pytest.param("config/default.yaml", paper_in_the_settings, id="paper_in_the_settings"),
+    pytest.param("CHANGELOG.md", networks_in_the_changelog, id="networks_in_the_changelog"),
 )
 
 
-@pytest.mark.parametrize(("path", "claims"), CLAIMS, ids=[claims.__name__ for _, claims in CLAIMS])
+@pytest.mark.parametrize(("path", "claims"), CLAIMS)
 def test_what_a_document_quotes_is_what_its_page_says(path: str, claims: Callable[[], Claims]) -> None:
     made = [flat(claim) for claim in claims()]
     assert made
