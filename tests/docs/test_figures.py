@@ -292,6 +292,35 @@ def daemon() -> Claims:
     yield line("resident memory, MB", "resident MB")
 
 
+def extra_cores(row: str) -> str:
+    """What a row of the page of recordings costs beside the daemon alone."""
+    page = Page("recording")
+    return rounded(page.number("CPU core", row) - page.number("CPU core", "contact"), 2)
+
+
+def recording() -> Claims:
+    text = (ROOT / "docs" / "results" / "recording.md").read_text(encoding="utf-8")
+    grey, colour = (re.findall(rf"^{name}, recorder: ([\d.]+) ms, (\d+) kB$", text, re.MULTILINE)[0] for name in SHOWN)
+    cores = sorted(extra_cores(row) for row in ("recording", "recording, mcap"))
+    yield f"{cores[0]} to {cores[1]} of a core more"
+    yield f"{grey[0]} ms to encode a frame of {grey[1]} kB, {colour[0]} ms for one of {colour[1]} kB in colour"
+
+
+SHOWN = ("grey", "colour")
+
+
+def kept_before() -> Claims:
+    yield f"It costs {extra_cores('kept before')} of a core at 60 frames/s"
+
+
+def opencv_beside_onnxruntime() -> Claims:
+    page = Page("runtime")
+    ratios = [page.number("OpenCV p50 ms", name) / page.number("ONNX Runtime p50 ms", name) for name in NETWORKS]
+    yield f"takes {rounded(min(ratios), 1)} to {rounded(max(ratios), 1)} times as long for the same files"
+    assert max(page.number("greatest difference", name) for name in NETWORKS) <= 2e-5
+    yield "finds the same within 2e-5"
+
+
 def memory() -> Claims:
     text = (ROOT / "docs" / "results" / "memory.md").read_text(encoding="utf-8")
     found = re.findall(r"^ *(\d+)" + r" +([\d.]+)" * 4 + "$", text, re.MULTILINE)
@@ -414,6 +443,9 @@ CLAIMS = (
     pytest.param("docs/numerics.md", runtime, id="runtime"),
     pytest.param("docs/numerics.md", arm, id="arm"),
     pytest.param("docs/service.md", memory, id="memory"),
+    pytest.param("docs/service.md", kept_before, id="kept_before"),
+    pytest.param("docs/replay.md", recording, id="recording"),
+    pytest.param("docs/decisions/0005-onnxruntime.md", opencv_beside_onnxruntime, id="opencv_beside_onnxruntime"),
     pytest.param("docs/reliability.md", faults, id="faults"),
     pytest.param("docs/reliability.md", faults_of_thousands, id="faults_of_thousands"),
     pytest.param("config/default.yaml", paper_in_the_settings, id="paper_in_the_settings"),
