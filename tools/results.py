@@ -55,7 +55,7 @@ FRAME = (
 SENSORS = (*FRAME, *package("core/calibration", "simulator"))
 """The same, and simulated sensors that are calibrated."""
 SCORED = (*SENSORS, *package("studies/evaluate"))
-STAGES = (*SENSORS, *package("studies/stage_times.py"))
+STAGES = (*SENSORS, *package("studies/stage_times.py", "studies/evaluate/sensors.py"))
 DAEMON = (*FRAME, *package("daemon", "devices", "protocol"), "tools/bench_rig.py")
 REAL = (*FRAME, *package("core/calibration", "studies/evaluate"))
 FAULTS = (*package("bridge", "daemon", "devices", "protocol", "settings"), "tools/faults")
@@ -89,6 +89,8 @@ class Page:
     drawn: tuple[str, ...] = ()
     needs: str = ""
 
+
+NOT_WRITTEN = "These have a command but no page. What other documents quote of them is of a run that left none."
 
 COLUMNS = """\
 ME is eq. 13, the mean distance from a found point to the nearest true one; back, the mean distance from a true point to
@@ -480,7 +482,7 @@ def index() -> None:
             "",
             "## Not written",
             "",
-            "These have a command but no page, and nothing in docs quotes them:",
+            NOT_WRITTEN,
             "",
             *missing,
         ]

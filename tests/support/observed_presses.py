@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 from support.calibrated_sensor import references, sensor_of, simulated
+from support.shared import once_for_all_workers
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.press_observation import PressObservation, observe_press
@@ -28,6 +29,10 @@ def observed_model(seed: int) -> SensorModel:
 @cache
 def observed(seed: int) -> tuple[tuple[PressObservation, ...], Geometry]:
     """24 ball presses on the sensor of a seed, stated as they are, and its geometry."""
+    return once_for_all_workers(f"observed {seed}", lambda: _observe(seed))
+
+
+def _observe(seed: int) -> tuple[tuple[PressObservation, ...], Geometry]:
     model = observed_model(seed)
     unloaded = calibrate(sensor_of(model), references(model)).calibration
     preprocessor = Preprocessor(unloaded, PROFILE)
