@@ -11,9 +11,17 @@ import pytest
 from hypothesis import settings
 
 from tacshade_edge.cli.shared.logs import OneLineHandler
+from tools.testbed import shared
 
 settings.register_profile("tacshade", deadline=None, print_blob=True, derandomize="CI" in os.environ)
 settings.load_profile("tacshade")
+
+
+@pytest.fixture(autouse=True, scope="session")
+def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Where the workers of this run leave what they made for each other; one process alone needs none."""
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        shared.folder = tmp_path_factory.getbasetemp().parent
 
 
 @pytest.fixture(autouse=True)

@@ -3,13 +3,14 @@
 
 ::
 
-    .venv/bin/python -m tools.results                 # those that are missing or of other code
-    .venv/bin/python -m tools.results objects limits  # these
-    .venv/bin/python -m tools.results --list
+    .venv/bin/python -m tools.results --stale         # list what a change of the code has made stale, and why
+    .venv/bin/python -m tools.results --stale --make  # make just those again
+    .venv/bin/python -m tools.results objects limits  # make these
 
-A page is written when its command has ended, so what was interrupted goes on where it was. Pages of speed want a
-machine with nothing beside: one that had other work is refused (`OTHER_LOAD`), unless ``--busy`` allows it; the page
-says how much there was.
+A page is stale when it is not there, when the commit that it names is not in the history, or when what it depends on
+has changed since: its program, and the files and folders of `Page.depends_on`. A page is written when its command has
+ended, so what was interrupted goes on where it was. Pages of speed want a machine with nothing beside: one that had
+other work is refused (`OTHER_LOAD`), unless ``--busy`` allows it; the page says how much there was.
 """
 
 from __future__ import annotations
@@ -41,6 +42,25 @@ OTHERS = ",".join(name for name in OBJECTS if name not in PAPER_OBJECTS)
 EVALUATE = ("tacshade-edge", "evaluate")
 
 
+def package(*paths: str) -> tuple[str, ...]:
+    """Files and folders of the package, relative to the tree."""
+    return tuple(f"tacshade_edge/{path}" for path in paths)
+
+
+FRAME = (
+    *package("core/contact", "core/depth", "core/frame_check", "core/geometry", "core/image"),
+    *package("core/profiles.py", "core/reconstruct.py", "inference"),
+)
+"""What turns an image into a result."""
+SENSORS = (*FRAME, *package("core/calibration", "simulator"))
+"""The same, and simulated sensors that are calibrated."""
+SCORED = (*SENSORS, *package("studies/evaluate"))
+STAGES = (*SENSORS, *package("studies/stage_times.py", "studies/evaluate/sensors.py"))
+DAEMON = (*FRAME, *package("daemon", "devices", "protocol", "storage"), "tools/testbed/daemon_rig.py")
+REAL = (*FRAME, *package("core/calibration", "studies/evaluate"))
+FAULTS = (*package("bridge", "daemon", "devices", "protocol", "settings", "storage"), "tools/faults")
+
+
 @dataclass(frozen=True, slots=True)
 class Page:
     """A page of docs/results.
@@ -51,6 +71,8 @@ class Page:
         What it is; what its columns mean.
     command : tuple of str
         ``tacshade-edge`` and its arguments, or a module of tools and its own.
+    depends_on : tuple of str
+        Files and folders, relative to the tree, that its figures depend on, beside the program itself.
     idle : bool
         It measures speed.
     drawn : tuple of str
@@ -62,10 +84,13 @@ class Page:
     title: str
     text: str
     command: tuple[str, ...]
+    depends_on: tuple[str, ...]
     idle: bool = False
     drawn: tuple[str, ...] = ()
     needs: str = ""
 
+
+NOT_WRITTEN = "These have a command but no page. What other documents quote of them is of a run that left none."
 
 COLUMNS = """\
 ME is eq. 13, the mean distance from a found point to the nearest true one; back, the mean distance from a true point to
@@ -88,18 +113,21 @@ calibrated on 8 references and 40 ball presses, then pressed by every object at 
 
 {COLUMNS}""",
         (*EVALUATE, "--final", "--profile", "paper", "fast", "balanced", "accurate", "--objects", FIVE),
+        SCORED,
         drawn=("figure6.png",),
     ),
     "other-objects": Page(
         "Eight other objects",
         f"The sensors, places and depths of [the paper's five objects](objects.md).\n\n{COLUMNS}",
         (*EVALUATE, "--final", "--objects", OTHERS),
+        SCORED,
     ),
     "no-presses": Page(
         "One reference, no press",
         f"The sensors and presses of [the paper's five objects](objects.md), each sensor with one reference and no "
         f"ball press.\n\n{COLUMNS}",
         (*EVALUATE, "--final", "--presses", "0", "--references", "1", "--objects", FIVE),
+        SCORED,
     ),
     "drag": Page(
         "Objects that are dragged, twisted and tilted",
@@ -110,6 +138,7 @@ skin of 20 mm). ME, SD and IoU as of [the paper's five objects](objects.md). Sil
 off by a quarter and 0.3 mm and is neither refused nor said to be saturated or in doubt. Shear off is the error of the
 mean displacement of a contact, direction and twist those of contacts that moved by 0.5 mm or more, and of all.""",
         ("tools.studies.drag", "--final"),
+        SCORED,
         drawn=("drag.png",),
     ),
     "sigma": Page(
@@ -121,6 +150,7 @@ deep, undragged and dragged by 2 mm (lengths on a skin of 20 mm). A cell is one 
 interval is h ± 1.645 σ. The last columns are the part of all absolute error that the tenth of the cells with the
 greatest σ has, and the most that any tenth has. In the plot the grey band is 85 to 95 %.""",
         ("tools.studies.sigma", "--final", "--objects", "large_crescent,cone,edge,ring"),
+        SCORED,
         drawn=("sigma.png",),
     ),
     "slip": Page(
@@ -130,11 +160,13 @@ Sensors of the trained family at 60 frames a second. A slip is told in time from
 whole contact slides, by the truth. Held objects were dragged by 1 mm, and nothing slides. After a release the skin
 keeps a dent that recovers; a phantom is a frame in which something is still, or again, told to touch.""",
         ("tools.studies.slip",),
+        SCORED,
     ),
     "displacement": Page(
         "Displacement by a network, by optical flow, by tracked points",
         "What `studies.displacement` says of its ways at its top.",
         ("tools.studies.displacement",),
+        SCORED,
     ),
     "limits": Page(
         "Limits",
@@ -143,6 +175,7 @@ Three simulated sensors, each calibrated on 8 references and 40 ball presses. Le
 (20.0, 25.9, 22.5 mm); depth is the greatest h of the skin. A phantom is a frame taken for a contact; a silent one has
 no `degraded` beside it. What is beyond use is refused or said, at best.""",
         ("tools.studies.limits",),
+        SCORED,
         drawn=("limits_detection.png", "limits_depth.png", "limits_resolution.png", "limits_disturbed.png"),
     ),
     "ablation": Page(
@@ -152,6 +185,7 @@ Profile `accurate`, 8 references and 40 presses, the paper's five objects, one c
 "Perfect calibration" is the true geometry and the best factor that the scored presses themselves allow; "true gradient"
 is what a true gradient integrates to from h = 0 at the rim.""",
         ("tools.studies.ablation",),
+        SCORED,
     ),
     "iterations": Page(
         "What the paper's 25 iterations buy",
@@ -159,6 +193,7 @@ is what a true gradient integrates to from h = 0 at the rim.""",
 Three sensors, the five objects near the tip, three depths. `paper_0` is the profile `paper` without eq. 11: α times
 g_hn, on the same maps.""",
         ("tools.studies.iterations",),
+        SCORED,
     ),
     "stitching": Page(
         "Maps with poses refined, and as reported",
@@ -166,6 +201,7 @@ g_hn, on the same maps.""",
 Sensors that press drawn surfaces all over, 100 presses 4 mm apart, up to 0.4 mm deeper or shallower and 6° tilted, with
 exact poses and with noise on what the robot reports. RMS of height over all touched cells.""",
         ("tools.studies.stitch_pads",),
+        (*SCORED, *package("core/stitching", "studies/stitch")),
     ),
     "real-raw": Page(
         "A real TacTip: whole pictures",
@@ -174,6 +210,7 @@ Frames of `BioMorphic-Intelligence-Lab/aerial_tactile_servoing`, without its fol
 white pins in the middle of the dome. Their labels are what that project's own network said. Two free frames of each
 folder are tried as the reference; the first that is accepted serves. {FOLLOWED}""",
         ("tools.studies.real_frames", "raw", "out/real/aerial_tactile_servoing"),
+        REAL,
         needs="out/real/aerial_tactile_servoing",
     ),
     "real-binary": Page(
@@ -182,6 +219,7 @@ folder are tried as the reference; the first that is accepted serves. {FOLLOWED}
 Frames of `marselap/tactip-cnn-bayes`: few pins, nearly black and white. Nobody says which are free or how deep the rest
 is; the picture most like the mean of all serves as the reference.""",
         ("tools.studies.real_frames", "binary", "out/real/tactip-cnn-bayes"),
+        REAL,
         needs="out/real/tactip-cnn-bayes",
     ),
     "real-plates": Page(
@@ -190,6 +228,7 @@ is; the picture most like the mean of all serves as the reference.""",
 Thresholded frames of `dexterousrobot/tactile_data_shear`, of the robot `cr_tactip` alone. None is free: the least
 pressed serves as the reference. {FOLLOWED}""",
         ("tools.studies.real_frames", "plates", "out/real/tactile_data_shear"),
+        REAL,
         needs="out/real/tactile_data_shear",
     ),
     "calibration": Page(
@@ -198,6 +237,7 @@ pressed serves as the reference. {FOLLOWED}""",
 Simulated sensors drawn at random, 5 references and 24 presses each: what is said of good sets, and of sets in which one
 thing was made wrong. Of a re-zero, "said" is the right answer, taken or refused.""",
         ("tools.studies.calibration", "--sensors", "30", "--detect", "16", "--first", "8400"),
+        SENSORS,
     ),
     "fit": Page(
         "What `calibrate --fit` is worth",
@@ -208,6 +248,7 @@ and fitted to the same. Judged on the paper's five objects at 3 places, 1.5, 3 a
 deeper than the deepest press. Worst is the worst object's mean; a fit that is no better on presses that were held out
 is not kept. ME, SD and IoU as of [the paper's five objects](objects.md).""",
         ("tools.studies.fit", "--folder", "out/fit"),
+        (*SCORED, *package("fitting")),
     ),
     "stages": Page(
         "A frame, stage by stage",
@@ -215,6 +256,7 @@ is not kept. ME, SD and IoU as of [the paper's five objects](objects.md).""",
 Grey 640x480 in memory, one thread, a contact that covers a fifth of the disc; the floor is `cv2.threshold` and
 `cv2.boxFilter` over the whole frame. Rounds take turns; milliseconds, medians of five rounds.""",
         ("tools.benchmarks.stages",),
+        STAGES,
         idle=True,
     ),
     "as-printed": Page(
@@ -225,6 +267,7 @@ Grey 640x480 in memory, one thread, a contact that covers a fifth of the disc; t
 sensor, near its tip: they say that `plain` and `paper` find the same, not how good a profile is
 ([the paper's five objects](objects.md) does).""",
         ("tools.benchmarks.paper",),
+        (*STAGES, "tools/benchmarks/stages.py", "tools/benchmarks/plain_paper.py"),
         idle=True,
     ),
     "tradeoff": Page(
@@ -237,6 +280,7 @@ is memory beyond a process with the libraries; front: no other setting is clearl
 clearly worse in the other. ME is of these few presses, to compare settings; how good a profile is says
 [the paper's five objects](objects.md).""",
         ("tacshade-edge", "tradeoff"),
+        (*STAGES, *package("studies/evaluate", "studies/tradeoff")),
         idle=True,
         drawn=("tradeoff.png",),
     ),
@@ -246,6 +290,7 @@ clearly worse in the other. ME is of these few presses, to compare settings; how
 Balls in the middle of the default sensor, 4 mm deep, for the contact area; one ball through cameras of 320x240 to
 1280x960 for the image size; small balls around the tip for the number of objects. A line fitted to each.""",
         ("tools.benchmarks.cost",),
+        STAGES,
         idle=True,
         drawn=("cost.png",),
     ),
@@ -256,6 +301,7 @@ Balls in the middle of the default sensor, 4 mm deep, for the contact area; one 
 own; beside it a null daemon that publishes ready bytes. Latency is from the frame's time stamp to the decoded height
 map. `contact`: a ball goes in and out, all topics have a subscriber; `free`: nothing touches; `unasked`: none has.""",
         ("tools.benchmarks.daemon", "--seconds", "60", "--runs", "2"),
+        DAEMON,
         idle=True,
     ),
     "recording": Page(
@@ -264,18 +310,21 @@ map. `contact`: a ball goes in and out, all topics have a subscriber; `free`: no
 The row `contact` of [the daemon](daemon.md), with the profile `fast`: without a recording, with the 10 s that
 `recorder.before_s` keeps before one, and while every frame is recorded as a folder and as MCAP.""",
         ("tools.benchmarks.daemon", "--record", "--profile", "fast", "--seconds", "20", "--runs", "2"),
+        DAEMON,
         idle=True,
     ),
     "memory": Page(
         "Memory of the daemon",
         "The command `run` as a service runs it, with images in a camera's place; MB, from /proc.",
         ("tools.benchmarks.memory",),
+        DAEMON,
         idle=True,
     ),
     "runtime": Page(
         "ONNX Runtime beside OpenCV's DNN module",
         "The shipped networks, one thread, in turns.",
         ("tools.benchmarks.runtime",),
+        (*package("inference"), "tools/benchmarks/stages.py"),
         idle=True,
     ),
     "arm": Page(
@@ -286,6 +335,7 @@ QEMU's model of a Pi 5's processor, with Debian's Python 3.11 and 3.13 and the w
 from them, between what such processors complete of waiting scalar code and of vector code, right to a factor of two: no
 board was measured.""",
         ("tools.ci.run_arm",),
+        (*DAEMON, "systemd/requirements.lock", "tools/ci/arm_frames.py", "tools/rig/arm64.py"),
     ),
     "faults": Page(
         "Faults in real parts",
@@ -294,6 +344,7 @@ Each row does one thing to a daemon at work: a process of its own, a real mosqui
 is from the fault until the daemon has told it, recovered from the fault's end until it works again, both in seconds.
 What is promised is in [reliability](../reliability.md).""",
         ("tools.faults", "table"),
+        FAULTS,
     ),
     "faults-damaged": Page(
         "Damaged inputs",
@@ -302,6 +353,7 @@ Files with flipped bits, cuts, holes, words in the place of numbers, and wrong c
 the program reads them. Told is another value with a warning in the log. Another valid value is what no reader can know,
 since these formats have no checksum, or what a right checksum was put over; never one of damage to a checked file.""",
         ("tools.faults", "damage"),
+        FAULTS,
     ),
     "faults-words": Page(
         "Requests and serial lines of anything",
@@ -309,6 +361,7 @@ since these formats have no checksum, or what a right checksum was put over; nev
 In process where paho hands requests over, through a real broker, and over a pty. What the daemon opens to write is
 seen by an audit hook of Python's, what it publishes by a subscriber to everything.""",
         ("tools.faults", "words"),
+        FAULTS,
     ),
     "faults-kills": Page(
         "kill -9 at random moments",
@@ -316,6 +369,7 @@ seen by an audit hook of Python's, what it publishes by a subscriber to everythi
 One daemon after the other works on the same files at the rate that requests can be made, and is killed 0 to 3 s after
 its first frame; the next goes on. Everything that was acknowledged is looked for after each kill.""",
         ("tools.faults", "kills"),
+        FAULTS,
     ),
     "faults-soak": Page(
         "A long run in which something is always wrong",
@@ -323,6 +377,7 @@ its first frame; the next goes on. Everything that was acknowledged is looked fo
 60 images a second of 640x480, a broker that is restarted once a minute, a subscriber that stalls, recordings one after
 the other, a session that is filled until the map takes no more, ended, and begun anew.""",
         ("tools.faults", "soak", "--seconds", "3600"),
+        FAULTS,
     ),
     "faults-soak-hand": Page(
         "A long run of a whole hand",
@@ -331,6 +386,7 @@ Five fingers in one command at 10 images a second each, two of them pressed, bot
 a viewer that reads nothing, recordings in turn, and a broker that is restarted once a minute. The change of memory is
 from the least of the first half after 900 s to that of the second.""",
         ("tools.faults", "soak-hand", "--seconds", "7200"),
+        FAULTS,
     ),
 }
 
@@ -399,9 +455,12 @@ def write(name: str, page: Page, *, busy: bool) -> str:
             ("took", f"{took_s:.0f} s, beside other work of {other:.2f} cores"),
             *([("verdict", "missed: exit code 1")] if wrong else []),
         )
+        printed = done.stdout.strip()
+        for folder in (ROOT, tempfile.gettempdir()):  # where they lie is nobody's business
+            printed = printed.replace(f"{folder}/", "")
         lines = [f"# {page.title}", f"Written by `tools/results.py {name}`.", page.text]
         lines += ["\n".join(("| | |", "|---|---|", *(f"| {key} | {value} |" for key, value in top)))]
-        lines += [done.stdout.strip() if "|" in done.stdout else f"```\n{done.stdout.strip()}\n```"]
+        lines += [printed if "|" in printed else f"```\n{printed}\n```"]
         FOLDER.mkdir(exist_ok=True)
         for picture in page.drawn:
             shutil.copy(Path(out) / picture, FOLDER / picture)
@@ -411,43 +470,103 @@ def write(name: str, page: Page, *, busy: bool) -> str:
 
 
 def index() -> None:
-    """Write the list of the pages that are there."""
-    rows = []
-    for name, page in PAGES.items():
-        title = f"[{page.title}]({name}.md)" if (FOLDER / f"{name}.md").exists() else f"{page.title} (not yet written)"
-        rows.append(f"| {title} | `{name}` | `{shown(page.command)}` |")
+    """Write the list of the pages that are there, of those that other commands write, and of those that are missing."""
+    rows = [f"| [{PAGES[name].title}]({name}.md) | `{name}` | `{shown(PAGES[name].command)}` |" for name in written()]
+    others = sorted(path.stem for path in FOLDER.glob("*.md") if path.stem not in {*PAGES, "README"})
+    for name in others:
+        title = (FOLDER / f"{name}.md").read_text(encoding="utf-8").partition("\n")[0].removeprefix("# ")
+        rows.append(f"| [{title}]({name}.md) | | stands on the page |")
+    missing = [
+        f"- `{name}`, {page.title}: `{shown(page.command)}`" for name, page in PAGES.items() if not is_there(name)
+    ]
     head = "# Results\n\nWritten by `tools/results.py`, which says the commit and the machine at the top of each page."
-    text = "\n".join((head, "", "| page | name | command |", "|---|---|---|", *rows))
-    (FOLDER / "README.md").write_text(f"{text}\n", encoding="utf-8")
+    lines = [head, "", "| page | name | command |", "|---|---|---|", *rows]
+    if missing:
+        lines += [
+            "",
+            "## Not written",
+            "",
+            NOT_WRITTEN,
+            "",
+            *missing,
+        ]
+    (FOLDER / "README.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def is_current(name: str) -> bool:
-    """Whether a page is there and of this code."""
-    path = FOLDER / f"{name}.md"
-    return path.exists() and f"| code | {commit()} |" in path.read_text(encoding="utf-8")
+def is_there(name: str) -> bool:
+    """Whether a page is written."""
+    return (FOLDER / f"{name}.md").exists()
+
+
+def written() -> list[str]:
+    """The pages that are written, in the order of `PAGES`."""
+    return [name for name in PAGES if is_there(name)]
+
+
+def named_commit(text: str) -> str:
+    """The commit that a page names, or nothing: also where it was made with changes that were not committed."""
+    found = re.search(r"^\| code \| ([0-9a-f]{7,40}) of \d{4}-\d\d-\d\d(?! and uncommitted)", text, re.MULTILINE)
+    return found[1] if found else ""
+
+
+def is_in_history(commit: str) -> bool:
+    """Whether a commit is HEAD or one of its ancestors."""
+    command = ["git", "merge-base", "--is-ancestor", commit, "HEAD"]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, check=False).returncode == 0
+
+
+def why_stale(name: str, page: Page) -> str:
+    """Why a page must be made again; nothing where it holds."""
+    if not is_there(name):
+        return "is not written"
+    made_of = named_commit((FOLDER / f"{name}.md").read_text(encoding="utf-8"))
+    if not made_of:
+        return "names no commit"
+    if not is_in_history(made_of):
+        return f"names {made_of}, which is not in the history"
+    paths = ("--", *depends_on(page))
+    if changes := git("log", "--format=%h %s", f"{made_of}..HEAD", *paths).splitlines():
+        return f"commits since {made_of}: {len(changes)}, the last {changes[0]}"
+    return f"uncommitted changes since {made_of}" if git("status", "--porcelain", *paths) else ""
+
+
+def depends_on(page: Page) -> tuple[str, ...]:
+    """Files and folders, relative to the tree, whose changes make a page stale."""
+    program = page.command[0]
+    if program == "tacshade-edge":
+        return page.depends_on
+    path = program.replace(".", "/")
+    return (*page.depends_on, path if (ROOT / path).is_dir() else f"{path}.py")
 
 
 def main() -> int:
-    """Write pages."""
-    parser = argparse.ArgumentParser(description="Write the pages of docs/results.")
-    parser.add_argument("pages", nargs="*", metavar="PAGE", help="only these, also where they are of this code")
+    """List or make pages."""
+    parser = argparse.ArgumentParser(description="Make the pages of docs/results, or list those that are stale.")
+    parser.add_argument("pages", nargs="*", metavar="PAGE", help="make these, stale or not")
+    parser.add_argument("--stale", action="store_true", help="list the pages that are stale, and why")
+    parser.add_argument("--make", action="store_true", help="with --stale: make them again")
     parser.add_argument("--busy", action="store_true", help="write pages of speed also beside other work")
-    parser.add_argument("--list", action="store_true", help="list the pages and their commands")
     args = parser.parse_args()
     if unknown := [name for name in args.pages if name not in PAGES]:
         parser.error(f"{unknown[0]!r} is none of {', '.join(PAGES)}")
+    if bool(args.pages) == args.stale or (args.make and not args.stale):
+        parser.error("give either pages or --stale [--make]")
+    names = args.pages
+    if args.stale:
+        stale = {name: why for name, page in PAGES.items() if (why := why_stale(name, page))}
+        print("\n".join(f"{name:16} {why}" for name, why in stale.items()) or "no page is stale")
+        names = list(stale) if args.make else []
     failed = False
-    for name in args.pages or PAGES:
-        if args.list:
-            print(f"{name:14} {'' if is_current(name) else 'not '}current  {shown(PAGES[name].command)}")
-            continue
-        if not args.pages and (is_current(name) or not (ROOT / PAGES[name].needs).exists()):
+    for name in names:
+        if not (ROOT / PAGES[name].needs).exists():
+            print(f"{name}: {PAGES[name].needs} is not there; not written")
             continue
         print(f"{name} ...", flush=True)
         problem = write(name, PAGES[name], busy=args.busy)
         print(problem or f"{name} written", flush=True)
         failed |= bool(problem)
-    index()
+    if names:
+        index()
     return int(failed)
 
 

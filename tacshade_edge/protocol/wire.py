@@ -1,4 +1,4 @@
-"""The binary MQTT payloads ``height``, ``cloud`` and ``shear``: one 96-byte little-endian header, then raw values.
+"""The binary MQTT payloads ``height``, ``cloud``, ``shear`` and ``sigma``: a 96-byte little-endian header, raw values.
 
 The layout is the table of docs/mqtt.md, a promise to subscribers: it may only be added to. So a decoder
 ignores flag bits and reserved bytes that it does not know, and refuses everything else that it does not know.
@@ -48,7 +48,7 @@ _VALUES: Final = {_HEIGHT: 1, _SHEAR: 2, _SIGMA: 1}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Message:
-    """What both kinds carry.
+    """What every kind carries.
 
     Attributes
     ----------

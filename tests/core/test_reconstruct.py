@@ -195,6 +195,7 @@ def depth_errors(made: Reconstructor, model: SensorModel, presses: Iterable[tupl
     return np.array(errors)
 
 
+@pytest.mark.slow
 def test_pressed_depth_is_found_within_15_percent_mostly_and_without_bias() -> None:
     """One factor for the whole skin has no bias over its places, though it has one in the middle alone."""
     places = ((0.0, 0.0), (5.0, 0.0), (-5.0, 0.0), (0.0, 5.0), (0.0, -5.0))

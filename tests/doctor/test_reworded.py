@@ -73,7 +73,9 @@ def _of_a_node(machine: Any) -> list[Finding]:
     return list(check_device(V4l2(), machine))
 
 
-@pytest.mark.parametrize("check", [_of_images, _of_pictures, _of_frames, _of_a_node])
+@pytest.mark.parametrize(
+    "check", [pytest.param(_of_images, marks=pytest.mark.slow), _of_pictures, _of_frames, _of_a_node]
+)
 def test_a_reworded_reason_has_the_same_mend(
     machine: Any, monkeypatch: pytest.MonkeyPatch, check: Callable[[Any], list[Finding]]
 ) -> None:
@@ -86,6 +88,7 @@ def test_a_reworded_reason_has_the_same_mend(
     assert not any(NONSENSE in finding.found for finding in before)
 
 
+@pytest.mark.slow
 def test_each_bad_image_has_a_mend_of_its_own() -> None:
     mends = {
         name: next(finding.mend for finding in check_images(calibrated(HALF), [image], True) if finding.mend)

@@ -14,6 +14,7 @@ from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.simulator.model import SensorModel, random_model
 from tacshade_edge.types import Geometry
 from tools.testbed.calibrated_sensor import references, sensor_of, simulated
+from tools.testbed.shared import once_for_all_workers
 
 PRESSES = 24
 SEEDS = (0, 5, 11)
@@ -28,6 +29,10 @@ def observed_model(seed: int) -> SensorModel:
 @cache
 def observed(seed: int) -> tuple[tuple[PressObservation, ...], Geometry]:
     """24 ball presses on the sensor of a seed, stated as they are, and its geometry."""
+    return once_for_all_workers(f"observed {seed}", lambda: _observe(seed))
+
+
+def _observe(seed: int) -> tuple[tuple[PressObservation, ...], Geometry]:
     model = observed_model(seed)
     unloaded = calibrate(sensor_of(model), references(model)).calibration
     preprocessor = Preprocessor(unloaded, PROFILE)

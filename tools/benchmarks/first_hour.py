@@ -5,7 +5,7 @@
     .venv/bin/python -m tools.benchmarks.first_hour
 
 It takes the commands from README.md ("Get it") and docs/calibration.md ("Practise without a sensor"), runs them in a
-temporary folder with this clone in the place of REPOSITORY_URL, answers `capture` as the page says, presses
+temporary folder with this clone in the place of the repository's address, answers `capture` as the page says, presses
 eight times, and prints how long each step took. A command that fails ends it.
 """
 
@@ -78,7 +78,7 @@ def main() -> None:
             print(f"{time.monotonic() - began_s:5.0f} s  {what}", flush=True)
 
         (get_it,) = blocks("README.md", "Get it")
-        shell(get_it.replace("REPOSITORY_URL", str(ROOT)), folder)
+        shell(get_it.replace("git clone ...", f"git clone {ROOT}"), folder)
         programs = folder / "tacshade-edge" / "env" / "bin"
         os.environ["PATH"] = f"{programs}:{os.environ['PATH']}"
         say("cloned and installed")

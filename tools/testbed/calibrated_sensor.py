@@ -20,6 +20,7 @@ from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedFrame, SimulatedSensor
 from tacshade_edge.storage.calibration.calibration_file import with_crc
 from tacshade_edge.types import U8, Calibration, Frame, Reconstruction
+from tools.testbed.shared import once_for_all_workers
 
 FULL = SensorModel()
 # The same sensor through a camera of half the resolution.
@@ -70,8 +71,12 @@ def presses(model: SensorModel = HALF, count: int = 20) -> tuple[KnownPress, ...
 @cache
 def calibrated(model: SensorModel = HALF, count: int = 20) -> Calibration:
     """From 5 references and `count` ball presses; 0: references alone."""
-    table = presses(model, count) if count else ()
-    return with_crc(calibrate(sensor_of(model), references(model), table, networks=load_networks()).calibration)
+
+    def made() -> Calibration:
+        table = presses(model, count) if count else ()
+        return with_crc(calibrate(sensor_of(model), references(model), table, networks=load_networks()).calibration)
+
+    return once_for_all_workers(f"calibrated {model!r} {count}", made)
 
 
 @cache
