@@ -32,7 +32,8 @@ body { margin: 1rem; background: #111; color: #eee; font: 1.1rem/1.5 system-ui, 
 img { width: min(100%, 60rem); display: block }
 #text { white-space: pre-wrap; font-variant-numeric: tabular-nums }
 #view { position: relative; width: min(100%, 60rem); cursor: crosshair }
-#view img { width: 100% }
+/* What a click begins and ends on stays, while the pictures take turns. */
+#view img { width: 100%; pointer-events: none }
 #view i { position: absolute; width: 9px; height: 9px; margin: -6px; border: 2px solid #f40; border-radius: 50% }
 </style>
 <h1>The camera, now</h1><div id="view"><img id="picture" alt="what the camera sees"></div><p id="text"></p>

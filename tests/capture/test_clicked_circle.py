@@ -25,13 +25,20 @@ pytestmark = [*NEEDS_A_BROWSER, pytest.mark.slow]
 SENSOR = "skin_radius_mm: 20  # as drawn\nvisible_half_angle_deg: 50\ncamera_distance_mm: 14\npolarity: bright\n"
 
 
-def click(page: Chrome, row: float, col: float) -> None:
-    """On a place of the picture, from its middle."""
+def click(page: Chrome, row: float, col: float, *, held: bool = False) -> None:
+    """On a place of the picture, from its middle; `held`: until the next picture is shown."""
     view = page.find_element(By.ID, "view")
     scale = js(page, "view.getBoundingClientRect().width / picture.naturalWidth")
     rows, cols = js(page, "[picture.naturalHeight, picture.naturalWidth]")
     off = [round((at + 0.5 - size / 2) * scale) for at, size in ((col, cols), (row, rows))]
-    ActionChains(page).move_to_element_with_offset(view, *off).click().perform()
+    at_place = ActionChains(page).move_to_element_with_offset(view, *off)
+    if not held:
+        at_place.click().perform()
+        return
+    shown = js(page, "picture.src")
+    at_place.click_and_hold().perform()
+    wait_until(lambda: js(page, "picture.src") != shown, 10, "another picture")
+    ActionChains(page).release().perform()
 
 
 def rim(disc: Disc, *degrees: float) -> list[tuple[float, float]]:
@@ -77,7 +84,7 @@ def test_three_clicks_state_the_circle_and_a_button_takes_it_back(tmp_path: Path
         assert (out / "SENSOR.yaml").read_text() == SENSOR
 
         for row, col in rim(clicked, 80, 200, 320):
-            click(page, row, col)
+            click(page, row, col, held=True)
         shows(page, "answer", "the three points are taken")
         shows(page, "text", "as clicked (visible_circle in SENSOR.yaml)")
         stated = read_sensor(out / "SENSOR.yaml").visible_circle

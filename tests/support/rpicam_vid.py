@@ -13,6 +13,7 @@ extra_bytes : int  more (or fewer) in each frame
 records : bool     whether it tells of frames
 says : str         written to its standard error before it ends with 255, at once
 stalls : int       after so many frames it writes nothing more
+behind : int       so many first frames come at once, then what it tells of them, of the last one a little later
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ def main() -> int:
     images = np.load(do["frames"]) if "frames" in do else np.arange(4, dtype=np.uint8)[:, None, None] * np.ones(shape)
     colour = bytes([128]) * max(shape[0] * shape[1] // 2 + do.get("extra_bytes", 0), 0)
     cut = min(shape[0] * shape[1] // 2 + do.get("extra_bytes", 0), 0) or None
-    period_ns = round(1e9 / args.framerate)
+    period_ns, behind, waiting = round(1e9 / args.framerate), do.get("behind", 0), b""
     with Path(args.metadata).open("wb", buffering=0) as records:
         began_ns = time.monotonic_ns()
         for n in range(do.get("count", 1 << 62)):
@@ -76,7 +77,8 @@ def main() -> int:
             if n == do.get("stalls"):
                 time.sleep(60)
             sys.stdout.buffer.write(images[n % len(images)].astype(np.uint8).tobytes()[:cut] + colour)
-            sys.stdout.buffer.flush()
+            if n + 1 >= behind:
+                sys.stdout.buffer.flush()
             exposure = do.get("exposure", 1) * args.shutter * (2 if n < do.get("settle", 0) else 1)
             told = {
                 "SensorTimestamp": stamp_ns,
@@ -85,8 +87,15 @@ def main() -> int:
                 "FrameDuration": period_ns // 1000,
                 "ColourGains": "[ 1.000000, 1.000000 ]",
             }
+            text = "".join(f"{key}={value}\n" for key, value in told.items()).encode() + b"\n"
+            if n + 1 < behind:
+                waiting += text
+                continue
+            if n + 1 == behind:
+                records.write(waiting)
+                time.sleep(0.3)
             if do.get("records", True):
-                records.write("".join(f"{key}={value}\n" for key, value in told.items()).encode() + b"\n")
+                records.write(text)
     return 0
 
 

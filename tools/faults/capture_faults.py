@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from tacshade_edge.settings.sensor_file import read_sensor
@@ -14,6 +15,8 @@ from tools.testbed.fake_printer import FakePrinter
 from tools.testbed.person import Person, goes_to_the_skin, person
 
 REFERENCES, ASKED = "Enter takes 10 references.", "press 1"
+DEEPEST_MM = 5.0
+"""Below the tip; the press asks for half of it."""
 AFTER_S = (0.0, 0.2, 0.4, 0.8, 1.6)
 SENSOR = "skin_radius_mm: 20\nvisible_half_angle_deg: 50\ncamera_distance_mm: 14\npolarity: bright\n"
 PRINTER = "x_mm: [0, 220]\ny_mm: [0, 220]\nz_mm: [40, 200]\nstart_mm: [100, 100, 78]\nfeed_mm_s: 50\n"
@@ -99,27 +102,72 @@ def killed_by_hand(cell: Cell) -> Seen:
     )
 
 
-def killed_with_a_printer(cell: Cell) -> Seen:
-    """While its head moves: the next `capture` homes the printer again and takes the press."""
-    words = [*_words(cell.folder, ",ball,6,2.5,1,-3\n"), "--printer"]
+def _with_a_printer(cell: Cell) -> list[str]:
+    """The words but the port."""
     out = cell.folder / "out"
     out.mkdir(exist_ok=True)
     (out / "SENSOR.yaml").write_text(SENSOR)
     (out / "PRINTER.yaml").write_text(PRINTER)
+    return [*_words(cell.folder, ",ball,6,2.5,1,-3\n"), "--printer"]
+
+
+def killed_with_a_printer(cell: Cell) -> Seen:
+    """While its head moves: the next `capture` homes the printer again and takes the press."""
+    words, out = _with_a_printer(cell), cell.folder / "out"
     with FakePrinter(cell.folder / "hand.csv") as printer:
         with person(*words, printer.port) as one:
             goes_to_the_skin(one)
             printer.wait_until_below(printer.sensor.tip_z_mm)
             _kill(one)
-        assert _deepest(printer) > printer.sensor.tip_z_mm - 5
+        assert _deepest(printer) > printer.sensor.tip_z_mm - DEEPEST_MM
         assert _whole(out) == (10, 0)
         since_s = time.monotonic()
         with person(*words, printer.port) as one:
             _answer_until_pressed(one)
             assert one.ends() == 0, one.heard
-        assert _deepest(printer) > printer.sensor.tip_z_mm - 5
+        assert _deepest(printer) > printer.sensor.tip_z_mm - DEEPEST_MM
     assert _whole(out) == (10, 1)
     return Seen(None, time.monotonic() - since_s, "the press under way", "`capture`: what is here already")
+
+
+def printer_fails(fault: str, said: str) -> Callable[[Cell], Seen]:
+    """One of `support.fake_printer.Faults`, or a pulled cable, while the head goes to the skin."""
+
+    def fault_of(cell: Cell) -> Seen:
+        words = _with_a_printer(cell)
+        with FakePrinter(cell.folder / "hand.csv") as printer, person(*words, printer.port) as one:
+            goes_to_the_skin(one)
+            if fault == "loses_steps_below_mm":
+                one.hears("dry run")  # the places are known, and it is elsewhere from now on
+            since_s = time.monotonic()
+            if fault == "cable":
+                printer.pull_the_cable()
+            elif fault.endswith("_mm"):
+                setattr(printer.faults, fault, printer.sensor.tip_z_mm)
+            else:
+                setattr(printer.faults, fault, len(printer.heard) + 2)
+            one.hears(said)
+            detected_s = time.monotonic() - since_s
+            code = one.ends()
+            assert "Traceback" not in one.before + one.heard, one.heard
+            deepest_mm = printer.sensor.tip_z_mm - _deepest(printer)
+        assert deepest_mm < DEEPEST_MM, deepest_mm
+        assert (code, *_whole(cell.folder / "out")) == (1, 10, 0), code
+        return Seen(detected_s, None, "the press under way", f"`capture`: {said!r}, exit code 1")
+
+    return fault_of
+
+
+def printer_hears_badly(cell: Cell) -> Seen:
+    """One of its lines arrives damaged: it is sent again, and the head goes on."""
+    words = _with_a_printer(cell)
+    with FakePrinter(cell.folder / "hand.csv") as printer, person(*words, printer.port) as one:
+        goes_to_the_skin(one)
+        at = printer.faults.damaged_line = len(printer.heard) + 2
+        cell.until(lambda: len(printer.heard) > at + 40, 60, "the printer hears more")
+        assert printer.faults.damaged_line == 0
+        assert one.process.poll() is None
+    return Seen(None, None, "nothing: the line is sent again", "")
 
 
 def _answer_until_pressed(one: Person) -> None:
@@ -136,4 +184,16 @@ def _deepest(printer: FakePrinter) -> float:
 FAULTS = {
     "`capture` killed (-9) at each step": killed_by_hand,
     "`capture` killed (-9) while the printer presses": killed_with_a_printer,
+    "the printer gets a damaged line": printer_hears_badly,
+    **{
+        f"the printer {name}": printer_fails(fault, said)
+        for name, fault, said in (
+            ("loses an answer", "lost_answer", "did not answer G1"),
+            ("says that it has an error", "error", "MAXTEMP triggered"),
+            ("restarts", "restart", "it has restarted"),
+            ("halts", "halts_below_mm", "kill() called"),
+            ("loses steps", "loses_steps_below_mm", "expected contact"),
+            ("is unplugged", "cable", "serial"),
+        )
+    },
 }

@@ -41,7 +41,7 @@ from tacshade_edge.storage.tables.labels import read_labels
 from tacshade_edge.storage.tables.poses_table import read_poses
 from tacshade_edge.storage.tables.pressed_file import PressedFile
 from tacshade_edge.storage.tables.presses import read_presses
-from tacshade_edge.types import Calibration, Frame, Pose
+from tacshade_edge.types import Calibration, Frame, Pose, Reconstruction
 from tools.testbed.bumpy_surface import grid_poses, press_of
 from tools.testbed.fitted import fitted_with
 from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
@@ -173,7 +173,8 @@ def _use(calibration: Calibration) -> None:
     _USED.add(calibration.crc32)
     shape = (calibration.image_height_px, calibration.image_width_px)
     image = TOUCHED if shape == TOUCHED.shape else np.full(shape, 90, np.uint8)
-    make_reconstructor(calibration, PROFILES["fast"]).step(Frame(0, 0, 0, image))
+    result = make_reconstructor(calibration, PROFILES["fast"]).step(Frame(0, 0, 0, image))
+    assert not (isinstance(result, Reconstruction) and np.isinf(result.height.height_mm).any())
 
 
 def _sealed_npz(name: str, content: Content, draw: random.Random, junk: Junk) -> Files:
@@ -181,7 +182,8 @@ def _sealed_npz(name: str, content: Content, draw: random.Random, junk: Junk) ->
     for _ in range(draw.choice((1, 1, 1, 3))):
         part = draw.choice(("meta", "meta", "meta", "inner", "array", "gone"))
         if part == "array":
-            arrays[draw.choice(list(arrays))] = _other_array(draw)
+            name = draw.choice(list(arrays))
+            arrays[name] = _other_array(draw) if draw.random() < 0.5 else _other_values(draw, arrays[name])
         elif part == "gone":
             (meta if draw.random() < 0.7 or not arrays else arrays).pop(draw.choice(list(meta)), None)
         elif part == "meta":
@@ -207,6 +209,17 @@ def _other_array(draw: random.Random) -> Any:
     shape = tuple(draw.choice((0, 1, 2, 7, 119, 120, 160, 161)) for _ in range(draw.randrange(4)))
     kind = draw.choice(("u1", "u1", "u1", "f4", "f8", "i8", "b1", "c8", "U3"))
     return np.full(shape, draw.choice((0, 1, 255)), kind)
+
+
+def _other_values(draw: random.Random, array: Any) -> Any:
+    """As many and of the same kind: references, images of presses, weights of a fitted network."""
+    factor = draw.choice((0, -1, 1e3, 1e10, 1e30, np.nan, np.inf))
+    with np.errstate(all="ignore"):
+        return (
+            (array * factor).astype(array.dtype)
+            if array.dtype.kind == "f"
+            else np.full_like(array, draw.choice((0, 1)))
+        )
 
 
 # What a person types, and tables.

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import struct
 import time
 import zlib
+from http.client import HTTPConnection
+from urllib.parse import urlsplit
 
 from selenium.webdriver import Chrome
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+from websockets.typing import Origin
 
 from tacshade_edge.protocol import wire
 from tools.faults.rig import Cell, Seen, SkippedError
@@ -24,6 +30,16 @@ window.tasks = [];
 new PerformanceObserver((seen) => { for (const task of seen.getEntries()) window.tasks.push(task.duration); })
   .observe({ entryTypes: ["longtask"] });
 """
+PATHS = (
+    "/../server.py",
+    "/vendor/../../server.py",
+    "/%2e%2e/server.py",
+    "//etc/passwd",
+    "/\\..\\server.py",
+    "/vendor/",
+)
+ORIGINS = ("http://evil.example", "http://127.0.0.1:9", "http://localhost.evil.example", "null")
+GUESSES = 30
 GRIDS = ((0, 0, 4.0), (0, 7, 4.0), (5000, 1, 4.0), (4, 4, 0.0), (4, 4, float("nan")), (4, 4, 1e-30))
 TEXTS: tuple[tuple[str, object], ...] = (
     ("status/camera", {"state": "away", "reason": LONG, "device": LONG}),
@@ -100,4 +116,38 @@ def grid_message(sound: bytes, rows: int, cols: int, step_px: float) -> bytes:
     return bytes(head) + payload
 
 
-FAULTS = {"what is to freeze or end the page is published": hostile_messages}
+def who_may_not(cell: Cell) -> Seen:
+    """Paths that are none, other sites' pages and guessed tokens; the token itself opens the page before."""
+    cell.broker.start()
+    token_file = cell.folder / "token"
+    with dashboard(f"127.0.0.1:{cell.broker.port}", "--token-file", str(token_file)) as address:
+        port = urlsplit(address).port
+        assert port is not None
+        token = token_file.read_text().strip()
+        assert status_of(port, "/main.js", token) == 200
+        asked = {
+            (path, right): status_of(port, path, token if right else "") for path in PATHS for right in (True, False)
+        }
+        assert set(asked.values()) <= {401, 404}, asked
+        bearer = {"Authorization": f"Bearer {token}"}
+        for origin in ORIGINS:
+            url = f"ws://127.0.0.1:{port}/mqtt"
+            with contextlib.suppress(InvalidStatus), connect(url, origin=Origin(origin), additional_headers=bearer):
+                raise AssertionError(f"{origin} was let in")
+        guessed = [status_of(port, "/login", f"wrong{k}") for k in range(GUESSES)]
+    assert set(guessed) == {401, 429}, guessed
+    refused = f"{len(asked)} paths, {len(ORIGINS)} sites, {GUESSES} tokens ({guessed.count(429)} of them unseen)"
+    return Seen(None, None, f"nothing; refused: {refused}", "log: wrong tokens and sites")
+
+
+def status_of(port: int, path: str, token: str) -> int:
+    """What the page's server answers to a path as it stands."""
+    with contextlib.closing(HTTPConnection("127.0.0.1", port, timeout=30)) as connection:
+        connection.request("GET", path, headers={"Authorization": f"Bearer {token}"} if token else {})
+        return connection.getresponse().status
+
+
+FAULTS = {
+    "the page is asked for by who may not": who_may_not,
+    "what is to freeze or end the page is published": hostile_messages,
+}

@@ -129,15 +129,16 @@ class RpicamSource:
 
     def _first(self, stream: _Stream) -> Frame:
         """The first frame with the exposure that was asked, and with no bytes too many."""
-        in_step, exposure_us, gain = False, float("nan"), float("nan")
+        in_step, was_in_step, exposure_us, gain = True, True, float("nan"), float("nan")
         for _ in range(_SETTLING):
             image, record = stream.next(_START_S)
             exposure_us, gain = _number(record, "ExposureTime"), _number(record, "AnalogueGain")
-            in_step = stream.in_step()
-            if self._is_asked(exposure_us, gain) and in_step:
+            was_in_step, in_step = in_step, stream.in_step()
+            # Twice: nine shorter frames are eight of ours, where it tells of the ninth too late to be noticed.
+            if self._is_asked(exposure_us, gain) and in_step and was_in_step:
                 break
         else:
-            if not in_step:
+            if not (in_step and was_in_step):
                 raise stream.other_size()
             raise DeviceError(
                 f"{self._name}: asked an exposure of {self._exposure_us} us and a gain of {self._gain:g}, "

@@ -18,6 +18,7 @@ QUICK = (
     "an answer is wanted on the hand's own topics",
     "a bit flipped in a session's presses",
     "recordings read while they are written",
+    "the page is asked for by who may not",
 )
 
 

@@ -107,13 +107,15 @@ class McapFile:
                 return
 
     def attachment(self, place: Place, bytes_max: int) -> bytes:
-        """The data of an attachment. Raises ValueError where it is larger, or the checksum is not its own."""
+        """The data of an attachment. Raises ValueError where it is larger or damaged."""
         name_end = place.body + 20 + self._number("<I", place.body + 16)
         data_at = name_end + 4 + self._number("<I", name_end) + 8
         size = self._number("<Q", data_at - 8)
         if size > bytes_max:
             raise ValueError(f"found {size} bytes, expected at most {bytes_max}")
-        crc = self._number("<I", data_at + size)
+        if (fits := place.end - 4 - data_at) != size:
+            raise ValueError(f"found {size} bytes, expected {fits} before its checksum")
+        crc = self._number("<I", place.end - 4)
         data = self._file.block(data_at, size)
         if crc and zlib.crc32(data, zlib.crc32(self._file.block(place.body, data_at - place.body))) != crc:
             raise ValueError("the checksum is not its own")

@@ -141,6 +141,21 @@ def test_files_that_are_none(tmp_path: Path) -> None:
         assert len(told) == damaged
 
 
+def test_an_attachment_that_seems_shorter_is_not_taken_for_one_without_a_checksum(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        writer.add_attachment(0, 0, "a", "text/plain", b"a zip ends so" + bytes(4))
+        writer.finish()
+    whole = path.read_bytes()
+    at = whole.index(b"a zip") - 8
+    path.write_bytes(whole[:at] + bytes([17 - 4]) + whole[at + 1 :])
+    found, told = attachments_in(path, {"a": 100})
+    assert found == {}
+    assert told == [f"{path}: its a is left out: found 13 bytes, expected 17 before its checksum"]
+
+
 def test_attachments(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with path.open("wb") as stream:
