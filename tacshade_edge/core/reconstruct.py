@@ -9,12 +9,13 @@ import numpy as np
 
 from tacshade_edge.core.contact.gate import ContactGate
 from tacshade_edge.core.contact.objects import Objects, contact_of, find_objects
+from tacshade_edge.core.contact.tracking import ContactTracker, follow
 from tacshade_edge.core.depth import SOLVERS, Depth, MakeSolver, Network
 from tacshade_edge.core.depth.base import Mark
 from tacshade_edge.core.depth.sigma import sigma_of_scale_1, terms
 from tacshade_edge.core.frame_check import foreign
 from tacshade_edge.core.frame_check.trust import doubt, refusal
-from tacshade_edge.core.frame_check.validity import invalid_reason, sensor_check, size_reason
+from tacshade_edge.core.frame_check.validity import picture_reason, sensor_check, size_reason
 from tacshade_edge.core.geometry.disc import DiscRays, rays_in_image
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import Profile
@@ -110,7 +111,7 @@ class Reconstructor:
             and ``SIGMA`` a frame in contact has none.
         """
         grey = self._preprocessor.grey(frame.image, self._grey_space)
-        reason = size_reason(frame.image, self._shape) or invalid_reason(grey, self._frame_check)
+        reason = size_reason(frame.image, self._shape) or picture_reason(grey, self._frame_check)
         mark("check")
         if reason:
             return self._empty(frame, reason=reason)
@@ -131,15 +132,8 @@ class Reconstructor:
             return None
 
         depth = self._solver.solve(preprocessed, mark)
-        foreign_part = rows_part = None
-        sure_part = 0.0
-        if depth.foreign is not None and depth.foreign_logit is not None:
-            foreign_part = foreign.foreign_part(depth.foreign, self.rays.inside)
-            rows_part = foreign.foreign_rows_part(depth.foreign_logit, self.rays.inside)
-            if rows_part > foreign.FOREIGN_INVALID:
-                sure_part = foreign.foreign_rows_part(depth.foreign_logit, self.rays.inside, foreign.FOREIGN_SURE)
-        reason = self._foreign_check.refusal(rows_part, sure_part, preprocessed.white)
-        degraded = degraded or foreign.doubt(foreign_part)
+        reason = self._foreign_check.refusal(depth.foreign_logit, self.rays.inside, preprocessed.white)
+        degraded = degraded or foreign.doubt(depth.foreign, self.rays.inside)
         mark("depth")
         if reason:
             return self._empty(frame, reason=reason)
@@ -229,3 +223,15 @@ class Reconstructor:
 
     def _map(self, height_mm: F32, contact: Bool) -> HeightMap:
         return HeightMap(height_mm, contact, self.grid.row0, self.grid.col0, self.grid.step_px)
+
+
+def step_and_track(
+    reconstructor: Reconstructor,
+    tracker: ContactTracker | None,
+    frame: Frame,
+    mark: Mark = no_mark,
+    need: Need = Need.ALL,
+) -> Reconstruction | None:
+    """Reconstruct a frame as `Reconstructor.step`, and follow its objects; without a tracker it is no stream's."""
+    made = reconstructor.step(frame, mark, need)
+    return made if tracker is None or made is None or not made.valid else follow(tracker, made)

@@ -10,21 +10,29 @@ import os
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
-import numpy as np
 
 from tacshade_edge.core.profiles import LADDER, PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.daemon.pipeline.ledger import FrameLedger
+from tacshade_edge.daemon.optional_parts import ALONE, Siblings, make_optional_parts
+from tacshade_edge.daemon.pipeline.ledger import FrameLedger, Timings
+from tacshade_edge.daemon.pipeline.observer import (
+    FRAMES_SENT_S,
+    LINK_STOPPED_S,
+    THREADS_STOPPED_S,
+    FrameObserver,
+    SourceState,
+)
 from tacshade_edge.daemon.pipeline.pipeline import Crash, Pipeline, crashes_to
-from tacshade_edge.daemon.pipeline.workers import Sink, SourceState
 from tacshade_edge.daemon.profiles.active_profile import ActiveProfile, Stepped
 from tacshade_edge.daemon.publishing.health import Health
 from tacshade_edge.daemon.publishing.home_assistant import HomeAssistant
+from tacshade_edge.daemon.publishing.preview import Preview
 from tacshade_edge.daemon.publishing.publisher import Publisher
 from tacshade_edge.daemon.recording.record import DAEMON_STOPPED, SOURCE_ENDED, LiveRecorder, RecordingEnded
 from tacshade_edge.daemon.recording.record_requests import RecordRequests
@@ -36,41 +44,23 @@ from tacshade_edge.devices.base import FrameSource
 from tacshade_edge.devices.fixes import with_fix
 from tacshade_edge.devices.mqtt.outlet import PayloadOutcome
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.factories import links, ports, sources
+from tacshade_edge.factories import links, sources
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.protocol import messages
 from tacshade_edge.protocol.messages import Request
 from tacshade_edge.protocol.results import RequestResult
 from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
-from tacshade_edge.rigid import from_seven
 from tacshade_edge.settings import Document, digest
 from tacshade_edge.storage.calibration import reference_file
 from tacshade_edge.types import Calibration
 from tacshade_edge.version import installed_version
 
-if TYPE_CHECKING:
-    from tacshade_edge.daemon.hand.finger import TellingFinger
-    from tacshade_edge.daemon.hand.lines import FingerLine
-    from tacshade_edge.daemon.robot.robot import Robot
-    from tacshade_edge.daemon.robot.shared_line import SharedLine
-    from tacshade_edge.daemon.stitching.session_requests import SessionRequests
-
 _log = logging.getLogger(__name__)
 
 HEALTH_PERIOD_S = 1.0
 PREVIEW_PERIOD_S = 0.25
-PREVIEW_WIDTH_PX = 320
 STALL_S = 3.0
 EVENTS_MAX = 16
-# After the beginning of a stop, whatever hangs: what is done early leaves its time to the next.
-SERIAL_STOPPED_S, THREADS_STOPPED_S, FRAMES_SENT_S, RECORDED_S, STITCHED_S, LINK_STOPPED_S = (
-    0.1,
-    0.9,
-    1.1,
-    1.3,
-    1.4,
-    1.9,
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,10 +85,8 @@ class App:
     source : FrameSource
     calibration : Calibration or Reason
         Or why there is none yet: the camera's picture is all that is served until `reload` finds one.
-    line : FingerLine or None
-        To its hand, where it is a finger of one.
-    shared : SharedLine or None
-        Where other sensors have the robot's line too.
+    siblings : Siblings
+        Other sensors of the same daemon.
 
     Attributes
     ----------
@@ -107,12 +95,7 @@ class App:
     """
 
     def __init__(
-        self,
-        document: Document,
-        source: FrameSource,
-        calibration: Calibration | Reason,
-        line: FingerLine | None = None,
-        shared: SharedLine | None = None,
+        self, document: Document, source: FrameSource, calibration: Calibration | Reason, siblings: Siblings = ALONE
     ) -> None:
         settings = document.settings
         self._document = document
@@ -122,46 +105,46 @@ class App:
         self.ledger = FrameLedger()
         self.link = links.make_link(document, on_request=self._on_request, on_outcome=self._on_outcome)
         self._publisher = Publisher(
-            self.link.offer, self.link.tell, self.link.has_listener, settings.displacement == "always"
+            self.link.offer,
+            self.link.tell,
+            self.ledger.settle,
+            self.link.has_listener,
+            settings.displacement == "always",
         )
         self._home_assistant = HomeAssistant(self.link, settings.sensor_id, wanted=settings.mqtt.home_assistant)
-        self._robot = self._make_robot(shared)
-        self._sessions = self._make_sessions()
         self._references = References(calibration, reference_file.path_beside(settings.calibration), settings.sensor_id)
-        sink: Sink = self._references.frames.observing(self._publisher)
-        sink = self._sessions.observing(sink) if self._sessions else sink
-        self._finger = self._make_finger(line)
-        sink = self._finger.observing(sink) if self._finger else sink
-        profile, known = PROFILES.get(settings.profile, PROFILES[LADDER[-1]]), self._references.calibration
-        self._pipeline = Pipeline(
-            source,
-            known if isinstance(known, Reason) else make_reconstructor(known, profile),
-            self._robot.adding_poses(sink) if self._robot else sink,
-            self.ledger,
-            self._events.put,
+        known = self._references.calibration
+        profile = PROFILES.get(settings.profile, PROFILES[LADDER[-1]])
+        first = known if isinstance(known, Reason) else make_reconstructor(known, profile)
+        self._active = ActiveProfile(first, settings.profile, settings.latency_budget_ms, self._events.put)
+        optional = make_optional_parts(
+            settings, siblings, self.link, self._reply, self._on_request, self._status, self._missing
         )
-        self._active = ActiveProfile(
-            self._pipeline.reconstruct, settings.profile, settings.latency_budget_ms, self._events.put
-        )
-        self._service = Service(Progress(self._pipeline.grab, self._pipeline.reconstruct))
-        self._health = Health(self.ledger, self._pipeline.timings)
-        self._recorder = LiveRecorder(
-            self._pipeline.grab, self._events.put, self._robot.with_interpolated_pose if self._robot else None
-        )
+        self._recorder = LiveRecorder(self._events.put, optional.interpolated)
         self._recorder.keep_before(settings.recorder.before_s)
         self._record = RecordRequests(
             self._recorder, self._reply, lambda status: self.link.set_retained("status/recorder", status)
         )
         self._requests = Requests(
-            *(self._pipeline.reconstruct, self._active, self._references),
-            *(self._reply, self._status, self._changed),
-            self._on_record,
-            self._on_stitch,
+            self._active, self._references, self._reply, self._status, self._changed, self._on_record, optional.verbs
         )
+        timings = Timings()
+        self._health = Health(self.ledger, timings)
+        self._preview = Preview(self.link)
+        # In the order in which they see a frame.
+        self._observers: tuple[FrameObserver, ...] = (
+            *optional.before_publishing,
+            *(self._publisher, self._health, self._preview, self._references),
+            *optional.after_publishing,
+            *(self._active, self._requests, self._record),
+        )
+        self._pipeline = Pipeline(
+            source, self._active, self._observers, self.ledger, timings, self._events.put, optional.posed
+        )
+        self._service = Service(Progress(self._pipeline.grab, self._pipeline.reconstruct))
         self._camera = SourceState("away", Reason(ReasonCode.STARTING, "starting"))
         self._published_camera: SourceState | None = None
         self._latest_health: dict[str, Any] = {}
-        self._preview_seq = -1
         self._refused_ns: int | None = None  # st_mtime_ns of a calibration's file
 
     def stop(self) -> None:
@@ -190,10 +173,8 @@ class App:
             self._record.mend(Path(self._document.settings.recorder.folder))
             self.link.start()
             self._pipeline.start()
-            if self._robot:
-                self._robot.start()
-            if self._sessions:
-                self._sessions.start()
+            for observer in self._observers:
+                observer.start()
             self._service.ready()
             self._loop()
             self._shut_down()
@@ -209,16 +190,12 @@ class App:
                 self._service.tick(self._published_camera or self._camera, self._latest_health["delivered_fps"])
             if now_s >= next_preview_s:
                 next_preview_s = now_s + PREVIEW_PERIOD_S
-                self._publish_preview()
+                self._preview.publish()
             self._publish_camera()
-            self._requests.poll()
-            self._record.poll()
-            if self._references.poll(held=self._recorder.now() is not None):
+            for observer in self._observers:
+                observer.poll()
+            if self._references.follow(held=self._recorder.now() is not None):
                 self._follow()
-            if self._robot:
-                self._robot.poll()
-            if self._sessions:
-                self._sessions.poll()
             try:
                 event = self._events.get(timeout=max(0.0, min(next_health_s, next_preview_s) - time.monotonic()))
             except Empty:
@@ -256,12 +233,10 @@ class App:
         else:
             self._document = new.document
             settings = new.document.settings
-            self._publisher.always_shear = settings.displacement == "always"
             self._references.reload(new.calibration, reference_file.path_beside(settings.calibration))
             self._active.reload(settings.profile, settings.latency_budget_ms, self._references.calibration)
-            self._recorder.keep_before(settings.recorder.before_s)
-            if self._finger and settings.hand_T_sensor:
-                self._finger.hand_T_sensor = from_seven(settings.hand_T_sensor)
+            for observer in self._observers:
+                observer.settings_changed(settings)
             self._recorder.event("reload", waiting=list(new.waiting))
             self._changed()
             note = new.reason
@@ -294,22 +269,20 @@ class App:
 
         self._service.stopping()
         self._recorder.end(DAEMON_STOPPED)
-        if self._robot:
-            self._robot.stop(left_s(SERIAL_STOPPED_S))
-        self._pipeline.stop(left_s(THREADS_STOPPED_S))
-        given_up = self.ledger.close(left_s(FRAMES_SENT_S))
-        if given_up:
-            _log.warning("%d frames could not be sent before the stop", given_up)
-        self._recorder.join(left_s(RECORDED_S))
-        if self._sessions:
-            self._sessions.stop(left_s(STITCHED_S))
-            self._sessions.poll()
-        self._record.poll()
-        self._references.close()
+        stops = [(THREADS_STOPPED_S, self._pipeline.stop), (FRAMES_SENT_S, self._give_up_frames)]
+        stops += [(observer.stop_s, observer.stop) for observer in self._observers]
+        for due_s, stop in sorted(stops, key=itemgetter(0)):
+            stop(left_s(due_s))
         self._publish_health()
         self._publish_camera(replace(self._camera, state="ended", reason=Reason(ReasonCode.STOPPED, "stopped")))
         self.link.stop(left_s(LINK_STOPPED_S))
         _log.info("stopped: %s", self.ledger.counts().as_dict())
+
+    def _give_up_frames(self, timeout_s: float) -> None:
+        """Those that are still on their way then."""
+        given_up = self.ledger.close(timeout_s)
+        if given_up:
+            _log.warning("%d frames could not be sent before the stop", given_up)
 
     # What other threads call: count or enqueue, nothing else.
 
@@ -321,7 +294,7 @@ class App:
 
     def _reply(self, request: Request, outcome: RequestResult | Mapping[str, Any] | Reason) -> None:
         """Answer a request where it came from."""
-        if self._robot is None or not self._robot.commands.complete(request, outcome):
+        if not any(observer.answer(request, outcome) for observer in self._observers):
             self.link.reply(request, messages.encode_reply(request, outcome))
 
     def _on_outcome(self, stream: str, seq: int, outcome: PayloadOutcome) -> None:
@@ -329,42 +302,6 @@ class App:
             self.ledger.settle(seq, "failed" if outcome == "refused" else outcome)
 
     # What changes.
-
-    def _make_robot(self, shared: SharedLine | None) -> Robot | None:
-        """Imported only where a robot is: without one, no pyserial and no poses."""
-        follows = shared is not None and shared.hears is not None
-        port = None if follows else ports.make_serial_port(self._document.settings.serial)
-        if port is None and not follows:
-            return None
-        from tacshade_edge.daemon.robot.robot import Robot
-
-        return Robot(
-            port,
-            self._on_request,
-            self._status,
-            lambda status: self.link.set_retained("status/serial", status),
-            self._missing,
-            shared,
-        )
-
-    def _make_sessions(self) -> SessionRequests | None:
-        """Imported only where frames have poses."""
-        settings = self._document.settings
-        if not sources.frames_have_poses(settings):
-            return None
-        from tacshade_edge.daemon.stitching.session_requests import SessionRequests
-
-        folder = Path(settings.stitching.folder)
-        return SessionRequests(folder, settings.sensor_id, self.link.set_retained, self._reply, self._robot)
-
-    def _make_finger(self, line: FingerLine | None) -> TellingFinger | None:
-        """Imported only where there is a hand."""
-        seven = self._document.settings.hand_T_sensor
-        if line is None or seven is None:
-            return None
-        from tacshade_edge.daemon.hand.finger import TellingFinger
-
-        return TellingFinger(line, from_seven(seven))
 
     def _changed(self) -> None:
         """The reconstructor was replaced."""
@@ -385,13 +322,6 @@ class App:
     def _on_record(self, request: Request, reconstructor: Reconstructor) -> None:
         self._record.handle(request, self._document.settings, reconstructor, self._camera_now())
 
-    def _on_stitch(self, request: Request) -> None:
-        if self._sessions:
-            self._sessions.handle(request)
-        else:
-            text = "found no poses, expected `serial` in the settings, or a folder with poses as source"
-            self._reply(request, Reason(ReasonCode.UNAVAILABLE, text))
-
     # What is published.
 
     def _camera_now(self) -> SourceState:
@@ -410,11 +340,10 @@ class App:
         if camera == self._published_camera:
             return
         self._published_camera = camera
-        self._recorder.event("source", state=camera.state, **reason_fields(camera.reason))
+        for observer in self._observers:
+            observer.source_changed(camera)
         self._log_camera(camera)
         self.link.set_retained("status/camera", messages.encode_status(camera.state, camera.reason, camera.details))
-        if self._finger and camera.reason:
-            self._finger.lose(camera.reason)
         if camera.state != "ended":
             self.link.set_retained("state", b"online" if camera.state == "streaming" else b"degraded")
 
@@ -449,31 +378,10 @@ class App:
         return {"source": camera.state, **reason_fields(camera.reason), "health": self._latest_health}
 
     def _publish_health(self) -> None:
-        latest = self._publisher.latest
-        self._latest_health = self._health.snapshot(
-            latest[1] if latest else None,
-            self._source.dropped,
-            self.link.counters(),
-            self._recorder.counts(),
-            self._active.budget(),
-        )
-        self._latest_health["reference"] = self._references.health()
+        self._latest_health = {
+            **self._health.snapshot(self._source.dropped, self.link.counters()),
+            **{observer.health_key: observer.health() for observer in self._observers if observer.health_key},
+        }
         self._active.log_late()
-        if self._robot:
-            self._latest_health["serial"] = self._robot.as_dict()
-        if self._sessions:
-            self._latest_health["stitching"] = self._sessions.as_dict()
         self._publisher.fps = self._latest_health["delivered_fps"]
         self.link.set_retained("health", messages.encode_health(self._latest_health), qos=0)
-
-    def _publish_preview(self) -> None:
-        latest = self._publisher.latest
-        if latest is None or not self.link.connected or latest[0].seq == self._preview_seq:
-            return
-        if not self.link.has_listener("preview"):
-            return
-        image = latest[0].image
-        self._preview_seq = latest[0].seq
-        size = (PREVIEW_WIDTH_PX, round(PREVIEW_WIDTH_PX * image.shape[0] / image.shape[1]))
-        _, jpeg = cv2.imencode(".jpg", cv2.resize(np.asarray(image), size, interpolation=cv2.INTER_AREA))
-        self.link.offer("preview", jpeg.tobytes(), latest[0].seq)

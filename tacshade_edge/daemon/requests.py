@@ -9,7 +9,7 @@ from typing import Any
 
 from tacshade_edge.core.profiles import AUTO
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.daemon.pipeline.workers import Reconstruct
+from tacshade_edge.daemon.pipeline.observer import FrameObserver, FrameResult
 from tacshade_edge.daemon.profiles.active_profile import ActiveProfile
 from tacshade_edge.daemon.reference.collector import REFERENCE_FRAMES, ReferenceCollector
 from tacshade_edge.daemon.reference.references import References
@@ -18,7 +18,7 @@ from tacshade_edge.protocol.messages import Request
 from tacshade_edge.protocol.results import ProfileChosen, RequestResult
 from tacshade_edge.quoting import shown
 from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.types import U8
+from tacshade_edge.types import U8, Need
 
 _log = logging.getLogger(__name__)
 
@@ -28,13 +28,11 @@ Reply = Callable[[Request, RequestResult | Mapping[str, Any] | Reason], None]
 """``reply(request, outcome)``: what it gave, or why it was not done."""
 
 
-class Requests:
+class Requests(FrameObserver):
     """Handles requests; each gets exactly one reply.
 
     Parameters
     ----------
-    worker : Reconstruct
-        Gives the frames for a new reference.
     active : ActiveProfile
         Changed by `profile` and `reference`.
     references : References
@@ -44,29 +42,30 @@ class Requests:
         The answer to ``status``.
     changed : callable
         Called after the reconstructor was replaced.
-    record, stitch : callable
-        Do and answer the verbs of their names; `record` with what reconstructs now.
+    record : callable
+        Does and answers the verb of its name, with what reconstructs now.
+    others : mapping of str to callable
+        Does and answers verbs that only some daemons have.
     """
 
     def __init__(
         self,
-        worker: Reconstruct,
         active: ActiveProfile,
         references: References,
         reply: Reply,
         status: Callable[[], dict[str, Any]],
         changed: Callable[[], None],
         record: Callable[[Request, Reconstructor], None],
-        stitch: Callable[[Request], None],
+        others: Mapping[str, Callable[[Request], None]],
     ) -> None:
-        self._worker = worker
         self._active = active
         self._references = references
         self._reply = reply
         self._status = status
         self._changed = changed
         self._record = record
-        self._stitch = stitch
+        self._others = others
+        self._collector: ReferenceCollector | None = None
         self._reference: tuple[Request, float] | None = None  # and its deadline
         self._taken: list[U8] | Reason | None = None  # set by the reconstruct thread, once
 
@@ -81,12 +80,24 @@ class Requests:
             self._refuse(request, reconstructor)
         elif request.verb == "record":
             self._record(request, reconstructor)
+        elif request.verb in self._others:
+            self._others[request.verb](request)
         elif request.verb == "stitch":
-            self._stitch(request)
+            text = "found no poses, expected `serial` in the settings, or a folder with poses as source"
+            self._refuse(request, Reason(ReasonCode.UNAVAILABLE, text))
         elif request.verb == "profile":
             self._set_profile(request)
         else:
             self._take_reference(request)
+
+    def need(self) -> Need:
+        """All frames, while a reference is taken."""
+        return Need.CONTACT if self._collector is None else Need.DEPTH
+
+    def see(self, seen: FrameResult) -> None:
+        """Take a frame for the reference."""
+        if (collector := self._collector) is not None and seen.reconstruction is not None:
+            collector.see(seen.frame, seen.reconstruction)
 
     def poll(self) -> None:
         """Finish a reference that was taken, or that nothing came for."""
@@ -97,7 +108,7 @@ class Requests:
             return
         late = Reason(ReasonCode.TIMEOUT, f"fewer than {REFERENCE_FRAMES} frames in {REFERENCE_TIMEOUT_S:.0f} s")
         taken = self._taken or late
-        self._worker.watch = self._reference = self._taken = None
+        self._collector = self._reference = self._taken = None
         if isinstance(taken, Reason):
             self._refuse(request, taken)
         else:
@@ -121,7 +132,7 @@ class Requests:
             self._refuse(request, Reason(ReasonCode.BUSY, "busy: a reference is being taken"))
             return
         self._reference = request, time.monotonic() + REFERENCE_TIMEOUT_S
-        self._worker.watch = ReferenceCollector(self._on_taken).watch
+        self._collector = ReferenceCollector(self._on_taken)
 
     def _on_taken(self, outcome: list[U8] | Reason) -> None:
         self._taken = outcome

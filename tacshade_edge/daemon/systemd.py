@@ -10,7 +10,8 @@ import os
 import socket
 import time
 
-from tacshade_edge.daemon.pipeline.workers import Grab, Reconstruct, SourceState
+from tacshade_edge.daemon.pipeline.observer import SourceState
+from tacshade_edge.daemon.pipeline.workers import Grab, Reconstruct
 from tacshade_edge.quoting import escaped
 from tacshade_edge.reasons import Reason
 

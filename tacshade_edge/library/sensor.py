@@ -8,8 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from tacshade_edge.core.contact.tracking import ContactTracker, follow
+from tacshade_edge.core.contact.tracking import ContactTracker
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
+from tacshade_edge.core.reconstruct import step_and_track
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import calibrations
 from tacshade_edge.inference.network import make_reconstructor
@@ -99,10 +100,9 @@ class Sensor:
         if not self._in_use.acquire(blocking=False):
             raise ConfigError("sensor: found a second thread in it, expected one thread at a time: load one in each")
         try:
-            made = self._reconstructor.step(frame)
+            made = step_and_track(self._reconstructor, tracker, frame)
         finally:
             self._in_use.release()
-        if tracker is not None and made.valid:
-            made = follow(tracker, made)
+        assert made is not None  # all of it is needed
         untrusted = np.zeros(made.height.contact.shape, np.bool_) if made.untrusted is None else made.untrusted
         return result_of(made, self.geometry, frame.pose, untrusted)

@@ -8,16 +8,15 @@ import pytest
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.daemon import requests
-from tacshade_edge.daemon.pipeline.ledger import FrameLedger, Timings
-from tacshade_edge.daemon.pipeline.mailbox import Mailbox
-from tacshade_edge.daemon.pipeline.workers import Reconstruct
+from tacshade_edge.daemon.pipeline.observer import FrameResult
 from tacshade_edge.daemon.profiles.active_profile import ActiveProfile
 from tacshade_edge.daemon.reference.collector import REFERENCE_FRAMES
 from tacshade_edge.daemon.reference.references import References
 from tacshade_edge.daemon.requests import Requests
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.protocol.messages import Request, encode_reply
-from tacshade_edge.types import Calibration, Frame
+from tacshade_edge.reasons import Reason
+from tacshade_edge.types import Calibration, Frame, Need
 
 
 class Asked:
@@ -25,20 +24,18 @@ class Asked:
 
     def __init__(self, calibration: Calibration, folder: Path) -> None:
         reconstructor = make_reconstructor(calibration, PROFILES["fast"])
-        self.worker = Reconstruct(reconstructor, Mailbox[Frame](), FrameLedger(), Timings(), None)  # type: ignore[arg-type]
         self.replies: list[dict[str, Any]] = []
         self.changes = 0
         self.records: list[Request] = []
-        self.active = ActiveProfile(self.worker, "fast", None, lambda _: None)
+        self.active = ActiveProfile(reconstructor, "fast", None, lambda _: None)
         self.requests = Requests(
-            self.worker,
             self.active,
             References(calibration, folder / "c.reference.npz", "left"),
             lambda request, outcome: self.replies.append(json.loads(encode_reply(request, outcome))),
             lambda: {"up": 1},
             self._changed,
             lambda request, _: self.records.append(request),
-            self.records.append,
+            {"stitch": self.records.append},
         )
 
     def _changed(self) -> None:
@@ -47,8 +44,10 @@ class Asked:
     def frames(self, image: Any, count: int) -> None:
         for seq in range(count):
             frame = Frame(seq, 0, 0, image)
-            if watch := self.worker.watch:
-                watch(frame, self.worker.reconstructor.step(frame))
+            reconstructor = self.active.reconstructor
+            assert not isinstance(reconstructor, Reason)
+            result = reconstructor.step(frame, need=self.requests.need())
+            self.requests.see(FrameResult(frame, reconstructor.calibration, result))
 
 
 @pytest.fixture
@@ -70,7 +69,7 @@ def test_status_and_profile(asked: Asked) -> None:
             "reason_code": "unknown_profile",
         },
     ]
-    assert asked.worker.reconstructor.profile.name == "paper"
+    assert asked.active.reconstructor.profile.name == "paper"
     assert asked.changes == 1
 
 
@@ -92,9 +91,10 @@ def test_a_record_request_is_passed_on(asked: Asked) -> None:
 
 
 def test_a_reference_is_taken_from_the_next_frames_and_used(asked: Asked, pictures: Any) -> None:
-    before = asked.worker.reconstructor
+    before = asked.active.reconstructor
     asked.requests.handle(Request("reference", transaction=5))
     asked.requests.handle(Request("reference", transaction=6))
+    assert asked.requests.need() == Need.DEPTH
     assert asked.replies == [
         {"transaction": 6, "ok": False, "error": "busy: a reference is being taken", "reason_code": "busy"}
     ]
@@ -105,9 +105,9 @@ def test_a_reference_is_taken_from_the_next_frames_and_used(asked: Asked, pictur
     asked.requests.poll()
     assert asked.replies[1]["ok"] is True
     assert asked.replies[1]["result"]["stored"] is True
-    assert asked.replies[1]["result"]["calibration_crc32"] == asked.worker.reconstructor.calibration.crc32
-    assert asked.worker.reconstructor is not before
-    assert (asked.changes, asked.worker.watch) == (1, None)
+    assert asked.replies[1]["result"]["calibration_crc32"] == asked.active.reconstructor.calibration.crc32
+    assert asked.active.reconstructor is not before
+    assert (asked.changes, asked.requests.need()) == (1, Need.CONTACT)
     asked.requests.poll()
     assert len(asked.replies) == 2
 
@@ -115,7 +115,7 @@ def test_a_reference_is_taken_from_the_next_frames_and_used(asked: Asked, pictur
 def test_a_touched_sensor_or_no_frames_leave_the_old_reference(
     asked: Asked, pictures: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    before = asked.worker.reconstructor
+    before = asked.active.reconstructor
     asked.requests.handle(Request("reference"))
     asked.frames(pictures.touched, 1)
     asked.requests.poll()
@@ -124,5 +124,5 @@ def test_a_touched_sensor_or_no_frames_leave_the_old_reference(
     asked.requests.handle(Request("reference"))
     asked.requests.poll()
     assert asked.replies[1]["error"] == "fewer than 10 frames in 0 s"
-    assert asked.worker.reconstructor is before
+    assert asked.active.reconstructor is before
     assert asked.changes == 0

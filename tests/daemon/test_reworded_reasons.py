@@ -14,7 +14,7 @@ import pytest
 from support.reworded import NONSENSE, reword
 
 from tacshade_edge.core.stitching.stitcher import Stitcher
-from tacshade_edge.daemon.pipeline.workers import Sink
+from tacshade_edge.daemon.pipeline.observer import FrameResult
 from tacshade_edge.daemon.robot.motion import RobotMotion
 from tacshade_edge.daemon.robot.serial_commands import SerialCommands
 from tacshade_edge.daemon.stitching.session_requests import SessionRequests
@@ -24,23 +24,13 @@ from tacshade_edge.protocol.serial.link import SerialLink
 from tacshade_edge.protocol.serial.verbs import Command
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.rigid import shift
-from tacshade_edge.types import Calibration, Frame, Need, Pose, Reconstruction
+from tacshade_edge.types import Frame, Pose, Reconstruction
 from tools.testbed.bumpy_surface import APEX_MM, grid_poses, press_of
 from tools.testbed.calibrated_sensor import calibrated, pressed, step, unloaded
 from tools.testbed.patience import wait_until
 
 DEADLINE_S = 20.0
 S = 10**9
-
-
-class Nobody:
-    """A sink that no one listens to."""
-
-    def need(self) -> Need:
-        return Need.CONTACT
-
-    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> Any:
-        return "published"
 
 
 class Robot:
@@ -97,14 +87,13 @@ class Daemon:
             self.replies.append(json.loads(encode_reply(request, outcome)))
 
         self.sessions = SessionRequests(folder, "left", self.published.__setitem__, reply, self.robot)  # type: ignore[arg-type]
-        self.sink: Sink = self.sessions.observing(Nobody())
         self.sessions.start()
 
     def show(self, result: Reconstruction, *, pose: bool = True) -> None:
         t_ns = time.monotonic_ns()
         at = Pose(t_ns, 1.0, 2.0, 20.0, 0.0, 1.0, 0.0, 0.0) if pose else None
         frame = Frame(1, t_ns, 0, np.zeros((2, 2), np.uint8), at)
-        self.sink.deliver(frame, replace(result, t_ns=t_ns), calibrated())
+        self.sessions.see(FrameResult(frame, calibrated(), replace(result, t_ns=t_ns)))
         self.robot.commands.observe(frame, replace(result, t_ns=7))
 
     def send(self, text: str, then: Callable[[], None] = lambda: None) -> None:
@@ -137,14 +126,14 @@ class Daemon:
         status = json.loads(self.published["status/stitching"])
         self.record.texts.append(status.pop("reason"))
         status["folder"] = bool(status["folder"])
-        self.record.decisions.append((status, self.sessions.as_dict()))
+        self.record.decisions.append((status, self.sessions.health()))
 
     def complete(self, outcome: Reason) -> None:
         """The main thread's answer to the robot's request."""
         assert self.robot.commands.complete(self.robot.requests.pop(), outcome)
 
     def missed(self, count: int) -> bool:
-        return self.sessions.as_dict()["missed"] == count
+        return self.sessions.health()["missed"] == count
 
 
 def commands(folder: Path, ball: Reconstruction, free: Reconstruction) -> Record:

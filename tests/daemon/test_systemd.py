@@ -16,6 +16,7 @@ from tacshade_edge.daemon import app as app_module
 from tacshade_edge.daemon.app import App
 from tacshade_edge.daemon.pipeline.ledger import FrameLedger, Timings
 from tacshade_edge.daemon.pipeline.mailbox import Mailbox
+from tacshade_edge.daemon.pipeline.observer import FrameResult
 from tacshade_edge.daemon.pipeline.workers import Grab, Reconstruct
 from tacshade_edge.daemon.systemd import STOP_USEC, Progress, Service
 from tacshade_edge.errors import DecodeError, DeviceError
@@ -145,7 +146,7 @@ def test_reload_takes_over_the_profile_and_the_calibration(
 ) -> None:
     app = start(scripted(paced(pictures.free)))
     wait_until(lambda: manager.watchdogs() >= 1)
-    before = app._pipeline.reconstruct.reconstructor
+    before = app._active.reconstructor
     other = calibration_file.with_crc(replace(painted_calibration(), noise_grey=painted_calibration().noise_grey + 1.0))
     calibration_file.save(settings.parent / "other.npz", other)
     settings.write_text(settings.read_text().replace("c.npz", "other.npz").replace("fast", "paper"))
@@ -154,7 +155,7 @@ def test_reload_takes_over_the_profile_and_the_calibration(
     wait_until(lambda: manager.has("READY=1\nSTATUS=reloaded", told))
     reloading = next(message for message in manager.heard[told:] if message.startswith("RELOADING=1\nMONOTONIC_USEC="))
     assert began_us <= int(reloading.rpartition("=")[2]) <= time.monotonic_ns() // 1000
-    after = app._pipeline.reconstruct.reconstructor
+    after = app._active.reconstructor
     assert (before.profile.name, after.profile.name) == ("fast", "paper")
     assert after.calibration.crc32 == other.crc32 != before.calibration.crc32
 
@@ -170,7 +171,7 @@ def test_a_bad_reload_keeps_what_runs(
 ) -> None:
     app = start(scripted(paced(pictures.free)))
     wait_until(lambda: manager.watchdogs() >= 1)
-    before, good = app._pipeline.reconstruct.reconstructor, settings.read_text()
+    before, good = app._active.reconstructor, settings.read_text()
     for old, new, problem in (
         ("profile: fast", "profile: slow", "found slow"),
         ("c.npz", "absent.npz", "absent.npz"),
@@ -186,7 +187,7 @@ def test_a_bad_reload_keeps_what_runs(
         assert problem in warnings[0]
         wait_until(lambda told=told: manager.has("frames/s; reload refused", told))
         wait_until(lambda fed=fed: manager.watchdogs() > fed)
-    assert app._pipeline.reconstruct.reconstructor is before
+    assert app._active.reconstructor is before
     settings.write_text(good)
     app.reload()
     wait_until(lambda: manager.has("READY=1\nSTATUS=reloaded"))
@@ -204,7 +205,7 @@ def test_a_new_source_or_broker_waits_for_a_restart_and_says_so(
     settings.write_text(text.replace("fast", "paper"))
     app.reload()
     wait_until(lambda: manager.has("READY=1\nSTATUS=restart to use the new source and mqtt"))
-    assert app._pipeline.reconstruct.reconstructor.profile.name == "paper"
+    assert app._active.reconstructor.profile.name == "paper"
 
 
 class Steps:
@@ -214,6 +215,9 @@ class Steps:
 
     def __init__(self) -> None:
         self.held, self.go = threading.Event(), threading.Event()
+        self.ledger = FrameLedger()
+        self.reconstructor = self
+        self.calibration = None
 
     def step(self, _frame: Frame, _mark: Any, _need: Need) -> Any:
         self.held.set()
@@ -222,18 +226,18 @@ class Steps:
     def need(self) -> Need:
         return Need.DEPTH
 
-    def deliver(self, *_: Any) -> Any:
-        return "without_contact"
+    def see(self, seen: FrameResult) -> None:
+        self.ledger.settle(seen.frame.seq, "without_contact")
 
 
 def test_a_hung_step_is_no_progress_even_while_a_lost_camera_is_tried(
     pictures: Any, scripted: Any, wait_until: Any
 ) -> None:
     mailbox: Mailbox[Frame] = Mailbox()
-    ledger, steps = FrameLedger(), Steps()
-    worker = Reconstruct(steps, mailbox, ledger, Timings(), steps)  # type: ignore[arg-type]
+    steps = Steps()
+    worker = Reconstruct(steps, mailbox, Timings(), [steps])  # type: ignore[arg-type]
     source = scripted([pictures.free, GONE], GONE, [DecodeError("torn"), GONE], *[GONE] * 99)
-    grab = Grab(source, mailbox, ledger, lambda _state: None)
+    grab = Grab(source, mailbox, steps.ledger, lambda _state: None)
     progress = Progress(grab, worker)
     assert not progress.made(degraded=True)
     threads = [threading.Thread(target=worker.run), threading.Thread(target=grab.run)]

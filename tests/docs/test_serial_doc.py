@@ -158,7 +158,7 @@ def test_the_hosts_code_talks_to_the_daemon() -> None:
             host.command("STITCH BEGIN pad")
         found = robot.motion.at(time.monotonic_ns() - 20_000_000)
         assert found is None or (found[0].x_mm, found[0].y_mm, found[0].z_mm) == (1, 2, 3)
-        assert robot.as_dict()["poses"] == 30
+        assert robot.health()["poses"] == 30
         sync = robot.motion.state()
         assert abs(sync.offset_ns) <= 1000 * (sync.error_us + 1)  # one clock: the truth is 0
     finally:

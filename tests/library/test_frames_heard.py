@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import tacshade_edge as ts
+from tacshade_edge.daemon.pipeline.observer import FrameResult
 from tacshade_edge.daemon.publishing.publisher import Publisher
 from tacshade_edge.library.frames_heard import TOPICS, FramesHeard
 from tacshade_edge.protocol import messages
@@ -32,9 +33,9 @@ def frame(seq: int) -> Frame:
 def published(*results: Reconstruction) -> list[tuple[str, bytes]]:
     """What the daemon's own publisher sends of them."""
     sent: list[tuple[str, bytes]] = []
-    publisher = Publisher(lambda topic, payload, _: sent.append((topic, payload)), lambda *_: None)
+    publisher = Publisher(lambda topic, payload, _: sent.append((topic, payload)), lambda *_: None, lambda *_: None)
     for result in results:
-        publisher.deliver(frame(result.seq), result, calibrated())
+        publisher.see(FrameResult(frame(result.seq), calibrated(), result))
     return sent
 
 

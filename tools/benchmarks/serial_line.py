@@ -42,7 +42,7 @@ def poses(seconds: float, rate_hz: float, line: str | None) -> None:
     error_us: list[int] = []
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         robot.start()
-        while not robot.as_dict()["poses"] and process.poll() is None:
+        while not robot.health()["poses"] and process.poll() is None:
             pause.wait(0.01)
         began_s, cpu_s = time.monotonic(), time.process_time()
         while process.poll() is None:
@@ -55,7 +55,7 @@ def poses(seconds: float, rate_hz: float, line: str | None) -> None:
         assert process.stdout is not None
         told = json.loads(process.stdout.read())
     robot.stop(2)
-    counts = robot.as_dict()
+    counts = robot.health()
     at_the_end = told["poses"] - counts["poses"] - counts["poses_lost"]
     print(f"sent {told['poses']} poses, arrived {counts['poses']}, missing by number {counts['poses_lost']}, ", end="")
     print(f"at the end {at_the_end}; damaged {counts['damaged']}, garbage {counts['garbage']}")

@@ -8,6 +8,7 @@ from tacshade_edge.cli.entry import leave
 from tacshade_edge.daemon.app import App
 from tacshade_edge.daemon.hand import process
 from tacshade_edge.daemon.hand.lines import Lines
+from tacshade_edge.daemon.optional_parts import Siblings
 from tacshade_edge.daemon.supervisor import Supervisor
 from tacshade_edge.factories import calibrations
 from tacshade_edge.settings import Hand, load_all, load_hand
@@ -25,7 +26,7 @@ if isinstance(mine, Hand):
     leave(0)
 ring = dict(zip((document.settings.sensor_id for document in documents), sys.argv[3:], strict=True))
 source, line = rings[ring[mine.settings.sensor_id]], lines.fingers.get(mine.settings.sensor_id)
-app = App(mine, source, calibrations.load_calibration(mine), line)
+app = App(mine, source, calibrations.load_calibration(mine), Siblings(line))
 signal.signal(signal.SIGTERM, lambda *_: app.stop())
 app.run()
 leave(0)

@@ -13,6 +13,7 @@ from tacshade_edge.cli import EXIT_OK
 from tacshade_edge.cli.commands.check_config import DEFAULT_CONFIG
 from tacshade_edge.cli.shared.logs import add_verbosity, start_logging
 from tacshade_edge.daemon.app import App
+from tacshade_edge.daemon.optional_parts import ALONE, Siblings
 from tacshade_edge.daemon.supervisor import EXIT_STOPPED, Supervisor, name_of
 from tacshade_edge.factories import calibrations, checks, sources
 from tacshade_edge.settings import Document, Hand, load_all, load_hand
@@ -36,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
     """
     start_logging(args.log_level)
     documents = load_all(args.config)
-    document, line, shared = documents[0], None, None
+    document, siblings = documents[0], ALONE
     if document.several:
         from tacshade_edge.daemon.hand import process  # needed nowhere else, and by no single sensor
         from tacshade_edge.daemon.hand.lines import Lines
@@ -55,10 +56,10 @@ def run(args: argparse.Namespace) -> int:
             process.run(mine, lines)
             return EXIT_STOPPED
         document, name = mine, mine.settings.sensor_id
-        line, shared = lines.fingers.get(name), shared_lines.get(name)
+        siblings = Siblings(lines.fingers.get(name), shared_lines.get(name))
     checks.check_files(document)
     calibration = calibrations.find_calibration(document, store=True)
-    app = App(document, sources.make_source(document.settings.source), calibration, line, shared)
+    app = App(document, sources.make_source(document.settings.source), calibration, siblings)
     stopped: list[int] = []
 
     def stop(number: int, _: object) -> None:

@@ -45,22 +45,30 @@ class ForeignCheck:
         camera_px = preprocessor.camera_px
         self._shift = CameraShift(reference, camera_px * grid.step_px, camera_px * preprocessor.calibration.pitch_px)
 
-    def refusal(self, part: float | None, sure_part: float, white: IntegralImage) -> Reason | None:
+    def refusal(self, foreign_logit: F32 | None, inside: Bool, white: IntegralImage) -> Reason | None:
         """Why a frame cannot be used; None for one that can.
+
+        A frame is refused that may be foreign in too many rows and is the reference, shifted; and one that surely is
+        foreign in so many.
 
         Parameters
         ----------
-        part : float or None
-            So much of its disc is in foreign rows, 0 to 1 (`foreign_rows_part`). None where the solver reports
-            nothing. A frame is refused that may be foreign and is the reference, shifted.
-        sure_part : float
-            So much is surely, which refuses it in any case.
+        foreign_logit : float32 (M, M) or None
+            `Depth.foreign_logit`; None where the solver reports nothing.
+        inside : bool (rows, cols)
+            The disc.
         white : IntegralImage
             `Preprocessed.white`.
         """
-        reason = self.moved(white) if part is None or part > FOREIGN_INVALID else None
-        if reason or sure_part <= FOREIGN_INVALID:
+        if foreign_logit is None:
+            return self.moved(white)
+        if foreign_rows_part(foreign_logit, inside) <= FOREIGN_INVALID:
+            return None
+        if reason := self.moved(white):
             return reason
+        sure_part = foreign_rows_part(foreign_logit, inside, FOREIGN_SURE)
+        if sure_part <= FOREIGN_INVALID:
+            return None
         text = f"torn or foreign: {100 * sure_part:.0f} % of the disc does not show the sensor's skin"
         return Reason(ReasonCode.TORN, text)
 
@@ -69,9 +77,9 @@ class ForeignCheck:
         return self._shift.reason(self._cells.means(white))
 
 
-def doubt(part: float | None) -> Reason | None:
-    """Why a frame deserves less trust of whose disc a `part`, 0 to 1, is foreign."""
-    if not part:
+def doubt(foreign: Bool | None, inside: Bool) -> Reason | None:
+    """Why a frame deserves less trust some of whose disc is foreign; None where none is, or no solver reports it."""
+    if foreign is None or not (part := foreign_part(foreign, inside)):
         return None
     return Reason(ReasonCode.FOREIGN, f"{100 * part:.1f} % of the disc does not show the sensor's skin")
 

@@ -146,8 +146,11 @@ def invalid_reason(grey: U8, check: FrameCheck) -> Reason | None:
     grey : uint8 (H, W)
     check : FrameCheck
     """
-    if reason := size_reason(grey, check.shape):
-        return reason
+    return size_reason(grey, check.shape) or picture_reason(grey, check)
+
+
+def picture_reason(grey: U8, check: FrameCheck) -> Reason | None:
+    """`invalid_reason` of an image whose size is known to be right."""
     if check.inside_px == 0:
         return Reason(ReasonCode.NO_DISC, "disc: no pixel of the visible circle lies in the image")
     disc = grey[check.disc]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -123,3 +124,24 @@ class Timings:
             name: {f"p{p}": round(values[-(-p * len(values) // 100) - 1], 3) for p in (50, 99)}
             for name, values in ordered.items()
         }
+
+
+class StageTimer:
+    """Times the stages of one frame after the other; one thread's."""
+
+    def __init__(self) -> None:
+        self.ms: dict[str, float] = {}  # of the frame in work
+        self.last_ns = 0  # CLOCK_MONOTONIC, when its latest stage ended
+        self.ended = 0  # stages of all frames
+
+    def begin(self) -> None:
+        """Begin a frame."""
+        self.ms = {}
+        self.last_ns = time.monotonic_ns()
+
+    def mark(self, stage: str) -> None:
+        """End a stage."""
+        now_ns = time.monotonic_ns()
+        self.ms[stage] = (now_ns - self.last_ns) / 1e6
+        self.last_ns = now_ns
+        self.ended += 1

@@ -1,20 +1,19 @@
-"""Source, reconstructor and sink with their two threads: the graph that every live command runs."""
+"""Source, reconstructor and observers with their two threads: the graph that every live command runs."""
 
 from __future__ import annotations
 
 import logging
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.pipeline.ledger import FrameLedger, Timings
 from tacshade_edge.daemon.pipeline.mailbox import Mailbox
-from tacshade_edge.daemon.pipeline.workers import Grab, Reconstruct, Sink, SourceState
+from tacshade_edge.daemon.pipeline.observer import FrameObserver, SourceState
+from tacshade_edge.daemon.pipeline.workers import Grab, Reconstruct, Running
 from tacshade_edge.devices.base import FrameSource
-from tacshade_edge.reasons import Reason
 from tacshade_edge.types import Frame
 
 _log = logging.getLogger(__name__)
@@ -34,28 +33,31 @@ class Pipeline:
     Parameters
     ----------
     source : FrameSource
-    reconstructor : Reconstructor or Reason
-        Or why there is none yet.
-    sink : Sink
+    running : Running
+    observers : sequence of FrameObserver
+        In the order in which they see a frame; one of them settles it in the ledger.
     ledger : FrameLedger
-        The sink settles in it what it does not settle at once.
+    timings : Timings
     report : callable
         Gets each new `SourceState`, in the grab thread.
+    posed : callable or None
+        Gives a frame its pose.
     """
 
     def __init__(
         self,
         source: FrameSource,
-        reconstructor: Reconstructor | Reason,
-        sink: Sink,
+        running: Running,
+        observers: Sequence[FrameObserver],
         ledger: FrameLedger,
+        timings: Timings,
         report: Callable[[SourceState], None],
+        posed: Callable[[Frame], Frame] | None = None,
     ) -> None:
         self.ledger = ledger
-        self.timings = Timings()
         self._mailbox: Mailbox[Frame] = Mailbox()
-        self.grab = Grab(source, self._mailbox, ledger, report)
-        self.reconstruct = Reconstruct(reconstructor, self._mailbox, ledger, self.timings, sink)
+        self.grab = Grab(source, self._mailbox, ledger, report, observers)
+        self.reconstruct = Reconstruct(running, self._mailbox, timings, observers, posed)
         # Daemon threads: a read or a step that hangs must not keep the process.
         self._threads = (
             threading.Thread(target=self.grab.run, name="grab", daemon=True),

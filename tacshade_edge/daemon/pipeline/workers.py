@@ -5,33 +5,24 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from collections.abc import Callable, Sequence
+from typing import Protocol
 
 import numpy as np
 
-from tacshade_edge.core.contact.tracking import ContactTracker, follow
-from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.daemon.pipeline.ledger import FrameLedger, FrameOutcome, Timings
+from tacshade_edge.core.contact.tracking import ContactTracker
+from tacshade_edge.core.reconstruct import Reconstructor, step_and_track
+from tacshade_edge.daemon.pipeline.ledger import FrameLedger, StageTimer, Timings
 from tacshade_edge.daemon.pipeline.mailbox import Mailbox
+from tacshade_edge.daemon.pipeline.observer import FrameObserver, FrameResult, SourceState
 from tacshade_edge.devices.base import FrameSource
 from tacshade_edge.errors import DecodeError, DeviceError
 from tacshade_edge.reasons import Reason
-from tacshade_edge.types import Calibration, Frame, HeightMap, Need, ObjectCloud, Reconstruction
+from tacshade_edge.types import Frame, HeightMap, Need, ObjectCloud, Reconstruction
 
 _log = logging.getLogger(__name__)
 
 FIRST_RETRY_S, LONGEST_RETRY_S = 0.1, 1.0
-
-
-@dataclass(frozen=True, slots=True)
-class SourceState:
-    """How the frame source is; `reason` is None when all is well."""
-
-    state: Literal["streaming", "away", "unusable", "ended"]
-    reason: Reason | None = None
-    details: dict[str, str | int | float] = field(default_factory=dict)
 
 
 class Grab:
@@ -45,6 +36,8 @@ class Grab:
     ledger : FrameLedger
     report : callable
         Called in this thread with each new `SourceState`, never twice with the same.
+    observers : sequence of FrameObserver
+        Their `captured` sees every frame.
     """
 
     def __init__(
@@ -53,6 +46,7 @@ class Grab:
         mailbox: Mailbox[Frame],
         ledger: FrameLedger,
         report: Callable[[SourceState], None],
+        observers: Sequence[FrameObserver] = (),
     ) -> None:
         self._source = source
         self._mailbox = mailbox
@@ -63,7 +57,7 @@ class Grab:
         self.retry_s = FIRST_RETRY_S
         self.last_frame_ns = 0  # CLOCK_MONOTONIC; 0 before the first
         self.attempts = 0  # openings, and frames that could not be decoded
-        self.tap: Callable[[Frame], None] | None = None  # sees every captured frame; must not wait
+        self._captured = [each.captured for each in observers if type(each).captured is not FrameObserver.captured]
 
     def stop(self) -> None:
         """Make `run` return after the read that it is in."""
@@ -101,8 +95,8 @@ class Grab:
                 return True
             self._ledger.captured(frame.seq)
             self.last_frame_ns = time.monotonic_ns()
-            if tap := self.tap:
-                tap(frame)
+            for captured in self._captured:
+                captured(frame)
             if (superseded := self._mailbox.put(frame)) is not None:
                 self._ledger.settle(superseded.seq, "superseded")
             if self._reported is None or self._reported.state != "streaming":
@@ -116,94 +110,86 @@ class Grab:
             self._report(state)
 
 
-class Sink(Protocol):
-    """Where reconstructions go."""
+class Running(Protocol):
+    """Who knows what reconstructs."""
 
-    def need(self) -> Need:
-        """How much of the next frame is asked for."""
-        ...
-
-    def deliver(
-        self, frame: Frame, result: Reconstruction | None, calibration: Calibration | None
-    ) -> FrameOutcome | None:
-        """Pass a result on without waiting (None: a contact without its depth); None: it will be settled later.
-
-        Without a calibration each result is invalid.
-        """
+    @property
+    def reconstructor(self) -> Reconstructor | Reason:
+        """What the next frame meets; or why there is none, and no frame is valid."""
         ...
 
 
 class Reconstruct:
-    """Takes the newest frame, reconstructs it, delivers it.
+    """Takes the newest frame, reconstructs it, and shows it to all that see frames.
 
     Parameters
     ----------
-    reconstructor : Reconstructor or Reason
-        Or why there is none: no frame is valid then. May be replaced at any time through the attribute; the next frame
-        uses the new one.
-    mailbox, ledger, timings, sink
+    running : Running
+        Asked for each frame.
+    mailbox : Mailbox of Frame
+    timings : Timings
+    observers : sequence of FrameObserver
+        In the order in which they see a frame.
+    posed : callable or None
+        Gives a frame its pose, after its reconstruction: a pose from behind the frame may have come by then.
     """
 
     def __init__(
         self,
-        reconstructor: Reconstructor | Reason,
+        running: Running,
         mailbox: Mailbox[Frame],
-        ledger: FrameLedger,
         timings: Timings,
-        sink: Sink,
+        observers: Sequence[FrameObserver],
+        posed: Callable[[Frame], Frame] | None = None,
     ) -> None:
-        self.reconstructor = reconstructor
-        self.watch: Callable[[Frame, Reconstruction], None] | None = None
-        # observe(profile, now_ns, capture_to_offer_ms, step_ms) after each reconstructed contact; must not wait.
-        self.observe: Callable[[str, int, float, float], None] | None = None
+        self._running = running
         self._tracker = ContactTracker()
         self.taken = self.processed = 0  # frames; they differ while one is in work
-        self.stages = 0  # that have ended, of all frames
+        self._timer = StageTimer()
         self._mailbox = mailbox
-        self._ledger = ledger
         self._timings = timings
-        self._sink = sink
+        # Only those that do something: the other calls cost 3 µs a frame.
+        self._needs = [each.need for each in observers if type(each).need is not FrameObserver.need]
+        self._sees = [each.see for each in observers if type(each).see is not FrameObserver.see]
+        self._posed = posed
+
+    @property
+    def stages(self) -> int:
+        """How many have ended, of all frames."""
+        return self._timer.ended
 
     def run(self) -> None:
         """Work until the mailbox is closed and empty."""
         while (frame := self._mailbox.take()) is not None:
             self.taken += 1
-            result = self._timed(frame)
+            self._process(frame)
             self.processed += 1
-            if (watch := self.watch) and result:
-                watch(frame, result)
 
-    def _timed(self, frame: Frame) -> Reconstruction | None:
-        last_ns = time.monotonic_ns()
-        ms = {"wait": (last_ns - frame.t_ns) / 1e6}
-
-        def mark(stage: str) -> None:
-            nonlocal last_ns
-            now_ns = time.monotonic_ns()
-            ms[stage] = (now_ns - last_ns) / 1e6
-            last_ns = now_ns
-            self.stages += 1
-
-        reconstructor = self.reconstructor
-        began_ns = last_ns
-        result: Reconstruction | None
+    def _process(self, frame: Frame) -> None:
+        timer, reconstructor = self._timer, self._running.reconstructor
+        timer.begin()
+        began_ns = timer.last_ns
+        timer.ms["wait"] = (began_ns - frame.t_ns) / 1e6
+        made: Reconstruction | None
         if isinstance(reconstructor, Reason):
-            result, calibration = _not_reconstructed(frame, reconstructor), None
+            calibration, made = None, _not_reconstructed(frame, reconstructor)
         else:
-            need = (Need.DEPTH if self.watch else Need.CONTACT) | self._sink.need()
-            result, calibration = reconstructor.step(frame, mark, need), reconstructor.calibration
-            if result and result.valid:
-                result = follow(self._tracker, result)
+            calibration = reconstructor.calibration
+            made = step_and_track(reconstructor, self._tracker, frame, timer.mark, self._need())
         step_ms = (time.monotonic_ns() - began_ns) / 1e6
-        outcome = self._sink.deliver(frame, result, calibration)
-        mark("deliver")
-        ms["capture_to_offer"] = (last_ns - frame.t_ns) / 1e6
-        self._timings.add(ms)
-        if outcome is not None:
-            self._ledger.settle(frame.seq, outcome)
-        if (observe := self.observe) and result and result.contact:
-            observe(result.profile, last_ns, ms["capture_to_offer"], step_ms)
-        return result
+        seen = FrameResult(self._posed(frame) if self._posed else frame, calibration, made, step_ms)
+        for see in self._sees:
+            see(seen)
+        timer.mark("deliver")
+        timer.ms["capture_to_offer"] = (timer.last_ns - frame.t_ns) / 1e6
+        self._timings.add(timer.ms)
+
+    def _need(self) -> Need:
+        need = Need.CONTACT
+        for asked in self._needs:
+            if (more := asked()) is not Need.CONTACT:  # a union of flags is dear
+                need |= more
+        return need
 
 
 def _not_reconstructed(frame: Frame, reason: Reason) -> Reconstruction:

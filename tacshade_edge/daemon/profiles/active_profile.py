@@ -10,7 +10,7 @@ from typing import Any
 
 from tacshade_edge.core.profiles import AUTO, LADDER, PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.daemon.pipeline.workers import Reconstruct
+from tacshade_edge.daemon.pipeline.observer import FrameObserver, FrameResult
 from tacshade_edge.daemon.profiles.profile_chooser import ProfileChooser, Step
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import Reason
@@ -30,31 +30,38 @@ class Stepped:
     step: Step
 
 
-class ActiveProfile:
+class ActiveProfile(FrameObserver):
     """One profile, or `AUTO`: all of `LADDER` are then kept ready, so that a step makes nothing and waits for nothing.
 
     Parameters
     ----------
-    worker : Reconstruct
-        Not started yet. Its reconstructor is replaced, and it is watched by `AUTO`. Without a calibration it has a
-        reason in place of one until `reload`, and a profile is only chosen.
+    reconstructor : Reconstructor or Reason
+        To begin with. Without a calibration it is a reason until `reload`, and a profile is only chosen.
     choice : str
         A key of `PROFILES`, or `AUTO`.
     budget_ms : float or None
         What `AUTO` keeps; None where the settings have none.
     report : callable
-        ``report(stepped)``, in the worker's thread: give it to `step` in the main thread.
+        ``report(stepped)``, in the thread that reconstructs: give it to `step` in the main thread.
 
     Attributes
     ----------
+    reconstructor : Reconstructor or Reason
+        The one that the next frame meets, or why there is none.
     choice : str
     budget_ms : float or None
     """
 
+    health_key = "budget"
+
     def __init__(
-        self, worker: Reconstruct, choice: str, budget_ms: float | None, report: Callable[[Stepped], None]
+        self,
+        reconstructor: Reconstructor | Reason,
+        choice: str,
+        budget_ms: float | None,
+        report: Callable[[Stepped], None],
     ) -> None:
-        self._worker = worker
+        self.reconstructor = reconstructor
         self._report = report
         self._kept: dict[str, Reconstructor] = {}
         self._chooser: ProfileChooser | None = None
@@ -62,19 +69,13 @@ class ActiveProfile:
         self._late_logged, self._calm_s = False, 0
         self.budget_ms = budget_ms
         self.choice = choice
-        idle = worker.reconstructor  # before the start no thread uses it
-        if not isinstance(idle, Reason):
-            self._install(choice, idle.calibration, {idle.profile.name: idle})
-
-    @property
-    def reconstructor(self) -> Reconstructor | Reason:
-        """The one that the next frame meets, or why there is none."""
-        return self._worker.reconstructor
+        if not isinstance(reconstructor, Reason):
+            self._install(choice, reconstructor.calibration, {reconstructor.profile.name: reconstructor})
 
     @property
     def name(self) -> str:
         """Of the profile that the next frame meets, or would."""
-        running = self._worker.reconstructor
+        running = self.reconstructor
         return self.choice if isinstance(running, Reason) else running.profile.name
 
     @property
@@ -84,22 +85,22 @@ class ActiveProfile:
 
     def choose(self, choice: str) -> None:
         """Use a profile, or `AUTO` from its start; one of `choices`."""
-        self.choice, running = choice, self._worker.reconstructor
+        self.choice, running = choice, self.reconstructor
         if not isinstance(running, Reason):
             self._install(choice, running.calibration, {})
 
     def use(self, calibration: Calibration | Reason) -> None:
         """Use another calibration; what `AUTO` found out stays. Until the first, why there still is none."""
-        running = self._worker.reconstructor
+        running = self.reconstructor
         if isinstance(calibration, Reason):
-            self._worker.reconstructor = calibration
+            self.reconstructor = calibration
         elif isinstance(running, Reason):
             self._install(self.choice, calibration, {})
         elif self._chooser is None:
-            self._worker.reconstructor = make_reconstructor(calibration, running.profile)
+            self.reconstructor = make_reconstructor(calibration, running.profile)
         else:
             self._kept = {name: make_reconstructor(calibration, PROFILES[name]) for name in LADDER}
-            self._worker.reconstructor = self._kept[self.name]
+            self.reconstructor = self._kept[self.name]
 
     def reload(self, choice: str, budget_ms: float | None, calibration: Calibration | Reason) -> None:
         """Follow the settings."""
@@ -116,15 +117,15 @@ class ActiveProfile:
         if stepped.chooser is not self._chooser:
             return False
         step, before = stepped.step, self.name
-        self._worker.reconstructor = self._kept[step.profile]
+        self.reconstructor = self._kept[step.profile]
         self._steps["steps_up" if step.up else "steps_down"] += 1
         _log.info(
             "profile %s: from %s %s to %s: %s", AUTO, before, "up" if step.up else "down", step.profile, step.reason
         )
         return True
 
-    def budget(self) -> dict[str, Any] | None:
-        """For ``health``: how the budget is kept; None without `AUTO`."""
+    def health(self) -> dict[str, Any] | None:
+        """How the budget is kept; None without `AUTO`."""
         if self._chooser is None:
             return None
         standing = self._chooser.standing
@@ -136,6 +137,18 @@ class ActiveProfile:
             "p90_ms": within_ms,
             **self._steps,
         }
+
+    def see(self, seen: FrameResult) -> None:
+        """Have `AUTO` judge how long a contact took."""
+        if self._chooser is not None and (made := seen.reconstruction) is not None and made.contact:
+            now_ns = time.monotonic_ns()
+            self.observe(made.profile, now_ns, (now_ns - seen.frame.t_ns) / 1e6, seen.step_ms)
+
+    def observe(self, profile: str, now_ns: int, latency_ms: float, own_ms: float) -> None:
+        """Have `AUTO` judge a latency, of which `own_ms` are the reconstruction's."""
+        chooser = self._chooser
+        if chooser is not None and (step := chooser.observe(profile, now_ns / 1e9, latency_ms, own_ms)) is not None:
+            self._report(Stepped(chooser, step))
 
     def log_late(self) -> None:
         """To be called once a second: log that not even the fastest keeps the budget, again only after `CALM_S`."""
@@ -155,22 +168,16 @@ class ActiveProfile:
     def _install(self, choice: str, calibration: Calibration, ready: dict[str, Reconstructor]) -> None:
         """Use `choice`, and of the reconstructors those that are `ready`: rehearsed here, so no other thread's."""
         self.choice, self._late_logged, self._calm_s = choice, False, 0
-        self._worker.observe = self._chooser = None
+        self._chooser = None
         if choice != AUTO or self.budget_ms is None:
             self._kept = {}
-            self._worker.reconstructor = ready.get(choice) or make_reconstructor(calibration, PROFILES[choice])
+            self.reconstructor = ready.get(choice) or make_reconstructor(calibration, PROFILES[choice])
             return
         self._kept = {name: ready.get(name) or make_reconstructor(calibration, PROFILES[name]) for name in LADDER}
         costs_ms = {name: step_cost_ms(made) for name, made in self._kept.items()}
         chooser = ProfileChooser(self.budget_ms, costs_ms)
+        self.reconstructor = self._kept[chooser.profile]
         self._chooser = chooser
-        self._worker.reconstructor = self._kept[chooser.profile]
-
-        def observe(profile: str, now_ns: int, latency_ms: float, own_ms: float) -> None:
-            if (step := chooser.observe(profile, now_ns / 1e9, latency_ms, own_ms)) is not None:
-                self._report(Stepped(chooser, step))
-
-        self._worker.observe = observe
         costs = ", ".join(f"{name} {ms:.1f} ms" for name, ms in costs_ms.items())
         _log.info(
             "profile %s: begins with %s for a budget of %g ms; a step here: %s",

@@ -6,6 +6,7 @@ import time
 from typing import Any
 
 from tacshade_edge.daemon.pipeline.ledger import Counts, FrameLedger, Timings
+from tacshade_edge.daemon.pipeline.observer import FrameObserver, FrameResult
 from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
 from tacshade_edge.types import Reconstruction
 
@@ -18,7 +19,7 @@ def delivered(counts: Counts) -> int:
     return counts.published + counts.without_contact + counts.unasked
 
 
-class Health:
+class Health(FrameObserver):
     """Makes the message; the rates are between two calls of `snapshot`.
 
     Attributes
@@ -33,17 +34,15 @@ class Health:
         self._started_ns = self._last_ns = time.monotonic_ns()
         self._last = ledger.counts()
         self._unusable_periods = 0
+        self._latest: Reconstruction | None = None
         self.unusable: Reason | None = None
 
-    def snapshot(
-        self,
-        latest: Reconstruction | None,
-        source_dropped: int,
-        mqtt: dict[str, int],
-        recorder: dict[str, int],
-        budget: dict[str, Any] | None,
-    ) -> dict[str, Any]:
-        """The message as a dict.
+    def see(self, seen: FrameResult) -> None:
+        """Keep what the newest frame says of itself."""
+        self._latest = seen.reconstruction or self._latest
+
+    def snapshot(self, source_dropped: int, mqtt: dict[str, int]) -> dict[str, Any]:
+        """The message as a dict, without what observers report.
 
         ``frames`` holds captured = published + superseded + without_contact + unasked + invalid + failed + pending,
         all of one instant. ``source_dropped`` frames never reached this process and are not in it.
@@ -53,6 +52,7 @@ class Health:
         seconds = max(now_ns - self._last_ns, 1) / 1e9
         self._last, self._last_ns = counts, now_ns
         stages = self._timings.percentiles()
+        latest = self._latest
         reason, degraded = (latest.reason, latest.degraded) if latest else (None, None)
         self._judge(before, counts, reason)
         return {
@@ -68,8 +68,6 @@ class Health:
             **reason_fields(reason, "invalid_reason"),
             **reason_fields(degraded, "degraded_reason"),
             "mqtt": mqtt,
-            "recorder": recorder,
-            "budget": budget,
         }
 
     def _judge(self, before: Counts, counts: Counts, reason: Reason | None) -> None:

@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from tacshade_edge.daemon.pipeline.ledger import FrameOutcome
+from tacshade_edge.daemon.pipeline.observer import FrameObserver, FrameResult
 from tacshade_edge.protocol import messages, wire
-from tacshade_edge.types import Calibration, Frame, Need, Reconstruction, Slip
+from tacshade_edge.settings import Settings
+from tacshade_edge.types import Need, Reconstruction, Slip
 
 CONTACT_PERIOD_NS = 100_000_000  # without contact; in contact every frame tells
 
 
-class Publisher:
-    """The `Sink` of the daemon.
+class Publisher(FrameObserver):
+    """Publishes what of a frame somebody wants, and settles the frame.
 
     With contact: ``height``, ``cloud``, ``shear``, ``sigma`` and ``contact`` of every frame, and one ``event/slip``
     when an object begins to slide. Without: one zero ``height`` when the contact ends (flagged when an invalid frame
@@ -26,6 +28,8 @@ class Publisher:
         ``offer(stream, payload, seq)``; must not wait.
     tell : callable
         ``tell(topic, payload)`` of an event; must not wait.
+    settle : callable
+        ``settle(seq, outcome)`` of a frame whose height is not offered.
     has_listener : callable
         ``has_listener(stream)``; by default every stream has one.
     always_shear : bool
@@ -35,61 +39,55 @@ class Publisher:
     ----------
     fps : float
         For ``contact``.
-    latest : (Frame, Reconstruction) or None
-        The newest of each; they belong together unless the frame's depth was not needed.
     """
 
     def __init__(
         self,
         offer: Callable[[str, bytes, int], None],
         tell: Callable[[str, bytes], None],
+        settle: Callable[[int, FrameOutcome], None],
         has_listener: Callable[[str], bool] = lambda stream: True,
         always_shear: bool = False,
     ) -> None:
         self._offer = offer
         self._tell = tell
+        self._settle = settle
         self._has_listener = has_listener
-        self.always_shear = always_shear
+        self._always_shear = always_shear
         self._sliding: frozenset[int | None] = frozenset()
         self._contact = False
         self._contact_sent_ns: int | None = None
         self.fps = 0.0
-        self.latest: tuple[Frame, Reconstruction] | None = None
 
     def need(self) -> Need:
         """How much of a frame those who listen ask for."""
-        need = Need.SHEAR if self.always_shear or self._has_listener("shear") else Need.CONTACT
+        need = Need.SHEAR if self._always_shear or self._has_listener("shear") else Need.CONTACT
         if self._has_listener("sigma"):
             need |= Need.SIGMA
         if any(map(self._has_listener, ("height", "cloud", "contact"))):
             need |= Need.DEPTH
         return need
 
-    def deliver(
-        self, frame: Frame, result: Reconstruction | None, calibration: Calibration | None
-    ) -> FrameOutcome | None:
-        """Offer what is in this result; None is a contact without its depth."""
-        if result is None:
-            self.latest = self.latest and (frame, self.latest[1])
-            return "unasked"
-        self.latest = frame, result
+    def settings_changed(self, settings: Settings) -> None:
+        """Ask for displacement as the settings say."""
+        self._always_shear = settings.displacement == "always"
+
+    def see(self, seen: FrameResult) -> None:
+        """Offer what is in this result."""
+        if (result := seen.reconstruction) is None:
+            self._settle(seen.frame.seq, "unasked")
+            return
         changed = result.contact != self._contact
         self._contact = result.contact
-        crc32 = 0 if calibration is None else calibration.crc32
-        pose, error_us = frame.pose, frame.pose_error_us
         height_goes = changed or (result.contact and self._has_listener("height"))
         if height_goes:
-            height = wire.encode_height(result, calibration_crc32=crc32, pose=pose, pose_error_us=error_us)
-            self._offer("height", height, result.seq)
+            self._send("height", wire.encode_height, result, seen)
         if result.contact and (changed or self._has_listener("cloud")):
-            cloud = wire.encode_cloud(result, calibration_crc32=crc32, pose=pose, pose_error_us=error_us)
-            self._offer("cloud", cloud, result.seq)
+            self._send("cloud", wire.encode_cloud, result, seen)
         if result.shear_mm is not None and (result.contact or changed) and self._has_listener("shear"):
-            shear = wire.encode_shear(result, calibration_crc32=crc32, pose=pose, pose_error_us=error_us)
-            self._offer("shear", shear, result.seq)
+            self._send("shear", wire.encode_shear, result, seen)
         if result.sigma_mm is not None and (result.contact or changed) and self._has_listener("sigma"):
-            sigma = wire.encode_sigma(result, calibration_crc32=crc32, pose=pose, pose_error_us=error_us)
-            self._offer("sigma", sigma, result.seq)
+            self._send("sigma", wire.encode_sigma, result, seen)
         sliding = {o.id: o for o in result.objects if o.slip is Slip.FULL}
         for began in sliding.keys() - self._sliding:
             self._tell("event/slip", messages.encode_slip(result, sliding[began]))
@@ -100,7 +98,18 @@ class Publisher:
             self._contact_sent_ns = result.t_ns
             self._offer("contact", messages.encode_contact(result, fps=self.fps), result.seq)
         if height_goes:
-            return None
+            return
         if result.contact:
-            return "unasked"
-        return "without_contact" if result.valid else "invalid"
+            self._settle(result.seq, "unasked")
+        else:
+            self._settle(result.seq, "without_contact" if result.valid else "invalid")
+
+    def _send(self, stream: str, encode: Callable[..., bytes], result: Reconstruction, seen: FrameResult) -> None:
+        frame, calibration = seen.frame, seen.calibration
+        payload = encode(
+            result,
+            calibration_crc32=0 if calibration is None else calibration.crc32,
+            pose=frame.pose,
+            pose_error_us=frame.pose_error_us,
+        )
+        self._offer(stream, payload, result.seq)

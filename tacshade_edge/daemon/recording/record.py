@@ -1,6 +1,6 @@
 """Recording beside the running daemon: one recording at a time, written by a thread of its own.
 
-`Grab` hands each captured frame to `_Job.tap`; the bounded queue behind it keeps the disk from ever delaying a frame.
+`LiveRecorder.tap` takes each captured frame; the bounded queue behind it keeps the disk from ever delaying a frame.
 Where a recording begins with what was before, its thread runs already, and keeps what it will write first.
 """
 
@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 
-from tacshade_edge.daemon.pipeline.workers import Grab
 from tacshade_edge.daemon.recording.before import BEFORE_BYTES, EVENT_BYTES, Event, Kept, Shot
 from tacshade_edge.daemon.recording.byte_queue import ByteQueue
 from tacshade_edge.errors import DeviceError
@@ -210,17 +209,20 @@ class LiveRecorder:
 
     Parameters
     ----------
-    grab : Grab
-        Its `tap` is set while a recording goes on.
     report : callable
         Gets a `RecordingEnded` in the recording's thread.
     posed : callable or None
         Gives a frame its pose; called in the recording's thread, which it may keep waiting for a moment.
+
+    Attributes
+    ----------
+    tap : callable or None
+        Takes the next captured frame, in the grab thread; None while no frame is wanted.
     """
 
-    def __init__(self, grab: Grab, report: Callable[[RecordingEnded], None], posed: Posed | None = None) -> None:
+    def __init__(self, report: Callable[[RecordingEnded], None], posed: Posed | None = None) -> None:
+        self.tap: Callable[[Frame], None] | None = None
         self._posed = posed
-        self._grab = grab
         self._report = report
         self._job: _Job | None = None
         self._thread: threading.Thread | None = None
@@ -232,7 +234,7 @@ class LiveRecorder:
         """Have recordings begin so long before they are asked for, from the next on; 0: then."""
         before_ns = round(before_s * 1e9)
         if before_ns != self._before_ns and self._job is not None and self._job.asked is None:
-            self._grab.tap = None
+            self.tap = None
             self._close(self._job)
         self._before_ns = before_ns
 
@@ -283,7 +285,7 @@ class LiveRecorder:
 
         self._job, self._thread = job, threading.Thread(target=run, name="record", daemon=True)
         self._thread.start()
-        self._grab.tap = job.tap
+        self.tap = job.tap
 
     def _close(self, job: _Job) -> None:
         """Take the figures of a job that is over, or that shall keep nothing more."""
@@ -293,7 +295,7 @@ class LiveRecorder:
 
     def end(self, ending: Reason) -> None:
         """End the recording that goes on, if one does; `poll` tells when it is written."""
-        self._grab.tap = None
+        self.tap = None
         if self._job is not None:
             self._job.end(ending)
 
@@ -325,7 +327,7 @@ class LiveRecorder:
         if not job.ending and time.monotonic_ns() > job.end_ns:
             self.end(TIME)
         if job.ending:
-            self._grab.tap = None  # a disk that failed ends it from the other side
+            self.tap = None  # a disk that failed ends it from the other side
         if not job.done:
             return None
         recorded = job.now()

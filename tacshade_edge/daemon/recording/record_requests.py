@@ -11,7 +11,7 @@ from pathlib import Path
 import msgspec
 
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.daemon.pipeline.workers import SourceState
+from tacshade_edge.daemon.pipeline.observer import RECORDED_S, FrameObserver, SourceState
 from tacshade_edge.daemon.recording.record import STOPPED, LiveRecorder, Recorded
 from tacshade_edge.daemon.requests import Reply
 from tacshade_edge.errors import DeviceError, TacshadeError
@@ -22,13 +22,14 @@ from tacshade_edge.storage.recording.mcap.mend import mend_recordings
 from tacshade_edge.storage.recording.mcap_recorder import McapRecorder
 from tacshade_edge.storage.recording.recorder import Recorder
 from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME
+from tacshade_edge.types import Frame
 from tacshade_edge.version import installed_version
 
 FIGURES_PERIOD_S = 1.0
 _log = logging.getLogger(__name__)
 
 
-class RecordRequests:
+class RecordRequests(FrameObserver):
     """Handles requests; each gets exactly one reply, that to ``stop`` when all is written.
 
     Parameters
@@ -38,6 +39,9 @@ class RecordRequests:
     publish : callable
         ``publish(status_payload)``.
     """
+
+    health_key = "recorder"
+    stop_s = RECORDED_S
 
     def __init__(self, recorder: LiveRecorder, reply: Reply, publish: Callable[[bytes], None]) -> None:
         self._recorder = recorder
@@ -71,6 +75,28 @@ class RecordRequests:
         except TacshadeError as error:
             _log.info("req/record refused: %s", error)
             self._reply(request, error.reason)
+        self.poll()
+
+    def captured(self, frame: Frame) -> None:
+        """Record a frame, while a recording goes on."""
+        if tap := self._recorder.tap:
+            tap(frame)
+
+    def health(self) -> dict[str, int]:
+        """The recorder's counts."""
+        return self._recorder.counts()
+
+    def settings_changed(self, settings: Settings) -> None:
+        """Keep as much from before a recording as the settings say."""
+        self._recorder.keep_before(settings.recorder.before_s)
+
+    def source_changed(self, source: SourceState) -> None:
+        """Write it into the recording."""
+        self._recorder.event("source", state=source.state, **reason_fields(source.reason))
+
+    def stop(self, timeout_s: float) -> None:
+        """Wait until the recording is written, and answer who stopped it."""
+        self._recorder.join(timeout_s)
         self.poll()
 
     def poll(self) -> None:

@@ -11,13 +11,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from tacshade_edge.core.contact.tracking import ContactTracker, follow
-from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.daemon.pipeline.ledger import Timings
+from tacshade_edge.core.contact.tracking import ContactTracker
+from tacshade_edge.core.reconstruct import Reconstructor, step_and_track
+from tacshade_edge.daemon.pipeline.ledger import StageTimer, Timings
 from tacshade_edge.daemon.recording.playback import Playback
 from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.storage.recording.recording import RecordedFrame, Recording
-from tacshade_edge.types import Reconstruction
+from tacshade_edge.types import Calibration, Reconstruction
 
 Deliver = Callable[[RecordedFrame, Reconstruction], None]
 
@@ -98,7 +99,7 @@ def replay(
         The first image is not of the calibration's size: another sensor's recording.
     """
     begin_ns = time.monotonic_ns()
-    pause, tracker = threading.Event(), ContactTracker()
+    pause, tracker, timer = threading.Event(), ContactTracker(), StageTimer()
     while True:
         try:
             recorded = recording.read()
@@ -110,12 +111,19 @@ def replay(
             return
         frame = recorded.frame
         if progress.frames == 0:
-            _check_size(recorded, reconstructor)
             progress.first_ns = frame.t_ns
         if speed is not None:
             due_ns = begin_ns + (frame.t_ns - progress.first_ns) / speed
             pause.wait(max(0.0, (due_ns - time.monotonic_ns()) / 1e9))
-        result = _timed(reconstructor, recorded, tracker, sinks, progress.timings)
+        timer.begin()
+        result = step_and_track(reconstructor, tracker, frame, timer.mark)
+        assert result is not None  # all of it is needed
+        if progress.frames == 0 and result.reason is not None and result.reason.code is ReasonCode.SIZE:
+            _refuse_size(recorded, reconstructor.calibration)
+        for deliver in sinks:
+            deliver(recorded, result)
+        timer.mark("deliver")
+        progress.timings.add(timer.ms)
         progress.frames += 1
         progress.contacts += result.contact
         progress.invalid += not result.valid
@@ -123,37 +131,9 @@ def replay(
         progress.seconds = (time.monotonic_ns() - begin_ns) / 1e9
 
 
-def _timed(
-    reconstructor: Reconstructor,
-    recorded: RecordedFrame,
-    tracker: ContactTracker,
-    sinks: Sequence[Deliver],
-    timings: Timings,
-) -> Reconstruction:
-    last_ns = time.monotonic_ns()
-    ms: dict[str, float] = {}
-
-    def mark(stage: str) -> None:
-        nonlocal last_ns
-        now_ns = time.monotonic_ns()
-        ms[stage] = (now_ns - last_ns) / 1e6
-        last_ns = now_ns
-
-    result = reconstructor.step(recorded.frame, mark)
-    if result.valid:
-        result = follow(tracker, result)
-    for deliver in sinks:
-        deliver(recorded, result)
-    mark("deliver")
-    timings.add(ms)
-    return result
-
-
-def _check_size(recorded: RecordedFrame, reconstructor: Reconstructor) -> None:
-    calibration = reconstructor.calibration
+def _refuse_size(recorded: RecordedFrame, calibration: Calibration) -> None:
     height, width = recorded.frame.image.shape[:2]
-    if (height, width) != (calibration.image_height_px, calibration.image_width_px):
-        raise ConfigError(
-            f"{recorded.name}: found {width}x{height} px, expected {calibration.image_width_px}x"
-            f"{calibration.image_height_px} px, the size of the calibration's images"
-        )
+    raise ConfigError(
+        f"{recorded.name}: found {width}x{height} px, expected {calibration.image_width_px}x"
+        f"{calibration.image_height_px} px, the size of the calibration's images"
+    )

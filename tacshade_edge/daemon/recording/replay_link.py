@@ -7,6 +7,7 @@ import time
 from typing import Any
 
 from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.daemon.pipeline.observer import FrameResult
 from tacshade_edge.daemon.publishing.publisher import Publisher
 from tacshade_edge.daemon.recording.playback import Playback
 from tacshade_edge.devices.mqtt.client import BrokerAddress
@@ -60,7 +61,7 @@ class ReplayLink:
         )
         self._playback: Playback | None = None
         self._told_s = 0.0
-        self._publisher = Publisher(self._offer, self._link.tell)
+        self._publisher = Publisher(self._offer, self._link.tell, lambda *_: None)
 
     def obey(self, playback: Playback) -> None:
         """Do what ``req/replay`` asks of it."""
@@ -94,7 +95,7 @@ class ReplayLink:
         """Publish what this result has to say. Raises DeviceError when waiting and the broker takes nothing."""
         self._frames += 1
         self._publisher.fps = self._frames / max(1e-3, time.monotonic() - self._began_s)
-        self._publisher.deliver(recorded.frame, result, self._calibration)
+        self._publisher.see(FrameResult(recorded.frame, self._calibration, result))
         if self._playback is not None and (now_s := time.monotonic()) > self._told_s + PLAYBACK_PERIOD_S:
             self._told_s = now_s
             self.tell_playback(self._playback.status())

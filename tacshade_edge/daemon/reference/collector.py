@@ -24,7 +24,7 @@ class ReferenceCollector:
         self._images: list[U8] = []
         self._finished = False
 
-    def watch(self, frame: Frame, result: Reconstruction) -> None:
+    def see(self, frame: Frame, result: Reconstruction) -> None:
         """See the next frame."""
         if self._finished:
             return

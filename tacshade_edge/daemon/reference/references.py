@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 from tacshade_edge.core.calibration.reference import following
 from tacshade_edge.core.calibration.reference.following import Distance
+from tacshade_edge.daemon.pipeline.observer import STITCHED_S, FrameObserver, FrameResult
 from tacshade_edge.daemon.reference.origin import Origin, requested, restored
 from tacshade_edge.daemon.reference.untouched import UntouchedFrames
 from tacshade_edge.errors import ConfigError, DeviceError
@@ -23,7 +24,7 @@ _log = logging.getLogger(__name__)
 State = Literal["waiting", "following", "stopped", "held"]
 
 
-class References:
+class References(FrameObserver):
     """Where the reference began, and how far it followed from there.
 
     Parameters
@@ -40,8 +41,10 @@ class References:
     calibration : Calibration or Reason
         With the reference in use.
     frames : UntouchedFrames
-        Must see every frame.
     """
+
+    health_key = "reference"
+    stop_s = STITCHED_S
 
     def __init__(self, calibrated: Calibration | Reason, path: Path, sensor_id: str) -> None:
         self._sensor_id = sensor_id
@@ -67,6 +70,14 @@ class References:
         else:
             self._own_file()
             self._begin(restored(calibrated, path, self._unowned))
+
+    def see(self, seen: FrameResult) -> None:
+        """Take frames to follow from; all else is the main thread's."""
+        self.frames.see(seen.frame, seen.reconstruction)
+
+    def stop(self, timeout_s: float) -> None:
+        """Let another daemon have the stored reference."""
+        self.close()
 
     def close(self) -> None:
         """Let another daemon have the stored reference."""
@@ -102,7 +113,7 @@ class References:
         taken = origin.calibration
         return ReferenceTaken(len(images), taken.crc32, taken.noise_grey, unstored=origin.reason)
 
-    def poll(self, held: bool) -> bool:
+    def follow(self, held: bool) -> bool:
         """Follow where frames for it have come; True when `calibration` or what `info` tells changed.
 
         Parameters

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from tacshade_edge.daemon.pipeline.ledger import FrameOutcome
-from tacshade_edge.daemon.pipeline.workers import Sink
 from tacshade_edge.reasons import Reason
-from tacshade_edge.types import U8, Calibration, Frame, Need, Reconstruction
+from tacshade_edge.types import U8, Frame, Reconstruction
 
 UNTOUCHED_FRAMES = 10
 # A dent that a release leaves is gone after 3 s; a soft skin under a long press needs a little more.
@@ -56,10 +54,6 @@ class UntouchedFrames:
         elif self._finished is None and now_ns >= max(self._due_ns, self._touched_ns + int(REST_S * 1e9)):
             self._add(frame, result.degraded if result else None)
 
-    def observing(self, sink: Sink) -> Sink:
-        """`sink`, whose frames are seen."""
-        return _ObservingSink(sink, self)
-
     def _add(self, frame: Frame, doubt: Reason | None) -> None:
         if doubt is not None:
             self._spoil()
@@ -78,19 +72,3 @@ class UntouchedFrames:
         if self._images:
             self._images = []
             self.spoiled += 1
-
-
-class _ObservingSink:
-    def __init__(self, sink: Sink, frames: UntouchedFrames) -> None:
-        self._sink = sink
-        self._frames = frames
-
-    def need(self) -> Need:
-        return self._sink.need()
-
-    def deliver(
-        self, frame: Frame, result: Reconstruction | None, calibration: Calibration | None
-    ) -> FrameOutcome | None:
-        outcome = self._sink.deliver(frame, result, calibration)
-        self._frames.see(frame, result)
-        return outcome

@@ -4,27 +4,27 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from tacshade_edge.daemon.pipeline.ledger import FrameOutcome
-from tacshade_edge.daemon.pipeline.workers import Sink
+from tacshade_edge.daemon.pipeline.observer import SERIAL_STOPPED_S, FrameObserver, FrameResult
 from tacshade_edge.daemon.robot.motion import RobotMotion
 from tacshade_edge.daemon.robot.serial_channel import SILENT_NS, SerialChannel
 from tacshade_edge.daemon.robot.serial_commands import SerialCommands
 from tacshade_edge.daemon.robot.shared_line import FollowingChannel, SharedLine, TellingMotion
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.protocol.messages import Request, encode_status
+from tacshade_edge.protocol.results import RequestResult
 from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.types import Calibration, Frame, Need, Reconstruction
+from tacshade_edge.types import Frame, Need
 
 # A frame waits so long for the pose after it: that of a robot that sends ten a second is there then.
 POSE_WAIT_NS = 120_000_000
 LATENCY_MAX_MS = 1
 
 
-class Robot:
+class Robot(FrameObserver):
     """Its line, its clock and its poses.
 
     Parameters
@@ -47,6 +47,9 @@ class Robot:
     motion : RobotMotion
     commands : SerialCommands
     """
+
+    health_key = "serial"
+    stop_s = SERIAL_STOPPED_S
 
     def __init__(
         self,
@@ -106,14 +109,23 @@ class Robot:
             self._published = status
             self._publish_status(status)
 
-    def as_dict(self) -> dict[str, Any]:
-        """For ``health``."""
+    def health(self) -> dict[str, Any]:
+        """The line's, the clock's and the frames' counts."""
         frames = {"frames_with_pose": self._with_pose, "frames_without_pose": self._without_pose}
         return {**self._channel.as_dict(), **self.motion.as_dict(), **frames}
 
-    def adding_poses(self, sink: Sink) -> Sink:
-        """`sink`, whose frames get their poses, and whose results answer the robot's captures."""
-        return _PoseSink(sink, self)
+    def need(self) -> Need:
+        """Depth, while a capture waits."""
+        return Need.DEPTH if self.commands.capture_pending else Need.CONTACT
+
+    def see(self, seen: FrameResult) -> None:
+        """Answer the robot's captures."""
+        if seen.reconstruction is not None:
+            self.commands.observe(seen.frame, seen.reconstruction)
+
+    def answer(self, request: Request, outcome: RequestResult | Mapping[str, Any] | Reason) -> bool:
+        """Answer what the robot asked for over its line."""
+        return self.commands.complete(request, outcome)
 
     def with_interpolated_pose(self, frame: Frame) -> Frame:
         """Wait for the pose after the frame, and give the frame the pose between it and the one before."""
@@ -133,21 +145,3 @@ class Robot:
             return frame
         self._with_pose += 1
         return replace(frame, pose=known[0], pose_error_us=known[1])
-
-
-class _PoseSink:
-    def __init__(self, sink: Sink, robot: Robot) -> None:
-        self._sink = sink
-        self._robot = robot
-
-    def need(self) -> Need:
-        return (Need.DEPTH if self._robot.commands.capture_pending else Need.CONTACT) | self._sink.need()
-
-    def deliver(
-        self, frame: Frame, result: Reconstruction | None, calibration: Calibration | None
-    ) -> FrameOutcome | None:
-        frame = self._robot.with_pose(frame)
-        outcome = self._sink.deliver(frame, result, calibration)
-        if result is not None:
-            self._robot.commands.observe(frame, result)
-        return outcome

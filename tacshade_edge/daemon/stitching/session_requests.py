@@ -7,21 +7,20 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tacshade_edge.daemon.pipeline.ledger import FrameOutcome
-from tacshade_edge.daemon.pipeline.workers import Sink
+from tacshade_edge.daemon.pipeline.observer import STITCHED_S, FrameObserver, FrameResult
 from tacshade_edge.daemon.requests import Reply
 from tacshade_edge.daemon.stitching.map_publisher import MapPublisher
 from tacshade_edge.daemon.stitching.session_worker import SessionWorker
 from tacshade_edge.protocol.messages import Request, encode_status
 from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.types import Calibration, Frame, Need, Reconstruction
+from tacshade_edge.types import Need
 
 if TYPE_CHECKING:
     from tacshade_edge.daemon.robot.robot import Robot  # imports pyserial
 
 
-class SessionRequests:
-    """The App's side of `SessionWorker`; used by the main thread, but for the sink.
+class SessionRequests(FrameObserver):
+    """The App's side of `SessionWorker`; used by the main thread, but for the frames.
 
     Parameters
     ----------
@@ -36,6 +35,9 @@ class SessionRequests:
     robot : Robot or None
         Gives frames their poses and commands sessions too; without one the source's frames have poses.
     """
+
+    health_key = "stitching"
+    stop_s = STITCHED_S
 
     def __init__(
         self, folder: Path, sensor_id: str, publish: Callable[[str, bytes], None], reply: Reply, robot: Robot | None
@@ -61,10 +63,16 @@ class SessionRequests:
         """Add what waits; an open session, or one whose end takes longer, stays open on the disk."""
         self._worker.stop()
         self._thread.join(timeout_s)
+        self.poll()
 
-    def observing(self, sink: Sink) -> Sink:
-        """`sink`, whose results may be presses."""
-        return _ObservingSink(sink, self._worker)
+    def need(self) -> Need:
+        """Depth, while a session is open."""
+        return Need.DEPTH if self._worker.open else Need.CONTACT
+
+    def see(self, seen: FrameResult) -> None:
+        """Look whether a frame is a press."""
+        if seen.reconstruction is not None and seen.calibration is not None:
+            self._worker.observe(seen.frame, seen.reconstruction, seen.calibration)
 
     def handle(self, request: Request) -> None:
         """Begin to do what ``req/stitch`` wants; its one reply comes when that is done."""
@@ -93,22 +101,6 @@ class SessionRequests:
             self._published = status
             self._publish("status/stitching", status)
 
-    def as_dict(self) -> dict[str, int]:
-        """For ``health``."""
+    def health(self) -> dict[str, int]:
+        """The worker's counts."""
         return self._worker.as_dict()
-
-
-class _ObservingSink:
-    def __init__(self, sink: Sink, worker: SessionWorker) -> None:
-        self._sink = sink
-        self._worker = worker
-
-    def need(self) -> Need:
-        return (Need.DEPTH if self._worker.open else Need.CONTACT) | self._sink.need()
-
-    def deliver(
-        self, frame: Frame, result: Reconstruction | None, calibration: Calibration | None
-    ) -> FrameOutcome | None:
-        if result is not None and calibration is not None:  # first: who is told of a contact may begin a session
-            self._worker.observe(frame, result, calibration)
-        return self._sink.deliver(frame, result, calibration)

@@ -3,43 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 import pytest
 
 from tacshade_edge.daemon.hand.finger import PERIOD_NS, TellingFinger
 from tacshade_edge.daemon.hand.lines import Lines
+from tacshade_edge.daemon.pipeline.observer import FrameResult, SourceState
 from tacshade_edge.protocol.hand import Finger
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.rigid import shift
-from tacshade_edge.types import Calibration, Frame, HeightMap, Need, ObjectCloud, Reconstruction, TouchedObject
-
-
-class PlainSink:
-    """Asks for nothing, keeps what comes."""
-
-    def __init__(self) -> None:
-        self.delivered: list[Reconstruction | None] = []
-
-    def need(self) -> Need:
-        return Need.CONTACT
-
-    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration | None) -> Any:
-        self.delivered.append(result)
-        return "unasked"
+from tacshade_edge.settings import Settings
+from tacshade_edge.types import Frame, HeightMap, Need, ObjectCloud, Reconstruction, TouchedObject
 
 
 class Rig:
     def __init__(self) -> None:
         self.lines = Lines(["thumb"])
         self.finger = TellingFinger(self.lines.fingers["thumb"], shift(1, 2, 3))
-        self.inner = PlainSink()
-        self.sink = self.finger.observing(self.inner)
 
-    def deliver(self, result: Reconstruction | None) -> None:
+    def see(self, result: Reconstruction | None) -> None:
         frame = Frame(0, 0, 0, np.zeros((1, 1), np.uint8))
-        assert self.sink.deliver(frame, result, None) == "unasked"
+        self.finger.see(FrameResult(frame, None, result))
 
     def told(self) -> list[Finger]:
         return list(iter(self.lines.hand["thumb"].take, None))
@@ -63,59 +48,58 @@ def result(t_ns: int, *, contact: bool = False, reason: Reason | None = None) ->
 
 
 def test_depth_is_asked_for_while_somebody_listens(rig: Rig) -> None:
-    assert rig.sink.need() == Need.DEPTH
+    assert rig.finger.need() == Need.DEPTH
     rig.lines.want(False)
-    assert rig.sink.need() == Need.CONTACT
+    assert rig.finger.need() == Need.CONTACT
 
 
 def test_every_frame_in_contact_is_told_in_the_hands_frame(rig: Rig) -> None:
     for t_ns in (0, 1, 2):
-        rig.deliver(result(t_ns, contact=True))
+        rig.see(result(t_ns, contact=True))
     told = rig.told()
     assert [f.t_ns for f in told] == [0, 1, 2]
     assert {f.objects[0].centroid_mm for f in told} == {(1.0, 2.0, 23.0)}
-    assert len(rig.inner.delivered) == 3
 
 
 def test_without_contact_it_tells_ten_times_a_second(rig: Rig) -> None:
     for t_ns in range(0, 3 * PERIOD_NS, PERIOD_NS // 5):
-        rig.deliver(result(t_ns))
+        rig.see(result(t_ns))
     assert [f.t_ns for f in rig.told()] == [0, PERIOD_NS, 2 * PERIOD_NS]
 
 
 def test_every_change_is_told_at_once(rig: Rig) -> None:
     torn = Reason(ReasonCode.TORN, "torn")
     for t_ns, more in enumerate(({}, {"contact": True}, {}, {}, {"reason": torn}, {"reason": torn}, {})):
-        rig.deliver(result(t_ns, **more))  # type: ignore[arg-type]
+        rig.see(result(t_ns, **more))  # type: ignore[arg-type]
     states = [(f.t_ns, f.state, f.reason_code) for f in rig.told()]
     assert states == [(0, "free", ""), (1, "contact", ""), (2, "free", ""), (4, "away", "torn"), (6, "free", "")]
 
 
 def test_a_clock_that_went_back_does_not_silence_it(rig: Rig) -> None:
-    rig.deliver(result(10 * PERIOD_NS))
-    rig.deliver(result(3))
+    rig.see(result(10 * PERIOD_NS))
+    rig.see(result(3))
     assert len(rig.told()) == 2
 
 
 def test_nothing_is_told_while_nobody_listens_and_all_of_it_when_somebody_does(rig: Rig) -> None:
-    rig.deliver(result(0))
+    rig.see(result(0))
     rig.lines.want(False)
-    rig.deliver(result(1))
-    rig.deliver(None)
+    rig.see(result(1))
+    rig.see(None)
     rig.lines.want(True)
-    rig.deliver(None)  # asked for before
-    rig.deliver(result(2))
+    rig.see(None)  # asked for before
+    rig.see(result(2))
     assert [f.t_ns for f in rig.told()] == [0, 2]
 
 
 def test_a_camera_that_is_gone_is_told_whoever_listens(rig: Rig) -> None:
     rig.lines.want(False)
-    rig.finger.lose(Reason(ReasonCode.LOST, "gone"))
+    rig.finger.source_changed(SourceState("away", Reason(ReasonCode.LOST, "gone")))
     assert rig.told() == [Finger(state="away", reason_code="lost")]
 
 
 def test_a_new_place_in_the_hand_holds_from_the_next_frame_on(rig: Rig) -> None:
-    rig.finger.hand_T_sensor = shift(0, 0, -20)
-    rig.deliver(result(0, contact=True))
+    rig.finger.settings_changed(Settings(hand_T_sensor=(0, 0, -20, 1, 0, 0, 0)))
+    rig.see(result(0, contact=True))
     (told,) = rig.told()
     assert told.objects[0].centroid_mm == (0.0, 0.0, 0.0)

@@ -2,31 +2,37 @@ from __future__ import annotations
 
 import threading
 import time
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.daemon.pipeline.ledger import FrameLedger, FrameOutcome
+from tacshade_edge.daemon.pipeline.ledger import FrameLedger, Timings
+from tacshade_edge.daemon.pipeline.observer import FrameObserver, FrameResult, SourceState
 from tacshade_edge.daemon.pipeline.pipeline import Crash, Pipeline, crashes_to
-from tacshade_edge.daemon.pipeline.workers import SourceState
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import make_reconstructor
-from tacshade_edge.types import Calibration, Frame, Need, Reconstruction
+from tacshade_edge.types import Calibration, Need
 from tools.testbed.patience import stretched
 
 
-class Published:
+class Published(FrameObserver):
+    def __init__(self, ledger: FrameLedger) -> None:
+        self._ledger = ledger
+
     def need(self) -> Need:
         return Need.DEPTH
 
-    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> FrameOutcome | None:
-        return "published"
+    def see(self, seen: FrameResult) -> None:
+        self._ledger.settle(seen.frame.seq, "published")
 
 
-def pipeline(source: Any, calibration: Calibration, told: list[SourceState], sink: Any = None) -> Pipeline:
-    reconstructor = make_reconstructor(calibration, PROFILES["fast"])
-    return Pipeline(source, reconstructor, sink or Published(), FrameLedger(), told.append)
+def pipeline(
+    source: Any, calibration: Calibration, told: list[SourceState], make: type[FrameObserver] = Published
+) -> Pipeline:
+    running, ledger = SimpleNamespace(reconstructor=make_reconstructor(calibration, PROFILES["fast"])), FrameLedger()
+    return Pipeline(source, running, [make(ledger)], ledger, Timings(), told.append)  # type: ignore[call-arg]
 
 
 def test_a_stop_finishes_the_frame_that_waits(
@@ -74,11 +80,11 @@ def test_a_defect_in_a_step_is_reported(calibration: Calibration, scripted: Any,
     crashes: list[Crash] = []
 
     class Broken(Published):
-        def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> FrameOutcome | None:
+        def see(self, seen: FrameResult) -> None:
             raise ZeroDivisionError("a defect")
 
     with crashes_to(crashes.append):
-        line = pipeline(scripted([calibration.reference_grey, None]), calibration, [], Broken())
+        line = pipeline(scripted([calibration.reference_grey, None]), calibration, [], Broken)
         line.start()
         wait_until(lambda: crashes != [])
         line.stop(10)

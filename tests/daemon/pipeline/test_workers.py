@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -10,7 +11,8 @@ from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.pipeline.ledger import FrameLedger, FrameOutcome, Timings
 from tacshade_edge.daemon.pipeline.mailbox import Mailbox
-from tacshade_edge.daemon.pipeline.workers import Grab, Reconstruct, SourceState
+from tacshade_edge.daemon.pipeline.observer import FrameObserver, FrameResult, SourceState
+from tacshade_edge.daemon.pipeline.workers import Grab, Reconstruct
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -118,42 +120,62 @@ def test_what_can_never_work_leaves_the_thread(scripted: Any) -> None:
     assert not r.source.is_open
 
 
-class Collected:
-    """A sink that keeps everything and settles by kind."""
+class Collected(FrameObserver):
+    """Keeps everything and settles by kind."""
 
-    def __init__(self, *, asks: bool = True) -> None:
+    def __init__(self, ledger: FrameLedger, *, asks: bool = True) -> None:
+        self.ledger = ledger
         self.asks = asks
         self.results: list[Reconstruction] = []
 
     def need(self) -> Need:
         return Need.DEPTH if self.asks else Need.CONTACT
 
-    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> FrameOutcome | None:
-        if result is None:
+    def see(self, seen: FrameResult) -> None:
+        self.ledger.settle(seen.frame.seq, self._outcome(seen))
+
+    def _outcome(self, seen: FrameResult) -> FrameOutcome:
+        if (result := seen.reconstruction) is None:
             return "unasked"
-        assert frame.seq == result.seq
-        assert calibration.crc32
+        assert seen.frame.seq == result.seq
+        assert seen.calibration
+        assert seen.calibration.crc32
+        assert seen.step_ms > 0
         self.results.append(result)
         if not result.valid:
             return "invalid"
         return "published" if result.contact else "without_contact"
 
 
+class Watched(FrameObserver):
+    """Asks for depth while it watches."""
+
+    def __init__(self, *, on: bool) -> None:
+        self.on = on
+        self.seqs: list[int] = []
+
+    def need(self) -> Need:
+        return Need.DEPTH if self.on else Need.CONTACT
+
+    def see(self, seen: FrameResult) -> None:
+        if self.on and seen.reconstruction:
+            self.seqs.append(seen.reconstruction.seq)
+
+
 def test_reconstruct_delivers_times_and_settles_every_frame(
     calibration: Calibration, pictures: Any, wait_until: Any
 ) -> None:
     mailbox: Mailbox[Frame] = Mailbox()
-    ledger, timings, sink = FrameLedger(), Timings(), Collected()
-    worker = Reconstruct(make_reconstructor(calibration, PROFILES["fast"]), mailbox, ledger, timings, sink)
-    watched: list[int] = []
-    worker.watch = lambda frame, result: watched.append(result.seq)
+    ledger, timings, watched = FrameLedger(), Timings(), Watched(on=True)
+    running, sink = SimpleNamespace(reconstructor=make_reconstructor(calibration, PROFILES["fast"])), Collected(ledger)
+    worker = Reconstruct(running, mailbox, timings, [sink, watched])
     thread = threading.Thread(target=worker.run)
     thread.start()
     for seq, image in enumerate([pictures.free, pictures.touched, pictures.black]):
         ledger.captured(seq)
         assert mailbox.put(Frame(seq, 0, 0, image)) is None
-        wait_until(lambda seq=seq: len(watched) == seq + 1)
-    worker.reconstructor = Reconstructor(calibration, PROFILES["paper"])
+        wait_until(lambda seq=seq: len(watched.seqs) == seq + 1)
+    running.reconstructor = Reconstructor(calibration, PROFILES["paper"])
     ledger.captured(3)
     mailbox.put(Frame(3, 0, 0, pictures.free))
     mailbox.close()
@@ -186,14 +208,15 @@ def test_a_contact_that_nobody_asks_for_ends_at_the_gate_unless_it_is_watched(
     calibration: Calibration, pictures: Any, wait_until: Any
 ) -> None:
     mailbox: Mailbox[Frame] = Mailbox()
-    ledger, timings, sink = FrameLedger(), Timings(), Collected(asks=False)
-    worker = Reconstruct(make_reconstructor(calibration, PROFILES["fast"]), mailbox, ledger, timings, sink)
-    watched: list[int] = []
+    ledger, watched = FrameLedger(), Watched(on=False)
+    sink = Collected(ledger, asks=False)
+    running = SimpleNamespace(reconstructor=make_reconstructor(calibration, PROFILES["fast"]))
+    worker = Reconstruct(running, mailbox, Timings(), [sink, watched])
     thread = threading.Thread(target=worker.run)
     thread.start()
     for seq, image in enumerate([pictures.free, pictures.touched, pictures.black, pictures.touched]):
         if seq == 3:
-            worker.watch = lambda frame, result: watched.append(result.seq)
+            watched.on = True
         ledger.captured(seq)
         mailbox.put(Frame(seq, 0, 0, image))
         wait_until(lambda seq=seq: worker.processed == seq + 1)
@@ -205,4 +228,4 @@ def test_a_contact_that_nobody_asks_for_ends_at_the_gate_unless_it_is_watched(
         **dict.fromkeys(("without_contact", "unasked", "invalid", "published"), 1),
         "captured": 4,
     }
-    wait_until(lambda: watched == [3])
+    assert watched.seqs == [3]

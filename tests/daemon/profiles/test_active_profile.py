@@ -7,9 +7,6 @@ from typing import Any
 import pytest
 
 from tacshade_edge.core.profiles import AUTO, LADDER, PROFILES
-from tacshade_edge.daemon.pipeline.ledger import FrameLedger, Timings
-from tacshade_edge.daemon.pipeline.mailbox import Mailbox
-from tacshade_edge.daemon.pipeline.workers import Reconstruct
 from tacshade_edge.daemon.profiles.active_profile import CALM_S, ActiveProfile, Stepped, step_cost_ms
 from tacshade_edge.daemon.profiles.profile_chooser import PATIENCE_S, WINDOW_FRAMES
 from tacshade_edge.inference.network import make_reconstructor
@@ -23,24 +20,22 @@ BEST, CHEAPEST = LADDER[0], LADDER[-1]
 
 
 class Daemon:
-    """An active profile whose worker's measurements the test tells."""
+    """An active profile whose measurements the test tells."""
 
     def __init__(self, calibration: Calibration, choice: str = AUTO, budget_ms: float | None = BUDGET_MS) -> None:
         made = make_reconstructor(calibration, PROFILES[CHEAPEST])
-        self.worker = Reconstruct(made, Mailbox[Frame](), FrameLedger(), Timings(), None)  # type: ignore[arg-type]
         self.stepped: list[Stepped] = []
-        self.active = ActiveProfile(self.worker, choice, budget_ms, self.stepped.append)
+        self.active = ActiveProfile(made, choice, budget_ms, self.stepped.append)
         self.now_ns = 0
 
     def frames(self, count: int, latency_ms: float, apart_s: float = 0.1) -> None:
         for _ in range(count):
             self.now_ns += round(1e9 * apart_s)
-            assert self.worker.observe is not None
-            self.worker.observe(self.profile, self.now_ns, latency_ms, 1.0)
+            self.active.observe(self.profile, self.now_ns, latency_ms, 1.0)
 
     @property
     def profile(self) -> str:
-        return self.worker.reconstructor.profile.name
+        return self.active.reconstructor.profile.name
 
     def fall(self) -> None:
         """To the cheapest."""
@@ -62,7 +57,7 @@ def test_a_step_is_wanted_in_the_one_thread_and_done_in_the_other(
     daemon = Daemon(calibration)
     assert (daemon.profile, daemon.active.choice) == (BEST, AUTO)
     assert f"profile auto: begins with {BEST} for a budget of 10000 ms; a step here: {BEST} " in caplog.text
-    assert daemon.active.budget() == {
+    assert daemon.active.health() == {
         "latency_budget_ms": BUDGET_MS,
         "profile": BEST,
         "kept": None,
@@ -80,20 +75,20 @@ def test_a_step_is_wanted_in_the_one_thread_and_done_in_the_other(
     )
     assert caplog.records[-1].levelno == logging.INFO
     daemon.frames(WINDOW_FRAMES, 1.0)
-    budget = daemon.active.budget()
+    budget = daemon.active.health()
     assert budget is not None
     assert (budget["kept"], budget["p90_ms"], budget["steps_down"]) == (True, 1.0, 1)
 
 
 def test_a_step_makes_nothing_and_a_profile_comes_back_as_it_was(calibration: Calibration) -> None:
     daemon = Daemon(calibration)
-    best = daemon.worker.reconstructor
+    best = daemon.active.reconstructor
     daemon.fall()
     while daemon.profile != BEST:
         daemon.frames(WINDOW_FRAMES, 1.0, apart_s=PATIENCE_S / (WINDOW_FRAMES - 2))
         assert daemon.active.step(daemon.stepped[-1])
-    assert daemon.worker.reconstructor is best
-    budget = daemon.active.budget()
+    assert daemon.active.reconstructor is best
+    budget = daemon.active.health()
     assert budget is not None
     assert budget["steps_down"] == budget["steps_up"] == len(LADDER) - 1
 
@@ -103,11 +98,11 @@ def test_another_reference_or_calibration_keeps_the_profile_and_what_was_found_o
     daemon.frames(7, 2 * BUDGET_MS)
     other = with_crc(replace(calibration, noise_grey=calibration.noise_grey + 1))
     daemon.active.use(other)  # between the wish and the step
-    assert (daemon.profile, daemon.worker.reconstructor.calibration.crc32) == (BEST, other.crc32)
+    assert (daemon.profile, daemon.active.reconstructor.calibration.crc32) == (BEST, other.crc32)
     assert daemon.active.step(daemon.stepped[0])
-    assert (daemon.profile, daemon.worker.reconstructor.calibration.crc32) == (LADDER[1], other.crc32)
+    assert (daemon.profile, daemon.active.reconstructor.calibration.crc32) == (LADDER[1], other.crc32)
     daemon.active.reload(AUTO, BUDGET_MS, calibration)
-    assert (daemon.profile, daemon.worker.reconstructor.calibration.crc32) == (LADDER[1], calibration.crc32)
+    assert (daemon.profile, daemon.active.reconstructor.calibration.crc32) == (LADDER[1], calibration.crc32)
     daemon.active.reload(AUTO, 2 * BUDGET_MS, calibration)  # another budget: from the start
     assert (daemon.profile, daemon.active.budget_ms) == (BEST, 2 * BUDGET_MS)
 
@@ -117,8 +112,10 @@ def test_a_profile_that_was_asked_for_ends_auto_and_a_late_wish_is_not_heard(cal
     assert daemon.active.choices == (*PROFILES, AUTO)
     daemon.frames(7, 2 * BUDGET_MS)
     daemon.active.choose(CHEAPEST)
-    assert (daemon.profile, daemon.active.choice, daemon.worker.observe) == (CHEAPEST, CHEAPEST, None)
-    assert daemon.active.budget() is None
+    assert (daemon.profile, daemon.active.choice) == (CHEAPEST, CHEAPEST)
+    assert daemon.active.health() is None
+    daemon.frames(20, 2 * BUDGET_MS)
+    assert len(daemon.stepped) == 1
     assert not daemon.active.step(daemon.stepped[0])
     daemon.active.choose(AUTO)
     assert not daemon.active.step(daemon.stepped[0])  # that of the chooser before
@@ -127,11 +124,12 @@ def test_a_profile_that_was_asked_for_ends_auto_and_a_late_wish_is_not_heard(cal
 
 def test_a_fixed_profile_watches_nothing(calibration: Calibration) -> None:
     daemon = Daemon(calibration, CHEAPEST, None)
-    made = daemon.worker.reconstructor
+    made = daemon.active.reconstructor
     assert daemon.active.choices == tuple(PROFILES)
-    assert (daemon.active.budget(), daemon.worker.observe) == (None, None)
+    daemon.frames(20, 2 * BUDGET_MS)
+    assert (daemon.active.health(), daemon.stepped) == (None, [])
     daemon.active.reload(CHEAPEST, None, calibration)
-    assert daemon.worker.reconstructor is not made
+    assert daemon.active.reconstructor is not made
     daemon.active.reload("paper", None, calibration)
     assert daemon.profile == "paper"
 

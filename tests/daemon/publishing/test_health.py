@@ -4,12 +4,21 @@ import json
 import re
 from pathlib import Path
 
+import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
 from tacshade_edge.daemon.pipeline.ledger import FrameLedger, FrameOutcome, Timings
+from tacshade_edge.daemon.pipeline.observer import FrameResult
+from tacshade_edge.daemon.profiles.active_profile import ActiveProfile
 from tacshade_edge.daemon.publishing.health import Health
+from tacshade_edge.daemon.recording.record_requests import RecordRequests
+from tacshade_edge.daemon.reference.references import References
+from tacshade_edge.daemon.robot.robot import Robot
+from tacshade_edge.daemon.stitching.session_requests import SessionRequests
 from tacshade_edge.protocol.messages import encode_health
+from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.types import Frame, HeightMap, ObjectCloud, Reconstruction
 
 DOCUMENT = Path(__file__).parents[3] / "docs" / "mqtt.md"
 
@@ -21,17 +30,27 @@ def test_rates_are_between_two_snapshots() -> None:
     for seq, end in enumerate(ends):
         ledger.captured(seq)
         ledger.settle(seq, end)
-    first = health.snapshot(None, 7, {"connects": 1}, {"written": 3}, None)
+    first = health.snapshot(7, {"connects": 1})
     assert first["source_dropped"] == 7
     assert first["mqtt"] == {"connects": 1}
-    assert first["recorder"] == {"written": 3}
     assert first["frames"]["captured"] == 5
     assert first["latency_ms"] is None
     # one interval, so the rates have the ratio of the counts; they are rounded
     rates = [first[name] / first["capture_fps"] for name in ("delivered_fps", "published_fps")]
     assert [round(rate, 2) for rate in rates] == [0.8, 0.4]
-    second = health.snapshot(None, 7, {}, {}, None)
+    second = health.snapshot(7, {})
     assert (second["capture_fps"], second["delivered_fps"], second["published_fps"]) == (0, 0, 0)
+
+
+def test_the_reason_of_the_newest_frame_stays_while_contacts_without_depth_follow() -> None:
+    health = Health(FrameLedger(), Timings())
+    frame = Frame(0, 0, 0, np.zeros((2, 2), np.uint8))
+    empty = HeightMap(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.bool_), 0, 0, 1)
+    cloud = ObjectCloud(np.zeros((0, 3), np.float32), np.zeros(0, np.uint16))
+    torn = Reason(ReasonCode.TORN, "torn")
+    health.see(FrameResult(frame, None, Reconstruction(0, 0, 0, "", False, torn, False, False, None, empty, cloud)))
+    health.see(FrameResult(frame, None, None))
+    assert health.snapshot(0, {})["invalid_reason_code"] == "torn"
 
 
 def test_every_key_is_documented() -> None:
@@ -41,9 +60,9 @@ def test_every_key_is_documented() -> None:
     }
     timings = Timings()
     timings.add({"wait": 1.0, "capture_to_offer": 2.0})
-    message = json.loads(encode_health(Health(FrameLedger(), timings).snapshot(None, 0, {}, {}, None)))
-    # The app adds these: with a robot, where frames have poses, and how the reference follows.
-    assert set(message) | {"serial", "stitching", "reference"} == documented
+    message = json.loads(encode_health(Health(FrameLedger(), timings).snapshot(0, {})))
+    reported = {each.health_key for each in (Robot, SessionRequests, References, RecordRequests, ActiveProfile)}
+    assert set(message) | reported == documented
     assert message["latency_ms"] == {"p50": 2.0, "p99": 2.0}
     assert message["stages_ms"] == {"wait": {"p50": 1.0, "p99": 1.0}}
     for name in message["frames"]:
@@ -62,5 +81,5 @@ def test_captured_is_the_sum_of_the_others_in_every_snapshot(steps: list[int]) -
         else:
             ledger.captured(seq)
             waiting.append(seq)
-        frames = health.snapshot(None, 0, {}, {}, None)["frames"]
+        frames = health.snapshot(0, {})["frames"]
         assert frames.pop("captured") == sum(frames.values())

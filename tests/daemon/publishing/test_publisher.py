@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.daemon.pipeline.ledger import FrameOutcome
+from tacshade_edge.daemon.pipeline.observer import FrameResult
 from tacshade_edge.daemon.publishing.publisher import Publisher
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.protocol import wire
@@ -18,6 +20,10 @@ POSE = Pose(5, 1.0, 2.0, 3.0, 0.0, 1.0, 0.0, 0.0)
 PERIOD_NS = 20_000_000  # 50 frames per second
 
 
+def ignore(*_: object) -> None:
+    """Of what a test has no use for."""
+
+
 class Played:
     """What the publisher offered for a run of pictures."""
 
@@ -25,19 +31,21 @@ class Played:
         self, calibration: Calibration, images: list[Any], wanted: tuple[str, ...] = ("height", "cloud", "contact")
     ) -> None:
         self.offers: list[tuple[str, bytes, int]] = []
+        settled: dict[int, FrameOutcome] = {}
         publisher = Publisher(
             lambda stream, payload, seq: self.offers.append((stream, payload, seq)),
             lambda topic, payload: pytest.fail(f"{topic}: {payload!r}"),
+            settled.__setitem__,
             lambda stream: stream in wanted,
         )
         publisher.fps = 12.5
         reconstructor = make_reconstructor(calibration, PROFILES["balanced"])
-        self.outcomes = []
         for seq, image in enumerate(images):
             frame = Frame(seq, seq * PERIOD_NS, 0, image)
             result = reconstructor.step(frame, need=publisher.need())
-            self.outcomes.append(publisher.deliver(frame, result, calibration))
-        self.latest = publisher.latest
+            publisher.see(FrameResult(frame, calibration, result))
+        self.outcomes = [settled.pop(seq, None) for seq in range(len(images))]
+        assert not settled
 
     def seqs(self, stream: str) -> list[int]:
         return [seq for s, _, seq in self.offers if s == stream]
@@ -80,11 +88,11 @@ def test_an_invalid_frame_ends_a_contact_with_a_flag_and_is_silent_after(
 
 def test_a_known_pose_goes_with_height_and_cloud(calibration: Calibration, pictures: Any) -> None:
     offers: list[tuple[str, bytes]] = []
-    publisher = Publisher(lambda stream, payload, _: offers.append((stream, payload)), lambda topic, payload: None)
+    publisher = Publisher(lambda stream, payload, _: offers.append((stream, payload)), ignore, ignore)
     reconstructor = make_reconstructor(calibration, PROFILES["balanced"])
     frames = [Frame(0, 5, 0, pictures.touched, POSE, 70), Frame(1, 6, 0, pictures.touched)]
     for frame in frames:
-        publisher.deliver(frame, reconstructor.step(frame), calibration)
+        publisher.see(FrameResult(frame, calibration, reconstructor.step(frame)))
     decoded = [wire.decode(payload) for stream, payload in offers if stream != "contact"]
     assert [(m.pose, m.pose_error_us) for m in decoded] == [(POSE, 70)] * 4 + [(None, 0)] * 4
 
@@ -110,21 +118,15 @@ def test_an_output_that_nobody_wants_is_left_out_but_for_begin_and_end_of_a_cont
     assert only_height.seqs("contact") == [2, 5]
 
 
-def test_a_contact_of_which_nobody_wants_anything_is_counted_and_its_picture_kept(
-    calibration: Calibration, pictures: Any
-) -> None:
+def test_a_contact_of_which_nobody_wants_anything_is_counted(calibration: Calibration, pictures: Any) -> None:
     played = Played(calibration, [pictures.free, pictures.touched, pictures.touched], ())
     assert played.offers == []
     assert played.outcomes == ["without_contact", "unasked", "unasked"]
-    assert played.latest is not None
-    frame, result = played.latest
-    assert (frame.seq, result.seq) == (2, 0)
-    assert Played(calibration, [pictures.touched], ()).latest is None
 
 
 def test_displacement_is_asked_for_while_it_has_a_subscriber_or_always() -> None:
     def need(*wanted: str, always: bool = False) -> Need:
-        return Publisher(lambda *_: None, lambda *_: None, lambda stream: stream in wanted, always).need()
+        return Publisher(ignore, ignore, ignore, lambda stream: stream in wanted, always).need()
 
     assert need() is Need.CONTACT
     assert need("contact") is need("height") is need("cloud") is Need.DEPTH
@@ -152,7 +154,7 @@ def test_a_slip_is_told_once_at_its_onset(calibration: Calibration, pictures: An
         assert topic == "event/slip"
         told.append(json.loads(payload))
 
-    publisher = Publisher(lambda *_: None, tell)
+    publisher = Publisher(ignore, tell, ignore)
     frame = Frame(0, 0, 0, pictures.touched)
     result = make_reconstructor(calibration, PROFILES["fast"]).step(frame)
     one = replace(result.objects[0], id=7)
@@ -162,7 +164,7 @@ def test_a_slip_is_told_once_at_its_onset(calibration: Calibration, pictures: An
         objects = [replace(one, slip=slip, slip_mm_s=20.0)]
         if other is not None:
             objects.append(replace(one, label=2, id=8, slip=other, slip_mm_s=9.0))
-        publisher.deliver(frame, replace(result, seq=seq, objects=tuple(objects)), calibration)
+        publisher.see(FrameResult(frame, calibration, replace(result, seq=seq, objects=tuple(objects))))
     assert [(event["seq"], event["id"], event["slip_mm_s"]) for event in told] == [
         (1, 7, 20.0),
         (2, 8, 9.0),

@@ -15,9 +15,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tacshade_edge.daemon.pipeline.ledger import FrameLedger
-from tacshade_edge.daemon.pipeline.mailbox import Mailbox
-from tacshade_edge.daemon.pipeline.workers import Grab
 from tacshade_edge.daemon.recording import record
 from tacshade_edge.daemon.recording.record import STOPPED, TIME, LiveRecorder, Recorded, RecordingEnded
 from tacshade_edge.errors import ConfigError, DeviceError
@@ -34,9 +31,8 @@ class Live:
     """A recorder and the tap that the grab thread would use."""
 
     def __init__(self, calibration: Calibration, folder: Path) -> None:
-        self.grab = Grab(None, Mailbox[Frame](), FrameLedger(), lambda _: None)  # type: ignore[arg-type]
         self.reports: list[RecordingEnded] = []
-        self.recorder = LiveRecorder(self.grab, self.reports.append)
+        self.recorder = LiveRecorder(self.reports.append)
         self.folder = folder / "recs" / "one"
         self._calibration = calibration
 
@@ -46,7 +42,7 @@ class Live:
 
     def give(self, *frames: Frame) -> None:
         for frame in frames:
-            if tap := self.grab.tap:
+            if tap := self.recorder.tap:
                 tap(frame)
 
     def poll_until_ended(self) -> Recorded:
@@ -63,7 +59,7 @@ class Live:
         recorded = self.poll_until_ended()
         self.recorder.join(patience(20))
         assert not any(thread.name == "record" for thread in threading.enumerate())
-        assert self.grab.tap is None
+        assert self.recorder.tap is None
         return recorded
 
     def about(self) -> dict[str, Any]:
@@ -173,7 +169,7 @@ def test_a_disk_at_its_floor(live: Live, monkeypatch: pytest.MonkeyPatch, tmp_pa
     with pytest.raises(DeviceError, match=r"recs: found \d+ MiB free on the disk, expected"):
         live.start()
     assert list((tmp_path / "recs").iterdir()) == []
-    assert live.grab.tap is None
+    assert live.recorder.tap is None
 
 
 def test_a_disk_that_comes_to_its_floor_ends_it(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -269,7 +265,7 @@ def test_a_recording_begins_with_what_was_before(live: Live, calibration: Calibr
     kept(live, 2)
     live.recorder.keep_before(0.0)
     live.recorder.join(patience(20))
-    assert live.grab.tap is None
+    assert live.recorder.tap is None
 
 
 def test_what_is_kept_is_bounded_and_what_finds_no_room_is_counted(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:

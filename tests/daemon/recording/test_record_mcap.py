@@ -15,9 +15,6 @@ from tools.testbed.patience import patience, wait_until
 pytest.importorskip("mcap")
 pytest.importorskip("foxglove_schemas_protobuf")
 
-from tacshade_edge.daemon.pipeline.ledger import FrameLedger
-from tacshade_edge.daemon.pipeline.mailbox import Mailbox
-from tacshade_edge.daemon.pipeline.workers import Grab
 from tacshade_edge.daemon.recording.record import STOPPED, LiveRecorder, Recorded
 from tacshade_edge.daemon.recording.record_requests import RecordRequests
 from tacshade_edge.storage.recording.mcap_recorder import McapRecorder
@@ -28,13 +25,12 @@ from tacshade_edge.types import Calibration, Frame
 def test_a_recording_in_mcap_and_one_that_was_torn(
     calibration: Calibration, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    grab = Grab(None, Mailbox[Frame](), FrameLedger(), lambda _: None)  # type: ignore[arg-type]
-    recorder = LiveRecorder(grab, lambda _: None)
+    recorder = LiveRecorder(lambda _: None)
     folder = tmp_path / "one"
     recorder.start(folder, 60.0, "sensor_id: a\n", calibration, {}, partial(McapRecorder, sensor_id="a"))
-    assert grab.tap is not None
+    assert recorder.tap is not None
     for k in range(6):
-        grab.tap(Frame(k, 1000 + k, 5 + k, (FREE, TOUCHED)[k % 2]))
+        recorder.tap(Frame(k, 1000 + k, 5 + k, (FREE, TOUCHED)[k % 2]))
     wait_until(lambda: recorder.counts()["written"] == 6, 20, "the frames are written")
     torn = (folder / "000.mcap.part").read_bytes()
     recorder.end(STOPPED)

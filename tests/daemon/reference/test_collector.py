@@ -22,7 +22,7 @@ def collect(calibration: Calibration, images: list[Any]) -> list[int | Reason]:
     reconstructor = make_reconstructor(calibration, PROFILES["fast"])
     for seq, image in enumerate(images):
         frame = Frame(seq, 0, 0, image)
-        collector.watch(frame, reconstructor.step(frame))
+        collector.see(frame, reconstructor.step(frame))
     return outcomes
 
 

@@ -38,7 +38,7 @@ class Resting:
     def look(self, image: U8, held: bool = False, doubt: Reason | None = None) -> bool:
         """As long as it takes to the next look, and whether there is something to tell."""
         self.show(image, max(REST_S, PERIOD_S) + UNTOUCHED_FRAMES / FPS + 0.2, doubt)
-        return self.references.poll(held)
+        return self.references.follow(held)
 
     @property
     def health(self) -> dict[str, Any]:
@@ -54,7 +54,7 @@ def test_it_follows_from_where_it_began_and_tells_how_far(
     resting: Resting, calibration: Calibration, pictures: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO)
-    assert not resting.references.poll(held=False)
+    assert not resting.references.follow(held=False)
     assert (resting.health["state"], resting.health["light"], resting.health["looks"]) == ("waiting", None, 0)
     assert resting.look(pictures.free)
     assert not resting.look(pictures.free)
@@ -95,7 +95,7 @@ def test_it_stays_while_it_is_held_and_amid_a_contact(resting: Resting, pictures
     assert (resting.health["state"], resting.health["looks"]) == ("held", 0)
     resting.show(darker, PERIOD_S + 2)
     resting.show(pictures.touched, 0.1)
-    assert resting.references.poll(held=False)  # the state alone
+    assert resting.references.follow(held=False)  # the state alone
     assert (resting.health["looks"], resting.health["renewals"]) == (1, 0)
     assert resting.look(darker)
 

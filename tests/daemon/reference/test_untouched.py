@@ -99,24 +99,3 @@ def test_a_frame_in_doubt_tells_its_doubt(stream: Stream, pictures: Any) -> None
     assert stream.frames.spoiled == 1
     stream.show(pictures.free, PERIOD_S - 1)
     assert stream.taken() is None
-
-
-def test_the_sink_is_served_first_and_all_of_it_passed_on(calibration: Calibration, pictures: Any) -> None:
-    frames, told = UntouchedFrames(), []
-
-    class Told:
-        def need(self) -> Need:
-            return Need.CONTACT
-
-        def deliver(self, *given: Any) -> Any:
-            told.append((given, frames.at_rest))
-            return "without_contact"
-
-    sink = frames.observing(Told())
-    reconstructor = make_reconstructor(calibration, PROFILES["fast"])
-    frame = Frame(0, 5, 0, pictures.free)
-    result = reconstructor.step(frame)
-    assert sink.deliver(frame, result, calibration) == "without_contact"
-    assert told == [((frame, result, calibration), False)]
-    assert frames.at_rest
-    assert sink.need() is Need.CONTACT

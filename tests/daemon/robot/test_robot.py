@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tacshade_edge.daemon.pipeline.observer import FrameResult
 from tacshade_edge.daemon.robot.robot import Robot
 from tacshade_edge.daemon.robot.serial_commands import WAITING_MAX
 from tacshade_edge.devices.serial.port import SerialPort
@@ -77,29 +78,16 @@ def frame(t_ns: int, calibration: Calibration, valid: bool = True) -> tuple[Fram
     )
 
 
-class Sink:
-    def __init__(self) -> None:
-        self.frames: list[Frame] = []
-
-    def need(self) -> Need:
-        return Need.CONTACT
-
-    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> Any:
-        self.frames.append(frame)
-        return "published"
-
-
 @pytest.mark.parametrize("binary", [False, True], ids=["ASCII", "BIN"])
 def test_frames_get_the_pose_that_the_sensor_had(link: Path, binary: bool, calibration: Calibration) -> None:
-    sink = Sink()
+    frames = []
     with PtyRobot(link, rate_hz=200, binary=binary) as robot, Side(link) as side:
         side.until("synchronised", state="connected", sync="two-way", mode="BIN" if binary else "ASCII")
-        posed = side.robot.adding_poses(sink)
         wait_until(lambda: side.robot.motion.at(time.monotonic_ns() - 10_000_000), 10, "a pose")
         for _ in range(20):
             t_ns = time.monotonic_ns() - 10_000_000
-            posed.deliver(*frame(t_ns, calibration), calibration)
-        for got in sink.frames:
+            frames.append(side.robot.with_pose(frame(t_ns, calibration)[0]))
+        for got in frames:
             if got.pose is None:  # this machine stopped for a moment
                 continue
             truth = motion(got.t_ns / 1e9 - robot.began_s)
@@ -108,8 +96,8 @@ def test_frames_get_the_pose_that_the_sensor_had(link: Path, binary: bool, calib
             assert found[:3] == pytest.approx(truth[:3], abs=63 * slack_s + 0.02)  # 40 mm once in 4 s
             assert found[3:] == pytest.approx(truth[3:], abs=0.3 * slack_s + 1e-4)
             assert (got.pose.t_ns, got.pose_error_us > 0) == (got.t_ns, True)
-        assert any(got.pose for got in sink.frames)
-    counts = side.robot.as_dict()
+        assert any(got.pose for got in frames)
+    counts = side.robot.health()
     assert counts["frames_with_pose"] + counts["frames_without_pose"] == 20
     assert counts["exchanges"] >= 1
     assert counts["clock_restarts"] == 1  # its greeting
@@ -117,7 +105,7 @@ def test_frames_get_the_pose_that_the_sensor_had(link: Path, binary: bool, calib
 
 def test_every_pose_is_accounted_for_on_a_bad_line(link: Path) -> None:
     with PtyRobot(link, rate_hz=1000, binary=True, poses=1) as robot, Side(link) as side:
-        wait_until(lambda: side.robot.as_dict()["poses"] == 1, 15, "the first pose")
+        wait_until(lambda: side.robot.health()["poses"] == 1, 15, "the first pose")
         robot.faults = Faults(lose=0.03, damage=0.03)
         robot.poses_max = 400
         wait_until(lambda: robot.told.poses == 400, 30, "400 poses")
@@ -125,11 +113,11 @@ def test_every_pose_is_accounted_for_on_a_bad_line(link: Path) -> None:
         robot.poses_max = 401
 
         def accounted() -> int:
-            counts = side.robot.as_dict()
+            counts = side.robot.health()
             return int(counts["poses"] + counts["poses_lost"])
 
         wait_until(lambda: accounted() == 401, 10, "each pose arrived or is missing by its number")
-    counts = side.robot.as_dict()
+    counts = side.robot.health()
     assert 0 < counts["poses_lost"] <= robot.told.lost + robot.told.damaged
     assert counts["poses_repeated"] == 0
     assert counts["damaged"] + counts["garbage"] > 0
@@ -142,8 +130,8 @@ def test_a_thousand_poses_a_second_are_all_there(link: Path) -> None:
     print(f"{rate_hz:.0f} poses a second")
     with PtyRobot(link, rate_hz=rate_hz, binary=True, poses=10_000) as robot, Side(link) as side:
         wait_until(lambda: robot.told.poses == 10_000, 20, "10,000 poses")
-        wait_until(lambda: side.robot.as_dict()["poses"] == 10_000, 10, "all arrived")
-        counts = side.robot.as_dict()
+        wait_until(lambda: side.robot.health()["poses"] == 10_000, 10, "all arrived")
+        counts = side.robot.health()
     names = ("poses_lost", "poses_repeated", "poses_bad", "poses_late", "damaged")
     assert {name: counts[name] for name in names} == dict.fromkeys(names, 0)
     assert counts["clock_restarts"] == 1  # its greeting
@@ -171,7 +159,7 @@ def test_unplugged_and_plugged_in_again_the_session_goes_on_and_the_gap_is_told(
         robot.ask("STATUS")
         wait_until(lambda: number in robot.replies, 10, "the reply again")
         assert robot.replies[number] == before
-    counts = side.robot.as_dict()
+    counts = side.robot.health()
     assert counts["reopened"] >= 1
     assert counts["poses_lost"] >= 20
     assert counts["clock_restarts"] == 1  # the greeting; not the cable
@@ -183,7 +171,7 @@ def test_a_robot_that_reboots_is_noticed_and_known_again(link: Path) -> None:
         robot.faults.reboot_s = robot.true_s() + 0.2
         wait_until(lambda: robot.told.boots == 2, 10, "a reboot")
         robot.faults.reboot_s = 0
-        wait_until(lambda: side.robot.as_dict()["clock_restarts"] >= 2, 10, "noticed")
+        wait_until(lambda: side.robot.health()["clock_restarts"] >= 2, 10, "noticed")
         side.until("known again", state="connected", sync="two-way", mode="BIN")
         wait_until(lambda: side.robot.motion.at(time.monotonic_ns() - 20_000_000), 10, "a pose")
 
@@ -197,18 +185,21 @@ def test_poses_alone_say_that_they_are_one_way(link: Path) -> None:
 def test_captures_and_references(link: Path, calibration: Calibration) -> None:
     with PtyRobot(link, rate_hz=0) as robot, Side(link) as side:
         side.until("connected", state="connected")
-        posed = side.robot.adding_poses(Sink())
+
+        def see(frame: Frame, result: Reconstruction) -> None:
+            side.robot.see(FrameResult(side.robot.with_pose(frame), calibration, result))
+
         old = frame(time.monotonic_ns(), calibration)
         robot.ask("CAPTURE")
         wait_until(lambda: side.robot.commands.capture_pending, 10, "CAPTURE")
-        assert posed.need() == Need.DEPTH
-        posed.deliver(*old, calibration)
+        assert side.robot.need() == Need.DEPTH
+        see(*old)
         assert side.robot.commands.capture_pending  # that one was from before
-        posed.deliver(*frame(time.monotonic_ns(), calibration), calibration)
+        see(*frame(time.monotonic_ns(), calibration))
         wait_until(lambda: any(" frame=5 t_ns=" in r for r in robot.replies.values()), 10, "its answer")
         robot.ask("CAPTURE")
         wait_until(lambda: side.robot.commands.capture_pending, 10, "CAPTURE")
-        posed.deliver(*frame(time.monotonic_ns(), calibration, valid=False), calibration)
+        see(*frame(time.monotonic_ns(), calibration, valid=False))
         wait_until(lambda: any("INVALID frame=5: black" in r for r in robot.replies.values()), 10, "its answer")
 
         for outcome in (ReferenceTaken(10, 7, 0.5), Reason(ReasonCode.FRAME_IN_CONTACT, "shows contact")):
@@ -216,8 +207,8 @@ def test_captures_and_references(link: Path, calibration: Calibration) -> None:
             wait_until(lambda: side.requests, 10, "the request")
             request = side.requests.pop()
             assert request.verb == "reference"
-            assert not side.robot.commands.complete(Request("reference"), outcome)  # MQTT's
-            assert side.robot.commands.complete(request, outcome)
+            assert not side.robot.answer(Request("reference"), outcome)  # MQTT's
+            assert side.robot.answer(request, outcome)
         wait_until(
             lambda: any(
                 r.endswith("frames=10 calibration_crc32=7 noise_grey=0.5 stored=1") for r in robot.replies.values()
@@ -227,7 +218,7 @@ def test_captures_and_references(link: Path, calibration: Calibration) -> None:
         )
         wait_until(lambda: any(r.endswith("REFUSED shows contact") for r in robot.replies.values()), 10, "ERR")
 
-        assert posed.need() == Need.CONTACT
+        assert side.robot.need() == Need.CONTACT
         robot.ask("STITCH BEGIN pad")
         wait_until(lambda: any("UNAVAILABLE" in r for r in robot.replies.values()), 10, "no stitching")
 
@@ -289,6 +280,6 @@ def test_a_robot_that_reads_nothing_costs_no_poses(link: Path) -> None:
             os.set_blocking(master, True)
             os.write(master, b"#%d HELP\n" % (number % 65536))
         os.write(master, b"POSE 1 0 0 0 1 0 0 0\n")
-        wait_until(lambda: side.robot.as_dict()["poses"] == 1, 20, "the pose")
-        assert side.robot.as_dict()["unsent_bytes"] > 0
+        wait_until(lambda: side.robot.health()["poses"] == 1, 20, "the pose")
+        assert side.robot.health()["unsent_bytes"] > 0
     robot.unplug()

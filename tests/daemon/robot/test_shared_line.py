@@ -99,8 +99,8 @@ def test_a_follower_has_the_poses_and_the_clock_of_the_one_that_has_the_port(
         details = sides[1].latest()
         assert (details["shared_by"], details["device"]) == ("thumb", str(link))
         assert "shared_by" not in sides[0].latest()
-        wait_until(lambda: sides[0].latest() and sides[1].robot.as_dict().get("poses", 0) > 100, 10, "its counts")
-        assert sides[1].robot.as_dict()["exchanges"] >= 1
+        wait_until(lambda: sides[0].latest() and sides[1].robot.health().get("poses", 0) > 100, 10, "its counts")
+        assert sides[1].robot.health()["exchanges"] >= 1
 
 
 def test_a_robot_that_is_gone_is_told_to_all(link: Path, sides: tuple[Side, Side]) -> None:
@@ -123,7 +123,7 @@ def test_a_follower_that_reads_nothing_keeps_nobody_waiting(link: Path) -> None:
     owner = Side(SerialPort(str(link), 115200), shared["thumb"])
     owner.robot.start()
     with PtyRobot(link, rate_hz=1000, binary=True):
-        wait_until(lambda: owner.robot.as_dict()["poses"] > 2000, 30, "poses, many more than a socket holds")
+        wait_until(lambda: owner.robot.health()["poses"] > 2000, 30, "poses, many more than a socket holds")
     owner.robot.stop(stretched(5))
     for part in shared.values():
         part.close()

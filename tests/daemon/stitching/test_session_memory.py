@@ -17,7 +17,7 @@ SCENARIO = """
 import sys, tempfile
 from pathlib import Path
 import numpy as np
-from support.painted_sensor import painted_calibration
+from tools.testbed.painted_sensor import painted_calibration
 from tacshade_edge.core.stitching.press_points import PressPoints
 from tacshade_edge.core.stitching.surface_map import EXTENT_MAX_TILES, TILES_MAX
 from tacshade_edge.daemon.stitching.session import Session

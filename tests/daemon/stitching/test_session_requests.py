@@ -12,29 +12,15 @@ import numpy as np
 import pytest
 
 from tacshade_edge.core.stitching.stitcher import StitchedMap, Stitcher
-from tacshade_edge.daemon.pipeline.workers import Sink
+from tacshade_edge.daemon.pipeline.observer import FrameResult
 from tacshade_edge.daemon.stitching.session_requests import SessionRequests
 from tacshade_edge.protocol.messages import Request, encode_reply
 from tacshade_edge.storage.stitching.stitch_file import open_session
-from tacshade_edge.types import Calibration, Frame, Need, Pose, Reconstruction
+from tacshade_edge.types import Frame, Need, Pose, Reconstruction
 from tools.testbed.calibrated_sensor import calibrated, pressed, step, unloaded
 from tools.testbed.patience import patience, wait_until
 
 BEGIN, ADD, END, STATUS = (Request("stitch", n, action=a) for n, a in enumerate(("begin", "add", "end", "status")))  # type: ignore[arg-type]
-
-
-class Nobody:
-    """A sink that no one listens to."""
-
-    def __init__(self) -> None:
-        self.delivered = 0
-
-    def need(self) -> Need:
-        return Need.CONTACT
-
-    def deliver(self, frame: Frame, result: Reconstruction | None, calibration: Calibration) -> Any:
-        self.delivered += 1
-        return "published"
 
 
 class Daemon:
@@ -48,8 +34,6 @@ class Daemon:
             lambda request, outcome: self.replies.append(json.loads(encode_reply(request, outcome))),
             None,
         )
-        self.nobody = Nobody()
-        self.sink: Sink = self.sessions.observing(self.nobody)
         self.sessions.start()
 
     def show(self, result: Reconstruction | None, *, pose: bool = True) -> None:
@@ -57,7 +41,7 @@ class Daemon:
         at = Pose(t_ns, 1.0, 2.0, 20.0, 0.0, 1.0, 0.0, 0.0) if pose else None
         frame = Frame(1, t_ns, 0, np.zeros((2, 2), np.uint8), at)
         seen = None if result is None else replace(result, t_ns=t_ns)
-        assert self.sink.deliver(frame, seen, calibrated()) == "published"
+        self.sessions.see(FrameResult(frame, calibrated(), seen))
 
     def ask(self, request: Request, result: Reconstruction | None = None) -> dict[str, Any]:
         count = len(self.replies)
@@ -84,13 +68,13 @@ def test_a_session_over_mqtt(daemon: Daemon, tmp_path: Path) -> None:
     ball = step("fast", pressed("ball", 3.0).image)
     assert daemon.ask(BEGIN)["reason_code"] == "no_frame"
     daemon.show(step("fast", unloaded()))
-    assert daemon.sink.need() == Need.CONTACT
+    assert daemon.sessions.need() == Need.CONTACT
     assert daemon.ask(replace(BEGIN, name="7", transaction="t")) == {
         "transaction": "t",
         "ok": True,
         "result": {"name": "7"},
     }
-    assert daemon.sink.need() == Need.DEPTH  # every frame, whoever listens
+    assert daemon.sessions.need() == Need.DEPTH  # every frame, whoever listens
     assert daemon.status() == {
         **{"state": "open", "reason": "", "reason_code": "", "name": "7", "presses": 0, "points": 0, "revision": 0},
         **{"missed": 0, "folder": ""},
@@ -104,9 +88,9 @@ def test_a_session_over_mqtt(daemon: Daemon, tmp_path: Path) -> None:
         **{"state": "idle", "reason": "", "reason_code": "", "name": "", "presses": 0, "points": 0, "revision": 0},
         **{"missed": 0, "folder": str(tmp_path / "7")},
     }
-    assert daemon.sink.need() == Need.CONTACT
+    assert daemon.sessions.need() == Need.CONTACT
     assert {"map/cloud", "map/revision", "map/final"} <= set(daemon.published)
-    assert daemon.sessions.as_dict() == {"presses": 1, "refused": 0, "missed": 0, "waiting": 0}
+    assert daemon.sessions.health() == {"presses": 1, "refused": 0, "missed": 0, "waiting": 0}
 
 
 def test_what_was_not_added_is_counted_and_told(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -129,7 +113,7 @@ def test_what_was_not_added_is_counted_and_told(daemon: Daemon, monkeypatch: pyt
     daemon.show(ball)
     wait_until(lambda: daemon.status()["presses"] == 1, 20, "the next one")
     assert (daemon.status()["reason"], daemon.status()["missed"]) == ("", 1)
-    assert daemon.sessions.as_dict() == {"presses": 1, "refused": 1, "missed": 1, "waiting": 0}
+    assert daemon.sessions.health() == {"presses": 1, "refused": 1, "missed": 1, "waiting": 0}
 
 
 def test_a_stop_does_not_wait_for_a_map(daemon: Daemon, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
