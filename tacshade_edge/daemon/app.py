@@ -86,7 +86,7 @@ class App:
     calibration : Calibration or Reason
         Or why there is none yet: the camera's picture is all that is served until `reload` finds one.
     siblings : Siblings
-        Other sensors of the same daemon.
+        Lines to the other processes of the same daemon.
 
     Attributes
     ----------
