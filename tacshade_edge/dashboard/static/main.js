@@ -98,8 +98,8 @@ function takeChosen(what, payload, retained) {
     showParts(view.parts);
   } else if (what.startsWith("status/")) {
     json(payload, (part) => {
-      if (!view.parts.has(what.slice(7)) && view.parts.size >= PARTS_MAX) undecodable++;
-      else view.parts.set(cut(what.slice(7), 64), part);
+      if (!view.parts.has(what.slice(7)) && view.parts.size >= PARTS_MAX) return void undecodable++;
+      view.parts.set(cut(what.slice(7), 64), part);
       if (!READ_ONLY) showAgain(link, chosen, view).catch((error) => tellAnswer("bad", error.message));
       showParts(view.parts);
       tellState();
