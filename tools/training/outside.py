@@ -30,6 +30,11 @@ TACTIP_PART, PARTLY_PRINTED_PART, RINGED_PART, VIGNETTED_PART, PLATE_PART = 0.7,
 SIZES = ((240, 320), (480, 640), (120, 160), (128, 128))
 SIZE_SHARES = (0.56, 0.12, 0.16, 0.16)
 
+CIRCLE_AT_PRINT_PART = 0.7
+"""Of sensors whose print ends before the rim, that of which the circle that is found is the print's."""
+CIRCLE_DEVIATION = 0.02
+"""Of the logarithm of the radius of a circle that somebody found."""
+
 Camera = Callable[[U8], U8]
 """What becomes of a picture before anybody has it."""
 
@@ -104,8 +109,10 @@ class OutsideRenderer(VariedRenderer):
     def __init__(self, model: SensorModel, rng: np.random.Generator) -> None:
         profile = PinProfile(()) if rng.random() < 0.6 else pin_outline(rng)
         super().__init__(model, _any_print(model, rng), profile)
+        self.printed_part = 1.0
         if rng.random() < PARTLY_PRINTED_PART:
-            self.print = _inner_part(self.print, model, float(rng.uniform(0.6, 1.0)))
+            self.printed_part = float(rng.uniform(0.6, 1.0))
+            self.print = _inner_part(self.print, model, self.printed_part)
         if rng.random() < RINGED_PART:
             self._glints = self._glints + _leds(model, rng)
 
@@ -184,6 +191,16 @@ def _inner_part(marks: Print, model: SensorModel, part: float) -> Print:
         pin_tip_mm=marks.pin_tip_mm[pins],
         pin_length_mm=marks.pin_length_mm[pins],
     )
+
+
+def found_circle(printed_part: float, rng: np.random.Generator) -> float:
+    """The radius of the circle that is found, as part of the visible one's.
+
+    `calibrate` finds the circle by the pattern, so where the print ends before the rim it is often the print's, and
+    what is pressed moves pins beyond it.
+    """
+    part = printed_part if rng.random() < CIRCLE_AT_PRINT_PART else 1.0
+    return min(1.0, part * math.exp(float(rng.normal(0, CIRCLE_DEVIATION))))
 
 
 def _leds(model: SensorModel, rng: np.random.Generator) -> np.typing.NDArray[np.float32]:

@@ -12,21 +12,23 @@ network sees it on the whole disc, and a margin to each side, in whole cells of 
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch.nn import functional
 
-from tacshade_edge.core.depth import Network
+from tacshade_edge.core.depth import NetworkMaps
 from tacshade_edge.core.depth.network_maps import HEIGHT_SCALE
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.inference.network import load_network
 from tacshade_edge.studies.evaluate.scenes import scenes
 from tacshade_edge.studies.evaluate.sensors import SensorName, calibrated
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import F32, Bool, Frame
-from tools.training.network import Net, trained
+from tools.training.network import COARSE_CELLS, Net, trained
 
 OBJECTS = ("ball", "cube", "cylinder", "edge", "ring")
 MARGINS = (1 / 28, 1 / 14, 1 / 7, 2 / 7, 5 / 14)
@@ -63,11 +65,13 @@ def inputs(profile: str, fold: int) -> tuple[list[F32], Bool, float]:
         known.append(maps)
         return maps
 
-    def run(white: F32, _sensor: F32) -> F32:
+    def run(white: F32, _sensor: F32) -> NetworkMaps:
         seen.append(np.concatenate((white, known[0])))
-        return np.zeros((2 * fold * fold, *white.shape[1:]), np.float32)
+        nothing = np.zeros((2 * fold * fold, *white.shape[1:]), np.float32)
+        return NetworkMaps(nothing, np.zeros((COARSE_CELLS, COARSE_CELLS), np.float32))
 
-    made = Reconstructor(calibration, PROFILES[profile], Network(fold, sense, run))
+    shipped = load_network(PROFILES[profile].network)
+    made = Reconstructor(calibration, PROFILES[profile], replace(shipped, fold=fold, sense=sense, run=run))
     for what in OBJECTS:
         for scene in scenes(sensor.model, name.seed, what):
             made.step(Frame(0, 0, 0, sensor.frame((scene.press,), scene.noise_seed).image))
@@ -96,7 +100,8 @@ def piece(net: Net, x: F32, inside: Bool, margin: int) -> tuple[float, float, in
 def answer(net: Net, x: F32) -> tuple[F32, F32]:
     """Height and contact."""
     with torch.no_grad():
-        height, logit = functional.pixel_shuffle(net(torch.from_numpy(x.copy())[None]), net.fold)[0].numpy()
+        maps, _ = net(torch.from_numpy(x.copy())[None])
+        height, logit = functional.pixel_shuffle(maps, net.fold)[0].numpy()
     return height, logit
 
 

@@ -26,9 +26,18 @@ from tacshade_edge.simulator.render import Renderer, print_features
 from tacshade_edge.simulator.skin import Skin, left_over, mass_weight, obstacle_of, undeformed, window_of
 from tacshade_edge.simulator.truth import CONTACT_TOLERANCE_MM, shear_mm
 from tacshade_edge.simulator.varied_print import PinProfile, VariedRenderer, lattice_print
-from tacshade_edge.types import F32, U8, Bool, Disc, Geometry
+from tacshade_edge.types import F32, F64, U8, Bool, Disc, Geometry
 from tools.training import obstacle
-from tools.training.outside import VIEWS, Camera, OutsideRenderer, camera, outside_presses, printed, soft_dome
+from tools.training.outside import (
+    VIEWS,
+    Camera,
+    OutsideRenderer,
+    camera,
+    found_circle,
+    outside_presses,
+    printed,
+    soft_dome,
+)
 from tools.training.rays import skin_points
 from tools.training.shapes import random_shape
 from tools.training.varied import pin_outline, varied_model, varied_print, with_skirt
@@ -272,12 +281,17 @@ def white_map(image: U8, mask: U8, disc: Disc, pitch_px: float) -> F32:
     return CellMeans(integrator, disc_map.map_grid(disc)).means(integrator.integrate(white))
 
 
+def within(disc: Disc, rows: F64, cols: F64) -> Bool:
+    """Which pixels a circle holds."""
+    return np.asarray(np.hypot(rows - disc.row_c, cols - disc.col_c) <= disc.radius_px)
+
+
 def true_shear(skin: Skin, model: SensorModel, seen: Disc) -> F32:
     """Displacement in disc radii at the middles of squares of 2x2 cells of the disc that was `seen`."""
     grid, geometry = disc_map.map_grid(seen, N // 2), model.geometry
     rows = np.repeat(grid.row0 + grid.step_px * np.arange(N // 2), N // 2)
     cols = np.tile(grid.col0 + grid.step_px * np.arange(N // 2), N // 2)
-    inside = np.hypot(rows - geometry.disc.row_c, cols - geometry.disc.col_c) <= geometry.disc.radius_px
+    inside = within(geometry.disc, rows, cols) & within(seen, rows, cols)
     shear = np.zeros((N * N // 4, 2), np.float32)
     if skin.height_mm.any():
         shear[inside] = shear_mm(skin, skin_points(skin, geometry, rows[inside], cols[inside]), model.friction)
@@ -291,7 +305,7 @@ def true_maps(skin: Skin, presses: Sequence[Press], geometry: Geometry, seen: Di
     rows = np.repeat(grid.row0 + grid.step_px * np.arange(N), N)
     cols = np.tile(grid.col0 + grid.step_px * np.arange(N), N)
     disc = geometry.disc
-    inside = np.hypot(rows - disc.row_c, cols - disc.col_c) <= disc.radius_px
+    inside = within(disc, rows, cols) & within(seen, rows, cols)
     height, contact = np.zeros(N * N, np.float32), np.zeros(N * N, bool)
     if skin.height_mm.any():
         points = skin_points(skin, geometry, rows[inside], cols[inside])
@@ -319,8 +333,8 @@ class View:
         return np.rint(255 * white_map(image, self.mask, self.seen.disc, self.pitch_px)).astype(np.uint8)
 
 
-def calibrated(renderer: Renderer, camera_of: Camera, rng: np.random.Generator) -> View | None:
-    """Take a sensor's reference; None where it shows no pattern to calibrate on."""
+def calibrated(renderer: Renderer, camera_of: Camera, rng: np.random.Generator, circle: float = 1.0) -> View | None:
+    """Take a sensor's reference; None where it shows no pattern to calibrate on. `circle` as of `found_circle`."""
     model = renderer.model
     clean = renderer.draw(undeformed(model.skin_radius_mm))
     images = [camera_of(renderer.expose(clean, int(rng.integers(1 << 30)))) for _ in range(int(rng.choice((1, 3, 6))))]
@@ -328,7 +342,7 @@ def calibrated(renderer: Renderer, camera_of: Camera, rng: np.random.Generator) 
         model.geometry.disc,
         row_c=model.row_c + float(rng.normal(0, 0.3)),
         col_c=model.col_c + float(rng.normal(0, 0.3)),
-        radius_px=model.disc_radius_px * (1 + float(rng.normal(0, 0.003))),
+        radius_px=model.disc_radius_px * circle * (1 + float(rng.normal(0, 0.003))),
     )
     try:
         pitch_px = pattern.marker_pitch_px(pattern.mean_image([greyscale.to_grey(i) for i in images]), disc)
@@ -397,10 +411,11 @@ def outside_samples(seed: int, frames: int) -> list[Samples]:
     """What `VIEWS` sensors of `outside` see of the same skins; the seeds after this one are theirs."""
     rng = np.random.default_rng((seed, 12))
     dome = soft_dome(seed)
-    views = [
-        calibrated(OutsideRenderer(printed(dome, seed + k), np.random.default_rng((seed + k, 23))), camera(rng), rng)
-        for k in range(VIEWS)
-    ]
+    views = []
+    for k in range(VIEWS):
+        own = np.random.default_rng((seed + k, 23))
+        renderer = OutsideRenderer(printed(dome, seed + k), own)
+        views.append(calibrated(renderer, camera(rng), rng, found_circle(renderer.printed_part, own)))
     if not any(views):
         return []
     uneven = draw_unevenness(dome, rng, wide=True, varied=True)

@@ -98,7 +98,9 @@ class Run:
         if kind not in self.check:
             self.check[kind] = self._load(self.shards[kind][:VALIDATION_SHARDS])
         self.data[kind] = self._load(self.shards[kind][VALIDATION_SHARDS:])
-        total = np.cumsum(self.data[kind].chances())
+        drawn = self.data[kind]
+        # Users press sensors of their own deep and drag them far, so none of those frames is drawn less often.
+        total = np.cumsum(np.ones(len(drawn.frame)) if kind == "outside" else drawn.chances())
         self.drawn[kind] = total / total[-1]
 
     def _load(self, paths: list[Path]) -> Data:
