@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from tacshade_edge.errors import ConfigError, DecodeError, DeviceError, TacshadeError
     from tacshade_edge.library.frames import open, read
-    from tacshade_edge.library.heard import listen
     from tacshade_edge.library.messages import decode, decode_file
     from tacshade_edge.library.result import Result, Results
     from tacshade_edge.library.sensor import Sensor, load
+    from tacshade_edge.library.subscriber import listen
     from tacshade_edge.protocol.wire import CloudMessage, HeightMessage, ShearMessage, SigmaMessage
     from tacshade_edge.types import Geometry, Pose, Slip, TouchedObject
 
@@ -49,7 +49,7 @@ __all__ = [
 _HOMES = {
     "errors": ("ConfigError", "DecodeError", "DeviceError", "TacshadeError"),
     "library.frames": ("open", "read"),
-    "library.heard": ("listen",),
+    "library.subscriber": ("listen",),
     "library.messages": ("decode", "decode_file"),
     "library.result": ("Result", "Results"),
     "library.sensor": ("Sensor", "load"),

@@ -14,7 +14,7 @@ from tacshade_edge.core.depth import SOLVERS, Depth, MakeSolver, Network
 from tacshade_edge.core.depth.base import Mark
 from tacshade_edge.core.depth.sigma import sigma_of_scale_1, terms
 from tacshade_edge.core.frame_check import foreign
-from tacshade_edge.core.frame_check.trust import doubt, refusal
+from tacshade_edge.core.frame_check.trust import degraded_reason, invalid_reason
 from tacshade_edge.core.frame_check.validity import picture_reason, sensor_check, size_reason
 from tacshade_edge.core.geometry.disc import DiscRays, rays_in_image
 from tacshade_edge.core.image.preprocess import Preprocessor
@@ -117,8 +117,8 @@ class Reconstructor:
             return self._empty(frame, reason=reason)
 
         preprocessed = self._preprocessor.preprocess(grey, self._white_space)
-        reason = refusal(preprocessed.unseen, preprocessed.drift_grey)
-        degraded = doubt(preprocessed.unseen, preprocessed.drift_grey)
+        reason = invalid_reason(preprocessed.unseen, preprocessed.drift_grey)
+        degraded = degraded_reason(preprocessed.unseen, preprocessed.drift_grey)
         mark("grey")
         if reason:
             return self._empty(frame, reason=reason)
@@ -132,8 +132,8 @@ class Reconstructor:
             return None
 
         depth = self._solver.solve(preprocessed, mark)
-        reason = self._foreign_check.refusal(depth.foreign_logit, self.rays.inside, preprocessed.white)
-        degraded = degraded or foreign.doubt(depth.foreign, self.rays.inside)
+        reason = self._foreign_check.invalid_reason(depth.foreign_logit, self.rays.inside, preprocessed.white)
+        degraded = degraded or foreign.degraded_reason(depth.foreign, self.rays.inside)
         mark("depth")
         if reason:
             return self._empty(frame, reason=reason)

@@ -42,7 +42,7 @@ from tacshade_edge.daemon.requests import Requests
 from tacshade_edge.daemon.systemd import Progress, Service
 from tacshade_edge.devices.base import FrameSource
 from tacshade_edge.devices.fixes import with_fix
-from tacshade_edge.devices.mqtt.outlet import PayloadOutcome
+from tacshade_edge.devices.mqtt.topic_slot import PayloadOutcome
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import links, sources
 from tacshade_edge.inference.network import make_reconstructor

@@ -19,7 +19,7 @@ from tacshade_edge.settings import Settings
 from tacshade_edge.types import Frame
 
 if TYPE_CHECKING:
-    from tacshade_edge.daemon.hand.finger import TellingFinger
+    from tacshade_edge.daemon.hand.finger_reporter import FingerReporter
     from tacshade_edge.daemon.hand.lines import FingerLine
     from tacshade_edge.daemon.robot.robot import Robot
     from tacshade_edge.daemon.robot.shared_line import SharedLine
@@ -72,7 +72,7 @@ def make_optional_parts(
     """Make them; `reply`, `ask`, `status` and `missing` are those of `Robot` and `SessionRequests`."""
     robot: Robot | None = None
     sessions: SessionRequests | None = None
-    finger: TellingFinger | None = None
+    finger: FingerReporter | None = None
     follows = siblings.robot is not None and siblings.robot.hears is not None
     port = None if follows else ports.make_serial_port(settings.serial)
     if port or follows:
@@ -86,9 +86,9 @@ def make_optional_parts(
         folder = Path(settings.stitching.folder)
         sessions = SessionRequests(folder, settings.sensor_id, link.set_retained, reply, robot)
     if siblings.hand and settings.hand_T_sensor:
-        from tacshade_edge.daemon.hand.finger import TellingFinger
+        from tacshade_edge.daemon.hand.finger_reporter import FingerReporter
 
-        finger = TellingFinger(siblings.hand, from_seven(settings.hand_T_sensor))
+        finger = FingerReporter(siblings.hand, from_seven(settings.hand_T_sensor))
     return OptionalParts(
         # Before: who is told of a contact may begin a session.
         before_publishing=(sessions,) if sessions else (),

@@ -19,9 +19,9 @@ from tacshade_edge.factories import sources
 from tacshade_edge.inference.network import can_run, load_networks
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.settings import Document, Files, Rpicam, V4l2
+from tacshade_edge.storage.atomic_files import write_whole
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME, content_of
-from tacshade_edge.storage.whole_files import write_whole
 from tacshade_edge.types import Calibration, FittedNetwork
 
 _log = logging.getLogger(__name__)
@@ -47,7 +47,7 @@ def load(path: str | os.PathLike[str], *, store: bool = True) -> Calibration:
     inputs = None if version in (None, calibration_file.VERSION) else calibration_file.inputs_in(path)
     if version is None or inputs is None:
         return _running(path, calibration_file.load(path))
-    from tacshade_edge.core.calibration.making_again import make_again  # once in an update's life
+    from tacshade_edge.core.calibration.recalibration import make_again  # once in an update's life
 
     _log.warning("%s: of version %s: making it again for version %d", path, version, calibration_file.VERSION)
     try:

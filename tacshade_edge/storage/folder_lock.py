@@ -9,7 +9,7 @@ from pathlib import Path
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.quoting import quoted
 from tacshade_edge.reasons import ReasonCode
-from tacshade_edge.storage.whole_files import disk_errors
+from tacshade_edge.storage.atomic_files import disk_errors
 
 LOCK_NAME = ".owner"
 _OWNER_BYTES_MAX = 200

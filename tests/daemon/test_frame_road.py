@@ -47,7 +47,7 @@ WITHIN_STEP = Road(stays=16, returns=7, names=14)
 """Its stays are the functions that it calls."""
 SEEN_BY = (
     *("SessionRequests", "Publisher", "Health", "Preview", "References", "UntouchedFrames"),
-    *("TellingFinger", "Robot", "ActiveProfile", "Requests"),
+    *("FingerReporter", "Robot", "ActiveProfile", "Requests"),
 )
 
 

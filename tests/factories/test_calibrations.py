@@ -12,7 +12,7 @@ import pytest
 
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import Inputs
-from tacshade_edge.core.calibration.making_again import inputs_of, with_new_reference
+from tacshade_edge.core.calibration.recalibration import inputs_of, with_new_reference
 from tacshade_edge.core.calibration.reference.references import rezero
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import calibrations

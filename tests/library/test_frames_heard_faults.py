@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tacshade_edge.library.frames_heard import FramesHeard
+from tacshade_edge.library.frame_assembler import FrameAssembler
 from tacshade_edge.protocol import messages, wire
 from tacshade_edge.types import Reconstruction
 from tools.testbed.published_hand import CRC, bump, calibration, dragged, uncertain
@@ -20,15 +20,15 @@ INFO: dict[str, Any] = json.loads(
 TOUCHED = bump(7, 1.0, 236.0, 328.0, 8)
 
 
-def heard(info: bytes = b"") -> FramesHeard:
-    frames = FramesHeard()
+def heard(info: bytes = b"") -> FrameAssembler:
+    frames = FrameAssembler()
     frames.add("info", json.dumps(INFO).encode())
     if info:
         frames.add("info", info)
     return frames
 
 
-def show(frames: FramesHeard, result: Reconstruction, other: Reconstruction | None = None) -> None:
+def show(frames: FrameAssembler, result: Reconstruction, other: Reconstruction | None = None) -> None:
     """Its frame, with displacement and error of another."""
     other = other or result
     frames.add("height", wire.encode_height(result, calibration_crc32=CRC))

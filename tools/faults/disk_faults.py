@@ -7,9 +7,9 @@ import time
 from pathlib import Path
 
 from tacshade_edge.errors import DecodeError
+from tacshade_edge.storage.atomic_files import FREE_FLOOR_BYTES
 from tacshade_edge.storage.recording.recording import Recording
 from tacshade_edge.storage.stitching.stitch_file import PRESSES, SESSION
-from tacshade_edge.storage.whole_files import FREE_FLOOR_BYTES
 from tools.faults.rig import Cell, Seen, pause, small_disk
 from tools.testbed.mcap_bytes import CHUNK, flipped, record_starts
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from tacshade_edge.capture.printer.doubt import Doubt
-from tacshade_edge.capture.printer.hand import Hand
+from tacshade_edge.capture.printer.keypress_stop import KeypressStop
 from tacshade_edge.capture.printer.line import PrinterLine
+from tacshade_edge.capture.printer.safety_stop import SafetyStop
 from tacshade_edge.capture.printer.steps import segments
 from tacshade_edge.protocol.gcode import commands
 from tacshade_edge.settings.printer_file import PrinterFile
@@ -30,7 +30,7 @@ class Head:
     line : PrinterLine
         Connected.
     limits : PrinterFile
-    hand : Hand
+    keypress : KeypressStop
 
     Attributes
     ----------
@@ -42,10 +42,10 @@ class Head:
         At this height and above nothing is in its way; sideways it moves there alone.
     """
 
-    def __init__(self, line: PrinterLine, limits: PrinterFile, hand: Hand) -> None:
+    def __init__(self, line: PrinterLine, limits: PrinterFile, keypress: KeypressStop) -> None:
         self._line = line
         self._limits = limits
-        self._hand = hand
+        self._keypress = keypress
         self._place_mm: F64 = np.zeros(3)
         self.is_certain = self.was_moved = False
         self.free_z_mm = limits.start_mm[2]
@@ -66,7 +66,7 @@ class Head:
             self._line.do(command)
         if home:
             self.was_moved = True
-            self._line.do(commands.HOME, _HOME_S, self._hand.check)
+            self._line.do(commands.HOME, _HOME_S, self._keypress.check)
             self._line.do(commands.WAIT_FOR_MOTION)
         self._place_mm = self._told()
         self.is_certain = True
@@ -83,7 +83,7 @@ class Head:
     def over(self, x_mm: float, y_mm: float) -> None:
         """Move sideways, as high as it is. Raises as `to`."""
         if not self.is_free:
-            raise Doubt(f"a move sideways at z {self.z_mm:.2f} mm, expected {self.free_z_mm:.2f} mm or more")
+            raise SafetyStop(f"a move sideways at z {self.z_mm:.2f} mm, expected {self.free_z_mm:.2f} mm or more")
         self._go((x_mm, y_mm, self.z_mm), self._limits.feed_mm_s)
 
     def to(self, z_mm: float) -> None:
@@ -93,7 +93,7 @@ class Head:
         ------
         Stopped
             Between two parts of the move.
-        Doubt
+        SafetyStop
             Outside the limits; an answer that is lost, an error, a place other than the one it was sent to.
         DeviceError
             The line is lost.
@@ -107,9 +107,9 @@ class Head:
         self._check_told()
         # In whole µm, as it is sent: what is told is compared with it.
         for part in segments(self._place_mm, np.round(to_mm, 3), feed_mm_s * _LONGEST_S):
-            self._hand.check()
+            self._keypress.check()
             if not self.is_certain:
-                raise Doubt("it is not certain where the head is")
+                raise SafetyStop("it is not certain where the head is")
             self.is_certain, self.was_moved = False, True
             x, y, z = part.tolist()
             self._line.do(commands.straight(x, y, z, feed_mm_s))
@@ -123,7 +123,7 @@ class Head:
         if float(np.abs(told - self._place_mm).max()) > _POSITION_MM:
             self.is_certain = False
             found, expected = (", ".join(f"{v:.2f}" for v in place.tolist()) for place in (told, self._place_mm))
-            raise Doubt(f"the printer says that it is at {found}, expected {expected} mm")
+            raise SafetyStop(f"the printer says that it is at {found}, expected {expected} mm")
 
     def _told(self) -> F64:
         told = self._line.position()
@@ -133,4 +133,4 @@ class Head:
         ranges = (self._limits.x_mm, self._limits.y_mm, self._limits.z_mm)
         for name, here, value, (least, most) in zip("xyz", self._place_mm.tolist(), to_mm, ranges, strict=True):
             if value != here and not least - _POSITION_MM <= value <= most + _POSITION_MM:
-                raise Doubt(f"a move to {name} {value:.2f} mm, expected {least:g} to {most:g} (PRINTER.yaml)")
+                raise SafetyStop(f"a move to {name} {value:.2f} mm, expected {least:g} to {most:g} (PRINTER.yaml)")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from tacshade_edge.capture.printer.doubt import Doubt
+from tacshade_edge.capture.printer.safety_stop import SafetyStop
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.protocol.gcode import commands
@@ -77,7 +77,7 @@ class PrinterLine:
 
         Raises
         ------
-        Doubt
+        SafetyStop
             No answer, an error, a reset, or an answer too many.
         DeviceError
             The port is lost.
@@ -91,13 +91,13 @@ class PrinterLine:
         """Where the printer says that its head was sent to. Raises as `do`."""
         self.do(commands.POSITION)
         if self._exchange.position is None:
-            raise Doubt(f"the printer told no position to {commands.POSITION}")
+            raise SafetyStop(f"the printer told no position to {commands.POSITION}")
         return self._exchange.position
 
     def listen(self) -> None:
         """Take what came while nothing was asked: a reset, an error. Raises as `do`."""
         if again := self._exchange.receive(self._port.read()):
-            raise Doubt(f"the printer asked again for what it had answered: {again!r}")
+            raise SafetyStop(f"the printer asked again for what it had answered: {again!r}")
         self._check_failure("rest")
 
     def emergency_stop(self) -> str:
@@ -139,7 +139,7 @@ class PrinterLine:
             self._check_failure(command)
             now_s = time.monotonic()
             if now_s - heard_s > limit_s or now_s - began_s > _BUSY_MOST_S:
-                raise Doubt(f"the printer did not answer {command} within {now_s - began_s:.0f} s")
+                raise SafetyStop(f"the printer did not answer {command} within {now_s - began_s:.0f} s")
             if while_waiting is not None:
                 while_waiting()
             if again := self._exchange.receive(self._port.read()):
@@ -150,8 +150,8 @@ class PrinterLine:
 
     def _check_failure(self, command: str) -> None:
         if self._exchange.failure:
-            raise Doubt(f"the printer at {command}: {self._exchange.failure}")
+            raise SafetyStop(f"the printer at {command}: {self._exchange.failure}")
 
     def _write(self, data: bytes) -> None:
         if not self._port.write(data):
-            raise Doubt("the printer takes nothing from the line")
+            raise SafetyStop("the printer takes nothing from the line")

@@ -12,13 +12,13 @@ from types import FrameType
 from typing import NoReturn
 
 from tacshade_edge.capture.live import Live
-from tacshade_edge.capture.printer.doubt import Doubt, Stopped
-from tacshade_edge.capture.printer.eyes import Eyes
-from tacshade_edge.capture.printer.find_stand import find_stand, reach_mm
-from tacshade_edge.capture.printer.hand import Hand
+from tacshade_edge.capture.printer.contact_detector import ContactDetector
 from tacshade_edge.capture.printer.head import Head
+from tacshade_edge.capture.printer.keypress_stop import KeypressStop
 from tacshade_edge.capture.printer.line import PrinterLine
+from tacshade_edge.capture.printer.locate_sensor import locate_sensor, reach_mm
 from tacshade_edge.capture.printer.plan import PlannedPress, check_reach
+from tacshade_edge.capture.printer.safety_stop import SafetyStop, Stopped
 from tacshade_edge.capture.printer.steps import NEAR_MM
 from tacshade_edge.capture.printer.touch import Touch
 from tacshade_edge.capture.session import Session
@@ -64,8 +64,8 @@ class Pressing:
         self._line = line
         self._limits = limits
         self._sensor = sensor
-        self._hand = Hand(terminal)
-        self._head = Head(line, limits, self._hand)
+        self._keypress = KeypressStop(terminal)
+        self._head = Head(line, limits, self._keypress)
         self._left = _without_taken(presses, session)
         self._ball, self._ball_mm = next((p.name, p.indenter) for p in presses if isinstance(p.indenter, float))
 
@@ -103,7 +103,7 @@ class Pressing:
         )
         unloaded = self._session.unloaded()
         self._check = PressCheck(unloaded)
-        self._touch = Touch(self._head, Eyes(self._live, self._check, self._hand), self._limits.z_mm[0])
+        self._touch = Touch(self._head, ContactDetector(self._live, self._check, self._keypress), self._limits.z_mm[0])
         with self._terminal.keys():
             self._stand = self._found_stand(unloaded)
         mounted, lower_mm = self._ball, 0.0
@@ -142,7 +142,7 @@ class Pressing:
     def _found_stand(self, unloaded: Calibration) -> Stand:
         self._terminal.say("looking for the skin ...")
         x, y, _ = self._limits.start_mm
-        found, rms_mm = find_stand(self._touch, (x, y), self._ball_mm, self._sensor, unloaded)
+        found, rms_mm = locate_sensor(self._touch, (x, y), self._ball_mm, self._sensor, unloaded)
         tip_x, tip_y, tip_z = found.head_mm(0.0, 0.0, 0.0)
         place = f"its axis at x {tip_x:.2f}, y {tip_y:.2f}, its tip at z {tip_z:.2f} mm"
         self._terminal.say(
@@ -163,7 +163,7 @@ class Pressing:
 
     def _dry_run(self, presses: Sequence[PlannedPress], lower_mm: float) -> None:
         self._terminal.say(f"dry run, {NEAR_MM:g} mm above the skin at {len(presses)} places ...")
-        self._touch.eyes.learn_free()
+        self._touch.detector.learn_free()
         for press in presses:
             touch_z, _ = self._over(press, lower_mm)
             self._touch.down(touch_z, touch_z + NEAR_MM)
@@ -171,18 +171,20 @@ class Pressing:
 
     def _press(self, press: PlannedPress, lower_mm: float) -> None:
         touch_z, to_z = self._over(press, lower_mm)
-        self._touch.eyes.learn_free()
+        self._touch.detector.learn_free()
         self._touch.down(touch_z, to_z)
-        image = self._touch.eyes.still_image()
+        image = self._touch.detector.still_image()
         self._touch.lift()
         if reason := self._session.keep(image, press.taken_as(self._stand.indenter_yaw_deg), self._check):
-            raise Doubt(f"{press.stated}: {reason}")
+            raise SafetyStop(f"{press.stated}: {reason}")
         self._left.remove(press)
 
     def _over(self, press: PlannedPress, lower_mm: float) -> tuple[float, float]:
-        """Move over a place: heights of the head at first touch and at full depth. Raises Doubt for another circle."""
+        """Move over a place; heights at first touch and at full depth. Raises SafetyStop for another circle."""
         if self._session.circle_changed:
-            raise Doubt("another visible circle was stated, and the sensor was found with the old one; start again")
+            raise SafetyStop(
+                "another visible circle was stated, and the sensor was found with the old one; start again"
+            )
         x, y, yaw_deg = press.x_mm, press.y_mm, self._stand.indenter_yaw_deg
         first_mm = first_touch_mm(press.indenter, self._sensor.skin_radius_mm, x, y, yaw_deg)
         place_x, place_y, touch_z = self._stand.head_mm(x, y, first_mm)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from tacshade_edge.capture.printer.doubt import Doubt
-from tacshade_edge.capture.printer.eyes import Eyes
+from tacshade_edge.capture.printer.contact_detector import ContactDetector
 from tacshade_edge.capture.printer.head import Head
+from tacshade_edge.capture.printer.safety_stop import SafetyStop
 from tacshade_edge.capture.printer.steps import CLEAR_MM, NEAR_MM, Expected, descent, search
 
 # Steps in which a touch is looked for, one after the other: where nothing is known of its height, and where it is.
@@ -21,30 +21,30 @@ _LOWER_MM = 3.0
 
 
 class Touch:
-    """Moves of one head that one camera watches. All raise Stopped, Doubt and DeviceError.
+    """Moves of one head that one camera watches. All raise Stopped, SafetyStop and DeviceError.
 
     Parameters
     ----------
     head : Head
-    eyes : Eyes
+    detector : ContactDetector
     least_z_mm : float
         Of the printer.
     """
 
-    def __init__(self, head: Head, eyes: Eyes, least_z_mm: float) -> None:
+    def __init__(self, head: Head, detector: ContactDetector, least_z_mm: float) -> None:
         self.head = head
-        self.eyes = eyes
+        self.detector = detector
         self._least_z_mm = least_z_mm
 
     def down(self, touch_z_mm: float, to_z_mm: float) -> None:
         """Straight down, and at every step see what must be seen by where it must touch."""
         for step in descent(self.head.z_mm, touch_z_mm, to_z_mm):
             self.head.to(step.z_mm)
-            touched = self.eyes.look()
+            touched = self.detector.look()
             if step.expected is (Expected.FREE if touched else Expected.TOUCHED):
                 where = f"{step.z_mm - touch_z_mm:+.2f} mm from where it should touch"
                 found = "contact" if touched else "no contact"
-                raise Doubt(f"the picture shows {found} {where}, expected {step.expected.value}")
+                raise SafetyStop(f"the picture shows {found} {where}, expected {step.expected.value}")
 
     def lift(self) -> None:
         """Up to where it is free."""
@@ -58,13 +58,13 @@ class Touch:
     def from_near(self, x_mm: float, y_mm: float, expected_z_mm: float) -> float:
         """Touch at a place where the height is known roughly: it more exactly. The head stays there."""
         self.head.over(x_mm, y_mm)
-        self.eyes.learn_free()
+        self.detector.learn_free()
         self.down(expected_z_mm, expected_z_mm + NEAR_MM)
         return self._touch(expected_z_mm - _LOWER_MM, FROM_NEAR_MM)
 
     def from_afar(self) -> float:
         """Touch where nothing is known of the height; the head stays there."""
-        self.eyes.learn_free()
+        self.detector.learn_free()
         return self._touch(self._least_z_mm, FROM_AFAR_MM)
 
     def _touch(self, least_z_mm: float, steps_mm: Sequence[float]) -> float:
@@ -75,15 +75,15 @@ class Touch:
                 break
             least_z_mm = self.head.z_mm - _AGAIN_MM
             self.head.to(self.head.z_mm + step_mm + _OFF_MM)
-            if self.eyes.look():
-                raise Doubt("the picture still shows contact, lifted off what it had touched")
+            if self.detector.look():
+                raise SafetyStop("the picture still shows contact, lifted off what it had touched")
         return self.head.z_mm + _SEEN_LATE_MM
 
     def _search(self, least_z_mm: float, step_mm: float) -> None:
         for z_mm in search(self.head.z_mm, least_z_mm, step_mm):
             self.head.to(z_mm)
-            if self.eyes.look():
+            if self.detector.look():
                 return
-        raise Doubt(
+        raise SafetyStop(
             f"no touch was seen down to z {self.head.z_mm:.2f} mm, where it was looked for to {least_z_mm:.2f} mm"
         )

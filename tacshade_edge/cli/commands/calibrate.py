@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
-from tacshade_edge.core.calibration.making_again import inputs_of, with_new_reference
 from tacshade_edge.core.calibration.observation.touches import from_travel
 from tacshade_edge.core.calibration.quality import Quality
+from tacshade_edge.core.calibration.recalibration import inputs_of, with_new_reference
 from tacshade_edge.core.calibration.reference.references import rezero
 from tacshade_edge.core.frame_check import registration
 from tacshade_edge.errors import ConfigError, DecodeError

@@ -45,7 +45,7 @@ class ForeignCheck:
         camera_px = preprocessor.camera_px
         self._shift = CameraShift(reference, camera_px * grid.step_px, camera_px * preprocessor.calibration.pitch_px)
 
-    def refusal(self, foreign_logit: F32 | None, inside: Bool, white: IntegralImage) -> Reason | None:
+    def invalid_reason(self, foreign_logit: F32 | None, inside: Bool, white: IntegralImage) -> Reason | None:
         """Why a frame cannot be used; None for one that can.
 
         A frame is refused that may be foreign in too many rows and is the reference, shifted; and one that surely is
@@ -77,7 +77,7 @@ class ForeignCheck:
         return self._shift.reason(self._cells.means(white))
 
 
-def doubt(foreign: Bool | None, inside: Bool) -> Reason | None:
+def degraded_reason(foreign: Bool | None, inside: Bool) -> Reason | None:
     """Why a frame deserves less trust some of whose disc is foreign; None where none is, or no solver reports it."""
     if foreign is None or not (part := foreign_part(foreign, inside)):
         return None

@@ -10,7 +10,7 @@ DRIFT_LEVELS, DRIFT_INVALID_LEVELS = 12.0, 30.0
 UNSEEN_INVALID = 0.4
 
 
-def refusal(unseen: float, drift_grey: float) -> Reason | None:
+def invalid_reason(unseen: float, drift_grey: float) -> Reason | None:
     """Why a frame cannot be used; None for one that can.
 
     Parameters
@@ -25,8 +25,8 @@ def refusal(unseen: float, drift_grey: float) -> Reason | None:
     return _light_drift(drift_grey) if abs(drift_grey) > DRIFT_INVALID_LEVELS else None
 
 
-def doubt(unseen: float, drift_grey: float) -> Reason | None:
-    """Why the result of a frame that can be used deserves less trust; parameters as of `refusal`."""
+def degraded_reason(unseen: float, drift_grey: float) -> Reason | None:
+    """Why the result of a frame that can be used deserves less trust; parameters as of `invalid_reason`."""
     if abs(drift_grey) > DRIFT_LEVELS:
         return _light_drift(drift_grey)
     return _glare(unseen) if unseen > 0 else None

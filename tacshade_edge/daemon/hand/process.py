@@ -12,8 +12,8 @@ import time
 from collections import Counter
 from typing import Final
 
+from tacshade_edge.daemon.hand.aggregator import HandAggregator
 from tacshade_edge.daemon.hand.lines import HandLine, Lines
-from tacshade_edge.daemon.hand.together import Together
 from tacshade_edge.daemon.pipeline.pipeline import Crash, crashes_to
 from tacshade_edge.daemon.systemd import STOP_USEC, notify
 from tacshade_edge.errors import DecodeError
@@ -49,7 +49,7 @@ class HandProcess:
 
     def __init__(self, hand: Hand, lines: Lines) -> None:
         self._lines = lines
-        self._together = Together(hand.fingers)
+        self._aggregator = HandAggregator(hand.fingers)
         self._link = links.make_hand_link(hand, self._on_request, lambda *_: None)
         self._began_s = time.monotonic()
         self._heard: Counter[str] = Counter(dict.fromkeys(hand.fingers, 0))
@@ -101,10 +101,10 @@ class HandProcess:
                 notify(f"STATUS={reason or 'publishing'}", "WATCHDOG=1")
             listened = self._link.has_listener(STREAM)
             self._lines.want(listened)
-            self._together.listen(listened, now_ns)
-            due_ns = self._together.due_ns()
+            self._aggregator.listen(listened, now_ns)
+            due_ns = self._aggregator.due_ns()
             if due_ns is not None and now_ns >= due_ns:
-                message = self._together.tell(now_ns, time.time_ns())
+                message = self._aggregator.tell(now_ns, time.time_ns())
                 self._link.offer(STREAM, encode_hand(message), message.seq)
                 continue
             wait_s = LOOK_S if due_ns is None else (due_ns - now_ns) / 1e9
@@ -123,7 +123,7 @@ class HandProcess:
         try:
             for finger in itertools.islice(iter(line.take, None), AT_ONCE):
                 self._heard[name] += 1
-                self._together.hear(name, finger, time.monotonic_ns())
+                self._aggregator.hear(name, finger, time.monotonic_ns())
         except DecodeError as error:
             self._undecodable += 1
             _log.warning("%s: %s", name, error)

@@ -18,8 +18,8 @@ from tacshade_edge.daemon.recording.before import BEFORE_BYTES, EVENT_BYTES, Eve
 from tacshade_edge.daemon.recording.byte_queue import ByteQueue
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
+from tacshade_edge.storage.atomic_files import FREE_FLOOR_BYTES
 from tacshade_edge.storage.recording.recorder import Recorder, png_of
-from tacshade_edge.storage.whole_files import FREE_FLOOR_BYTES
 from tacshade_edge.types import Calibration, Frame
 
 # 54 grey frames of 640x480: almost a second at 60 per second. Of the 150 MB that the service may use.

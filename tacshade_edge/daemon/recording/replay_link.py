@@ -12,7 +12,7 @@ from tacshade_edge.daemon.publishing.publisher import Publisher
 from tacshade_edge.daemon.recording.playback import Playback
 from tacshade_edge.devices.mqtt.client import BrokerAddress
 from tacshade_edge.devices.mqtt.link import MqttLink
-from tacshade_edge.devices.mqtt.outlet import PayloadOutcome
+from tacshade_edge.devices.mqtt.topic_slot import PayloadOutcome
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.protocol import messages
 from tacshade_edge.protocol.messages import Request

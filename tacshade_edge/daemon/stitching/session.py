@@ -15,9 +15,9 @@ from tacshade_edge.protocol.results import PressAdded, SessionAborted, SessionBe
 from tacshade_edge.quoting import quoted
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.rigid import Rigid
+from tacshade_edge.storage.atomic_files import disk_errors
 from tacshade_edge.storage.stitching.map_files import press_record, write_map
 from tacshade_edge.storage.stitching.stitch_file import SessionInfo, StitchFile, open_session
-from tacshade_edge.storage.whole_files import disk_errors
 from tacshade_edge.types import Calibration
 
 _NAME_MAX = 64

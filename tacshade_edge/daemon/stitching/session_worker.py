@@ -27,8 +27,8 @@ from tacshade_edge.free_memory import return_free_memory
 from tacshade_edge.protocol.results import NoSession, PressAdded, SessionAborted, SessionEnded, SessionResult
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.rigid import Rigid, from_seven, of_pose
+from tacshade_edge.storage.atomic_files import disk_errors
 from tacshade_edge.storage.folder_lock import FolderLock
-from tacshade_edge.storage.whole_files import disk_errors
 from tacshade_edge.types import Calibration, Frame, Reconstruction
 
 _log = logging.getLogger(__name__)

@@ -16,7 +16,7 @@ import { commandPlayback, isPaused, isPlayed, showAgain, tellPlayback } from "./
 import { commandRecordings, tellRecording } from "./record.js";
 import { isRemoved, remove, restore } from "./retired.js";
 import { Rezero } from "./rezero.js";
-import { Whole } from "./whole.js";
+import { Whole } from "./hand_view.js";
 import { decode } from "./wire.js";
 
 const INVALID = 2, SATURATED = 4, DEGRADED = 8;

@@ -1,6 +1,6 @@
 """The link to the MQTT broker: never blocks its caller, bounded whatever the peer does, back by itself.
 
-paho's own queue is unbounded for QoS 0, so every topic has an `Outlet`: one waiting payload, the newest, and
+paho's own queue is unbounded for QoS 0, so every topic has an `TopicSlot`: one waiting payload, the newest, and
 at most two that paho holds and has not yet written.
 
 Threads: callers' and paho's network thread. `_lock` guards all state and is never held while paho or a
@@ -33,9 +33,9 @@ from tacshade_edge.devices.mqtt.client import (
     packet_bytes_max,
     publish_properties,
 )
-from tacshade_edge.devices.mqtt.holder import Holder, new_instance
-from tacshade_edge.devices.mqtt.outlet import Item, Outlet, PayloadOutcome
+from tacshade_edge.devices.mqtt.client_id_guard import ClientIdGuard, new_instance
 from tacshade_edge.devices.mqtt.refusals import Refusals
+from tacshade_edge.devices.mqtt.topic_slot import Item, PayloadOutcome, TopicSlot
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol.messages import Request, encode_error, parse_request, parse_transaction
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -108,8 +108,8 @@ class MqttLink:
         self._connected, self._refused, self._stopping = False, False, False
         self._reason: Reason | None = self._with_address(ReasonCode.STARTING, "not started")
         self._epoch = 0  # counts lost connections: what was handed over in an older one is settled already
-        self._outlets: dict[str, Outlet] = {}
-        self._by_mid: dict[int, tuple[Outlet, Item, int] | None] = {}  # with its QoS; None: sent once
+        self._outlets: dict[str, TopicSlot] = {}
+        self._by_mid: dict[int, tuple[TopicSlot, Item, int] | None] = {}  # with its QoS; None: sent once
         self._early: dict[int, MqttCode] = {}  # what paho's thread reported before publish() had returned the number
         self._answers_open = 0
         self._watched: dict[str, Callable[[bytes], None]] = {}
@@ -130,7 +130,7 @@ class MqttLink:
             )
             for name in (client_id, "")
         )
-        self._holder = Holder(asking, host, port, base_topic, instance)
+        self._holder = ClientIdGuard(asking, host, port, base_topic, instance)
         will = publish_properties(_CONTENT_TYPES["state"], of_will=True)
         self._client.will_set(f"{base_topic}/state", b"offline", qos=1, retain=True, properties=will)
         self._client.on_pre_connect = self._on_pre_connect
@@ -248,16 +248,16 @@ class MqttLink:
     def _path(self, topic: str) -> str:
         return topic[1:] if topic.startswith("/") else f"{self._base}/{topic}"
 
-    def _outlet(self, topic: str, qos: int, retain: bool) -> Outlet:
+    def _outlet(self, topic: str, qos: int, retain: bool) -> TopicSlot:
         """The topic's outlet, made on first use. Lock held."""
         if topic not in self._outlets:
             content_type = _CONTENT_TYPES.get(topic, _JSON)
             properties = publish_properties(content_type, expiry_s=None if retain else _STREAM_EXPIRY_S)
             most = 1 if retain else _UNSENT_PER_STREAM
-            self._outlets[topic] = Outlet(topic, qos, retain, most, properties)
+            self._outlets[topic] = TopicSlot(topic, qos, retain, most, properties)
         return self._outlets[topic]
 
-    def _pump(self, outlet: Outlet) -> None:
+    def _pump(self, outlet: TopicSlot) -> None:
         """Hand paho what may go. One thread at a time per outlet; a second leaves the work to the first."""
         while True:
             with self._lock:
@@ -294,7 +294,7 @@ class MqttLink:
             if not taken:
                 return
 
-    def _may_go(self, outlet: Outlet) -> bool:
+    def _may_go(self, outlet: TopicSlot) -> bool:
         """Whether paho may be handed more of a topic. Lock held.
 
         The state goes first, and the rest once the broker has answered it: else frames that access rules deny would
@@ -303,7 +303,7 @@ class MqttLink:
         state = self._outlets["state"]
         return self._connected and not self._stopping and (outlet is state or state.refused is not None)
 
-    def _settled(self, outlet: Outlet, outcome: PayloadOutcome, item: Item) -> None:
+    def _settled(self, outlet: TopicSlot, outcome: PayloadOutcome, item: Item) -> None:
         """An item that paho had is done. Lock not held."""
         if not outlet.retain:
             self._settle(outcome, [(outlet.topic, item)])
@@ -345,7 +345,7 @@ class MqttLink:
         self._note("res or event", code)
         self._counters["refused"] += code.is_failure
 
-    def _done(self, outlet: Outlet, item: Item, qos: int, code: MqttCode) -> PayloadOutcome:
+    def _done(self, outlet: TopicSlot, item: Item, qos: int, code: MqttCode) -> PayloadOutcome:
         """Paho has sent an item (QoS 0), or the broker has answered it with a reason code. Lock held."""
         outlet.done(item)
         if qos == 1:

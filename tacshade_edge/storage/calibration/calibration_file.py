@@ -11,9 +11,9 @@ from tacshade_edge.core.calibration.inputs import Inputs
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.quoting import shown
 from tacshade_edge.storage import checked_npz
+from tacshade_edge.storage.atomic_files import write_whole
 from tacshade_edge.storage.calibration import calibration_content, calibration_inputs, fitted_networks
 from tacshade_edge.storage.checked_npz import Content
-from tacshade_edge.storage.whole_files import write_whole
 from tacshade_edge.types import Calibration, Disc, Fit, FittedNetwork, Geometry, ProfileFit
 
 _log = logging.getLogger(__name__)

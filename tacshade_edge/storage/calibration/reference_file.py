@@ -11,9 +11,9 @@ import numpy as np
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.storage import checked_npz
+from tacshade_edge.storage.atomic_files import disk_errors, sync, write_whole
 from tacshade_edge.storage.calibration.calibration_file import REFERENCE_ARRAYS, with_crc
 from tacshade_edge.storage.checked_npz import Content
-from tacshade_edge.storage.whole_files import disk_errors, sync, write_whole
 from tacshade_edge.types import Calibration
 
 VERSION = 2

@@ -6,10 +6,10 @@ import csv
 from pathlib import Path
 from typing import TextIO
 
+from tacshade_edge.storage.atomic_files import sync
 from tacshade_edge.storage.exports.new_place import NewPlace
 from tacshade_edge.storage.exports.numbers import frame_numbers
 from tacshade_edge.storage.recording.recording import RecordedFrame
-from tacshade_edge.storage.whole_files import sync
 from tacshade_edge.types import Reconstruction
 
 

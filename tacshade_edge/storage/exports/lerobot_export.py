@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.storage.atomic_files import sync
 from tacshade_edge.storage.exports.new_place import NewPlace
 from tacshade_edge.storage.exports.numbers import POSE_COLUMNS, contact_numbers
 from tacshade_edge.storage.recording.recording import RecordedFrame
-from tacshade_edge.storage.whole_files import sync
 from tacshade_edge.types import U8, Reconstruction
 from tacshade_edge.version import how_to_install
 

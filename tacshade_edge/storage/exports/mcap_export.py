@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 
+from tacshade_edge.storage.atomic_files import sync
 from tacshade_edge.storage.exports.new_place import NewPlace
 from tacshade_edge.storage.exports.numbers import contact_numbers
 from tacshade_edge.storage.recording.mcap import messages
@@ -13,7 +14,6 @@ from tacshade_edge.storage.recording.mcap.writer import McapWriter
 from tacshade_edge.storage.recording.recorder import png_of
 from tacshade_edge.storage.recording.recording import RecordedFrame
 from tacshade_edge.storage.recording.recording_content import Event, events_in
-from tacshade_edge.storage.whole_files import sync
 from tacshade_edge.types import Calibration, Reconstruction
 from tacshade_edge.version import installed_version
 

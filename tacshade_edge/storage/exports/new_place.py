@@ -9,7 +9,7 @@ from pathlib import Path
 
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.reasons import ReasonCode
-from tacshade_edge.storage.whole_files import disk_errors, part, require_free, sync
+from tacshade_edge.storage.atomic_files import disk_errors, part, require_free, sync
 
 
 class NewPlace:

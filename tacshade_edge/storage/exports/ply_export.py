@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from tacshade_edge.storage.atomic_files import sync
 from tacshade_edge.storage.exports.new_place import NewPlace
 from tacshade_edge.storage.meshes.ply import ply
 from tacshade_edge.storage.recording.recording import RecordedFrame
-from tacshade_edge.storage.whole_files import sync
 from tacshade_edge.types import Reconstruction
 
 

@@ -11,11 +11,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Final
 
+from tacshade_edge.storage.atomic_files import FREE_FLOOR_BYTES, disk_errors, part, sync
 from tacshade_edge.storage.recording.mcap import require_mcap
 from tacshade_edge.storage.recording.mcap.mend import mend
 from tacshade_edge.storage.recording.recorder import Recorder
 from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME, SETTINGS_NAME
-from tacshade_edge.storage.whole_files import FREE_FLOOR_BYTES, disk_errors, part, sync
 from tacshade_edge.types import Frame
 
 if TYPE_CHECKING:

@@ -13,11 +13,11 @@ import cv2
 
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.reasons import ReasonCode
+from tacshade_edge.storage.atomic_files import FREE_FLOOR_BYTES, disk_errors, part, require_free, sync, write_whole
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME, EVENTS_NAME, SETTINGS_NAME
 from tacshade_edge.storage.tables.frame_table import HEADER, MORE, TABLE_NAME
 from tacshade_edge.storage.tables.tables import line_crc32
-from tacshade_edge.storage.whole_files import FREE_FLOOR_BYTES, disk_errors, part, require_free, sync, write_whole
 from tacshade_edge.types import U8, Calibration, Frame
 
 # Lossless. Of grey images, 2.5 times as fast as zlib's level 1 and no larger (docs/replay.md).

@@ -13,9 +13,9 @@ from typing import Any, Final, TypeGuard
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.quoting import shown
 from tacshade_edge.regular_files import read_regular
+from tacshade_edge.storage.atomic_files import part
 from tacshade_edge.storage.recording.mcap import is_mcap, require_mcap
 from tacshade_edge.storage.tables.frame_table import T_NS_MAX
-from tacshade_edge.storage.whole_files import part
 
 _log = logging.getLogger(__name__)
 

@@ -18,9 +18,9 @@ from typing import Any, BinaryIO
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.protocol import wire
 from tacshade_edge.regular_files import open_regular, read_regular
+from tacshade_edge.storage.atomic_files import disk_errors, part, sync, write_whole
 from tacshade_edge.storage.recording.recording import RecordedFrame
 from tacshade_edge.storage.runs.summary import summary
-from tacshade_edge.storage.whole_files import disk_errors, part, sync, write_whole
 from tacshade_edge.types import Reconstruction
 
 HEIGHTS, CLOUDS, SHEARS, SUMMARY, TIMINGS = "heights.bin", "clouds.bin", "shears.bin", "summary.json", "timings.json"

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from tacshade_edge.core.stitching.stitcher import PlacedPress
 from tacshade_edge.core.stitching.surface_map import BAND_ROWS, Raster
 from tacshade_edge.reasons import text_of
+from tacshade_edge.storage.atomic_files import disk_errors, write_whole
 from tacshade_edge.storage.meshes import ply
 from tacshade_edge.storage.pictures.map_preview import height_span_mm, preview
-from tacshade_edge.storage.whole_files import disk_errors, write_whole
 from tacshade_edge.types import F32
 
 _PNG_SCALE_MM = 0.001

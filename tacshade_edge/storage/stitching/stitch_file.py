@@ -28,7 +28,7 @@ from tacshade_edge.quoting import shown
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.regular_files import open_regular, read_regular
 from tacshade_edge.rigid import Rigid
-from tacshade_edge.storage.whole_files import disk_errors, require_free, sync, write_whole
+from tacshade_edge.storage.atomic_files import disk_errors, require_free, sync, write_whole
 
 _log = logging.getLogger(__name__)
 

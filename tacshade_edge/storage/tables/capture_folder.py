@@ -13,10 +13,10 @@ import cv2
 from tacshade_edge.core.calibration.indenters.indenter import Indenter
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.storage.atomic_files import disk_errors, write_whole
 from tacshade_edge.storage.images import read_image
 from tacshade_edge.storage.tables.presses import BALL, HEADER, MORE, press_rows
 from tacshade_edge.storage.tables.tables import number, read_rows
-from tacshade_edge.storage.whole_files import disk_errors, write_whole
 from tacshade_edge.types import U8
 
 SENSOR, SETTINGS, PRESSES, INDENTERS = "SENSOR.yaml", "config.yaml", "PRESSES.csv", "INDENTERS.yaml"

@@ -11,8 +11,8 @@ from typing import overload
 
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.quoting import quoted
+from tacshade_edge.storage.atomic_files import part
 from tacshade_edge.storage.tables.tables import CRC_COLUMN, iter_rows, number
-from tacshade_edge.storage.whole_files import part
 from tacshade_edge.types import Pose
 
 HEADER = ("image", "t_ns", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")

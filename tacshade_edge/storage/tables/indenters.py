@@ -11,9 +11,9 @@ from tacshade_edge.core.calibration.indenters.indenter import Indenter
 from tacshade_edge.core.calibration.indenters.printable import planned_presses, printables
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.settings.indenters_file import IndenterEntry, read_indenters_file
+from tacshade_edge.storage.atomic_files import disk_errors, write_whole
 from tacshade_edge.storage.meshes.stl import read_stl, stl_bytes
 from tacshade_edge.storage.tables.presses import HEADER
-from tacshade_edge.storage.whole_files import disk_errors, write_whole
 
 # A mesh has one side within these, mm: another size is one in metres or inches, or a mistake.
 _LEAST_MM, _MOST_MM = 0.5, 500.0

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from tacshade_edge.core.stitching.surface_map import Raster
-from tacshade_edge.storage.whole_files import disk_errors, write_whole
+from tacshade_edge.storage.atomic_files import disk_errors, write_whole
 from tacshade_edge.studies.stitch.score import at_cells_of
 from tacshade_edge.types import F32, U8
 

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from tacshade_edge.capture.printer.doubt import Doubt, Stopped
-from tacshade_edge.capture.printer.hand import Hand
 from tacshade_edge.capture.printer.head import Head
+from tacshade_edge.capture.printer.keypress_stop import KeypressStop
 from tacshade_edge.capture.printer.line import PrinterLine
+from tacshade_edge.capture.printer.safety_stop import SafetyStop, Stopped
 from tacshade_edge.capture.terminal import Terminal
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.errors import DeviceError
@@ -33,7 +33,7 @@ class Rig:
         self.line = PrinterLine(SerialPort(printer.port, 115200))
         with open(os.devnull, "w") as out:
             self.terminal = Terminal(read, out)
-        self.head = Head(self.line, LIMITS, Hand(self.terminal))
+        self.head = Head(self.line, LIMITS, KeypressStop(self.terminal))
 
     def start(self) -> None:
         self.line.connect()
@@ -66,7 +66,7 @@ def test_from_a_board_that_restarts_to_the_start(tmp_path: Path) -> None:
         assert one.head.is_free
         one.head.to(80)
         assert not one.head.is_free
-        with pytest.raises(Doubt, match=r"a move sideways at z 80.00 mm, expected 90.00 mm or more"):
+        with pytest.raises(SafetyStop, match=r"a move sideways at z 80.00 mm, expected 90.00 mm or more"):
             one.head.over(100, 100)
 
 
@@ -81,9 +81,9 @@ def test_nothing_is_sent_beyond_the_limits(tmp_path: Path, to: tuple[float, floa
     with rig(tmp_path) as one:
         one.start()
         moves = list(one.printer.moves)
-        with pytest.raises(Doubt, match=r"expected 0 to 220 \(PRINTER.yaml\)"):
+        with pytest.raises(SafetyStop, match=r"expected 0 to 220 \(PRINTER.yaml\)"):
             one.head.over(*to)
-        with pytest.raises(Doubt, match=r"a move to z 39.00 mm, expected 40 to 200"):
+        with pytest.raises(SafetyStop, match=r"a move to z 39.00 mm, expected 40 to 200"):
             one.head.to(39.0)
         assert one.printer.moves == moves
         assert one.head.is_certain
@@ -111,10 +111,10 @@ def test_what_leaves_the_head_uncertain(tmp_path: Path, fault: str, said: str) -
         one.start()
         moved = len(one.printer.moves)
         setattr(one.printer.faults, fault, len(one.printer.heard) + 2)  # the move, after its place was asked for
-        with pytest.raises(Doubt, match=said):
+        with pytest.raises(SafetyStop, match=said):
             one.head.to(85.0)
         assert not one.head.is_certain
-        with pytest.raises((Doubt, RuntimeError)):
+        with pytest.raises((SafetyStop, RuntimeError)):
             one.head.to(85.0)
         assert "M112 was sent" in one.line.emergency_stop()
         assert len(one.printer.moves) <= moved + 1
@@ -124,7 +124,9 @@ def test_a_printer_that_goes_elsewhere_and_does_not_say_so(tmp_path: Path) -> No
     with rig(tmp_path) as one:
         one.start()
         one.printer.faults.highest_mm = 90.5
-        with pytest.raises(Doubt, match=r"says that it is at 110.00, 100.00, 90.50, expected 110.00, 100.00, 91.00 mm"):
+        with pytest.raises(
+            SafetyStop, match=r"says that it is at 110.00, 100.00, 90.50, expected 110.00, 100.00, 91.00 mm"
+        ):
             one.head.to(91.0)
         assert not one.head.is_certain
 
@@ -154,7 +156,7 @@ def test_a_halted_printer_and_a_pulled_cable(tmp_path: Path) -> None:
     with rig(tmp_path) as one:
         one.start()
         assert "M112 was sent" in one.line.emergency_stop()
-        with pytest.raises(Doubt, match=r"kill\(\) called"):
+        with pytest.raises(SafetyStop, match=r"kill\(\) called"):
             one.head.to(89)
     with rig(tmp_path) as one:
         one.start()

@@ -126,7 +126,7 @@ def test_a_full_disk_leaves_no_session_behind(tmp_path: Path, monkeypatch: pytes
             StitchFile.create(tmp_path / "one", info())
     assert [*tmp_path.iterdir()] == []
     file = written(tmp_path / "one")
-    monkeypatch.setattr("tacshade_edge.storage.whole_files.FREE_FLOOR_BYTES", 2**62)
+    monkeypatch.setattr("tacshade_edge.storage.atomic_files.FREE_FLOOR_BYTES", 2**62)
     with pytest.raises(DeviceError, match="MiB free on the disk, expected") as caught:
         file.append(POINTS[0], POSES[0])
     assert caught.value.code == ReasonCode.DISK_FULL

@@ -9,9 +9,9 @@ from typing import BinaryIO, Final
 
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.reasons import ReasonCode
+from tacshade_edge.storage.atomic_files import sync
 from tacshade_edge.storage.recording.mcap.layout import HEAD, MAGIC, ByteFile, Kind
 from tacshade_edge.storage.recording.mcap.walk import Place, places
-from tacshade_edge.storage.whole_files import sync
 
 # Of a data section without a checksum, and no summary: readers go through the file.
 _END: Final = HEAD.pack(Kind.DATA_END, 4) + bytes(4) + HEAD.pack(Kind.FOOTER, 20) + bytes(20) + MAGIC

@@ -5,7 +5,7 @@ from __future__ import annotations
 from tacshade_edge.errors import DeviceError
 
 
-class Doubt(DeviceError):
+class SafetyStop(DeviceError):
     """Something is not as it should be, so nothing may go on moving."""
 
 

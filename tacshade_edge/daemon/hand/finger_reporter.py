@@ -14,7 +14,7 @@ from tacshade_edge.types import Need
 PERIOD_NS: Final = 100_000_000  # without contact; in contact every frame tells
 
 
-class TellingFinger(FrameObserver):
+class FingerReporter(FrameObserver):
     """One sensor as a finger: tells while somebody listens to the hand, and then asks for depth.
 
     Parameters

@@ -13,11 +13,11 @@ import pytest
 
 from tacshade_edge.capture.live import Live
 from tacshade_edge.capture.page import Page
-from tacshade_edge.capture.printer.doubt import Doubt
-from tacshade_edge.capture.printer.eyes import Eyes
-from tacshade_edge.capture.printer.hand import Hand
+from tacshade_edge.capture.printer.contact_detector import ContactDetector
 from tacshade_edge.capture.printer.head import Head
+from tacshade_edge.capture.printer.keypress_stop import KeypressStop
 from tacshade_edge.capture.printer.line import PrinterLine
+from tacshade_edge.capture.printer.safety_stop import SafetyStop
 from tacshade_edge.capture.printer.touch import Touch
 from tacshade_edge.capture.terminal import Terminal
 from tacshade_edge.core.calibration.calibrate import calibrate
@@ -64,7 +64,7 @@ def touch(folder: Path, check: PressCheck, faults: Faults | None = None) -> Iter
         terminal = Terminal(read, stack.enter_context(open(os.devnull, "w")))
         live, hand, line = (
             Live(source, terminal, page, None, lambda circle: None),
-            Hand(terminal),
+            KeypressStop(terminal),
             PrinterLine(SerialPort(printer.port, 115200)),
         )
         stack.callback(line.close)
@@ -73,8 +73,8 @@ def touch(folder: Path, check: PressCheck, faults: Faults | None = None) -> Iter
         line.connect()
         head.prepare(home=True)
         head.to_start()
-        made = Touch(head, Eyes(live, check, hand), LIMITS.z_mm[0])
-        made.eyes.learn_rest()
+        made = Touch(head, ContactDetector(live, check, hand), LIMITS.z_mm[0])
+        made.detector.learn_rest()
         yield made, printer, source
 
 
@@ -90,35 +90,39 @@ def test_a_touch_is_found_within_a_twentieth_of_a_millimetre(tmp_path: Path, che
 @pytest.mark.slow
 def test_where_the_picture_and_the_place_do_not_agree(tmp_path: Path, check: PressCheck) -> None:
     with touch(tmp_path, check) as (one, printer, _):
-        one.eyes.learn_free()
-        with pytest.raises(Doubt, match=r"shows contact \+\d.\d\d mm from where it should touch, expected nothing"):
+        one.detector.learn_free()
+        with pytest.raises(
+            SafetyStop, match=r"shows contact \+\d.\d\d mm from where it should touch, expected nothing"
+        ):
             one.down(printer.sensor.tip_z_mm - 2, printer.sensor.tip_z_mm - 3)
         assert one.head.z_mm > printer.sensor.tip_z_mm - 2.0  # one long step at most
         one.lift()
-        one.eyes.learn_free()
+        one.detector.learn_free()
         printer.faults.loses_steps_below_mm = 63.0
-        with pytest.raises(Doubt, match=r"shows no contact -1\.00 mm from where it should touch, expected contact"):
+        with pytest.raises(
+            SafetyStop, match=r"shows no contact -1\.00 mm from where it should touch, expected contact"
+        ):
             one.down(printer.sensor.tip_z_mm, printer.sensor.tip_z_mm - 3)
         one.lift()
-        one.eyes.learn_free()
+        one.detector.learn_free()
         printer.faults.loses_steps_below_mm = 100.0  # and no touch at all above the least height
         printer.press()
-        with pytest.raises(Doubt, match=r"no touch was seen down to z 6\d"):
+        with pytest.raises(SafetyStop, match=r"no touch was seen down to z 6\d"):
             one.from_near(100, 100, printer.sensor.tip_z_mm + 2.5)
 
 
 @pytest.mark.slow
 def test_a_camera_that_cannot_be_believed(tmp_path: Path, check: PressCheck) -> None:
     with touch(tmp_path, check) as (one, _, camera):
-        one.eyes.learn_free()
+        one.detector.learn_free()
         last = camera.read()
         camera.change = lambda frame: Frame(frame.seq, frame.t_ns, frame.wall_ns, last.image)
-        with pytest.raises(Doubt, match="the same picture again and again"):
-            one.eyes.look()
+        with pytest.raises(SafetyStop, match="the same picture again and again"):
+            one.detector.look()
         began_ns = time.monotonic_ns()
         camera.change = lambda frame: Frame(frame.seq, began_ns, frame.wall_ns, frame.image)
-        with pytest.raises(Doubt, match="no 4 new pictures within 5 s"):
-            one.eyes.look()
+        with pytest.raises(SafetyStop, match="no 4 new pictures within 5 s"):
+            one.detector.look()
         camera.change = lambda frame: Frame(frame.seq, frame.t_ns, frame.wall_ns, np.roll(frame.image, 25, axis=1))
-        with pytest.raises(Doubt, match=r"since the references|cannot be used"):
-            one.eyes.look()
+        with pytest.raises(SafetyStop, match=r"since the references|cannot be used"):
+            one.detector.look()

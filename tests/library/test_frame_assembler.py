@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 import tacshade_edge as ts
 from tacshade_edge.daemon.pipeline.observer import FrameResult
 from tacshade_edge.daemon.publishing.publisher import Publisher
-from tacshade_edge.library.frames_heard import TOPICS, FramesHeard
+from tacshade_edge.library.frame_assembler import TOPICS, FrameAssembler
 from tacshade_edge.protocol import messages
 from tacshade_edge.types import Frame, Pose, Reconstruction
 from tools.testbed.calibrated_sensor import calibrated, pressed, step, unloaded
@@ -43,8 +43,8 @@ def of(result: Reconstruction, seq: int) -> Reconstruction:
     return replace(result, seq=seq, t_ns=1000 + seq * 10**9, wall_ns=2000 + seq)
 
 
-def heard(*sent: tuple[str, bytes]) -> FramesHeard:
-    frames = FramesHeard()
+def heard(*sent: tuple[str, bytes]) -> FrameAssembler:
+    frames = FrameAssembler()
     for topic, payload in (("info", info()), *sent):
         frames.add(topic, payload)
     return frames
@@ -99,7 +99,7 @@ def test_what_is_not_whole_or_not_placed_is_passed_over() -> None:
     sent = published(made)
     without_cloud = [message for message in sent if message[0] != "cloud"]
     assert not heard(*without_cloud).whole
-    unplaced = FramesHeard()
+    unplaced = FrameAssembler()
     for message in sent:
         unplaced.add(*message)
     assert unplaced.take() is None

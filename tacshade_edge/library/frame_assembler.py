@@ -36,7 +36,7 @@ class _Whole:
     streams: dict[str, bytes]
 
 
-class FramesHeard:
+class FrameAssembler:
     """Takes one daemon's messages in the order in which it sent them; keeps the newest frame that is whole.
 
     Attributes

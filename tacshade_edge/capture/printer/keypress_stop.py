@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from tacshade_edge.capture.printer.doubt import Stopped
+from tacshade_edge.capture.printer.safety_stop import Stopped
 from tacshade_edge.capture.terminal import InputEnded, Terminal
 
 
-class Hand:
+class KeypressStop:
     """A hand on the keys of a terminal.
 
     Parameters

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from tacshade_edge.errors import DeviceError
-from tacshade_edge.storage.whole_files import disk_errors, part, sync, write_whole
+from tacshade_edge.storage.atomic_files import disk_errors, part, sync, write_whole
 
 
 @pytest.mark.parametrize("wait", [True, False])

@@ -16,7 +16,7 @@ from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 from tacshade_edge.devices.mqtt.client import connect_now, make_client
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.library.arguments import path_of, text_of, wrong
-from tacshade_edge.library.frames_heard import TOPICS, FramesHeard
+from tacshade_edge.library.frame_assembler import TOPICS, FrameAssembler
 from tacshade_edge.library.result import Result, Results
 from tacshade_edge.quoting import escaped, shown
 from tacshade_edge.reasons import ReasonCode
@@ -96,7 +96,7 @@ class _Heard(Results):
         self._where, self._base = f"{host}:{port}", f"tacshade/{sensor_id}"
         self._failure = ""
         self._connected = self._closed = False
-        self._frames = FramesHeard()
+        self._frames = FrameAssembler()
         client.on_connect, client.on_subscribe = self._on_connect, self._on_subscribe
         client.on_message = self._on_message
         self._connect()

@@ -40,7 +40,7 @@ def new_instance() -> dict[str, str | int]:
     return {"id": secrets.token_hex(8), "host": socket.gethostname(), "process": os.getpid()}
 
 
-class Holder:
+class ClientIdGuard:
     """Watches a name with a connection under another; used by one thread, paho's of the link.
 
     Parameters

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from support.link_rig import BASE, Rig, code
 
-from tacshade_edge.devices.mqtt.holder import decode_instance
+from tacshade_edge.devices.mqtt.client_id_guard import decode_instance
 from tacshade_edge.reasons import ReasonCode
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from tools.testbed.patience import wait_until

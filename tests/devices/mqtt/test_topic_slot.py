@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
-from tacshade_edge.devices.mqtt.outlet import PROBE_PERIOD_NS, Item, Outlet
+from tacshade_edge.devices.mqtt.topic_slot import PROBE_PERIOD_NS, Item, TopicSlot
 
 EVENTS = st.lists(st.sampled_from(["put", "take", "sent", "refuse", "lost"]), max_size=60)
 
 
-def make_outlet(*, retain: bool = False) -> Outlet:
-    return Outlet("height", 0, retain, 1 if retain else 2, Properties(PacketTypes.PUBLISH))
+def make_outlet(*, retain: bool = False) -> TopicSlot:
+    return TopicSlot("height", 0, retain, 1 if retain else 2, Properties(PacketTypes.PUBLISH))
 
 
 @given(EVENTS)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import tacshade_edge as ts
-from tacshade_edge.library import heard
+from tacshade_edge.library import subscriber
 from tacshade_edge.reasons import Reason, ReasonCode
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, free_port
 from tools.testbed.published_hand import PublishedHand, bump
@@ -74,7 +74,7 @@ def test_a_broker_that_went_is_told_and_found_again(tmp_path: Path) -> None:
 
 
 def test_silence_says_what_is_known(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(heard, "_SILENT_S", 1.0)
+    monkeypatch.setattr(subscriber, "_SILENT_S", 1.0)
     with Broker(tmp_path) as broker, PublishedHand(broker.port) as hand:
         missing = Reason(ReasonCode.NOT_CALIBRATED, "not calibrated: found no file")
         hand.tell_info("fast", profiles=("fast",), missing=missing)

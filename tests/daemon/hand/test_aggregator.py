@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tacshade_edge.daemon.hand.together import FIRST_NS, PERIOD_NS, QUIET_PERIOD_NS, STALLED_NS, Together
+from tacshade_edge.daemon.hand.aggregator import FIRST_NS, PERIOD_NS, QUIET_PERIOD_NS, STALLED_NS, HandAggregator
 from tacshade_edge.protocol.hand import Finger, away
 from tacshade_edge.reasons import Reason, ReasonCode
 
@@ -14,9 +14,9 @@ TOUCHED = Finger(state="contact", t_ns=NOW_NS - 5_500_000, seq=2)
 
 
 @pytest.fixture
-def two() -> Together:
+def two() -> HandAggregator:
     """Listened to, and both have told."""
-    together = Together(["thumb", "index"])
+    together = HandAggregator(["thumb", "index"])
     together.listen(True, NOW_NS)
     for name in ("thumb", "index"):
         together.hear(name, FREE, NOW_NS)
@@ -24,13 +24,13 @@ def two() -> Together:
 
 
 def test_nothing_is_due_while_nobody_listens() -> None:
-    together = Together(["thumb"])
+    together = HandAggregator(["thumb"])
     together.hear("thumb", FREE, NOW_NS)
     assert together.due_ns() is None
 
 
 def test_the_first_message_waits_for_every_finger_and_not_for_ever() -> None:
-    together = Together(["thumb", "index"])
+    together = HandAggregator(["thumb", "index"])
     together.listen(True, NOW_NS)
     together.hear("thumb", FREE, NOW_NS + 5)
     assert together.due_ns() == NOW_NS + FIRST_NS
@@ -39,13 +39,13 @@ def test_the_first_message_waits_for_every_finger_and_not_for_ever() -> None:
     assert (message.t_ns, message.wall_ns, message.seq) == (NOW_NS + FIRST_NS, 7, 0)
 
 
-def test_it_is_due_at_once_when_all_have_told(two: Together) -> None:
+def test_it_is_due_at_once_when_all_have_told(two: HandAggregator) -> None:
     due_ns = two.due_ns()
     assert due_ns is not None
     assert due_ns <= NOW_NS
 
 
-def test_every_finger_has_the_age_of_its_frame(two: Together) -> None:
+def test_every_finger_has_the_age_of_its_frame(two: HandAggregator) -> None:
     two.hear("index", TOUCHED, NOW_NS)
     two.hear("thumb", away(Reason(ReasonCode.LOST, "gone")), NOW_NS)
     fingers = two.tell(NOW_NS, 0).fingers
@@ -59,21 +59,21 @@ def test_every_finger_has_the_age_of_its_frame(two: Together) -> None:
     ids=["contact", "change", "nothing new"],
 )
 def test_contact_and_change_are_told_at_most_60_times_a_second_all_else_10_times(
-    two: Together, told: Finger, period_ns: int
+    two: HandAggregator, told: Finger, period_ns: int
 ) -> None:
     two.tell(NOW_NS, 0)
     two.hear("thumb", told, NOW_NS + 1)
     assert two.due_ns() == NOW_NS + period_ns
 
 
-def test_a_contact_that_is_told_is_no_news_until_its_next_frame(two: Together) -> None:
+def test_a_contact_that_is_told_is_no_news_until_its_next_frame(two: HandAggregator) -> None:
     two.hear("thumb", TOUCHED, NOW_NS)
     assert two.tell(NOW_NS, 0).seq == 0
     assert two.due_ns() == NOW_NS + QUIET_PERIOD_NS
     assert two.tell(NOW_NS + QUIET_PERIOD_NS, 0).seq == 1
 
 
-def test_a_finger_that_falls_silent_is_away(two: Together) -> None:
+def test_a_finger_that_falls_silent_is_away(two: HandAggregator) -> None:
     two.hear("thumb", TOUCHED, NOW_NS)
     two.hear("index", away(Reason(ReasonCode.LOST, "gone")), NOW_NS)
     assert two.tell(NOW_NS + STALLED_NS, 0).fingers["thumb"].state == "contact"
@@ -84,7 +84,7 @@ def test_a_finger_that_falls_silent_is_away(two: Together) -> None:
     assert two.tell(NOW_NS + STALLED_NS + 2, 0).fingers["thumb"].state == "free"
 
 
-def test_what_was_told_before_somebody_listened_is_no_news(two: Together) -> None:
+def test_what_was_told_before_somebody_listened_is_no_news(two: HandAggregator) -> None:
     two.hear("thumb", TOUCHED, NOW_NS)
     two.hear("index", away(Reason(ReasonCode.LOST, "gone")), NOW_NS)
     two.listen(False, NOW_NS)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from tacshade_edge.daemon.hand.finger import PERIOD_NS, TellingFinger
+from tacshade_edge.daemon.hand.finger_reporter import PERIOD_NS, FingerReporter
 from tacshade_edge.daemon.hand.lines import Lines
 from tacshade_edge.daemon.pipeline.observer import FrameResult, SourceState
 from tacshade_edge.protocol.hand import Finger
@@ -20,7 +20,7 @@ from tacshade_edge.types import Frame, HeightMap, Need, ObjectCloud, Reconstruct
 class Rig:
     def __init__(self) -> None:
         self.lines = Lines(["thumb"])
-        self.finger = TellingFinger(self.lines.fingers["thumb"], shift(1, 2, 3))
+        self.finger = FingerReporter(self.lines.fingers["thumb"], shift(1, 2, 3))
 
     def see(self, result: Reconstruction | None) -> None:
         frame = Frame(0, 0, 0, np.zeros((1, 1), np.uint8))

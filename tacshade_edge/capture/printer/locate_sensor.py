@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from tacshade_edge.capture.printer.doubt import Doubt
 from tacshade_edge.capture.printer.plan import BESIDE_START_MM
+from tacshade_edge.capture.printer.safety_stop import SafetyStop
 from tacshade_edge.capture.printer.touch import Touch
 from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
 from tacshade_edge.core.calibration.observation.press_observation import pictured_places
@@ -26,7 +26,7 @@ def reach_mm(sensor: Sensor) -> float:
     return sensor.skin_radius_mm * min(_AROUND_AXIS_RADII, _VISIBLE_PART * visible)
 
 
-def find_stand(
+def locate_sensor(
     touch: Touch, start_mm: tuple[float, float], ball_mm: float, sensor: Sensor, unloaded: Calibration
 ) -> tuple[Stand, float]:
     """Find where the sensor stands, with a ball in the head.
@@ -52,10 +52,10 @@ def find_stand(
     ------
     ConfigError
         The touches or pictures are not of such a sensor.
-    Stopped, Doubt, DeviceError
+    Stopped, SafetyStop, DeviceError
     """
     r, start = sensor.skin_radius_mm, np.array(start_mm)
-    touch.eyes.learn_rest()
+    touch.detector.learn_rest()
     touches = [(*start_mm, touch.from_afar())]
     touch.free_over(touches[0][2])
     for x, y in (start + _ring(_AROUND_START, _AROUND_START_RADII * r, 0.0)).tolist():
@@ -64,7 +64,7 @@ def find_stand(
     centre, _ = skin_centre(np.array(touches), r, ball_mm)
     if (beside_mm := math.dist(centre[:2], start)) > BESIDE_START_MM:
         found = f"the skin's axis is at x {centre[0]:.1f}, y {centre[1]:.1f} mm, {beside_mm:.1f} mm beside the start"
-        raise Doubt(f"{found}, expected {BESIDE_START_MM:g} mm at most: move it, or correct start_mm")
+        raise SafetyStop(f"{found}, expected {BESIDE_START_MM:g} mm at most: move it, or correct start_mm")
     touch.free_over(centre[2] + r)
     around, pressed = _ring(_AROUND_AXIS, reach_mm(sensor), _TURNED_RAD), []
     for beside_x, beside_y in around.tolist():
@@ -72,7 +72,7 @@ def find_stand(
         z = touch.from_near(x, y, centre[2] + math.sqrt(r * r - beside_x**2 - beside_y**2) - first_mm)
         touches.append((x, y, z))
         touch.down(z, z - _PRESSED_MM)
-        image = touch.eyes.still_image()
+        image = touch.detector.still_image()
         touch.lift()
         pressed.append(KnownPress("", image, ball_mm, first_mm + _PRESSED_MM, None, None))
     centre, rms_mm = skin_centre(np.array(touches), r, ball_mm)

@@ -23,7 +23,7 @@ _STARTING: Final = away(Reason(ReasonCode.STARTING, "nothing is known yet"))
 _STALLED: Final = away(Reason(ReasonCode.STALLED, "it tells nothing"))
 
 
-class Together:
+class HandAggregator:
     """The latest of every finger.
 
     Parameters

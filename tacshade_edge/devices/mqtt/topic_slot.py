@@ -25,7 +25,7 @@ class Item:
 
 
 @dataclass(slots=True, eq=False)
-class Outlet:
+class TopicSlot:
     """The latest-wins slot of one topic. Not locked: its owner guards it.
 
     Attributes

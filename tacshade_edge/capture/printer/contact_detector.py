@@ -7,8 +7,8 @@ import time
 import numpy as np
 
 from tacshade_edge.capture.live import Live
-from tacshade_edge.capture.printer.doubt import Doubt, Stopped
-from tacshade_edge.capture.printer.hand import Hand
+from tacshade_edge.capture.printer.keypress_stop import KeypressStop
+from tacshade_edge.capture.printer.safety_stop import SafetyStop, Stopped
 from tacshade_edge.core.calibration.presses.press_check import Judgement, PressCheck
 from tacshade_edge.core.calibration.reference.stillness import REST_MOST_GREY, block_means, motion_grey
 from tacshade_edge.core.image.greyscale import to_grey
@@ -23,7 +23,7 @@ _REST_LOOKS = 6
 _FREE_WAIT_S, _STILL_MOST_S = 15.0, 20.0
 
 
-class Eyes:
+class ContactDetector:
     """The camera as it watches the machine.
 
     Parameters
@@ -31,13 +31,13 @@ class Eyes:
     live : Live
     check : PressCheck
         Of the references.
-    hand : Hand
+    keypress : KeypressStop
     """
 
-    def __init__(self, live: Live, check: PressCheck, hand: Hand) -> None:
+    def __init__(self, live: Live, check: PressCheck, keypress: KeypressStop) -> None:
         self._live = live
         self._check = check
-        self._hand = hand
+        self._keypress = keypress
         self._free: F32 | None = None
         self._contact_grey = 0.0
 
@@ -46,7 +46,7 @@ class Eyes:
         looks = [self._look()[0] for _ in range(_REST_LOOKS)]
         rest_grey = max(motion_grey([a, looks[0]]) for a in looks)
         if rest_grey > REST_MOST_GREY:
-            raise Doubt(
+            raise SafetyStop(
                 f"the picture changes by {rest_grey:.1f} grey levels at rest, expected {REST_MOST_GREY:g} at most"
             )
         self._contact_grey = _REST_FACTOR * rest_grey + _CONTACT_GREY
@@ -56,7 +56,7 @@ class Eyes:
 
         Raises
         ------
-        Doubt
+        SafetyStop
             It still shows contact after a while, and as `look`.
         """
         end_s = time.monotonic() + _FREE_WAIT_S
@@ -67,7 +67,7 @@ class Eyes:
                 self._free = now
                 return
             if time.monotonic() > end_s:
-                raise Doubt(
+                raise SafetyStop(
                     "the picture shows contact, or does not come to rest, though the indenter is above the skin"
                 )
             before = now
@@ -77,7 +77,7 @@ class Eyes:
 
         Raises
         ------
-        Doubt
+        SafetyStop
             The camera gives the same picture again and again, was moved, or what cannot be used.
         Stopped
         DeviceError
@@ -88,10 +88,10 @@ class Eyes:
         return judged.in_contact or motion_grey([self._free, now]) > self._contact_grey
 
     def still_image(self) -> U8:
-        """The picture, once it stands still; of what touches. Raises as `look`, and Doubt when it never does."""
+        """The picture, once it stands still; of what touches. Raises as `look`, and SafetyStop when it never does."""
         frame = self._live.still_frame(_STILL_MOST_S)
         if frame is None:
-            self._hand.check()
+            self._keypress.check()
             raise Stopped("a key was pressed")
         return np.array(frame.image)
 
@@ -100,21 +100,21 @@ class Eyes:
         frames = self._frames()
         blocks = [block_means(to_grey(frame.image)) for frame in frames]
         if all(np.array_equal(frames[0].image, frame.image) for frame in frames[1:]):
-            raise Doubt("the camera gives the same picture again and again")
+            raise SafetyStop("the camera gives the same picture again and again")
         judged = self._check.judge(np.array(frames[-1].image))
         if judged.unusable:
-            raise Doubt(f"the picture cannot be used: {judged.unusable}")
+            raise SafetyStop(f"the picture cannot be used: {judged.unusable}")
         if judged.moved:
-            raise Doubt(f"{judged.moved} since the references")
+            raise SafetyStop(f"{judged.moved} since the references")
         return np.mean(blocks, axis=0, dtype=np.float32), judged
 
     def _frames(self) -> list[Frame]:
         from_ns = time.monotonic_ns() + round(1e9 * _SETTLE_S)
         frames: list[Frame] = []
         while len(frames) < _FRAMES:
-            self._hand.check()
+            self._keypress.check()
             if time.monotonic_ns() - from_ns > 1e9 * _FRAMES_MOST_S:
-                raise Doubt(f"the camera gave no {_FRAMES} new pictures within {_FRAMES_MOST_S:g} s")
+                raise SafetyStop(f"the camera gave no {_FRAMES} new pictures within {_FRAMES_MOST_S:g} s")
             frame = self._live.frame()
             if frame.t_ns >= from_ns:
                 frames.append(frame)
