@@ -49,7 +49,7 @@ def test_a_stop_while_the_camera_hangs_in_its_library(tmp_path: Path) -> None:
     settings.write_text(f"calibration: c.npz\n{source}\nmqtt: {{host: 127.0.0.1, port: {free_port()}}}\n")
     code = (
         f"{IN_A_LIBRARY}\nfrom tacshade_edge.cli.entry import entry\n"
-        "from tacshade_edge.storage import image_source\n"
+        "from tacshade_edge.storage.recording import image_source\n"
         "image_source.FilesSource.read = lambda self: print('hangs', flush=True) or blur()\nentry()"
     )
     command = [sys.executable, "-c", code, "run", "--config", str(settings)]

@@ -26,9 +26,14 @@ def cannot_boot() -> str:
 
 def seen_there(folder: Path, scenario: str, python: str, *options: str) -> dict[str, Any]:
     """What a script of tests/service saw; it has `folder` as /payload, and the Python at the path `python` there."""
-    (folder / "support").mkdir()
-    for script in (f"service/{scenario}", "support/__init__.py", "support/booted_service.py", "support/patience.py"):
-        shutil.copy(CHECKOUT / "tests" / script, folder / script.removeprefix("service/"))
+    parts = {
+        f"tests/service/{scenario}": scenario,
+        **{f"tests/support/{name}": f"support/{name}" for name in ("__init__.py", "booted_service.py")},
+        **{path: path for path in ("tools/__init__.py", "tools/testbed/__init__.py", "tools/testbed/patience.py")},
+    }
+    for path, there in parts.items():
+        (folder / there).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(CHECKOUT / path, folder / there)
     (folder / "scenario").write_text(f"#!/bin/bash\nexec {python} /payload/{scenario} {Path(python).name}\n")
     (folder / "scenario").chmod(0o755)
     limit = os.environ | {"LIMIT_S": f"{patience(120):.0f}"}

@@ -190,7 +190,8 @@ def ended(command: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
 
 LOSES_IT = """
 import os, signal, sys
-from tacshade_edge.cli import demo, main
+from tacshade_edge.cli import main
+from tacshade_edge.cli.commands import demo
 calibration = demo.make_calibration
 class Destroyed:
     def __del__(self):

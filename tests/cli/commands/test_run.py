@@ -137,7 +137,7 @@ def test_a_source_that_can_never_work_is_one_line_and_exit_78(folder: Path, star
 
 def test_a_defect_in_a_thread_ends_the_process_with_a_traceback(folder: Path) -> None:
     code = (
-        "from tacshade_edge.cli.entry import entry; from tacshade_edge.storage import image_source\n"
+        "from tacshade_edge.cli.entry import entry; from tacshade_edge.storage.recording import image_source\n"
         "def read(self): raise ZeroDivisionError('a defect')\n"
         "image_source.FilesSource.read = read\n"
         "entry()"
