@@ -45,7 +45,7 @@ def test_no_text_has_a_path_of_a_machine(path: Path) -> None:
     assert OF_A_MACHINE.findall(path.read_text(encoding="utf-8")) == []
 
 
-@pytest.mark.parametrize("line", ["/tmp/w/ci3/.rig/a.deb: 131 MB", "at /root/x", "`/home/me/a.npz`", "(/work/tree)"])
+@pytest.mark.parametrize("line", ["/tmp/w/ci3/.rig/a.deb: 131 MB", "at /root/x", "`/home/me/a.npz`", "(/mnt/tree)"])
 def test_a_path_of_a_machine_is_seen(line: str) -> None:
     assert OF_A_MACHINE.search(line)
 
