@@ -73,6 +73,7 @@ def test_three_points_are_a_circle_and_null_is_the_one_that_is_found(page: Page)
     assert page.chosen == deque([Chosen(None)])  # the newest alone
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("body", "said"),
     [

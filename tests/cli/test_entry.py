@@ -30,6 +30,7 @@ def python(code: str, *words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, timeout=patience(30), check=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("code", [0, 3, 78])
 def test_a_thread_inside_a_library_does_not_change_the_exit_code(code: int) -> None:
     """Taken down under it, the interpreter ended in SIGABRT, "terminate called without an active exception"."""

@@ -303,6 +303,7 @@ def test_a_sensor_that_darkens() -> None:
     assert abs(errors.mean()) < 0.05  # 0.011
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["global", "otsu"])
 def test_other_binarisations_work_too(method: Binarisation) -> None:
     seen = [press for press in presses() if press.depth_mm > 1.0]  # less of it moves a global threshold's g too little

@@ -35,6 +35,7 @@ def test_a_sensor_as_it_was_calibrated() -> None:
     assert findings["sensor"].found.startswith("looks as calibrated, no contact, noise ")
 
 
+@pytest.mark.slow
 def test_a_camera_that_moved() -> None:
     shifted = [np.roll(image, 4, axis=1) for image in free()]
     sensor = judged(shifted)["sensor"]

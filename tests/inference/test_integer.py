@@ -152,6 +152,7 @@ def _tensors(node: Node, maker: dict[str, Node]) -> tuple[str, ...]:
     return (x, x_zero, divided.inputs[0], rounded, divided.inputs[1], bias, rounded_bias, scale, zero, node.output)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LAYER_BY_LAYER)
 def test_sums_are_exact_and_codes_rounded_once(name: str) -> None:
     off = max(float(np.abs(layer.codes - layer.exact()).max()) for layer in layers(name))

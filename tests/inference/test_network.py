@@ -106,6 +106,7 @@ def test_only_a_profile_that_needs_it_gets_a_network() -> None:
         Reconstructor(calibrated(), PROFILES["accurate"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_a_fitted_network_runs_its_own_weights(name: str) -> None:
     """The shipped ones, handed in as a fit, answer as the shipped; others do not, and the correction is added."""

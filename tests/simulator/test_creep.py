@@ -77,6 +77,7 @@ def test_an_object_on_a_crept_skin_touches_it_where_it_reaches_beyond() -> None:
     assert np.min(deep.height_mm - deep.obstacle_mm) >= -1e-6
 
 
+@pytest.mark.slow
 def test_a_dent_is_where_the_material_is() -> None:
     model = SensorModel(coulomb=50.0, sway=0.0)
     skin = skin_under(model, (Press(ball(5.0), 2.0, 0.0, 3.0, drag_x_mm=2.0),))

@@ -19,6 +19,7 @@ from tools.testbed.patience import patience, stretched
 COMMAND = [sys.executable, "-m", "tacshade_edge", "dashboard"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_it_tells_its_address_and_stops_on_a_signal(number: signal.Signals) -> None:
     child = subprocess.Popen(

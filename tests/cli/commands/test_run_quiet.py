@@ -51,6 +51,7 @@ def say(lines: Lines, *parts: str) -> bool:
     return any(" WARNING " in line and all(part in line for part in parts) for line in lines())
 
 
+@pytest.mark.slow
 def test_no_broker_and_no_camera(tmp_path: Path, run_quietly: Callable[..., Lines]) -> None:
     calibration_file.save(tmp_path / "c.npz", painted_calibration())
     port = free_port()

@@ -116,6 +116,7 @@ def test_a_fine_pattern_is_left_as_it_is() -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("depth_mm", [1.0, 3.0])
 def test_half_the_resolution_finds_the_same_contact(depth_mm: float) -> None:
     calibration = calibrated(FULL, 0)

@@ -91,6 +91,7 @@ def test_what_is_none_of_these_forms_is_not_decoded(monkeypatch: pytest.MonkeyPa
             decode_image(data, FLAGS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", WHOLE)
 @given(damage=st.lists(st.tuples(st.floats(0, 1), st.integers(0, 255)), min_size=1, max_size=4), cut=st.floats(0, 1))
 def test_damage_is_refused_or_passes_and_nothing_else(form: str, damage: list[tuple[float, int]], cut: float) -> None:

@@ -46,6 +46,7 @@ def with_depth_errors(seed: int, spread: float) -> list[PressPoints]:
     return presses
 
 
+@pytest.mark.slow
 @settings(max_examples=8, deadline=None)
 @given(seed=st.integers(0, 2**31), spread=st.floats(0, 0.5))
 def test_exact_poses_are_never_worse_refined(seed: int, spread: float) -> None:

@@ -74,6 +74,7 @@ def test_a_source_that_begins_with_what_is_no_image_says_so_once(rig: Any, scrip
     assert r.ledger.counts().failed == 3
 
 
+@pytest.mark.slow
 def test_a_lost_source_is_opened_again_and_each_state_is_told_once(
     rig: Any, scripted: Any, pictures: Any, wait_until: Any
 ) -> None:
@@ -92,6 +93,7 @@ def test_a_lost_source_is_opened_again_and_each_state_is_told_once(
     assert r.ledger.counts().captured == 3
 
 
+@pytest.mark.slow
 def test_pauses_grow_to_a_second_and_only_a_frame_resets_them(
     rig: Any, scripted: Any, pictures: Any, wait_until: Any
 ) -> None:

@@ -50,6 +50,7 @@ def resting(calibration: Calibration, tmp_path: Path) -> Resting:
     return Resting(calibration, tmp_path / "c.reference.npz")
 
 
+@pytest.mark.slow
 def test_it_follows_from_where_it_began_and_tells_how_far(
     resting: Resting, calibration: Calibration, pictures: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -87,6 +88,7 @@ def test_it_follows_from_where_it_began_and_tells_how_far(
     assert set(resting.health) >= set(info["bounds"]) - {"light_low", "light_high"}
 
 
+@pytest.mark.slow
 def test_it_stays_while_it_is_held_and_amid_a_contact(resting: Resting, pictures: Any) -> None:
     darker = nuisance.gain(pictures.free, 0.9)
     assert resting.look(darker, held=True)

@@ -87,6 +87,7 @@ def test_a_recording_opens_whole_and_each_of_its_files_alone(tmp_path: Path, mon
             assert len(summary.chunk_indexes) >= 3
 
 
+@pytest.mark.slow
 def test_after_a_cut_at_any_of_100_bytes_the_next_start_mends_it(tmp_path: Path) -> None:
     recorder = begun(tmp_path / "rec", 30)  # half a second
     part = tmp_path / "rec" / "000.mcap.part"

@@ -81,6 +81,7 @@ def test_a_pose_that_no_robot_has_is_told(tmp_path: Path) -> None:
         read_table(tmp_path / "frames.csv")
 
 
+@pytest.mark.slow
 def test_a_row_takes_150_bytes_of_memory(tmp_path: Path) -> None:
     rows = "".join(f"frame_{i:06d}.png,{i},1,2,3,1,0,0,0,7\n" for i in range(20_000))
     (tmp_path / "frames.csv").write_text(ERRORS + rows)
@@ -100,6 +101,7 @@ def checked_table(rows: int) -> bytes:
     return "\n".join((header, *(f"{line},{line_crc32(line)}" for line in lines), "")).encode()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_no_flipped_bit_goes_unnoticed(tmp_path: Path, seed: int) -> None:
     """Rows before and after it are the ones that were written; those of the damaged line are left out and counted."""

@@ -39,6 +39,7 @@ def raw_clone(folder: Path, depths_mm: tuple[float, ...]) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_whole_set(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     clone = raw_clone(tmp_path, (1.5, 2.0, 2.5, 3.0, 3.5))
     real_frames.report("raw", real_frames.raw_frames(clone), ["fast"])

@@ -94,6 +94,7 @@ def test_a_tilted_plate_is_pressed_in_along_its_normal() -> None:
     assert plate.distance_mm(DOME.radius_mm, skin).min() == pytest.approx(-2.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_a_skin_through_moved_points_has_their_height_and_displacement() -> None:
     rest = DOME.radius_mm * cap(DOME.radius_mm, 1.0)[0]
     near = np.exp(-(rest[:, 0] ** 2 + rest[:, 1] ** 2) / 30) * (rest[:, 2] > 0)
@@ -111,6 +112,7 @@ def test_a_skin_through_moved_points_has_their_height_and_displacement() -> None
     assert np.linalg.norm(points[0]) == pytest.approx(height, abs=0.01)
 
 
+@pytest.mark.slow
 def test_pins_go_with_the_skin() -> None:
     model, dome = drawn("working", 1)
     rest = dome.radius_mm * cap(dome.radius_mm, 1.5)[0]

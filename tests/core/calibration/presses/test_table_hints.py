@@ -8,6 +8,7 @@ from support.observed_presses import SEEDS, observed
 from tacshade_edge.core.calibration.presses.table_hints import table_hints
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_true_table_has_no_hint(seed: int) -> None:
     presses, geometry = observed(seed)

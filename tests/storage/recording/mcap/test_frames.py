@@ -120,6 +120,7 @@ def test_a_damaged_chunk_is_told_and_passed_over(tmp_path: Path) -> None:
     assert f"found {len(frames)} messages of /tacshade/left/camera, expected 40 by the file's own count" in refused[1]
 
 
+@pytest.mark.slow
 def test_one_flipped_bit_costs_a_chunk_at_most_and_is_told(tmp_path: Path) -> None:
     whole = ours(4, chunk_bytes=1 << 11)  # a picture ends a chunk
     good = {recorded.name: recorded for recorded in every(_written(tmp_path, whole))[0]}
