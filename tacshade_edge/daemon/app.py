@@ -109,7 +109,7 @@ class App:
             self.link.tell,
             self.ledger.settle,
             self.link.has_listener,
-            settings.displacement == "always",
+            settings.shear == "always",
         )
         self._home_assistant = HomeAssistant(self.link, settings.sensor_id, wanted=settings.mqtt.home_assistant)
         self._references = References(calibration, reference_file.path_beside(settings.calibration), settings.sensor_id)

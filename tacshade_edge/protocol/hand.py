@@ -41,7 +41,7 @@ class HandObject(msgspec.Struct, frozen=True, kw_only=True):
         Unit normal of the plane through these points, away from the finger's camera.
     depth_max_mm, area_mm2 : float
     shear_mm : 3 floats or None
-        Mean displacement of the skin that it touches, which lies in the finger's x, y plane; None where none is told.
+        Mean shear of the skin that it touches, which lies in the finger's x, y plane; None where none is told.
     twist_deg : float or None
         About the finger's own z axis.
     slip : int or None

@@ -126,7 +126,7 @@ def drag() -> Claims:
     yield f"Of {frames} frames as trained on {refused} were refused."
 
 
-def displacement_under_drag() -> Claims:
+def shear_under_drag() -> Claims:
     trained, other = (Page("drag", family) for family in FAMILIES.values())
     for page, begin, unit in ((trained, "is off by ", " mm in the median"), (other, "too small: off by ", " mm")):
         one, two, three = (page.cell("shear off mm: median", what, "accurate") for what in DRAGS[1:4])
@@ -329,8 +329,8 @@ def memory() -> Claims:
     yield f"| profile `balanced` ([page](results/memory.md)) | {first[0]} | {last[0]} | {last[3]} | {last[1]} |"
 
 
-def displacement() -> Claims:
-    one, two, three = (Page("displacement").cell("accurate", f"{mm} mm").split()[0] for mm in (1, 2, 3))
+def shear() -> Claims:
+    one, two, three = (Page("shear").cell("accurate", f"{mm} mm").split()[0] for mm in (1, 2, 3))
     yield f"are {one}, {two} and {three} mm off with `accurate`"
 
 
@@ -343,7 +343,7 @@ def runtime() -> Claims:
     yield f"| the network, ms ([page](results/runtime.md)) | {' | '.join(pairs)} |"
 
 
-NETWORKS = (*LIMITS_ORDER, "displacement")
+NETWORKS = (*LIMITS_ORDER, "shear")
 
 
 def networks_in_the_changelog() -> Claims:
@@ -429,7 +429,7 @@ CLAIMS = (
     pytest.param("docs/accuracy.md", no_presses, id="no_presses"),
     pytest.param("docs/accuracy.md", other_objects, id="other_objects"),
     pytest.param("docs/accuracy.md", limits, id="limits"),
-    pytest.param("docs/displacement.md", displacement_under_drag, id="displacement_under_drag"),
+    pytest.param("docs/shear.md", shear_under_drag, id="shear_under_drag"),
     pytest.param("docs/sigma.md", sigma, id="sigma"),
     pytest.param("docs/speed.md", stages, id="stages"),
     pytest.param("docs/speed.md", as_printed, id="as_printed"),
@@ -439,7 +439,7 @@ CLAIMS = (
     pytest.param("docs/speed.md", tradeoff, id="tradeoff"),
     pytest.param("docs/hand.md", hand, id="hand"),
     pytest.param("docs/numerics.md", stages_in_numerics, id="stages_in_numerics"),
-    pytest.param("docs/numerics.md", displacement, id="displacement"),
+    pytest.param("docs/numerics.md", shear, id="shear"),
     pytest.param("docs/numerics.md", runtime, id="runtime"),
     pytest.param("docs/numerics.md", arm, id="arm"),
     pytest.param("docs/service.md", memory, id="memory"),

@@ -39,7 +39,7 @@ def test_every_learned_profile_has_its_network() -> None:
     assert sorted(load_networks()) == sorted(NAMES) == ["accurate", "balanced", "fast"]
 
 
-@pytest.mark.parametrize("name", [*NAMES, "displacement"])
+@pytest.mark.parametrize("name", [*NAMES, "shear"])
 def test_the_weights_are_those_of_their_provenance(name: str) -> None:
     about = json.loads((WEIGHTS / f"{name}.json").read_text())
     files = [
@@ -49,7 +49,7 @@ def test_the_weights_are_those_of_their_provenance(name: str) -> None:
     assert about["sha256"] == {file: hashlib.sha256(content).hexdigest() for file, content in stored.items()}
     assert sum(map(len, stored.values())) <= 2_500_000
     assert about["run_minus_torch"] <= 1e-4
-    assert name == "displacement" or about["cells"] == PROFILES[name].cells
+    assert name == "shear" or about["cells"] == PROFILES[name].cells
 
 
 def test_the_errors_are_those_of_the_shipped_weights() -> None:
@@ -72,16 +72,16 @@ def test_the_shipped_network_answers_with_height_contact_and_what_is_foreign(nam
         assert np.isfinite(values).all()
 
 
-def test_the_network_of_displacement_is_one_for_all() -> None:
-    displacement = load_network("fast").displacement
-    rng, side = np.random.default_rng(0), displacement.cells // displacement.fold
-    folded = displacement.fold**2
+def test_the_network_of_shear_is_one_for_all() -> None:
+    shear = load_network("fast").shear
+    rng, side = np.random.default_rng(0), shear.cells // shear.fold
+    folded = shear.fold**2
     known, white = (rng.random((n, side, side), dtype=np.float32) for n in (folded + KNOWN, folded))
-    out = displacement.run(white, displacement.sense(known))
+    out = shear.run(white, shear.sense(known))
     assert out.shape == (2, 28, 28)
     assert out.dtype == np.float32
     assert np.isfinite(out).all()
-    other = load_network("accurate").displacement
+    other = load_network("accurate").shear
     assert other.run(white, other.sense(known)).tobytes() == out.tobytes()
 
 

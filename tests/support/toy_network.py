@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tacshade_edge.core.depth import DisplacementNetwork, Network, NetworkMaps
+from tacshade_edge.core.depth import Network, NetworkMaps, ShearNetwork
 from tacshade_edge.types import F32
 
 NOTHING_FOREIGN = np.full((28, 28), -9, np.float32)
@@ -19,7 +19,7 @@ def displaced(white: F32, sensor: F32) -> F32:
     return shear
 
 
-DISPLACED = DisplacementNetwork(4, 112, lambda known: known, displaced)
+DISPLACED = ShearNetwork(4, 112, lambda known: known, displaced)
 
 
 def answering(fold: int, sense: Callable[[F32], F32], run: Callable[[F32, F32], F32]) -> Network:

@@ -46,17 +46,15 @@ def depth_loss(
     return level + 1.5 * slope + edge + 0.15 * dice.mean() + FOREIGN_WEIGHT * strange
 
 
-def displacement_loss(
-    moved: Tensor, fold: int, height: Tensor, contact: Tensor, shear: Tensor, foreign: Tensor
-) -> Tensor:
-    """Of displacement, heavier in contact, where the skin is seen."""
+def shear_loss(moved: Tensor, fold: int, height: Tensor, contact: Tensor, shear: Tensor, foreign: Tensor) -> Tensor:
+    """Of shear, heavier in contact, where the skin is seen."""
     touching = functional.adaptive_avg_pool2d(contact[:, None], COARSE_CELLS)
     seen = functional.adaptive_avg_pool2d(1 - foreign[:, None], COARSE_CELLS)
     off = (moved.float() - shear).abs().sum(1, keepdim=True) * (seen > 0.99)
     return ((0.3 + 4 * touching) * off).mean()
 
 
-LOSSES: dict[str, Callable[..., Tensor]] = {"depth": depth_loss, "displacement": displacement_loss}
+LOSSES: dict[str, Callable[..., Tensor]] = {"depth": depth_loss, "shear": shear_loss}
 """Of `network.NETS`: what it says, its fold, and what is true."""
 
 
@@ -91,8 +89,8 @@ def depth_figures(net: nn.Module, data: Data) -> dict[str, float]:
     return row | {"called_torn": share_over(strange, FOREIGN_CELLS), "torn": share_over(torn, FOREIGN_CELLS)}
 
 
-def displacement_figures(net: nn.Module, data: Data) -> dict[str, float]:
-    """How far off the displacement of contacts is, as if the disc's radius were 15 mm."""
+def shear_figures(net: nn.Module, data: Data) -> dict[str, float]:
+    """How far off the shear of contacts is, as if the disc's radius were 15 mm."""
     off, size = [], []
     for x, _, contact, shear in _batches(data):
         with torch.autocast("cpu", torch.bfloat16):
@@ -109,7 +107,7 @@ def displacement_figures(net: nn.Module, data: Data) -> dict[str, float]:
 
 FIGURES: dict[str, Callable[[nn.Module, Data], dict[str, float]]] = {
     "depth": depth_figures,
-    "displacement": displacement_figures,
+    "shear": shear_figures,
 }
 
 

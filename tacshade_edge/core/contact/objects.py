@@ -72,7 +72,7 @@ def find_objects(
     height_mm : float32 (rows, cols)
         h, at most r; NaN outside the disc.
     shear_mm : float32 (rows, cols, 2) or None
-        Displacement of the skin.
+        Shear of the skin.
     rays : DiscRays
         Of the same grid.
     geometry : Geometry

@@ -67,7 +67,7 @@ class NetworkMaps:
 
 
 @dataclass(frozen=True, slots=True)
-class DisplacementNetwork:
+class ShearNetwork:
     """A network that tells how the skin moved along itself; see `Network`.
 
     Attributes
@@ -77,7 +77,7 @@ class DisplacementNetwork:
         Along a side of the maps that it is given.
     sense : callable
     run : callable
-        To the displacement along x and y, (2, M, M).
+        To the shear along x and y, (2, M, M).
     """
 
     fold: int
@@ -101,8 +101,8 @@ class Network:
         it adds to the first layer, (channels, N, N).
     run : callable
         A frame's white folded, (fold², N, N), and what `sense` gave, to `NetworkMaps`.
-    displacement : DisplacementNetwork
-        Run beside it where displacement is asked for.
+    shear : ShearNetwork
+        Run beside it where shear is asked for.
     sigma : SigmaModel or None
         Its errors, where they were measured.
     """
@@ -110,7 +110,7 @@ class Network:
     fold: int
     sense: Callable[[F32], F32]
     run: Callable[[F32, F32], NetworkMaps]
-    displacement: DisplacementNetwork
+    shear: ShearNetwork
     sigma: SigmaModel | None = None
 
 
@@ -132,7 +132,7 @@ class Solver(Protocol):
         ...
 
     def shear_mm(self, preprocessed: Preprocessed) -> F32 | None:
-        """Displacement along x and y of the skin at the grid's cells, float32 (rows, cols, 2); None: not told.
+        """Shear along x and y of the skin at the grid's cells, float32 (rows, cols, 2); None: not told.
 
         The caller's own; finite; outside the disc it says nothing.
         """

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tacshade_edge.core.depth.base import Depth, Mark, Network
-from tacshade_edge.core.depth.displacement import LearnedDisplacement
 from tacshade_edge.core.depth.network_maps import fold, known_maps, scale_mm, unfold
+from tacshade_edge.core.depth.shear import LearnedShear
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.disc import rays_in_image
 from tacshade_edge.core.image.integral_image import CellMeans
@@ -98,11 +98,11 @@ class LearnedSolver:
         self.reference: F32 = self._cells.means(preprocessor.reference_white) / np.float32(255)
         self._inverse = LearnedInverse(network, calibration.geometry, calibration.pitch_px, self.reference)
         # Prepared here, so that no frame waits for it when somebody asks.
-        displacement = network.displacement
-        whole = disc_map.map_grid(calibration.geometry.disc, displacement.cells)
-        self._displacement_cells = CellMeans(preprocessor.integrator, whole)
-        at_rest: F32 = self._displacement_cells.means(preprocessor.reference_white) / np.float32(255)
-        self._displacement = LearnedDisplacement(displacement, calibration.geometry, calibration.pitch_px, at_rest)
+        shear = network.shear
+        whole = disc_map.map_grid(calibration.geometry.disc, shear.cells)
+        self._shear_cells = CellMeans(preprocessor.integrator, whole)
+        at_rest: F32 = self._shear_cells.means(preprocessor.reference_white) / np.float32(255)
+        self._shear = LearnedShear(shear, calibration.geometry, calibration.pitch_px, at_rest)
         # A fitted network was trained to the truth itself.
         self._factor = np.float32(1.0 if profile.name in camera.fitted else camera.factors.get(profile.name, 1.0))
         self._deepest_mm = np.float32(DEEPEST_RADII * camera.geometry.skin_radius_mm)
@@ -140,7 +140,7 @@ class LearnedSolver:
 
     def shear_mm(self, preprocessed: Preprocessed) -> F32 | None:
         """See `Solver`."""
-        return self._displacement(self._displacement_cells.means(preprocessed.white), self.grid.rows)
+        return self._shear(self._shear_cells.means(preprocessed.white), self.grid.rows)
 
 
 def foreign_cells(inverse: Inverse, cells: int) -> Bool:

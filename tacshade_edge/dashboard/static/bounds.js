@@ -81,7 +81,7 @@ export function checkHand(message) {
     if (!Array.isArray(finger.objects) || finger.objects.length > OBJECTS_MAX) throw new Error("too many objects");
     finger.reason_code = cut(String(finger.reason_code ?? ""), 64);
     for (const { shear_mm, depth_max_mm, area_mm2 } of finger.objects) {
-      if (shear_mm !== null && shear_mm !== undefined && !(Array.isArray(shear_mm) && shear_mm.length === 3 && shear_mm.every(Number.isFinite))) throw new Error("not a displacement");
+      if (shear_mm !== null && shear_mm !== undefined && !(Array.isArray(shear_mm) && shear_mm.length === 3 && shear_mm.every(Number.isFinite))) throw new Error("not a shear");
       within({ depth_max_mm, area_mm2 }, { depth_max_mm: [0, SCALE_MAX_MM], area_mm2: [0, SCALE_MAX_MM ** 2] });
     }
   }

@@ -30,7 +30,7 @@ class Times:
     Attributes
     ----------
     contact : tuple of float64 (n, 1 + number of stages)
-        Of each round the frames in contact: the step without displacement, then `STAGES`, NaN where one is not run. n
+        Of each round the frames in contact: the step without shear, then `STAGES`, NaN where one is not run. n
         is 0 where the setting finds no contact.
     idle : tuple of float64 (m,)
         Of each round the frames without contact.
