@@ -308,7 +308,7 @@ map. `contact`: a ball goes in and out, all topics have a subscriber; `free`: no
         "A recording beside the daemon",
         """\
 The row `contact` of [the daemon](daemon.md), with the profile `fast`: without a recording, with the 10 s that
-`recorder.before_s` keeps before one, and while every frame is recorded as a folder and as MCAP.""",
+`recorder.pre_roll_s` keeps before one, and while every frame is recorded as a folder and as MCAP.""",
         ("tools.benchmarks.daemon", "--record", "--profile", "fast", "--seconds", "20", "--runs", "2"),
         DAEMON,
         idle=True,

@@ -212,4 +212,4 @@ def _of_health(fresh: dict[str, Health]) -> Iterator[Metric]:
                 reasons.add_metric([sensor_id, about, code], 1.0)
     yield from (family, waiting, lost, latency, stages, reasons)
     yield counters("tacshade_mqtt", "What became of messages to the broker", "what", "mqtt")
-    yield counters("tacshade_recorder_frames", "Frames of recordings", "what", "recorder", but=("waiting", "before"))
+    yield counters("tacshade_recorder_frames", "Frames of recordings", "what", "recorder", but=("waiting", "pre_roll"))

@@ -121,7 +121,7 @@ class App:
             settings, siblings, self.link, self._reply, self._on_request, self._status, self._missing
         )
         self._recorder = LiveRecorder(self._events.put, optional.interpolated)
-        self._recorder.keep_before(settings.recorder.before_s)
+        self._recorder.keep_pre_roll(settings.recorder.pre_roll_s)
         self._record = RecordRequests(
             self._recorder, self._reply, lambda status: self.link.set_retained("status/recorder", status)
         )

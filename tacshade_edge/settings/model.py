@@ -61,7 +61,7 @@ OWN = ("sensor_id", "calibration", "source", "hand_T_sensor")
 """What no two sensors can have in common."""
 HAND, FINGER = "hand_id", "hand_T_sensor"
 """Of the hand that several sensors are, and of each of them there; not in a file with one sensor."""
-RENAMED = {"displacement": "shear"}
+RENAMED = {"displacement": "shear", "before_s": "pre_roll_s"}
 """Old names of settings, which are refused with the new one."""
 _ID = "^[A-Za-z0-9_-]{1,64}$"
 _SENSOR_ID = "^(?!hand$)[A-Za-z0-9_-]{1,64}$"  # topics of hands lie below tacshade/hand
@@ -86,7 +86,9 @@ class Recorder(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     folder: Annotated[str, Meta(min_length=1, description="a folder for recordings, each in its own below")] = (
         "/var/lib/tacshade-edge/recordings"
     )
-    before_s: Annotated[float, Meta(ge=0, le=60, description="a recording begins so long before it is asked for")] = 0.0
+    pre_roll_s: Annotated[float, Meta(ge=0, le=60, description="a recording begins so long before it is requested")] = (
+        0.0
+    )
 
 
 class Stitching(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

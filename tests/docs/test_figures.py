@@ -309,8 +309,8 @@ def recording() -> Claims:
 SHOWN = ("grey", "colour")
 
 
-def kept_before() -> Claims:
-    yield f"It costs {extra_cores('kept before')} of a core at 60 frames/s"
+def pre_roll() -> Claims:
+    yield f"It costs {extra_cores('pre-roll')} of a core at 60 frames/s"
 
 
 def opencv_beside_onnxruntime() -> Claims:
@@ -443,7 +443,7 @@ CLAIMS = (
     pytest.param("docs/numerics.md", runtime, id="runtime"),
     pytest.param("docs/numerics.md", arm, id="arm"),
     pytest.param("docs/service.md", memory, id="memory"),
-    pytest.param("docs/service.md", kept_before, id="kept_before"),
+    pytest.param("docs/service.md", pre_roll, id="pre_roll"),
     pytest.param("docs/replay.md", recording, id="recording"),
     pytest.param("docs/decisions/0005-onnxruntime.md", opencv_beside_onnxruntime, id="opencv_beside_onnxruntime"),
     pytest.param("docs/reliability.md", faults, id="faults"),
