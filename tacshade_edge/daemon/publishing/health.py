@@ -63,7 +63,7 @@ class Health(FrameObserver):
             "capture_fps": round((counts.captured - before.captured) / seconds, 2),
             "delivered_fps": round((delivered(counts) - delivered(before)) / seconds, 2),
             "published_fps": round((counts.published - before.published) / seconds, 2),
-            "latency_ms": stages.pop("capture_to_offer", None),
+            "latency_ms": stages.pop("latency", None),
             "stages_ms": stages,
             **reason_fields(reason, "invalid_reason"),
             **reason_fields(degraded, "degraded_reason"),
