@@ -47,8 +47,8 @@ def read_network(onnx: Path, fitted: FittedNetwork | None = None) -> Network:
     session, correction = _session(in_integers(onnx, frame)), None if fitted is None else fitted.correction
 
     def run(white: F32, sensor: F32) -> NetworkMaps:
-        maps, foreign = session.run(None, {"white": white[None], "sensor": sensor[None]})
-        return NetworkMaps(maps[0], foreign[0, 0])
+        maps, untrusted = session.run(None, {"white": white[None], "sensor": sensor[None]})
+        return NetworkMaps(maps[0], untrusted[0, 0])
 
     shear = read_shear(WEIGHTS / "shear.onnx")
     return_free_memory()  # of `accurate` 8 MB

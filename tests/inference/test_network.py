@@ -62,11 +62,11 @@ def test_the_errors_are_those_of_the_shipped_weights() -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_shipped_network_answers_with_height_contact_and_what_is_foreign(name: str) -> None:
+def test_the_shipped_network_answers_with_height_contact_and_what_is_untrusted(name: str) -> None:
     network = load_network(name)
     out = network.run(maps(name, network, network.fold**2), sensed(name, network))
     side = PROFILES[name].cells // network.fold
-    for values, shape in ((out.depth_and_contact, (2 * network.fold**2, side, side)), (out.foreign, (28, 28))):
+    for values, shape in ((out.depth_and_contact, (2 * network.fold**2, side, side)), (out.untrusted, (28, 28))):
         assert values.shape == shape
         assert values.dtype == np.float32
         assert np.isfinite(values).all()
@@ -91,11 +91,11 @@ def test_an_answer_stays_when_the_next_is_given(name: str) -> None:
     sensor = sensed(name, network)
     white = [maps(name, network, network.fold**2, seed) for seed in range(2)]
     first = network.run(white[0], sensor)
-    before = first.depth_and_contact.tobytes(), first.foreign.tobytes()
+    before = first.depth_and_contact.tobytes(), first.untrusted.tobytes()
     network.run(white[1], sensor)
     again = network.run(white[0], sensor)
-    assert (first.depth_and_contact.tobytes(), first.foreign.tobytes()) == before
-    assert (again.depth_and_contact.tobytes(), again.foreign.tobytes()) == before
+    assert (first.depth_and_contact.tobytes(), first.untrusted.tobytes()) == before
+    assert (again.depth_and_contact.tobytes(), again.untrusted.tobytes()) == before
 
 
 def test_only_a_profile_that_needs_it_gets_a_network() -> None:

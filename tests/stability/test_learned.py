@@ -127,8 +127,8 @@ def test_another_engine_gives_the_same(name: str, tmp_path: Path) -> None:
     def run(white: F32, sensor: F32) -> NetworkMaps:
         parts[1].setInput(np.ascontiguousarray(white[None]), "white")
         parts[1].setInput(np.ascontiguousarray(sensor[None]), "sensor")
-        maps, foreign = parts[1].forward(("depth_and_contact", "foreign"))
-        return NetworkMaps(maps[0], foreign[0, 0])
+        maps, untrusted = parts[1].forward(("depth_and_contact", "foreign"))
+        return NetworkMaps(maps[0], untrusted[0, 0])
 
     geometry = Geometry(20.0, 14.0, 50.0, Disc(239.5, 319.5, 200.0))
     reference = white(name, "checkerboard 8 px")

@@ -20,7 +20,7 @@ KNOWN = 6
 """Maps of `disc_map.geometry_maps`."""
 
 COARSE_CELLS = 28
-"""Along a side of the maps of shear and of what is foreign."""
+"""Along a side of the maps of shear and of what is untrusted."""
 
 
 SECOND_WIDTHS = (40, 56, 64)

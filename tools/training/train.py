@@ -121,7 +121,7 @@ class Run:
         grow(net, {k: v for k, v in begun.items() if k in fresh and _fits(v, fresh[k])})
 
     def batch(self, step: int) -> Batch:
-        """White and what is known, height, contact, shear, and what is foreign, of a step."""
+        """White and what is known, height, contact, shear, and what is untrusted, of a step."""
         args, rng = self.args, np.random.default_rng((self.args.seed, step))
         share = np.array([args.shares[KINDS.index(kind)] for kind in self.data])
         counts, turn = rng.multinomial(args.batch, share / share.sum()), int(rng.integers(8))
@@ -133,9 +133,9 @@ class Run:
         x, height, contact, shear = (torch.cat(tensors) for tensors in zip(*parts, strict=True))
         white, at_rest = functional.pixel_shuffle(x[:, : 2 * args.fold**2], args.fold).unbind(1)
         white = white.contiguous()
-        foreign = spoil(white, at_rest, height, contact, TORN_PART, rng)
+        untrusted = spoil(white, at_rest, height, contact, TORN_PART, rng)
         x[:, : args.fold**2] = functional.pixel_unshuffle(white[:, None], args.fold)
-        return x, height, contact, shear, foreign
+        return x, height, contact, shear, untrusted
 
     def batches(self, pool: ThreadPoolExecutor) -> Iterator[Batch]:
         """Those of all steps that are left; some are made ahead."""

@@ -111,8 +111,8 @@ def calibrate(
         warnings += (hint,)
     if graded:
         warnings += graded.left_out
-    if graded and graded.foreign_part > UNLIKE_PART:
-        part = 100 * graded.foreign_part
+    if graded and graded.untrusted_part > UNLIKE_PART:
+        part = 100 * graded.untrusted_part
         warnings += (f"unlike the sensors that the networks know: {part:.0f} % of the median press is not explained",)
     if graded and graded.error_scale is not None and graded.error_scale > UNUSUAL_ERRORS:
         words = f"off {graded.error_scale:.1f} times as far as on sensors that the networks know"

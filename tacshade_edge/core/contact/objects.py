@@ -57,7 +57,7 @@ def contact_of(depth: Depth, inside: Bool) -> Bool:
         contact = inside & (depth.height_mm > two_means_split(depth.height_mm[inside]))
     else:
         contact = depth.contact
-    return contact if depth.foreign is None else contact & ~depth.foreign
+    return contact if depth.untrusted is None else contact & ~depth.untrusted
 
 
 def find_objects(

@@ -29,24 +29,24 @@ class Depth:
         Some cell left the range of the calibration.
     repaired_px : int
         Cells whose value was not finite and was replaced by 0.
-    foreign : bool (rows, cols) or None
+    untrusted : bool (rows, cols) or None
         Where something else is shown than this sensor's skin; outside the disc it says nothing. None: not told.
     contact_logit : float32 (rows, cols) or None
-    foreign_logit : float32 (M, M) or None
-        Log odds of both, of foreign for fewer and wider cells.
+    untrusted_logit : float32 (M, M) or None
+        Log odds of both, of untrusted for fewer and wider cells.
     """
 
     height_mm: F32
     contact: Bool | None = None
     saturated: bool = False
     repaired_px: int = 0
-    foreign: Bool | None = None
+    untrusted: Bool | None = None
     contact_logit: F32 | None = None
-    foreign_logit: F32 | None = None
+    untrusted_logit: F32 | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "height_mm")
-        for name in ("contact", "foreign", "contact_logit", "foreign_logit"):
+        for name in ("contact", "untrusted", "contact_logit", "untrusted_logit"):
             if getattr(self, name) is not None:
                 freeze(self, name)
 
@@ -58,12 +58,12 @@ class NetworkMaps:
     Attributes
     ----------
     depth_and_contact : float32 (2 fold², N, N)
-    foreign : float32 (M, M)
+    untrusted : float32 (M, M)
         Log odds that a cell, of fewer and wider ones, shows something else than the sensor's skin.
     """
 
     depth_and_contact: F32
-    foreign: F32
+    untrusted: F32
 
 
 @dataclass(frozen=True, slots=True)

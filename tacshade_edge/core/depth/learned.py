@@ -34,16 +34,16 @@ class Inverse:
         h; a little below 0 at times where nothing touches.
     contact_logit : float32 (cells, cells)
         Log odds that the skin touches an object.
-    foreign_logit : float32 (M, M)
+    untrusted_logit : float32 (M, M)
         Log odds that a cell, of fewer and wider ones, shows something else than this sensor's skin.
     """
 
     height_mm: F32
     contact_logit: F32
-    foreign_logit: F32
+    untrusted_logit: F32
 
     def __post_init__(self) -> None:
-        freeze(self, "height_mm", "contact_logit", "foreign_logit")
+        freeze(self, "height_mm", "contact_logit", "untrusted_logit")
 
 
 class LearnedInverse:
@@ -68,7 +68,7 @@ class LearnedInverse:
         n = self._network.fold
         maps = self._network.run(fold(white[None], n), self._sensor)
         height, logit = unfold(maps.depth_and_contact, n)
-        return Inverse(height * self._mm, logit, maps.foreign)
+        return Inverse(height * self._mm, logit, maps.untrusted)
 
 
 class LearnedSolver:
@@ -133,9 +133,9 @@ class LearnedSolver:
             contact,
             bool(deep.any()),
             repaired_px,
-            foreign_cells(inverse, len(height)),
+            untrusted_cells(inverse, len(height)),
             inverse.contact_logit,
-            inverse.foreign_logit,
+            inverse.untrusted_logit,
         )
 
     def shear_mm(self, preprocessed: Preprocessed) -> F32 | None:
@@ -143,8 +143,8 @@ class LearnedSolver:
         return self._shear(self._shear_cells.means(preprocessed.white), self.grid.rows)
 
 
-def foreign_cells(inverse: Inverse, cells: int) -> Bool:
+def untrusted_cells(inverse: Inverse, cells: int) -> Bool:
     """Where a frame shows something else than the sensor's skin, bool (cells, cells)."""
-    foreign: Bool = inverse.foreign_logit > 0
-    each = cells // len(foreign)
-    return foreign.repeat(each, axis=0).repeat(each, axis=1)
+    untrusted: Bool = inverse.untrusted_logit > 0
+    each = cells // len(untrusted)
+    return untrusted.repeat(each, axis=0).repeat(each, axis=1)
