@@ -79,7 +79,7 @@ class Percentiles(msgspec.Struct, frozen=True):
 
 
 class Health(msgspec.Struct, frozen=True):
-    """A decoded ``health``: what is counted and measured of every hand; the rest of it is for people."""
+    """A decoded ``health``: what is counted and measured of every sensor; the rest of it is for people."""
 
     uptime_s: _Rate
     frames: _Counts

@@ -1,4 +1,4 @@
-"""The one way to understand JSON that a hand published: whoever reaches the broker may have written it."""
+"""The one way to understand JSON that a sensor published: whoever reaches the broker may have written it."""
 
 from __future__ import annotations
 

@@ -82,7 +82,7 @@ def test_an_image(made: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Ca
 def test_a_camera(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     names = run("A camera", made, monkeypatch)
     assert names["r"].depth_max_mm > 0.1
-    assert names["hand"].passed_over >= 0
+    assert names["sensor"].passed_over >= 0
 
 
 def test_a_recording(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,7 @@ import pytest
 from tacshade_edge.library.frame_assembler import FrameAssembler
 from tacshade_edge.protocol import messages, wire
 from tacshade_edge.types import Reconstruction
-from tools.testbed.published_hand import CRC, bump, calibration, dragged, uncertain
+from tools.testbed.published_sensor import CRC, bump, calibration, dragged, uncertain
 
 INFO: dict[str, Any] = json.loads(
     messages.encode_info(version="0", config_digest="0", profile="fast", calibration=calibration())

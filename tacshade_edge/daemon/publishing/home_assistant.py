@@ -1,4 +1,4 @@
-"""The hand in Home Assistant: announced where the settings say so, and taken back where they no longer do."""
+"""The sensor in Home Assistant: announced where the settings say so, and taken back where they no longer do."""
 
 from __future__ import annotations
 

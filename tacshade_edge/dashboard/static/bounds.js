@@ -51,7 +51,7 @@ export function checkDecoded(message, name) {
   return message;
 }
 
-/** What an `info` tells, where the page can use it; a hand that is not calibrated has no geometry. */
+/** What an `info` tells, where the page can use it; a sensor that is not calibrated has no geometry. */
 export function checkInfo(info) {
   const { geometry, profiles = [], profile } = info;
   if (!Array.isArray(profiles) || ![profile, ...profiles].every((name) => name === undefined || typeof name === "string")) throw new Error("not profiles");

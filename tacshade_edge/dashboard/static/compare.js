@@ -1,4 +1,4 @@
-// Another hand beside the chosen one, such as the same recording with another profile: both maps and their difference.
+// Another sensor beside the chosen one, such as the same recording with another profile: both maps and their difference.
 
 import { DIFFERENCES, PIXELS, STEPS, stepOf } from "./colours.js";
 import { heightAt } from "./geometry.js";
@@ -29,7 +29,7 @@ export class Compare {
     });
   }
 
-  /** The hands that there are to compare with. */
+  /** The sensors that there are to compare with. */
   offer(names) {
     if (this.sensor !== null && !names.includes(this.sensor)) this.choose(null);
     $("against").replaceChildren(new Option("nothing", ""), ...names.map((name) => new Option(name, name)));
@@ -76,7 +76,7 @@ export class Compare {
     });
   }
 
-  /** first: name, view and info of the chosen hand; other: info and state. heights: the view of the chosen hand's map. */
+  /** first: name, view and info of the chosen sensor; other: info and state. heights: the view of the chosen sensor's map. */
   draw(first, other, heights) {
     if (this.sensor === null) return;
     const { view } = this, geometry = other.info?.geometry ?? null;
@@ -153,7 +153,7 @@ export class Compare {
   }
 }
 
-/** Whether two hands see the same skin through the same camera, but for what two calibrations of it differ by. */
+/** Whether two sensors see the same skin through the same camera, but for what two calibrations of it differ by. */
 function isSame(a, b) {
   if (!a || !b) return false;
   const near = (key, most) => Math.abs(a[key] - b[key]) <= most;

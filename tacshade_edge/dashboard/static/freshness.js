@@ -1,10 +1,10 @@
-// Whether what is shown is the hand's present. Retained messages say what was, never that it still is.
+// Whether what is shown is the sensor's present. Retained messages say what was, never that it still is.
 
 const STALE_MS = 3000;
 
 /**
  * view: when what was heard, in performance.now(); retained messages leave these times alone.
- * paused: nothing new is to come. gone: no connection, or the hand itself says that it does not work, or nothing of it comes at all.
+ * paused: nothing new is to come. gone: no connection, or the sensor itself says that it does not work, or nothing of it comes at all.
  * frames, health: what is shown of them is old. words: of what is old, with its age; empty when nothing is.
  */
 export function freshness(view, { connected, works, state, paused }) {
@@ -23,7 +23,7 @@ export function freshness(view, { connected, works, state, paused }) {
 
 function why(connected, works, state) {
   if (!connected) return "Not connected";
-  return works ? "Nothing is heard of this hand" : `This hand is ${state ?? "unknown"}`;
+  return works ? "Nothing is heard of this sensor" : `This sensor is ${state ?? "unknown"}`;
 }
 
 function age(ms) {

@@ -93,7 +93,7 @@ export class Link {
     if (this.connected) this.client.unsubscribe(topics);
   }
 
-  /** Ask a hand; resolves to its result, rejects with an Error whose message is for a person, and its `code`. */
+  /** Ask a sensor; resolves to its result, rejects with an Error whose message is for a person, and its `code`. */
   request(sensor, verb, body, answer_ms = ANSWER_MS) {
     if (!this.connected) return Promise.reject(new Error("not connected"));
     const transaction = `page-${crypto.getRandomValues(new Uint32Array(2)).join("-")}`;
@@ -103,7 +103,7 @@ export class Link {
         reject(new Error(`no answer within ${answer_ms / 1000} s`));
       }, answer_ms);
       this.waiting.set(transaction, { resolve, reject, timer });
-      // QoS 0: what cannot be sent now is dropped, and told. QoS 1 would move the hand's zero some time later.
+      // QoS 0: what cannot be sent now is dropped, and told. QoS 1 would move the sensor's zero some time later.
       this.client.publish(`tacshade/${sensor}/req/${verb}`, JSON.stringify({ ...body, transaction }), { qos: 0 });
     });
   }

@@ -1,4 +1,4 @@
-// The page: hands, what is known of the chosen one, and when it is drawn.
+// The page: sensors, what is known of the chosen one, and when it is drawn.
 
 import { drawArrows } from "./arrows.js";
 import { PARTS_MAX, SENSORS_MAX, checkContact, checkDecoded, checkInfo, checkPart, cut, read } from "./bounds.js";
@@ -29,13 +29,13 @@ const READ_ONLY = "readOnly" in document.documentElement.dataset; // the server 
 const $ = (id) => document.getElementById(id);
 const text = new TextDecoder();
 
-const hands = new Map(); // sensor id -> { state, info }
+const sensors = new Map(); // sensor id -> { state, info }
 let chosen = null, view = emptyView(), undecodable = 0, heard = 0, superseded = 0, drawn = 0, arrows = 0, drawTimes = [], scheduled = false, picture = "";
 let link = null, asking = false;
 
 const heights = new HeightView(), stitched = new MapView(), skin = new SkinView(schedule), chart = new DepthChart();
 const compare = new Compare({ link: () => link, decoded, changed: schedule, readOnly: READ_ONLY });
-const whole = new Whole({ link: () => link, infos: (sensor) => hands.get(sensor)?.info, decoded, changed: schedule, damaged: () => { undecodable++; } });
+const whole = new Whole({ link: () => link, infos: (sensor) => sensors.get(sensor)?.info, decoded, changed: schedule, damaged: () => { undecodable++; } });
 const rezero = new Rezero({
   ask: () => ask("reference", {}, "Taking a new reference; do not touch the skin …", (result) => `Zero is new, from ${result.frames} frames.`),
   told: (words) => {
@@ -48,7 +48,7 @@ const rezero = new Rezero({
 link = new Link({ told: tellLink, refused: askLogin, message: take });
 link.subscribe("tacshade/+/state", "tacshade/+/info", "tacshade/hand/+/state");
 
-/** All that is known of the chosen hand. */
+/** All that is known of the chosen sensor. */
 function emptyView() {
   return {
     height: null, cloud: null, shear: null, sigma: null, map: null, mapPayload: null, mapCloud: null, told: {}, contact: null, contacts: new Map(), numbers: null, with_map: {}, shown_ms: 0, health: null, parts: new Map(), heard_ms: null, health_ms: null, chosen_ms: performance.now(), height_ms: 0, age_ms: null,
@@ -58,10 +58,10 @@ function emptyView() {
 // What arrives. Binary payloads are kept, newest only, and decoded when they are drawn.
 
 function take(topic, payload, retained) {
-  if (whole.take(topic, payload)) return topic.endsWith("/state") ? tellHands() : undefined;
+  if (whole.take(topic, payload)) return topic.endsWith("/state") ? showTabs() : undefined;
   const [, sensor, ...rest] = topic.split("/"), what = rest.join("/");
   if (what === "state" || what === "info") {
-    if (!hands.has(sensor) && hands.size >= SENSORS_MAX && sensor !== decodeURIComponent(location.hash.slice(1))) undecodable++;
+    if (!sensors.has(sensor) && sensors.size >= SENSORS_MAX && sensor !== decodeURIComponent(location.hash.slice(1))) undecodable++;
     else if (what === "state") tell(sensor, { state: cut(text.decode(payload), 40) || undefined });
     else json(payload, (info) => tell(sensor, { info }), checkInfo);
   }
@@ -140,19 +140,19 @@ function decoded(payload, name) {
   }
 }
 
-// Hands.
+// Sensors.
 
 function tell(sensor, news) {
-  const known = hands.has(sensor);
-  if ("state" in news && news.state === undefined) hands.delete(sensor); // the retained state was taken away
-  else hands.set(sensor, { ...hands.get(sensor), ...news });
+  const known = sensors.has(sensor);
+  if ("state" in news && news.state === undefined) sensors.delete(sensor); // the retained state was taken away
+  else sensors.set(sensor, { ...sensors.get(sensor), ...news });
   if (works(sensor)) restore(sensor);
-  if (isRemoved(sensor)) return tellHands();
-  // The hand of the address; without one the first that is there, rather than one that was here last week.
+  if (isRemoved(sensor)) return showTabs();
+  // The sensor of the address; without one the first that is there, rather than one that was here last week.
   const wanted = decodeURIComponent(location.hash.slice(1));
   if (wanted ? !known && sensor === wanted : works(sensor) && !works(chosen) && view.heard_ms === null) choose(sensor);
   if (chosen === null && whole.shown === null) choose(sensor);
-  tellHands();
+  showTabs();
   if (sensor === chosen) {
     tellProfiles();
     tellState();
@@ -163,22 +163,22 @@ function tell(sensor, news) {
 /** Take it from this page; another one is shown, or none. */
 function retire(sensor) {
   remove(sensor);
-  const other = [...hands.keys()].sort().find((name) => !isRemoved(name));
+  const other = [...sensors.keys()].sort().find((name) => !isRemoved(name));
   if (other !== undefined) {
     location.hash = encodeURIComponent(other);
     choose(other);
   } else leave();
 }
 
-/** Show no hand. */
+/** Show no sensor. */
 function leave() {
   if (chosen === null) return;
   link.unsubscribe(...STREAMS.map((stream) => `tacshade/${chosen}/${stream}`));
   rezero.cancel();
   compare.choose(null);
   chosen = null;
-  $("hand").hidden = true;
-  tellHands();
+  $("sensor").hidden = true;
+  showTabs();
 }
 
 /** Show all fingers of a hand of several sensors. */
@@ -187,10 +187,10 @@ function chooseWhole(id) {
   whole.show(id);
   $("waiting").hidden = true;
   document.title = `${id} – TacShade`;
-  tellHands();
+  showTabs();
 }
 
-const works = (sensor) => ["online", "degraded"].includes(hands.get(sensor)?.state);
+const works = (sensor) => ["online", "degraded"].includes(sensors.get(sensor)?.state);
 
 function choose(sensor) {
   if (sensor === chosen) return;
@@ -208,22 +208,22 @@ function choose(sensor) {
   $("preview").hidden = true;
   $("answer").textContent = "";
   $("waiting").hidden = true;
-  $("hand").hidden = false;
+  $("sensor").hidden = false;
   document.title = `${sensor} – TacShade`;
   link.subscribe(...STREAMS.map((stream) => `tacshade/${sensor}/${stream}`));
   showContact(null);
   showParts(view.parts);
-  tellHands();
+  showTabs();
   tellState();
   tellProfiles();
   tellHealth();
   schedule();
 }
 
-function tellHands() {
-  const tabs = [...hands].filter(([sensor]) => !isRemoved(sensor)).sort(([a], [b]) => a.localeCompare(b)).map(([sensor, hand]) => {
-    const tab = element("button", { type: "button", role: "tab", title: link?.connected ? hand.state ?? "unknown" : "not connected", onclick: () => { location.hash = encodeURIComponent(sensor); choose(sensor); } }, sensor);
-    tab.dataset.level = link?.connected ? levelOf(hand.state) : "off";
+function showTabs() {
+  const tabs = [...sensors].filter(([sensor]) => !isRemoved(sensor)).sort(([a], [b]) => a.localeCompare(b)).map(([sensor, known]) => {
+    const tab = element("button", { type: "button", role: "tab", title: link?.connected ? known.state ?? "unknown" : "not connected", onclick: () => { location.hash = encodeURIComponent(sensor); choose(sensor); } }, sensor);
+    tab.dataset.level = link?.connected ? levelOf(known.state) : "off";
     tab.setAttribute("aria-selected", sensor === chosen);
     return tab;
   });
@@ -233,16 +233,16 @@ function tellHands() {
     tab.setAttribute("aria-selected", id === whole.shown);
     return tab;
   });
-  $("hands").replaceChildren(...whole_tabs, ...tabs);
-  compare.offer([...hands].filter(([sensor, { info }]) => sensor !== chosen && info?.geometry && !isRemoved(sensor)).map(([sensor]) => sensor).sort());
-  const removed = [...hands.keys()].filter(isRemoved).length;
+  $("sensors").replaceChildren(...whole_tabs, ...tabs);
+  compare.offer([...sensors].filter(([sensor, { info }]) => sensor !== chosen && info?.geometry && !isRemoved(sensor)).map(([sensor]) => sensor).sort());
+  const removed = [...sensors.keys()].filter(isRemoved).length;
   $("restore").hidden = removed === 0;
   $("restore").textContent = `Show ${removed} removed`;
 }
 
 function follow() {
   const wanted = decodeURIComponent(location.hash.slice(1));
-  if (hands.has(wanted)) choose(wanted);
+  if (sensors.has(wanted)) choose(wanted);
   else if (location.hash.startsWith(WHOLE)) chooseWhole(decodeURIComponent(location.hash.slice(WHOLE.length)));
 }
 window.addEventListener("hashchange", follow);
@@ -260,7 +260,7 @@ function draw() {
   scheduled = false;
   whole.draw();
   if (skin.busy || chosen === null) return;
-  const geometry = hands.get(chosen)?.info?.geometry ?? null;
+  const geometry = sensors.get(chosen)?.info?.geometry ?? null;
   const map = nextMap(view, geometry, decoded);
   let redraw = map !== null;
   if (map) {
@@ -290,7 +290,7 @@ function draw() {
   }
   if (shear !== undefined && touched) arrows = drawArrows($("arrows"), shear, geometry);
   drawStitched();
-  compare.draw({ name: chosen, view, info: hands.get(chosen)?.info }, hands.get(compare.sensor) ?? {}, heights);
+  compare.draw({ name: chosen, view, info: sensors.get(chosen)?.info }, sensors.get(compare.sensor) ?? {}, heights);
   if (redraw) skin.render();
   showContact(contactOfMap(view));
   tellStale();
@@ -343,13 +343,13 @@ function tellLink(level, words) {
   if (level === "good") $("login").hidden = true;
   if (level !== "good") rezero.cancel();
   if (chosen !== null) tellState();
-  tellHands();
+  showTabs();
 }
 
 function tellState() {
   if (!works(chosen)) rezero.cancel();
-  showState(hands.get(chosen)?.state, view.parts, view.health, link?.connected, !works(chosen));
-  $("hand").classList.toggle("is-raw", uncalibrated());
+  showState(sensors.get(chosen)?.state, view.parts, view.health, link?.connected, !works(chosen));
+  $("sensor").classList.toggle("is-raw", uncalibrated());
   tellControls();
 }
 
@@ -370,8 +370,8 @@ function drawnPerSecond() {
 }
 
 function tellStale() {
-  const state = hands.get(chosen)?.state, { gone, frames, health, words } = freshness(view, { connected: link?.connected, works: works(chosen), state, paused: isPaused(view.parts) });
-  for (const [name, old] of [["is-stale", frames], ["is-unheard", health], ["is-gone", gone]]) $("hand").classList.toggle(name, old);
+  const state = sensors.get(chosen)?.state, { gone, frames, health, words } = freshness(view, { connected: link?.connected, works: works(chosen), state, paused: isPaused(view.parts) });
+  for (const [name, old] of [["is-stale", frames], ["is-unheard", health], ["is-gone", gone]]) $("sensor").classList.toggle(name, old);
   $("stale").hidden = words === "";
   $("stale").textContent = words;
 }
@@ -402,16 +402,16 @@ function tellControls() {
   const may = !READ_ONLY && link?.connected && works(chosen) && !asking && !uncalibrated(), able = may && !isPlayed(view.parts);
   tellPlayback(view.parts, may);
   $("rezero").disabled = !able && !(rezero.waiting && !rezero.taking);
-  $("retired").hidden = !link?.connected || hands.get(chosen)?.state === undefined || works(chosen);
+  $("retired").hidden = !link?.connected || sensors.get(chosen)?.state === undefined || works(chosen);
   tellRecording(view.parts.get("recorder"), able);
-  $("profile").disabled = !able || !hands.get(chosen).info;
+  $("profile").disabled = !able || !sensors.get(chosen).info;
   tellSession(able);
 }
 
-/** Whether the hand has told that it has no geometry yet: its camera's picture is all there is. */
-const uncalibrated = () => hands.get(chosen)?.info?.geometry === null;
+/** Whether the sensor has told that it has no geometry yet: its camera's picture is all there is. */
+const uncalibrated = () => sensors.get(chosen)?.info?.geometry === null;
 
-/** A stitching session's buttons, for a hand that can have one: it tells `status/stitching`. */
+/** A stitching session's buttons, for a sensor that can have one: it tells `status/stitching`. */
 function tellSession(able) {
   const status = view.parts.get("stitching"), open = status?.state !== "idle", form = $("session");
   form.hidden = !status;
@@ -425,7 +425,7 @@ function tellSession(able) {
 }
 
 function tellProfiles() {
-  const info = hands.get(chosen)?.info, choice = info?.choice ?? info?.profile; // an older daemon tells no choice
+  const info = sensors.get(chosen)?.info, choice = info?.choice ?? info?.profile; // an older daemon tells no choice
   const names = [...new Set([...(info?.profiles ?? []), ...(info ? [choice] : [])])].sort((a, b) => (a === DEAREST) - (b === DEAREST));
   const label = (name) => (name === choice && choice !== info.profile ? `${name} (now ${info.profile})` : name === DEAREST ? `${name} (${COST})` : name);
   $("profile").replaceChildren(...names.map((name) => element("option", { textContent: label(name), value: name })));
@@ -469,8 +469,8 @@ $("rezero").addEventListener("click", () => {
 $("remove").addEventListener("click", () => retire(chosen));
 $("restore").addEventListener("click", () => {
   restore();
-  tellHands();
-  if (chosen === null) choose([...hands.keys()].sort()[0]);
+  showTabs();
+  if (chosen === null) choose([...sensors.keys()].sort()[0]);
 });
 commandPlayback((body) => ask("replay", body, "", (result) => {
   compare.follow(body, result);

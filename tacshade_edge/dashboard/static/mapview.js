@@ -24,7 +24,7 @@ export class MapView {
     this.clear();
   }
 
-  /** Forget another hand's map. */
+  /** Forget another sensor's map. */
   clear() {
     this.section.hidden = true;
     this.about = this.cloud = this.at_mm = null;

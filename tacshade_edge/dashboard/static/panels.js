@@ -35,7 +35,7 @@ export function showRates(health) {
   put("n-latency", health?.latency_ms ? `${number(health.latency_ms.p50, 0)}, ${number(health.latency_ms.p99, 0)}` : "–");
 }
 
-/** The state of the hand with every reason that is known for it. */
+/** The state of the sensor with every reason that is known for it. */
 export function showState(state, parts, health, connected, gone) {
   const reasons = [...parts].filter(([, part]) => part.reason).map(([name, part]) => `${name}: ${part.reason}`);
   const told = [...parts.values()].some((part) => part.reason === health?.invalid_reason);
@@ -71,12 +71,12 @@ export function showHealth(health, page) {
     tables.push(table("Frames", [["captured", frames.captured], ...rows]));
   }
   const rates = Object.entries(others).filter(([, value]) => typeof value !== "object");
-  if (health) tables.push(table("Hand", [["up", duration(uptime_s)], ...rates.map(([key, value]) => [key.replaceAll("_", " "), short(value)])]));
+  if (health) tables.push(table("Sensor", [["up", duration(uptime_s)], ...rates.map(([key, value]) => [key.replaceAll("_", " "), short(value)])]));
   if (latency_ms || stages_ms) {
     const stages = Object.entries({ ...stages_ms, "all, until sent": latency_ms }).filter(([, stage]) => stage);
     tables.push(table("Milliseconds", stages.map(([key, stage]) => [key.replaceAll("_", " "), number(stage.p50, 1), number(stage.p99, 1)]), ["", "p50", "p99"]));
   }
-  if (mqtt) tables.push(table("Broker link of the hand", Object.entries(mqtt).map(([key, value]) => [key.replaceAll("_", " "), short(value)])));
+  if (mqtt) tables.push(table("Broker link of the sensor", Object.entries(mqtt).map(([key, value]) => [key.replaceAll("_", " "), short(value)])));
   for (const [key, value] of Object.entries(others)) {
     if (value && typeof value === "object") tables.push(table(key.replaceAll("_", " "), Object.entries(value).map(([k, v]) => [k.replaceAll("_", " "), short(v)])));
   }

@@ -1,4 +1,4 @@
-// A recording that is played: the buttons of `req/replay`, for a hand that tells `status/replay`.
+// A recording that is played: the buttons of `req/replay`, for a sensor that tells `status/replay`.
 
 import { number } from "./panels.js";
 

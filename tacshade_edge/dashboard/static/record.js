@@ -1,10 +1,10 @@
-// A recording's buttons, for a hand that tells `status/recorder`.
+// A recording's buttons, for a sensor that tells `status/recorder`.
 
 import { number } from "./panels.js";
 
 const form = document.getElementById("recording");
 
-/** ask(body, doing, done): asks the hand. */
+/** ask(body, doing, done): asks the sensor. */
 export function commandRecordings(ask) {
   const { seconds, record, mark, words, stop } = form.elements;
   form.addEventListener("submit", (event) => {

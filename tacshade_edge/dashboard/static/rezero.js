@@ -1,4 +1,4 @@
-// A new zero, once nothing touches. The page waits, not the hand: who closes it, or loses the connection, has asked nothing.
+// A new zero, once nothing touches. The page waits, not the sensor: who closes it, or loses the connection, has asked nothing.
 
 const REST_MS = 500;
 

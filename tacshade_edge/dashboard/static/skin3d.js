@@ -73,7 +73,7 @@ export class SkinView {
     this.clear();
   }
 
-  /** Forget another hand's shape. */
+  /** Forget another sensor's shape. */
   clear() {
     if (!this.available) return;
     this.geometry = null;

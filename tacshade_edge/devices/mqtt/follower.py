@@ -1,4 +1,4 @@
-"""Hears what hands publish; what is heard can change at any time, so that nobody asks a hand for what nobody reads."""
+"""Hears what sensors publish; the topics can change at any time, so that no sensor computes what nobody reads."""
 
 from __future__ import annotations
 
