@@ -39,7 +39,7 @@ SKIN_PERIOD_NS: Final = 200_000_000
 _LINES: Final = 64
 """Small messages that wait for a viewer that does not keep up; of pictures and maps only the newest."""
 
-_HAND: Final = re.compile(r"tacshade/([A-Za-z0-9_-]{1,64})/(.+)")
+_TOPIC: Final = re.compile(r"tacshade/([A-Za-z0-9_-]{1,64})/(.+)")
 _LOG_CHARS_MAX: Final = 500
 _SLIP_BYTES_MAX: Final = 4096
 _PREVIEW_BYTES_MAX: Final = 1 << 20
@@ -190,7 +190,7 @@ class _Sensor:
 
 @dataclass(slots=True)
 class _Known:
-    """What a sensor has shown of itself; `shown` is it where viewers are told of it."""
+    """What a sensor has shown of itself; `shown` is it where viewers see it."""
 
     state: State | Literal[""] = ""
     info: Info | None = None
@@ -250,7 +250,7 @@ class FoxgloveBridge:
 
     def hear(self, topic: str, payload: bytes, _retained: bool) -> None:
         """A message of the broker's."""
-        if not (found := _HAND.fullmatch(topic)) or not payload:
+        if not (found := _TOPIC.fullmatch(topic)) or not payload:
             return
         sensor_id, rest = found.groups()
         with self._lock:

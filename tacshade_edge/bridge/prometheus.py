@@ -45,7 +45,7 @@ class SensorMetrics:
     Parameters
     ----------
     sensors : sequence of str
-        Sensors to tell of; empty is all that come.
+        Sensors to report on; empty is all that come.
     clock_s : callable
         Tells the age of what was heard.
     """
@@ -58,7 +58,7 @@ class SensorMetrics:
         self._refusals = Refusals(clock_s)
 
     def hear(self, topic: str, payload: bytes, retained: bool) -> None:
-        """A message of the broker's. A retained `health` is of another time: it tells that the sensor has one."""
+        """A message of the broker's. A retained `health` is of another time: it shows that the sensor has one."""
         if not (found := _TOPIC.fullmatch(topic)):
             return
         sensor_id, name = found.groups()
@@ -78,11 +78,11 @@ class SensorMetrics:
             refused = dict(self._refusals.counts)
             fresh = {name: sensor.health for name, sensor in sensors if sensor.health and self._is_alive(sensor)}
         up = GaugeMetricFamily(
-            "tacshade_up", "1 while the daemon lives and tells its health; of none that stopped", labels=["sensor"]
+            "tacshade_up", "1 while the daemon lives and publishes its health; of none that stopped", labels=["sensor"]
         )
         state = GaugeMetricFamily("tacshade_state", "1 for the present state", labels=["sensor", "state"])
         for name, sensor in sensors:
-            # What never told a health is a replay's results; what stopped did so on purpose.
+            # What never published a health is a replay's results; what stopped did so on purpose.
             if sensor.tells_health and sensor.state != "stopped":
                 up.add_metric([name], float(name in fresh))
             for one in STATES if sensor.state else ():
@@ -110,7 +110,7 @@ class SensorMetrics:
     def _held(self, sensor_id: str, rank: int) -> _Sensor | None:
         sensor = self._sensors.of(sensor_id, rank)
         if sensor is None:
-            self._refusals.add("no_room", sensor_id, f"one sensor more than the {SENSORS_MAX} that are told of")
+            self._refusals.add("no_room", sensor_id, f"one sensor more than the {SENSORS_MAX} that are reported on")
         return sensor
 
     def _is_alive(self, sensor: _Sensor) -> bool:

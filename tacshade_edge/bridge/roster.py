@@ -93,6 +93,6 @@ class Refusals:
         if len(self._said) >= _SAID_MAX:
             self._said.clear()
         self._said[sensor_id] = text
-        more = f" ({self._untold} more were not told)" if self._untold else ""
+        more = f" ({self._untold} more were not reported)" if self._untold else ""
         self._told_s, self._untold = self._clock_s(), 0
         _log.warning("%s: %s%s", sensor_id, escaped(text, _CHARS_MAX), more)

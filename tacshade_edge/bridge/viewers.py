@@ -65,7 +65,7 @@ class Channel:
     depth: int = 1
 
     def advertised(self, number: int) -> dict[str, Any]:
-        """As a viewer is told of it."""
+        """As a viewer sees it."""
         schema = self.schema
         if isinstance(schema, dict):
             words = ("json", schema["title"], "jsonschema", json.dumps(schema))
@@ -301,7 +301,7 @@ class Viewers:
             return viewer.take()
 
     def _hear(self, viewer: _Viewer, message: str | bytes) -> None:
-        """What a viewer wants; what cannot be understood it is told of."""
+        """What a viewer wants; what cannot be understood is reported to it."""
         try:
             wanted = decode_object("viewer", message.encode() if isinstance(message, str) else b"")
         except DecodeError as error:

@@ -22,7 +22,7 @@ Name = tuple[str, str]
 
 
 class RobotPlaces:
-    """Each indenter's place is told by one press that was typed; the robot's poses tell the others.
+    """Each indenter's place is stated by one press that was typed; the robot's poses give the others.
 
     Parameters
     ----------

@@ -249,7 +249,7 @@ class App:
         return reconstructor if isinstance(reconstructor, Reason) else None
 
     def _look_for_calibration(self) -> None:
-        """Where there is none, take up one that has come; what cannot be used is told once."""
+        """Where there is none, take up one that has come; what cannot be used is reported once."""
         if self._missing() is None:
             return
         try:
@@ -311,7 +311,7 @@ class App:
         self._publish_info()
 
     def _follow(self) -> None:
-        """Use the reference as far as it followed; tell why when it does not."""
+        """Use the reference as far as it followed; say why when it does not."""
         running, calibration = self._active.reconstructor, self._references.calibration
         if isinstance(running, Reason) or running.calibration is calibration:
             self._publish_info()

@@ -34,7 +34,7 @@ RESTART_S, RESTART_MAX_S = 1.0, 60.0
 STEADY_S = 30.0
 """Who ends before it is so old waits twice as long as the last time."""
 WATCHDOG_S, ABORT_S = 10.0, 5.0
-"""Silence after which a sensor's process is told to say where it hangs, and time for that before it is killed."""
+"""Silence after which a sensor's process is asked to say where it hangs, and time for that before it is killed."""
 TICK_S = 1.0
 EXIT_CONFIG = 78
 EXIT_STOPPED = 128 + signal.SIGTERM

@@ -36,7 +36,7 @@ class Login:
     token : str
     cookie : str
         Name of the cookie that keeps the token in the browser. Browsers do not part the servers of one machine by
-        their ports, so it is told by the port.
+        their ports, so it is named by the port.
     secure : bool
         The page is served over TLS, so the cookie is sent over nothing else.
 

@@ -34,7 +34,7 @@ _INDEX: Final = ("/", "/index.html")
 _LOGIN: Final = "/login"
 _OPEN: Final = (_LOGIN, "/login.js", "/style.css", "/favicon.svg")  # without a token
 _REFUSED: Final = {
-    HTTPStatus.UNAUTHORIZED: "expected the token that this server told at its start, or that is in its file",
+    HTTPStatus.UNAUTHORIZED: "expected the token that this server printed at its start, or that is in its file",
     HTTPStatus.TOO_MANY_REQUESTS: f"too many wrong tokens from your address: wait {login.PERIOD_S:.0f} s",
 }
 _SPEAK_S: Final = 5  # until a request is there, and until TLS is

@@ -131,7 +131,7 @@ def judge_daemon(daemon: DaemonState, process: Process | None, sensor_id: str) -
         return ok("daemon", "not running")
     if daemon.state == "online":
         return ok("daemon", f"running, {process}: {daemon}")
-    mend = "journalctl -u tacshade-edge tells more"
+    mend = "journalctl -u tacshade-edge says more"
     if daemon.state == "degraded":
         return warning("daemon", f"running, {process}: {daemon}", mend)
     mend = f"was it started with these settings? {mend}"
@@ -283,6 +283,6 @@ def _daemon_state(session: _Session, base: str) -> DaemonState:
 
 def _json(payload: bytes) -> dict[str, Any]:
     try:
-        return decode_object("what a daemon tells", payload or b"{}")
+        return decode_object("what a daemon publishes", payload or b"{}")
     except DecodeError:
         return {}

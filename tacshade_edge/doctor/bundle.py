@@ -172,7 +172,7 @@ def _log() -> str:
 
 def _payload(payload: bytes) -> Any:
     try:
-        return decode_object("what a daemon tells", payload)
+        return decode_object("what a daemon publishes", payload)
     except DecodeError:
         return payload.decode(errors="replace")
 

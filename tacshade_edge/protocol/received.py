@@ -1,6 +1,6 @@
 """``info``, ``contact``, ``health``, ``state`` and ``status/<part>`` as a subscriber understands them.
 
-Keys that it does not know are ignored; what no daemon tells is refused (`protocol.strict`).
+Keys that it does not know are ignored; what no daemon publishes is refused (`protocol.strict`).
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ def decode(what: str, payload: bytes, kind: type[T]) -> T:
     Raises
     ------
     DecodeError
-        More bytes, values, levels or characters than any daemon tells, a number that is none, not JSON, or no `kind`.
+        More bytes, values, levels or characters than a daemon publishes, a number that is none, not JSON, or no `kind`.
     """
     if len(payload) > BYTES_MAX:
         raise DecodeError(f"{what}: {len(payload)} bytes, expected at most {BYTES_MAX}")

@@ -190,5 +190,5 @@ def _each(sensor: dict[str, Any]) -> dict[str, Any]:
 
 
 def digest(settings: Settings) -> str:
-    """First 12 hex digits of the SHA-256 of the settings: tells two configurations apart in ``info``."""
+    """First 12 hex digits of the SHA-256 of the settings: distinguishes two configurations in ``info``."""
     return hashlib.sha256(msgspec.json.encode(settings, order="deterministic")).hexdigest()[:12]

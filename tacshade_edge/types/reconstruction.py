@@ -88,7 +88,7 @@ class TouchedObject:
     normal : (float, float, float)
         Unit normal of the plane through its points, away from the camera.
     shear_mm : (float, float) or None
-        Mean shear along x and y of the skin that it touches; None where the solver tells none.
+        Mean shear along x and y of the skin that it touches; None where the solver reports none.
     twist_deg : float or None
         Angle about z, from x towards y, of the least-squares rotation of that skin; None also where it is too small.
     strain_mm : float or None
@@ -143,10 +143,10 @@ class Reconstruction:
         Pixels whose solver value was not finite and was replaced.
     shear_mm : float32 (rows, cols, 2) or None
         Shear along x and y, from every cause, of the skin that a cell's ray meets; on the grid of `height`, NaN
-        outside the disc, 0 without contact. None where the solver tells none.
+        outside the disc, 0 without contact. None where the solver reports none.
     sigma_mm : float32 (rows, cols) or None
         Standard deviation of `height` where its `contact` is true, elsewhere NaN (`core.depth.sigma`). None where the
-        solver tells none.
+        solver reports none.
     untrusted : bool (rows, cols) or None
         Cells that do not show the sensor's skin: their values say nothing, and they are no contact. None: no cell.
     """
@@ -176,7 +176,7 @@ class Reconstruction:
 
     @property
     def shear_of_contact_mm(self) -> tuple[float, float] | None:
-        """Mean shear over all cells of the contact; None without contact or where none is told."""
+        """Mean shear over all cells of the contact; None without contact or where none is reported."""
         if self.shear_mm is None or not self.contact:
             return None
         x_mm, y_mm = self.shear_mm[self.height.contact].mean(axis=0, dtype=np.float64).tolist()

@@ -18,7 +18,7 @@ DOWN_MM_S = 4.0
 # No move lasts longer: what a hand stops ends within it.
 _LONGEST_S = 0.5
 _HOME_S = 120.0
-# Printers tell hundredths.
+# Printers report hundredths.
 _POSITION_MM = 0.015
 
 
@@ -35,9 +35,9 @@ class Head:
     Attributes
     ----------
     is_certain : bool
-        Every command was answered, and the printer told the place that it was sent to.
+        Every command was answered, and the printer reported the place that it was sent to.
     was_moved : bool
-        It was told to move, or to home.
+        It was asked to move, or to home.
     free_z_mm : float
         At this height and above nothing is in its way; sideways it moves there alone.
     """
@@ -105,7 +105,7 @@ class Head:
         self._check_limits(to_mm)
         self._line.listen()  # it may have restarted, or have been moved by its own buttons, since
         self._check_told()
-        # In whole µm, as it is sent: what is told is compared with it.
+        # In whole µm, as it is sent: what it reports is compared with it.
         for part in segments(self._place_mm, np.round(to_mm, 3), feed_mm_s * _LONGEST_S):
             self._keypress.check()
             if not self.is_certain:

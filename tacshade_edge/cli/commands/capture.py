@@ -210,7 +210,7 @@ def _settings_text(chosen: Source, serial: Serial | None, described: Mapping[str
     keys |= {"serial": msgspec.to_builtins(serial)} if serial else {}
     text = yaml.safe_dump(keys, sort_keys=False, allow_unicode=True)
     return (
-        f"# Settings for `tacshade-edge run`, and for going on with this capture.\n{text}# As the camera told:\n{told}"
+        f"# Settings for `tacshade-edge run`, and to go on with this capture.\n{text}# As the camera reported:\n{told}"
     )
 
 

@@ -33,7 +33,7 @@ def robot_poses(serial: Serial | None) -> Iterator[PoseAt | None]:
         robot.poll()
         status = json.loads(told[-1])
         why = status["reason"] or f"clock {status.get('sync')}"
-        return f"the robot told no pose for this picture ({serial.device} is {status['state']}: {why})"
+        return f"the robot reported no pose for this picture ({serial.device} is {status['state']}: {why})"
 
     robot.start()
     try:

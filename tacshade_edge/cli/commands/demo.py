@@ -98,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
         page = [*me, "dashboard", "--broker", f"127.0.0.1:{mqtt}", "--http", str(http), "--host", host]
         login = ""
         if not is_loopback(host):
-            # The sensor is simulated: who was told the address may play with it.
+            # The sensor is simulated: whoever has the address may play with it.
             token_file = folder / "token"
             login = f"login#{make_token(token_file)}"
             page += ["--token-file", str(token_file), "--allow-control"]

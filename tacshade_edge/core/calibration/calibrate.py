@@ -55,7 +55,7 @@ def calibrate(
     networks: Mapping[str, Network] | None = None,
     reference_names: Sequence[str] = (),
 ) -> CalibrationResult:
-    """Fit everything that images can tell of a sensor.
+    """Fit everything that images can show of a sensor.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def calibrate(
 
 
 def _unloaded(sensor: Sensor, greys: Sequence[U8]) -> Calibration:
-    """What the references alone tell."""
+    """What the references alone show."""
     if not greys:
         raise ConfigError("no reference image: expected at least one of the unloaded skin")
     for number, grey in enumerate(greys, start=1):

@@ -9,7 +9,7 @@ import numpy as np
 from tacshade_edge.types import F32, F64, I64
 
 TWIST_CELLS = 6
-"""Of fewer cells no twist is told."""
+"""Of fewer cells no twist is reported."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ from tacshade_edge.types import Reconstruction, Slip
 
 SPANS_NS = (70_000_000, 150_000_000, 250_000_000)
 """Over which a speed is measured, or over `LEAST_FRAMES` where those take longer: the shortest over which it stands out
-of the noise tells a slip, a fast one within 100 ms at 30 frames a second and more."""
+of the noise shows a slip, a fast one within 100 ms at 30 frames a second and more."""
 LEAST_FRAMES = 3
 SLIP_MM_S = 3.0
 """From this speed of the imprint over the material on it is a slip."""
@@ -77,7 +77,7 @@ class Tracked:
 
 
 def follow(tracker: ContactTracker, result: Reconstruction) -> Reconstruction:
-    """A reconstruction whose objects have what tracking tells; one of a solver that tells no shear as it is."""
+    """A reconstruction whose objects have what tracking finds; one of a solver that reports no shear as it is."""
     contacts = [
         Contact(o.centroid_mm[0], o.centroid_mm[1], o.shear_mm, o.strain_mm or 0.0)
         for o in result.objects

@@ -24,13 +24,13 @@ class Depth:
     height_mm : float32 (rows, cols)
         h, finite and not below 0; outside the disc it says nothing.
     contact : bool (rows, cols) or None
-        Where the skin touches an object, inside the disc only; None: to be told from the heights.
+        Where the skin touches an object, inside the disc only; None: to be found from the heights.
     saturated : bool
         Some cell left the range of the calibration.
     repaired_px : int
         Cells whose value was not finite and was replaced by 0.
     untrusted : bool (rows, cols) or None
-        Where something else is shown than this sensor's skin; outside the disc it says nothing. None: not told.
+        Where something else is shown than this sensor's skin; outside the disc it says nothing. None: not reported.
     contact_logit : float32 (rows, cols) or None
     untrusted_logit : float32 (M, M) or None
         Log odds of both, of untrusted for fewer and wider cells.
@@ -68,7 +68,7 @@ class NetworkMaps:
 
 @dataclass(frozen=True, slots=True)
 class ShearNetwork:
-    """A network that tells how the skin moved along itself; see `Network`.
+    """A network that finds how the skin moved along itself; see `Network`.
 
     Attributes
     ----------
@@ -124,7 +124,7 @@ class Solver(Protocol):
 
     @property
     def tells_shear(self) -> bool:
-        """Whether its `shear_mm` tells anything."""
+        """Whether its `shear_mm` reports anything."""
         ...
 
     def solve(self, preprocessed: Preprocessed, mark: Mark) -> Depth:
@@ -132,7 +132,7 @@ class Solver(Protocol):
         ...
 
     def shear_mm(self, preprocessed: Preprocessed) -> F32 | None:
-        """Shear along x and y of the skin at the grid's cells, float32 (rows, cols, 2); None: not told.
+        """Shear along x and y of the skin at the grid's cells, float32 (rows, cols, 2); None: not reported.
 
         The caller's own; finite; outside the disc it says nothing.
         """

@@ -1,7 +1,7 @@
 """The learned inverse of the physical model: white of the image and of the unloaded skin to height and contact.
 
 The network is trained on simulated sensors alone (tools/training). It sees every sensor on the same square of cells
-(`core.geometry.disc_map`) and is told what is known of it; its heights are in tenths of the disc's radius. How it is
+(`core.geometry.disc_map`) and is given what is known of it; its heights are in tenths of the disc's radius. How it is
 run is the caller's choice (`inference.network` takes ONNX Runtime).
 """
 

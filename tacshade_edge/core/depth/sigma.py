@@ -1,7 +1,7 @@
 """How far off a height is: one standard deviation for every cell of a contact.
 
-A log-linear model of what a network itself tells, fitted on simulated sensors of two families
-(tools/training/fit_sigma.py), times a scale of the sensor, which its presses tell
+A log-linear model of what a network itself reports, fitted on simulated sensors of two families
+(tools/training/fit_sigma.py), times a scale of the sensor, which its presses show
 (`core.calibration.refit.error_scale`). With k the skin's radius over 20 mm,
 
     log(σ / k) = log scale + Σ w_i x_i,    x = (1, log(0.1 + h / k), min(|∇h|, 2), l_c, l_f),

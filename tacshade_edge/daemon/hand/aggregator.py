@@ -1,4 +1,4 @@
-"""Puts what the fingers told together, and decides when it is told on. Pure: it is told the time."""
+"""Combines what the fingers report, and decides when to publish it. Pure: it is given the time."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ PERIOD_NS: Final = 1_000_000_000 // 60
 QUIET_PERIOD_NS: Final = 100_000_000
 """Between two messages at most: without contact and change."""
 FIRST_NS: Final = 500_000_000
-"""So long after somebody began to listen the first message waits for a finger that tells nothing."""
+"""So long after somebody began to listen the first message waits for a silent finger."""
 STALLED_NS: Final = 3_000_000_000
-"""A finger that told nothing for so long is away; as `status/camera` does."""
+"""A finger that reported nothing for so long is away; as `status/camera` does."""
 
 _STARTING: Final = away(Reason(ReasonCode.STARTING, "nothing is known yet"))
-_STALLED: Final = away(Reason(ReasonCode.STALLED, "it tells nothing"))
+_STALLED: Final = away(Reason(ReasonCode.STALLED, "it reports nothing"))
 
 
 class HandAggregator:
@@ -40,7 +40,7 @@ class HandAggregator:
         self._seq = 0
 
     def listen(self, listened: bool, now_ns: int) -> None:
-        """Somebody listens, or nobody does; when it begins, what was told before is no news any more."""
+        """Somebody listens, or nobody does; when it begins, what was reported before is no news any more."""
         if not listened:
             self._listened_ns = None
         elif self._listened_ns is None:
@@ -51,7 +51,7 @@ class HandAggregator:
                     self._fingers[name] = _STARTING
 
     def hear(self, name: str, finger: Finger, now_ns: int) -> None:
-        """Take what a finger tells."""
+        """Take what a finger reports."""
         before = self._fingers[name]
         self._fingers[name], self._heard_ns[name] = finger, now_ns
         self._changed |= finger.state == "contact" or finger.state != before.state

@@ -1,4 +1,4 @@
-"""What a sensor's process tells its hand of each frame."""
+"""What a sensor's process reports to its hand of each frame."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from tacshade_edge.rigid import Rigid, from_seven
 from tacshade_edge.settings import Settings
 from tacshade_edge.types import Need
 
-PERIOD_NS: Final = 100_000_000  # without contact; in contact every frame tells
+PERIOD_NS: Final = 100_000_000  # without contact; in contact for every frame
 
 
 class FingerReporter(FrameObserver):
-    """One sensor as a finger: tells while somebody listens to the hand, and then asks for depth.
+    """One sensor as a finger: reports while somebody listens to the hand, and then asks for depth.
 
     Parameters
     ----------

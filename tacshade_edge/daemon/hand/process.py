@@ -119,7 +119,7 @@ class HandProcess:
                 raise error
 
     def _hear(self, name: str, line: HandLine) -> None:
-        """Take what a finger told; of one that never stops not all at once."""
+        """Take what a finger reported; of one that never stops not all at once."""
         try:
             for finger in itertools.islice(iter(line.take, None), AT_ONCE):
                 self._heard[name] += 1

@@ -73,7 +73,7 @@ class Health(FrameObserver):
     def _judge(self, before: Counts, counts: Counts, reason: Reason | None) -> None:
         """Whether frames come but none can be used; the first reason stays, so that it is published once.
 
-        A missing calibration is no frame's fault: the daemon tells it.
+        A missing calibration is no frame's fault: the daemon reports it.
         """
         if reason is not None and reason.code is ReasonCode.NOT_CALIBRATED:
             return

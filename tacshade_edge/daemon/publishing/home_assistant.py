@@ -16,7 +16,7 @@ ANNOUNCED, WITHDRAWN = "announced", "withdrawn"
 
 
 class HomeAssistant:
-    """Retained announcements outlive the daemon; so does the status below its own topics that tells of them.
+    """Retained announcements outlive the daemon; so does the status below its own topics that reports them.
 
     A daemon that finds that of an earlier run, and shall not announce, takes them back. One that never announced
     writes nothing outside its own topics.

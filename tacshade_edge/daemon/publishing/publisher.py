@@ -10,7 +10,7 @@ from tacshade_edge.protocol import messages, wire
 from tacshade_edge.settings import Settings
 from tacshade_edge.types import Need, Reconstruction, Slip
 
-CONTACT_PERIOD_NS = 100_000_000  # without contact; in contact every frame tells
+CONTACT_PERIOD_NS = 100_000_000  # without contact; in contact for every frame
 
 
 class Publisher(FrameObserver):

@@ -294,7 +294,7 @@ class LiveRecorder:
         self._job = None
 
     def end(self, ending: Reason) -> None:
-        """End the recording that goes on, if one does; `poll` tells when it is written."""
+        """End the recording that goes on, if one does; `poll` reports when it is written."""
         self.tap = None
         if self._job is not None:
             self._job.end(ending)

@@ -1,6 +1,6 @@
 """A robot's line that several sensors' processes share: one has the port, and hands on what it learns of the robot.
 
-What is handed on is what `RobotMotion` is told, so that all have the same clock and the same poses; commands and their
+What is handed on is what `RobotMotion` takes, so that all have the same clock and the same poses; commands and their
 answers stay with the one that has the port. Each follower has a pair of datagram sockets of its own, made before the
 processes are forked, and nobody waits for it: a pose that finds no room is one pose less.
 """
@@ -102,7 +102,7 @@ def share_lines(documents: Sequence[Document]) -> dict[str, SharedLine]:
 
 
 class TellingMotion(RobotMotion):
-    """A `RobotMotion` that hands on what it is told.
+    """A `RobotMotion` that hands on what it takes.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ class FollowingChannel:
                 payload = self._hears.recv(_BYTES_MAX)
             except TimeoutError:
                 if time.monotonic_ns() - told_ns > SILENT_NS and self.port_state.state == "open":
-                    reason = Reason(ReasonCode.NO_ANSWER, f"{self._owner}, which has the port, tells nothing")
+                    reason = Reason(ReasonCode.NO_ANSWER, f"{self._owner}, which has the port, reports nothing")
                     self.port_state = PortState("away", reason, {"shared_by": self._owner})
                 continue
             match _decoder.decode(payload):

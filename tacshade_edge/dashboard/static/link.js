@@ -75,7 +75,7 @@ export class Link {
       });
     });
     client.on("error", (error) => {
-      if (client !== this.client || !NOT_AUTHORISED.includes(error.code)) return; // the rest is a close, told there
+      if (client !== this.client || !NOT_AUTHORISED.includes(error.code)) return; // the rest is a close, reported there
       client.end(true);
       sessionStorage.removeItem(KEPT);
       this.told("bad", "The broker wants a user and password");
@@ -103,7 +103,7 @@ export class Link {
         reject(new Error(`no answer within ${answer_ms / 1000} s`));
       }, answer_ms);
       this.waiting.set(transaction, { resolve, reject, timer });
-      // QoS 0: what cannot be sent now is dropped, and told. QoS 1 would move the sensor's zero some time later.
+      // QoS 0: what cannot be sent now is dropped, and reported. QoS 1 would move the sensor's zero some time later.
       this.client.publish(`tacshade/${sensor}/req/${verb}`, JSON.stringify({ ...body, transaction }), { qos: 0 });
     });
   }

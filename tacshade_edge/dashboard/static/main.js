@@ -251,7 +251,7 @@ follow();
 // Drawing: at most once per picture of the screen, always the newest.
 
 function schedule() {
-  if (scheduled || skin.busy) return; // the skin in space tells when it is drawn: what came last is drawn then, in both
+  if (scheduled || skin.busy) return; // the skin in space reports when it is drawn: what came last is drawn then, in both
   scheduled = true;
   requestAnimationFrame(draw);
 }
@@ -296,7 +296,7 @@ function draw() {
   tellStale();
 }
 
-/** Points and what is told of them come as two messages, and the `final` of an earlier session stays beside a new one. */
+/** Points and what is said of them come as two messages, and the `final` of an earlier session stays beside a new one. */
 function drawStitched() {
   if (view.mapPayload) {
     view.mapCloud = decoded(view.mapPayload, "points_mm") ?? view.mapCloud;
@@ -408,10 +408,10 @@ function tellControls() {
   tellSession(able);
 }
 
-/** Whether the sensor has told that it has no geometry yet: its camera's picture is all there is. */
+/** Whether the sensor has reported that it has no geometry yet: its camera's picture is all there is. */
 const uncalibrated = () => sensors.get(chosen)?.info?.geometry === null;
 
-/** A stitching session's buttons, for a sensor that can have one: it tells `status/stitching`. */
+/** A stitching session's buttons, for a sensor that can have one: it publishes `status/stitching`. */
 function tellSession(able) {
   const status = view.parts.get("stitching"), open = status?.state !== "idle", form = $("session");
   form.hidden = !status;
@@ -425,7 +425,7 @@ function tellSession(able) {
 }
 
 function tellProfiles() {
-  const info = sensors.get(chosen)?.info, choice = info?.choice ?? info?.profile; // an older daemon tells no choice
+  const info = sensors.get(chosen)?.info, choice = info?.choice ?? info?.profile; // an older daemon states no choice
   const names = [...new Set([...(info?.profiles ?? []), ...(info ? [choice] : [])])].sort((a, b) => (a === DEAREST) - (b === DEAREST));
   const label = (name) => (name === choice && choice !== info.profile ? `${name} (now ${info.profile})` : name === DEAREST ? `${name} (${COST})` : name);
   $("profile").replaceChildren(...names.map((name) => element("option", { textContent: label(name), value: name })));

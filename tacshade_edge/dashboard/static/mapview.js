@@ -31,8 +31,8 @@ export class MapView {
   }
 
   /**
-   * Draw a revision: what `map/revision` or `map/final` tells, and the decoded `map/cloud` that belongs to it.
-   * Throws when what is told is no place for the points.
+   * Draw a revision: what `map/revision` or `map/final` says, and the decoded `map/cloud` that belongs to it.
+   * Throws when what is said is no place for the points.
    */
   draw(about, cloud) {
     const { x0_mm, y0_mm, width_mm, length_mm, spacing_mm } = about;

@@ -1,4 +1,4 @@
-// What is told in words and numbers. Text from the broker goes into the page as text, never as HTML.
+// What is shown in words and numbers. Text from the broker goes into the page as text, never as HTML.
 
 const LEVELS = { online: "good", streaming: "good", playing: "good", paused: "warn", open: "good", degraded: "warn", away: "warn", unusable: "warn", stopped: "off", ended: "off", idle: "off", offline: "bad" };
 const FRAMES = {
@@ -48,7 +48,7 @@ export function showState(state, parts, health, connected, gone) {
     return;
   }
   line.dataset.level = reasons.length && state === "online" ? "warn" : levelOf(state);
-  line.replaceChildren(element("b", { textContent: state ?? "unknown" }), reasons.length ? `${gone ? " last told:" : ""} ${reasons.join("; ")}` : "");
+  line.replaceChildren(element("b", { textContent: state ?? "unknown" }), reasons.length ? `${gone ? " last reported:" : ""} ${reasons.join("; ")}` : "");
 }
 
 /** One line per `status/<part>`: its state, its reason, then its own details; codes are for programs. */
@@ -62,7 +62,7 @@ export function showParts(parts) {
   document.getElementById("parts").replaceChildren(...lines);
 }
 
-/** Everything that `health` tells, also what a newer daemon adds to it. */
+/** Everything that `health` has, also what a newer daemon adds to it. */
 export function showHealth(health, page) {
   const { frames, latency_ms, stages_ms, mqtt, uptime_s, invalid_reason, degraded_reason, ...others } = health ?? {};
   const tables = [];

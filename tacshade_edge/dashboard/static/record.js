@@ -1,4 +1,4 @@
-// A recording's buttons, for a sensor that tells `status/recorder`.
+// A recording's buttons, for a sensor that publishes `status/recorder`.
 
 import { number } from "./panels.js";
 

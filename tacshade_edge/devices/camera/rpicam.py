@@ -134,7 +134,7 @@ class RpicamSource:
             image, record = stream.next(_START_S)
             exposure_us, gain = _number(record, "ExposureTime"), _number(record, "AnalogueGain")
             was_in_step, in_step = in_step, stream.in_step()
-            # Twice: nine shorter frames are eight of ours, where it tells of the ninth too late to be noticed.
+            # Twice: nine shorter frames are eight of ours, where it reports the ninth too late to be noticed.
             if self._is_asked(exposure_us, gain) and in_step and was_in_step:
                 break
         else:
@@ -160,7 +160,7 @@ class RpicamSource:
         return self._framed(image, record)
 
     def _is_asked(self, exposure_us: float, gain: float) -> bool:
-        """Whether a record is of the exposure that was asked; one that tells none cannot say otherwise."""
+        """Whether a record is of the exposure that was asked; one that states none cannot say otherwise."""
         pairs = ((exposure_us, self._exposure_us), (gain, self._gain))
         return all(np.isnan(got) or abs(got - asked) <= _EXPOSURE_OFF * asked for got, asked in pairs)
 
@@ -212,7 +212,7 @@ class _Stream:
         self._others = [self._records, self._errors]
 
     def next(self, limit_s: float) -> tuple[U8, dict[str, str]]:
-        """The next image, uint8 (H, W), and what the program tells of it. Raises DeviceError."""
+        """The next image, uint8 (H, W), and what the program reports of it. Raises DeviceError."""
         content = np.empty(self._bytes, np.uint8)
         view, have = content.data, 0
         while have < self._bytes or b"\n\n" not in self._told:

@@ -36,7 +36,7 @@ _ALIVE: Final = (b"online", b"degraded")
 
 
 def new_instance() -> dict[str, str | int]:
-    """What tells this daemon from another under the same name: retained as ``instance``."""
+    """What distinguishes this daemon from another under the same name: retained as ``instance``."""
     return {"id": secrets.token_hex(8), "host": socket.gethostname(), "process": os.getpid()}
 
 
@@ -74,7 +74,7 @@ class ClientIdGuard:
     def wait_until_gone(self, tell: Callable[[Reason], None], stopped: Callable[[], bool]) -> None:
         """Return when the name may be taken, at once where nobody has it, or where `stopped`.
 
-        Also where the broker does not let us ask: connecting will tell why.
+        Also where the broker does not let us ask: connecting will show why.
 
         Parameters
         ----------

@@ -87,7 +87,7 @@ class _Timed:
         self._count = self._next = self._next_idle = self._t_ns = 0
 
     def begin(self) -> None:
-        """Find how many frames fit into a slice; the first step imports and allocates, the second tells."""
+        """Find how many frames fit into a slice; the first step imports and allocates, the second is timed."""
         if self.contact:
             usual_ms = [float(self._step(self.contact[0])[0]) for _ in range(2)][1]
             self._count = min(len(self.contact), max(1, int(SLICE_MS / usual_ms)))

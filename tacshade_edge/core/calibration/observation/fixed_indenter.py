@@ -31,7 +31,7 @@ class FixedIndenter:
     ball_radius_mm : float
         0 for another.
     base_T_sensor : Rigid
-        At the press that told it.
+        At the press that stated it.
     """
 
     point_mm: F64
@@ -42,7 +42,7 @@ class FixedIndenter:
         freeze(self, "point_mm")
 
     def turned_deg(self, base_T_sensor: Rigid) -> float:
-        """How far the sensor is turned against the press that told the place; degrees."""
+        """How far the sensor is turned against the press that stated the place; degrees."""
         turn = self.base_T_sensor.rotation.T @ base_T_sensor.rotation
         return math.degrees(math.acos(min(max((float(np.trace(turn)) - 1) / 2, -1.0), 1.0)))
 

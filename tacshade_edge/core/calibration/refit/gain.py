@@ -1,8 +1,8 @@
 """The closed-form refit of the learned inverse to known presses.
 
-A network trained on every sensor is off on a given one by a nearly constant factor. Each press tells it where the
+A network trained on every sensor is off on a given one by a nearly constant factor. Each press shows it where the
 indenter's surface is known and the network sees contact. The logarithms are averaged robustly, so that wrong presses
-hardly move the factor, and drawn to 0 as far as their spread leaves it open. Balls tell little more: corrections that
+hardly move the factor, and drawn to 0 as far as their spread leaves it open. Balls show little more: corrections that
 also depend on depth and place fit the balls better, and other shapes no better (tools/training/README.md).
 
 References
