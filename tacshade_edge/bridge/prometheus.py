@@ -36,7 +36,7 @@ class _Sensor:
     state: State | Literal[""] = ""
     health: Health | None = None
     heard_s: float = float("-inf")
-    tells_health: bool = False
+    has_health: bool = False
 
 
 class SensorMetrics:
@@ -83,7 +83,7 @@ class SensorMetrics:
         state = GaugeMetricFamily("tacshade_state", "1 for the present state", labels=["sensor", "state"])
         for name, sensor in sensors:
             # What never published a health is a replay's results; what stopped did so on purpose.
-            if sensor.tells_health and sensor.state != "stopped":
+            if sensor.has_health and sensor.state != "stopped":
                 up.add_metric([name], float(name in fresh))
             for one in STATES if sensor.state else ():
                 state.add_metric([name, one], float(sensor.state == one))
@@ -103,7 +103,7 @@ class SensorMetrics:
 
     def _hear_health(self, sensor_id: str, health: Health, *, retained: bool) -> None:
         if sensor := self._held(sensor_id, 1 if retained else 2):
-            sensor.tells_health = True
+            sensor.has_health = True
             if not retained:
                 sensor.health, sensor.heard_s = health, self._clock_s()
 
@@ -118,7 +118,7 @@ class SensorMetrics:
         return sensor.state in (*ALIVE, "") and self._clock_s() - sensor.heard_s <= FRESH_S
 
     def _rank(self, sensor: _Sensor) -> int:
-        return 2 if self._is_alive(sensor) else int(sensor.tells_health)
+        return 2 if self._is_alive(sensor) else int(sensor.has_health)
 
 
 class MetricsServer(ThreadingHTTPServer):

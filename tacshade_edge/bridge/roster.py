@@ -78,8 +78,8 @@ class Refusals:
     def __init__(self, clock_s: Callable[[], float]) -> None:
         self._clock_s = clock_s
         self._said: dict[str, str] = {}
-        self._told_s = float("-inf")
-        self._untold = 0
+        self._reported_s = float("-inf")
+        self._unreported = 0
         self.counts: Counter[str] = Counter(undecodable=0, no_room=0)
 
     def add(self, why: str, sensor_id: str, text: str) -> None:
@@ -87,12 +87,12 @@ class Refusals:
         self.counts[why] += 1
         if self._said.get(sensor_id) == text:
             return
-        if self._clock_s() - self._told_s < _LINE_S:
-            self._untold += 1
+        if self._clock_s() - self._reported_s < _LINE_S:
+            self._unreported += 1
             return
         if len(self._said) >= _SAID_MAX:
             self._said.clear()
         self._said[sensor_id] = text
-        more = f" ({self._untold} more were not reported)" if self._untold else ""
-        self._told_s, self._untold = self._clock_s(), 0
+        more = f" ({self._unreported} more were not reported)" if self._unreported else ""
+        self._reported_s, self._unreported = self._clock_s(), 0
         _log.warning("%s: %s%s", sensor_id, escaped(text, _CHARS_MAX), more)

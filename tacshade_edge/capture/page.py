@@ -44,8 +44,8 @@ const [view, text, back, answer] = ["view", "text", "back", "answer"].map((name)
 let picture = document.getElementById("picture"), points = [];
 async function look() {
   try {
-    const told = await fetch("text", {cache: "no-store"});
-    text.textContent = await told.text();
+    const answer = await fetch("text", {cache: "no-store"});
+    text.textContent = await answer.text();
     const seen = await fetch("picture.jpg", {cache: "no-store"});
     if (seen.ok) {
       // Decoded beside the one that is shown, which can be clicked until then.

@@ -50,9 +50,9 @@ class RobotPlaces:
             held = self._base_T_sensor(frame)
         except ConfigError as error:
             return str(error)
-        told = Touch(float(x_mm), float(y_mm), float(depth_mm))
+        stated = Touch(float(x_mm), float(y_mm), float(depth_mm))
         ball_radius_mm = float(radius_mm) if indenter == BALL else 0.0
-        self._fixed[indenter, radius_mm] = fixed_indenter(held, told, ball_radius_mm, self._skin_radius_mm)
+        self._fixed[indenter, radius_mm] = fixed_indenter(held, stated, ball_radius_mm, self._skin_radius_mm)
         return ""
 
     def columns(self, name: Name, frame: Frame) -> tuple[str, ...]:

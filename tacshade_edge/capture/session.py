@@ -262,7 +262,7 @@ class Session:
             self._terminal.say("  given up: nothing was taken")
             return
         try:
-            press = asked if isinstance(asked, Stated) else self._told_by_robot(asked, frame)
+            press = asked if isinstance(asked, Stated) else self._stated_by_robot(asked, frame)
         except ConfigError as error:
             self._terminal.say(f"  not taken: {error}")
             return
@@ -288,7 +288,7 @@ class Session:
         name = self._taken[-1].stated.columns[:2]
         return (name[0], name[1]) if self._robot.known((name[0], name[1])) else None
 
-    def _told_by_robot(self, name: Name, frame: Frame) -> Stated:
+    def _stated_by_robot(self, name: Name, frame: Frame) -> Stated:
         """The press of an indenter at the robot's pose. Raises ConfigError."""
         if self._robot is None:
             raise AssertionError("nobody asked for a robot's pose")

@@ -86,7 +86,7 @@ class Reconstructor:
         self._zero_mm = np.where(self.rays.inside, np.float32(0), np.float32(np.nan)).astype(np.float32)
         self._sigma = None if network is None else network.sigma
         self._no_sigma_mm = None if self._sigma is None else np.full(self._zero_mm.shape, np.nan, np.float32)
-        self._no_shear_mm = np.repeat(self._zero_mm[..., None], 2, axis=2) if self._solver.tells_shear else None
+        self._no_shear_mm = np.repeat(self._zero_mm[..., None], 2, axis=2) if self._solver.has_shear else None
         self._empty_map = self._map(self._zero_mm, np.zeros(self._zero_mm.shape, dtype=bool))
         self._empty_cloud = ObjectCloud(np.zeros((0, 3), dtype=np.float32), np.zeros(0, dtype=np.uint16))
         self._grey_space: U8 = np.empty(self._shape, np.uint8)

@@ -22,7 +22,7 @@ class _Tries:
     wrong: int = 0
 
 
-def told(authorization: str | None) -> str | None:
+def offered(authorization: str | None) -> str | None:
     """The token in a request's header ``Authorization: Bearer``; None without one, such as with a proxy's own login."""
     scheme, _, token = (authorization or "").partition(" ")
     return token if scheme.lower() == "bearer" else None

@@ -51,7 +51,7 @@ class DaemonState:
         Where it runs.
     rival : str
         Where another runs that waits for the same name; empty without one.
-    told : dict
+    published : dict
         All that the broker holds of it: topic below the daemon's to payload.
     """
 
@@ -60,7 +60,7 @@ class DaemonState:
     fps: float = 0.0
     place: str = "which does not say where"
     rival: str = ""
-    told: dict[str, bytes] = field(default_factory=dict, compare=False)
+    published: dict[str, bytes] = field(default_factory=dict, compare=False)
 
     @property
     def alive(self) -> bool:

@@ -85,7 +85,7 @@ def _foxglove(args: argparse.Namespace, broker: BrokerAddress, ended: threading.
     host, port = args.listen
     follower = Follower(broker, lambda *message: bridge.hear(*message))
     bridge = FoxgloveBridge(host, port, args.sensor, follower.follow)
-    _tell(args, f"ws://{_in_url(host)}:{bridge.port}")
+    _announce(args, f"ws://{_in_url(host)}:{bridge.port}")
     try:
         _serve(follower, bridge.poll, ended)
     finally:
@@ -110,7 +110,7 @@ def _prometheus(args: argparse.Namespace, broker: BrokerAddress, ended: threadin
     except OSError as error:
         reason = error.strerror or error
         raise ConfigError(f"--listen {host}:{port}: {reason}, expected an address to listen on") from None
-    _tell(args, f"http://{_in_url(host)}:{server.server_port}/metrics")
+    _announce(args, f"http://{_in_url(host)}:{server.server_port}/metrics")
     try:
         _serve(follower, lambda: None, ended)
     finally:
@@ -130,7 +130,7 @@ def _serve(follower: Follower, poll: Callable[[], None], ended: threading.Event)
         follower.stop()
 
 
-def _tell(args: argparse.Namespace, url: str) -> None:
+def _announce(args: argparse.Namespace, url: str) -> None:
     host, port = args.broker
     print(f"{args.kind}: {url} for the broker {host}:{port}; Ctrl-C ends", flush=True)
     if not is_loopback(args.listen[0]):

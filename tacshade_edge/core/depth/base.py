@@ -123,7 +123,7 @@ class Solver(Protocol):
         ...
 
     @property
-    def tells_shear(self) -> bool:
+    def has_shear(self) -> bool:
         """Whether its `shear_mm` reports anything."""
         ...
 

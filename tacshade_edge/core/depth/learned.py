@@ -86,7 +86,7 @@ class LearnedSolver:
         White of the unloaded skin, as the network is given it.
     """
 
-    tells_shear = True
+    has_shear = True
 
     def __init__(self, preprocessor: Preprocessor, network: Network | None) -> None:
         camera, calibration, profile = preprocessor.camera, preprocessor.calibration, preprocessor.profile

@@ -35,7 +35,7 @@ class HandAggregator:
         self._fingers = dict.fromkeys(names, _STARTING)
         self._heard_ns: dict[str, int | None] = dict.fromkeys(names)
         self._listened_ns: int | None = None
-        self._told_ns = 0
+        self._published_ns = 0
         self._changed = False
         self._seq = 0
 
@@ -44,7 +44,7 @@ class HandAggregator:
         if not listened:
             self._listened_ns = None
         elif self._listened_ns is None:
-            self._listened_ns, self._changed, self._told_ns = now_ns, True, 0
+            self._listened_ns, self._changed, self._published_ns = now_ns, True, 0
             for name, finger in self._fingers.items():
                 self._heard_ns[name] = None
                 if finger.state != "away":
@@ -61,11 +61,11 @@ class HandAggregator:
         since_ns = self._listened_ns
         if since_ns is None:
             return None
-        if self._told_ns == 0 and None in self._heard_ns.values():
+        if self._published_ns == 0 and None in self._heard_ns.values():
             return since_ns + FIRST_NS
-        return self._told_ns + (PERIOD_NS if self._changed else QUIET_PERIOD_NS)
+        return self._published_ns + (PERIOD_NS if self._changed else QUIET_PERIOD_NS)
 
-    def tell(self, now_ns: int, wall_ns: int) -> HandObjects:
+    def message(self, now_ns: int, wall_ns: int) -> HandObjects:
         """The next message."""
         fingers = {}
         for name, finger in self._fingers.items():
@@ -75,6 +75,6 @@ class HandAggregator:
             aged = None if finger.t_ns is None else round((now_ns - finger.t_ns) / 1e6, 3)
             fingers[name] = msgspec.structs.replace(finger, age_ms=aged)
         message = HandObjects(t_ns=now_ns, wall_ns=wall_ns, seq=self._seq, fingers=fingers)
-        self._told_ns, self._changed = now_ns, False
+        self._published_ns, self._changed = now_ns, False
         self._seq += 1
         return message

@@ -104,7 +104,7 @@ class HandProcess:
             self._aggregator.listen(listened, now_ns)
             due_ns = self._aggregator.due_ns()
             if due_ns is not None and now_ns >= due_ns:
-                message = self._aggregator.tell(now_ns, time.time_ns())
+                message = self._aggregator.message(now_ns, time.time_ns())
                 self._link.offer(STREAM, encode_hand(message), message.seq)
                 continue
             wait_s = LOOK_S if due_ns is None else (due_ns - now_ns) / 1e9

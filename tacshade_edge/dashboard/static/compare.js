@@ -59,9 +59,9 @@ export class Compare {
     else if (what === "status/replay") {
       json(payload, (status) => {
         this.view.parts.set("replay", status);
-        const tell = (error) => { $("compare-words").textContent = `${this.sensor} is paused: ${error.message}`; };
-        if (!this.readOnly) showAgain(this.link(), this.sensor, this.view).catch(tell);
-        else if (isPaused(this.view.parts) && !this.view.map) tell(new Error("its picture comes when it is played on."));
+        const report = (error) => { $("compare-words").textContent = `${this.sensor} is paused: ${error.message}`; };
+        if (!this.readOnly) showAgain(this.link(), this.sensor, this.view).catch(report);
+        else if (isPaused(this.view.parts) && !this.view.map) report(new Error("its picture comes when it is played on."));
       }, checkPart);
     } else return;
     this.changed();
@@ -97,7 +97,7 @@ export class Compare {
     $("first-name").textContent = first.name;
     $("other-name").textContent = ["online", "degraded"].includes(other.state) ? this.sensor : `${this.sensor} (${other.state ?? "unknown"})`;
     $("difference-name").textContent = `${this.sensor} less ${first.name}`;
-    this.tell(first, other);
+    this.showNumbers(first, other);
   }
 
   /** Both maps in the cells of the first, and what the other has more. */
@@ -141,7 +141,7 @@ export class Compare {
     $("compare-words").textContent = `Heights are ${number(this.seen.mean_mm, 3)} mm apart in the mean, ${sign}${number(worst_mm, 3)} mm at worst, at row ${number(row)}, col ${number(col)} px.`;
   }
 
-  tell(first, other) {
+  showNumbers(first, other) {
     const a = contactOfMap(first.view), b = contactOfMap(this.view);
     const numbers = [["greatest depth, mm", "depth_max_mm", 2], ["area, mm²", "area_mm2", 1], ["volume, mm³", "volume_mm3", 1], ["objects", "objects", 0]];
     const rows = numbers.map(([name, key, digits]) => {

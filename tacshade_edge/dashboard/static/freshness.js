@@ -13,10 +13,10 @@ export function freshness(view, { connected, works, state, paused }) {
   const silent = !paused && any_ms > STALE_MS && since(view.chosen_ms) > STALE_MS;
   const gone = !connected || !works || silent;
   const frames = gone || (!paused && view.heard_ms !== null && frames_ms > STALE_MS);
-  const told_ms = any_ms < Infinity ? any_ms : view.health?.wall_ns ? Math.max(Date.now() - view.health.wall_ns / 1e6, 0) : null;
+  const heard_ms = any_ms < Infinity ? any_ms : view.health?.wall_ns ? Math.max(Date.now() - view.health.wall_ns / 1e6, 0) : null;
   const shown = view.health !== null || view.heard_ms !== null;
   let words = "";
-  if (gone && shown) words = `${why(connected, works, state)}: what is shown is old, last heard ${told_ms === null ? "before this page came" : `${age(told_ms)} ago`}.`;
+  if (gone && shown) words = `${why(connected, works, state)}: what is shown is old, last heard ${heard_ms === null ? "before this page came" : `${age(heard_ms)} ago`}.`;
   else if (frames && !gone) words = `Last frame ${age(frames_ms)} ago: what is shown is old.`;
   return { gone, frames, health: gone || health_ms > STALE_MS, words };
 }

@@ -38,8 +38,8 @@ export function showRates(health) {
 /** The state of the sensor with every reason that is known for it. */
 export function showState(state, parts, health, connected, gone) {
   const reasons = [...parts].filter(([, part]) => part.reason).map(([name, part]) => `${name}: ${part.reason}`);
-  const told = [...parts.values()].some((part) => part.reason === health?.invalid_reason);
-  if (health?.invalid_reason && !told) reasons.push(`latest frame not usable: ${health.invalid_reason}`);
+  const shown = [...parts.values()].some((part) => part.reason === health?.invalid_reason);
+  if (health?.invalid_reason && !shown) reasons.push(`latest frame not usable: ${health.invalid_reason}`);
   if (health?.degraded_reason) reasons.push(`less trust: ${health.degraded_reason}`);
   const line = document.getElementById("state");
   if (!connected) {

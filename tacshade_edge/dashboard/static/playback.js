@@ -37,7 +37,7 @@ export function commandPlayback(ask) {
   });
 }
 
-export function tellPlayback(parts, able) {
+export function updatePlayback(parts, able) {
   form.hidden = !isPlayed(parts);
   if (form.hidden) return;
   const status = parts.get("replay"), { play, step, back, position, speed } = form.elements;

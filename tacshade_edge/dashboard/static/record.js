@@ -20,7 +20,7 @@ export function commandRecordings(ask) {
   stop.addEventListener("click", () => ask({ action: "stop" }, "Writing …", (result) => `Recorded ${result.frames} frames in ${result.folder}.`));
 }
 
-export function tellRecording(status, able) {
+export function updateRecording(status, able) {
   form.hidden = !status;
   if (!status) return;
   const going = status.state === "recording", { seconds, record, mark, words, stop } = form.elements;

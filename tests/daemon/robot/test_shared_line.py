@@ -77,7 +77,7 @@ def both(sides: tuple[Side, Side], **wanted: Any) -> bool:
 def test_the_first_that_names_a_port_has_it_and_who_is_alone_shares_nothing() -> None:
     shared = share_lines(documents(thumb="/dev/a", index="/dev/b", middle="/dev/a", ring="", little="/dev/a"))
     assert {name: part.owner for name, part in shared.items()} == dict.fromkeys(("thumb", "middle", "little"), "thumb")
-    assert [len(shared["thumb"].tells), shared["thumb"].hears] == [2, None]
+    assert [len(shared["thumb"].ends), shared["thumb"].hears] == [2, None]
     for part in shared.values():
         part.close()
 

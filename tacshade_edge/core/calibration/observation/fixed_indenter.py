@@ -59,7 +59,7 @@ class FixedIndenter:
         return Touch(x_mm, y_mm, _skin_z_mm(x_mm, y_mm, skin_radius_mm) - lowest_mm)
 
 
-def fixed_indenter(base_T_sensor: Rigid, told: Touch, ball_radius_mm: float, skin_radius_mm: float) -> FixedIndenter:
+def fixed_indenter(base_T_sensor: Rigid, stated: Touch, ball_radius_mm: float, skin_radius_mm: float) -> FixedIndenter:
     """Where an indenter stands that presses so; the inverse of `FixedIndenter.touch`.
 
     Raises
@@ -67,8 +67,8 @@ def fixed_indenter(base_T_sensor: Rigid, told: Touch, ball_radius_mm: float, ski
     ValueError
         The press is beside the skin.
     """
-    z_mm = _skin_z_mm(told.x_mm, told.y_mm, skin_radius_mm) - told.depth_mm + ball_radius_mm
-    point_mm = base_T_sensor.apply(np.array((told.x_mm, told.y_mm, z_mm)))
+    z_mm = _skin_z_mm(stated.x_mm, stated.y_mm, skin_radius_mm) - stated.depth_mm + ball_radius_mm
+    point_mm = base_T_sensor.apply(np.array((stated.x_mm, stated.y_mm, z_mm)))
     return FixedIndenter(point_mm, ball_radius_mm, base_T_sensor)
 
 

@@ -167,8 +167,8 @@ def fit_factor(presses: Sequence[PressRows]) -> float | None:
     for _ in range(_ITERATIONS):
         weight = squares * np.minimum(1, _HUBER * deviation / np.maximum(np.abs(logs - middle), 1e-9))
         middle = float(weight @ logs / weight.sum())
-    presses_told = float(weight.sum() ** 2 / (weight @ weight))
-    drawn = 1 / (1 + (deviation / PRIOR_DEVIATION) ** 2 / presses_told)
+    effective_presses = float(weight.sum() ** 2 / (weight @ weight))
+    drawn = 1 / (1 + (deviation / PRIOR_DEVIATION) ** 2 / effective_presses)
     return min(max(math.exp(drawn * middle), FACTOR_RANGE[0]), FACTOR_RANGE[1])
 
 

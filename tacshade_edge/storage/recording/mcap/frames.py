@@ -71,8 +71,8 @@ class McapFrames:
                 damage.append(f"{error}; its frames are left out")
                 continue
             self._paths.append(path)
-        told = [span for span in spans if span is not None]
-        self.length_ns = max(0, told[-1][1] - told[0][0]) if told and len(told) == len(paths) else 0
+        stated = [span for span in spans if span is not None]
+        self.length_ns = max(0, stated[-1][1] - stated[0][0]) if stated and len(stated) == len(paths) else 0
         self.damage = "; ".join(damage)
         self.topic, self._is_ours = _topic_of(self._paths or paths)
         self._unusable = 0
