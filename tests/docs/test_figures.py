@@ -401,7 +401,7 @@ def faults() -> Claims:
     stalled = [page.number("detected s", fault) for fault in ("broker stalls for 6 s", "network carries nothing")]
     assert min(stalled) >= 4
     assert max(stalled) <= 15
-    yield "told after 4 to 15 s"
+    yield "reported after 4 to 15 s"
     assert page.number("detected s", "lens covered, and uncovered") <= 4
     assert page.number("recovered s", "lens covered, and uncovered") <= 2
     yield "`degraded` within 4 s; streams within 2 s of its return"
