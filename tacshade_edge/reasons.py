@@ -25,7 +25,7 @@ class ReasonCode(StrEnum):
     GLARE = "glare"
     LIGHT_DRIFT = "light_drift"
     CAMERA_SHIFT = "camera_shift"
-    FOREIGN = "foreign"
+    UNTRUSTED = "untrusted"
     NO_USABLE_FRAME = "no_usable_frame"
 
     # A daemon without a calibration.

@@ -23,7 +23,7 @@ from tacshade_edge.types import U8, Frame
 from tools.testbed.calibrated_sensor import FULL, calibrated, pressed, unloaded
 
 FLAGS_AT = 7  # in the wire's header
-CODES = ("size", "black", "saturated", "no_contrast", "noise", "light", "torn", "surround", "camera_shift", "foreign",
+CODES = ("size", "black", "saturated", "no_contrast", "noise", "light", "torn", "surround", "camera_shift", "untrusted",
          "glare", "light_drift")  # fmt: skip
 
 

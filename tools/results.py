@@ -136,7 +136,7 @@ Two simulated sensors of each family that were kept for final figures, calibrate
 presses. All thirteen objects at four places, each dragged in another direction, 1, 2.75 and 4.5 mm deep (lengths on a
 skin of 20 mm). ME, SD and IoU as of [the paper's five objects](objects.md). Silently wrong is a greatest depth that is
 off by a quarter and 0.3 mm and is neither refused nor said to be saturated or in doubt. Shear off is the error of the
-mean displacement of a contact, direction and twist those of contacts that moved by 0.5 mm or more, and of all.""",
+mean shear of a contact, direction and twist those of contacts that moved by 0.5 mm or more, and of all.""",
         ("tools.studies.drag", "--final"),
         SCORED,
         drawn=("drag.png",),
@@ -162,10 +162,10 @@ keeps a dent that recovers; a phantom is a frame in which something is still, or
         ("tools.studies.slip",),
         SCORED,
     ),
-    "displacement": Page(
-        "Displacement by a network, by optical flow, by tracked points",
-        "What `studies.displacement` says of its ways at its top.",
-        ("tools.studies.displacement",),
+    "shear": Page(
+        "Shear by a network, by optical flow, by tracked points",
+        "What `studies.shear` says of its ways at its top.",
+        ("tools.studies.shear",),
         SCORED,
     ),
     "limits": Page(
@@ -308,7 +308,7 @@ map. `contact`: a ball goes in and out, all topics have a subscriber; `free`: no
         "A recording beside the daemon",
         """\
 The row `contact` of [the daemon](daemon.md), with the profile `fast`: without a recording, with the 10 s that
-`recorder.before_s` keeps before one, and while every frame is recorded as a folder and as MCAP.""",
+`recorder.pre_roll_s` keeps before one, and while every frame is recorded as a folder and as MCAP.""",
         ("tools.benchmarks.daemon", "--record", "--profile", "fast", "--seconds", "20", "--runs", "2"),
         DAEMON,
         idle=True,

@@ -1,4 +1,4 @@
-"""Hands in Foxglove and its kin: what a viewer subscribes to, and nothing else, is asked of the broker and encoded."""
+"""Sensors in Foxglove and its kin: only what a viewer subscribes to is asked of the broker and encoded."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any, Final, Literal
 from foxglove.messages import CompressedImage, FrameTransforms, Log, PointCloud, RawImage, SceneUpdate
 
 from tacshade_edge.bridge import foxglove_messages as made
-from tacshade_edge.bridge.roster import HANDS_MAX as KNOWN_MAX
+from tacshade_edge.bridge.roster import SENSORS_MAX as KNOWN_MAX
 from tacshade_edge.bridge.roster import Refusals, Roster
 from tacshade_edge.bridge.viewers import MESSAGE_BYTES_MAX, Channel, Viewers
 from tacshade_edge.core.geometry.disc import Grid
@@ -34,12 +34,12 @@ from tacshade_edge.quoting import escaped
 
 _log = logging.getLogger(__name__)
 
-HANDS_MAX: Final = 32
+SENSORS_MAX: Final = 32
 SKIN_PERIOD_NS: Final = 200_000_000
 _LINES: Final = 64
 """Small messages that wait for a viewer that does not keep up; of pictures and maps only the newest."""
 
-_HAND: Final = re.compile(r"tacshade/([A-Za-z0-9_-]{1,64})/(.+)")
+_TOPIC: Final = re.compile(r"tacshade/([A-Za-z0-9_-]{1,64})/(.+)")
 _LOG_CHARS_MAX: Final = 500
 _SLIP_BYTES_MAX: Final = 4096
 _PREVIEW_BYTES_MAX: Final = 1 << 20
@@ -61,8 +61,8 @@ _TOPICS: Final[dict[str, tuple[str, ...]]] = {
 _HEALTH_SCHEMA: Final = {"title": "tacshade.Health", "type": "object"}
 
 
-class _Hand:
-    """One hand's channels."""
+class _Sensor:
+    """One sensor's channels."""
 
     def __init__(self, sensor_id: str, viewers: Viewers) -> None:
         self._id, self._base = sensor_id, f"tacshade/{sensor_id}"
@@ -190,15 +190,15 @@ class _Hand:
 
 @dataclass(slots=True)
 class _Known:
-    """What a hand has shown of itself; `shown` is it where viewers are told of it."""
+    """What a sensor has shown of itself; `shown` is it where viewers see it."""
 
     state: State | Literal[""] = ""
     info: Info | None = None
-    shown: _Hand | None = None
+    shown: _Sensor | None = None
 
     @property
     def rank(self) -> int:
-        """None without an `info`; a hand that is calibrated, and one that lives, is none that somebody invented."""
+        """None without an `info`; a sensor that is calibrated, and one that lives, is none that somebody invented."""
         return 0 if self.info is None else 1 + (self.info.geometry is not None) + (self.state in ALIVE)
 
     def close(self) -> None:
@@ -209,14 +209,14 @@ class _Known:
 
 
 class FoxgloveBridge:
-    """Serves hands to viewers.
+    """Serves sensors to viewers.
 
     Parameters
     ----------
     host, port : str, int
         To listen on; port 0 is any free one.
     sensors : sequence of str
-        Hands to show; empty is all that come.
+        Sensors to show; empty is all that come.
     follow : callable
         Gets all topics that are wanted now.
 
@@ -232,7 +232,7 @@ class FoxgloveBridge:
 
     def __init__(self, host: str, port: int, sensors: list[str], follow: Callable[[set[str]], None]) -> None:
         self._sensors, self._follow = sensors, follow
-        self._hands: Roster[_Known] = Roster(lambda _: _Known(), lambda known: known.rank, _Known.close)
+        self._roster: Roster[_Known] = Roster(lambda _: _Known(), lambda known: known.rank, _Known.close)
         self._refusals = Refusals(time.monotonic)
         self._lock = threading.Lock()
         self._changed = threading.Event()
@@ -250,7 +250,7 @@ class FoxgloveBridge:
 
     def hear(self, topic: str, payload: bytes, _retained: bool) -> None:
         """A message of the broker's."""
-        if not (found := _HAND.fullmatch(topic)) or not payload:
+        if not (found := _TOPIC.fullmatch(topic)) or not payload:
             return
         sensor_id, rest = found.groups()
         with self._lock:
@@ -260,7 +260,7 @@ class FoxgloveBridge:
                         self._hear_info(sensor_id, decode_info(payload))
                     case "state":
                         self._hear_state(sensor_id, decode_state(payload))
-                known = self._hands.get(sensor_id)
+                known = self._roster.get(sensor_id)
                 if known is not None and known.shown is not None and rest != "info":
                     known.shown.hear(rest, payload)
             except DecodeError as error:
@@ -273,16 +273,16 @@ class FoxgloveBridge:
         self._changed.clear()
         topics = {f"tacshade/{sensor_id}/{name}" for sensor_id in self._sensors or ["+"] for name in ("info", "state")}
         with self._lock:
-            for _, known in self._hands:
+            for _, known in self._roster:
                 if known.shown is not None:
                     topics |= known.shown.wanted()
                     known.shown.repeat()
         self._follow(topics)
 
     def _hear_info(self, sensor_id: str, info: Info) -> None:
-        known = self._hands.of(sensor_id, 1 + (info.geometry is not None))
+        known = self._roster.of(sensor_id, 1 + (info.geometry is not None))
         if known is None:
-            self._refusals.add("no_room", sensor_id, f"one hand more than the {KNOWN_MAX} that are known")
+            self._refusals.add("no_room", sensor_id, f"one sensor more than the {KNOWN_MAX} that are known")
             return
         known.info = info
         if known.shown is not None:
@@ -290,20 +290,20 @@ class FoxgloveBridge:
         self._choose()
 
     def _hear_state(self, sensor_id: str, state: State) -> None:
-        if (known := self._hands.of(sensor_id, 0)) is not None:
+        if (known := self._roster.of(sensor_id, 0)) is not None:
             known.state = state
             self._choose()
 
     def _choose(self) -> None:
         """Show those that have shown the most of themselves."""
-        best = set(self._hands.best(HANDS_MAX))
-        for sensor_id, known in self._hands:
+        best = set(self._roster.best(SENSORS_MAX))
+        for sensor_id, known in self._roster:
             if known.shown is not None and sensor_id not in best:
                 known.close()
-                _log.warning("%s gives way: %d hands are shown, and others have shown more", sensor_id, HANDS_MAX)
-        for sensor_id, known in self._hands:
+                _log.warning("%s gives way: %d sensors are shown, and others have shown more", sensor_id, SENSORS_MAX)
+        for sensor_id, known in self._roster:
             if known.shown is None and sensor_id in best and known.info is not None:
-                known.shown = _Hand(sensor_id, self._viewers)
+                known.shown = _Sensor(sensor_id, self._viewers)
                 known.shown.place(known.info)
                 _log.info("%s is there", sensor_id)
                 self._changed.set()

@@ -1,4 +1,4 @@
-"""A hand's messages in Foxglove's schemas: lengths and places in metres and times in Unix time, as its viewers expect.
+"""A sensor's messages in Foxglove's schemas: lengths and places in metres and times in Unix time, as viewers expect.
 
 Values that are only read as numbers stay in mm: a pixel of the image is h in mm.
 """
@@ -70,7 +70,7 @@ Frame = Literal["base", "flange", "sensor"]
 
 
 def frame_name(sensor_id: str, frame: Frame) -> str:
-    """A hand's own frame: two hands' robots need not have one base."""
+    """A sensor's own frame: two sensors' robots need not have one base."""
     return f"{sensor_id}/{frame}"
 
 

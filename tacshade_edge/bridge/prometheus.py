@@ -1,4 +1,4 @@
-"""Hands' own counters and rates as Prometheus metrics: of what they tell of themselves, nothing is computed for it."""
+"""Sensors' own counters and rates as Prometheus metrics: only what they publish anyway."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from typing import Any, Final, Literal
 from prometheus_client import CollectorRegistry, Metric, MetricsHandler
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 
-from tacshade_edge.bridge.roster import HANDS_MAX, Refusals, Roster
+from tacshade_edge.bridge.roster import SENSORS_MAX, Refusals, Roster
 from tacshade_edge.devices.listener import Connections, Listener
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol.received import ALIVE, STATES, Health, State, decode_health, decode_state
 
 FRESH_S: Final = 5.0
-"""`health` comes once a second; what is older is no hand's present."""
+"""`health` comes once a second; what is older is no sensor's present."""
 
 CONNECTIONS_MAX: Final = 16
 """Each has a thread; what is more is closed at once."""
@@ -32,20 +32,20 @@ _S_PER_MS: Final = 0.001
 
 
 @dataclass(slots=True)
-class _Hand:
+class _Sensor:
     state: State | Literal[""] = ""
     health: Health | None = None
     heard_s: float = float("-inf")
-    tells_health: bool = False
+    has_health: bool = False
 
 
-class Hands:
-    """What hands said last; a collector of a `prometheus_client.CollectorRegistry`.
+class SensorMetrics:
+    """What sensors said last; a collector of a `prometheus_client.CollectorRegistry`.
 
     Parameters
     ----------
     sensors : sequence of str
-        Hands to tell of; empty is all that come.
+        Sensors to report on; empty is all that come.
     clock_s : callable
         Tells the age of what was heard.
     """
@@ -54,11 +54,11 @@ class Hands:
         self._clock_s = clock_s
         self.topics = {f"tacshade/{sensor_id}/{name}" for sensor_id in sensors or ["+"] for name in ("state", "health")}
         self._lock = threading.Lock()
-        self._hands: Roster[_Hand] = Roster(lambda _: _Hand(), self._rank)
+        self._sensors: Roster[_Sensor] = Roster(lambda _: _Sensor(), self._rank)
         self._refusals = Refusals(clock_s)
 
     def hear(self, topic: str, payload: bytes, retained: bool) -> None:
-        """A message of the broker's. A retained `health` is of another time: it tells that the hand has one."""
+        """A message of the broker's. A retained `health` is of another time: it shows that the sensor has one."""
         if not (found := _TOPIC.fullmatch(topic)):
             return
         sensor_id, name = found.groups()
@@ -72,21 +72,21 @@ class Hands:
                 self._refusals.add("undecodable", sensor_id, str(error))
 
     def collect(self) -> Iterator[Metric]:
-        """All metrics of this moment; of a hand that is silent or gone only that it is."""
+        """All metrics of this moment; of a sensor that is silent or gone only that it is."""
         with self._lock:
-            hands = list(self._hands)
+            sensors = list(self._sensors)
             refused = dict(self._refusals.counts)
-            fresh = {name: hand.health for name, hand in hands if hand.health and self._is_alive(hand)}
+            fresh = {name: sensor.health for name, sensor in sensors if sensor.health and self._is_alive(sensor)}
         up = GaugeMetricFamily(
-            "tacshade_up", "1 while the daemon lives and tells its health; of none that stopped", labels=["sensor"]
+            "tacshade_up", "1 while the daemon lives and publishes its health; of none that stopped", labels=["sensor"]
         )
         state = GaugeMetricFamily("tacshade_state", "1 for the present state", labels=["sensor", "state"])
-        for name, hand in hands:
-            # What never told a health is a replay's results; what stopped did so on purpose.
-            if hand.tells_health and hand.state != "stopped":
+        for name, sensor in sensors:
+            # What never published a health is a replay's results; what stopped did so on purpose.
+            if sensor.has_health and sensor.state != "stopped":
                 up.add_metric([name], float(name in fresh))
-            for one in STATES if hand.state else ():
-                state.add_metric([name, one], float(hand.state == one))
+            for one in STATES if sensor.state else ():
+                state.add_metric([name, one], float(sensor.state == one))
         family = CounterMetricFamily("tacshade_bridge_refused", "Messages that were left out, by why", labels=["why"])
         for why, count in refused.items():
             family.add_metric([why], count)
@@ -95,30 +95,30 @@ class Hands:
 
     def _hear_state(self, sensor_id: str, payload: bytes) -> None:
         if not payload:
-            self._hands.drop(sensor_id)
+            self._sensors.drop(sensor_id)
             return
         state = decode_state(payload)
-        if hand := self._held(sensor_id, 0):
-            hand.state = state
+        if sensor := self._held(sensor_id, 0):
+            sensor.state = state
 
     def _hear_health(self, sensor_id: str, health: Health, *, retained: bool) -> None:
-        if hand := self._held(sensor_id, 1 if retained else 2):
-            hand.tells_health = True
+        if sensor := self._held(sensor_id, 1 if retained else 2):
+            sensor.has_health = True
             if not retained:
-                hand.health, hand.heard_s = health, self._clock_s()
+                sensor.health, sensor.heard_s = health, self._clock_s()
 
-    def _held(self, sensor_id: str, rank: int) -> _Hand | None:
-        hand = self._hands.of(sensor_id, rank)
-        if hand is None:
-            self._refusals.add("no_room", sensor_id, f"one hand more than the {HANDS_MAX} that are told of")
-        return hand
+    def _held(self, sensor_id: str, rank: int) -> _Sensor | None:
+        sensor = self._sensors.of(sensor_id, rank)
+        if sensor is None:
+            self._refusals.add("no_room", sensor_id, f"one sensor more than the {SENSORS_MAX} that are reported on")
+        return sensor
 
-    def _is_alive(self, hand: _Hand) -> bool:
+    def _is_alive(self, sensor: _Sensor) -> bool:
         """Its state is not known where another name had its place when that came."""
-        return hand.state in (*ALIVE, "") and self._clock_s() - hand.heard_s <= FRESH_S
+        return sensor.state in (*ALIVE, "") and self._clock_s() - sensor.heard_s <= FRESH_S
 
-    def _rank(self, hand: _Hand) -> int:
-        return 2 if self._is_alive(hand) else int(hand.tells_health)
+    def _rank(self, sensor: _Sensor) -> int:
+        return 2 if self._is_alive(sensor) else int(sensor.has_health)
 
 
 class MetricsServer(ThreadingHTTPServer):
@@ -212,4 +212,4 @@ def _of_health(fresh: dict[str, Health]) -> Iterator[Metric]:
                 reasons.add_metric([sensor_id, about, code], 1.0)
     yield from (family, waiting, lost, latency, stages, reasons)
     yield counters("tacshade_mqtt", "What became of messages to the broker", "what", "mqtt")
-    yield counters("tacshade_recorder_frames", "Frames of recordings", "what", "recorder", but=("waiting", "before"))
+    yield counters("tacshade_recorder_frames", "Frames of recordings", "what", "recorder", but=("waiting", "pre_roll"))

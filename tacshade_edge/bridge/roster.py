@@ -1,4 +1,4 @@
-"""Which hands a bridge holds, and what it refuses: whoever reaches the broker can invent names and payloads."""
+"""Which sensors a bridge holds, and what it refuses: whoever reaches the broker can invent names and payloads."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tacshade_edge.quoting import escaped
 
 _log = logging.getLogger(__name__)
 
-HANDS_MAX: Final = 256
+SENSORS_MAX: Final = 256
 _SAID_MAX: Final = 256
 _LINE_S: Final = 1.0
 _CHARS_MAX: Final = 300
@@ -20,12 +20,12 @@ T = TypeVar("T")
 
 
 class Roster(Generic[T]):
-    """At most so many hands; one that has shown more of itself comes in for one that has shown less.
+    """At most so many sensors; one that has shown more of itself comes in for one that has shown less.
 
     Parameters
     ----------
     make : callable
-        ``make(sensor_id)`` gives what is held of a new hand.
+        ``make(sensor_id)`` gives what is held of a new sensor.
     rank : callable
         How much it has shown, the more the higher.
     close : callable, optional
@@ -36,39 +36,39 @@ class Roster(Generic[T]):
         self, make: Callable[[str], T], rank: Callable[[T], int], close: Callable[[T], None] = lambda _: None
     ) -> None:
         self._make, self._rank, self._close = make, rank, close
-        self._hands: dict[str, T] = {}
+        self._sensors: dict[str, T] = {}
 
     def __iter__(self) -> Iterator[tuple[str, T]]:
-        """Names and hands, by name."""
-        return iter(sorted(self._hands.items(), key=lambda item: item[0]))
+        """Names and sensors, by name."""
+        return iter(sorted(self._sensors.items(), key=lambda item: item[0]))
 
     def get(self, sensor_id: str) -> T | None:
-        """A hand that is held."""
-        return self._hands.get(sensor_id)
+        """A sensor that is held."""
+        return self._sensors.get(sensor_id)
 
     def best(self, count: int) -> list[str]:
         """Names of those that have shown the most; of equals who came first."""
-        return sorted(self._hands, key=lambda name: -self._rank(self._hands[name]))[:count]
+        return sorted(self._sensors, key=lambda name: -self._rank(self._sensors[name]))[:count]
 
     def of(self, sensor_id: str, rank: int) -> T | None:
-        """A hand; a new one has `rank` by the message that it comes with, and None is for whom there is no room."""
-        if sensor_id not in self._hands:
-            if len(self._hands) >= HANDS_MAX:
-                least = min(self._hands, key=lambda name: self._rank(self._hands[name]))
-                if self._rank(self._hands[least]) >= rank:
+        """A sensor; a new one has `rank` by the message that it comes with, and None is for whom there is no room."""
+        if sensor_id not in self._sensors:
+            if len(self._sensors) >= SENSORS_MAX:
+                least = min(self._sensors, key=lambda name: self._rank(self._sensors[name]))
+                if self._rank(self._sensors[least]) >= rank:
                     return None
                 self.drop(least)
-            self._hands[sensor_id] = self._make(sensor_id)
-        return self._hands[sensor_id]
+            self._sensors[sensor_id] = self._make(sensor_id)
+        return self._sensors[sensor_id]
 
     def drop(self, sensor_id: str) -> None:
         """It was dismissed, or gives way."""
-        if (hand := self._hands.pop(sensor_id, None)) is not None:
-            self._close(hand)
+        if (sensor := self._sensors.pop(sensor_id, None)) is not None:
+            self._close(sensor)
 
 
 class Refusals:
-    """Counts what was refused, by why; the log gets what is new of a hand, at most a line a second.
+    """Counts what was refused, by why; the log gets what is new of a sensor, at most a line a second.
 
     Parameters
     ----------
@@ -78,8 +78,8 @@ class Refusals:
     def __init__(self, clock_s: Callable[[], float]) -> None:
         self._clock_s = clock_s
         self._said: dict[str, str] = {}
-        self._told_s = float("-inf")
-        self._untold = 0
+        self._reported_s = float("-inf")
+        self._unreported = 0
         self.counts: Counter[str] = Counter(undecodable=0, no_room=0)
 
     def add(self, why: str, sensor_id: str, text: str) -> None:
@@ -87,12 +87,12 @@ class Refusals:
         self.counts[why] += 1
         if self._said.get(sensor_id) == text:
             return
-        if self._clock_s() - self._told_s < _LINE_S:
-            self._untold += 1
+        if self._clock_s() - self._reported_s < _LINE_S:
+            self._unreported += 1
             return
         if len(self._said) >= _SAID_MAX:
             self._said.clear()
         self._said[sensor_id] = text
-        more = f" ({self._untold} more were not told)" if self._untold else ""
-        self._told_s, self._untold = self._clock_s(), 0
+        more = f" ({self._unreported} more were not reported)" if self._unreported else ""
+        self._reported_s, self._unreported = self._clock_s(), 0
         _log.warning("%s: %s%s", sensor_id, escaped(text, _CHARS_MAX), more)

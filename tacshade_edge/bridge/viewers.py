@@ -65,15 +65,15 @@ class Channel:
     depth: int = 1
 
     def advertised(self, number: int) -> dict[str, Any]:
-        """As a viewer is told of it."""
+        """As a viewer sees it."""
         schema = self.schema
         if isinstance(schema, dict):
             words = ("json", schema["title"], "jsonschema", json.dumps(schema))
         else:
             words = (schema.encoding, schema.name, schema.encoding, base64.b64encode(schema.data).decode())
         encoding, name, schema_encoding, text = words
-        told = {"encoding": encoding, "schemaName": name, "schemaEncoding": schema_encoding, "schema": text}
-        return {"id": number, "topic": self.topic, **told}
+        described = {"encoding": encoding, "schemaName": name, "schemaEncoding": schema_encoding, "schema": text}
+        return {"id": number, "topic": self.topic, **described}
 
 
 @dataclass(slots=True, eq=False)
@@ -178,7 +178,7 @@ class Viewers:
             numbers = list(range(self._number, self._number + len(channels)))
             self._number += len(channels)
             self._channels.update(zip(numbers, channels, strict=True))
-            self._tell_all(self._advertisement(numbers))
+            self._notify_all(self._advertisement(numbers))
         return numbers
 
     def withdraw(self, numbers: Sequence[int]) -> None:
@@ -188,7 +188,7 @@ class Viewers:
                 del self._channels[number]
                 for viewer in self._viewers:
                     viewer.channels.pop(number, None)
-            self._tell_all(json.dumps({"op": "unadvertise", "channelIds": list(numbers)}))
+            self._notify_all(json.dumps({"op": "unadvertise", "channelIds": list(numbers)}))
 
     def watched(self, number: int) -> bool:
         """Whether anybody watches a channel."""
@@ -210,11 +210,11 @@ class Viewers:
             {"op": "advertise", "channels": [self._channels[number].advertised(number) for number in numbers]}
         )
 
-    def _tell_all(self, text: str) -> None:
+    def _notify_all(self, text: str) -> None:
         for viewer in self._viewers:
-            self._tell(viewer, text)
+            self._notify(viewer, text)
 
-    def _tell(self, viewer: _Viewer, text: str) -> None:
+    def _notify(self, viewer: _Viewer, text: str) -> None:
         if len(viewer.texts) >= _TEXTS_MAX:
             self._loop.call_soon_threadsafe(viewer.socket.transport.abort)
             return
@@ -301,7 +301,7 @@ class Viewers:
             return viewer.take()
 
     def _hear(self, viewer: _Viewer, message: str | bytes) -> None:
-        """What a viewer wants; what cannot be understood it is told of."""
+        """What a viewer wants; what cannot be understood is reported to it."""
         try:
             wanted = decode_object("viewer", message.encode() if isinstance(message, str) else b"")
         except DecodeError as error:
@@ -322,11 +322,11 @@ class Viewers:
                 if number not in viewer.channels.values():
                     viewer.channels.setdefault(channel, number)
             case {"channelId": int(channel)}:
-                self._tell(viewer, _status(f"Unknown channel ID: {channel}"))
+                self._notify(viewer, _status(f"Unknown channel ID: {channel}"))
 
     def _refuse(self, viewer: _Viewer, why: str) -> None:
         with self._lock:
-            self._tell(viewer, _status(f"Invalid message: {why}"))
+            self._notify(viewer, _status(f"Invalid message: {why}"))
 
 
 def _status(message: str) -> str:

@@ -22,7 +22,7 @@ PORT: Final = 8081
 
 _TIMEOUT_S = 5.0
 _BODY_MOST = 512
-# A site may give its own name this machine's address (DNS rebinding): the browser then tells that name as the host.
+# A site may give its own name this machine's address (DNS rebinding): the browser then states that name as the host.
 _HOSTS = ("127.0.0.1", "localhost")
 _HTML = b"""<!doctype html>
 <html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">
@@ -44,8 +44,8 @@ const [view, text, back, answer] = ["view", "text", "back", "answer"].map((name)
 let picture = document.getElementById("picture"), points = [];
 async function look() {
   try {
-    const told = await fetch("text", {cache: "no-store"});
-    text.textContent = await told.text();
+    const answer = await fetch("text", {cache: "no-store"});
+    text.textContent = await answer.text();
     const seen = await fetch("picture.jpg", {cache: "no-store"});
     if (seen.ok) {
       // Decoded beside the one that is shown, which can be clicked until then.
@@ -169,7 +169,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer(200 if body else 404, kind, body)
 
     def do_POST(self) -> None:
-        """Take the circle that was clicked, from this page alone: another site's tells its own origin."""
+        """Take the circle that was clicked, from this page alone: a page of another site states its own origin."""
         if not self._is_ours() or self.headers.get("Origin", "").lower() != f"http://{self.headers['Host'].lower()}":
             self.send_error(403)
             return
@@ -210,5 +210,5 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def _rounded(disc: Disc) -> Disc:
-    """To what a click can tell, and a person reads."""
+    """To what a click can state, and a person reads."""
     return Disc(round(disc.row_c, 1), round(disc.col_c, 1), round(disc.radius_px, 1))

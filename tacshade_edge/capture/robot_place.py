@@ -22,7 +22,7 @@ Name = tuple[str, str]
 
 
 class RobotPlaces:
-    """Each indenter's place is told by one press that was typed; the robot's poses tell the others.
+    """Each indenter's place is stated by one press that was typed; the robot's poses give the others.
 
     Parameters
     ----------
@@ -50,9 +50,9 @@ class RobotPlaces:
             held = self._base_T_sensor(frame)
         except ConfigError as error:
             return str(error)
-        told = Touch(float(x_mm), float(y_mm), float(depth_mm))
+        stated = Touch(float(x_mm), float(y_mm), float(depth_mm))
         ball_radius_mm = float(radius_mm) if indenter == BALL else 0.0
-        self._fixed[indenter, radius_mm] = fixed_indenter(held, told, ball_radius_mm, self._skin_radius_mm)
+        self._fixed[indenter, radius_mm] = fixed_indenter(held, stated, ball_radius_mm, self._skin_radius_mm)
         return ""
 
     def columns(self, name: Name, frame: Frame) -> tuple[str, ...]:

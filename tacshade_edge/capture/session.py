@@ -140,7 +140,7 @@ class Session:
                     self._press(words, check)
 
     def unloaded(self) -> Calibration:
-        """What the references tell, which are taken where there are none. Raises as `run`."""
+        """What the references show, which are taken where there are none. Raises as `run`."""
         images = self._folder.references()
         checked = self._checked_again(images) if len(images) >= REFERENCES else None
         return checked or self._take_references()
@@ -190,7 +190,7 @@ class Session:
             return unloaded
 
     def _unloaded(self, images: Sequence[U8]) -> Calibration:
-        """What the references tell. Raises ConfigError when they can be none."""
+        """What the references show. Raises ConfigError when they can be none."""
         rest_grey = motion_grey([block_means(to_grey(image)) for image in images])
         if rest_grey > REST_MOST_GREY:
             found = f"found {rest_grey:.1f} grey levels of change, expected {REST_MOST_GREY:g} at most"
@@ -255,14 +255,14 @@ class Session:
         try:
             asked = self._asked(words)
         except ConfigError as error:
-            self._terminal.say(f"  {error} (help tells how)")
+            self._terminal.say(f"  {error} (help says how)")
             return
         frame = self._live.still_frame()
         if frame is None:
             self._terminal.say("  given up: nothing was taken")
             return
         try:
-            press = asked if isinstance(asked, Stated) else self._told_by_robot(asked, frame)
+            press = asked if isinstance(asked, Stated) else self._stated_by_robot(asked, frame)
         except ConfigError as error:
             self._terminal.say(f"  not taken: {error}")
             return
@@ -272,7 +272,7 @@ class Session:
             return
         self._taken_back = None
         if self._robot and press is asked and (unknown := self._robot.learn(press.columns, frame)):
-            self._terminal.say(f"  the robot's poses cannot tell the next place: {unknown}")
+            self._terminal.say(f"  the robot's poses cannot give the next place: {unknown}")
         self._advise(check)
 
     def _advise(self, check: PressCheck) -> None:
@@ -282,20 +282,20 @@ class Session:
             self._terminal.say(f"  {self._live.note}")
 
     def _at_robot(self) -> Name | None:
-        """The indenter of the last press, where the robot tells place and depth of the next; None elsewhere."""
+        """The indenter of the last press, where the robot states place and depth of the next; None elsewhere."""
         if not self._robot or not self._taken:
             return None
         name = self._taken[-1].stated.columns[:2]
         return (name[0], name[1]) if self._robot.known((name[0], name[1])) else None
 
-    def _told_by_robot(self, name: Name, frame: Frame) -> Stated:
+    def _stated_by_robot(self, name: Name, frame: Frame) -> Stated:
         """The press of an indenter at the robot's pose. Raises ConfigError."""
         if self._robot is None:
             raise AssertionError("nobody asked for a robot's pose")
         return stated("press", self._robot.columns(name, frame), self._names, self._sensor.skin_radius_mm)
 
     def _asked(self, words: Sequence[str]) -> Stated | Name:
-        """What was typed, with what it leaves out; an indenter alone, where the robot tells the rest.
+        """What was typed, with what it leaves out; an indenter alone, where the robot states the rest.
 
         Raises
         ------

@@ -51,9 +51,9 @@ def command_line(is_wanted: Callable[[str], bool]) -> tuple[argparse.ArgumentPar
     parser = Parser(
         prog="tacshade-edge",
         description="Metric shape from touch for TacShade sensors.",
-        epilog="tacshade-edge COMMAND --help tells a command's options.",
+        epilog="tacshade-edge COMMAND --help lists a command's options.",
     )
-    parser.add_argument("--version", action=_Version, nargs=0, help="tell the version and end")
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and end")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     modules = {}
     for name, (module_name, summary) in COMMANDS.items():

@@ -13,7 +13,7 @@ from tacshade_edge.core.contact.tracking import ContactTracker, follow
 from tacshade_edge.core.depth import SOLVERS, Depth, MakeSolver, Network
 from tacshade_edge.core.depth.base import Mark
 from tacshade_edge.core.depth.sigma import sigma_of_scale_1, terms
-from tacshade_edge.core.frame_check import foreign
+from tacshade_edge.core.frame_check import untrusted
 from tacshade_edge.core.frame_check.trust import degraded_reason, invalid_reason
 from tacshade_edge.core.frame_check.validity import picture_reason, sensor_check, size_reason
 from tacshade_edge.core.geometry.disc import DiscRays, rays_in_image
@@ -78,7 +78,7 @@ class Reconstructor:
         self._preprocessor = Preprocessor(calibration, profile)
         self._frame_check = sensor_check(self._preprocessor.calibration, self._preprocessor.camera_px)
         self._gate = ContactGate(self._preprocessor)
-        self._foreign_check = foreign.ForeignCheck(self._preprocessor)
+        self._untrusted_check = untrusted.UntrustedCheck(self._preprocessor)
         self._solver = (make_solver or SOLVERS[profile.solver])(self._preprocessor, network)
         self._find_objects = find_objects
         self.grid = self._solver.grid
@@ -86,7 +86,7 @@ class Reconstructor:
         self._zero_mm = np.where(self.rays.inside, np.float32(0), np.float32(np.nan)).astype(np.float32)
         self._sigma = None if network is None else network.sigma
         self._no_sigma_mm = None if self._sigma is None else np.full(self._zero_mm.shape, np.nan, np.float32)
-        self._no_shear_mm = np.repeat(self._zero_mm[..., None], 2, axis=2) if self._solver.tells_shear else None
+        self._no_shear_mm = np.repeat(self._zero_mm[..., None], 2, axis=2) if self._solver.has_shear else None
         self._empty_map = self._map(self._zero_mm, np.zeros(self._zero_mm.shape, dtype=bool))
         self._empty_cloud = ObjectCloud(np.zeros((0, 3), dtype=np.float32), np.zeros(0, dtype=np.uint16))
         self._grey_space: U8 = np.empty(self._shape, np.uint8)
@@ -132,8 +132,8 @@ class Reconstructor:
             return None
 
         depth = self._solver.solve(preprocessed, mark)
-        reason = self._foreign_check.invalid_reason(depth.foreign_logit, self.rays.inside, preprocessed.white)
-        degraded = degraded or foreign.degraded_reason(depth.foreign, self.rays.inside)
+        reason = self._untrusted_check.invalid_reason(depth.untrusted_logit, self.rays.inside, preprocessed.white)
+        degraded = degraded or untrusted.degraded_reason(depth.untrusted, self.rays.inside)
         mark("depth")
         if reason:
             return self._empty(frame, reason=reason)
@@ -151,7 +151,7 @@ class Reconstructor:
         objects = self._find_objects(contact, height_mm, shear_mm, self.rays, self.calibration.geometry)
         mark("cloud")
         if objects is None:
-            reason = self._foreign_check.moved(preprocessed.white)
+            reason = self._untrusted_check.moved(preprocessed.white)
             return self._empty(frame, reason=reason, degraded=None if reason else degraded)
         sigma_mm = None
         if Need.SIGMA in need:
@@ -164,10 +164,10 @@ class Reconstructor:
         return self._solver.solve(self._preprocessor.preprocess(self._preprocessor.grey(image)), no_mark)
 
     def _sigma_mm(self, depth: Depth, height_mm: F32, contact: Bool) -> F32 | None:
-        if self._sigma is None or depth.contact_logit is None or depth.foreign_logit is None:
+        if self._sigma is None or depth.contact_logit is None or depth.untrusted_logit is None:
             return None
         calibration = self.calibration
-        x = terms(height_mm, depth.contact_logit, depth.foreign_logit, contact, calibration.geometry)
+        x = terms(height_mm, depth.contact_logit, depth.untrusted_logit, contact, calibration.geometry)
         scale = calibration.error_scale(self.profile.name) or self._sigma.scale_without_presses
         made: F32 = np.full(contact.shape, np.nan, np.float32)
         made[contact] = sigma_of_scale_1(self._sigma, x, calibration.geometry) * np.float32(scale)
@@ -200,7 +200,9 @@ class Reconstructor:
             repaired_px=depth.repaired_px,
             shear_mm=shear_mm,
             sigma_mm=sigma_mm,
-            untrusted=depth.foreign & self.rays.inside if depth.foreign is not None and depth.foreign.any() else None,
+            untrusted=depth.untrusted & self.rays.inside
+            if depth.untrusted is not None and depth.untrusted.any()
+            else None,
         )
 
     def _empty(self, frame: Frame, reason: Reason | None = None, degraded: Reason | None = None) -> Reconstruction:

@@ -109,7 +109,7 @@ class App:
             self.link.tell,
             self.ledger.settle,
             self.link.has_listener,
-            settings.displacement == "always",
+            settings.shear == "always",
         )
         self._home_assistant = HomeAssistant(self.link, settings.sensor_id, wanted=settings.mqtt.home_assistant)
         self._references = References(calibration, reference_file.path_beside(settings.calibration), settings.sensor_id)
@@ -121,7 +121,7 @@ class App:
             settings, siblings, self.link, self._reply, self._on_request, self._status, self._missing
         )
         self._recorder = LiveRecorder(self._events.put, optional.interpolated)
-        self._recorder.keep_before(settings.recorder.before_s)
+        self._recorder.keep_pre_roll(settings.recorder.pre_roll_s)
         self._record = RecordRequests(
             self._recorder, self._reply, lambda status: self.link.set_retained("status/recorder", status)
         )
@@ -249,7 +249,7 @@ class App:
         return reconstructor if isinstance(reconstructor, Reason) else None
 
     def _look_for_calibration(self) -> None:
-        """Where there is none, take up one that has come; what cannot be used is told once."""
+        """Where there is none, take up one that has come; what cannot be used is reported once."""
         if self._missing() is None:
             return
         try:
@@ -311,7 +311,7 @@ class App:
         self._publish_info()
 
     def _follow(self) -> None:
-        """Use the reference as far as it followed; tell why when it does not."""
+        """Use the reference as far as it followed; say why when it does not."""
         running, calibration = self._active.reconstructor, self._references.calibration
         if isinstance(running, Reason) or running.calibration is calibration:
             self._publish_info()

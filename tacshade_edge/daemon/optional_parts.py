@@ -90,7 +90,7 @@ def make_optional_parts(
 
         finger = FingerReporter(siblings.hand, from_seven(settings.hand_T_sensor))
     return OptionalParts(
-        # Before: who is told of a contact may begin a session.
+        # Before: whoever sees a contact may begin a session.
         before_publishing=(sessions,) if sessions else (),
         after_publishing=tuple(part for part in (finger, robot) if part),
         posed=robot.with_pose if robot else None,

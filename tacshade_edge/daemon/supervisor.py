@@ -34,7 +34,7 @@ RESTART_S, RESTART_MAX_S = 1.0, 60.0
 STEADY_S = 30.0
 """Who ends before it is so old waits twice as long as the last time."""
 WATCHDOG_S, ABORT_S = 10.0, 5.0
-"""Silence after which a sensor's process is told to say where it hangs, and time for that before it is killed."""
+"""Silence after which a sensor's process is asked to say where it hangs, and time for that before it is killed."""
 TICK_S = 1.0
 EXIT_CONFIG = 78
 EXIT_STOPPED = 128 + signal.SIGTERM
@@ -103,7 +103,7 @@ class Supervisor:
         self._parts = [*self._sensors, *([_Part(hand, _notice_socket())] if hand else [])]
         for part in self._parts:
             self._selector.register(part.notices, selectors.EVENT_READ, part)
-        self._told_ready = False
+        self._reported_ready = False
         self._note = ""
         self._stopping_s: float | None = None
 
@@ -155,7 +155,7 @@ class Supervisor:
             if now_s >= next_tick_s:
                 next_tick_s = now_s + TICK_S
                 self._watch(now_s)
-                self._tell()
+                self._report()
             if self._is_over(self._sensors):
                 if self._is_over(self._parts):
                     return self._code()
@@ -284,13 +284,13 @@ class Supervisor:
         part.status = f"{why}, starts again in {part.wait_s:.0f} s"
         _log.error("%s: %s", part.name, part.status)
 
-    def _tell(self) -> None:
+    def _report(self) -> None:
         """Status and watchdog, for all; readiness once each part came up or ended."""
-        if not self._told_ready and all(part.ready for part in self._parts):
-            self._told_ready = True
+        if not self._reported_ready and all(part.ready for part in self._parts):
+            self._reported_ready = True
             notify("READY=1")
-        told = "; ".join(f"{part.name}: {part.status}" for part in self._parts)
-        notify("WATCHDOG=1", f"STATUS={escaped(told)}{f'; {self._note}' if self._note else ''}")
+        statuses = "; ".join(f"{part.name}: {part.status}" for part in self._parts)
+        notify("WATCHDOG=1", f"STATUS={escaped(statuses)}{f'; {self._note}' if self._note else ''}")
 
     def _is_over(self, parts: Sequence[_Part]) -> bool:
         return all(not part.pid and part.again_s is None for part in parts)

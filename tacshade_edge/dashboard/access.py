@@ -11,7 +11,7 @@ from urllib.parse import urlsplit
 def refusal(origin: str | None, host: str | None, allowed_origins: Collection[str]) -> str:
     """Why a WebSocket request is refused; empty when it may go on.
 
-    Any web site that is open in the user's browser can try to connect to this server; the browser tells its address as
+    Any web site that is open in the user's browser can try to connect to this server; the browser states its address as
     `origin`. It has to be ours: the `host` that the browser connected to. A site can also give its own name our
     address (DNS rebinding), and then both agree: so a name has to be one that cannot be somebody else's.
 

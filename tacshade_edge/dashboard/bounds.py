@@ -70,7 +70,7 @@ def bounded(bounds: Bounds) -> type[ServerConnection]:
     return Connection
 
 
-def tell_device_errors(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+def report_device_errors(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
     """Exception handler of a loop: no traceback for what the system refuses, such as one more open file."""
     if isinstance(error := context.get("exception"), OSError):
         _log.warning("%s: %s", context.get("message", "the system refuses"), error.strerror or error)

@@ -84,7 +84,7 @@ class Bridge:
         self._away = False
 
     async def carry(self, page: ServerConnection) -> None:
-        """Carry one page until either side ends; the page is told why in the closing frame."""
+        """Carry one page until either side ends; the page learns why from the closing frame."""
         try:
             reader, writer = await self._connect()
         except (OSError, TimeoutError) as error:

@@ -46,7 +46,7 @@ def load(*, read_only: bool = False) -> dict[str, File]:
     Parameters
     ----------
     read_only : bool
-        The page is told that it may request nothing.
+        The page learns that it may request nothing.
     """
     found = dict(_walk(resources.files(__package__) / "static", ""))
     index = found["/index.html"]

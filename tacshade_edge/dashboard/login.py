@@ -22,7 +22,7 @@ class _Tries:
     wrong: int = 0
 
 
-def told(authorization: str | None) -> str | None:
+def offered(authorization: str | None) -> str | None:
     """The token in a request's header ``Authorization: Bearer``; None without one, such as with a proxy's own login."""
     scheme, _, token = (authorization or "").partition(" ")
     return token if scheme.lower() == "bearer" else None
@@ -36,7 +36,7 @@ class Login:
     token : str
     cookie : str
         Name of the cookie that keeps the token in the browser. Browsers do not part the servers of one machine by
-        their ports, so it is told by the port.
+        their ports, so it is named by the port.
     secure : bool
         The page is served over TLS, so the cookie is sent over nothing else.
 

@@ -19,7 +19,7 @@ from websockets.http11 import Request, Response
 from websockets.typing import Subprotocol
 
 from tacshade_edge.dashboard import access, files, login
-from tacshade_edge.dashboard.bounds import Bounds, bounded, tell_device_errors
+from tacshade_edge.dashboard.bounds import Bounds, bounded, report_device_errors
 from tacshade_edge.dashboard.bridge import FROM_PAGE_BYTES_MAX, Bridge, Broker
 from tacshade_edge.dashboard.login import Login
 from tacshade_edge.devices.listener import Listener
@@ -34,7 +34,7 @@ _INDEX: Final = ("/", "/index.html")
 _LOGIN: Final = "/login"
 _OPEN: Final = (_LOGIN, "/login.js", "/style.css", "/favicon.svg")  # without a token
 _REFUSED: Final = {
-    HTTPStatus.UNAUTHORIZED: "expected the token that this server told at its start, or that is in its file",
+    HTTPStatus.UNAUTHORIZED: "expected the token that this server printed at its start, or that is in its file",
     HTTPStatus.TOO_MANY_REQUESTS: f"too many wrong tokens from your address: wait {login.PERIOD_S:.0f} s",
 }
 _SPEAK_S: Final = 5  # until a request is there, and until TLS is
@@ -94,16 +94,16 @@ class Pages:
     def _log_in(self, tokens: Login, page: ServerConnection, path: str, headers: Headers) -> Response | None:
         """The response to a request without the token, or to one that brings it; None where it may go on."""
         try:
-            told, kept = login.told(headers.get("Authorization")), tokens.kept(headers.get("Cookie"))
+            offered, kept = login.offered(headers.get("Authorization")), tokens.kept(headers.get("Cookie"))
         except LookupError:
             return self._text(HTTPStatus.BAD_REQUEST, "Authorization or Cookie more than once")
-        if path in _OPEN and told is None:
+        if path in _OPEN and offered is None:
             return None
         address, before = str((page.remote_address or ("",))[0]), tokens.wrong
-        refused = tokens.refusal(kept if told is None else told, address, time.monotonic())
+        refused = tokens.refusal(kept if offered is None else offered, address, time.monotonic())
         if tokens.wrong > before:
             _log.warning("a wrong token from %s, the %d. so far", address, tokens.wrong)
-        if refused is HTTPStatus.UNAUTHORIZED and path in _INDEX and told is None:
+        if refused is HTTPStatus.UNAUTHORIZED and path in _INDEX and offered is None:
             return self._response(HTTPStatus.SEE_OTHER, b"", {"Location": _LOGIN.removeprefix("/")})
         if refused is not None:
             return self._text(refused, _REFUSED[refused], {"WWW-Authenticate": "Bearer"})
@@ -173,7 +173,7 @@ async def run(
     # A port scanner or a browser that changed its mind is no news, and would be a traceback each.
     quiet = logging.getLogger("websockets.server")
     quiet.setLevel(logging.CRITICAL)
-    asyncio.get_running_loop().set_exception_handler(tell_device_errors)
+    asyncio.get_running_loop().set_exception_handler(report_device_errors)
     bounds = Bounds()
     try:
         listener = Listener(host, port, bounds.admit)

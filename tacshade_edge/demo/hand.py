@@ -27,7 +27,7 @@ _MODEL: Final = SensorModel()
 
 _SETTINGS: Final = """\
 hand_id: {hand_id}
-displacement: always
+shear: always
 mqtt: {{host: 127.0.0.1, port: {port}}}
 recorder: {{folder: recordings}}
 stitching: {{folder: sessions}}

@@ -1,4 +1,4 @@
-"""The demo's other hand: a robot presses a small pad with it all over, again and again, and stitches what it feels."""
+"""The demo's other sensor: a robot presses a small pad all over with it again and again and stitches what it feels."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ class Connections:
 class Listener(socket.socket):
     """A listening TCP socket that accepts no more than `admit` lets in.
 
-    It asks before a connection costs anything: with TLS it would cost 256 KiB before asyncio tells of it, and in a
+    It asks before a connection costs anything: with TLS it would cost 256 KiB before asyncio reports it, and in a
     threaded server a thread.
 
     Raises

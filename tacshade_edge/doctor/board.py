@@ -1,4 +1,4 @@
-"""The board under it: power, heat and the processor's governor. No line where a machine tells nothing of these."""
+"""The board under it: power, heat and the processor's governor. No line where a machine reports none of these."""
 
 from __future__ import annotations
 

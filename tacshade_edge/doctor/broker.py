@@ -51,7 +51,7 @@ class DaemonState:
         Where it runs.
     rival : str
         Where another runs that waits for the same name; empty without one.
-    told : dict
+    published : dict
         All that the broker holds of it: topic below the daemon's to payload.
     """
 
@@ -60,7 +60,7 @@ class DaemonState:
     fps: float = 0.0
     place: str = "which does not say where"
     rival: str = ""
-    told: dict[str, bytes] = field(default_factory=dict, compare=False)
+    published: dict[str, bytes] = field(default_factory=dict, compare=False)
 
     @property
     def alive(self) -> bool:
@@ -131,7 +131,7 @@ def judge_daemon(daemon: DaemonState, process: Process | None, sensor_id: str) -
         return ok("daemon", "not running")
     if daemon.state == "online":
         return ok("daemon", f"running, {process}: {daemon}")
-    mend = "journalctl -u tacshade-edge tells more"
+    mend = "journalctl -u tacshade-edge says more"
     if daemon.state == "degraded":
         return warning("daemon", f"running, {process}: {daemon}", mend)
     mend = f"was it started with these settings? {mend}"
@@ -283,6 +283,6 @@ def _daemon_state(session: _Session, base: str) -> DaemonState:
 
 def _json(payload: bytes) -> dict[str, Any]:
     try:
-        return decode_object("what a daemon tells", payload or b"{}")
+        return decode_object("what a daemon publishes", payload or b"{}")
     except DecodeError:
         return {}

@@ -43,14 +43,14 @@ class Seen:
     Attributes
     ----------
     document : Document or None
-    told : dict
+    published : dict
         Topic below the daemon's to the payload that the broker holds.
     image : uint8 (H, W) or (H, W, 3) or None
         The latest frame.
     """
 
     document: Document | None = None
-    told: dict[str, bytes] = field(default_factory=dict)
+    published: dict[str, bytes] = field(default_factory=dict)
     image: U8 | None = None
 
 
@@ -73,7 +73,7 @@ def write_bundle(path: Path, findings: Sequence[Finding], seen: Seen, *, with_fr
     texts = {
         "findings.json": _json([asdict(finding) for finding in findings]),
         "versions.json": _json(versions()),
-        "published.json": _json({topic: _payload(payload) for topic, payload in sorted(seen.told.items())}),
+        "published.json": _json({topic: _payload(payload) for topic, payload in sorted(seen.published.items())}),
         "log.txt": _log(),
     }
     secrets: tuple[str, ...] = ()
@@ -172,7 +172,7 @@ def _log() -> str:
 
 def _payload(payload: bytes) -> Any:
     try:
-        return decode_object("what a daemon tells", payload)
+        return decode_object("what a daemon publishes", payload)
     except DecodeError:
         return payload.decode(errors="replace")
 

@@ -22,7 +22,7 @@ _LIST_S = 2.5
 
 
 def csi_cameras() -> dict[int, str]:
-    """Number and name of each CSI camera that ``rpicam-vid --list-cameras`` tells; none without the program."""
+    """Number and name of each CSI camera that ``rpicam-vid --list-cameras`` lists; none without the program."""
     try:
         words = (PROGRAM, "--list-cameras")
         done = subprocess.run(words, capture_output=True, text=True, errors="replace", timeout=_LIST_S, check=False)

@@ -65,7 +65,7 @@ def diagnose(
     daemon = DaemonState()
     if broker:
         findings, daemon = wait_for(broker, deadline_s, _no_broker)
-        seen.told = daemon.told
+        seen.published = daemon.published
         yield from findings
     for name, check in running.items():
         yield from wait_for(check, deadline_s, _failed(name, _AGAIN))

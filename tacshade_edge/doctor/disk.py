@@ -21,9 +21,9 @@ def check_disk(folder: Path, machine: Machine) -> tuple[Finding, ...]:
 
 
 def judge(folder: Path, free_bytes: int, read_only: bool) -> tuple[Finding, ...]:
-    """Findings on what statvfs(2) tells."""
+    """Findings on what statvfs(2) reports."""
     if read_only:
-        mend = "mount it writable; if it became read-only by itself the card may be failing: sudo dmesg tells"
+        mend = "mount it writable; if it became read-only by itself the card may be failing: sudo dmesg says"
         return (fault("disk", f"{folder} is on a read-only file system", mend),)
     free = f"{folder}: {free_bytes / 1e9:.1f} GB free"
     clear = "delete old recordings and logs (sudo journalctl --vacuum-size=100M; sudo apt clean)"
@@ -35,7 +35,7 @@ def judge(folder: Path, free_bytes: int, read_only: bool) -> tuple[Finding, ...]
 
 
 def check_wear(machine: Machine) -> tuple[Finding, ...]:
-    """A warning for each eMMC that is near its end by its own count; SD cards do not tell."""
+    """A warning for each eMMC that is near its end by its own count; SD cards do not report it."""
     worn = []
     for block in machine.names("/sys/block", "mmcblk*"):
         steps = [int(word, 16) for word in machine.read(f"/sys/block/{block.name}/device/life_time").split()]

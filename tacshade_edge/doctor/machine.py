@@ -1,4 +1,4 @@
-"""What the kernel's file systems tell of devices and processes; the root is an argument, so that tests build one."""
+"""What the kernel's file systems say of devices and processes; the root is an argument, so that tests build one."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ _log = logging.getLogger(__name__)
 def load(path: str | os.PathLike[str], *, store: bool = True) -> Calibration:
     """Load a calibration, made again if it is of another version and keeps what it was made of.
 
-    It has those fitted networks that can run; the log tells of others.
+    It has those fitted networks that can run; the log names the others.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def _stored(path: Path, made: Calibration, inputs: Inputs, version: int) -> Cali
 
 
 def find_calibration(document: Document, *, store: bool = False) -> Calibration | Reason:
-    """Load the calibration as `load_calibration`, or tell that there is none yet, and how it is made.
+    """Load the calibration as `load_calibration`, or report that there is none yet, and how it is made.
 
     Raises
     ------
@@ -115,7 +115,7 @@ def find_calibration(document: Document, *, store: bool = False) -> Calibration 
         text = f"not calibrated: found no file {path}; {how_to_calibrate(document)}"
         return Reason(ReasonCode.NOT_CALIBRATED, text)
     except OSError:
-        pass  # the loading tells it
+        pass  # the loading reports it
     return load_calibration(document, store=store)
 
 

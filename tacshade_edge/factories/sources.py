@@ -72,7 +72,7 @@ def make_source(source: Source) -> FrameSource:
 
 
 def frames_have_poses(settings: Settings) -> bool:
-    """Whether a robot tells them, or the source's folder has a table that may."""
+    """Whether a robot states them, or the source's folder has a table that may."""
     source = settings.source
     return settings.serial is not None or (isinstance(source, Files) and table_in(Path(source.path)) is not None)
 

@@ -88,7 +88,7 @@ class TorchNetwork:
                 each.copy_(was)
 
     def __call__(self, white: Tensor, view: int = 0) -> tuple[Tensor, Tensor]:
-        """Run frames (B, fold², N, N), to depth and contact (B, 2 fold², N, N) and what is foreign (B, 1, M, M).
+        """Run frames (B, fold², N, N), to depth and contact (B, 2 fold², N, N) and what is untrusted (B, 1, M, M).
 
         `view` is the number of the sensor; the correction is of the first one alone.
         """

@@ -25,7 +25,7 @@ LOOK_STEPS, PATIENCE_STEPS = 20, 120
 """How often the presses that are held out are looked at, and how long after the best look it goes on."""
 HIGH_PART = 0.4
 """Of the steps until which nobody looks: at a high rate what a few presses show is chance."""
-OUTLINE_WEIGHT, FAR_WEIGHT, FOREIGN_WEIGHT = 2.0, 1.0, 0.5
+OUTLINE_WEIGHT, FAR_WEIGHT, UNTRUSTED_WEIGHT = 2.0, 1.0, 0.5
 MORE_CELLS = 20
 """A press weighs its cells and so many: one of few cells is not to weigh as much as a wide one."""
 
@@ -42,7 +42,7 @@ class Batch:
     inside: Tensor
     height: Tensor
     contact: Tensor
-    foreign: Tensor
+    untrusted: Tensor
 
     @classmethod
     def of(cls, presses: Sequence[PressTarget]) -> Batch:
@@ -63,7 +63,7 @@ class Batch:
             stacked("inside"),
             stacked("height"),
             stacked("contact_logit").sigmoid() * touchable,
-            stacked("foreign_logit").sigmoid()[:, None],
+            stacked("untrusted_logit").sigmoid()[:, None],
         )
 
     def some(self, which: Tensor) -> Batch:
@@ -84,20 +84,20 @@ class Batch:
 
 def loss(network: TorchNetwork, fold: int, batch: Batch, factor: float, view: int = 0) -> Tensor:
     """How far a network is from what it is to say of presses; `factor` is that on the shipped network's heights."""
-    folded, foreign = network(batch.white, view)
+    folded, untrusted = network(batch.white, view)
     height, logit = functional.pixel_shuffle(folded, fold).unbind(1)
     level = _per_press((height - batch.surface).abs(), batch.known)
     # Where the skin has lifted off the indenter it is deeper than its surface.
     lifted = _per_press(functional.relu(batch.surface - height), batch.above)
     far = _per_press((height - factor * batch.height).abs(), batch.far)
     outline = functional.binary_cross_entropy_with_logits(logit, batch.contact, reduction="none")
-    strange = functional.binary_cross_entropy_with_logits(foreign, batch.foreign)
+    strange = functional.binary_cross_entropy_with_logits(untrusted, batch.untrusted)
     return (
         level
         + lifted
         + FAR_WEIGHT * far
         + OUTLINE_WEIGHT * _per_press(outline, batch.inside)
-        + FOREIGN_WEIGHT * strange
+        + UNTRUSTED_WEIGHT * strange
     )
 
 

@@ -10,7 +10,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tacshade_edge.core.depth import DisplacementNetwork, Network, NetworkMaps, SigmaModel
+from tacshade_edge.core.depth import Network, NetworkMaps, ShearNetwork, SigmaModel
 from tacshade_edge.core.depth.sigma import TERMS
 from tacshade_edge.core.profiles import PROFILES, Profile
 from tacshade_edge.core.reconstruct import Reconstructor
@@ -47,12 +47,12 @@ def read_network(onnx: Path, fitted: FittedNetwork | None = None) -> Network:
     session, correction = _session(in_integers(onnx, frame)), None if fitted is None else fitted.correction
 
     def run(white: F32, sensor: F32) -> NetworkMaps:
-        maps, foreign = session.run(None, {"white": white[None], "sensor": sensor[None]})
-        return NetworkMaps(maps[0], foreign[0, 0])
+        maps, untrusted = session.run(None, {"white": white[None], "sensor": sensor[None]})
+        return NetworkMaps(maps[0], untrusted[0, 0])
 
-    displacement = read_displacement(WEIGHTS / "displacement.onnx")
+    shear = read_shear(WEIGHTS / "shear.onnx")
     return_free_memory()  # of `accurate` 8 MB
-    return Network(int(about["fold"]), _sensing(once, correction), run, displacement, _sigma(onnx.stem))
+    return Network(int(about["fold"]), _sensing(once, correction), run, shear, _sigma(onnx.stem))
 
 
 def in_integers(onnx: Path, frame: bytes) -> bytes:
@@ -96,15 +96,15 @@ def _sigma(name: str) -> SigmaModel | None:
     return SigmaModel(tuple(float(known["weights"][term]) for term in TERMS), *others)
 
 
-def read_displacement(onnx: Path) -> DisplacementNetwork:
-    """Read the network of displacement."""
+def read_shear(onnx: Path) -> ShearNetwork:
+    """Read the network of shear."""
     session, about = _session(in_integers(onnx, onnx.read_bytes())), _about(onnx)
 
     def run(white: F32, sensor: F32) -> F32:
         answer: F32 = session.run(None, {"white": white[None], "sensor": sensor[None]})[0][0]
         return answer
 
-    return DisplacementNetwork(int(about["fold"]), int(about["cells"]), _sensing(_beside(onnx)), run)
+    return ShearNetwork(int(about["fold"]), int(about["cells"]), _sensing(_beside(onnx)), run)
 
 
 def _about(onnx: Path) -> dict[str, Any]:

@@ -43,9 +43,9 @@ class FrameAssembler:
     ----------
     info : Info
     state : str
-        Both as last told.
+        Both as last published.
     passed_over : int
-        Frames that a newer one replaced, that came in part, or whose calibration is not the told one.
+        Frames that a newer one replaced, that came in part, or whose calibration is not the published one.
     """
 
     def __init__(self) -> None:
@@ -188,7 +188,7 @@ def _untouched(last: HeightMap) -> HeightMap:
 
 
 def _reason(code: str) -> Reason | None:
-    """Its code is all that is told of it."""
+    """Its code is all that is published of it."""
     if not code:
         return None
     known = next((reason for reason in ReasonCode if reason.value == code), None)

@@ -73,7 +73,7 @@ def open(source: str | os.PathLike[str], sensor: Sensor | None = None) -> Result
 def read(recording: str | os.PathLike[str], sensor: Sensor | None = None) -> Results:
     """Read a recording, and reconstruct every frame in order.
 
-    The log tells of what is damaged or was cut off; `passed_over` counts it.
+    The log reports what is damaged or was cut off; `passed_over` counts it.
 
     Parameters
     ----------

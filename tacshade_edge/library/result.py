@@ -41,11 +41,11 @@ class Result:
     contact : bool (rows, cols)
         Cells whose skin touches an object.
     untrusted : bool (rows, cols) or None
-        Cells that do not show the sensor's skin; None where it is not told.
+        Cells that do not show the sensor's skin; None where it is not reported.
     shear_mm : float32 (rows, cols, 2) or None
-        By how much the skin is dragged along x and y; None where it is not told.
+        By how much the skin is dragged along x and y; None where it is not reported.
     sigma_mm : float32 (rows, cols) or None
-        Standard deviation of `height_mm` where `contact` is true, elsewhere NaN; None where it is not told.
+        Standard deviation of `height_mm` where `contact` is true, elsewhere NaN; None where it is not reported.
     row0, col0, step_px : float
         Cell (i, j) is image pixel (row0 + i·step_px, col0 + j·step_px).
     points_mm : float32 (N, 3)
@@ -57,7 +57,7 @@ class Result:
     volume_mm3 : float
         Displaced under the contacts.
     pose : Pose or None
-        ``base_T_flange`` at `t_ns`, where a robot tells it.
+        ``base_T_flange`` at `t_ns`, where a robot states it.
     geometry : Geometry
         Skin, camera and visible circle.
     """

@@ -28,7 +28,7 @@ def load(calibration: str | os.PathLike[str], *, profile: str = DEFAULT) -> Sens
     Parameters
     ----------
     calibration : path
-        Never written: one of an older version is made again each time, which the log tells.
+        Never written: one of an older version is made again each time, which the log says.
     profile : str
         ``fast``, ``balanced``, ``accurate`` or ``paper``.
 

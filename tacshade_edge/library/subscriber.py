@@ -173,7 +173,7 @@ class _Heard(Results):
 
     def _silence(self) -> DeviceError:
         """Nothing came for long: why, as far as it is known."""
-        state = f"its state is {shown(self._frames.state)}" if self._frames.state else "nobody has told its state"
+        state = f"its state is {shown(self._frames.state)}" if self._frames.state else "nobody has published its state"
         reason = self._frames.info.reason
         known = f"; {escaped(reason, _REASON_CHARS_MAX)}" if reason else ""
         text = f"{self._where}: {self._base}: no result for {_SILENT_S:.0f} s, {state}{known}"

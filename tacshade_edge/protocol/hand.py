@@ -23,7 +23,7 @@ _Value = Annotated[float, Meta(ge=-1e9, le=1e9)]
 Triple = tuple[_Value, _Value, _Value]
 
 OBJECTS_MAX: Final = 16
-"""The greatest of a finger: what is told of a hand stays within 25 kB, five fingers."""
+"""The greatest of a finger: what is published of a hand stays within 25 kB, five fingers."""
 FINGERS_MAX: Final = 32
 _DIGITS: Final = 4  # 0.1 µm
 
@@ -41,7 +41,7 @@ class HandObject(msgspec.Struct, frozen=True, kw_only=True):
         Unit normal of the plane through these points, away from the finger's camera.
     depth_max_mm, area_mm2 : float
     shear_mm : 3 floats or None
-        Mean displacement of the skin that it touches, which lies in the finger's x, y plane; None where none is told.
+        Mean shear of the skin that it touches, which lies in the finger's x, y plane; None where none is reported.
     twist_deg : float or None
         About the finger's own z axis.
     slip : int or None
@@ -62,16 +62,16 @@ class HandObject(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Finger(msgspec.Struct, frozen=True, kw_only=True):
-    """What a finger told last.
+    """What a finger reported last.
 
     Attributes
     ----------
     state : str
         ``contact``, ``free``, or ``away``: nothing is known of what it touches, for `reason_code`.
     t_ns : int or None
-        Capture of its frame, on the clock that all fingers have in common; None of what no frame told.
+        Capture of its frame, on the clock that all fingers have in common; None of what no frame reported.
     age_ms : float or None
-        So old the frame was when the hand told of it.
+        So old the frame was when the hand published it.
     seq : int or None
         The frame's.
     reason_code, degraded_code : str
@@ -109,7 +109,7 @@ class HandObjects(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def finger_of(result: Reconstruction, hand_T_sensor: Rigid) -> Finger:
-    """What one result of a finger tells in the hand's frame, without its age."""
+    """What one result of a finger reports in the hand's frame, without its age."""
     objects: tuple[HandObject, ...] = ()
     if result.contact:
         points_mm, labels = hand_T_sensor.apply(result.cloud.points_mm), result.cloud.labels
@@ -128,7 +128,7 @@ def finger_of(result: Reconstruction, hand_T_sensor: Rigid) -> Finger:
 
 
 def away(reason: Reason) -> Finger:
-    """A finger of which nothing is known, though no frame tells so."""
+    """A finger of which nothing is known, though no frame says so."""
     return Finger(state="away", reason_code=reason.code)
 
 

@@ -1,4 +1,4 @@
-"""How a hand announces itself to Home Assistant: its MQTT discovery, one retained message for each entity.
+"""How a sensor announces itself to Home Assistant: its MQTT discovery, one retained message for each entity.
 
 https://www.home-assistant.io/integrations/mqtt/#mqtt-discovery
 """

@@ -244,8 +244,8 @@ def encode_contact(result: Reconstruction, *, fps: float) -> bytes:
     """The ``contact`` payload: flat numbers, and codes of `reasons.ReasonCode`, empty when all is well.
 
     ``contact`` is 0 or 1, ``objects`` a count, ``area_mm2`` their sum; ``x_mm`` and ``y_mm`` are the centroid
-    of the greatest object and null without one, since 0 is a place. Displacement, twist and slip (0 stick, 1 partial, 2
-    full) are of the object that has the most of each, null where none is told. `fps` is the rate of delivery in 1/s.
+    of the greatest object and null without one, since 0 is a place. Shear, twist and slip (0 stick, 1 partial, 2
+    full) are of the object that has the most of each, null where there is none. `fps` is the rate of delivery in 1/s.
     `t_ns` and `wall_ns` are of the capture, on the daemon's monotonic clock and in Unix time.
     """
     x_mm, y_mm = result.objects[0].centroid_mm[:2] if result.objects else (None, None)

@@ -1,6 +1,6 @@
 """``info``, ``contact``, ``health``, ``state`` and ``status/<part>`` as a subscriber understands them.
 
-Keys that it does not know are ignored; what no daemon tells is refused (`protocol.strict`).
+Keys that it does not know are ignored; what no daemon publishes is refused (`protocol.strict`).
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class Percentiles(msgspec.Struct, frozen=True):
 
 
 class Health(msgspec.Struct, frozen=True):
-    """A decoded ``health``: what is counted and measured of every hand; the rest of it is for people."""
+    """A decoded ``health``: what is counted and measured of every sensor; the rest of it is for people."""
 
     uptime_s: _Rate
     frames: _Counts

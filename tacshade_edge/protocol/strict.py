@@ -1,4 +1,4 @@
-"""The one way to understand JSON that a hand published: whoever reaches the broker may have written it."""
+"""The one way to understand JSON that a sensor published: whoever reaches the broker may have written it."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def decode(what: str, payload: bytes, kind: type[T]) -> T:
     Raises
     ------
     DecodeError
-        More bytes, values, levels or characters than any daemon tells, a number that is none, not JSON, or no `kind`.
+        More bytes, values, levels or characters than a daemon publishes, a number that is none, not JSON, or no `kind`.
     """
     if len(payload) > BYTES_MAX:
         raise DecodeError(f"{what}: {len(payload)} bytes, expected at most {BYTES_MAX}")

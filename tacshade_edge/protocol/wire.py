@@ -118,7 +118,7 @@ class ShearMessage(_Message):
     Attributes
     ----------
     shear_mm : float32 (rows, cols, 2)
-        Displacement of the skin along x and y in mm, in steps of the scale; NaN outside the disc. Read-only.
+        Shear of the skin along x and y in mm, in steps of the scale; NaN outside the disc. Read-only.
     row0, col0, step_px : float
         As of `HeightMessage`.
     """
@@ -163,9 +163,9 @@ def encode_height(
 def encode_shear(
     result: Reconstruction, *, calibration_crc32: int, pose: Pose | None = None, pose_error_us: int = 0
 ) -> bytes:
-    """The ``shear`` payload of a reconstruction that tells displacement, coded as heights: x, y of each cell."""
+    """The ``shear`` payload of a reconstruction with shear, coded as heights: x, y of each cell."""
     if result.shear_mm is None:
-        raise ValueError(f"profile {result.profile} tells no displacement")
+        raise ValueError(f"profile {result.profile} reports no shear")
     whose = _whose(result, calibration_crc32)
     return _pack(whose, _SHEAR, *_steps(result.shear_mm, result.height), pose, pose_error_us)
 
@@ -173,9 +173,9 @@ def encode_shear(
 def encode_sigma(
     result: Reconstruction, *, calibration_crc32: int, pose: Pose | None = None, pose_error_us: int = 0
 ) -> bytes:
-    """The ``sigma`` payload of a reconstruction that tells its errors, coded as heights."""
+    """The ``sigma`` payload of a reconstruction with its errors, coded as heights."""
     if result.sigma_mm is None:
-        raise ValueError(f"profile {result.profile} tells no error")
+        raise ValueError(f"profile {result.profile} reports no error")
     whose = _whose(result, calibration_crc32)
     return _pack(whose, _SIGMA, *_steps(result.sigma_mm, result.height), pose, pose_error_us)
 

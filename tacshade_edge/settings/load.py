@@ -16,7 +16,7 @@ from tacshade_edge.core.profiles import AUTO, DEFAULT
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.quoting import did_you_mean, shown
 from tacshade_edge.settings import strict_yaml
-from tacshade_edge.settings.model import FINGER, HAND, SENSORS, Files, Settings, Simulated, Source, json_schema
+from tacshade_edge.settings.model import FINGER, HAND, RENAMED, SENSORS, Files, Settings, Simulated, Source, json_schema
 from tacshade_edge.settings.placed import wrong_with
 from tacshade_edge.settings.several import own_folders, split
 from tacshade_edge.settings.strict_yaml import Found, Key, Mistake, dotted
@@ -131,7 +131,7 @@ def _hand_mistakes(
         return [_mistake(path, found, (FINGER,), f"found it without {HAND}, expected it in a hand's sensors only")]
     if seven is None:
         text = f"found nothing with {HAND}, expected a place"
-        return [_mistake(path, found, (FINGER,), text)] if FINGER in value else []  # else it was told
+        return [_mistake(path, found, (FINGER,), text)] if FINGER in value else []  # else it was reported
     problem = wrong_with(seven)
     return [_mistake(path, found, (FINGER,), problem)] if problem else []
 
@@ -282,6 +282,8 @@ def _explain(
     schema = _schema_at(key, value, root)
     if unknown := re.match(r"Object contains unknown field `(.*?)`(?: - at `|$)", message, re.DOTALL):
         names = list(schema["properties"])
+        if (renamed := RENAMED.get(unknown[1])) in names:
+            return [(*key, unknown[1])], lambda _: f"found a setting's old name, expected {renamed}", (*key, unknown[1])
         problem = f"found an unknown key, expected one of {', '.join(names)}{did_you_mean(unknown[1], names)}"
         return [(*key, unknown[1])], lambda _: problem, (*key, unknown[1])
     if missing := re.match(r"Object missing required field `(.*?)`", message):

@@ -61,6 +61,8 @@ OWN = ("sensor_id", "calibration", "source", "hand_T_sensor")
 """What no two sensors can have in common."""
 HAND, FINGER = "hand_id", "hand_T_sensor"
 """Of the hand that several sensors are, and of each of them there; not in a file with one sensor."""
+RENAMED = {"displacement": "shear", "before_s": "pre_roll_s"}
+"""Old names of settings, which are refused with the new one."""
 _ID = "^[A-Za-z0-9_-]{1,64}$"
 _SENSOR_ID = "^(?!hand$)[A-Za-z0-9_-]{1,64}$"  # topics of hands lie below tacshade/hand
 
@@ -84,7 +86,9 @@ class Recorder(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     folder: Annotated[str, Meta(min_length=1, description="a folder for recordings, each in its own below")] = (
         "/var/lib/tacshade-edge/recordings"
     )
-    before_s: Annotated[float, Meta(ge=0, le=60, description="a recording begins so long before it is asked for")] = 0.0
+    pre_roll_s: Annotated[float, Meta(ge=0, le=60, description="a recording begins so long before it is requested")] = (
+        0.0
+    )
 
 
 class Stitching(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -122,8 +126,8 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     latency_budget_ms: (
         Annotated[float, Meta(gt=0, le=60_000, description="from a frame's time stamp to its result, for auto")] | None
     ) = None
-    displacement: Annotated[
-        Literal["asked", "always"], Meta(description="when the skin's displacement, twist and slip are computed")
+    shear: Annotated[
+        Literal["asked", "always"], Meta(description="when the skin's shear, twist and slip are computed")
     ] = "asked"
     source: Annotated[V4l2 | Rpicam | Files | Simulated, Meta(description="where frames come from")] = V4l2()
     mqtt: Annotated[Mqtt, Meta(description="the broker")] = Mqtt()
@@ -186,5 +190,5 @@ def _each(sensor: dict[str, Any]) -> dict[str, Any]:
 
 
 def digest(settings: Settings) -> str:
-    """First 12 hex digits of the SHA-256 of the settings: tells two configurations apart in ``info``."""
+    """First 12 hex digits of the SHA-256 of the settings: distinguishes two configurations in ``info``."""
     return hashlib.sha256(msgspec.json.encode(settings, order="deterministic")).hexdigest()[:12]

@@ -23,7 +23,7 @@ _VALUES_MAX = 10_000  # which the reader takes about a third of a second for
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """Where a key stands and the text of its value; `at` is the key that its path is told below."""
+    """Where a key stands and the text of its value; `at` is the key that its path is shown below."""
 
     line: int
     text: str

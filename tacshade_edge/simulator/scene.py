@@ -38,7 +38,7 @@ class SimulatedFrame:
         return measure(self.skin, self.presses, self.model.geometry, shape)
 
     def shear_mm(self, row: F64, col: F64) -> F64:
-        """Displacement (N, 2) of the material that the rays of pixels inside the disc meet: x, y in mm."""
+        """Shear (N, 2) of the material that the rays of pixels inside the disc meet: x, y in mm."""
         return shear_mm(self.skin, skin_points(self.skin, self.model.geometry, row, col), self.model.friction)
 
 

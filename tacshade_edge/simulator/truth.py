@@ -124,7 +124,7 @@ def skin_points(skin: Skin, geometry: Geometry, row: F64, col: F64) -> F64:
 
 
 def shear_mm(skin: Skin, points_mm: F64, friction: float) -> F64:
-    """Displacement along x and y, from every cause, of the material that is at points of a deformed skin.
+    """Shear along x and y, from every cause, of the material that is at points of a deformed skin.
 
     Parameters
     ----------

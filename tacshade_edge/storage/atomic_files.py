@@ -31,7 +31,7 @@ def require_free(folder: Path, floor_bytes: int | None = None) -> None:
     Parameters
     ----------
     folder : Path
-        It, or the first of its parents that is there, tells the disk.
+        It, or the first of its parents that is there, shows the disk.
     floor_bytes : int, optional
         `FREE_FLOOR_BYTES`.
 

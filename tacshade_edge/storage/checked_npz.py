@@ -103,7 +103,7 @@ def read(name: str, what: str, writer: str) -> tuple[Content, int]:
 
 
 def _members(data: bytes) -> dict[str, bytes]:
-    """What is in an .npz by its name, once the archive's table has told sizes that can be. Raises one of `_DAMAGE`."""
+    """What is in an .npz by its name, once the archive's table states sizes that can be. Raises one of `_DAMAGE`."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         entries = archive.infolist()
         if len(entries) > _MEMBERS_MAX or sum(entry.file_size for entry in entries) > BYTES_MAX:

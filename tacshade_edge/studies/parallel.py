@@ -74,7 +74,7 @@ def reported_map(
     *,
     fresh: bool = False,
 ) -> Iterator[Result]:
-    """`ordered_map` that tells how far it is."""
+    """`ordered_map` that reports how far it is."""
     report(what, 0, len(tasks))
     for k, result in enumerate(ordered_map(function, tasks, cores, fresh=fresh)):
         report(what, k + 1, len(tasks))

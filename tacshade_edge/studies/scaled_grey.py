@@ -1,4 +1,4 @@
-"""The paper's depth without eq. 11: what its iterations start from, to tell what they buy."""
+"""The paper's depth without eq. 11: what its iterations start from, to show what they buy."""
 
 from __future__ import annotations
 

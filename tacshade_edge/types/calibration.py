@@ -77,7 +77,7 @@ class FittedNetwork:
         On those, at the cells where the indenter's surface is known: mean error of h, its own and that of the shipped
         network with its one factor; each indenter counts alike.
     error_scale : float or None
-        On σ, as those presses tell (`core.depth.sigma`); None where it was not measured.
+        On σ, as those presses show (`core.depth.sigma`); None where it was not measured.
 
     Raises
     ------
@@ -132,7 +132,7 @@ class Calibration:
     fitted : mapping of str to FittedNetwork
         Of each profile that has weights of its own; its factor is not used.
     error_scales : mapping of str to float
-        On σ, of each profile whose shipped network's errors presses have told (`core.depth.sigma`).
+        On σ, of each profile whose shipped network's errors presses have shown (`core.depth.sigma`).
     flange_T_sensor : 7 floats
         x, y, z in mm, quaternion w, x, y, z.
     crc32 : int
@@ -166,7 +166,7 @@ class Calibration:
         _check_numbers(self)
 
     def error_scale(self, profile: str) -> float | None:
-        """That of the network that the profile runs, fitted or shipped; None where no presses have told it."""
+        """That of the network that the profile runs, fitted or shipped; None where no presses have shown it."""
         fitted = self.fitted.get(profile)
         return self.error_scales.get(profile) if fitted is None else fitted.error_scale
 

@@ -55,7 +55,7 @@ class ObjectCloud:
 
 
 class Need(Flag):
-    """How much of a frame is asked for; both the displacement and the error of depth have depth with them."""
+    """How much of a frame is asked for; both the shear and the error of depth have depth with them."""
 
     CONTACT = 0
     DEPTH = 1
@@ -88,11 +88,11 @@ class TouchedObject:
     normal : (float, float, float)
         Unit normal of the plane through its points, away from the camera.
     shear_mm : (float, float) or None
-        Mean displacement along x and y of the skin that it touches; None where the solver tells none.
+        Mean shear along x and y of the skin that it touches; None where the solver reports none.
     twist_deg : float or None
         Angle about z, from x towards y, of the least-squares rotation of that skin; None also where it is too small.
     strain_mm : float or None
-        Root mean square of what displacement and rotation leave: nothing of skin that it holds.
+        Root mean square of what shear and rotation leave: nothing of skin that it holds.
     id : int or None
         The same while it touches, from frame to frame; None of a single image, as what follows.
     slip : Slip or None
@@ -142,11 +142,11 @@ class Reconstruction:
     repaired_px : int
         Pixels whose solver value was not finite and was replaced.
     shear_mm : float32 (rows, cols, 2) or None
-        Displacement along x and y, from every cause, of the skin that a cell's ray meets; on the grid of `height`, NaN
-        outside the disc, 0 without contact. None where the solver tells none.
+        Shear along x and y, from every cause, of the skin that a cell's ray meets; on the grid of `height`, NaN
+        outside the disc, 0 without contact. None where the solver reports none.
     sigma_mm : float32 (rows, cols) or None
         Standard deviation of `height` where its `contact` is true, elsewhere NaN (`core.depth.sigma`). None where the
-        solver tells none.
+        solver reports none.
     untrusted : bool (rows, cols) or None
         Cells that do not show the sensor's skin: their values say nothing, and they are no contact. None: no cell.
     """
@@ -176,7 +176,7 @@ class Reconstruction:
 
     @property
     def shear_of_contact_mm(self) -> tuple[float, float] | None:
-        """Mean displacement over all cells of the contact; None without contact or where none is told."""
+        """Mean shear over all cells of the contact; None without contact or where none is reported."""
         if self.shear_mm is None or not self.contact:
             return None
         x_mm, y_mm = self.shear_mm[self.height.contact].mean(axis=0, dtype=np.float64).tolist()

@@ -29,8 +29,8 @@ from tacshade_edge.types import F64, Pose
 from tools.testbed.bridge_process import BridgeProcess
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker
 from tools.testbed.patience import patience
-from tools.testbed.published_hand import CRC, PublishedHand, bump
-from tools.testbed.published_hand import calibration as published_calibration
+from tools.testbed.published_sensor import CRC, PublishedSensor, bump
+from tools.testbed.published_sensor import calibration as published_calibration
 
 pytest.importorskip("foxglove", reason="the extra foxglove is not installed")
 pytest.importorskip("foxglove_schemas_protobuf", reason="Foxglove's published schemas are not installed")
@@ -126,9 +126,9 @@ class Asker:
 
 
 @contextmanager
-def bridged(folder: Path, *words: str) -> Iterator[tuple[str, PublishedHand, Asker]]:
-    """A bridge as its users run it, for a broker with one hand; its address."""
-    with Broker(folder) as broker, PublishedHand(broker.port) as hand:
+def bridged(folder: Path, *words: str) -> Iterator[tuple[str, PublishedSensor, Asker]]:
+    """A bridge as its users run it, for a broker with one sensor; its address."""
+    with Broker(folder) as broker, PublishedSensor(broker.port) as sensor:
         command = [sys.executable, "-m", "tacshade_edge", "bridge", "foxglove", "--broker", f"127.0.0.1:{broker.port}"]
         child = subprocess.Popen([*command, "--listen", "127.0.0.1:0", *words], stdout=subprocess.PIPE, text=True)
         asker = Asker(broker.port)
@@ -136,7 +136,7 @@ def bridged(folder: Path, *words: str) -> Iterator[tuple[str, PublishedHand, Ask
             assert child.stdout is not None
             found = re.search(r"ws://\S+", child.stdout.readline())
             assert found
-            yield found[0], hand, asker
+            yield found[0], sensor, asker
             child.send_signal(signal.SIGTERM)
             assert child.wait(patience(10)) == 0
         finally:
@@ -165,7 +165,7 @@ def test_a_viewer_sees_a_press(tmp_path: Path) -> None:
     later = replace(press, t_ns=press.t_ns + 10**9)  # not too soon for a mesh
     pose = Pose(press.t_ns, 100.0, -20.0, 300.0, 0.5, 0.5, 0.5, 0.5)
 
-    async def watch(url: str, hand: PublishedHand, asker: Asker) -> None:
+    async def watch(url: str, sensor: PublishedSensor, asker: Asker) -> None:
         async with viewer(url) as seen:
             await seen.subscribe("/tacshade/drawn/tf", "/tacshade/drawn/skin")
             rest, placed = await seen.until("skin", "tf")  # before any touch
@@ -177,15 +177,15 @@ def test_a_viewer_sees_a_press(tmp_path: Path) -> None:
             assert (fixed.parent_frame_id, fixed.child_frame_id) == ("drawn/flange", "drawn/sensor")
             await seen.subscribe(*(f"/tacshade/drawn/{name}" for name in ("height", "cloud", "contact", "log")))
             await until(lambda: all(asker.heard(f"tacshade/drawn/{name}") for name in ("height", "cloud", "contact")))
-            hand.tell("state", b"degraded")
+            sensor.tell("state", b"degraded")
             await seen.until(
                 "log", found=lambda line: (line.name, line.message) == ("tacshade/drawn/state", "degraded")
             )
             height = wire.encode_height(press, calibration_crc32=CRC, pose=pose, pose_error_us=9)
-            hand.tell("height", height)
-            hand.tell("cloud", wire.encode_cloud(press, calibration_crc32=CRC))
+            sensor.tell("height", height)
+            sensor.tell("cloud", wire.encode_cloud(press, calibration_crc32=CRC))
             contact = messages.encode_contact(press, fps=30.0)
-            hand.tell("contact", contact)
+            sensor.tell("contact", contact)
             image, cloud, told = await seen.until("height", "cloud", "contact")
             expected = wire.decode(height)
             assert isinstance(expected, HeightMessage)
@@ -197,18 +197,18 @@ def test_a_viewer_sees_a_press(tmp_path: Path) -> None:
             points = np.frombuffer(cloud.data, [("xyz", "<f4", 3), ("object", "<u2")])
             np.testing.assert_allclose(points["xyz"], press.cloud.points_mm / 1000, rtol=1e-6)
             np.testing.assert_array_equal(points["object"], press.cloud.labels)
-            hand.tell("height", height)  # what came with the first was read above
+            sensor.tell("height", height)  # what came with the first was read above
             (robot,) = await seen.until("tf", found=lambda tf: tf.transforms[0].parent_frame_id == "drawn/base")
             (moved,) = robot.transforms
             assert moved.child_frame_id == "drawn/flange"
             assert (moved.translation.x, moved.translation.y, moved.translation.z) == (0.1, -0.02, 0.3)
-            hand.tell("height", wire.encode_height(later, calibration_crc32=CRC))
+            sensor.tell("height", wire.encode_height(later, calibration_crc32=CRC))
             (pressed,) = await seen.until("skin", found=lambda skin: least_radius_mm(skin) < 19)
             assert least_radius_mm(pressed) == pytest.approx(18.0, abs=0.05)  # its corners lie beside the deepest point
             assert told == json.loads(contact)
 
-    with bridged(tmp_path) as (url, hand, asker):
-        asyncio.run(watch(url, hand, asker))
+    with bridged(tmp_path) as (url, sensor, asker):
+        asyncio.run(watch(url, sensor, asker))
 
 
 def test_only_what_is_watched_is_asked_for(tmp_path: Path) -> None:
@@ -233,27 +233,27 @@ def test_only_what_is_watched_is_asked_for(tmp_path: Path) -> None:
 
 
 def test_what_does_not_decode_is_left_out(tmp_path: Path) -> None:
-    async def watch(url: str, hand: PublishedHand, asker: Asker) -> None:
+    async def watch(url: str, sensor: PublishedSensor, asker: Asker) -> None:
         async with viewer(url) as seen:
             await seen.subscribe("/tacshade/drawn/height", "/tacshade/drawn/log")
             await until(lambda: asker.heard("tacshade/drawn/height"))
             for damaged in (b"TCSH", wire.encode_cloud(bump(1, 1.0, 236.0, 328.0), calibration_crc32=CRC)):
-                hand.tell("height", damaged)
+                sensor.tell("height", damaged)
             for damaged in (b"{", b"[]", b"\xff", b"[" * 100_000):
-                hand.tell("info", damaged)
-                hand.tell("status/camera", damaged)
-            hand.tell("height", wire.encode_height(bump(3, 1.0, 236.0, 328.0, 4), calibration_crc32=CRC))
+                sensor.tell("info", damaged)
+                sensor.tell("status/camera", damaged)
+            sensor.tell("height", wire.encode_height(bump(3, 1.0, 236.0, 328.0, 4), calibration_crc32=CRC))
             (image,) = await seen.until("height")
             assert image.width == 160
 
-    with bridged(tmp_path) as (url, hand, asker):
-        asyncio.run(watch(url, hand, asker))
+    with bridged(tmp_path) as (url, sensor, asker):
+        asyncio.run(watch(url, sensor, asker))
 
 
 def test_a_geometry_that_no_sensor_has_is_reported_and_other_hands_are_shown(tmp_path: Path) -> None:
     """Retained, so that it is there at every start; the viewer asks for its skin too, should there be one."""
 
-    async def watch(url: str, real: PublishedHand, bad: PublishedHand, payload: bytes, asker: Asker) -> None:
+    async def watch(url: str, real: PublishedSensor, bad: PublishedSensor, payload: bytes, asker: Asker) -> None:
         async with viewer(url) as seen:
             await seen.subscribe("/tacshade/drawn/skin", "/tacshade/drawn/height")
             await seen.until("skin")
@@ -269,13 +269,13 @@ def test_a_geometry_that_no_sensor_has_is_reported_and_other_hands_are_shown(tmp
         messages.encode_info(version="0", config_digest="0", profile="fast", calibration=published_calibration())
     )
     values = {"radius_px": "0", "skin_radius_mm": "0", "camera_distance_mm": "1e308", "row_c": "1" + "0" * 400}
-    with Broker(tmp_path) as broker, PublishedHand(broker.port, "bad") as bad:
+    with Broker(tmp_path) as broker, PublishedSensor(broker.port, "bad") as bad:
         for key, value in values.items():
             changed = json.dumps({**info, "geometry": {**info["geometry"], key: "?"}}).replace('"?"', value)
             bad.base = f"tacshade/bad-{key}"
             bad.tell("info", changed.encode(), retain=True)
         with (
-            PublishedHand(broker.port) as real,
+            PublishedSensor(broker.port) as real,
             BridgeProcess("foxglove", broker.port, tmp_path / "log") as bridge,
         ):
             asker = Asker(broker.port)

@@ -1,4 +1,4 @@
-"""The metrics as Prometheus reads them: its own parser, a real broker, a hand that falls silent."""
+"""The metrics as Prometheus reads them: its own parser, a real broker, a sensor that falls silent."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from typing import Any
 
 import pytest
 
-from tacshade_edge.bridge.roster import HANDS_MAX
+from tacshade_edge.bridge.roster import SENSORS_MAX
 from tools.testbed.bridge_process import BridgeProcess
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker
 from tools.testbed.patience import patience, wait_until
-from tools.testbed.published_hand import PublishedHand
 from tools.testbed.published_health import health
+from tools.testbed.published_sensor import PublishedSensor
 
 parser = pytest.importorskip("prometheus_client.parser", reason="the extra prometheus is not installed")
 
@@ -32,14 +32,14 @@ def series(text: str) -> Series:
     }
 
 
-def test_what_is_told_of_a_hand() -> None:
+def test_what_is_told_of_a_sensor() -> None:
     from prometheus_client import CollectorRegistry, generate_latest
 
-    from tacshade_edge.bridge.prometheus import Hands
+    from tacshade_edge.bridge.prometheus import SensorMetrics
 
-    hands = Hands([])
+    sensors = SensorMetrics([])
     registry = CollectorRegistry()
-    registry.register(hands)
+    registry.register(sensors)
     payload = health()
 
     def told() -> dict[str, float]:
@@ -49,13 +49,13 @@ def test_what_is_told_of_a_hand() -> None:
             for (name, labels), x in found.items()
         }
 
-    hands.hear("tacshade/left/state", b"online", True)
-    hands.hear("tacshade/left/health", payload, True)  # retained: of another time
+    sensors.hear("tacshade/left/state", b"online", True)
+    sensors.hear("tacshade/left/health", payload, True)  # retained: of another time
     assert told()["tacshade_up"] == 0
     assert "tacshade_uptime_seconds" not in told()
     for damaged in (b"{", b"[]", b"\xff", b"[" * 100_000, b'{"uptime_s": "a"}'):
-        hands.hear("tacshade/left/health", damaged, False)
-    hands.hear("tacshade/left/health", payload, False)
+        sensors.hear("tacshade/left/health", damaged, False)
+    sensors.hear("tacshade/left/health", payload, False)
     got = told()
     said = json.loads(payload)
     assert got["tacshade_up"] == got["tacshade_state online"] == 1
@@ -68,7 +68,7 @@ def test_what_is_told_of_a_hand() -> None:
     assert got["tacshade_reason invalid torn"] == 1
     assert got["tacshade_mqtt_total published"] == 9
     assert got["tacshade_recorder_frames_total written"] == 5
-    hands.hear("tacshade/left/state", b"offline", False)
+    sensors.hear("tacshade/left/state", b"offline", False)
     assert {name.split()[0] for name in told()} == {"tacshade_up", "tacshade_state", "tacshade_bridge_refused_total"}
     assert told()["tacshade_up"] == 0
 
@@ -77,59 +77,59 @@ def test_a_silent_hand_tells_no_numbers() -> None:
     from tacshade_edge.bridge import prometheus
 
     now_s = 100.0
-    hands = prometheus.Hands([], lambda: now_s)
-    hands.hear("tacshade/left/state", b"online", True)
-    hands.hear("tacshade/left/health", health(), False)
-    names = {sample.name for family in hands.collect() for sample in family.samples}
+    sensors = prometheus.SensorMetrics([], lambda: now_s)
+    sensors.hear("tacshade/left/state", b"online", True)
+    sensors.hear("tacshade/left/health", health(), False)
+    names = {sample.name for family in sensors.collect() for sample in family.samples}
     assert "tacshade_capture_fps" in names
     now_s += prometheus.FRESH_S + 0.1
-    samples = [sample for family in hands.collect() for sample in family.samples]
+    samples = [sample for family in sensors.collect() for sample in family.samples]
     assert {sample.name for sample in samples} == {"tacshade_up", "tacshade_state", "tacshade_bridge_refused_total"}
     assert samples[0].value == 0
 
 
-def up_of(hands: Any) -> dict[str, float]:
-    (family,) = (family for family in hands.collect() if family.name == "tacshade_up")
+def up_of(sensors: Any) -> dict[str, float]:
+    (family,) = (family for family in sensors.collect() if family.name == "tacshade_up")
     return {sample.labels["sensor"]: sample.value for sample in family.samples}
 
 
 def test_what_never_told_a_health_or_stopped_is_not_down() -> None:
-    hands = prometheus.Hands([])
-    hands.hear("tacshade/replay/state", b"online", False)
+    sensors = prometheus.SensorMetrics([])
+    sensors.hear("tacshade/replay/state", b"online", False)
     for name, state in (("ended", b"stopped"), ("died", b"offline"), ("hangs", b"online")):
-        hands.hear(f"tacshade/{name}/state", state, True)
-        hands.hear(f"tacshade/{name}/health", health(), True)
-    assert up_of(hands) == {"died": 0, "hangs": 0}
-    hands.hear("tacshade/ended/state", b"online", False)
-    hands.hear("tacshade/ended/health", health(), False)
-    assert up_of(hands) == {"died": 0, "hangs": 0, "ended": 1}
-    hands.hear("tacshade/died/state", b"", False)  # dismissed
-    assert up_of(hands) == {"hangs": 0, "ended": 1}
+        sensors.hear(f"tacshade/{name}/state", state, True)
+        sensors.hear(f"tacshade/{name}/health", health(), True)
+    assert up_of(sensors) == {"died": 0, "hangs": 0}
+    sensors.hear("tacshade/ended/state", b"online", False)
+    sensors.hear("tacshade/ended/health", health(), False)
+    assert up_of(sensors) == {"died": 0, "hangs": 0, "ended": 1}
+    sensors.hear("tacshade/died/state", b"", False)  # dismissed
+    assert up_of(sensors) == {"hangs": 0, "ended": 1}
 
 
 def test_real_hands_come_before_invented_ones() -> None:
-    hands = prometheus.Hands([])
-    for number in range(2 * HANDS_MAX):
-        hands.hear(f"tacshade/a{number}/state", b"online", True)
-    hands.hear("tacshade/real/health", health(), True)
-    assert up_of(hands) == {"real": 0}
-    hands.hear("tacshade/other/health", health(), False)
-    assert up_of(hands) == {"other": 1, "real": 0}
-    refused = {s.labels["why"]: s.value for f in hands.collect() for s in f.samples if "refused" in f.name}
-    assert refused == {"undecodable": 0, "no_room": HANDS_MAX}
+    sensors = prometheus.SensorMetrics([])
+    for number in range(2 * SENSORS_MAX):
+        sensors.hear(f"tacshade/a{number}/state", b"online", True)
+    sensors.hear("tacshade/real/health", health(), True)
+    assert up_of(sensors) == {"real": 0}
+    sensors.hear("tacshade/other/health", health(), False)
+    assert up_of(sensors) == {"other": 1, "real": 0}
+    refused = {s.labels["why"]: s.value for f in sensors.collect() for s in f.samples if "refused" in f.name}
+    assert refused == {"undecodable": 0, "no_room": SENSORS_MAX}
 
 
 @pytest.mark.parametrize("number", ["1" + "0" * 400, "1e308", "-1"])
 def test_a_health_that_no_daemon_tells_harms_no_other(number: str, caplog: pytest.LogCaptureFixture) -> None:
     from prometheus_client import CollectorRegistry, generate_latest
 
-    hands = prometheus.Hands([])
+    sensors = prometheus.SensorMetrics([])
     registry = CollectorRegistry()
-    registry.register(hands)
+    registry.register(sensors)
     bad = json.dumps({**json.loads(health()), "source_dropped": "?"}).replace('"?"', number).encode()
     for _ in range(3):
-        hands.hear("tacshade/bad/health", bad, False)
-        hands.hear("tacshade/right/health", health(), False)
+        sensors.hear("tacshade/bad/health", bad, False)
+        sensors.hear("tacshade/right/health", health(), False)
     page = series(generate_latest(registry).decode())
     assert page["tacshade_up", (("sensor", "right"),)] == 1
     assert page["tacshade_bridge_refused_total", (("why", "undecodable"),)] == 3
@@ -142,17 +142,17 @@ def test_a_health_that_no_daemon_tells_harms_no_other(number: str, caplog: pytes
 def test_prometheus_reads_it(tmp_path: Path) -> None:
     with (
         Broker(tmp_path) as broker,
-        PublishedHand(broker.port) as hand,
+        PublishedSensor(broker.port) as sensor,
         BridgeProcess("prometheus", broker.port, tmp_path / "log") as bridge,
     ):
 
         def is_up() -> bool:
-            hand.tell("health", health())
+            sensor.tell("health", health())
             with contextlib.suppress(OSError):
                 return series(bridge.page()).get(("tacshade_up", (("sensor", "drawn"),))) == 1
             return False
 
-        wait_until(is_up, 20, "the hand is up")
+        wait_until(is_up, 20, "the sensor is up")
         with contextlib.ExitStack() as idle:
             for _ in range(3 * prometheus.CONNECTIONS_MAX):
                 idle.enter_context(socket.create_connection(("127.0.0.1", bridge.port), 5))

@@ -114,7 +114,7 @@ def test_a_step_to_contact_ends_where_something_touches() -> None:
     assert stages == ["check", "grey", "gate"]
 
 
-def test_displacement_is_left_out_where_only_depth_is_asked_for() -> None:
+def test_shear_is_left_out_where_only_depth_is_asked_for() -> None:
     stages: list[str] = []
     made, touched = reconstructor("fast", HALF, 0), Frame(0, 0, 0, pressed("ball", 2.0).image)
     result = made.step(touched, stages.append, Need.DEPTH)

@@ -113,14 +113,14 @@ def test_a_recording_begins_before_it_is_asked_for(
         pytest.importorskip("mcap")
         pytest.importorskip("foxglove_schemas_protobuf")
     settings = document(tmp_path, broker.port)
-    settings.path.write_text(settings.path.read_text().replace("recs}", "recs, before_s: 30}"))
+    settings.path.write_text(settings.path.read_text().replace("recs}", "recs, pre_roll_s: 30}"))
     app = Running(load(settings.path), scripted(paced(pictures.free)), calibration)
     try:
-        wait_until(lambda: last(seen, "health").get("recorder", {}).get("before", 0) > 20, 10, "frames are kept")
+        wait_until(lambda: last(seen, "health").get("recorder", {}).get("pre_roll", 0) > 20, 10, "frames are kept")
         assert ask(seen, "record", action="start", seconds=600, name="one", format=format_)["ok"]
         assert ask(seen, "record", action="mark")["ok"]
         stopped = ask(seen, "record", action="stop")["result"]
-        told = {"written": stopped["frames"], "dropped": 0, "waiting": 0, "before_dropped": 0}
+        told = {"written": stopped["frames"], "dropped": 0, "waiting": 0, "pre_roll_dropped": 0}
         wait_until(lambda: told.items() <= last(seen, "health")["recorder"].items(), 5, f"health tells {told}")
     finally:
         app.end()

@@ -12,7 +12,7 @@ import pytest
 
 from tacshade_edge.protocol import messages
 from tools.testbed.patience import patience
-from tools.testbed.published_hand import calibration
+from tools.testbed.published_sensor import calibration
 
 NODE = shutil.which("node")
 pytestmark = [pytest.mark.node, pytest.mark.skipif(NODE is None, reason="Node.js is not installed")]

@@ -4,7 +4,7 @@ from http import HTTPStatus
 
 import pytest
 
-from tacshade_edge.dashboard.login import PERIOD_S, WRONG_MAX, Login, told
+from tacshade_edge.dashboard.login import PERIOD_S, WRONG_MAX, Login, offered
 
 TOKEN = "a-token-of-this-test"
 WRONG, TOO_MANY = HTTPStatus.UNAUTHORIZED, HTTPStatus.TOO_MANY_REQUESTS
@@ -20,7 +20,7 @@ def login() -> Login:
     [(None, None), ("", None), ("Bearer", ""), ("Bearer abc", "abc"), ("bearer abc", "abc"), ("Basic dTpw", None)],
 )
 def test_what_a_header_tells(header: str | None, token: str | None) -> None:
-    assert told(header) == token
+    assert offered(header) == token
 
 
 @pytest.mark.parametrize(

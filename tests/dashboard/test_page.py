@@ -32,8 +32,8 @@ from tools.testbed.dashboard_process import dashboard
 from tools.testbed.growing_map import scan
 from tools.testbed.mqtt_rig import Broker, Subscriber
 from tools.testbed.patience import wait_until
-from tools.testbed.published_hand import COLS, DISC, PublishedHand, bump, dragged, uncertain
-from tools.testbed.published_hand import calibration as calibrated_hand
+from tools.testbed.published_sensor import COLS, DISC, PublishedSensor, bump, dragged, uncertain
+from tools.testbed.published_sensor import calibration as calibrated_sensor
 from tools.testbed.shown_page import (
     NEEDS_A_BROWSER,
     daemon,
@@ -57,7 +57,7 @@ SOLVER_RATIO = 0.25  # what `fast` may be off on a ball; the daemon's own test o
 
 
 def pressed_mm(seq: int) -> float:
-    """The greatest h that the simulated hand makes in this frame."""
+    """The greatest h that the simulated sensor makes in this frame."""
     return float(SimulatedSensor().frame(SCRIPT.at(seq)).skin.height_mm.max())
 
 
@@ -68,7 +68,7 @@ def held(seq: int | None) -> str:
 
 
 def test_the_drawn_depth_is_the_pressed_depth(page: Chrome, tmp_path: Path, calibration: Path) -> None:
-    """From the colours of the canvas back to mm, against the payload and against what the simulated hand pressed."""
+    """From the colours of the canvas back to mm, against the payload and against what the simulated sensor pressed."""
     with (
         Broker(tmp_path) as broker,
         dashboard(f"127.0.0.1:{broker.port}") as address,
@@ -110,10 +110,10 @@ def test_every_cell_has_the_colour_of_its_depth(page: Chrome, tmp_path: Path) ->
     with (
         Broker(tmp_path) as broker,
         dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedHand(broker.port) as hand,
+        PublishedSensor(broker.port) as sensor,
     ):
         opened(page, address)
-        until_shown(page, hand, lambda: uncertain(bump(7, 2.6, row, col), 0.125), 7)
+        until_shown(page, sensor, lambda: uncertain(bump(7, 2.6, row, col), 0.125), 7)
         truth = bump(7, 2.6, row, col).height.height_mm
         scale = js(page, "tacshade.scale_mm")
         assert scale == 3
@@ -138,7 +138,7 @@ def test_every_cell_has_the_colour_of_its_depth(page: Chrome, tmp_path: Path) ->
         shows(page, "ticks", "10 mm")
         Select(page.find_element(By.ID, "range")).select_by_value("auto")
 
-        until_shown(page, hand, lambda: bump(8, 0.0, row, col), 8)  # released
+        until_shown(page, sensor, lambda: bump(8, 0.0, row, col), 8)  # released
         assert js(page, "tacshade.drawnPeak()") == 0
         assert text(page, "objects") == ""
 
@@ -148,23 +148,23 @@ def test_arrows_show_how_the_skin_was_dragged_and_dots_when_it_slides(page: Chro
     with (
         Broker(tmp_path) as broker,
         dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedHand(broker.port) as hand,
+        PublishedSensor(broker.port) as sensor,
     ):
         opened(page, address)
-        until_shown(page, hand, lambda: dragged(bump(7, 2.6, row, col, 4), 2.0, -1.0), 7)
+        until_shown(page, sensor, lambda: dragged(bump(7, 2.6, row, col, 4), 2.0, -1.0), 7)
         wait_until(lambda: js(page, "tacshade.arrows") > 0, 15, "arrows")
         path = js(page, "document.getElementById('arrows').getAttribute('d')")
         shafts = [tuple(map(float, shaft)) for shaft in re.findall(r"M(\S+) (\S+)L(\S+) (\S+)M", path)]
         assert len(shafts) == js(page, "tacshade.arrows") < 200
         longest = max(shafts, key=lambda s: math.hypot(s[2] - s[0], s[3] - s[1]))
-        mm_per_px = calibrated_hand().geometry.mm_per_px
+        mm_per_px = calibrated_sensor().geometry.mm_per_px
         assert (longest[2] - longest[0]) * mm_per_px == pytest.approx(2.0, abs=0.1)
         assert (longest[3] - longest[1]) * mm_per_px == pytest.approx(-1.0, abs=0.1)
         assert math.hypot(longest[2] - col, longest[3] - row) < 25
         picture(page, "arrows", (1280, 900))
-        until_shown(page, hand, lambda: dragged(bump(8, 2.6, row, col, 4), 2.0, -1.0, Slip.FULL), 8)
+        until_shown(page, sensor, lambda: dragged(bump(8, 2.6, row, col, 4), 2.0, -1.0, Slip.FULL), 8)
         wait_until(lambda: js(page, "tacshade.slips") > 0, 15, "a slip in the chart")
-        until_shown(page, hand, lambda: bump(9, 0.0, row, col, 4), 9)
+        until_shown(page, sensor, lambda: bump(9, 0.0, row, col, 4), 9)
         assert js(page, "tacshade.arrows") == 0
 
 
@@ -176,7 +176,7 @@ def test_profile_and_zero_are_changed_through_requests(page: Chrome, tmp_path: P
     ):
         opened(page, address)
         profile = Select(page.find_element(By.ID, "profile"))
-        wait_until(lambda: page.find_element(By.ID, "profile").is_enabled(), 15, "the hand is online")
+        wait_until(lambda: page.find_element(By.ID, "profile").is_enabled(), 15, "the sensor is online")
         *others, dearest = [option.text for option in profile.options]
         assert others == [name for name in PROFILES if name != "paper"]
         assert dearest == "paper (200 times slower, less exact)"
@@ -198,20 +198,20 @@ def test_the_profile_that_auto_uses_now_is_shown_as_it_changes(page: Chrome, tmp
     with (
         Broker(tmp_path) as broker,
         dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedHand(broker.port) as hand,
+        PublishedSensor(broker.port) as sensor,
         Subscriber(broker.port, "tacshade/+/req/+") as seen,
     ):
         opened(page, address)
-        wait_until(lambda: page.find_element(By.ID, "profile").is_enabled(), 15, "the hand is online")
+        wait_until(lambda: page.find_element(By.ID, "profile").is_enabled(), 15, "the sensor is online")
         assert shown() == "fast"
         for profile in ("accurate", "fast"):
-            hand.tell_info(profile, profiles=("fast", "accurate", "auto"), choice="auto")
+            sensor.tell_info(profile, profiles=("fast", "accurate", "auto"), choice="auto")
             wait_until(lambda profile=profile: shown() == f"auto (now {profile})", 15, f"auto uses {profile}")
         Select(page.find_element(By.ID, "profile")).select_by_value("fast")
         asked = json.loads(seen.wait_for("tacshade/drawn/req/profile")[0])
         assert asked["profile"] == "fast"
-        hand.tell_info("fast", profiles=("fast", "accurate", "auto"), choice="fast")
-        hand.tell(
+        sensor.tell_info("fast", profiles=("fast", "accurate", "auto"), choice="fast")
+        sensor.tell(
             "res/profile",
             json.dumps({"transaction": asked["transaction"], "ok": True, "result": {"profile": "fast"}}).encode(),
         )
@@ -225,41 +225,41 @@ def test_a_hand_that_is_not_calibrated_yet_shows_its_picture_and_why(page: Chrom
     with (
         Broker(tmp_path) as broker,
         dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedHand(broker.port) as hand,
+        PublishedSensor(broker.port) as sensor,
     ):
         opened(page, address)
-        wait_until(lambda: page.find_element(By.ID, "rezero").is_enabled(), 15, "the hand is online")
-        hand.tell_info("fast", profiles=("fast",), missing=missing)
-        hand.tell("state", b"degraded", retain=True)
-        hand.tell("status/camera", messages.encode_status("unusable", missing), retain=True)
-        hand.tell("health", messages.encode_health({"invalid_reason": missing.text}))
-        hand.tell("preview", picture)
+        wait_until(lambda: page.find_element(By.ID, "rezero").is_enabled(), 15, "the sensor is online")
+        sensor.tell_info("fast", profiles=("fast",), missing=missing)
+        sensor.tell("state", b"degraded", retain=True)
+        sensor.tell("status/camera", messages.encode_status("unusable", missing), retain=True)
+        sensor.tell("health", messages.encode_health({"invalid_reason": missing.text}))
+        sensor.tell("preview", picture)
         shows(page, "state", "degraded camera: not calibrated: found no file")
         wait_until(lambda: page.find_element(By.ID, "picture").is_displayed(), 15, "the picture")
         assert not any(page.find_element(By.ID, name).is_displayed() for name in ("height", "space", "numbers"))
         assert not page.find_element(By.ID, "rezero").is_enabled()
-        hand.tell_info("fast", profiles=("fast",))
+        sensor.tell_info("fast", profiles=("fast",))
         wait_until(lambda: page.find_element(By.ID, "height").is_displayed(), 15, "calibrated")
 
 
 def test_several_hands(page: Chrome, tmp_path: Path) -> None:
     def tabs() -> list[str]:
-        # in one step: the page replaces the tabs when a hand tells its state
-        return list(js(page, "[...document.querySelectorAll('#hands button')].map(tab => tab.innerText.trim())"))
+        # in one step: the page replaces the tabs when a sensor tells its state
+        return list(js(page, "[...document.querySelectorAll('#sensors button')].map(tab => tab.innerText.trim())"))
 
     with (
         Broker(tmp_path) as broker,
         dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedHand(broker.port, "thumb") as thumb,
-        PublishedHand(broker.port, "index") as index,
+        PublishedSensor(broker.port, "thumb") as thumb,
+        PublishedSensor(broker.port, "index") as index,
     ):
         opened(page, address, "thumb")
         wait_until(lambda: tabs() == ["index", "thumb"], 10, "both tabs")
         until_shown(page, thumb, lambda: bump(1, 1.5, 200, 300, step_px=4), 1)
         index.show(bump(99, 0.9, 200, 300, step_px=4))
         thumb.show(bump(2, 1.0, 200, 300, step_px=4))
-        wait_until(lambda: js(page, "tacshade.seq === 2"), 10, "only the chosen hand's")
-        page.find_elements(By.CSS_SELECTOR, "#hands button")[0].click()
+        wait_until(lambda: js(page, "tacshade.seq === 2"), 10, "only the chosen sensor's")
+        page.find_elements(By.CSS_SELECTOR, "#sensors button")[0].click()
         assert js(page, "[tacshade.sensor, tacshade.seq]") == ["index", None]
         until_shown(page, index, lambda: bump(100, 0.9, 200, 300, step_px=4), 100)
         assert js(page, "tacshade.drawnPeak()") == pytest.approx(0.9, abs=0.01)
@@ -279,13 +279,13 @@ def test_the_skin_is_drawn_in_space(page: Chrome, tmp_path: Path) -> None:
     with (
         Broker(tmp_path) as broker,
         dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedHand(broker.port) as hand,
+        PublishedSensor(broker.port) as sensor,
     ):
         opened(page, address)
         assert js(page, "tacshade.webgl")
-        wait_until(lambda: js(page, "tacshade.sensor"), 10, "the hand")
+        wait_until(lambda: js(page, "tacshade.sensor"), 10, "the sensor")
         empty = pixels()
-        until_shown(page, hand, lambda: bump(1, 2.0, 200, 300), 1)
+        until_shown(page, sensor, lambda: bump(1, 2.0, 200, 300), 1)
         wait_until(lambda: pixels() != empty, 10, "the skin")
         pressed = pixels()
         page.find_element(By.ID, "show-cloud").click()
@@ -302,13 +302,13 @@ def test_it_fits_the_screen(tmp_path: Path, name: str, size_px: tuple[int, int],
     with (
         Broker(tmp_path) as broker,
         dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedHand(broker.port, "left-index") as hand,
+        PublishedSensor(broker.port, "left-index") as sensor,
         browser(tmp_path / "chromium", *flags, size_px=size_px) as page,
     ):
         page.set_window_size(*size_px)
         opened(page, address)
-        until_shown(page, hand, lambda: bump(1, 2.4, 200, 360, step_px=4), 1)
-        growing = mapping(hand, "a" * 60)
+        until_shown(page, sensor, lambda: bump(1, 2.4, 200, 360, step_px=4), 1)
+        growing = mapping(sensor, "a" * 60)
         growing.press(*scan())
         growing.end("/var/lib/tacshade-edge/maps/" + "a" * 60)
         until_mapped(page, "a" * 60, 2)

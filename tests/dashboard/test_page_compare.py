@@ -1,4 +1,4 @@
-"""Two hands beside each other."""
+"""Two sensors beside each other."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tools.testbed.browser import errors
 from tools.testbed.dashboard_process import dashboard
 from tools.testbed.mqtt_rig import Broker, Subscriber
 from tools.testbed.patience import wait_until
-from tools.testbed.published_hand import PublishedHand, bump
+from tools.testbed.published_sensor import PublishedSensor, bump
 from tools.testbed.shown_page import NEEDS_A_BROWSER, js, opened, shows, text, until_shown
 
 pytestmark = NEEDS_A_BROWSER
@@ -27,8 +27,8 @@ def test_two_hands_are_compared_cell_by_cell_in_the_cells_of_the_first(page: Chr
     with (
         Broker(tmp_path) as broker,
         dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedHand(broker.port, "run-a") as first,
-        PublishedHand(broker.port, "run-b") as other,
+        PublishedSensor(broker.port, "run-a") as first,
+        PublishedSensor(broker.port, "run-b") as other,
     ):
         opened(page, address, "run-a")
         wait_until(lambda: len(Select(page.find_element(By.ID, "against")).options) == 2, 15, "there is another")
@@ -58,8 +58,8 @@ def test_numbers_stand_under_their_own_picture_only(page: Chrome, tmp_path: Path
     with (
         Broker(tmp_path) as broker,
         dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedHand(broker.port, "run-a") as first,
-        PublishedHand(broker.port, "run-b") as other,
+        PublishedSensor(broker.port, "run-a") as first,
+        PublishedSensor(broker.port, "run-b") as other,
     ):
         opened(page, address, "run-a")
         wait_until(lambda: len(Select(page.find_element(By.ID, "against")).options) == 2, 15, "there is another")
@@ -73,15 +73,15 @@ def test_numbers_stand_under_their_own_picture_only(page: Chrome, tmp_path: Path
         wait_until(compared, 15, "both are there")
         shows(page, "compare-numbers", "greatest depth, mm 2.00 1.50 -0.50")
         # Pictures without numbers, then numbers without their picture.
-        for hand in (first, other):
-            hand.tell("height", wire.encode_height(bump(8, 1.0, ROW, COL, 4), calibration_crc32=1))
+        for sensor in (first, other):
+            sensor.tell("height", wire.encode_height(bump(8, 1.0, ROW, COL, 4), calibration_crc32=1))
         shows(page, "compare-numbers", "greatest depth, mm – –")
         shows(page, "compare-numbers", "frame 8 8")
         assert text(page, "n-depth") == "–"
         assert text(page, "objects") == ""
-        for hand in (first, other):
-            hand.tell("contact", messages.encode_contact(bump(9, 3.0, ROW, COL, 4), fps=30.0))
-            hand.tell("contact", messages.encode_contact(bump(8, 1.0, ROW, COL, 4), fps=30.0))
+        for sensor in (first, other):
+            sensor.tell("contact", messages.encode_contact(bump(9, 3.0, ROW, COL, 4), fps=30.0))
+            sensor.tell("contact", messages.encode_contact(bump(8, 1.0, ROW, COL, 4), fps=30.0))
         shows(page, "compare-numbers", "greatest depth, mm 1.00 1.00")
         assert text(page, "n-depth") == "1.00"
         assert errors(page) == []
@@ -92,8 +92,8 @@ def test_a_run_that_is_paused_is_asked_for_its_picture_and_its_answer_is_heard(p
     with (
         Broker(tmp_path) as broker,
         dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedHand(broker.port, "run-a") as first,
-        PublishedHand(broker.port, "run-b") as other,
+        PublishedSensor(broker.port, "run-a") as first,
+        PublishedSensor(broker.port, "run-b") as other,
         Subscriber(broker.port, "tacshade/run-b/req/replay") as seen,
     ):
         other.tell("status/replay", json.dumps(paused).encode(), retain=True)

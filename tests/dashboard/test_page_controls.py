@@ -1,4 +1,4 @@
-"""What a person commands, or takes away: recordings, marks, a zero that waits, hands that are gone."""
+"""What a person commands, or takes away: recordings, marks, a zero that waits, sensors that are gone."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tacshade_edge.protocol import messages
 from tools.testbed.dashboard_process import dashboard
 from tools.testbed.mqtt_rig import Broker, Subscriber
 from tools.testbed.patience import wait_until
-from tools.testbed.published_hand import PublishedHand, bump
+from tools.testbed.published_sensor import PublishedSensor, bump
 from tools.testbed.shown_page import NEEDS_A_BROWSER, daemon, drawn, js, opened, picture, shows, text, until_shown
 
 pytestmark = NEEDS_A_BROWSER
@@ -60,7 +60,7 @@ def test_a_recording_is_made_and_marked_and_a_daemon_that_died_is_told_at_once(
         assert not page.find_element(By.ID, "remove").is_displayed()
 
         child.kill()
-        shows(page, "stale", "This hand is offline: what is shown is old, last heard ")
+        shows(page, "stale", "This sensor is offline: what is shown is old, last heard ")
         page.get("about:blank")
         opened(page, address)
         shows(page, "state", "offline")
@@ -71,10 +71,10 @@ def test_a_recording_is_made_and_marked_and_a_daemon_that_died_is_told_at_once(
         picture(page, "dashboard-dead", (760, 560))
 
         page.find_element(By.ID, "remove").click()
-        wait_until(lambda: not page.find_element(By.ID, "hand").is_displayed(), 10, "the hand is gone")
+        wait_until(lambda: not page.find_element(By.ID, "sensor").is_displayed(), 10, "the sensor is gone")
         page.refresh()
         shows(page, "restore", "Show 1 removed")
-        assert js(page, "document.querySelectorAll('#hands button').length") == 0
+        assert js(page, "document.querySelectorAll('#sensors button').length") == 0
         page.find_element(By.ID, "restore").click()
         shows(page, "state", "offline")
         page.find_element(By.ID, "remove").click()
@@ -89,21 +89,21 @@ def test_a_new_zero_waits_until_nothing_touches(page: Chrome, tmp_path: Path) ->
     with (
         Broker(tmp_path) as broker,
         dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedHand(broker.port) as hand,
+        PublishedSensor(broker.port) as sensor,
         Subscriber(broker.port, "tacshade/+/req/+") as seen,
     ):
 
         def asked(count: int, answer: dict[str, object]) -> None:
             def resting() -> bool:
-                hand.show(bump(100, 0.0, 200, 300, step_px=4))
+                sensor.show(bump(100, 0.0, 200, 300, step_px=4))
                 return len(seen.of("tacshade/drawn/req/reference")) == count
 
             wait_until(resting, 15, f"request {count}")
             body = json.loads(seen.of("tacshade/drawn/req/reference")[-1])
-            hand.tell("res/reference", json.dumps({"transaction": body["transaction"], **answer}).encode())
+            sensor.tell("res/reference", json.dumps({"transaction": body["transaction"], **answer}).encode())
 
         opened(page, address)
-        until_shown(page, hand, lambda: bump(1, 2.0, 200, 300, step_px=4), 1)
+        until_shown(page, sensor, lambda: bump(1, 2.0, 200, 300, step_px=4), 1)
         page.find_element(By.ID, "rezero").click()
         assert text(page, "answer") == "Re-zero waits until nothing touches …"
         assert label() == "Cancel re-zero"
@@ -111,16 +111,16 @@ def test_a_new_zero_waits_until_nothing_touches(page: Chrome, tmp_path: Path) ->
         page.find_element(By.ID, "rezero").click()
         assert (label(), text(page, "answer")) == ("Re-zero", "No new zero.")
         page.find_element(By.ID, "rezero").click()
-        until_shown(page, hand, lambda: bump(2, 2.0, 200, 300, step_px=4), 2)
+        until_shown(page, sensor, lambda: bump(2, 2.0, 200, 300, step_px=4), 2)
         assert seen.messages == []
         asked(1, {"ok": False, "error": "touched", "reason_code": "frame_in_contact"})
         shows(page, "answer", "waits until nothing touches")  # touched meanwhile: the next rest
         asked(2, {"ok": True, "result": {"frames": 10}})
         shows(page, "answer", "Zero is new, from 10 frames.")
 
-        until_shown(page, hand, lambda: bump(3, 2.0, 200, 300, step_px=4), 3)
+        until_shown(page, sensor, lambda: bump(3, 2.0, 200, 300, step_px=4), 3)
         page.find_element(By.ID, "rezero").click()
-        hand.tell("state", b"stopped", retain=True)  # nobody wants it when the hand comes back
+        sensor.tell("state", b"stopped", retain=True)  # nobody wants it when the sensor comes back
         shows(page, "answer", "No new zero.")
 
 
@@ -128,31 +128,31 @@ def test_a_page_that_may_only_look_records_nothing(page: Chrome, tmp_path: Path)
     with (
         Broker(tmp_path) as broker,
         dashboard(f"127.0.0.1:{broker.port}", "--token-file", str(tmp_path / "token")) as told,
-        PublishedHand(broker.port) as hand,
+        PublishedSensor(broker.port) as sensor,
     ):
         page.get(told)
         shows(page, "link", "Connected")
-        hand.tell("status/recorder", messages.encode_status("idle"), retain=True)
+        sensor.tell("status/recorder", messages.encode_status("idle"), retain=True)
         wait_until(lambda: page.find_element(By.ID, "recording").is_displayed(), 15, "it tells its recorder")
         assert not page.find_element(By.NAME, "record").is_enabled()
 
 
 def test_the_skin_in_space_shows_the_map_beside_it(page: Chrome, tmp_path: Path) -> None:
-    """Of a hand that is faster than the screen, at every picture of the screen."""
+    """Of a sensor that is faster than the screen, at every picture of the screen."""
     with (
         Broker(tmp_path) as broker,
         dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedHand(broker.port) as hand,
+        PublishedSensor(broker.port) as sensor,
     ):
         opened(page, address)
-        until_shown(page, hand, lambda: bump(0, 1.0, 200, 300, step_px=4), 0)
+        until_shown(page, sensor, lambda: bump(0, 1.0, 200, 300, step_px=4), 0)
         page.execute_script(
             "window.pairs = [];"
             "const look = () => { pairs.push([tacshade.seq, tacshade.skinSeq]); requestAnimationFrame(look); }; look();"
         )
         for last in (30, 60, 90, 120):
             for seq in range(last - 29, last + 1):
-                hand.show(bump(seq, 1.0 + seq / 100, 200, 300, step_px=4))
+                sensor.show(bump(seq, 1.0 + seq / 100, 200, 300, step_px=4))
             wait_until(lambda last=last: js(page, "tacshade.skinSeq") == last, 20, "the newest, in space too")
         pairs = js(page, "pairs")
         assert [pair for pair in pairs if pair[0] != pair[1]] == []

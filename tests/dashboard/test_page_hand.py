@@ -17,7 +17,7 @@ from tacshade_edge.types import Reconstruction
 from tools.testbed.dashboard_process import dashboard
 from tools.testbed.mqtt_rig import Broker, Subscriber
 from tools.testbed.patience import wait_until
-from tools.testbed.published_hand import PublishedHand, bump
+from tools.testbed.published_sensor import PublishedSensor, bump
 from tools.testbed.shown_page import NEEDS_A_BROWSER, js, opened, picture, shows, text
 
 pytestmark = NEEDS_A_BROWSER
@@ -48,7 +48,7 @@ class WholeHand:
     """Five fingers and their hand, without daemons."""
 
     def __init__(self, broker: Broker, stack: ExitStack) -> None:
-        self.fingers = {name: stack.enter_context(PublishedHand(broker.port, name)) for name in PLACES_MM}
+        self.fingers = {name: stack.enter_context(PublishedSensor(broker.port, name)) for name in PLACES_MM}
         for name, finger in self.fingers.items():
             place = (*map(float, PLACES_MM[name]), 1.0, 0.0, 0.0, 0.0)
             finger.tell_info("fast", profiles=("fast",), hand_id="left", hand_T_sensor=place)
@@ -109,7 +109,7 @@ def test_every_finger_is_shown_and_what_it_touches_in_the_hands_frame(
     (dot,) = page.find_elements(By.CSS_SELECTOR, "#whole-plane .touched")
     assert [float(dot.get_attribute(key) or "nan") for key in ("cx", "cy")] == [-79.0, -34.25]
     assert len(page.find_elements(By.CSS_SELECTOR, "#whole-plane .skin")) == 5
-    assert not page.find_element(By.ID, "hand").is_displayed()
+    assert not page.find_element(By.ID, "sensor").is_displayed()
     picture(page, "dashboard-hand", (1200, 960))
 
     def released() -> bool:

@@ -18,7 +18,7 @@ from tools.testbed.dashboard_process import dashboard
 from tools.testbed.growing_map import PAD, scan
 from tools.testbed.mqtt_rig import Broker, Subscriber
 from tools.testbed.patience import patience, wait_until
-from tools.testbed.published_hand import PublishedHand
+from tools.testbed.published_sensor import PublishedSensor
 from tools.testbed.shown_page import NEEDS_A_BROWSER, js, mapping, opened, picture, shows, text, until_mapped
 
 pytestmark = NEEDS_A_BROWSER
@@ -35,12 +35,12 @@ def test_the_map_grows_with_its_revisions(page: Chrome, tmp_path: Path) -> None:
     with (
         Broker(tmp_path) as broker,
         dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedHand(broker.port) as hand,
+        PublishedSensor(broker.port) as sensor,
     ):
         opened(page, address)
-        wait_until(lambda: js(page, "tacshade.sensor"), 10, "the hand")
+        wait_until(lambda: js(page, "tacshade.sensor"), 10, "the sensor")
         assert not page.find_element(By.ID, "stitched").is_displayed()
-        growing = mapping(hand, "pad-1", x_mm=x, y_mm=y)
+        growing = mapping(sensor, "pad-1", x_mm=x, y_mm=y)
         growing.press((14.0, 14.0))
         until_mapped(page, "pad-1", 1)
         assert page.find_element(By.ID, "stitched").is_displayed()
@@ -88,28 +88,28 @@ def test_the_map_grows_with_its_revisions(page: Chrome, tmp_path: Path) -> None:
 
 
 def test_a_map_that_was_told_before_is_there_at_once(page: Chrome, tmp_path: Path) -> None:
-    """Retained: the final map of one session, then beside it the first press of the next, and of another hand."""
+    """Retained: the final map of one session, then beside it the first press of the next, and of another sensor."""
     with (
         Broker(tmp_path) as broker,
         dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedHand(broker.port) as hand,
-        PublishedHand(broker.port, "other") as other,
+        PublishedSensor(broker.port) as sensor,
+        PublishedSensor(broker.port, "other") as other,
     ):
-        first = mapping(hand, "first")
+        first = mapping(sensor, "first")
         first.press((20.0, 20.0), (30.0, 20.0))
         first.end("/maps/first")
         opened(page, address, "drawn")
         until_mapped(page, "first", 2)
         assert text(page, "stitched-name") == "first, final"
-        mapping(hand, "second").press((60.0, 40.0))
+        mapping(sensor, "second").press((60.0, 40.0))
         until_mapped(page, "second", 1)
         assert js(page, "tacshade.zAt(20, 20)") is None
         page.refresh()
         until_mapped(page, "second", 1)
         assert text(page, "stitched-name") == "second, growing"
 
-        wait_until(lambda: len(page.find_elements(By.CSS_SELECTOR, "#hands button")) == 2, 10, "both hands")
-        page.find_elements(By.CSS_SELECTOR, "#hands button")[1].click()
+        wait_until(lambda: len(page.find_elements(By.CSS_SELECTOR, "#sensors button")) == 2, 10, "both sensors")
+        page.find_elements(By.CSS_SELECTOR, "#sensors button")[1].click()
         assert js(page, "[tacshade.sensor, tacshade.stitched]") == ["other", None]
         assert not page.find_element(By.ID, "stitched").is_displayed()
         mapping(other, "third").press((60.0, 40.0))
@@ -118,14 +118,14 @@ def test_a_map_that_was_told_before_is_there_at_once(page: Chrome, tmp_path: Pat
 
 def test_a_stitching_session_is_commanded_through_requests(page: Chrome, tmp_path: Path) -> None:
     def status(state: str, name: str, presses: int) -> None:
-        hand.tell(
+        sensor.tell(
             "status/stitching", messages.encode_status(state, None, {"name": name, "presses": presses}), retain=True
         )
 
     def asked(count: int, result: dict[str, object], error: str = "") -> dict[str, object]:
         body = json.loads(seen.wait_for("tacshade/drawn/req/stitch", count, 15)[-1])
         answer = {"ok": False, "error": error} if error else {"ok": True, "result": result}
-        hand.tell("res/stitch", json.dumps({"transaction": body.pop("transaction"), **answer}).encode())
+        sensor.tell("res/stitch", json.dumps({"transaction": body.pop("transaction"), **answer}).encode())
         return dict(body)
 
     def press(name: str) -> None:
@@ -136,11 +136,11 @@ def test_a_stitching_session_is_commanded_through_requests(page: Chrome, tmp_pat
     with (
         Broker(tmp_path) as broker,
         dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedHand(broker.port) as hand,
+        PublishedSensor(broker.port) as sensor,
         Subscriber(broker.port, "tacshade/+/req/+") as seen,
     ):
         opened(page, address)
-        wait_until(lambda: page.find_element(By.ID, "rezero").is_enabled(), 15, "the hand is online")
+        wait_until(lambda: page.find_element(By.ID, "rezero").is_enabled(), 15, "the sensor is online")
         assert not page.find_element(By.ID, "session").is_displayed()  # one without poses has no sessions
         status("idle", "", 0)
         press("begin")
@@ -176,11 +176,11 @@ def test_a_map_that_makes_no_sense_is_counted_and_not_drawn(page: Chrome, tmp_pa
     with (
         Broker(tmp_path) as broker,
         dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedHand(broker.port) as hand,
+        PublishedSensor(broker.port) as sensor,
     ):
         opened(page, address)
-        wait_until(lambda: js(page, "tacshade.sensor"), 10, "the hand")
-        growing = mapping(hand, "<b>good</b>")
+        wait_until(lambda: js(page, "tacshade.sensor"), 10, "the sensor")
+        growing = mapping(sensor, "<b>good</b>")
         growing.press((20.0, 20.0))
         until_mapped(page, "<b>good</b>", 1)
         assert text(page, "stitched-name") == "<b>good</b>, growing"
@@ -189,13 +189,13 @@ def test_a_map_that_makes_no_sense_is_counted_and_not_drawn(page: Chrome, tmp_pa
             told = json.dumps(fine | wrong | {"revision": 10 + count})
             points = np.zeros((5, 3), np.float32)
             cloud = wire.encode_map_cloud(points, revision=10 + count, calibration_crc32=1, t_ns=1, wall_ns=2)
-            hand.tell("map/cloud", cloud)
-            hand.tell("map/revision", told.encode())
+            sensor.tell("map/cloud", cloud)
+            sensor.tell("map/revision", told.encode())
             wait_until(lambda count=count: js(page, "tacshade.undecodable") == count, 10, f"{count}, {told}")  # type: ignore[misc]
         damaged = (("map/final", b"[]"), ("map/revision", b"{"), ("map/final", b"null"), ("map/cloud", cloud[:-1]))
         for topic, payload in damaged:
             count += 1
-            hand.tell(topic, payload)
+            sensor.tell(topic, payload)
             wait_until(lambda count=count: js(page, "tacshade.undecodable") == count, 10, f"{count}, {topic}")  # type: ignore[misc]
         assert js(page, "tacshade.stitched.name") == "<b>good</b>"
         growing.press((30.0, 20.0))

@@ -17,7 +17,7 @@ from tools.testbed.certificate import certificate
 from tools.testbed.dashboard_process import dashboard
 from tools.testbed.mqtt_rig import Broker, Subscriber, free_port
 from tools.testbed.patience import wait_until
-from tools.testbed.published_hand import PublishedHand, bump
+from tools.testbed.published_sensor import PublishedSensor, bump
 from tools.testbed.shown_page import NEEDS_A_BROWSER, daemon, drawn, js, opened, picture, shows, text, until_shown
 
 pytestmark = NEEDS_A_BROWSER
@@ -43,7 +43,7 @@ def test_it_recovers_from_a_broker_restart(page: Chrome, tmp_path: Path, calibra
 
 
 def test_it_recovers_from_a_restart_of_its_server(chromium: Chrome, tmp_path: Path) -> None:
-    with Broker(tmp_path) as broker, PublishedHand(broker.port):
+    with Broker(tmp_path) as broker, PublishedSensor(broker.port):
         words = f"127.0.0.1:{broker.port}", "--http", str(free_port())
         with dashboard(*words) as address:
             opened(chromium, address)
@@ -60,16 +60,16 @@ def test_what_a_hand_refuses_or_does_not_answer_is_told(page: Chrome, tmp_path: 
     with (
         Broker(tmp_path) as broker,
         dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedHand(broker.port) as hand,
+        PublishedSensor(broker.port) as sensor,
         Subscriber(broker.port, "tacshade/+/req/+") as seen,
     ):
         opened(page, address)
-        wait_until(lambda: page.find_element(By.ID, "rezero").is_enabled(), 15, "the hand is online")
+        wait_until(lambda: page.find_element(By.ID, "rezero").is_enabled(), 15, "the sensor is online")
         page.find_element(By.ID, "rezero").click()
         asked = json.loads(seen.wait_for("tacshade/drawn/req/reference")[0])
-        hand.tell("res/reference", json.dumps({"transaction": "of somebody else", "ok": True, "result": {}}).encode())
-        hand.tell("res/reference", b"no JSON")
-        hand.tell(
+        sensor.tell("res/reference", json.dumps({"transaction": "of somebody else", "ok": True, "result": {}}).encode())
+        sensor.tell("res/reference", b"no JSON")
+        sensor.tell(
             "res/reference", json.dumps({"transaction": asked["transaction"], "ok": False, "error": "touched"}).encode()
         )
         wait_until(lambda: text(page, "answer") == "touched", 15, "the error")
@@ -82,25 +82,25 @@ def test_strange_messages_are_counted_and_shown_as_text(page: Chrome, tmp_path: 
     with (
         Broker(tmp_path) as broker,
         dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedHand(broker.port) as hand,
+        PublishedSensor(broker.port) as sensor,
     ):
         opened(page, address)
-        until_shown(page, hand, lambda: bump(1, 1.5, 200, 300, step_px=4), 1)
+        until_shown(page, sensor, lambda: bump(1, 1.5, 200, 300, step_px=4), 1)
         assert js(page, "tacshade.undecodable") == 0
         sound = wire.encode_height(bump(2, 2.0, 200, 300, step_px=4), calibration_crc32=1)
         for count, damaged in enumerate([b"", sound[:50], sound[:-1], sound[:200] + b"!" + sound[201:]], 1):
-            hand.tell("height", damaged)
+            sensor.tell("height", damaged)
             wait_until(lambda count=count: js(page, "tacshade.undecodable") == count, 10, f"{count} counted")  # type: ignore[misc]
         for topic in ("health", "contact", "status/camera", "info"):
             for payload in (b"{", b"null", b"\xff\xfe", b"[]"):
-                hand.tell(topic, payload)
-        hand.tell("preview", b"no JPEG")
-        hand.tell("status/camera", json.dumps({"state": "away", "reason": evil, "device": {"a": [evil]}}).encode())
-        hand.tell("health", json.dumps({evil: evil, "temperature_c": {"cpu": 61.5}}).encode())
+                sensor.tell(topic, payload)
+        sensor.tell("preview", b"no JPEG")
+        sensor.tell("status/camera", json.dumps({"state": "away", "reason": evil, "device": {"a": [evil]}}).encode())
+        sensor.tell("health", json.dumps({evil: evil, "temperature_c": {"cpu": 61.5}}).encode())
         shows(page, "parts", evil)
         shows(page, "state", evil)
         shows(page, "tables", "61.5")
-        until_shown(page, hand, lambda: bump(3, 1.0, 200, 300, step_px=4), 3)
+        until_shown(page, sensor, lambda: bump(3, 1.0, 200, 300, step_px=4), 3)
         assert page.title == "drawn – TacShade"
 
 
@@ -110,36 +110,36 @@ def test_long_text_is_cut_and_hostile_binary_is_counted(page: Chrome, tmp_path: 
     with (
         Broker(tmp_path) as broker,
         dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedHand(broker.port) as hand,
+        PublishedSensor(broker.port) as sensor,
     ):
         opened(page, address)
-        until_shown(page, hand, lambda: bump(1, 1.5, 200, 300, step_px=4), 1)
-        hand.tell("status/camera", json.dumps({"state": "away", "reason": long, "device": long}).encode())
-        hand.tell("health", json.dumps({"invalid_reason": long, **{f"k{k}": k for k in range(20_000)}}).encode())
+        until_shown(page, sensor, lambda: bump(1, 1.5, 200, 300, step_px=4), 1)
+        sensor.tell("status/camera", json.dumps({"state": "away", "reason": long, "device": long}).encode())
+        sensor.tell("health", json.dumps({"invalid_reason": long, **{f"k{k}": k for k in range(20_000)}}).encode())
         shows(page, "state", "(200000 characters)")
         shows(page, "tables", "more")
         assert len(text(page, "state")) < 1000
         assert len(text(page, "parts")) < 1500
         assert js(page, "document.querySelectorAll('#tables tr').length") < 200
         for part in range(100):
-            hand.tell(f"status/p{part}", b'{"state": "x"}')
+            sensor.tell(f"status/p{part}", b'{"state": "x"}')
         sound = wire.encode_height(bump(2, 2.0, 200, 300, step_px=4), calibration_crc32=1)
         before = js(page, "tacshade.undecodable")
         hostile = [grid_message(sound, rows, cols, step_px) for rows, cols, step_px in GRIDS]
         for count, payload in enumerate(hostile, 1):
             known = js(page, "tacshade.undecodable")
-            hand.tell("height", payload)
+            sensor.tell("height", payload)
             wait_until(lambda known=known: js(page, "tacshade.undecodable") > known, 10, f"{count} counted")
         for topic, payload in (
             ("info", {"profiles": 5, "geometry": {"radius_px": 0}}),
             ("contact", {"contact": 1, "depth_max_mm": "deep", "x_mm": {}}),
             ("status/replay", {"state": "playing", "position_s": "late"}),
         ):
-            hand.tell(topic, json.dumps(payload).encode())
+            sensor.tell(topic, json.dumps(payload).encode())
         wait_until(lambda: js(page, "tacshade.undecodable") >= before + len(hostile) + 3, 10, "all counted")
         shows(page, "tables", f"messages not understood {js(page, 'tacshade.undecodable')}")
         assert js(page, "document.querySelectorAll('#parts p').length") <= 32
-        until_shown(page, hand, lambda: bump(3, 1.0, 200, 300, step_px=4), 3)
+        until_shown(page, sensor, lambda: bump(3, 1.0, 200, 300, step_px=4), 3)
         assert errors(page) == []
 
 
@@ -148,7 +148,7 @@ def test_a_broker_with_users_asks_for_one(page: Chrome, tmp_path: Path) -> None:
     with (
         Broker(tmp_path, users=users) as broker,
         dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedHand(broker.port, "drawn", "eve", "right") as hand,
+        PublishedSensor(broker.port, "drawn", "eve", "right") as sensor,
     ):
         page.get(address)
         shows(page, "login", "wants a user and password")
@@ -160,7 +160,7 @@ def test_a_broker_with_users_asks_for_one(page: Chrome, tmp_path: Path) -> None:
             page.find_element(By.CSS_SELECTOR, "#login button").click()
             shows(page, "link" if word == "right" else "login-why", "Connected" if word == "right" else "refused")
         assert not page.find_element(By.ID, "login").is_displayed()
-        until_shown(page, hand, lambda: bump(1, 1.5, 200, 300, step_px=4), 1)
+        until_shown(page, sensor, lambda: bump(1, 1.5, 200, 300, step_px=4), 1)
         page.refresh()  # kept for this tab
         shows(page, "link", "Connected")
         js(page, "sessionStorage.clear()")
@@ -174,7 +174,7 @@ def test_a_page_that_is_opened_to_a_network_wants_its_token_and_only_looks(tmp_p
     with (
         Broker(tmp_path) as broker,
         dashboard(f"127.0.0.1:{broker.port}", *words) as told,
-        PublishedHand(broker.port) as hand,
+        PublishedSensor(broker.port) as sensor,
         Subscriber(broker.port, "tacshade/+/req/+") as seen,
         browser(tmp_path / "chromium", "--ignore-certificate-errors") as page,
     ):
@@ -189,12 +189,12 @@ def test_a_page_that_is_opened_to_a_network_wants_its_token_and_only_looks(tmp_p
         wait_until(lambda: page.current_url == address, 15, "the page")
         shows(page, "link", "Connected")
         assert js(page, "document.cookie") == ""
-        until_shown(page, hand, lambda: bump(1, 1.5, 200, 300, step_px=4), 1)
+        until_shown(page, sensor, lambda: bump(1, 1.5, 200, 300, step_px=4), 1)
         shows(page, "read-only", "Read-only")
-        wait_until(lambda: js(page, "tacshade.sensor"), 10, "the hand")
+        wait_until(lambda: js(page, "tacshade.sensor"), 10, "the sensor")
         assert not page.find_element(By.ID, "rezero").is_enabled()
         assert not page.find_element(By.ID, "profile").is_enabled()
-        until_shown(page, hand, lambda: bump(2, 0.0, 200, 300, step_px=4), 2)
+        until_shown(page, sensor, lambda: bump(2, 0.0, 200, 300, step_px=4), 2)
         # In one go: the page disables it again with the next message.
         page.execute_script("const it = document.getElementById('rezero'); it.disabled = false; it.click()")
         shows(page, "link", "read-only: requests are not passed on here")
@@ -208,11 +208,11 @@ def test_without_webgl_the_rest_goes_on(tmp_path: Path) -> None:
     with (
         Broker(tmp_path) as broker,
         dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedHand(broker.port) as hand,
+        PublishedSensor(broker.port) as sensor,
         browser(tmp_path / "chromium", "--disable-3d-apis") as page,
     ):
         opened(page, address)
-        until_shown(page, hand, lambda: bump(1, 1.5, 200, 300), 1)
+        until_shown(page, sensor, lambda: bump(1, 1.5, 200, 300), 1)
         assert "no WebGL" in text(page, "view")
         assert js(page, "tacshade.drawnPeak()") == pytest.approx(1.5, abs=0.01)
         assert errors(page) == []

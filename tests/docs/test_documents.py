@@ -11,7 +11,7 @@ ROOT = Path(__file__).parents[2]
 DOCUMENTS = sorted(
     path for path in (*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("tools/**/*.md")) if path.is_file()
 )
-LINES_MAX = {"docs/accuracy.md": 100, "docs/speed.md": 100, "docs/glossary.md": 100}
+LINES_MAX = {"docs/accuracy.md": 100, "docs/speed.md": 100, "docs/glossary.md": 120}
 
 
 def name(path: Path) -> str:

@@ -126,7 +126,7 @@ def drag() -> Claims:
     yield f"Of {frames} frames as trained on {refused} were refused."
 
 
-def displacement_under_drag() -> Claims:
+def shear_under_drag() -> Claims:
     trained, other = (Page("drag", family) for family in FAMILIES.values())
     for page, begin, unit in ((trained, "is off by ", " mm in the median"), (other, "too small: off by ", " mm")):
         one, two, three = (page.cell("shear off mm: median", what, "accurate") for what in DRAGS[1:4])
@@ -309,8 +309,8 @@ def recording() -> Claims:
 SHOWN = ("grey", "colour")
 
 
-def kept_before() -> Claims:
-    yield f"It costs {extra_cores('kept before')} of a core at 60 frames/s"
+def pre_roll() -> Claims:
+    yield f"It costs {extra_cores('pre-roll')} of a core at 60 frames/s"
 
 
 def opencv_beside_onnxruntime() -> Claims:
@@ -329,8 +329,8 @@ def memory() -> Claims:
     yield f"| profile `balanced` ([page](results/memory.md)) | {first[0]} | {last[0]} | {last[3]} | {last[1]} |"
 
 
-def displacement() -> Claims:
-    one, two, three = (Page("displacement").cell("accurate", f"{mm} mm").split()[0] for mm in (1, 2, 3))
+def shear() -> Claims:
+    one, two, three = (Page("shear").cell("accurate", f"{mm} mm").split()[0] for mm in (1, 2, 3))
     yield f"are {one}, {two} and {three} mm off with `accurate`"
 
 
@@ -343,7 +343,7 @@ def runtime() -> Claims:
     yield f"| the network, ms ([page](results/runtime.md)) | {' | '.join(pairs)} |"
 
 
-NETWORKS = (*LIMITS_ORDER, "displacement")
+NETWORKS = (*LIMITS_ORDER, "shear")
 
 
 def networks_in_the_changelog() -> Claims:
@@ -401,7 +401,7 @@ def faults() -> Claims:
     stalled = [page.number("detected s", fault) for fault in ("broker stalls for 6 s", "network carries nothing")]
     assert min(stalled) >= 4
     assert max(stalled) <= 15
-    yield "told after 4 to 15 s"
+    yield "reported after 4 to 15 s"
     assert page.number("detected s", "lens covered, and uncovered") <= 4
     assert page.number("recovered s", "lens covered, and uncovered") <= 2
     yield "`degraded` within 4 s; streams within 2 s of its return"
@@ -429,7 +429,7 @@ CLAIMS = (
     pytest.param("docs/accuracy.md", no_presses, id="no_presses"),
     pytest.param("docs/accuracy.md", other_objects, id="other_objects"),
     pytest.param("docs/accuracy.md", limits, id="limits"),
-    pytest.param("docs/displacement.md", displacement_under_drag, id="displacement_under_drag"),
+    pytest.param("docs/shear.md", shear_under_drag, id="shear_under_drag"),
     pytest.param("docs/sigma.md", sigma, id="sigma"),
     pytest.param("docs/speed.md", stages, id="stages"),
     pytest.param("docs/speed.md", as_printed, id="as_printed"),
@@ -439,11 +439,11 @@ CLAIMS = (
     pytest.param("docs/speed.md", tradeoff, id="tradeoff"),
     pytest.param("docs/hand.md", hand, id="hand"),
     pytest.param("docs/numerics.md", stages_in_numerics, id="stages_in_numerics"),
-    pytest.param("docs/numerics.md", displacement, id="displacement"),
+    pytest.param("docs/numerics.md", shear, id="shear"),
     pytest.param("docs/numerics.md", runtime, id="runtime"),
     pytest.param("docs/numerics.md", arm, id="arm"),
     pytest.param("docs/service.md", memory, id="memory"),
-    pytest.param("docs/service.md", kept_before, id="kept_before"),
+    pytest.param("docs/service.md", pre_roll, id="pre_roll"),
     pytest.param("docs/replay.md", recording, id="recording"),
     pytest.param("docs/decisions/0005-onnxruntime.md", opencv_beside_onnxruntime, id="opencv_beside_onnxruntime"),
     pytest.param("docs/reliability.md", faults, id="faults"),

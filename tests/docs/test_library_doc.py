@@ -62,7 +62,7 @@ def test_every_example_is_one_of_these() -> None:
     assert list(EXAMPLES) == [
         "An image to a picture",
         "A camera",
-        "A running hand",
+        "A running sensor",
         "A recording",
         "Messages and files, decoded",
         "From a cell to millimetres",
@@ -82,7 +82,7 @@ def test_an_image(made: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Ca
 def test_a_camera(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     names = run("A camera", made, monkeypatch)
     assert names["r"].depth_max_mm > 0.1
-    assert names["hand"].passed_over >= 0
+    assert names["sensor"].passed_over >= 0
 
 
 def test_a_recording(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -125,7 +125,7 @@ def test_the_marked_keys_are_those_that_the_command_writes(made: Path, tmp_path:
 
 @pytest.mark.broker
 @pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
-def test_a_running_hand(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_running_sensor(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with Broker(tmp_path) as broker:
         settings = made / "run.yaml"
         settings.write_text((made / "config.yaml").read_text() + f"mqtt: {{host: 127.0.0.1, port: {broker.port}}}\n")
@@ -134,7 +134,7 @@ def test_a_running_hand(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPa
             address = {"localhost:1883": f"127.0.0.1:{broker.port}"}
             with Subscriber(broker.port) as seen:
                 seen.wait_for("tacshade/left-index/contact", 1, 30)
-            names = run("A running hand", made, monkeypatch, **address)
+            names = run("A running sensor", made, monkeypatch, **address)
         finally:
             daemon.send_signal(signal.SIGTERM)
             daemon.wait(patience(10))

@@ -10,7 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 import pytest
-from support.float_network import float_displacement, float_network
+from support.float_network import float_network, float_shear
 
 from tacshade_edge.core.depth import Network, NetworkMaps
 from tacshade_edge.core.profiles import PROFILES
@@ -21,9 +21,9 @@ from tacshade_edge.types import F32, F64, Frame
 from tools.testbed.calibrated_sensor import calibrated, pressed, unloaded
 
 OF_DEPTH = [name for name, profile in PROFILES.items() if profile.network]
-NAMES = [*OF_DEPTH, "displacement"]
+NAMES = [*OF_DEPTH, "shear"]
 LAYER_BY_LAYER = [
-    pytest.param(name, marks=pytest.mark.slow) if name in ("accurate", "displacement") else name for name in NAMES
+    pytest.param(name, marks=pytest.mark.slow) if name in ("accurate", "shear") else name for name in NAMES
 ]
 """Every sum of a large network in float64 takes seconds."""
 PRESSES = (("ball", 1.0), ("ball", 3.0), ("cube", 2.0), ("cross", 4.5))
@@ -33,7 +33,7 @@ ROUNDED_LSB = 1
 WEIGHTS_LSB = 10.0
 """What rounding the weights does to a layer's codes."""
 MEAN_MM = 0.05
-"""Of heights and of displacements, between integers and float32."""
+"""Of heights and of shears, between integers and float32."""
 DISC_MM = 15.0
 _GRAPH_OUTPUT, _NAME = 12, 1
 Maps = TypeVar("Maps", NetworkMaps, F32)
@@ -106,8 +106,8 @@ def inputs(name: str) -> tuple[tuple[F32, F32], ...]:
     if name in OF_DEPTH:
         network = replace(network, run=heard(network.run))
     else:
-        displacement = network.displacement
-        network = replace(network, displacement=replace(displacement, run=heard(displacement.run)))
+        shear = network.shear
+        network = replace(network, shear=replace(shear, run=heard(shear.run)))
     reconstructor = Reconstructor(calibrated(), PROFILES[of_depth], network)
     for k, (shape, depth_mm) in enumerate(PRESSES):
         reconstructor.step(Frame(k, k, k, pressed(shape, depth_mm).image))
@@ -190,14 +190,13 @@ def heights_mm(network: Network, white: F32, sensor: F32) -> F32:
     return found
 
 
-def test_displacements_are_those_of_float32(tmp_path: Path) -> None:
-    exact, ours = float_displacement(tmp_path), load_network("fast").displacement
+def test_shears_are_those_of_float32(tmp_path: Path) -> None:
+    exact, ours = float_shear(tmp_path), load_network("fast").shear
     off = [
-        DISC_MM / 10 * np.abs(ours.run(white, sensor) - exact.run(white, sensor))
-        for white, sensor in inputs("displacement")
+        DISC_MM / 10 * np.abs(ours.run(white, sensor) - exact.run(white, sensor)) for white, sensor in inputs("shear")
     ]
     mean, worst = max(float(each.mean()) for each in off), max(float(each.max()) for each in off)
-    print(f"figure: displacement in integers: {mean:.3f} mm from float32 in a frame's mean, {worst:.2f} at most")
+    print(f"figure: shear in integers: {mean:.3f} mm from float32 in a frame's mean, {worst:.2f} at most")
     assert mean <= MEAN_MM
 
 

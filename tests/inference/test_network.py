@@ -39,7 +39,7 @@ def test_every_learned_profile_has_its_network() -> None:
     assert sorted(load_networks()) == sorted(NAMES) == ["accurate", "balanced", "fast"]
 
 
-@pytest.mark.parametrize("name", [*NAMES, "displacement"])
+@pytest.mark.parametrize("name", [*NAMES, "shear"])
 def test_the_weights_are_those_of_their_provenance(name: str) -> None:
     about = json.loads((WEIGHTS / f"{name}.json").read_text())
     files = [
@@ -49,7 +49,7 @@ def test_the_weights_are_those_of_their_provenance(name: str) -> None:
     assert about["sha256"] == {file: hashlib.sha256(content).hexdigest() for file, content in stored.items()}
     assert sum(map(len, stored.values())) <= 2_500_000
     assert about["run_minus_torch"] <= 1e-4
-    assert name == "displacement" or about["cells"] == PROFILES[name].cells
+    assert name == "shear" or about["cells"] == PROFILES[name].cells
 
 
 def test_the_errors_are_those_of_the_shipped_weights() -> None:
@@ -62,26 +62,26 @@ def test_the_errors_are_those_of_the_shipped_weights() -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_shipped_network_answers_with_height_contact_and_what_is_foreign(name: str) -> None:
+def test_the_shipped_network_answers_with_height_contact_and_what_is_untrusted(name: str) -> None:
     network = load_network(name)
     out = network.run(maps(name, network, network.fold**2), sensed(name, network))
     side = PROFILES[name].cells // network.fold
-    for values, shape in ((out.depth_and_contact, (2 * network.fold**2, side, side)), (out.foreign, (28, 28))):
+    for values, shape in ((out.depth_and_contact, (2 * network.fold**2, side, side)), (out.untrusted, (28, 28))):
         assert values.shape == shape
         assert values.dtype == np.float32
         assert np.isfinite(values).all()
 
 
-def test_the_network_of_displacement_is_one_for_all() -> None:
-    displacement = load_network("fast").displacement
-    rng, side = np.random.default_rng(0), displacement.cells // displacement.fold
-    folded = displacement.fold**2
+def test_the_network_of_shear_is_one_for_all() -> None:
+    shear = load_network("fast").shear
+    rng, side = np.random.default_rng(0), shear.cells // shear.fold
+    folded = shear.fold**2
     known, white = (rng.random((n, side, side), dtype=np.float32) for n in (folded + KNOWN, folded))
-    out = displacement.run(white, displacement.sense(known))
+    out = shear.run(white, shear.sense(known))
     assert out.shape == (2, 28, 28)
     assert out.dtype == np.float32
     assert np.isfinite(out).all()
-    other = load_network("accurate").displacement
+    other = load_network("accurate").shear
     assert other.run(white, other.sense(known)).tobytes() == out.tobytes()
 
 
@@ -91,11 +91,11 @@ def test_an_answer_stays_when_the_next_is_given(name: str) -> None:
     sensor = sensed(name, network)
     white = [maps(name, network, network.fold**2, seed) for seed in range(2)]
     first = network.run(white[0], sensor)
-    before = first.depth_and_contact.tobytes(), first.foreign.tobytes()
+    before = first.depth_and_contact.tobytes(), first.untrusted.tobytes()
     network.run(white[1], sensor)
     again = network.run(white[0], sensor)
-    assert (first.depth_and_contact.tobytes(), first.foreign.tobytes()) == before
-    assert (again.depth_and_contact.tobytes(), again.foreign.tobytes()) == before
+    assert (first.depth_and_contact.tobytes(), first.untrusted.tobytes()) == before
+    assert (again.depth_and_contact.tobytes(), again.untrusted.tobytes()) == before
 
 
 def test_only_a_profile_that_needs_it_gets_a_network() -> None:

@@ -21,7 +21,7 @@ from tacshade_edge.inference.onnx_weights import (
     with_weights_of,
 )
 
-NAMES = ("accurate", "balanced", "fast", "displacement")
+NAMES = ("accurate", "balanced", "fast", "shear")
 FAST = network_files("fast")[0]
 
 

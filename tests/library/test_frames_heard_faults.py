@@ -12,7 +12,7 @@ import pytest
 from tacshade_edge.library.frame_assembler import FrameAssembler
 from tacshade_edge.protocol import messages, wire
 from tacshade_edge.types import Reconstruction
-from tools.testbed.published_hand import CRC, bump, calibration, dragged, uncertain
+from tools.testbed.published_sensor import CRC, bump, calibration, dragged, uncertain
 
 INFO: dict[str, Any] = json.loads(
     messages.encode_info(version="0", config_digest="0", profile="fast", calibration=calibration())
@@ -29,7 +29,7 @@ def heard(info: bytes = b"") -> FrameAssembler:
 
 
 def show(frames: FrameAssembler, result: Reconstruction, other: Reconstruction | None = None) -> None:
-    """Its frame, with displacement and error of another."""
+    """Its frame, with shear and error of another."""
     other = other or result
     frames.add("height", wire.encode_height(result, calibration_crc32=CRC))
     frames.add("cloud", wire.encode_cloud(result, calibration_crc32=CRC))
@@ -54,7 +54,7 @@ def test_a_geometry_that_no_sensor_has_leaves_the_last(key: str, value: str) -> 
 @pytest.mark.parametrize(
     "other", [bump(7, 1.0, 236.0, 328.0, 4), replace(TOUCHED, height=replace(TOUCHED.height, row0=2.0))]
 )
-def test_displacement_and_error_of_another_grid_pass_a_frame_over(other: Reconstruction) -> None:
+def test_shear_and_error_of_another_grid_pass_a_frame_over(other: Reconstruction) -> None:
     for made in (dragged(other, 1.0, 0.0), uncertain(other, 0.1)):
         frames = heard()
         show(frames, TOUCHED, made)
@@ -64,7 +64,7 @@ def test_displacement_and_error_of_another_grid_pass_a_frame_over(other: Reconst
         assert frames.take() is not None
 
 
-def test_displacement_without_a_height_passes_a_frame_over() -> None:
+def test_shear_without_a_height_passes_a_frame_over() -> None:
     frames, free = heard(), dragged(bump(7, 0.0, 236.0, 328.0, 8), 0.0, 0.0)
     frames.add("shear", wire.encode_shear(free, calibration_crc32=CRC))
     frames.add("contact", messages.encode_contact(free, fps=30.0))

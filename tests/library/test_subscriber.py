@@ -11,7 +11,7 @@ import tacshade_edge as ts
 from tacshade_edge.library import subscriber
 from tacshade_edge.reasons import Reason, ReasonCode
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, free_port
-from tools.testbed.published_hand import PublishedHand, bump
+from tools.testbed.published_sensor import PublishedSensor, bump
 
 pytestmark = [
     pytest.mark.broker,
@@ -33,7 +33,7 @@ def test_a_wrong_name_and_an_absent_broker_are_told() -> None:
 
 
 def test_the_newest_wins_and_no_thread_is_made(tmp_path: Path) -> None:
-    with Broker(tmp_path) as broker, PublishedHand(broker.port) as hand:
+    with Broker(tmp_path) as broker, PublishedSensor(broker.port) as hand:
         before = set(threading.enumerate())
         with ts.listen(f"127.0.0.1:{broker.port}", "drawn") as results:
             hand.show(bump(1, 2.0, 230, 320, 4))
@@ -58,7 +58,7 @@ def test_a_broker_that_went_is_told_and_found_again(tmp_path: Path) -> None:
             next(results)
         broker.start()
         ended = threading.Event()
-        with PublishedHand(broker.port) as hand:
+        with PublishedSensor(broker.port) as hand:
 
             def show() -> None:
                 while not ended.wait(0.02):
@@ -75,7 +75,7 @@ def test_a_broker_that_went_is_told_and_found_again(tmp_path: Path) -> None:
 
 def test_silence_says_what_is_known(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(subscriber, "_SILENT_S", 1.0)
-    with Broker(tmp_path) as broker, PublishedHand(broker.port) as hand:
+    with Broker(tmp_path) as broker, PublishedSensor(broker.port) as hand:
         missing = Reason(ReasonCode.NOT_CALIBRATED, "not calibrated: found no file")
         hand.tell_info("fast", profiles=("fast",), missing=missing)
         with ts.listen(f"127.0.0.1:{broker.port}", "drawn") as results:
@@ -84,7 +84,7 @@ def test_silence_says_what_is_known(tmp_path: Path, monkeypatch: pytest.MonkeyPa
                 next(results)
         with (
             ts.listen(f"127.0.0.1:{broker.port}", "nobody") as results,
-            pytest.raises(ts.DeviceError, match="nobody has told its state"),
+            pytest.raises(ts.DeviceError, match="nobody has published its state"),
         ):
             next(results)
 

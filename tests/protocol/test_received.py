@@ -10,8 +10,8 @@ import pytest
 from tacshade_edge.core.geometry.disc import Grid, disc_rays
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol import messages, received
-from tools.testbed.published_hand import calibration
 from tools.testbed.published_health import health
+from tools.testbed.published_sensor import calibration
 
 INFO: dict[str, Any] = json.loads(
     messages.encode_info(version="0", config_digest="0", profile="fast", calibration=calibration())

@@ -124,11 +124,11 @@ def test_any_height_is_rounded_or_clamped_and_never_wrapped(height: Any, flags: 
     assert (message.contact, message.saturated) == (flags["contact"], flags["saturated"])
 
 
-def test_a_solver_that_tells_no_displacement_has_no_shear() -> None:
+def test_a_solver_without_shear_has_no_payload_of_it() -> None:
     result = reconstruction(np.zeros((1, 1), np.float32), np.zeros((0, 3), np.float32), np.zeros(0, np.uint16))
-    with pytest.raises(ValueError, match="tells no displacement"):
+    with pytest.raises(ValueError, match="reports no shear"):
         wire.encode_shear(result, calibration_crc32=0)
-    with pytest.raises(ValueError, match="tells no error"):
+    with pytest.raises(ValueError, match="reports no error"):
         wire.encode_sigma(result, calibration_crc32=0)
 
 

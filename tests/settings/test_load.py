@@ -42,6 +42,8 @@ def write(folder: Path, text: str | bytes) -> Path:
     [
         ("mqtt:\n  prot: 1\n", ":2: mqtt.prot: found an unknown key, expected one of host, port, username,"),
         ("sensor: a\n", ":1: sensor: found an unknown key, expected one of sensor_id, calibration, profile,"),
+        ("displacement: always\n", ":1: displacement: found a setting's old name, expected shear"),
+        ("recorder: {before_s: 5}\n", ":1: recorder.before_s: found a setting's old name, expected pre_roll_s"),
         ("mqtt:\n  port: abc\n", ":2: mqtt.port: found abc, expected an integer from 1 to 65535 (TCP port of"),
         ("mqtt:\n  port: 70000\n", ":2: mqtt.port: found 70000, expected an integer from 1 to 65535"),
         ("mqtt:\n  port: 0\n", ":2: mqtt.port: found 0, expected an integer from 1 to 65535"),

@@ -117,7 +117,7 @@ def test_a_dome_that_sways_leans_everywhere_but_at_the_rim() -> None:
     model = SensorModel(coulomb=50.0, sway=0.5)
     skin = dragged(model, Press(ball(4.0), 0.0, 0.0, 3.0, drag_x_mm=3.0))
     assert skin.leaning_mm is not None
-    far = surface(skin, np.array([-11.0]), np.array([3.0]))  # beyond the local displacement's decay
+    far = surface(skin, np.array([-11.0]), np.array([3.0]))  # beyond the local shear's decay
     assert shear_mm(skin, far, model.friction)[0, 0] == pytest.approx(
         1.5 * (np.cos(0.57) - np.cos(1.257)) / 0.69, abs=0.2
     )

@@ -16,8 +16,8 @@ from support.extreme_images import EXTREME_IMAGES
 from support.float_network import float_network
 
 from tacshade_edge.core.depth import Network, NetworkMaps
-from tacshade_edge.core.depth.displacement import LearnedDisplacement
 from tacshade_edge.core.depth.learned import Inverse, LearnedInverse
+from tacshade_edge.core.depth.shear import LearnedShear
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.inference.network import WEIGHTS, load_network
 from tacshade_edge.types import F32, Disc, Geometry
@@ -37,7 +37,7 @@ def white(profile: str, image: str) -> F32:
     return EXTREME_IMAGES[image](cells, cells).astype(np.float32) / np.float32(255)
 
 
-def sound_displacement(made: LearnedDisplacement, cells: F32, radius_mm: float) -> None:
+def sound_shear(made: LearnedShear, cells: F32, radius_mm: float) -> None:
     found = made(cells, 56)
     assert found.shape == (56, 56, 2)
     assert np.isfinite(found).all()
@@ -74,13 +74,13 @@ def test_every_extreme_white_gives_an_answer(name: str) -> None:
 
 
 @pytest.mark.slow
-def test_every_extreme_white_has_a_displacement() -> None:
+def test_every_extreme_white_has_a_shear() -> None:
     geometry = Geometry(20.0, 14.0, 50.0, Disc(239.5, 319.5, 200.0))
     for reference in ("constant 0", "constant 255", "checkerboard 8 px"):
-        displacement = network("accurate").displacement
-        made = LearnedDisplacement(displacement, geometry, 20.0, white("accurate", reference))
+        shear = network("accurate").shear
+        made = LearnedShear(shear, geometry, 20.0, white("accurate", reference))
         for image in EXTREME_IMAGES:
-            sound_displacement(made, white("accurate", image), 20.0)
+            sound_shear(made, white("accurate", image), 20.0)
 
 
 @pytest.mark.slow
@@ -127,8 +127,8 @@ def test_another_engine_gives_the_same(name: str, tmp_path: Path) -> None:
     def run(white: F32, sensor: F32) -> NetworkMaps:
         parts[1].setInput(np.ascontiguousarray(white[None]), "white")
         parts[1].setInput(np.ascontiguousarray(sensor[None]), "sensor")
-        maps, foreign = parts[1].forward(("depth_and_contact", "foreign"))
-        return NetworkMaps(maps[0], foreign[0, 0])
+        maps, untrusted = parts[1].forward(("depth_and_contact", "foreign"))
+        return NetworkMaps(maps[0], untrusted[0, 0])
 
     geometry = Geometry(20.0, 14.0, 50.0, Disc(239.5, 319.5, 200.0))
     reference = white(name, "checkerboard 8 px")

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from support.toy_network import NOTHING_FOREIGN
+from support.toy_network import ALL_TRUSTED
 
 from tacshade_edge.core.calibration.refit import gain
 from tacshade_edge.core.depth.learned import Inverse
@@ -52,7 +52,7 @@ def inverse_of(height_mm: float, bad: float | None = None) -> Inverse:
     height = np.full((CELLS, CELLS), height_mm, np.float32)
     if bad is not None:
         height[50:60, 50:60] = bad
-    return Inverse(height, np.full((CELLS, CELLS), 5, np.float32), NOTHING_FOREIGN)
+    return Inverse(height, np.full((CELLS, CELLS), 5, np.float32), ALL_TRUSTED)
 
 
 @pytest.mark.parametrize("distance_mm", [None, 1e-6, 14.0, 1000.0])

@@ -5,8 +5,8 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-from tacshade_edge.core.depth import DisplacementNetwork, Network
-from tacshade_edge.inference.network import WEIGHTS, read_displacement, read_network
+from tacshade_edge.core.depth import Network, ShearNetwork
+from tacshade_edge.inference.network import WEIGHTS, read_network, read_shear
 
 
 def float_network(name: str, folder: Path) -> Network:
@@ -14,9 +14,9 @@ def float_network(name: str, folder: Path) -> Network:
     return read_network(_without_integers(name, folder))
 
 
-def float_displacement(folder: Path) -> DisplacementNetwork:
-    """That of displacement."""
-    return read_displacement(_without_integers("displacement", folder))
+def float_shear(folder: Path) -> ShearNetwork:
+    """That of shear."""
+    return read_shear(_without_integers("shear", folder))
 
 
 def _without_integers(name: str, folder: Path) -> Path:

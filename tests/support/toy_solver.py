@@ -17,7 +17,7 @@ CELLS, DEPTH_MM = 28, 1.5
 class ToySolver:
     """`DEPTH_MM` deep wherever a cell of its own coarse grid has become whiter."""
 
-    tells_shear = False
+    has_shear = False
 
     def __init__(self, preprocessor: Preprocessor, network: Network | None = None) -> None:
         self.grid = disc_map.map_grid(preprocessor.camera.geometry.disc, CELLS)

@@ -7,7 +7,7 @@
     .venv/bin/python -m tools.benchmarks.against /tmp/before [--rounds 20] [--frames 60]
 
 Colour frames of 640x480 of the simulated sensor, with nothing touching and with a cube that covers a fifth of the disc;
-each checkout calibrates it by itself. ``shear`` is what displacement adds, where somebody asks for it. A figure is the
+each checkout calibrates it by itself. ``shear`` is what it adds, where somebody asks for it. A figure is the
 median over rounds of a round's median (p50) or 99th percentile (p99); the ratio is the median of the rounds' ratios.
 """
 

@@ -65,8 +65,8 @@ ROWS = {  # name: program, ring, what the subscriber asks for
     "unasked": (RING_DAEMON, "contact", ""),
 }
 RECORDING = {"recording": "folder", "recording, mcap": "mcap"}  # row: format
-BEFORE = "kept before"
-RECORD_ROWS = {"contact": ROWS["contact"], BEFORE: ROWS["contact"], **dict.fromkeys(RECORDING, ROWS["contact"])}
+PRE_ROLL = "pre-roll"
+RECORD_ROWS = {"contact": ROWS["contact"], PRE_ROLL: ROWS["contact"], **dict.fromkeys(RECORDING, ROWS["contact"])}
 
 
 def subscriber(port: int, warm_up: int, topics: str) -> None:
@@ -129,7 +129,7 @@ def measure(name: str, row: tuple[str, str, str], folder: Path, port: int, args:
     assert listen.stdout is not None
     assert listen.stdout.readline() == "ready\n"
     config, shown = (
-        folder / ("before.yaml" if name == BEFORE else "config.yaml"),
+        folder / ("pre_roll.yaml" if name == PRE_ROLL else "config.yaml"),
         folder / (f"{ring}.npy" if program == RING_DAEMON else f"{ring}.pickle"),
     )
     pause = threading.Event()
@@ -199,10 +199,10 @@ def prepare(folder: Path, port: int, profile: str) -> None:
     """Images, calibration, settings, and for the null daemon what the real one makes of the images."""
     draw_rings(folder)
     calibration_file.save(folder / "c.npz", make_calibration())
-    for file, before_s in (("config", 0), ("before", 10)):
+    for file, pre_roll_s in (("config", 0), ("pre_roll", 10)):
         (folder / f"{file}.yaml").write_text(
             f"sensor_id: bench\nprofile: {profile}\ncalibration: c.npz\nsource: {{kind: simulated}}\n"
-            f"mqtt: {{host: 127.0.0.1, port: {port}}}\nrecorder: {{folder: recs, before_s: {before_s}}}\n"
+            f"mqtt: {{host: 127.0.0.1, port: {port}}}\nrecorder: {{folder: recs, pre_roll_s: {pre_roll_s}}}\n"
         )
     calibration = calibration_file.load(folder / "c.npz")
     reconstructor, crc32 = make_reconstructor(calibration, PROFILES[profile]), calibration.crc32

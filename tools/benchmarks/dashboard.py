@@ -34,7 +34,7 @@ from tools.testbed.browser import browser, errors
 from tools.testbed.dashboard_process import dashboard
 from tools.testbed.mqtt_rig import Broker
 from tools.testbed.patience import wait_until
-from tools.testbed.published_hand import CRC, PublishedHand, bump
+from tools.testbed.published_sensor import CRC, PublishedSensor, bump
 
 RING = 16
 
@@ -42,13 +42,13 @@ RING = 16
 def publish(port: int, fps: float, step_px: int, stop: Event) -> None:
     """A press that goes in and out, at a steady pace; skips what is late."""
     ring = [bump(0, 0.2 + 2.5 * k / RING, 236.0, 270.0 + 8 * k, step_px) for k in range(RING)]
-    with PublishedHand(port) as hand:
+    with PublishedSensor(port) as sensor:
         began, seq = time.monotonic(), 0
         while not stop.is_set():
             seq = max(seq + 1, int((time.monotonic() - began) * fps))
             time.sleep(max(0.0, began + seq / fps - time.monotonic()))
             t_ns, wall_ns = time.monotonic_ns(), time.time_ns()
-            hand.show(dataclasses.replace(ring[seq % RING], seq=seq, t_ns=t_ns, wall_ns=wall_ns))
+            sensor.show(dataclasses.replace(ring[seq % RING], seq=seq, t_ns=t_ns, wall_ns=wall_ns))
 
 
 def cpu_s(pid: int) -> float:

@@ -33,7 +33,7 @@ def main() -> None:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     lines = []
-    for name in (*(profile.network for profile in PROFILES.values() if profile.network), "displacement"):
+    for name in (*(profile.network for profile in PROFILES.values() if profile.network), "shear"):
         path = WEIGHTS / f"{name}.onnx"
         data = path.read_bytes()
         session, integers = (

@@ -63,7 +63,7 @@ def reconstruct(folder: Path, out: Path) -> None:
 
 
 def step(folder: Path, profile: str, image: int, count: int) -> None:
-    """As the daemon does where nobody asks for displacement and standard deviation."""
+    """As the daemon does where nobody asks for shear and standard deviation."""
     made = make_reconstructor(calibration_file.load(folder / "calibration.npz"), PROFILES[profile])
     shown = np.load(folder / "images.npy")[image]
     for k in range(count):

@@ -1,6 +1,6 @@
 """What one client of the broker publishes, or one that reaches a bridge's port does: what becomes of all others?
 
-Beside each attack a real hand publishes, and must be seen as without it.
+Beside each attack a real sensor publishes, and must be seen as without it.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from tacshade_edge.protocol import messages, wire
 from tools.faults.rig import Cell, Seen, pause
 from tools.testbed.bridge_process import BridgeProcess
 from tools.testbed.patience import stretched
-from tools.testbed.published_hand import CRC, PublishedHand, bump
 from tools.testbed.published_health import health
+from tools.testbed.published_sensor import CRC, PublishedSensor, bump
 
 FOXGLOVE = Subprotocol("foxglove.sdk.v1")
 MEMORY_MB_MAX = 400.0
@@ -41,7 +41,7 @@ HUGE = "1" + "0" * 400
 
 def hostile_infos() -> Iterator[bytes]:
     """Geometries that no sensor has."""
-    from tools.testbed.published_hand import calibration
+    from tools.testbed.published_sensor import calibration
 
     info = json.loads(messages.encode_info(version="0", config_digest="0", profile="fast", calibration=calibration()))
     for key in ("radius_px", "skin_radius_mm", "visible_half_angle_deg", "row_c", "camera_distance_mm"):
@@ -86,9 +86,9 @@ def idle(port: int, count: int) -> Iterator[int]:
 # -- Prometheus -----------------------------------------------------------------------------------------------------
 
 
-def scraped(bridge: BridgeProcess, hand: PublishedHand) -> bool:
-    """Whether the page tells that the real hand lives."""
-    hand.tell("health", health())
+def scraped(bridge: BridgeProcess, sensor: PublishedSensor) -> bool:
+    """Whether the page tells that the real sensor lives."""
+    sensor.tell("health", health())
     with contextlib.suppress(OSError):
         return f'tacshade_up{{sensor="{REAL}"}} 1.0' in bridge.page()
     return False
@@ -103,7 +103,7 @@ class Told:
 
 
 REFUSED = Told("log", r"bad: \w+: ")
-NO_ROOM = Told("log", r": one hand more than the \d+")
+NO_ROOM = Told("log", r": one sensor more than the \d+")
 COUNTED = Told("log, `tacshade_bridge_refused_total`", r"bad: health: ")
 COUNTED_NO_ROOM = Told("log, `tacshade_bridge_refused_total`", NO_ROOM.logged)
 SLOW = Told("log: how many each viewer was too slow for", r"the viewer that left was too slow for \d+ messages")
@@ -111,22 +111,22 @@ TURNED_AWAY = Told("nowhere: a connection too many is closed")
 
 
 def metrics(
-    cell: Cell, attack: Callable[[PublishedHand, BridgeProcess], None], told: Told, *, first: bool = False
+    cell: Cell, attack: Callable[[PublishedSensor, BridgeProcess], None], told: Told, *, first: bool = False
 ) -> Seen:
-    """One attack on those who read metrics; `first`: before the real hand and the bridge come."""
+    """One attack on those who read metrics; `first`: before the real sensor and the bridge come."""
     cell.serve()
     with contextlib.ExitStack() as opened:
-        bad = opened.enter_context(PublishedHand(cell.broker.port, "bad"))
+        bad = opened.enter_context(PublishedSensor(cell.broker.port, "bad"))
         bridge = BridgeProcess("prometheus", cell.broker.port, cell.folder / "bridge.log")
         if first:
             attack(bad, bridge)
-        real = opened.enter_context(PublishedHand(cell.broker.port, REAL))
+        real = opened.enter_context(PublishedSensor(cell.broker.port, REAL))
         opened.enter_context(bridge)
-        cell.until(lambda: scraped(bridge, real), 20, f"the real hand, in {bridge.log()[-300:]!r}")
+        cell.until(lambda: scraped(bridge, real), 20, f"the real sensor, in {bridge.log()[-300:]!r}")
         if not first:
             attack(bad, bridge)
         since_s = time.monotonic()
-        cell.until(lambda: scraped(bridge, real), 20, f"the real hand after it, in {bridge.log()[-300:]!r}")
+        cell.until(lambda: scraped(bridge, real), 20, f"the real sensor after it, in {bridge.log()[-300:]!r}")
         recovered_s = time.monotonic() - since_s
         page = len(bridge.page())
         return judged(bridge, recovered_s, told, f", page {page / 1e6:.2f} MB", sound=page < 4_000_000)
@@ -142,13 +142,13 @@ def judged(bridge: BridgeProcess, recovered_s: float, told: Told, more: str = ""
     assert sound, cost
     assert re.search(told.logged, bridge.log()), f"no {told.logged!r} in {bridge.log()[-600:]!r}"
     assert not any(problems), cost
-    return Seen(None, recovered_s, f"of the real hand nothing; {cost}", told.where)
+    return Seen(None, recovered_s, f"of the real sensor nothing; {cost}", told.where)
 
 
 def bad_healths(cell: Cell) -> Seen:
     """Each kind of number that no daemon tells."""
 
-    def attack(bad: PublishedHand, bridge: BridgeProcess) -> None:
+    def attack(bad: PublishedSensor, bridge: BridgeProcess) -> None:
         for payload in hostile_healths():
             bad.tell("health", payload)
             pause(0.02)
@@ -160,7 +160,7 @@ def bad_healths(cell: Cell) -> Seen:
 def bad_sizes(cell: Cell) -> Seen:
     """A million keys, again and again."""
 
-    def attack(bad: PublishedHand, bridge: BridgeProcess) -> None:
+    def attack(bad: PublishedSensor, bridge: BridgeProcess) -> None:
         payload = million_keys()
         for _ in range(3):
             bad.tell("health", payload)
@@ -175,16 +175,16 @@ def idle_readers(cell: Cell) -> Seen:
     """Connections on which nothing is said, while somebody reads."""
     with contextlib.ExitStack() as opened:
 
-        def attack(_bad: PublishedHand, bridge: BridgeProcess) -> None:
+        def attack(_bad: PublishedSensor, bridge: BridgeProcess) -> None:
             opened.enter_context(idle(bridge.port, IDLE))
 
         return metrics(cell, attack, TURNED_AWAY)
 
 
-def invented(topics: Callable[[PublishedHand], None]) -> Callable[[PublishedHand, BridgeProcess], None]:
-    """Many names of hands that are none, retained."""
+def invented(topics: Callable[[PublishedSensor], None]) -> Callable[[PublishedSensor, BridgeProcess], None]:
+    """Many names of sensors that are none, retained."""
 
-    def attack(bad: PublishedHand, _bridge: BridgeProcess) -> None:
+    def attack(bad: PublishedSensor, _bridge: BridgeProcess) -> None:
         for number in range(NAMES):
             bad.base = f"tacshade/a{number:04d}"
             topics(bad)
@@ -202,7 +202,7 @@ def invented_states(cell: Cell) -> Seen:
 
 
 def watching(bridge: BridgeProcess, names: tuple[str, ...]) -> tuple[ClientConnection, bool]:
-    """A viewer of the real hand; whether it was told of it within 5 s."""
+    """A viewer of the real sensor; whether it was told of it within 5 s."""
     viewer = connect(bridge.url, subprotocols=[FOXGLOVE], max_size=None, max_queue=1, compression=None)
     ids: dict[str, int] = {}
     end_s = time.monotonic() + 5
@@ -216,13 +216,13 @@ def watching(bridge: BridgeProcess, names: tuple[str, ...]) -> tuple[ClientConne
     return viewer, len(wanted) == len(names)
 
 
-def looked_at(bridge: BridgeProcess, hand: PublishedHand) -> bool:
-    """Whether a new viewer gets a height map of the real hand."""
+def looked_at(bridge: BridgeProcess, sensor: PublishedSensor) -> bool:
+    """Whether a new viewer gets a height map of the real sensor."""
     with contextlib.suppress(OSError, WebSocketException):
         viewer, known = watching(bridge, ("height",))
         with viewer:
             for number in range(50 if known else 0):
-                hand.show(bump(number, 1.0, 236.0, 328.0, 8))
+                sensor.show(bump(number, 1.0, 236.0, 328.0, 8))
                 with contextlib.suppress(TimeoutError):
                     while not isinstance(viewer.recv(timeout=0.2), bytes):
                         pass
@@ -232,7 +232,7 @@ def looked_at(bridge: BridgeProcess, hand: PublishedHand) -> bool:
 
 def views(
     cell: Cell,
-    attack: Callable[[PublishedHand, PublishedHand, BridgeProcess], None],
+    attack: Callable[[PublishedSensor, PublishedSensor, BridgeProcess], None],
     told: Told,
     *,
     first: bool = False,
@@ -240,25 +240,25 @@ def views(
     """One attack on those who look."""
     cell.serve()
     with contextlib.ExitStack() as opened:
-        bad = opened.enter_context(PublishedHand(cell.broker.port, "bad"))
-        real = PublishedHand(cell.broker.port, REAL)
+        bad = opened.enter_context(PublishedSensor(cell.broker.port, "bad"))
+        real = PublishedSensor(cell.broker.port, REAL)
         bridge = BridgeProcess("foxglove", cell.broker.port, cell.folder / "bridge.log")
         if first:
             attack(bad, real, bridge)
         opened.enter_context(real)
         opened.enter_context(bridge)
         if not first:
-            cell.until(lambda: looked_at(bridge, real), 30, "the real hand before")
+            cell.until(lambda: looked_at(bridge, real), 30, "the real sensor before")
             attack(bad, real, bridge)
         since_s = time.monotonic()
-        cell.until(lambda: looked_at(bridge, real), 30, f"the real hand, in {bridge.log()[-300:]!r}")
+        cell.until(lambda: looked_at(bridge, real), 30, f"the real sensor, in {bridge.log()[-300:]!r}")
         return judged(bridge, time.monotonic() - since_s, told)
 
 
 def bad_infos(cell: Cell) -> Seen:
     """Each geometry that no sensor has, while its skin is looked at; the last is retained."""
 
-    def attack(bad: PublishedHand, real: PublishedHand, bridge: BridgeProcess) -> None:
+    def attack(bad: PublishedSensor, real: PublishedSensor, bridge: BridgeProcess) -> None:
         viewer = connect(bridge.url, subprotocols=[FOXGLOVE], max_size=None, compression=None)
         with viewer:
             ids: list[int] = []
@@ -281,7 +281,7 @@ def bad_infos(cell: Cell) -> Seen:
 def retained_infos(cell: Cell) -> Seen:
     """They are there when the bridge starts, with a viewer at once."""
 
-    def attack(bad: PublishedHand, _real: PublishedHand, _bridge: BridgeProcess) -> None:
+    def attack(bad: PublishedSensor, _real: PublishedSensor, _bridge: BridgeProcess) -> None:
         for number, payload in enumerate(hostile_infos()):
             bad.base = f"tacshade/b{number}"
             bad.tell("info", payload, retain=True)
@@ -291,10 +291,10 @@ def retained_infos(cell: Cell) -> Seen:
 
 
 def slow_viewers(cell: Cell) -> Seen:
-    """Viewers that read nothing, of the largest heights that the real hand has."""
+    """Viewers that read nothing, of the largest heights that the real sensor has."""
     with contextlib.ExitStack() as opened:
 
-        def attack(_bad: PublishedHand, real: PublishedHand, bridge: BridgeProcess) -> None:
+        def attack(_bad: PublishedSensor, real: PublishedSensor, bridge: BridgeProcess) -> None:
             for _ in range(VIEWERS):
                 viewer, _known = watching(bridge, ("height", "cloud", "skin", "contact"))
                 opened.callback(viewer.socket.close)
@@ -311,7 +311,7 @@ def idle_viewers(cell: Cell) -> Seen:
     """Connections on which nothing is said."""
     with contextlib.ExitStack() as opened:
 
-        def attack(_bad: PublishedHand, _real: PublishedHand, bridge: BridgeProcess) -> None:
+        def attack(_bad: PublishedSensor, _real: PublishedSensor, bridge: BridgeProcess) -> None:
             opened.enter_context(idle(bridge.port, IDLE))
 
         return views(cell, attack, TURNED_AWAY)
@@ -321,7 +321,7 @@ def invented_infos(cell: Cell) -> Seen:
     """They have an `info` that decodes."""
     info = messages.encode_info(version="0", config_digest="0", profile="fast", calibration=_missing())
 
-    def attack(bad: PublishedHand, _real: PublishedHand, bridge: BridgeProcess) -> None:
+    def attack(bad: PublishedSensor, _real: PublishedSensor, bridge: BridgeProcess) -> None:
         invented(lambda one: one.tell("info", info, retain=True))(bad, bridge)
 
     return views(cell, attack, NO_ROOM, first=True)
@@ -339,11 +339,11 @@ _LISTENER = """
 import resource, sys
 import tacshade_edge as ts
 found = 0
-with ts.listen(sys.argv[1], "right") as hand:
+with ts.listen(sys.argv[1], "right") as sensor:
     print("listens", flush=True)
     while True:
         try:
-            result = next(hand)
+            result = next(sensor)
         except ts.TacshadeError as error:
             print("told", error, flush=True)
             continue
@@ -356,9 +356,9 @@ print("ended", resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024, flush
 
 
 def listener(cell: Cell) -> Seen:
-    """What a hand publishes, to who listens with the library."""
+    """What a sensor publishes, to who listens with the library."""
     cell.serve()
-    with PublishedHand(cell.broker.port, REAL) as hand:
+    with PublishedSensor(cell.broker.port, REAL) as sensor:
         words = [sys.executable, "-c", _LISTENER, f"127.0.0.1:{cell.broker.port}"]
         child = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         try:
@@ -366,17 +366,17 @@ def listener(cell: Cell) -> Seen:
             child.stdout.readline()
             touched = bump(1, 1.0, 236.0, 328.0, 4)
             for payload in hostile_infos():
-                hand.tell("info", payload)
-                hand.show(touched)
+                sensor.tell("info", payload)
+                sensor.show(touched)
                 pause(0.02)
-            hand.tell_info("fast", profiles=("fast",))
+            sensor.tell_info("fast", profiles=("fast",))
             for message in other_shapes():
-                hand.tell(*message)
+                sensor.tell(*message)
                 pause(0.02)
             since_s = time.monotonic()
 
             def over() -> bool:
-                hand.show(bump(4242, 1.0, 236.0, 328.0, 4))
+                sensor.show(bump(4242, 1.0, 236.0, 328.0, 4))
                 return child.poll() is not None
 
             cell.until(over, 20, "a result")
@@ -387,7 +387,7 @@ def listener(cell: Cell) -> Seen:
         finally:
             child.kill()
             child.communicate()
-    lost = f"of the real hand nothing; {peak_mb} MB"
+    lost = f"of the real sensor nothing; {peak_mb} MB"
     return Seen(None, time.monotonic() - since_s, lost, "`passed_over`")
 
 
@@ -395,7 +395,7 @@ def other_shapes() -> Iterator[tuple[str, bytes]]:
     """`shear` and `sigma` of other grids than the `height` of their frame; grids that are none; the largest."""
     from dataclasses import replace
 
-    from tools.testbed.published_hand import dragged, uncertain
+    from tools.testbed.published_sensor import dragged, uncertain
 
     for other in (bump(7, 1.0, 236.0, 328.0, 8), bump(7, 1.0, 240.0, 300.0, 6)):
         for made in (dragged(other, 1.0, 0.0), uncertain(other, 0.1)):
@@ -419,11 +419,11 @@ FAULTS = {
     "bridge prometheus: numbers and names that no daemon tells": bad_healths,
     "bridge prometheus: a million keys": bad_sizes,
     f"bridge prometheus: {IDLE} idle connections": idle_readers,
-    f"bridge prometheus: {NAMES} invented hands": invented_states,
+    f"bridge prometheus: {NAMES} invented sensors": invented_states,
     "bridge foxglove: geometries that no sensor has": bad_infos,
     "bridge foxglove: such geometries, retained": retained_infos,
     f"bridge foxglove: {VIEWERS} viewers that do not read": slow_viewers,
     f"bridge foxglove: {IDLE} idle connections": idle_viewers,
-    f"bridge foxglove: {NAMES} invented hands": invented_infos,
+    f"bridge foxglove: {NAMES} invented sensors": invented_infos,
     "library: what no daemon publishes": listener,
 }

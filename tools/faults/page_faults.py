@@ -21,7 +21,7 @@ from tools.testbed.browser import CHROMIUM, DRIVER, browser, errors, page
 from tools.testbed.dashboard_process import dashboard
 from tools.testbed.mqtt_rig import Subscriber
 from tools.testbed.patience import stretched, wait_until
-from tools.testbed.published_hand import PublishedHand, bump
+from tools.testbed.published_sensor import PublishedSensor, bump
 from tools.testbed.shown_page import until_shown
 
 LONG = "x y " * 50_000
@@ -63,36 +63,36 @@ TEXTS: tuple[tuple[str, object], ...] = (
 
 
 def hostile_messages(cell: Cell) -> Seen:
-    """Each of `TEXTS` and `GRIDS`, many parts and many sensors, beside a hand that is sound."""
+    """Each of `TEXTS` and `GRIDS`, many parts and many sensors, beside a sensor that is sound."""
     if CHROMIUM is None or DRIVER is None:
         raise SkippedError("needs Chromium and its driver")
     cell.broker.start()
     port = cell.broker.port
     with (
         dashboard(f"127.0.0.1:{port}") as address,
-        PublishedHand(port) as hand,
+        PublishedSensor(port) as sensor,
         Subscriber(port, "none") as other,
         browser(cell.folder / "chromium") as driver,
     ):
         driver.get(f"{address}#drawn")
-        until_shown(driver, hand, lambda: bump(1, 1.5, 200, 300, step_px=4), 1)
+        until_shown(driver, sensor, lambda: bump(1, 1.5, 200, 300, step_px=4), 1)
         driver.execute_script(TASKS)
         for topic, body in TEXTS:
-            hand.tell(topic, json.dumps(body).encode())
+            sensor.tell(topic, json.dumps(body).encode())
             drawn_again(driver)
         sound = wire.encode_height(bump(2, 2.0, 200, 300, step_px=4), calibration_crc32=1)
         for rows, cols, step_px in GRIDS:
             for topic in ("height", "shear", "sigma", "cloud"):
-                hand.tell(topic, grid_message(sound, rows, cols, step_px))
+                sensor.tell(topic, grid_message(sound, rows, cols, step_px))
             drawn_again(driver)
         for number in range(1000):
-            hand.tell(f"status/p{number}", b'{"state": "x"}')
+            sensor.tell(f"status/p{number}", b'{"state": "x"}')
             other.publish(f"tacshade/invented{number}/state", b"online", 0)
         drawn_again(driver)
         longest_ms = max(page(driver, "window.tasks") or [0])  # without the skin in 3-D, slow without an accelerator
         since_s = time.monotonic()
-        hand.tell_info("fast", profiles=("fast",))
-        until_shown(driver, hand, lambda: bump(3, 1.0, 200, 300, step_px=4), 3)
+        sensor.tell_info("fast", profiles=("fast",))
+        until_shown(driver, sensor, lambda: bump(3, 1.0, 200, 300, step_px=4), 3)
         recovered_s = time.monotonic() - since_s
         counted = page(driver, "tacshade.undecodable")
         complaints = errors(driver)

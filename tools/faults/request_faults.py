@@ -16,7 +16,7 @@ FLOOD = 5000
 
 
 def reply_topic(cell: Cell) -> Seen:
-    """The answer is wanted on a topic of the hand's own."""
+    """The answer is wanted on a topic of the sensor's own."""
     cell.serve()
     cell.start()
     since_s = cell.mark()
@@ -58,6 +58,6 @@ def flood(cell: Cell) -> Seen:
 
 
 FAULTS = {
-    "an answer is wanted on the hand's own topics": reply_topic,
+    "an answer is wanted on the sensor's own topics": reply_topic,
     f"{FLOOD} requests at once": flood,
 }

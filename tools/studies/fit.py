@@ -130,7 +130,7 @@ class Judged:
     me_mm: float
     sd_pct: float
     iou: float
-    displacement_off_mm: float
+    shear_off_mm: float
 
 
 def judged_scenes(sensor: PressedSensor, seed: int | None) -> list[tuple[str, Scene]]:
@@ -272,7 +272,7 @@ def accuracy(case: str, kept: Mapping[str, bool], rows: list[Judged]) -> list[li
 
 
 def dragged(case: str, rows: list[Judged]) -> list[list[str]]:
-    """Lines of the table of drag: ME beside that of the same objects undragged, and how far off displacement is."""
+    """Lines of the table of drag: ME beside that of the same objects undragged, and how far off shear is."""
     lines = []
     for profile in LADDER:
         cells = []
@@ -281,7 +281,7 @@ def dragged(case: str, rows: list[Judged]) -> list[list[str]]:
             still = [r for r in of_both if r.judged == "pressed"]
             moved = [r for r in of_both if r.judged == "dragged"]
             me, before = np.mean(of_objects(moved, "me_mm")), np.mean(of_objects(still, "me_mm"))
-            off = np.nanmedian([r.displacement_off_mm for r in moved])
+            off = np.nanmedian([r.shear_off_mm for r in moved])
             cells.append((f"{before:.3f}", f"{me:.3f}", f"{me / before:.2f}", f"{off:.3f}"))
         lines.append([case, profile, *(cell for pair in zip(*cells, strict=True) for cell in pair)])
     return lines
@@ -315,7 +315,7 @@ def main() -> None:
     first = ["sensor", "method"]
     print(markdown([*first, "depth", "kept", *pairs("ME mm", "worst", "SD %", "worst SD", "IoU")], accurate))
     print(f"\nDragged by {DRAG_MM:g} mm, {DRAGGED_MM:g} mm deep, fitted to presses that were not dragged\n")
-    print(markdown([*first, *pairs("ME still mm", "ME dragged mm", "ratio", "displacement off mm")], drags))
+    print(markdown([*first, *pairs("ME still mm", "ME dragged mm", "ratio", "shear off mm")], drags))
     print(f"\nThe fit of all profiles; file, start and a frame of `{DEFAULT}`\n")
     print(markdown(["sensor", "fit s", "memory MB", *pairs("file kB", "start ms", "frame ms")], costs))
 

@@ -14,7 +14,7 @@ def health() -> bytes:
         ledger.captured(seq)
     ledger.settle(0, "published")
     ledger.settle(1, "invalid")
-    timings.add({"capture_to_offer": 20.0, "solve": 5.0})
+    timings.add({"latency": 20.0, "solve": 5.0})
     told = Health(ledger, timings).snapshot(4, {"published": 9, "refused": 0})
     parts = {"recorder": {"written": 5, "waiting": 1}, "budget": None}
     return messages.encode_health({**told, **parts, "reference": {"state": "following"}, "invalid_reason_code": "torn"})

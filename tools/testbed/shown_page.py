@@ -19,7 +19,7 @@ from tools.testbed.browser import CHROMIUM, DRIVER
 from tools.testbed.growing_map import GrowingMap
 from tools.testbed.mqtt_rig import MOSQUITTO
 from tools.testbed.patience import patience, wait_until
-from tools.testbed.published_hand import PublishedHand
+from tools.testbed.published_sensor import PublishedSensor
 
 _MISSING = [
     name for name, found in (("Chromium", CHROMIUM), ("its driver", DRIVER), ("mosquitto", MOSQUITTO)) if not found
@@ -77,18 +77,18 @@ def opened(page: Chrome, address: str, sensor_id: str = "") -> None:
     shows(page, "link", "Connected")
 
 
-def until_shown(page: Chrome, hand: PublishedHand, result: Callable[[], Any], seq: int) -> None:
+def until_shown(page: Chrome, sensor: PublishedSensor, result: Callable[[], Any], seq: int) -> None:
     """Publish until it is on the screen: QoS 0, and the page may still be subscribing."""
 
     def again() -> bool:
-        hand.show(result())
+        sensor.show(result())
         return bool(js(page, f"tacshade.seq === {seq}"))
 
     wait_until(again, 15, f"map {seq} on the screen")
 
 
-def mapping(hand: PublishedHand, name: str, **corner_mm: float) -> GrowingMap:
-    return GrowingMap(lambda topic, payload: hand.tell(topic, payload, retain=True), name, **corner_mm)
+def mapping(sensor: PublishedSensor, name: str, **corner_mm: float) -> GrowingMap:
+    return GrowingMap(lambda topic, payload: sensor.tell(topic, payload, retain=True), name, **corner_mm)
 
 
 def until_mapped(page: Chrome, name: str, revision: int) -> None:

@@ -95,7 +95,7 @@ def pooled(name: str, array: np.ndarray, by: int) -> np.ndarray:
 
 
 def batch(data: Data, index: np.ndarray, turn: int = 0) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Inputs of a network; 10 h and contact (B, cells, cells); 10 times the displacement (B, 2, coarse, coarse cells).
+    """Inputs of a network; 10 h and contact (B, cells, cells); 10 times the shear (B, 2, coarse, coarse cells).
 
     `turn`: which of the square's 8 symmetries.
     """

@@ -33,19 +33,19 @@ from torch.nn.utils.fusion import fuse_conv_bn_weights
 
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.inference.onnx_weights import values_of, with_values
-from tools.training.network import DisplacementNet, Net, trained
+from tools.training.network import Net, ShearNet, trained
 from tools.training.shipped import WEIGHTS
 
 OPSET = 13
 TOLERANCE = 1e-4
-OUTPUTS = {"depth": ["depth_and_contact", "foreign"], "displacement": ["displacement"]}
-"""Of `network.NETS`."""
+OUTPUTS = {"depth": ["depth_and_contact", "foreign"], "shear": ["displacement"]}
+"""Of `network.NETS`, as the tensors of the shipped files are called: those names are of their bytes and stay."""
 
 
 class PerSensor(nn.Module):
     """What the maps that are known of a sensor add to the first convolution."""
 
-    def __init__(self, net: Net | DisplacementNet) -> None:
+    def __init__(self, net: Net | ShearNet) -> None:
         super().__init__()
         weight, bias = first_layer(net)
         self.register_buffer("weight", weight[:, net.fold**2 :])
@@ -59,7 +59,7 @@ class PerSensor(nn.Module):
 class PerFrame(nn.Module):
     """The network from a frame's white and what `PerSensor` gave."""
 
-    def __init__(self, net: Net | DisplacementNet) -> None:
+    def __init__(self, net: Net | ShearNet) -> None:
         super().__init__()
         self.rest = copy.deepcopy(net)
         self.rest.down[0] = self.rest.down[0][3:]
@@ -71,7 +71,7 @@ class PerFrame(nn.Module):
         return made if isinstance(made, tuple) else (made,)
 
 
-def first_layer(net: Net | DisplacementNet) -> tuple[Tensor, Tensor]:
+def first_layer(net: Net | ShearNet) -> tuple[Tensor, Tensor]:
     """Weight and bias of the first convolution with its normalisation."""
     conv, norm = net.down[0][0], net.down[0][1]
     fused = fuse_conv_bn_weights(

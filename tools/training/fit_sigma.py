@@ -116,10 +116,10 @@ def measure(text: str) -> Measured:
                     inside = rays_in_image(solver.grid, calibration).inside
                     where = contact_of(depth, inside)
                     where[where] = np.arange(np.count_nonzero(where)) % EVERY == 0
-                    if not where.any() or depth.contact_logit is None or depth.foreign_logit is None:
+                    if not where.any() or depth.contact_logit is None or depth.untrusted_logit is None:
                         continue
                     height = np.where(inside, depth.height_mm, np.float32(0))
-                    x = terms(height, depth.contact_logit, depth.foreign_logit, where, calibration.geometry)
+                    x = terms(height, depth.contact_logit, depth.untrusted_logit, where, calibration.geometry)
                     error_mm = np.abs(height[where] - true_height_mm(frame, solver.grid, where))
                     found.setdefault((network, of if kind == "known" else f"bare {of}"), []).append(Cells(x, error_mm))
     taken = {of: {n: Cells.joined(found[n, of]) for n in LADDER} for of in ("weights", "scales", "bare scales")}

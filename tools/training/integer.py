@@ -4,7 +4,7 @@
 ::
 
     .venv-train/bin/python -m tools.training.integer --data DATA --name fast
-    .venv-train/bin/python -m tools.training.integer --data DATA --name displacement --part 0.97
+    .venv-train/bin/python -m tools.training.integer --data DATA --name shear --part 0.97
 
 The graph has no weights: those of ``NAME.onnx``, or fitted ones of its layout, are joined to it when it is read. Beside
 the operations it has the scales of the codes: how far each channel goes on the shards of make_data.py, in all frames or

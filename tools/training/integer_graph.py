@@ -12,7 +12,7 @@ import onnx
 from onnx import NodeProto, TensorProto, helper, numpy_helper
 
 OUTPUTS = ("depth_and_contact", "foreign", "displacement")
-"""Of a network of depth, and of that of displacement."""
+"""Tensors of the shipped networks of depth, and of that of shear (`export.OUTPUTS`)."""
 MOST_CODE, MOST_WEIGHT = 255, 63
 """Two products of such numbers, 2 * 255 * 63, fit int16: so x86-64 without VNNI adds them, and saturates beyond."""
 LEAST_RANGE = 1e-3

@@ -13,9 +13,9 @@ from tools.training.data import Data, batch
 from tools.training.network import COARSE_CELLS, DISC_MM, HEIGHT_SCALE
 from tools.training.torn import spoil
 
-FOREIGN_WEIGHT = 0.5
-FOREIGN_CELLS = 0.05
-"""A frame with so many foreign cells counts as torn in the figures."""
+UNTRUSTED_WEIGHT = 0.5
+UNTRUSTED_CELLS = 0.05
+"""A frame with so many untrusted cells counts as torn in the figures."""
 LEAST_CELLS, STILL_MM = 60, 0.1
 """Contacts of fewer cells (of 112x112) have no figures; what moved by less was not dragged."""
 
@@ -27,9 +27,9 @@ def split_output(y: Tensor, fold: int) -> tuple[Tensor, Tensor]:
 
 
 def depth_loss(
-    outputs: tuple[Tensor, Tensor], fold: int, height: Tensor, contact: Tensor, shear: Tensor, foreign: Tensor
+    outputs: tuple[Tensor, Tensor], fold: int, height: Tensor, contact: Tensor, shear: Tensor, untrusted: Tensor
 ) -> Tensor:
-    """Of height and its slope and the contact's outline, heavier in contact; and of what is foreign."""
+    """Of height and its slope and the contact's outline, heavier in contact; and of what is untrusted."""
     y, odds = outputs
     found, logit = split_output(y, fold)
     top = height.amax((1, 2), keepdim=True)
@@ -41,22 +41,20 @@ def depth_loss(
     edge = functional.binary_cross_entropy_with_logits(logit, contact)
     p = torch.sigmoid(logit)
     dice = 1 - (2 * (p * contact).sum((1, 2)) + 20) / ((p + contact).sum((1, 2)) + 20)
-    seen = functional.adaptive_avg_pool2d(1 - foreign[:, None], COARSE_CELLS)
+    seen = functional.adaptive_avg_pool2d(1 - untrusted[:, None], COARSE_CELLS)
     strange = functional.binary_cross_entropy_with_logits(odds.float(), 1 - seen)
-    return level + 1.5 * slope + edge + 0.15 * dice.mean() + FOREIGN_WEIGHT * strange
+    return level + 1.5 * slope + edge + 0.15 * dice.mean() + UNTRUSTED_WEIGHT * strange
 
 
-def displacement_loss(
-    moved: Tensor, fold: int, height: Tensor, contact: Tensor, shear: Tensor, foreign: Tensor
-) -> Tensor:
-    """Of displacement, heavier in contact, where the skin is seen."""
+def shear_loss(moved: Tensor, fold: int, height: Tensor, contact: Tensor, shear: Tensor, untrusted: Tensor) -> Tensor:
+    """Of shear, heavier in contact, where the skin is seen."""
     touching = functional.adaptive_avg_pool2d(contact[:, None], COARSE_CELLS)
-    seen = functional.adaptive_avg_pool2d(1 - foreign[:, None], COARSE_CELLS)
+    seen = functional.adaptive_avg_pool2d(1 - untrusted[:, None], COARSE_CELLS)
     off = (moved.float() - shear).abs().sum(1, keepdim=True) * (seen > 0.99)
     return ((0.3 + 4 * touching) * off).mean()
 
 
-LOSSES: dict[str, Callable[..., Tensor]] = {"depth": depth_loss, "displacement": displacement_loss}
+LOSSES: dict[str, Callable[..., Tensor]] = {"depth": depth_loss, "shear": shear_loss}
 """Of `network.NETS`: what it says, its fold, and what is true."""
 
 
@@ -88,11 +86,11 @@ def depth_figures(net: nn.Module, data: Data) -> dict[str, float]:
     names = ("error_mm", "undragged_error_mm", "shape_error_mm", "depth_error", "iou")
     values = (errors, still, shapes, relative, ious)
     row = {n: round(float(np.mean(v)), 4) for n, v in zip(names, values, strict=True)}
-    return row | {"called_torn": share_over(strange, FOREIGN_CELLS), "torn": share_over(torn, FOREIGN_CELLS)}
+    return row | {"called_torn": share_over(strange, UNTRUSTED_CELLS), "torn": share_over(torn, UNTRUSTED_CELLS)}
 
 
-def displacement_figures(net: nn.Module, data: Data) -> dict[str, float]:
-    """How far off the displacement of contacts is, as if the disc's radius were 15 mm."""
+def shear_figures(net: nn.Module, data: Data) -> dict[str, float]:
+    """How far off the shear of contacts is, as if the disc's radius were 15 mm."""
     off, size = [], []
     for x, _, contact, shear in _batches(data):
         with torch.autocast("cpu", torch.bfloat16):
@@ -109,7 +107,7 @@ def displacement_figures(net: nn.Module, data: Data) -> dict[str, float]:
 
 FIGURES: dict[str, Callable[[nn.Module, Data], dict[str, float]]] = {
     "depth": depth_figures,
-    "displacement": displacement_figures,
+    "shear": shear_figures,
 }
 
 

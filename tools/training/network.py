@@ -20,11 +20,11 @@ KNOWN = 6
 """Maps of `disc_map.geometry_maps`."""
 
 COARSE_CELLS = 28
-"""Along a side of the maps of displacement and of what is foreign."""
+"""Along a side of the maps of shear and of what is untrusted."""
 
 
 SECOND_WIDTHS = (40, 56, 64)
-"""Channels of the levels of the second U of displacement."""
+"""Channels of the levels of the second U of shear."""
 
 
 def block(inputs: int, outputs: int) -> nn.Sequential:
@@ -92,11 +92,11 @@ class Net(U):
         return self.head(risen[0]), functional.pixel_shuffle(self.foreign_head(coarse), self.coarse_fold)
 
 
-class DisplacementNet(nn.Module):
-    """Displacement: maps of 112x112 cells folded by 2, as `Net` takes them, to what the skin moved along itself.
+class ShearNet(nn.Module):
+    """Shear: maps of 112x112 cells folded by 2, as `Net` takes them, to what the skin moved along itself.
 
-    Out: 10 times the displacement along x, y / disc radius, (B, 2, COARSE_CELLS, COARSE_CELLS). Two Us one after the
-    other (Newell, Yang and Deng 2016): an imprint tells its displacement up to whole pitches, what is around it how
+    Out: 10 times the shear along x, y / disc radius, (B, 2, COARSE_CELLS, COARSE_CELLS). Two Us one after the
+    other (Newell, Yang and Deng 2016): an imprint tells its shear up to whole pitches, what is around it how
     many. One for all profiles: it is run only where somebody asks, and shares nothing with depth, which needs all of
     its own few channels.
     """
@@ -119,11 +119,11 @@ class DisplacementNet(nn.Module):
         return self.head(self.second.levels(torch.cat((risen[0], skips[0]), 1))[1][0])
 
 
-NETS: dict[str, type[Net] | type[DisplacementNet]] = {"depth": Net, "displacement": DisplacementNet}
+NETS: dict[str, type[Net] | type[ShearNet]] = {"depth": Net, "shear": ShearNet}
 """What can be trained."""
 
 
-def trained(run: Path) -> tuple[Net | DisplacementNet, dict[str, Any]]:
+def trained(run: Path) -> tuple[Net | ShearNet, dict[str, Any]]:
     """The averaged network of a run's checkpoint, to be used and not to be trained, and the checkpoint."""
     state = torch.load(run / "checkpoint.pt", weights_only=True)
     widths = tuple(int(width) for width in state["arguments"]["widths"].strip("()[]").split(","))

@@ -76,7 +76,7 @@ class Samples:
         h in disc radii; 0 outside the disc.
     contact : bool (F, N, N)
     shear : float16 (F, N / 2, N / 2, 2)
-        Displacement along x and y in disc radii, at the middles of squares of 2x2 cells; 0 outside the disc.
+        Shear along x and y in disc radii, at the middles of squares of 2x2 cells; 0 outside the disc.
     """
 
     reference: U8
@@ -287,7 +287,7 @@ def within(disc: Disc, rows: F64, cols: F64) -> Bool:
 
 
 def true_shear(skin: Skin, model: SensorModel, seen: Disc) -> F32:
-    """Displacement in disc radii at the middles of squares of 2x2 cells of the disc that was `seen`."""
+    """Shear in disc radii at the middles of squares of 2x2 cells of the disc that was `seen`."""
     grid, geometry = disc_map.map_grid(seen, N // 2), model.geometry
     rows = np.repeat(grid.row0 + grid.step_px * np.arange(N // 2), N // 2)
     cols = np.tile(grid.col0 + grid.step_px * np.arange(N // 2), N // 2)

@@ -43,7 +43,7 @@ def spoil(
     cells = maps.shape[-1]
     axis = (torch.arange(cells) + 0.5 - cells / 2) * (2 * disc_map.REACH / cells)
     inside = (axis[:, None] ** 2 + axis[None, :] ** 2) <= 1
-    foreign = torch.zeros_like(maps)
+    untrusted = torch.zeros_like(maps)
     others = maps.clone()
     for k in np.flatnonzero(rng.random(len(maps)) < part):
         row, size = int(rng.integers(-cells // 4, 0.85 * cells)), int(rng.integers(3, cells // 2))
@@ -66,8 +66,8 @@ def spoil(
             )
         spoiled *= inside
         maps[k] = spoiled
-        foreign[k, row:end] = 1
-        foreign[k] *= inside
-        height[k] *= 1 - foreign[k]
-        contact[k] *= 1 - foreign[k]
-    return foreign
+        untrusted[k, row:end] = 1
+        untrusted[k] *= inside
+        height[k] *= 1 - untrusted[k]
+        contact[k] *= 1 - untrusted[k]
+    return untrusted

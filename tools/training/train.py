@@ -30,7 +30,7 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from tools.training.data import KINDS, Data, batch, load, shards_in
 from tools.training.loss import FIGURES, LOSSES
-from tools.training.network import NETS, DisplacementNet, Net, add_in_place_of_joining, grow
+from tools.training.network import NETS, Net, ShearNet, add_in_place_of_joining, grow
 from tools.training.shipped import shipped
 from tools.training.torn import spoil
 
@@ -60,7 +60,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument(
         "--start", type=Path, metavar="CHECKPOINT", help="its averaged weights begin, of the same or lesser widths"
     )
-    parser.add_argument("--shipped", metavar="NAME", help="weights that are shipped begin; of depth, not displacement")
+    parser.add_argument("--shipped", metavar="NAME", help="weights that are shipped begin; of depth, not shear")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--device", default="cpu")
@@ -106,7 +106,7 @@ class Run:
     def _load(self, paths: list[Path]) -> Data:
         return load(paths, self.args.fold, self.args.cells)
 
-    def _begin(self, net: Net | DisplacementNet) -> None:
+    def _begin(self, net: Net | ShearNet) -> None:
         """Give the network the weights that it begins with."""
         if self.args.shipped:
             some = [batch(frames, np.arange(0, len(frames.frame), 7))[0] for frames in self.check.values()]
@@ -121,7 +121,7 @@ class Run:
         grow(net, {k: v for k, v in begun.items() if k in fresh and _fits(v, fresh[k])})
 
     def batch(self, step: int) -> Batch:
-        """White and what is known, height, contact, displacement, and what is foreign, of a step."""
+        """White and what is known, height, contact, shear, and what is untrusted, of a step."""
         args, rng = self.args, np.random.default_rng((self.args.seed, step))
         share = np.array([args.shares[KINDS.index(kind)] for kind in self.data])
         counts, turn = rng.multinomial(args.batch, share / share.sum()), int(rng.integers(8))
@@ -133,9 +133,9 @@ class Run:
         x, height, contact, shear = (torch.cat(tensors) for tensors in zip(*parts, strict=True))
         white, at_rest = functional.pixel_shuffle(x[:, : 2 * args.fold**2], args.fold).unbind(1)
         white = white.contiguous()
-        foreign = spoil(white, at_rest, height, contact, TORN_PART, rng)
+        untrusted = spoil(white, at_rest, height, contact, TORN_PART, rng)
         x[:, : args.fold**2] = functional.pixel_unshuffle(white[:, None], args.fold)
-        return x, height, contact, shear, foreign
+        return x, height, contact, shear, untrusted
 
     def batches(self, pool: ThreadPoolExecutor) -> Iterator[Batch]:
         """Those of all steps that are left; some are made ahead."""

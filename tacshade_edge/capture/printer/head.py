@@ -18,7 +18,7 @@ DOWN_MM_S = 4.0
 # No move lasts longer: what a hand stops ends within it.
 _LONGEST_S = 0.5
 _HOME_S = 120.0
-# Printers tell hundredths.
+# Printers report hundredths.
 _POSITION_MM = 0.015
 
 
@@ -35,9 +35,9 @@ class Head:
     Attributes
     ----------
     is_certain : bool
-        Every command was answered, and the printer told the place that it was sent to.
+        Every command was answered, and the printer reported the place that it was sent to.
     was_moved : bool
-        It was told to move, or to home.
+        It was asked to move, or to home.
     free_z_mm : float
         At this height and above nothing is in its way; sideways it moves there alone.
     """
@@ -68,7 +68,7 @@ class Head:
             self.was_moved = True
             self._line.do(commands.HOME, _HOME_S, self._keypress.check)
             self._line.do(commands.WAIT_FOR_MOTION)
-        self._place_mm = self._told()
+        self._place_mm = self._reported_mm()
         self.is_certain = True
 
     def to_start(self) -> None:
@@ -104,8 +104,8 @@ class Head:
     def _go(self, to_mm: tuple[float, float, float], feed_mm_s: float) -> None:
         self._check_limits(to_mm)
         self._line.listen()  # it may have restarted, or have been moved by its own buttons, since
-        self._check_told()
-        # In whole µm, as it is sent: what is told is compared with it.
+        self._check_place()
+        # In whole µm, as it is sent: what it reports is compared with it.
         for part in segments(self._place_mm, np.round(to_mm, 3), feed_mm_s * _LONGEST_S):
             self._keypress.check()
             if not self.is_certain:
@@ -115,19 +115,19 @@ class Head:
             self._line.do(commands.straight(x, y, z, feed_mm_s))
             self._line.do(commands.WAIT_FOR_MOTION)
             self._place_mm = part
-            self._check_told()
+            self._check_place()
             self.is_certain = True
 
-    def _check_told(self) -> None:
-        told = self._told()
-        if float(np.abs(told - self._place_mm).max()) > _POSITION_MM:
+    def _check_place(self) -> None:
+        found_mm = self._reported_mm()
+        if float(np.abs(found_mm - self._place_mm).max()) > _POSITION_MM:
             self.is_certain = False
-            found, expected = (", ".join(f"{v:.2f}" for v in place.tolist()) for place in (told, self._place_mm))
+            found, expected = (", ".join(f"{v:.2f}" for v in place.tolist()) for place in (found_mm, self._place_mm))
             raise SafetyStop(f"the printer says that it is at {found}, expected {expected} mm")
 
-    def _told(self) -> F64:
-        told = self._line.position()
-        return np.array((told.x_mm, told.y_mm, told.z_mm))
+    def _reported_mm(self) -> F64:
+        place = self._line.position()
+        return np.array((place.x_mm, place.y_mm, place.z_mm))
 
     def _check_limits(self, to_mm: tuple[float, float, float]) -> None:
         ranges = (self._limits.x_mm, self._limits.y_mm, self._limits.z_mm)

@@ -91,7 +91,7 @@ class PrinterLine:
         """Where the printer says that its head was sent to. Raises as `do`."""
         self.do(commands.POSITION)
         if self._exchange.position is None:
-            raise SafetyStop(f"the printer told no position to {commands.POSITION}")
+            raise SafetyStop(f"the printer reported no position to {commands.POSITION}")
         return self._exchange.position
 
     def listen(self) -> None:

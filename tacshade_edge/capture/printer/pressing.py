@@ -220,10 +220,10 @@ def _without_taken(presses: Sequence[PlannedPress], session: Session) -> list[Pl
 
 @contextmanager
 def _ended_by_signals() -> Iterator[None]:
-    """A terminal that was closed and a program that is told to end stop the printer as a hand does."""
+    """A terminal that was closed and a program that is asked to end stop the printer as a hand does."""
 
     def end(number: int, _frame: FrameType | None) -> NoReturn:
-        raise Stopped(f"the program was told to end ({signal.Signals(number).name})")
+        raise Stopped(f"the program was asked to end ({signal.Signals(number).name})")
 
     before = {number: signal.signal(number, end) for number in (signal.SIGTERM, signal.SIGHUP)}
     # A shell's background jobs start with it ignored, and a hand must stop the head.

@@ -1,4 +1,4 @@
-"""``tacshade-edge bridge``: what hands publish, for other tools, in a process of its own."""
+"""``tacshade-edge bridge``: what sensors publish, for other tools, in a process of its own."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     kinds = parser.add_subparsers(dest="kind", metavar="KIND", required=True)
     for name, port, text in (
         ("foxglove", 8765, "live data for Foxglove and Lichtblick: their WebSocket protocol"),
-        ("prometheus", 9469, "every hand's health as metrics, on /metrics"),
+        ("prometheus", 9469, "every sensor's health as metrics, on /metrics"),
     ):
         kind = kinds.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
         kind.add_argument(
@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             metavar="HOST[:PORT]",
             help="the broker (default: localhost:1883)",
         )
-        kind.add_argument("--sensor", nargs="+", default=[], metavar="ID", help="only these hands (default: all)")
+        kind.add_argument("--sensor", nargs="+", default=[], metavar="ID", help="only these sensors (default: all)")
         kind.add_argument(
             "--listen",
             type=_address(port),
@@ -85,7 +85,7 @@ def _foxglove(args: argparse.Namespace, broker: BrokerAddress, ended: threading.
     host, port = args.listen
     follower = Follower(broker, lambda *message: bridge.hear(*message))
     bridge = FoxgloveBridge(host, port, args.sensor, follower.follow)
-    _tell(args, f"ws://{_in_url(host)}:{bridge.port}")
+    _announce(args, f"ws://{_in_url(host)}:{bridge.port}")
     try:
         _serve(follower, bridge.poll, ended)
     finally:
@@ -96,21 +96,21 @@ def _prometheus(args: argparse.Namespace, broker: BrokerAddress, ended: threadin
     try:
         from prometheus_client import CollectorRegistry
 
-        from tacshade_edge.bridge.prometheus import Hands, MetricsServer
+        from tacshade_edge.bridge.prometheus import MetricsServer, SensorMetrics
     except ModuleNotFoundError as error:
         raise _missing(error, "prometheus", "prometheus_client") from None
     host, port = args.listen
-    hands = Hands(args.sensor)
+    sensors = SensorMetrics(args.sensor)
     registry = CollectorRegistry()
-    registry.register(hands)
-    follower = Follower(broker, hands.hear)
-    follower.follow(hands.topics)
+    registry.register(sensors)
+    follower = Follower(broker, sensors.hear)
+    follower.follow(sensors.topics)
     try:
         server = MetricsServer(host, port, registry)
     except OSError as error:
         reason = error.strerror or error
         raise ConfigError(f"--listen {host}:{port}: {reason}, expected an address to listen on") from None
-    _tell(args, f"http://{_in_url(host)}:{server.server_port}/metrics")
+    _announce(args, f"http://{_in_url(host)}:{server.server_port}/metrics")
     try:
         _serve(follower, lambda: None, ended)
     finally:
@@ -130,7 +130,7 @@ def _serve(follower: Follower, poll: Callable[[], None], ended: threading.Event)
         follower.stop()
 
 
-def _tell(args: argparse.Namespace, url: str) -> None:
+def _announce(args: argparse.Namespace, url: str) -> None:
     host, port = args.broker
     print(f"{args.kind}: {url} for the broker {host}:{port}; Ctrl-C ends", flush=True)
     if not is_loopback(args.listen[0]):

@@ -205,12 +205,12 @@ def _settings_text(chosen: Source, serial: Serial | None, described: Mapping[str
     value = described.get("exposure_value")
     if isinstance(chosen, V4l2) and locked and isinstance(value, float) and value >= 1:
         chosen = msgspec.structs.replace(chosen, exposure=round(value))
-    told = "".join(f"#   {name}: {value}\n" for name, value in described.items())
+    found = "".join(f"#   {name}: {value}\n" for name, value in described.items())
     keys = {"calibration": _CALIBRATION, "source": msgspec.to_builtins(chosen)}
     keys |= {"serial": msgspec.to_builtins(serial)} if serial else {}
     text = yaml.safe_dump(keys, sort_keys=False, allow_unicode=True)
     return (
-        f"# Settings for `tacshade-edge run`, and for going on with this capture.\n{text}# As the camera told:\n{told}"
+        f"# Settings for `tacshade-edge run`, and to go on with this capture.\n{text}# As the camera reported:\n{found}"
     )
 
 

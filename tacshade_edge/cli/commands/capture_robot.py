@@ -23,17 +23,17 @@ def robot_poses(serial: Serial | None) -> Iterator[PoseAt | None]:
         return
     from tacshade_edge.daemon.robot.robot import Robot
 
-    told: list[bytes] = []
+    statuses: list[bytes] = []
     state = {"source": "streaming", "health": {}}
-    robot = Robot(port, lambda request: None, lambda: state, told.append, lambda: _MISSING)
+    robot = Robot(port, lambda request: None, lambda: state, statuses.append, lambda: _MISSING)
 
     def pose_at(frame: Frame) -> Pose | str:
         if (pose := robot.with_interpolated_pose(frame).pose) is not None:
             return pose
         robot.poll()
-        status = json.loads(told[-1])
+        status = json.loads(statuses[-1])
         why = status["reason"] or f"clock {status.get('sync')}"
-        return f"the robot told no pose for this picture ({serial.device} is {status['state']}: {why})"
+        return f"the robot reported no pose for this picture ({serial.device} is {status['state']}: {why})"
 
     robot.start()
     try:

@@ -1,4 +1,4 @@
-"""``tacshade-edge check-config``: is a settings file right, as far as can be told without hardware?"""
+"""``tacshade-edge check-config``: is a settings file right, as far as can be checked without hardware?"""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="the token that opens the page, and makes it read-only; made where it is not there",
     )
-    parser.add_argument("--allow-control", action="store_true", help="who has the token may command the hands too")
+    parser.add_argument("--allow-control", action="store_true", help="who has the token may command the sensors too")
     parser.add_argument("--certificate", type=Path, metavar="FILE", help="PEM file: serve the page over TLS")
     parser.add_argument("--key", type=Path, metavar="FILE", help="PEM file of its key (default: in the same file)")
     parser.add_argument("--ca-file", type=Path, metavar="FILE", help="PEM file of the broker's CA: use TLS to it")

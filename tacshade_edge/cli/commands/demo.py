@@ -1,7 +1,7 @@
-"""``tacshade-edge demo``: simulated hands, the real daemon for each, a private broker and the dashboard.
+"""``tacshade-edge demo``: simulated sensors, the real daemon for each, a private broker and the dashboard.
 
 All are on loopback, but for the page with ``--listen``. With ``--hand`` five fingers of one hand in place of the two
-single hands, not beside them: what one board can bear.
+single sensors, not beside them: what one board can bear.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
         page = [*me, "dashboard", "--broker", f"127.0.0.1:{mqtt}", "--http", str(http), "--host", host]
         login = ""
         if not is_loopback(host):
-            # The hand is simulated: who was told the address may play with it.
+            # The sensor is simulated: whoever has the address may play with it.
             token_file = folder / "token"
             login = f"login#{make_token(token_file)}"
             page += ["--token-file", str(token_file), "--allow-control"]
@@ -121,7 +121,7 @@ def run(args: argparse.Namespace) -> int:
         what = (
             "Five simulated fingers grasp a ball"
             if args.hand
-            else "A simulated hand presses and drags objects, soon another one stitches a map"
+            else "A simulated sensor presses and drags objects, soon another one stitches a map"
         )
         print(f"{what}: open {shown}", flush=True)
         if login:

@@ -73,6 +73,6 @@ def _calibration(args: argparse.Namespace, labelled: Sequence[LabelledImage]) ->
 
 
 def _load(each: LabelledImage) -> tuple[float, float]:
-    """Depth, then displacement; what is not known comes last."""
+    """Depth, then shear; what is not known comes last."""
     shear = math.hypot(each.known.get("shear_x_mm", 0.0), each.known.get("shear_y_mm", 0.0))
     return each.known.get("depth_mm", math.inf), shear

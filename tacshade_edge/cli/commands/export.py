@@ -42,14 +42,14 @@ def run(args: argparse.Namespace) -> int:
     recording = Recording(args.input)
     for line in (recording.damage, "the recording was cut off: what is whole is exported" if recording.cut_off else ""):
         if line:
-            _tell(f"{args.input}: {line}")
+            _report(f"{args.input}: {line}")
     content = content_of(args.input)
     calibration, out = _calibration(args), args.out or _beside(args.input, args.to)
     export = _export(args, out, calibration, content)
     reconstructor = make_reconstructor(calibration, PROFILES[args.profile])
     progress = Progress()
     try:
-        replay(recording, reconstructor, [export.add], progress, speed=None, undecodable=_tell)
+        replay(recording, reconstructor, [export.add], progress, speed=None, undecodable=_report)
         export.finish()
     finally:
         export.discard()
@@ -107,5 +107,5 @@ def _sensor_id(content: dict[str, bytes]) -> str:
             return SENSOR_ID
 
 
-def _tell(line: str) -> None:
+def _report(line: str) -> None:
     print(f"tacshade-edge: {line}", file=sys.stderr)

@@ -104,7 +104,7 @@ def _follow(caller: MqttCaller, folder: str, seconds: float, stop: threading.Eve
 
 
 def _last_words(caller: MqttCaller, folder: str) -> dict[str, Any]:
-    """What was told of a recording that must be over. Raises DeviceError."""
+    """What was reported of a recording that must be over. Raises DeviceError."""
     if caller.wait_for(lambda: _over(_status(caller, folder)), ANSWER_S):
         return _status(caller, folder)
     state = caller.latest("state").decode() or "silent"

@@ -93,9 +93,9 @@ def _replay(args: argparse.Namespace) -> int:
     broker = _broker(args)
     recording = Recording(args.input, fps=args.fps, times=args.loop)
     if recording.cut_off:
-        _tell(f"{args.input}: the recording was cut off, what was written until then is replayed")
+        _report(f"{args.input}: the recording was cut off, what was written until then is replayed")
     if recording.damage:
-        _tell(recording.damage)
+        _report(recording.damage)
     given = args.calibration
     calibration = calibrations.of_recording(args.input) if given is None else calibrations.load(given)
     assert calibration is not None  # `_check` has looked
@@ -113,7 +113,7 @@ def _replay(args: argparse.Namespace) -> int:
             link.start()
             sinks.append(link.add)
             if args.play:
-                player = Playback(lambda: Recording(args.input, fps=args.fps), args.speed or 1.0, link.tell_playback)
+                player = Playback(lambda: Recording(args.input, fps=args.fps), args.speed or 1.0, link.report_playback)
                 link.obey(player)
         if args.out is not None:
             writer = RunWriter(args.out, calibration_crc32=reconstructor.calibration.crc32)
@@ -146,7 +146,7 @@ def _replay(args: argparse.Namespace) -> int:
         )
     if interrupted:
         if args.out is not None:
-            _tell(f"{args.out}: stopped before the end, so nothing was written")
+            _report(f"{args.out}: stopped before the end, so nothing was written")
         return 0 if args.loop == 0 or args.play else 130
     return 1 if progress.undecodable else 0
 
@@ -170,7 +170,7 @@ def _line(args: argparse.Namespace, progress: Progress) -> str:
     )
 
 
-def _tell(line: str) -> None:
+def _report(line: str) -> None:
     print(f"tacshade-edge: {line}", file=sys.stderr)
 
 

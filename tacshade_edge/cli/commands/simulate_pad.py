@@ -63,8 +63,8 @@ def write_pad(
         (folder / names[k]).write_bytes(data)
         report("presses", k + 1, len(tasks))
     noisy = pads.disturbed(poses, radius_mm, NOISE_MM, NOISE_DEG, seed)
-    for name, told in (("POSES.csv", poses), ("POSES_NOISY.csv", noisy)):
-        _write_poses(folder / name, names, told)
+    for name, stated in (("POSES.csv", poses), ("POSES_NOISY.csv", noisy)):
+        _write_poses(folder / name, names, stated)
     (folder / "PAD.npz").write_bytes(_truth(pad))
     print(f"{folder}: {len(poses)} presses, POSES.csv, POSES_NOISY.csv, PAD.npz")
 

@@ -86,10 +86,10 @@ class Limit:
             for kind, state in self._kinds.items()
             if state.left_out and (all_of_them or state.free + (now_s - state.at_s) / PERIOD_S >= 1)
         ]
-        told = [(kind, state.left_out) for kind, state in over]
+        repeated = [(kind, state.left_out) for kind, state in over]
         for _, state in over:
             state.left_out = 0
-        return told
+        return repeated
 
 
 class OneLineHandler(logging.StreamHandler[TextIO]):
@@ -112,16 +112,16 @@ class OneLineHandler(logging.StreamHandler[TextIO]):
     def emit(self, record: logging.LogRecord) -> None:
         """Write a message, or count it."""
         now_s = time.monotonic()
-        self._tell(now_s)
+        self._report(now_s)
         if self._limit.passes((record.name, str(record.msg)), now_s):
             super().emit(record)
 
     def close(self) -> None:
         """Write what was left out."""
-        self._tell(time.monotonic(), all_of_them=True)
+        self._report(time.monotonic(), all_of_them=True)
         super().close()
 
-    def _tell(self, now_s: float, *, all_of_them: bool = False) -> None:
+    def _report(self, now_s: float, *, all_of_them: bool = False) -> None:
         for (name, message), count in self._limit.take_left_out(now_s, all_of_them=all_of_them):
             text = "%d more like this were not logged: %s"
             super().emit(logging.LogRecord(name, logging.WARNING, __file__, 0, text, (count, message), None))

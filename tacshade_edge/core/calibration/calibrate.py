@@ -55,7 +55,7 @@ def calibrate(
     networks: Mapping[str, Network] | None = None,
     reference_names: Sequence[str] = (),
 ) -> CalibrationResult:
-    """Fit everything that images can tell of a sensor.
+    """Fit everything that images can show of a sensor.
 
     Parameters
     ----------
@@ -111,8 +111,8 @@ def calibrate(
         warnings += (hint,)
     if graded:
         warnings += graded.left_out
-    if graded and graded.foreign_part > UNLIKE_PART:
-        part = 100 * graded.foreign_part
+    if graded and graded.untrusted_part > UNLIKE_PART:
+        part = 100 * graded.untrusted_part
         warnings += (f"unlike the sensors that the networks know: {part:.0f} % of the median press is not explained",)
     if graded and graded.error_scale is not None and graded.error_scale > UNUSUAL_ERRORS:
         words = f"off {graded.error_scale:.1f} times as far as on sensors that the networks know"
@@ -125,7 +125,7 @@ def calibrate(
 
 
 def _unloaded(sensor: Sensor, greys: Sequence[U8]) -> Calibration:
-    """What the references alone tell."""
+    """What the references alone show."""
     if not greys:
         raise ConfigError("no reference image: expected at least one of the unloaded skin")
     for number, grey in enumerate(greys, start=1):

@@ -15,7 +15,7 @@ from tacshade_edge.core.geometry.disc import DiscRays
 from tacshade_edge.types import F32, I64, U16, Bool, Geometry, ObjectCloud, TouchedObject, freeze
 
 BINS = 256
-# Smaller patches are not an object a finger could tell.
+# Smaller patches are not an object that a finger could report.
 MIN_OBJECT_MM2 = 0.5
 LABELS_MAX = np.iinfo(np.uint16).max
 
@@ -57,7 +57,7 @@ def contact_of(depth: Depth, inside: Bool) -> Bool:
         contact = inside & (depth.height_mm > two_means_split(depth.height_mm[inside]))
     else:
         contact = depth.contact
-    return contact if depth.foreign is None else contact & ~depth.foreign
+    return contact if depth.untrusted is None else contact & ~depth.untrusted
 
 
 def find_objects(
@@ -72,7 +72,7 @@ def find_objects(
     height_mm : float32 (rows, cols)
         h, at most r; NaN outside the disc.
     shear_mm : float32 (rows, cols, 2) or None
-        Displacement of the skin.
+        Shear of the skin.
     rays : DiscRays
         Of the same grid.
     geometry : Geometry
@@ -144,7 +144,7 @@ def two_means_split(values: F32) -> float:
     # Every threshold over the empty bins between two clusters is the same split: their middle is k-means' boundary.
     best = np.flatnonzero(n0 == n0[np.argmax(between)])
     middle = float((edges[best[0] + 1] + edges[best[-1] + 1]) / 2)
-    # As a float32 that is not over it: values between which there is no other are told apart, too.
+    # As a float32 that is not over it: values between which there is no other are distinguished, too.
     split = np.float32(middle)
     return float(split if float(split) <= middle else np.nextafter(split, np.float32(-np.inf)))
 

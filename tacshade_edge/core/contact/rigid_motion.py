@@ -9,7 +9,7 @@ import numpy as np
 from tacshade_edge.types import F32, F64, I64
 
 TWIST_CELLS = 6
-"""Of fewer cells no twist is told."""
+"""Of fewer cells no twist is reported."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,11 +19,11 @@ class RigidMotion:
     Attributes
     ----------
     shear_mm : (float, float)
-        Mean displacement of its points along x and y.
+        Mean shear of its points along x and y.
     twist_deg : float or None
         Angle about z, from x towards y, of the least-squares rotation about their mean; None under `TWIST_CELLS`.
     strain_mm : float
-        Root mean square of what displacement and rotation leave: of skin that an object holds, nothing.
+        Root mean square of what shear and rotation leave: of skin that an object holds, nothing.
     """
 
     shear_mm: tuple[float, float]
@@ -62,7 +62,7 @@ def rigid_motions(about_mean_mm: F64, shear_mm: F32, starts: I64, counts: I64) -
     about_mean_mm : float64 (2, N)
         Points now, x and y less their object's mean, object by object.
     shear_mm : float32 (2, N)
-        Their displacement along x and y.
+        Their shear along x and y.
     starts, counts : int (objects,)
         Where each object's points begin, and how many they are; none has none.
     """

@@ -19,7 +19,7 @@ from tacshade_edge.types import Reconstruction, Slip
 
 SPANS_NS = (70_000_000, 150_000_000, 250_000_000)
 """Over which a speed is measured, or over `LEAST_FRAMES` where those take longer: the shortest over which it stands out
-of the noise tells a slip, a fast one within 100 ms at 30 frames a second and more."""
+of the noise shows a slip, a fast one within 100 ms at 30 frames a second and more."""
 LEAST_FRAMES = 3
 SLIP_MM_S = 3.0
 """From this speed of the imprint over the material on it is a slip."""
@@ -32,7 +32,7 @@ NOISE_SPREADS = 5.5
 FIRST_NOISE_MM, NOISE_FRAMES = 0.06, 32
 """Noise of an imprint's place along each axis before it is known, and over how many frames it is learned."""
 PARTIAL_STRAIN = 0.12
-"""Strain over the displacement, from which the contact holds in a part only."""
+"""Strain over the shear, from which the contact holds in a part only."""
 PARTIAL_MM = 0.15
 REACH_MM = 4.0
 """How far an object's place may be from where it was a frame ago."""
@@ -47,7 +47,7 @@ class Contact:
     x_mm, y_mm : float
         Mean of its points.
     shear_mm : (float, float)
-        Mean displacement of the skin there.
+        Mean shear of the skin there.
     strain_mm : float
         `rigid_motion.RigidMotion.strain_mm`.
     """
@@ -77,7 +77,7 @@ class Tracked:
 
 
 def follow(tracker: ContactTracker, result: Reconstruction) -> Reconstruction:
-    """A reconstruction whose objects have what tracking tells; one of a solver that tells no displacement as it is."""
+    """A reconstruction whose objects have what tracking finds; one of a solver that reports no shear as it is."""
     contacts = [
         Contact(o.centroid_mm[0], o.centroid_mm[1], o.shear_mm, o.strain_mm or 0.0)
         for o in result.objects

@@ -24,29 +24,29 @@ class Depth:
     height_mm : float32 (rows, cols)
         h, finite and not below 0; outside the disc it says nothing.
     contact : bool (rows, cols) or None
-        Where the skin touches an object, inside the disc only; None: to be told from the heights.
+        Where the skin touches an object, inside the disc only; None: to be found from the heights.
     saturated : bool
         Some cell left the range of the calibration.
     repaired_px : int
         Cells whose value was not finite and was replaced by 0.
-    foreign : bool (rows, cols) or None
-        Where something else is shown than this sensor's skin; outside the disc it says nothing. None: not told.
+    untrusted : bool (rows, cols) or None
+        Where something else is shown than this sensor's skin; outside the disc it says nothing. None: not reported.
     contact_logit : float32 (rows, cols) or None
-    foreign_logit : float32 (M, M) or None
-        Log odds of both, of foreign for fewer and wider cells.
+    untrusted_logit : float32 (M, M) or None
+        Log odds of both, of untrusted for fewer and wider cells.
     """
 
     height_mm: F32
     contact: Bool | None = None
     saturated: bool = False
     repaired_px: int = 0
-    foreign: Bool | None = None
+    untrusted: Bool | None = None
     contact_logit: F32 | None = None
-    foreign_logit: F32 | None = None
+    untrusted_logit: F32 | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "height_mm")
-        for name in ("contact", "foreign", "contact_logit", "foreign_logit"):
+        for name in ("contact", "untrusted", "contact_logit", "untrusted_logit"):
             if getattr(self, name) is not None:
                 freeze(self, name)
 
@@ -58,17 +58,17 @@ class NetworkMaps:
     Attributes
     ----------
     depth_and_contact : float32 (2 fold², N, N)
-    foreign : float32 (M, M)
+    untrusted : float32 (M, M)
         Log odds that a cell, of fewer and wider ones, shows something else than the sensor's skin.
     """
 
     depth_and_contact: F32
-    foreign: F32
+    untrusted: F32
 
 
 @dataclass(frozen=True, slots=True)
-class DisplacementNetwork:
-    """A network that tells how the skin moved along itself; see `Network`.
+class ShearNetwork:
+    """A network that finds how the skin moved along itself; see `Network`.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class DisplacementNetwork:
         Along a side of the maps that it is given.
     sense : callable
     run : callable
-        To the displacement along x and y, (2, M, M).
+        To the shear along x and y, (2, M, M).
     """
 
     fold: int
@@ -101,8 +101,8 @@ class Network:
         it adds to the first layer, (channels, N, N).
     run : callable
         A frame's white folded, (fold², N, N), and what `sense` gave, to `NetworkMaps`.
-    displacement : DisplacementNetwork
-        Run beside it where displacement is asked for.
+    shear : ShearNetwork
+        Run beside it where shear is asked for.
     sigma : SigmaModel or None
         Its errors, where they were measured.
     """
@@ -110,7 +110,7 @@ class Network:
     fold: int
     sense: Callable[[F32], F32]
     run: Callable[[F32, F32], NetworkMaps]
-    displacement: DisplacementNetwork
+    shear: ShearNetwork
     sigma: SigmaModel | None = None
 
 
@@ -123,8 +123,8 @@ class Solver(Protocol):
         ...
 
     @property
-    def tells_shear(self) -> bool:
-        """Whether its `shear_mm` tells anything."""
+    def has_shear(self) -> bool:
+        """Whether its `shear_mm` reports anything."""
         ...
 
     def solve(self, preprocessed: Preprocessed, mark: Mark) -> Depth:
@@ -132,7 +132,7 @@ class Solver(Protocol):
         ...
 
     def shear_mm(self, preprocessed: Preprocessed) -> F32 | None:
-        """Displacement along x and y of the skin at the grid's cells, float32 (rows, cols, 2); None: not told.
+        """Shear along x and y of the skin at the grid's cells, float32 (rows, cols, 2); None: not reported.
 
         The caller's own; finite; outside the disc it says nothing.
         """

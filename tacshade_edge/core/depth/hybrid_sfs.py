@@ -148,7 +148,7 @@ class HybridSfs:
         From the maps and α in mm to depth.
     """
 
-    tells_shear = False
+    has_shear = False
 
     def __init__(
         self,

@@ -1,7 +1,7 @@
 """The learned inverse of the physical model: white of the image and of the unloaded skin to height and contact.
 
 The network is trained on simulated sensors alone (tools/training). It sees every sensor on the same square of cells
-(`core.geometry.disc_map`) and is told what is known of it; its heights are in tenths of the disc's radius. How it is
+(`core.geometry.disc_map`) and is given what is known of it; its heights are in tenths of the disc's radius. How it is
 run is the caller's choice (`inference.network` takes ONNX Runtime).
 """
 
@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tacshade_edge.core.depth.base import Depth, Mark, Network
-from tacshade_edge.core.depth.displacement import LearnedDisplacement
 from tacshade_edge.core.depth.network_maps import fold, known_maps, scale_mm, unfold
+from tacshade_edge.core.depth.shear import LearnedShear
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.disc import rays_in_image
 from tacshade_edge.core.image.integral_image import CellMeans
@@ -34,16 +34,16 @@ class Inverse:
         h; a little below 0 at times where nothing touches.
     contact_logit : float32 (cells, cells)
         Log odds that the skin touches an object.
-    foreign_logit : float32 (M, M)
+    untrusted_logit : float32 (M, M)
         Log odds that a cell, of fewer and wider ones, shows something else than this sensor's skin.
     """
 
     height_mm: F32
     contact_logit: F32
-    foreign_logit: F32
+    untrusted_logit: F32
 
     def __post_init__(self) -> None:
-        freeze(self, "height_mm", "contact_logit", "foreign_logit")
+        freeze(self, "height_mm", "contact_logit", "untrusted_logit")
 
 
 class LearnedInverse:
@@ -68,7 +68,7 @@ class LearnedInverse:
         n = self._network.fold
         maps = self._network.run(fold(white[None], n), self._sensor)
         height, logit = unfold(maps.depth_and_contact, n)
-        return Inverse(height * self._mm, logit, maps.foreign)
+        return Inverse(height * self._mm, logit, maps.untrusted)
 
 
 class LearnedSolver:
@@ -86,7 +86,7 @@ class LearnedSolver:
         White of the unloaded skin, as the network is given it.
     """
 
-    tells_shear = True
+    has_shear = True
 
     def __init__(self, preprocessor: Preprocessor, network: Network | None) -> None:
         camera, calibration, profile = preprocessor.camera, preprocessor.calibration, preprocessor.profile
@@ -98,11 +98,11 @@ class LearnedSolver:
         self.reference: F32 = self._cells.means(preprocessor.reference_white) / np.float32(255)
         self._inverse = LearnedInverse(network, calibration.geometry, calibration.pitch_px, self.reference)
         # Prepared here, so that no frame waits for it when somebody asks.
-        displacement = network.displacement
-        whole = disc_map.map_grid(calibration.geometry.disc, displacement.cells)
-        self._displacement_cells = CellMeans(preprocessor.integrator, whole)
-        at_rest: F32 = self._displacement_cells.means(preprocessor.reference_white) / np.float32(255)
-        self._displacement = LearnedDisplacement(displacement, calibration.geometry, calibration.pitch_px, at_rest)
+        shear = network.shear
+        whole = disc_map.map_grid(calibration.geometry.disc, shear.cells)
+        self._shear_cells = CellMeans(preprocessor.integrator, whole)
+        at_rest: F32 = self._shear_cells.means(preprocessor.reference_white) / np.float32(255)
+        self._shear = LearnedShear(shear, calibration.geometry, calibration.pitch_px, at_rest)
         # A fitted network was trained to the truth itself.
         self._factor = np.float32(1.0 if profile.name in camera.fitted else camera.factors.get(profile.name, 1.0))
         self._deepest_mm = np.float32(DEEPEST_RADII * camera.geometry.skin_radius_mm)
@@ -133,18 +133,18 @@ class LearnedSolver:
             contact,
             bool(deep.any()),
             repaired_px,
-            foreign_cells(inverse, len(height)),
+            untrusted_cells(inverse, len(height)),
             inverse.contact_logit,
-            inverse.foreign_logit,
+            inverse.untrusted_logit,
         )
 
     def shear_mm(self, preprocessed: Preprocessed) -> F32 | None:
         """See `Solver`."""
-        return self._displacement(self._displacement_cells.means(preprocessed.white), self.grid.rows)
+        return self._shear(self._shear_cells.means(preprocessed.white), self.grid.rows)
 
 
-def foreign_cells(inverse: Inverse, cells: int) -> Bool:
+def untrusted_cells(inverse: Inverse, cells: int) -> Bool:
     """Where a frame shows something else than the sensor's skin, bool (cells, cells)."""
-    foreign: Bool = inverse.foreign_logit > 0
-    each = cells // len(foreign)
-    return foreign.repeat(each, axis=0).repeat(each, axis=1)
+    untrusted: Bool = inverse.untrusted_logit > 0
+    each = cells // len(untrusted)
+    return untrusted.repeat(each, axis=0).repeat(each, axis=1)

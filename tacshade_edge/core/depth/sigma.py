@@ -1,13 +1,13 @@
 """How far off a height is: one standard deviation for every cell of a contact.
 
-A log-linear model of what a network itself tells, fitted on simulated sensors of two families
-(tools/training/fit_sigma.py), times a scale of the sensor, which its presses tell
+A log-linear model of what a network itself reports, fitted on simulated sensors of two families
+(tools/training/fit_sigma.py), times a scale of the sensor, which its presses show
 (`core.calibration.refit.error_scale`). With k the skin's radius over 20 mm,
 
     log(σ / k) = log scale + Σ w_i x_i,    x = (1, log(0.1 + h / k), min(|∇h|, 2), l_c, l_f),
 
 the slope ∇h by Sobel's differences over the disc seen flat, l_c the log odds of contact between -2 and 8, l_f those of
-something foreign between -12 and 0. Errors are no Gaussian ones: σ is what makes ±1.645 σ hold 90 % of them, by
+an untrusted cell between -12 and 0. Errors are no Gaussian ones: σ is what makes ±1.645 σ hold 90 % of them, by
 quantile regression (Koenker and Bassett, Econometrica 46, 1978).
 """
 
@@ -22,14 +22,14 @@ import numpy as np
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.types import F32, Bool, Geometry
 
-TERMS = ("constant", "height", "slope", "contact", "foreign")
+TERMS = ("constant", "height", "slope", "contact", "untrusted")
 """Names of the x_i."""
 INTERVAL_90 = 1.645
 """Half of the 90 % interval, in σ."""
 _NOMINAL_RADIUS_MM = 20.0
 _LEAST_HEIGHT_MM = 0.1
 _STEEPEST = 2.0
-_CONTACT_RANGE, _FOREIGN_RANGE = (-2.0, 8.0), (-12.0, 0.0)
+_CONTACT_RANGE, _UNTRUSTED_RANGE = (-2.0, 8.0), (-12.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +63,7 @@ class SigmaModel:
             raise ValueError(f"found {self}, expected finite numbers, a weight for each of {', '.join(TERMS)}")
 
 
-def terms(height_mm: F32, contact_logit: F32, foreign_logit: F32, where: Bool, geometry: Geometry) -> F32:
+def terms(height_mm: F32, contact_logit: F32, untrusted_logit: F32, where: Bool, geometry: Geometry) -> F32:
     """The x_i of some cells, float32 (N, len(TERMS)), finite.
 
     Parameters
@@ -71,7 +71,7 @@ def terms(height_mm: F32, contact_logit: F32, foreign_logit: F32, where: Bool, g
     height_mm : float32 (cells, cells)
         h on `disc_map.map_grid`, finite and not below 0; NaN or 0 outside the disc.
     contact_logit : float32 (cells, cells)
-    foreign_logit : float32 (M, M)
+    untrusted_logit : float32 (M, M)
     where : bool (cells, cells)
         The cells.
     geometry : Geometry
@@ -88,13 +88,13 @@ def terms(height_mm: F32, contact_logit: F32, foreign_logit: F32, where: Bool, g
     disc_mm = geometry.skin_radius_mm * math.sin(math.radians(geometry.visible_half_angle_deg))
     cell_mm = 2 * disc_map.REACH * disc_mm / cells
     row, col = np.nonzero(chosen)
-    each = cells // len(foreign_logit)
+    each = cells // len(untrusted_logit)
     x = np.empty((len(row), len(TERMS)), np.float32)
     x[:, 0] = 1
     x[:, 1] = np.log(_LEAST_HEIGHT_MM + near[chosen] / np.float32(_size(geometry)))
     x[:, 2] = np.minimum(np.hypot(along, across) / (8 * cell_mm), _STEEPEST)
     x[:, 3] = _within(contact_logit[box][chosen], _CONTACT_RANGE)
-    x[:, 4] = _within(foreign_logit[(row + first_row) // each, (col + first_col) // each], _FOREIGN_RANGE)
+    x[:, 4] = _within(untrusted_logit[(row + first_row) // each, (col + first_col) // each], _UNTRUSTED_RANGE)
     return x
 
 
@@ -111,5 +111,5 @@ def _size(geometry: Geometry) -> float:
 
 
 def _within(logit: F32, low_high: tuple[float, float]) -> F32:
-    """What is not finite counts as the end of more doubt where foreign, of contact where touching."""
+    """What is not finite counts as the end of more doubt where untrusted, of contact where touching."""
     return np.clip(np.nan_to_num(logit, nan=low_high[1]), *low_high)

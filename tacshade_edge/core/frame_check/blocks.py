@@ -1,4 +1,4 @@
-"""What blocks of 8x8 px tell beside the reference's: markers lost, other light, another surround."""
+"""What blocks of 8x8 px show beside the reference's: markers lost, other light, another surround."""
 
 from __future__ import annotations
 

@@ -205,7 +205,7 @@ def _statistics(grey: U8, pitch_px: float) -> tuple[F32, F32]:
 
 
 def _coarse_shift(reference: Look, grey: U8) -> F32:
-    """Column and row shift of the whole disc, to a fraction of a pitch: print errors tell a pitch from the next."""
+    """Column and row shift of the whole disc, to a fraction of a pitch: print errors distinguish two pitches."""
     disc, side = reference.disc, int(1.2 * reference.disc.radius_px)
     top, left = max(round(disc.row_c) - side, 0), max(round(disc.col_c) - side, 0)
     cut = (slice(top, round(disc.row_c) + side), slice(left, round(disc.col_c) + side))

@@ -83,7 +83,7 @@ def torn_reason(grey: U8, check: TearCheck | None, camera_px: int) -> Reason | N
 
 
 def torn_row(grey: U8, check: TearCheck) -> int | None:
-    """Row that the next does not continue; the first and last two long rows cannot be told."""
+    """Row that the next does not continue; the first and last two long rows cannot be judged."""
     over = _spikes(grey, check.rows, SPIKE) - check.usual
     at = int(np.argmax(over))
     return check.rows.first + 2 + at if over[at] > SPIKE else None

@@ -168,7 +168,7 @@ def size_reason(image: U8, shape: tuple[int, int]) -> Reason | None:
 
 
 def _camera_reason(disc: U8, check: FrameCheck) -> Reason | None:
-    """What the disc's own pixels tell: saturated, black, flat, noise."""
+    """What the disc's own pixels show: saturated, black, flat, noise."""
     pixels = check.inside_px
     mean, square = (cv2.norm(disc, kind, check.mask) / pixels for kind in (cv2.NORM_L1, cv2.NORM_L2SQR))
     if square > check.saturated_part * SATURATED_LEVEL**2:  # so many pixels so bright alone make it more
@@ -227,7 +227,7 @@ def _bright(sample: U8, sampled: U8, part: float) -> float:
 
 
 def _compared_reason(grey: U8, disc: U8, blocks: BlockCheck, check: FrameCheck) -> Reason | None:
-    """What the reference tells: torn, shifted, other light."""
+    """What the reference shows: torn, shifted, other light."""
     dark = _dark_reason(disc, check)
     torn = torn_reason(grey, check.tear, check.camera_px)
     if not blocks.textured_at.size:
@@ -240,8 +240,8 @@ def _compared_reason(grey: U8, disc: U8, blocks: BlockCheck, check: FrameCheck) 
 
 
 def _dark_reason(disc: U8, check: FrameCheck) -> Reason | None:
-    # A deep contact darkens or brightens most of the disc, but some markers stay as bright as the light: those tell
-    # less light. More light saturates them; there the common level tells.
+    # A deep contact darkens or brightens most of the disc, but some markers stay as bright as the light: those show
+    # less light. More light saturates them; there the common level shows it.
     sample, sampled = _sample(disc), check.sampled
     if _count_from(sample, sampled, LIGHT_LOW * check.bright) >= check.bright_part * check.sampled_px + 2:
         return None

@@ -1,4 +1,4 @@
-"""An image's bytes to its pixels, once its header has told a size that a camera can have.
+"""An image's bytes to its pixels, once its header has stated a size that a camera can have.
 
 OpenCV's decoders take what the header says: without the look before, 875 kB of PNG become 1.8 GB.
 """
@@ -66,7 +66,7 @@ def decode_image(data: bytes, flags: int) -> U8:
 
 
 def _size_px(data: bytes) -> tuple[int, int] | None:
-    """Width and height that the header tells; None when it is of none of these formats."""
+    """Width and height that the header states; None when it is of none of these formats."""
     read = next((read for start, read in _HEADERS.items() if data.startswith(start)), None)
     try:
         return None if read is None else read(data)

@@ -19,7 +19,7 @@ from tacshade_edge.types import F32, I32, U8, Bool, Calibration, freeze
 
 # Cells whose window is cut by the rim below this part of its full size do not vote: a shift of the camera shows there.
 VOTING_WINDOW_PART = 0.75
-# A window of which glare leaves less than this part tells nothing.
+# A window of which glare leaves less than this part shows nothing.
 CLEAR_WINDOW_PART = 0.25
 
 

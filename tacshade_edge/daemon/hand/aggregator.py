@@ -1,4 +1,4 @@
-"""Puts what the fingers told together, and decides when it is told on. Pure: it is told the time."""
+"""Combines what the fingers report, and decides when to publish it. Pure: it is given the time."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ PERIOD_NS: Final = 1_000_000_000 // 60
 QUIET_PERIOD_NS: Final = 100_000_000
 """Between two messages at most: without contact and change."""
 FIRST_NS: Final = 500_000_000
-"""So long after somebody began to listen the first message waits for a finger that tells nothing."""
+"""So long after somebody began to listen the first message waits for a silent finger."""
 STALLED_NS: Final = 3_000_000_000
-"""A finger that told nothing for so long is away; as `status/camera` does."""
+"""A finger that reported nothing for so long is away; as `status/camera` does."""
 
 _STARTING: Final = away(Reason(ReasonCode.STARTING, "nothing is known yet"))
-_STALLED: Final = away(Reason(ReasonCode.STALLED, "it tells nothing"))
+_STALLED: Final = away(Reason(ReasonCode.STALLED, "it reports nothing"))
 
 
 class HandAggregator:
@@ -35,23 +35,23 @@ class HandAggregator:
         self._fingers = dict.fromkeys(names, _STARTING)
         self._heard_ns: dict[str, int | None] = dict.fromkeys(names)
         self._listened_ns: int | None = None
-        self._told_ns = 0
+        self._published_ns = 0
         self._changed = False
         self._seq = 0
 
     def listen(self, listened: bool, now_ns: int) -> None:
-        """Somebody listens, or nobody does; when it begins, what was told before is no news any more."""
+        """Somebody listens, or nobody does; when it begins, what was reported before is no news any more."""
         if not listened:
             self._listened_ns = None
         elif self._listened_ns is None:
-            self._listened_ns, self._changed, self._told_ns = now_ns, True, 0
+            self._listened_ns, self._changed, self._published_ns = now_ns, True, 0
             for name, finger in self._fingers.items():
                 self._heard_ns[name] = None
                 if finger.state != "away":
                     self._fingers[name] = _STARTING
 
     def hear(self, name: str, finger: Finger, now_ns: int) -> None:
-        """Take what a finger tells."""
+        """Take what a finger reports."""
         before = self._fingers[name]
         self._fingers[name], self._heard_ns[name] = finger, now_ns
         self._changed |= finger.state == "contact" or finger.state != before.state
@@ -61,11 +61,11 @@ class HandAggregator:
         since_ns = self._listened_ns
         if since_ns is None:
             return None
-        if self._told_ns == 0 and None in self._heard_ns.values():
+        if self._published_ns == 0 and None in self._heard_ns.values():
             return since_ns + FIRST_NS
-        return self._told_ns + (PERIOD_NS if self._changed else QUIET_PERIOD_NS)
+        return self._published_ns + (PERIOD_NS if self._changed else QUIET_PERIOD_NS)
 
-    def tell(self, now_ns: int, wall_ns: int) -> HandObjects:
+    def message(self, now_ns: int, wall_ns: int) -> HandObjects:
         """The next message."""
         fingers = {}
         for name, finger in self._fingers.items():
@@ -75,6 +75,6 @@ class HandAggregator:
             aged = None if finger.t_ns is None else round((now_ns - finger.t_ns) / 1e6, 3)
             fingers[name] = msgspec.structs.replace(finger, age_ms=aged)
         message = HandObjects(t_ns=now_ns, wall_ns=wall_ns, seq=self._seq, fingers=fingers)
-        self._told_ns, self._changed = now_ns, False
+        self._published_ns, self._changed = now_ns, False
         self._seq += 1
         return message

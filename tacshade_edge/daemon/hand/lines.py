@@ -29,7 +29,7 @@ class FingerLine:
         """Somebody listens to the hand."""
         return self._wanted[0] != 0
 
-    def tell(self, finger: Finger) -> None:
+    def report(self, finger: Finger) -> None:
         """Send, or drop what has no room; the next comes soon."""
         with contextlib.suppress(OSError):
             self._sock.send(encode_finger(finger))
@@ -88,7 +88,7 @@ class Lines:
     def end(self, name: str) -> None:
         """Tell for a finger that its process has ended."""
         if name in self.fingers:
-            self.fingers[name].tell(away(Reason(ReasonCode.DAEMON_STOPPED, "its process has ended")))
+            self.fingers[name].report(away(Reason(ReasonCode.DAEMON_STOPPED, "its process has ended")))
 
     def close(self) -> None:
         """Close this process's ends."""

@@ -104,7 +104,7 @@ class HandProcess:
             self._aggregator.listen(listened, now_ns)
             due_ns = self._aggregator.due_ns()
             if due_ns is not None and now_ns >= due_ns:
-                message = self._aggregator.tell(now_ns, time.time_ns())
+                message = self._aggregator.message(now_ns, time.time_ns())
                 self._link.offer(STREAM, encode_hand(message), message.seq)
                 continue
             wait_s = LOOK_S if due_ns is None else (due_ns - now_ns) / 1e9
@@ -119,7 +119,7 @@ class HandProcess:
                 raise error
 
     def _hear(self, name: str, line: HandLine) -> None:
-        """Take what a finger told; of one that never stops not all at once."""
+        """Take what a finger reported; of one that never stops not all at once."""
         try:
             for finger in itertools.islice(iter(line.take, None), AT_ONCE):
                 self._heard[name] += 1

@@ -181,7 +181,7 @@ class Reconstruct:
         for see in self._sees:
             see(seen)
         timer.mark("deliver")
-        timer.ms["capture_to_offer"] = (timer.last_ns - frame.t_ns) / 1e6
+        timer.ms["latency"] = (timer.last_ns - frame.t_ns) / 1e6
         self._timings.add(timer.ms)
 
     def _need(self) -> Need:

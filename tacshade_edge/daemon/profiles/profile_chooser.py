@@ -54,7 +54,7 @@ class Standing:
     within_ms : float or None
         90 % of the frames took no longer; None before the first.
     kept : bool or None
-        Whether 90 % were within the budget; None while they are too few to tell.
+        Whether 90 % were within the budget; None while they are too few to judge.
     """
 
     profile: str
@@ -72,7 +72,7 @@ class ProfileChooser:
         For 90 % of the frames.
     costs_ms : mapping
         What a step in contact takes on this machine when it is idle, of each profile, the dearest first. The ratios
-        tell what a better one would take under a load; the first chosen is the dearest that `MARGIN` allows.
+        predict what a better one would take under a load; the first chosen is the dearest that `MARGIN` allows.
 
     Attributes
     ----------

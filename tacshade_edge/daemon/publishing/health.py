@@ -63,7 +63,7 @@ class Health(FrameObserver):
             "capture_fps": round((counts.captured - before.captured) / seconds, 2),
             "delivered_fps": round((delivered(counts) - delivered(before)) / seconds, 2),
             "published_fps": round((counts.published - before.published) / seconds, 2),
-            "latency_ms": stages.pop("capture_to_offer", None),
+            "latency_ms": stages.pop("latency", None),
             "stages_ms": stages,
             **reason_fields(reason, "invalid_reason"),
             **reason_fields(degraded, "degraded_reason"),
@@ -73,7 +73,7 @@ class Health(FrameObserver):
     def _judge(self, before: Counts, counts: Counts, reason: Reason | None) -> None:
         """Whether frames come but none can be used; the first reason stays, so that it is published once.
 
-        A missing calibration is no frame's fault: the daemon tells it.
+        A missing calibration is no frame's fault: the daemon reports it.
         """
         if reason is not None and reason.code is ReasonCode.NOT_CALIBRATED:
             return

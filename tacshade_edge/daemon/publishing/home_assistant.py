@@ -1,4 +1,4 @@
-"""The hand in Home Assistant: announced where the settings say so, and taken back where they no longer do."""
+"""The sensor in Home Assistant: announced where the settings say so, and taken back where they no longer do."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ANNOUNCED, WITHDRAWN = "announced", "withdrawn"
 
 
 class HomeAssistant:
-    """Retained announcements outlive the daemon; so does the status below its own topics that tells of them.
+    """Retained announcements outlive the daemon; so does the status below its own topics that reports them.
 
     A daemon that finds that of an earlier run, and shall not announce, takes them back. One that never announced
     writes nothing outside its own topics.
@@ -31,15 +31,15 @@ class HomeAssistant:
 
     def __init__(self, link: MqttLink, sensor_id: str, *, wanted: bool) -> None:
         self._link, self._sensor_id, self._wanted = link, sensor_id, wanted
-        self._told: tuple[str, ...] | None = None
+        self._announced: tuple[str, ...] | None = None
         if not wanted:
             link.watch(STATUS, self._withdraw)
 
     def announce(self, profiles: Sequence[str]) -> None:
         """Say what there is, where it is wanted and new."""
-        if not self._wanted or self._told == tuple(profiles):
+        if not self._wanted or self._announced == tuple(profiles):
             return
-        self._told = tuple(profiles)
+        self._announced = tuple(profiles)
         for topic, payload in encode_discovery(self._sensor_id, version=installed_version(), profiles=profiles).items():
             self._link.set_retained(f"/{topic}", payload)
         self._link.set_retained(STATUS, encode_status(ANNOUNCED))

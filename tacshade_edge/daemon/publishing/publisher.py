@@ -10,7 +10,7 @@ from tacshade_edge.protocol import messages, wire
 from tacshade_edge.settings import Settings
 from tacshade_edge.types import Need, Reconstruction, Slip
 
-CONTACT_PERIOD_NS = 100_000_000  # without contact; in contact every frame tells
+CONTACT_PERIOD_NS = 100_000_000  # without contact; in contact for every frame
 
 
 class Publisher(FrameObserver):
@@ -33,7 +33,7 @@ class Publisher(FrameObserver):
     has_listener : callable
         ``has_listener(stream)``; by default every stream has one.
     always_shear : bool
-        Displacement is asked for whoever listens: for slip, and for its numbers in ``contact``.
+        Shear is asked for whoever listens: for slip, and for its numbers in ``contact``.
 
     Attributes
     ----------
@@ -69,8 +69,8 @@ class Publisher(FrameObserver):
         return need
 
     def settings_changed(self, settings: Settings) -> None:
-        """Ask for displacement as the settings say."""
-        self._always_shear = settings.displacement == "always"
+        """Ask for shear as the settings say."""
+        self._always_shear = settings.shear == "always"
 
     def see(self, seen: FrameResult) -> None:
         """Offer what is in this result."""

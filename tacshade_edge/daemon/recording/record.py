@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tacshade_edge.daemon.recording.before import BEFORE_BYTES, EVENT_BYTES, Event, Kept, Shot
 from tacshade_edge.daemon.recording.byte_queue import ByteQueue
+from tacshade_edge.daemon.recording.pre_roll import EVENT_BYTES, PRE_ROLL_BYTES, Event, Kept, Shot
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
 from tacshade_edge.storage.atomic_files import FREE_FLOOR_BYTES
@@ -88,14 +88,14 @@ class _Asked:
 class _Job:
     """One recording, or what is kept for it before it is asked for. Its first ending counts."""
 
-    def __init__(self, before_ns: int, posed: Posed | None) -> None:
+    def __init__(self, pre_roll_ns: int, posed: Posed | None) -> None:
         self.asked: _Asked | None = None
         self.end_ns = 0
         self.waiting: ByteQueue[Frame | Event] = ByteQueue(QUEUE_BYTES)
         self.kept = Kept()
         self.ending: Reason | None = None
         self.done = False
-        self._before_ns = before_ns
+        self._pre_roll_ns = pre_roll_ns
         self._oldest_ns = 0
         self._posed = posed
         self._lost = 0  # accepted, and not written
@@ -112,7 +112,7 @@ class _Job:
         """Write what is kept, and what comes."""
         now_ns = time.monotonic_ns()
         self.end_ns = now_ns + round(seconds * 1e9)
-        oldest_ns = max(now_ns - self._before_ns, self._oldest_ns) if self._before_ns else 0
+        oldest_ns = max(now_ns - self._pre_roll_ns, self._oldest_ns) if self._pre_roll_ns else 0
         self.asked = _Asked(recorder, settings_yaml, calibration, about, oldest_ns, self.waiting.refused)
 
     def tap(self, frame: Frame) -> None:
@@ -136,7 +136,7 @@ class _Job:
         dropped = self.waiting.refused - asked.refused + self._lost
         return Recorded(asked.recorder.folder, asked.recorder.frames, asked.recorder.bytes, dropped, self.ending)
 
-    def dropped_before(self) -> int:
+    def pre_roll_dropped(self) -> int:
         """Frames that are not kept though they are not too old, until the recording was asked for."""
         return self.kept.given_up + (self.asked.refused if self.asked else self.waiting.refused)
 
@@ -145,8 +145,8 @@ class _Job:
         while self.asked is None and not self.waiting.drained:
             if (item := self._take(SYNC_S)) is not None:
                 self.kept.add(item)
-                self.kept.forget(max(item.t_ns - self._before_ns, self._oldest_ns))
-                self.kept.bound(BEFORE_BYTES)
+                self.kept.forget(max(item.t_ns - self._pre_roll_ns, self._oldest_ns))
+                self.kept.bound(PRE_ROLL_BYTES)
         if self.asked is not None:
             self._write(self.asked)
         return self.asked is not None
@@ -226,17 +226,17 @@ class LiveRecorder:
         self._report = report
         self._job: _Job | None = None
         self._thread: threading.Thread | None = None
-        self._written = self._dropped = self._dropped_before = 0  # of recordings that ended
-        self._before_ns = 0
+        self._written = self._dropped = self._pre_roll_dropped = 0  # of recordings that ended
+        self._pre_roll_ns = 0
         self._calibration_crc32: int | None = None
 
-    def keep_before(self, before_s: float) -> None:
+    def keep_pre_roll(self, pre_roll_s: float) -> None:
         """Have recordings begin so long before they are asked for, from the next on; 0: then."""
-        before_ns = round(before_s * 1e9)
-        if before_ns != self._before_ns and self._job is not None and self._job.asked is None:
+        pre_roll_ns = round(pre_roll_s * 1e9)
+        if pre_roll_ns != self._pre_roll_ns and self._job is not None and self._job.asked is None:
             self.tap = None
             self._close(self._job)
-        self._before_ns = before_ns
+        self._pre_roll_ns = pre_roll_ns
 
     def start(
         self,
@@ -290,11 +290,11 @@ class LiveRecorder:
     def _close(self, job: _Job) -> None:
         """Take the figures of a job that is over, or that shall keep nothing more."""
         job.waiting.close()
-        self._dropped_before += job.dropped_before()
+        self._pre_roll_dropped += job.pre_roll_dropped()
         self._job = None
 
     def end(self, ending: Reason) -> None:
-        """End the recording that goes on, if one does; `poll` tells when it is written."""
+        """End the recording that goes on, if one does; `poll` reports when it is written."""
         self.tap = None
         if self._job is not None:
             self._job.end(ending)
@@ -319,8 +319,8 @@ class LiveRecorder:
 
     def poll(self) -> Recorded | None:
         """End what is over; the recording that was finished since the last call."""
-        if self._job is None and self._before_ns:
-            self._run(_Job(self._before_ns, self._posed))
+        if self._job is None and self._pre_roll_ns:
+            self._run(_Job(self._pre_roll_ns, self._posed))
         job = self._job
         if job is None or job.asked is None:
             return None
@@ -347,10 +347,10 @@ class LiveRecorder:
         waiting = len(job.waiting) + len(job.kept) if job and now else 0
         written, dropped = (now.frames, now.dropped) if now else (0, 0)
         counts = {"written": self._written + written, "dropped": self._dropped + dropped, "waiting": waiting}
-        if not self._before_ns:
+        if not self._pre_roll_ns:
             return counts
-        kept, given_up = (0 if now or not job else job.kept.frames), job.dropped_before() if job else 0
-        return {**counts, "before": kept, "before_dropped": self._dropped_before + given_up}
+        kept, given_up = (0 if now or not job else job.kept.frames), job.pre_roll_dropped() if job else 0
+        return {**counts, "pre_roll": kept, "pre_roll_dropped": self._pre_roll_dropped + given_up}
 
     def join(self, timeout_s: float) -> None:
         """Wait for the recording's thread."""

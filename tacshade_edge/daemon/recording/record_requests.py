@@ -88,7 +88,7 @@ class RecordRequests(FrameObserver):
 
     def settings_changed(self, settings: Settings) -> None:
         """Keep as much from before a recording as the settings say."""
-        self._recorder.keep_before(settings.recorder.before_s)
+        self._recorder.keep_pre_roll(settings.recorder.pre_roll_s)
 
     def source_changed(self, source: SourceState) -> None:
         """Write it into the recording."""

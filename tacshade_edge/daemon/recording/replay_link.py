@@ -60,14 +60,14 @@ class ReplayLink:
             on_outcome=self._on_outcome,
         )
         self._playback: Playback | None = None
-        self._told_s = 0.0
+        self._reported_s = 0.0
         self._publisher = Publisher(self._offer, self._link.tell, lambda *_: None)
 
     def obey(self, playback: Playback) -> None:
         """Do what ``req/replay`` asks of it."""
         self._playback = playback
 
-    def tell_playback(self, status: dict[str, Any]) -> None:
+    def report_playback(self, status: dict[str, Any]) -> None:
         """The retained ``status/replay``."""
         state = "paused" if status["paused"] else "playing"
         details = {key: value for key, value in status.items() if key != "paused"}
@@ -96,9 +96,9 @@ class ReplayLink:
         self._frames += 1
         self._publisher.fps = self._frames / max(1e-3, time.monotonic() - self._began_s)
         self._publisher.see(FrameResult(recorded.frame, self._calibration, result))
-        if self._playback is not None and (now_s := time.monotonic()) > self._told_s + PLAYBACK_PERIOD_S:
-            self._told_s = now_s
-            self.tell_playback(self._playback.status())
+        if self._playback is not None and (now_s := time.monotonic()) > self._reported_s + PLAYBACK_PERIOD_S:
+            self._reported_s = now_s
+            self.report_playback(self._playback.status())
         if self._wait:
             with self._changed:
                 if not self._changed.wait_for(lambda: self._open == 0, HAND_OVER_S):
@@ -128,7 +128,7 @@ class ReplayLink:
 
     def _on_request(self, request: Request) -> None:
         if request.playback is not None and self._playback is not None:
-            self._told_s = 0.0
+            self._reported_s = 0.0
             status = self._playback.command(request.playback)
             self._link.reply(request, messages.encode_result(request.transaction, status))
             return

@@ -57,7 +57,7 @@ class Origin:
 def restored(calibrated: Calibration, path: Path, unowned: Reason | None = None) -> Origin:
     """The reference that was stored for a calibration, or the calibration's own.
 
-    That of another calibration is deleted: it is told once, and no later file can meet it again. Not where it is
+    That of another calibration is deleted: it is reported once, and no later file can meet it again. Not where it is
     another's, `unowned`.
     """
     try:

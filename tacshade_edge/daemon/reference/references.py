@@ -93,7 +93,7 @@ class References(FrameObserver):
         try:
             self._lock = FolderLock(self._path.parent, f"sensor {self._sensor_id}", file=self._path.name)
         except DeviceError as error:
-            if error.code is ReasonCode.IN_USE:  # a folder that cannot be written is told when something is stored
+            if error.code is ReasonCode.IN_USE:  # a folder that cannot be written is reported when something is stored
                 _log.warning("%s; a reference that is taken here is not stored", error)
                 self._unowned = error.reason
 
@@ -114,7 +114,7 @@ class References(FrameObserver):
         return ReferenceTaken(len(images), taken.crc32, taken.noise_grey, unstored=origin.reason)
 
     def follow(self, held: bool) -> bool:
-        """Follow where frames for it have come; True when `calibration` or what `info` tells changed.
+        """Follow where frames for it have come; True when `calibration` or what `info` states changed.
 
         Parameters
         ----------

@@ -12,7 +12,7 @@ from tacshade_edge.daemon.pipeline.observer import SERIAL_STOPPED_S, FrameObserv
 from tacshade_edge.daemon.robot.motion import RobotMotion
 from tacshade_edge.daemon.robot.serial_channel import SILENT_NS, SerialChannel
 from tacshade_edge.daemon.robot.serial_commands import SerialCommands
-from tacshade_edge.daemon.robot.shared_line import FollowingChannel, SharedLine, TellingMotion
+from tacshade_edge.daemon.robot.shared_line import FollowingChannel, ForwardingMotion, SharedLine
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.protocol.messages import Request, encode_status
 from tacshade_edge.protocol.results import RequestResult
@@ -60,7 +60,7 @@ class Robot(FrameObserver):
         missing: Callable[[], Reason | None],
         shared: SharedLine | None = None,
     ) -> None:
-        self.motion = TellingMotion(shared.tells) if shared and shared.tells else RobotMotion()
+        self.motion = ForwardingMotion(shared.ends) if shared and shared.ends else RobotMotion()
         wake = port.wake if port else lambda: None
         self.commands = SerialCommands(self.motion, on_request, state, missing, wake)
         self._channel: SerialChannel | FollowingChannel
@@ -90,9 +90,9 @@ class Robot(FrameObserver):
     def poll(self) -> None:
         """Publish ``status/serial`` when it changed; called in the main thread."""
         port, sync = self._channel.port_state, self.motion.state()
-        if isinstance(self.motion, TellingMotion):
+        if isinstance(self.motion, ForwardingMotion):
             quiet_since_ns, counts = self._channel.quiet_since_ns, self._channel.as_dict()
-            self.motion.tell_port(port, self._channel.mode, quiet_since_ns, counts)
+            self.motion.forward_port(port, self._channel.mode, quiet_since_ns, counts)
         if port.state == "away":
             state, reason, details = "away", port.reason, port.details
         else:
@@ -102,7 +102,7 @@ class Robot(FrameObserver):
             if silent:
                 reason = Reason(ReasonCode.STALLED, f"nothing for more than {SILENT_NS / 1e9:.0f} s")
             elif reason is None and (latency_ms := int(port.details.get("latency_ms", 0))) > LATENCY_MAX_MS:
-                text = f"the port's chip holds bytes back for {latency_ms} ms; doctor tells the mend"
+                text = f"the port's chip holds bytes back for {latency_ms} ms; doctor says how to fix it"
                 reason = Reason(ReasonCode.PORT_LATENCY, text)
         status = encode_status(state, reason, details)
         if status != self._published:

@@ -1,6 +1,6 @@
 """A robot's line that several sensors' processes share: one has the port, and hands on what it learns of the robot.
 
-What is handed on is what `RobotMotion` is told, so that all have the same clock and the same poses; commands and their
+What is handed on is what `RobotMotion` takes, so that all have the same clock and the same poses; commands and their
 answers stay with the one that has the port. Each follower has a pair of datagram sockets of its own, made before the
 processes are forked, and nobody waits for it: a pose that finds no room is one pose less.
 """
@@ -66,19 +66,19 @@ class SharedLine:
     ----------
     owner : str
         The sensor that has the port.
-    tells : tuple of socket
+    ends : tuple of socket
         To each follower, where this is the owner.
     hears : socket or None
         From the owner, where this is a follower.
     """
 
     owner: str
-    tells: tuple[socket.socket, ...] = ()
+    ends: tuple[socket.socket, ...] = ()
     hears: socket.socket | None = None
 
     def close(self) -> None:
         """Close this process's ends."""
-        for end in (*self.tells, *([self.hears] if self.hears else [])):
+        for end in (*self.ends, *([self.hears] if self.hears else [])):
             end.close()
 
 
@@ -90,35 +90,35 @@ def share_lines(documents: Sequence[Document]) -> dict[str, SharedLine]:
             names.setdefault(serial.device, []).append(document.settings.sensor_id)
     shared: dict[str, SharedLine] = {}
     for owner, *followers in names.values():
-        tells = []
+        ends = []
         for name in followers:
             ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
             ours.setblocking(False)
-            tells.append(ours)
+            ends.append(ours)
             shared[name] = SharedLine(owner, hears=theirs)
         if followers:
-            shared[owner] = SharedLine(owner, tuple(tells))
+            shared[owner] = SharedLine(owner, tuple(ends))
     return shared
 
 
-class TellingMotion(RobotMotion):
-    """A `RobotMotion` that hands on what it is told.
+class ForwardingMotion(RobotMotion):
+    """A `RobotMotion` that hands on what it takes.
 
     Parameters
     ----------
-    tells : sequence of socket
+    ends : sequence of socket
     """
 
-    def __init__(self, tells: Sequence[socket.socket]) -> None:
+    def __init__(self, ends: Sequence[socket.socket]) -> None:
         super().__init__()
-        self._tells = tells
+        self._ends = ends
         self._received: tuple[int, int, int | None] | None = None
         self._port: _Port | None = None
         self._port_told_ns = 0
 
     def restart(self) -> None:
         super().restart()
-        self._tell(_Restart())
+        self._forward(_Restart())
 
     def sync_received(self, t1_ns: int, t2_ns: int, t4_ns: int | None) -> None:
         super().sync_received(t1_ns, t2_ns, t4_ns)
@@ -127,23 +127,23 @@ class TellingMotion(RobotMotion):
     def sync_answered(self, t3_ns: int) -> None:
         super().sync_answered(t3_ns)
         if self._received is not None:
-            self._tell(_Sync(*self._received, t3_ns))
+            self._forward(_Sync(*self._received, t3_ns))
 
     def add(self, arrived: PoseArrived) -> None:
         super().add(arrived)
-        self._tell(_Pose(arrived.sample, arrived.arrived_ns))
+        self._forward(_Pose(arrived.sample, arrived.arrived_ns))
 
-    def tell_port(self, state: PortState, mode: Mode, quiet_since_ns: int, counts: dict[str, Any]) -> None:
+    def forward_port(self, state: PortState, mode: Mode, quiet_since_ns: int, counts: dict[str, Any]) -> None:
         """Hand on how the port is: a change at once, else once a second."""
         now_ns = time.monotonic_ns()
         changed = self._port is None or (state, mode) != (self._port.state, self._port.mode)
         if changed or now_ns - self._port_told_ns >= _PORT_PERIOD_NS:
             self._port, self._port_told_ns = _Port(state, mode, quiet_since_ns, counts), now_ns
-            self._tell(self._port)
+            self._forward(self._port)
 
-    def _tell(self, message: msgspec.Struct) -> None:
+    def _forward(self, message: msgspec.Struct) -> None:
         payload = msgspec.msgpack.encode(message)
-        for end in self._tells:
+        for end in self._ends:
             with contextlib.suppress(OSError):
                 end.send(payload)
 
@@ -186,13 +186,13 @@ class FollowingChannel:
     def run(self) -> None:
         """Hear the owner until `stop`."""
         self._hears.settimeout(_READ_S)
-        told_ns = time.monotonic_ns()
+        heard_ns = time.monotonic_ns()
         while not self._stop.is_set():
             try:
                 payload = self._hears.recv(_BYTES_MAX)
             except TimeoutError:
-                if time.monotonic_ns() - told_ns > SILENT_NS and self.port_state.state == "open":
-                    reason = Reason(ReasonCode.NO_ANSWER, f"{self._owner}, which has the port, tells nothing")
+                if time.monotonic_ns() - heard_ns > SILENT_NS and self.port_state.state == "open":
+                    reason = Reason(ReasonCode.NO_ANSWER, f"{self._owner}, which has the port, reports nothing")
                     self.port_state = PortState("away", reason, {"shared_by": self._owner})
                 continue
             match _decoder.decode(payload):
@@ -204,7 +204,7 @@ class FollowingChannel:
                 case _Restart():
                     self._motion.restart()
                 case _Port(state, mode, quiet_since_ns, counts):
-                    told_ns = time.monotonic_ns()
+                    heard_ns = time.monotonic_ns()
                     self.mode, self.quiet_since_ns, self._counts = mode, quiet_since_ns, counts
                     details = {**state.details, "shared_by": self._owner}
                     self.port_state = PortState(state.state, state.reason, details)

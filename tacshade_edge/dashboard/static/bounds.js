@@ -51,7 +51,7 @@ export function checkDecoded(message, name) {
   return message;
 }
 
-/** What an `info` tells, where the page can use it; a hand that is not calibrated has no geometry. */
+/** What an `info` states, where the page can use it; a sensor that is not calibrated has no geometry. */
 export function checkInfo(info) {
   const { geometry, profiles = [], profile } = info;
   if (!Array.isArray(profiles) || ![profile, ...profiles].every((name) => name === undefined || typeof name === "string")) throw new Error("not profiles");
@@ -65,7 +65,7 @@ export function checkInfo(info) {
 
 export const checkContact = (contact) => checkNumbers(contact, NUMBERS_OF_CONTACT);
 
-/** A `status/<part>`; the page reckons with what a replay and a recorder tell. */
+/** A `status/<part>`; the page reckons with what a replay and a recorder report. */
 export function checkPart(part) {
   if (typeof part.state !== "string") throw new Error("no state");
   if (part.reason !== undefined && typeof part.reason !== "string") throw new Error("not a reason");
@@ -81,7 +81,7 @@ export function checkHand(message) {
     if (!Array.isArray(finger.objects) || finger.objects.length > OBJECTS_MAX) throw new Error("too many objects");
     finger.reason_code = cut(String(finger.reason_code ?? ""), 64);
     for (const { shear_mm, depth_max_mm, area_mm2 } of finger.objects) {
-      if (shear_mm !== null && shear_mm !== undefined && !(Array.isArray(shear_mm) && shear_mm.length === 3 && shear_mm.every(Number.isFinite))) throw new Error("not a displacement");
+      if (shear_mm !== null && shear_mm !== undefined && !(Array.isArray(shear_mm) && shear_mm.length === 3 && shear_mm.every(Number.isFinite))) throw new Error("not a shear");
       within({ depth_max_mm, area_mm2 }, { depth_max_mm: [0, SCALE_MAX_MM], area_mm2: [0, SCALE_MAX_MM ** 2] });
     }
   }

@@ -19,7 +19,7 @@ export class DepthChart {
     this.build();
   }
 
-  /** One value, at the time when it arrived: the hand's clock is not this machine's. */
+  /** One value, at the time when it arrived: the sensor's clock is not this machine's. */
   add(depth_mm, slips) {
     const now = performance.now() / 1000, last = this.times.at(-1);
     if (last !== undefined && now - last > GAP_S) {

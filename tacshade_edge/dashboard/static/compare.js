@@ -1,4 +1,4 @@
-// Another hand beside the chosen one, such as the same recording with another profile: both maps and their difference.
+// Another sensor beside the chosen one, such as the same recording with another profile: both maps and their difference.
 
 import { DIFFERENCES, PIXELS, STEPS, stepOf } from "./colours.js";
 import { heightAt } from "./geometry.js";
@@ -29,7 +29,7 @@ export class Compare {
     });
   }
 
-  /** The hands that there are to compare with. */
+  /** The sensors that there are to compare with. */
   offer(names) {
     if (this.sensor !== null && !names.includes(this.sensor)) this.choose(null);
     $("against").replaceChildren(new Option("nothing", ""), ...names.map((name) => new Option(name, name)));
@@ -59,9 +59,9 @@ export class Compare {
     else if (what === "status/replay") {
       json(payload, (status) => {
         this.view.parts.set("replay", status);
-        const tell = (error) => { $("compare-words").textContent = `${this.sensor} is paused: ${error.message}`; };
-        if (!this.readOnly) showAgain(this.link(), this.sensor, this.view).catch(tell);
-        else if (isPaused(this.view.parts) && !this.view.map) tell(new Error("its picture comes when it is played on."));
+        const report = (error) => { $("compare-words").textContent = `${this.sensor} is paused: ${error.message}`; };
+        if (!this.readOnly) showAgain(this.link(), this.sensor, this.view).catch(report);
+        else if (isPaused(this.view.parts) && !this.view.map) report(new Error("its picture comes when it is played on."));
       }, checkPart);
     } else return;
     this.changed();
@@ -76,7 +76,7 @@ export class Compare {
     });
   }
 
-  /** first: name, view and info of the chosen hand; other: info and state. heights: the view of the chosen hand's map. */
+  /** first: name, view and info of the chosen sensor; other: info and state. heights: the view of the chosen sensor's map. */
   draw(first, other, heights) {
     if (this.sensor === null) return;
     const { view } = this, geometry = other.info?.geometry ?? null;
@@ -97,7 +97,7 @@ export class Compare {
     $("first-name").textContent = first.name;
     $("other-name").textContent = ["online", "degraded"].includes(other.state) ? this.sensor : `${this.sensor} (${other.state ?? "unknown"})`;
     $("difference-name").textContent = `${this.sensor} less ${first.name}`;
-    this.tell(first, other);
+    this.showNumbers(first, other);
   }
 
   /** Both maps in the cells of the first, and what the other has more. */
@@ -141,7 +141,7 @@ export class Compare {
     $("compare-words").textContent = `Heights are ${number(this.seen.mean_mm, 3)} mm apart in the mean, ${sign}${number(worst_mm, 3)} mm at worst, at row ${number(row)}, col ${number(col)} px.`;
   }
 
-  tell(first, other) {
+  showNumbers(first, other) {
     const a = contactOfMap(first.view), b = contactOfMap(this.view);
     const numbers = [["greatest depth, mm", "depth_max_mm", 2], ["area, mm²", "area_mm2", 1], ["volume, mm³", "volume_mm3", 1], ["objects", "objects", 0]];
     const rows = numbers.map(([name, key, digits]) => {
@@ -153,7 +153,7 @@ export class Compare {
   }
 }
 
-/** Whether two hands see the same skin through the same camera, but for what two calibrations of it differ by. */
+/** Whether two sensors see the same skin through the same camera, but for what two calibrations of it differ by. */
 function isSame(a, b) {
   if (!a || !b) return false;
   const near = (key, most) => Math.abs(a[key] - b[key]) <= most;

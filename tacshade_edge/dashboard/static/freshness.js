@@ -1,10 +1,10 @@
-// Whether what is shown is the hand's present. Retained messages say what was, never that it still is.
+// Whether what is shown is the sensor's present. Retained messages say what was, never that it still is.
 
 const STALE_MS = 3000;
 
 /**
  * view: when what was heard, in performance.now(); retained messages leave these times alone.
- * paused: nothing new is to come. gone: no connection, or the hand itself says that it does not work, or nothing of it comes at all.
+ * paused: nothing new is to come. gone: no connection, or the sensor itself says that it does not work, or nothing of it comes at all.
  * frames, health: what is shown of them is old. words: of what is old, with its age; empty when nothing is.
  */
 export function freshness(view, { connected, works, state, paused }) {
@@ -13,17 +13,17 @@ export function freshness(view, { connected, works, state, paused }) {
   const silent = !paused && any_ms > STALE_MS && since(view.chosen_ms) > STALE_MS;
   const gone = !connected || !works || silent;
   const frames = gone || (!paused && view.heard_ms !== null && frames_ms > STALE_MS);
-  const told_ms = any_ms < Infinity ? any_ms : view.health?.wall_ns ? Math.max(Date.now() - view.health.wall_ns / 1e6, 0) : null;
+  const heard_ms = any_ms < Infinity ? any_ms : view.health?.wall_ns ? Math.max(Date.now() - view.health.wall_ns / 1e6, 0) : null;
   const shown = view.health !== null || view.heard_ms !== null;
   let words = "";
-  if (gone && shown) words = `${why(connected, works, state)}: what is shown is old, last heard ${told_ms === null ? "before this page came" : `${age(told_ms)} ago`}.`;
+  if (gone && shown) words = `${why(connected, works, state)}: what is shown is old, last heard ${heard_ms === null ? "before this page came" : `${age(heard_ms)} ago`}.`;
   else if (frames && !gone) words = `Last frame ${age(frames_ms)} ago: what is shown is old.`;
   return { gone, frames, health: gone || health_ms > STALE_MS, words };
 }
 
 function why(connected, works, state) {
   if (!connected) return "Not connected";
-  return works ? "Nothing is heard of this hand" : `This hand is ${state ?? "unknown"}`;
+  return works ? "Nothing is heard of this sensor" : `This sensor is ${state ?? "unknown"}`;
 }
 
 function age(ms) {

@@ -21,7 +21,7 @@ export function skinPoint(geometry, row, col, height_mm, out, at) {
   out[at + 2] = s - d;
 }
 
-/** A height map without contact, for a hand that has not been touched since this page looks. */
+/** A height map without contact, for a sensor that has not been touched since this page looks. */
 export function zeroMap(geometry) {
   const step_px = 4, rows = Math.ceil(geometry.image_height_px / step_px), cols = Math.ceil(geometry.image_width_px / step_px);
   const height_mm = new Float32Array(rows * cols);

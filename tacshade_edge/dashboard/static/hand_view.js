@@ -68,7 +68,7 @@ export class Whole {
     $("whole-objects").replaceChildren();
     $("whole").hidden = false;
     this.link().subscribe(`tacshade/hand/${id}/objects`);
-    this.tell();
+    this.showState();
   }
 
   hide() {
@@ -107,13 +107,13 @@ export class Whole {
       if (finger.map && !key.every((part, k) => part === finger.painted?.[k])) paint(finger, ...key);
       finger.painted = key;
     }
-    this.tell();
+    this.showState();
     if (this.message !== this.drawn) this.drawObjects();
     this.drawn = this.message;
   }
 
   /** States in words; what is old is grey. */
-  tell() {
+  showState() {
     if (this.shown === null) return;
     const state = this.states.get(this.shown), works = state === "online" && this.link()?.connected;
     const old_ms = performance.now() - (this.heard_ms ?? this.shown_ms), stale = !works || old_ms > STALE_MS;
@@ -181,9 +181,9 @@ function shape(name, attributes, title) {
   const made = document.createElementNS($("whole-plane").namespaceURI, name);
   for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
   if (title !== undefined) {
-    const told = document.createElementNS($("whole-plane").namespaceURI, "title");
-    told.textContent = title;
-    made.append(told);
+    const tooltip = document.createElementNS($("whole-plane").namespaceURI, "title");
+    tooltip.textContent = title;
+    made.append(tooltip);
   }
   return made;
 }

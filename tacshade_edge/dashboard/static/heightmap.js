@@ -29,7 +29,7 @@ export class HeightView {
     });
   }
 
-  /** Forget another hand's map. */
+  /** Forget another sensor's map. */
   clear() {
     this.map = this.sigma = this.geometry = this.cell = null;
     this.auto = new AutoScale();

@@ -9,13 +9,13 @@ const KEPT = "tacshade-login";
 
 export class Link {
   /**
-   * told(level, text): how the connection is; level is "good", "wait" or "bad".
+   * reported(level, text): how the connection is; level is "good", "wait" or "bad".
    * refused(text): the broker wants another user or password.
    * message(topic, payload, retained): everything that is subscribed; payload is a view into a larger buffer, and
    * retained what the broker kept from before.
    */
-  constructor({ told, refused, message }) {
-    this.told = told;
+  constructor({ reported, refused, message }) {
+    this.reported = reported;
     this.refused = refused;
     this.message = message;
     this.waiting = new Map(); // transaction -> how to answer
@@ -41,7 +41,7 @@ export class Link {
     url.protocol = url.protocol === "https:" ? "wss:" : "ws:";
     url.search = url.hash = "";
     let reason = "";
-    this.told("wait", "Connecting …");
+    this.reported("wait", "Connecting …");
     const client = mqtt.connect(url.href, {
       ...user,
       clientId: `page-${crypto.getRandomValues(new Uint32Array(2)).join("-")}`, // read_only.py wants it so
@@ -61,7 +61,7 @@ export class Link {
     });
     this.client = client;
     client.on("connect", () => {
-      this.told("good", "Connected");
+      this.reported("good", "Connected");
       if (this.topics.size) client.subscribe([...this.topics], { qos: 0 });
     });
     client.on("message", (topic, payload, packet) => {
@@ -71,14 +71,14 @@ export class Link {
       if (client !== this.client || client.disconnecting) return;
       // The socket's own event, with the reason, comes in the same turn.
       setTimeout(() => {
-        if (client === this.client && !client.connected && !client.disconnecting) this.told("bad", `Not connected: ${reason}; trying again`);
+        if (client === this.client && !client.connected && !client.disconnecting) this.reported("bad", `Not connected: ${reason}; trying again`);
       });
     });
     client.on("error", (error) => {
-      if (client !== this.client || !NOT_AUTHORISED.includes(error.code)) return; // the rest is a close, told there
+      if (client !== this.client || !NOT_AUTHORISED.includes(error.code)) return; // the rest is a close, reported there
       client.end(true);
       sessionStorage.removeItem(KEPT);
-      this.told("bad", "The broker wants a user and password");
+      this.reported("bad", "The broker wants a user and password");
       this.refused(user.username === undefined ? "The broker wants a user and password." : "The broker refused this user or password.");
     });
   }
@@ -93,7 +93,7 @@ export class Link {
     if (this.connected) this.client.unsubscribe(topics);
   }
 
-  /** Ask a hand; resolves to its result, rejects with an Error whose message is for a person, and its `code`. */
+  /** Ask a sensor; resolves to its result, rejects with an Error whose message is for a person, and its `code`. */
   request(sensor, verb, body, answer_ms = ANSWER_MS) {
     if (!this.connected) return Promise.reject(new Error("not connected"));
     const transaction = `page-${crypto.getRandomValues(new Uint32Array(2)).join("-")}`;
@@ -103,7 +103,7 @@ export class Link {
         reject(new Error(`no answer within ${answer_ms / 1000} s`));
       }, answer_ms);
       this.waiting.set(transaction, { resolve, reject, timer });
-      // QoS 0: what cannot be sent now is dropped, and told. QoS 1 would move the hand's zero some time later.
+      // QoS 0: what cannot be sent now is dropped, and reported. QoS 1 would move the sensor's zero some time later.
       this.client.publish(`tacshade/${sensor}/req/${verb}`, JSON.stringify({ ...body, transaction }), { qos: 0 });
     });
   }

@@ -17,7 +17,7 @@ form.addEventListener("submit", (event) => {
   login(form.elements.token.value.trim());
 });
 
-// The address that the server told has the token behind its #, which no server and no other site is sent.
+// The address that the server printed has the token behind its #, which no server and no other site is sent.
 if (location.hash.length > 1) {
   const token = location.hash.slice(1);
   history.replaceState(null, "", "login");

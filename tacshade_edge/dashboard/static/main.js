@@ -1,4 +1,4 @@
-// The page: hands, what is known of the chosen one, and when it is drawn.
+// The page: sensors, what is known of the chosen one, and when it is drawn.
 
 import { drawArrows } from "./arrows.js";
 import { PARTS_MAX, SENSORS_MAX, checkContact, checkDecoded, checkInfo, checkPart, cut, read } from "./bounds.js";
@@ -12,8 +12,8 @@ import { MapView } from "./mapview.js";
 import { CONTACT, contactOfMap, keepContact, nextMap, partOfMap } from "./newest.js";
 import { element, levelOf, number, showContact, showHealth, showParts, showRates, showState } from "./panels.js";
 import { SkinView } from "./skin3d.js";
-import { commandPlayback, isPaused, isPlayed, showAgain, tellPlayback } from "./playback.js";
-import { commandRecordings, tellRecording } from "./record.js";
+import { commandPlayback, isPaused, isPlayed, showAgain, updatePlayback } from "./playback.js";
+import { commandRecordings, updateRecording } from "./record.js";
 import { isRemoved, remove, restore } from "./retired.js";
 import { Rezero } from "./rezero.js";
 import { Whole } from "./hand_view.js";
@@ -29,41 +29,41 @@ const READ_ONLY = "readOnly" in document.documentElement.dataset; // the server 
 const $ = (id) => document.getElementById(id);
 const text = new TextDecoder();
 
-const hands = new Map(); // sensor id -> { state, info }
+const sensors = new Map(); // sensor id -> { state, info }
 let chosen = null, view = emptyView(), undecodable = 0, heard = 0, superseded = 0, drawn = 0, arrows = 0, drawTimes = [], scheduled = false, picture = "";
 let link = null, asking = false;
 
 const heights = new HeightView(), stitched = new MapView(), skin = new SkinView(schedule), chart = new DepthChart();
 const compare = new Compare({ link: () => link, decoded, changed: schedule, readOnly: READ_ONLY });
-const whole = new Whole({ link: () => link, infos: (sensor) => hands.get(sensor)?.info, decoded, changed: schedule, damaged: () => { undecodable++; } });
+const whole = new Whole({ link: () => link, infos: (sensor) => sensors.get(sensor)?.info, decoded, changed: schedule, damaged: () => { undecodable++; } });
 const rezero = new Rezero({
   ask: () => ask("reference", {}, "Taking a new reference; do not touch the skin …", (result) => `Zero is new, from ${result.frames} frames.`),
-  told: (words) => {
+  changed: (words) => {
     $("rezero").textContent = rezero.waiting && !rezero.taking ? "Cancel re-zero" : "Re-zero";
-    if (rezero.waiting && !rezero.taking) tellAnswer("wait", "Re-zero waits until nothing touches …");
-    if (words) tellAnswer("off", words);
-    tellControls();
+    if (rezero.waiting && !rezero.taking) updateAnswer("wait", "Re-zero waits until nothing touches …");
+    if (words) updateAnswer("off", words);
+    updateControls();
   },
 });
-link = new Link({ told: tellLink, refused: askLogin, message: take });
+link = new Link({ reported: updateLink, refused: askLogin, message: take });
 link.subscribe("tacshade/+/state", "tacshade/+/info", "tacshade/hand/+/state");
 
-/** All that is known of the chosen hand. */
+/** All that is known of the chosen sensor. */
 function emptyView() {
   return {
-    height: null, cloud: null, shear: null, sigma: null, map: null, mapPayload: null, mapCloud: null, told: {}, contact: null, contacts: new Map(), numbers: null, with_map: {}, shown_ms: 0, health: null, parts: new Map(), heard_ms: null, health_ms: null, chosen_ms: performance.now(), height_ms: 0, age_ms: null,
+    height: null, cloud: null, shear: null, sigma: null, map: null, mapPayload: null, mapCloud: null, about: {}, contact: null, contacts: new Map(), numbers: null, with_map: {}, shown_ms: 0, health: null, parts: new Map(), heard_ms: null, health_ms: null, chosen_ms: performance.now(), height_ms: 0, age_ms: null,
   };
 }
 
 // What arrives. Binary payloads are kept, newest only, and decoded when they are drawn.
 
 function take(topic, payload, retained) {
-  if (whole.take(topic, payload)) return topic.endsWith("/state") ? tellHands() : undefined;
+  if (whole.take(topic, payload)) return topic.endsWith("/state") ? showTabs() : undefined;
   const [, sensor, ...rest] = topic.split("/"), what = rest.join("/");
   if (what === "state" || what === "info") {
-    if (!hands.has(sensor) && hands.size >= SENSORS_MAX && sensor !== decodeURIComponent(location.hash.slice(1))) undecodable++;
-    else if (what === "state") tell(sensor, { state: cut(text.decode(payload), 40) || undefined });
-    else json(payload, (info) => tell(sensor, { info }), checkInfo);
+    if (!sensors.has(sensor) && sensors.size >= SENSORS_MAX && sensor !== decodeURIComponent(location.hash.slice(1))) undecodable++;
+    else if (what === "state") takeNews(sensor, { state: cut(text.decode(payload), 40) || undefined });
+    else json(payload, (info) => takeNews(sensor, { info }), checkInfo);
   }
   else if (sensor === chosen) takeChosen(what, payload, retained);
   else if (sensor === compare.sensor) compare.take(what, payload, json);
@@ -91,7 +91,7 @@ function takeChosen(what, payload, retained) {
     json(payload, (health) => {
       view.health = health;
       if (!retained) view.health_ms = performance.now();
-      tellHealth();
+      updateHealth();
     });
   } else if (what.startsWith("status/") && payload.length === 0) { // a part that is gone: a rival
     view.parts.delete(what.slice(7));
@@ -100,16 +100,16 @@ function takeChosen(what, payload, retained) {
     json(payload, (part) => {
       if (!view.parts.has(what.slice(7)) && view.parts.size >= PARTS_MAX) return void undecodable++;
       view.parts.set(cut(what.slice(7), 64), part);
-      if (!READ_ONLY) showAgain(link, chosen, view).catch((error) => tellAnswer("bad", error.message));
+      if (!READ_ONLY) showAgain(link, chosen, view).catch((error) => updateAnswer("bad", error.message));
       showParts(view.parts);
-      tellState();
+      updateState();
     }, checkPart);
   } else if (what === "map/cloud") {
     view.mapPayload = payload;
     schedule();
   } else if (what === "map/revision" || what === "map/final") {
     json(payload, (about) => {
-      view.told[what] = about;
+      view.about[what] = about;
       schedule();
     });
   } else if (what === "preview") {
@@ -140,22 +140,22 @@ function decoded(payload, name) {
   }
 }
 
-// Hands.
+// Sensors.
 
-function tell(sensor, news) {
-  const known = hands.has(sensor);
-  if ("state" in news && news.state === undefined) hands.delete(sensor); // the retained state was taken away
-  else hands.set(sensor, { ...hands.get(sensor), ...news });
+function takeNews(sensor, news) {
+  const known = sensors.has(sensor);
+  if ("state" in news && news.state === undefined) sensors.delete(sensor); // the retained state was taken away
+  else sensors.set(sensor, { ...sensors.get(sensor), ...news });
   if (works(sensor)) restore(sensor);
-  if (isRemoved(sensor)) return tellHands();
-  // The hand of the address; without one the first that is there, rather than one that was here last week.
+  if (isRemoved(sensor)) return showTabs();
+  // The sensor of the address; without one the first that is there, rather than one that was here last week.
   const wanted = decodeURIComponent(location.hash.slice(1));
   if (wanted ? !known && sensor === wanted : works(sensor) && !works(chosen) && view.heard_ms === null) choose(sensor);
   if (chosen === null && whole.shown === null) choose(sensor);
-  tellHands();
+  showTabs();
   if (sensor === chosen) {
-    tellProfiles();
-    tellState();
+    updateProfiles();
+    updateState();
     schedule();
   }
 }
@@ -163,22 +163,22 @@ function tell(sensor, news) {
 /** Take it from this page; another one is shown, or none. */
 function retire(sensor) {
   remove(sensor);
-  const other = [...hands.keys()].sort().find((name) => !isRemoved(name));
+  const other = [...sensors.keys()].sort().find((name) => !isRemoved(name));
   if (other !== undefined) {
     location.hash = encodeURIComponent(other);
     choose(other);
   } else leave();
 }
 
-/** Show no hand. */
+/** Show no sensor. */
 function leave() {
   if (chosen === null) return;
   link.unsubscribe(...STREAMS.map((stream) => `tacshade/${chosen}/${stream}`));
   rezero.cancel();
   compare.choose(null);
   chosen = null;
-  $("hand").hidden = true;
-  tellHands();
+  $("sensor").hidden = true;
+  showTabs();
 }
 
 /** Show all fingers of a hand of several sensors. */
@@ -187,10 +187,10 @@ function chooseWhole(id) {
   whole.show(id);
   $("waiting").hidden = true;
   document.title = `${id} – TacShade`;
-  tellHands();
+  showTabs();
 }
 
-const works = (sensor) => ["online", "degraded"].includes(hands.get(sensor)?.state);
+const works = (sensor) => ["online", "degraded"].includes(sensors.get(sensor)?.state);
 
 function choose(sensor) {
   if (sensor === chosen) return;
@@ -208,22 +208,22 @@ function choose(sensor) {
   $("preview").hidden = true;
   $("answer").textContent = "";
   $("waiting").hidden = true;
-  $("hand").hidden = false;
+  $("sensor").hidden = false;
   document.title = `${sensor} – TacShade`;
   link.subscribe(...STREAMS.map((stream) => `tacshade/${sensor}/${stream}`));
   showContact(null);
   showParts(view.parts);
-  tellHands();
-  tellState();
-  tellProfiles();
-  tellHealth();
+  showTabs();
+  updateState();
+  updateProfiles();
+  updateHealth();
   schedule();
 }
 
-function tellHands() {
-  const tabs = [...hands].filter(([sensor]) => !isRemoved(sensor)).sort(([a], [b]) => a.localeCompare(b)).map(([sensor, hand]) => {
-    const tab = element("button", { type: "button", role: "tab", title: link?.connected ? hand.state ?? "unknown" : "not connected", onclick: () => { location.hash = encodeURIComponent(sensor); choose(sensor); } }, sensor);
-    tab.dataset.level = link?.connected ? levelOf(hand.state) : "off";
+function showTabs() {
+  const tabs = [...sensors].filter(([sensor]) => !isRemoved(sensor)).sort(([a], [b]) => a.localeCompare(b)).map(([sensor, known]) => {
+    const tab = element("button", { type: "button", role: "tab", title: link?.connected ? known.state ?? "unknown" : "not connected", onclick: () => { location.hash = encodeURIComponent(sensor); choose(sensor); } }, sensor);
+    tab.dataset.level = link?.connected ? levelOf(known.state) : "off";
     tab.setAttribute("aria-selected", sensor === chosen);
     return tab;
   });
@@ -233,16 +233,16 @@ function tellHands() {
     tab.setAttribute("aria-selected", id === whole.shown);
     return tab;
   });
-  $("hands").replaceChildren(...whole_tabs, ...tabs);
-  compare.offer([...hands].filter(([sensor, { info }]) => sensor !== chosen && info?.geometry && !isRemoved(sensor)).map(([sensor]) => sensor).sort());
-  const removed = [...hands.keys()].filter(isRemoved).length;
+  $("sensors").replaceChildren(...whole_tabs, ...tabs);
+  compare.offer([...sensors].filter(([sensor, { info }]) => sensor !== chosen && info?.geometry && !isRemoved(sensor)).map(([sensor]) => sensor).sort());
+  const removed = [...sensors.keys()].filter(isRemoved).length;
   $("restore").hidden = removed === 0;
   $("restore").textContent = `Show ${removed} removed`;
 }
 
 function follow() {
   const wanted = decodeURIComponent(location.hash.slice(1));
-  if (hands.has(wanted)) choose(wanted);
+  if (sensors.has(wanted)) choose(wanted);
   else if (location.hash.startsWith(WHOLE)) chooseWhole(decodeURIComponent(location.hash.slice(WHOLE.length)));
 }
 window.addEventListener("hashchange", follow);
@@ -251,7 +251,7 @@ follow();
 // Drawing: at most once per picture of the screen, always the newest.
 
 function schedule() {
-  if (scheduled || skin.busy) return; // the skin in space tells when it is drawn: what came last is drawn then, in both
+  if (scheduled || skin.busy) return; // the skin in space reports when it is drawn: what came last is drawn then, in both
   scheduled = true;
   requestAnimationFrame(draw);
 }
@@ -260,7 +260,7 @@ function draw() {
   scheduled = false;
   whole.draw();
   if (skin.busy || chosen === null) return;
-  const geometry = hands.get(chosen)?.info?.geometry ?? null;
+  const geometry = sensors.get(chosen)?.info?.geometry ?? null;
   const map = nextMap(view, geometry, decoded);
   let redraw = map !== null;
   if (map) {
@@ -275,9 +275,9 @@ function draw() {
     view.drawnFor = geometry;
     heights.draw(map, geometry);
     skin.setSkin(map, geometry, heights.scale_mm);
-    tellFlags(map.flags);
+    updateFlags(map.flags);
     if (!(map.flags & CONTACT)) {
-      tellObjects(null);
+      updateObjects(null);
       arrows = drawArrows($("arrows"), null, null);
     }
   }
@@ -285,25 +285,25 @@ function draw() {
   const touched = view.map && view.map.flags & CONTACT;
   if (sigma !== undefined) heights.setSigma(sigma);
   if (cloud !== undefined && touched) {
-    tellObjects(cloud);
+    updateObjects(cloud);
     redraw = true;
   }
   if (shear !== undefined && touched) arrows = drawArrows($("arrows"), shear, geometry);
   drawStitched();
-  compare.draw({ name: chosen, view, info: hands.get(chosen)?.info }, hands.get(compare.sensor) ?? {}, heights);
+  compare.draw({ name: chosen, view, info: sensors.get(chosen)?.info }, sensors.get(compare.sensor) ?? {}, heights);
   if (redraw) skin.render();
   showContact(contactOfMap(view));
-  tellStale();
+  updateStale();
 }
 
-/** Points and what is told of them come as two messages, and the `final` of an earlier session stays beside a new one. */
+/** Points and what is said of them come as two messages, and the `final` of an earlier session stays beside a new one. */
 function drawStitched() {
   if (view.mapPayload) {
     view.mapCloud = decoded(view.mapPayload, "points_mm") ?? view.mapCloud;
     view.mapPayload = null;
   }
   const cloud = view.mapCloud;
-  const about = cloud && Object.values(view.told).find(({ revision, points }) => revision === cloud.seq && points === cloud.labels.length);
+  const about = cloud && Object.values(view.about).find(({ revision, points }) => revision === cloud.seq && points === cloud.labels.length);
   if (!about || (about === stitched.about && cloud === stitched.cloud)) return;
   try {
     stitched.draw(about, cloud);
@@ -313,7 +313,7 @@ function drawStitched() {
   }
 }
 
-function tellObjects(cloud) {
+function updateObjects(cloud) {
   skin.setCloud(cloud);
   const counts = new Map();
   for (const label of cloud?.labels ?? []) counts.set(label, (counts.get(label) ?? 0) + 1);
@@ -327,7 +327,7 @@ function tellObjects(cloud) {
   }));
 }
 
-function tellFlags(flags) {
+function updateFlags(flags) {
   const words = [];
   if (flags & INVALID) words.push("frame not usable");
   if (flags & SATURATED) words.push("deeper than calibrated: a lower bound");
@@ -337,31 +337,31 @@ function tellFlags(flags) {
 
 // Words.
 
-function tellLink(level, words) {
+function updateLink(level, words) {
   $("link").dataset.level = level;
   $("link").textContent = words;
   if (level === "good") $("login").hidden = true;
   if (level !== "good") rezero.cancel();
-  if (chosen !== null) tellState();
-  tellHands();
+  if (chosen !== null) updateState();
+  showTabs();
 }
 
-function tellState() {
+function updateState() {
   if (!works(chosen)) rezero.cancel();
-  showState(hands.get(chosen)?.state, view.parts, view.health, link?.connected, !works(chosen));
-  $("hand").classList.toggle("is-raw", uncalibrated());
-  tellControls();
+  showState(sensors.get(chosen)?.state, view.parts, view.health, link?.connected, !works(chosen));
+  $("sensor").classList.toggle("is-raw", uncalibrated());
+  updateControls();
 }
 
-function tellHealth() {
+function updateHealth() {
   showRates(view.health);
-  tellState();
+  updateState();
   showHealth(view.health, [
     ["maps drawn", drawn], ["maps replaced by a newer one before", superseded], ["maps drawn per second", number(drawnPerSecond(), 1)],
     ["camera to screen, if both clocks agree", view.age_ms === null ? "–" : `${number(view.age_ms)} ms`],
     ["messages not understood", undecodable],
   ]);
-  tellStale();
+  updateStale();
 }
 
 function drawnPerSecond() {
@@ -369,17 +369,17 @@ function drawnPerSecond() {
   return latest.length > 1 ? ((latest.length - 1) * 1000) / Math.max(now - latest[0], 1) : 0;
 }
 
-function tellStale() {
-  const state = hands.get(chosen)?.state, { gone, frames, health, words } = freshness(view, { connected: link?.connected, works: works(chosen), state, paused: isPaused(view.parts) });
-  for (const [name, old] of [["is-stale", frames], ["is-unheard", health], ["is-gone", gone]]) $("hand").classList.toggle(name, old);
+function updateStale() {
+  const state = sensors.get(chosen)?.state, { gone, frames, health, words } = freshness(view, { connected: link?.connected, works: works(chosen), state, paused: isPaused(view.parts) });
+  for (const [name, old] of [["is-stale", frames], ["is-unheard", health], ["is-gone", gone]]) $("sensor").classList.toggle(name, old);
   $("stale").hidden = words === "";
   $("stale").textContent = words;
 }
 
 setInterval(() => {
-  whole.tell();
+  whole.showState();
   if (chosen === null) return;
-  tellHealth();
+  updateHealth();
   schedule(); // a release that was lost
 }, 500);
 
@@ -398,21 +398,21 @@ $("login").addEventListener("submit", (event) => {
 
 // Requests.
 
-function tellControls() {
+function updateControls() {
   const may = !READ_ONLY && link?.connected && works(chosen) && !asking && !uncalibrated(), able = may && !isPlayed(view.parts);
-  tellPlayback(view.parts, may);
+  updatePlayback(view.parts, may);
   $("rezero").disabled = !able && !(rezero.waiting && !rezero.taking);
-  $("retired").hidden = !link?.connected || hands.get(chosen)?.state === undefined || works(chosen);
-  tellRecording(view.parts.get("recorder"), able);
-  $("profile").disabled = !able || !hands.get(chosen).info;
-  tellSession(able);
+  $("retired").hidden = !link?.connected || sensors.get(chosen)?.state === undefined || works(chosen);
+  updateRecording(view.parts.get("recorder"), able);
+  $("profile").disabled = !able || !sensors.get(chosen).info;
+  updateSession(able);
 }
 
-/** Whether the hand has told that it has no geometry yet: its camera's picture is all there is. */
-const uncalibrated = () => hands.get(chosen)?.info?.geometry === null;
+/** Whether the sensor has reported that it has no geometry yet: its camera's picture is all there is. */
+const uncalibrated = () => sensors.get(chosen)?.info?.geometry === null;
 
-/** A stitching session's buttons, for a hand that can have one: it tells `status/stitching`. */
-function tellSession(able) {
+/** A stitching session's buttons, for a sensor that can have one: it publishes `status/stitching`. */
+function updateSession(able) {
   const status = view.parts.get("stitching"), open = status?.state !== "idle", form = $("session");
   form.hidden = !status;
   if (!status) return;
@@ -424,15 +424,15 @@ function tellSession(able) {
   form.querySelector("output").textContent = open ? `Stitching ${status.name}: ${status.presses} presses` : "";
 }
 
-function tellProfiles() {
-  const info = hands.get(chosen)?.info, choice = info?.choice ?? info?.profile; // an older daemon tells no choice
+function updateProfiles() {
+  const info = sensors.get(chosen)?.info, choice = info?.choice ?? info?.profile; // an older daemon states no choice
   const names = [...new Set([...(info?.profiles ?? []), ...(info ? [choice] : [])])].sort((a, b) => (a === DEAREST) - (b === DEAREST));
   const label = (name) => (name === choice && choice !== info.profile ? `${name} (now ${info.profile})` : name === DEAREST ? `${name} (${COST})` : name);
   $("profile").replaceChildren(...names.map((name) => element("option", { textContent: label(name), value: name })));
   $("profile").value = choice ?? "";
 }
 
-function tellAnswer(level, words) {
+function updateAnswer(level, words) {
   $("answer").dataset.level = level;
   $("answer").textContent = cut(words);
 }
@@ -441,11 +441,11 @@ function tellAnswer(level, words) {
 async function ask(verb, body, doing, done, answer_ms) {
   const sensor = chosen, say = (level, words) => {
     if (sensor !== chosen) return;
-    tellAnswer(level, words);
+    updateAnswer(level, words);
   };
   let code = "";
   asking = true;
-  tellControls();
+  updateControls();
   say("wait", doing);
   try {
     say("good", done(await link.request(sensor, verb, body, answer_ms)));
@@ -454,8 +454,8 @@ async function ask(verb, body, doing, done, answer_ms) {
     code = error.code ?? "";
   }
   asking = false;
-  tellControls();
-  tellProfiles();
+  updateControls();
+  updateProfiles();
   return code;
 }
 
@@ -469,8 +469,8 @@ $("rezero").addEventListener("click", () => {
 $("remove").addEventListener("click", () => retire(chosen));
 $("restore").addEventListener("click", () => {
   restore();
-  tellHands();
-  if (chosen === null) choose([...hands.keys()].sort()[0]);
+  showTabs();
+  if (chosen === null) choose([...sensors.keys()].sort()[0]);
 });
 commandPlayback((body) => ask("replay", body, "", (result) => {
   compare.follow(body, result);

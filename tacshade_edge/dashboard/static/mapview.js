@@ -24,15 +24,15 @@ export class MapView {
     this.clear();
   }
 
-  /** Forget another hand's map. */
+  /** Forget another sensor's map. */
   clear() {
     this.section.hidden = true;
     this.about = this.cloud = this.at_mm = null;
   }
 
   /**
-   * Draw a revision: what `map/revision` or `map/final` tells, and the decoded `map/cloud` that belongs to it.
-   * Throws when what is told is no place for the points.
+   * Draw a revision: what `map/revision` or `map/final` says, and the decoded `map/cloud` that belongs to it.
+   * Throws when what is said is no place for the points.
    */
   draw(about, cloud) {
     const { x0_mm, y0_mm, width_mm, length_mm, spacing_mm } = about;
@@ -56,7 +56,7 @@ export class MapView {
     this.high_mm = Math.max(this.low_mm + 0.5, Math.ceil(4 * high) / 4);
     this.paint();
     this.drawLines();
-    this.tell();
+    this.showNumbers();
     this.read();
     this.section.hidden = false;
   }
@@ -89,7 +89,7 @@ export class MapView {
     this.lines.setAttribute("d", [`M0 0H${width}V${length}H0Z`, ...across, ...along].join(""));
   }
 
-  tell() {
+  showNumbers() {
     const { name, presses, used, revision, width_mm, length_mm, area_mm2, spacing_mm, folder } = this.about;
     const when = new Date(Number(this.cloud.wall_ns / 1000000n)).toLocaleString();
     document.getElementById("stitched-name").textContent = `${name}, ${folder ? "final" : "growing"}`;

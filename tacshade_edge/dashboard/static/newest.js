@@ -1,4 +1,4 @@
-// Which map of a hand is to be shown now.
+// Which map of a sensor is to be shown now.
 
 import { zeroMap } from "./geometry.js";
 

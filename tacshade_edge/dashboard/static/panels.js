@@ -1,4 +1,4 @@
-// What is told in words and numbers. Text from the broker goes into the page as text, never as HTML.
+// What is shown in words and numbers. Text from the broker goes into the page as text, never as HTML.
 
 const LEVELS = { online: "good", streaming: "good", playing: "good", paused: "warn", open: "good", degraded: "warn", away: "warn", unusable: "warn", stopped: "off", ended: "off", idle: "off", offline: "bad" };
 const FRAMES = {
@@ -35,11 +35,11 @@ export function showRates(health) {
   put("n-latency", health?.latency_ms ? `${number(health.latency_ms.p50, 0)}, ${number(health.latency_ms.p99, 0)}` : "–");
 }
 
-/** The state of the hand with every reason that is known for it. */
+/** The state of the sensor with every reason that is known for it. */
 export function showState(state, parts, health, connected, gone) {
   const reasons = [...parts].filter(([, part]) => part.reason).map(([name, part]) => `${name}: ${part.reason}`);
-  const told = [...parts.values()].some((part) => part.reason === health?.invalid_reason);
-  if (health?.invalid_reason && !told) reasons.push(`latest frame not usable: ${health.invalid_reason}`);
+  const shown = [...parts.values()].some((part) => part.reason === health?.invalid_reason);
+  if (health?.invalid_reason && !shown) reasons.push(`latest frame not usable: ${health.invalid_reason}`);
   if (health?.degraded_reason) reasons.push(`less trust: ${health.degraded_reason}`);
   const line = document.getElementById("state");
   if (!connected) {
@@ -48,7 +48,7 @@ export function showState(state, parts, health, connected, gone) {
     return;
   }
   line.dataset.level = reasons.length && state === "online" ? "warn" : levelOf(state);
-  line.replaceChildren(element("b", { textContent: state ?? "unknown" }), reasons.length ? `${gone ? " last told:" : ""} ${reasons.join("; ")}` : "");
+  line.replaceChildren(element("b", { textContent: state ?? "unknown" }), reasons.length ? `${gone ? " last reported:" : ""} ${reasons.join("; ")}` : "");
 }
 
 /** One line per `status/<part>`: its state, its reason, then its own details; codes are for programs. */
@@ -62,7 +62,7 @@ export function showParts(parts) {
   document.getElementById("parts").replaceChildren(...lines);
 }
 
-/** Everything that `health` tells, also what a newer daemon adds to it. */
+/** Everything that `health` has, also what a newer daemon adds to it. */
 export function showHealth(health, page) {
   const { frames, latency_ms, stages_ms, mqtt, uptime_s, invalid_reason, degraded_reason, ...others } = health ?? {};
   const tables = [];
@@ -71,12 +71,12 @@ export function showHealth(health, page) {
     tables.push(table("Frames", [["captured", frames.captured], ...rows]));
   }
   const rates = Object.entries(others).filter(([, value]) => typeof value !== "object");
-  if (health) tables.push(table("Hand", [["up", duration(uptime_s)], ...rates.map(([key, value]) => [key.replaceAll("_", " "), short(value)])]));
+  if (health) tables.push(table("Sensor", [["up", duration(uptime_s)], ...rates.map(([key, value]) => [key.replaceAll("_", " "), short(value)])]));
   if (latency_ms || stages_ms) {
     const stages = Object.entries({ ...stages_ms, "all, until sent": latency_ms }).filter(([, stage]) => stage);
     tables.push(table("Milliseconds", stages.map(([key, stage]) => [key.replaceAll("_", " "), number(stage.p50, 1), number(stage.p99, 1)]), ["", "p50", "p99"]));
   }
-  if (mqtt) tables.push(table("Broker link of the hand", Object.entries(mqtt).map(([key, value]) => [key.replaceAll("_", " "), short(value)])));
+  if (mqtt) tables.push(table("Broker link of the sensor", Object.entries(mqtt).map(([key, value]) => [key.replaceAll("_", " "), short(value)])));
   for (const [key, value] of Object.entries(others)) {
     if (value && typeof value === "object") tables.push(table(key.replaceAll("_", " "), Object.entries(value).map(([k, v]) => [k.replaceAll("_", " "), short(v)])));
   }

@@ -1,4 +1,4 @@
-// A recording that is played: the buttons of `req/replay`, for a hand that tells `status/replay`.
+// A recording that is played: the buttons of `req/replay`, for a sensor that publishes `status/replay`.
 
 import { number } from "./panels.js";
 
@@ -17,7 +17,7 @@ export async function showAgain(link, sensor, view) {
   await link.request(sensor, "replay", { seek_s: justBefore(view.parts.get("replay").position_s) });
 }
 
-/** To wind to the frame at this position: positions are told in whole milliseconds. */
+/** To wind to the frame at this position: positions are given in whole milliseconds. */
 export const justBefore = (position_s) => Math.max(position_s - 0.001, 0);
 
 /** ask(body): asks the replay; resolves when it answered. */
@@ -37,7 +37,7 @@ export function commandPlayback(ask) {
   });
 }
 
-export function tellPlayback(parts, able) {
+export function updatePlayback(parts, able) {
   form.hidden = !isPlayed(parts);
   if (form.hidden) return;
   const status = parts.get("replay"), { play, step, back, position, speed } = form.elements;

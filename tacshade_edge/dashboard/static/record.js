@@ -1,10 +1,10 @@
-// A recording's buttons, for a hand that tells `status/recorder`.
+// A recording's buttons, for a sensor that publishes `status/recorder`.
 
 import { number } from "./panels.js";
 
 const form = document.getElementById("recording");
 
-/** ask(body, doing, done): asks the hand. */
+/** ask(body, doing, done): asks the sensor. */
 export function commandRecordings(ask) {
   const { seconds, record, mark, words, stop } = form.elements;
   form.addEventListener("submit", (event) => {
@@ -20,7 +20,7 @@ export function commandRecordings(ask) {
   stop.addEventListener("click", () => ask({ action: "stop" }, "Writing …", (result) => `Recorded ${result.frames} frames in ${result.folder}.`));
 }
 
-export function tellRecording(status, able) {
+export function updateRecording(status, able) {
   form.hidden = !status;
   if (!status) return;
   const going = status.state === "recording", { seconds, record, mark, words, stop } = form.elements;

@@ -1,4 +1,4 @@
-// Hands that this browser does not show any more. The retained topics stay: only a hand may clear its own.
+// Sensors that this browser does not show any more. The retained topics stay: only a sensor may clear its own.
 
 const KEPT = "tacshade-removed";
 const removed = new Set(JSON.parse(localStorage.getItem(KEPT) ?? "[]"));

@@ -1,12 +1,12 @@
-// A new zero, once nothing touches. The page waits, not the hand: who closes it, or loses the connection, has asked nothing.
+// A new zero, once nothing touches. The page waits, not the sensor: who closes it, or loses the connection, has asked nothing.
 
 const REST_MS = 500;
 
 export class Rezero {
-  /** ask(): takes the new zero; resolves to the reason code of a refusal. told(words): something changed. */
-  constructor({ ask, told }) {
+  /** ask(): takes the new zero; resolves to the reason code of a refusal. changed(words): something changed. */
+  constructor({ ask, changed }) {
     this.ask = ask;
-    this.told = told;
+    this.changed = changed;
     this.waiting = false;
     this.rest_ms = null; // since when nothing touches
   }
@@ -17,13 +17,13 @@ export class Rezero {
     this.waiting = true;
     this.rest_ms = null;
     if (contact === null || rests(contact)) this.take();
-    else this.told();
+    else this.changed();
   }
 
   cancel() {
     if (!this.waiting || this.taking) return;
     this.waiting = false;
-    this.told("No new zero.");
+    this.changed("No new zero.");
   }
 
   /** What touches now. */
@@ -36,12 +36,12 @@ export class Rezero {
 
   async take() {
     this.taking = true;
-    this.told();
+    this.changed();
     const code = await this.ask();
     this.taking = false;
     this.rest_ms = null;
     if (code !== "frame_in_contact") this.waiting = false; // touched meanwhile: the next rest will do
-    this.told();
+    this.changed();
   }
 }
 

@@ -73,7 +73,7 @@ export class SkinView {
     this.clear();
   }
 
-  /** Forget another hand's shape. */
+  /** Forget another sensor's shape. */
   clear() {
     if (!this.available) return;
     this.geometry = null;
@@ -162,7 +162,7 @@ export class SkinView {
     this.renderer.render(this.scene, this.camera);
     this.seq = this.map?.seq ?? null;
     if (this.fence) return;
-    // Commands return at once and are carried out elsewhere: only a fence tells when a picture is there. Without a
+    // Commands return at once and are carried out elsewhere: only a fence reports when a picture is there. Without a
     // graphics card it takes a hundred times longer, and whoever does not wait has a browser that is always behind.
     const gl = this.renderer.getContext(), began_ms = performance.now();
     this.fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);

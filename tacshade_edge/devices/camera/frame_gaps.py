@@ -32,7 +32,7 @@ class FrameGaps:
     def add(self, t_ns: int) -> int:
         """Take the next frame's time stamp (ns, any origin); return how many lost frames it revealed.
 
-        A time stamp that does not advance is passed over: it tells nothing.
+        A time stamp that does not advance is passed over: it shows nothing.
         """
         last_ns, self._last_ns = self._last_ns, t_ns
         if last_ns is None or t_ns <= last_ns:

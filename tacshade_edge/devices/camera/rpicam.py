@@ -134,7 +134,7 @@ class RpicamSource:
             image, record = stream.next(_START_S)
             exposure_us, gain = _number(record, "ExposureTime"), _number(record, "AnalogueGain")
             was_in_step, in_step = in_step, stream.in_step()
-            # Twice: nine shorter frames are eight of ours, where it tells of the ninth too late to be noticed.
+            # Twice: nine shorter frames are eight of ours, where it reports the ninth too late to be noticed.
             if self._is_asked(exposure_us, gain) and in_step and was_in_step:
                 break
         else:
@@ -160,7 +160,7 @@ class RpicamSource:
         return self._framed(image, record)
 
     def _is_asked(self, exposure_us: float, gain: float) -> bool:
-        """Whether a record is of the exposure that was asked; one that tells none cannot say otherwise."""
+        """Whether a record is of the exposure that was asked; one that states none cannot say otherwise."""
         pairs = ((exposure_us, self._exposure_us), (gain, self._gain))
         return all(np.isnan(got) or abs(got - asked) <= _EXPOSURE_OFF * asked for got, asked in pairs)
 
@@ -185,8 +185,8 @@ class _Stream:
         self._name = name
         self._shape = shape
         self._bytes = shape[0] * shape[1] * 3 // 2
-        self._told, self._said = b"", b""  # records not yet used; the end of what it wrote to its standard error
-        told, write_end = os.pipe()
+        self._unread, self._said = b"", b""  # records not yet used; the end of what it wrote to its standard error
+        records, write_end = os.pipe()
         try:
             self._process = subprocess.Popen(
                 (*command, f"/dev/fd/{write_end}"),
@@ -198,7 +198,7 @@ class _Stream:
                 process_group=0,  # a terminal's Ctrl-C is for us
             )
         except OSError as error:
-            os.close(told)
+            os.close(records)
             missing = isinstance(error, FileNotFoundError)
             why = "no such program, expected it from apt's rpicam-apps-lite" if missing else error.strerror
             raise DeviceError(f"{name}: {why}", code=ReasonCode.ABSENT if missing else ReasonCode.PERMISSION) from None
@@ -206,16 +206,20 @@ class _Stream:
             os.close(write_end)
         assert self._process.stdout
         assert self._process.stderr
-        self._frames, self._records, self._errors = self._process.stdout.fileno(), told, self._process.stderr.fileno()
+        self._frames, self._records, self._errors = (
+            self._process.stdout.fileno(),
+            records,
+            self._process.stderr.fileno(),
+        )
         with contextlib.suppress(OSError):  # more than the user's share: smaller steps
             fcntl.fcntl(self._frames, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
         self._others = [self._records, self._errors]
 
     def next(self, limit_s: float) -> tuple[U8, dict[str, str]]:
-        """The next image, uint8 (H, W), and what the program tells of it. Raises DeviceError."""
+        """The next image, uint8 (H, W), and what the program reports of it. Raises DeviceError."""
         content = np.empty(self._bytes, np.uint8)
         view, have = content.data, 0
-        while have < self._bytes or b"\n\n" not in self._told:
+        while have < self._bytes or b"\n\n" not in self._unread:
             whole = have == self._bytes
             ready = select.select([*self._others, *(() if whole else (self._frames,))], [], [], limit_s)[0]
             if not ready:
@@ -225,21 +229,21 @@ class _Stream:
             if self._records in ready:
                 if not (words := os.read(self._records, 1 << 16)):
                     raise self._ended()
-                self._told += words
+                self._unread += words
             if self._frames in ready:
                 if not (count := os.readv(self._frames, [view[have:]])):
                     raise self._ended()
                 have += count
-            elif not whole and b"\n\n" in self._told and not _is_readable(self._frames):
+            elif not whole and b"\n\n" in self._unread and not _is_readable(self._frames):
                 raise self.other_size()  # a record comes after the whole of its frame
-        lines, _, self._told = self._told.partition(b"\n\n")
+        lines, _, self._unread = self._unread.partition(b"\n\n")
         pairs = (line.partition("=") for line in lines.decode("ascii", "replace").splitlines())
         image = content[: self._shape[0] * self._shape[1]].reshape(self._shape)
         return image, {key: value for key, _, value in pairs}
 
     def in_step(self) -> bool:
         """Whether nothing is left of the frame and of its record; False also where the next have come already."""
-        return b"\n\n" not in self._told and not _is_readable(self._frames) and not _is_readable(self._records)
+        return b"\n\n" not in self._unread and not _is_readable(self._frames) and not _is_readable(self._records)
 
     def close(self) -> None:
         """End it: nobody reads, so it cannot block, and it stops the camera on SIGINT."""

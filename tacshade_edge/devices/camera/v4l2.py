@@ -9,7 +9,7 @@ decoder. OpenCV gives a raw buffer back to the driver just before it copies it: 
 buffers at once can see the next frame's lines in it.
 
 Time stamps. A driver may stamp a frame with the end that it computed for it, and so be up to a period ahead of the
-clock (the kernel's test driver is, USB cameras by a little): such a stamp tells the clock and the gaps, but a frame
+clock (the kernel's test driver is, USB cameras by a little): such a stamp shows the clock and the gaps, but a frame
 is never dated after its arrival.
 """
 
@@ -51,7 +51,7 @@ class V4l2Source:
         Path of the node, best one under /dev/v4l/by-id: numbers change when cables do.
     width_px, height_px : int
     fps : float
-        Asked of the driver, which may choose another; `describe` tells what was stated and what is measured.
+        Asked of the driver, which may choose another; `describe` reports what was stated and what is measured.
     fourcc : str
         MJPG, YUYV or GREY.
     exposure : int or None

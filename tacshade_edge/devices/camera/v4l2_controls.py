@@ -36,7 +36,7 @@ class Control:
     ----------
     lock : Lock
     value : float or None
-        What the driver holds, in its unit; None when it has no such control, or does not tell.
+        What the driver holds, in its unit; None when it has no such control, or does not report it.
     """
 
     lock: Lock

@@ -45,7 +45,7 @@ def check_kind(device: str) -> None:
         raise ConfigError(f"camera {device}: is a {kind}, {_EXPECTED}", code=ReasonCode.WRONG_KIND)
     number = f"{os.major(status.st_rdev)}:{os.minor(status.st_rdev)}"
     subsystem = Path("/sys/dev/char", number, "subsystem")
-    # A node without an entry there is one that is being plugged or unplugged: opening it tells.
+    # A node without an entry there is one that is being plugged or unplugged: opening it shows which.
     if subsystem.exists() and subsystem.resolve().name != "video4linux":
         raise ConfigError(
             f"camera {device}: is a device but not a video device, {_EXPECTED}", code=ReasonCode.WRONG_KIND

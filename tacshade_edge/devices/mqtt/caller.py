@@ -1,4 +1,4 @@
-"""Asks a running daemon through the broker: requests with their replies, and the values that it keeps telling."""
+"""Asks a running daemon through the broker: requests with their replies, and the values that it keeps publishing."""
 
 from __future__ import annotations
 

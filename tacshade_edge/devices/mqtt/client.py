@@ -122,7 +122,7 @@ def packet_bytes(topic: str, payload: bytes, properties: Properties) -> int:
 
 
 def packet_bytes_max(connack: Properties | None) -> int | None:
-    """The largest packet that the broker takes, as its answer to CONNECT tells; None where it sets no bound."""
+    """The largest packet that the broker takes, as its answer to CONNECT states; None where it sets no bound."""
     return getattr(connack, "MaximumPacketSize", None)
 
 

@@ -36,7 +36,7 @@ _ALIVE: Final = (b"online", b"degraded")
 
 
 def new_instance() -> dict[str, str | int]:
-    """What tells this daemon from another under the same name: retained as ``instance``."""
+    """What distinguishes this daemon from another under the same name: retained as ``instance``."""
     return {"id": secrets.token_hex(8), "host": socket.gethostname(), "process": os.getpid()}
 
 
@@ -66,19 +66,19 @@ class ClientIdGuard:
     def _begin(self) -> None:
         self._asked: bool = False
         self._living: bool = False
-        self._told: bool = False
+        self._reported: bool = False
         self._state: bytes | None = None
         self._holder: dict[str, Any] = {}
         self._seen_s = 0.0
 
-    def wait_until_gone(self, tell: Callable[[Reason], None], stopped: Callable[[], bool]) -> None:
+    def wait_until_gone(self, report: Callable[[Reason], None], stopped: Callable[[], bool]) -> None:
         """Return when the name may be taken, at once where nobody has it, or where `stopped`.
 
-        Also where the broker does not let us ask: connecting will tell why.
+        Also where the broker does not let us ask: connecting will show why.
 
         Parameters
         ----------
-        tell : callable
+        report : callable
             Gets who holds the name, again and again.
         stopped : callable
 
@@ -94,15 +94,15 @@ class ClientIdGuard:
             if not self._pump(lambda: stopped() or self._asked, _ANSWER_S) or not self._asked:
                 return
             self._seen_s = time.monotonic()
-            self._pump(lambda: stopped() or self._free(tell), None)
+            self._pump(lambda: stopped() or self._free(report), None)
             if not stopped():
                 self._waited = False
         finally:
-            if self._told:
+            if self._reported:
                 self._client.publish(self._rival, b"", 0, True)
             self._hang_up()
 
-    def _free(self, tell: Callable[[Reason], None]) -> bool:
+    def _free(self, report: Callable[[Reason], None]) -> bool:
         """Whether nobody else has the name, as far as is known now."""
         quiet_s = time.monotonic() - self._seen_s
         if self._state not in _ALIVE:
@@ -115,9 +115,9 @@ class ClientIdGuard:
         reason = Reason(
             ReasonCode.IN_USE, f"{self._where}: {self._base} is held by another daemon, {place_of(self._holder)}"
         )
-        tell(reason)
-        if not self._told:
-            self._told = True
+        report(reason)
+        if not self._reported:
+            self._reported = True
             status = encode_status("waiting", reason, self._instance)
             self._client.publish(self._rival, status, 0, True, publish_properties("application/json"))
         return False

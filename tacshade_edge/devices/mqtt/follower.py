@@ -1,4 +1,4 @@
-"""Hears what hands publish; what is heard can change at any time, so that nobody asks a hand for what nobody reads."""
+"""Hears what sensors publish; the topics can change at any time, so that no sensor computes what nobody reads."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Follower:
         self._lock = threading.Lock()
         self._topics: frozenset[str] = frozenset()
         self._connected = False
-        self._told = ""
+        self._logged = ""
         self._client = make_client(
             host=broker["host"],
             base_topic="tacshade",
@@ -83,11 +83,11 @@ class Follower:
         if topics:
             self._client.subscribe([(topic, 0) for topic in sorted(topics)])
 
-    def _tell(self, text: str, fix: str = "") -> None:
+    def _log_once(self, text: str, fix: str = "") -> None:
         """A change is logged, a repetition is not. With a fix it is a fault."""
-        if text == self._told:
+        if text == self._logged:
             return
-        self._told = text
+        self._logged = text
         if fix:
             _log.warning("%s: %s; to fix it: %s", self._where, text, fix)
         else:
@@ -97,9 +97,9 @@ class Follower:
 
     def _on_connect(self, _client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
         if code.is_failure:
-            self._tell(f"refused: {code}", refusal_fix(code.value, self._username))
+            self._log_once(f"refused: {code}", refusal_fix(code.value, self._username))
         else:
-            self._tell("connected")
+            self._log_once("connected")
         with self._lock:
             self._connected = not code.is_failure
             if self._connected:
@@ -108,17 +108,17 @@ class Follower:
     def _on_connect_fail(self, _client: Client, _userdata: Any) -> None:
         error = sys.exception()  # paho calls this while it handles the error, and does not pass it on
         text = f"{getattr(error, 'strerror', None) or error or 'no connection'}; trying again"
-        self._tell(text, connect_fix(error, *self._address, self._tls_ca))
+        self._log_once(text, connect_fix(error, *self._address, self._tls_ca))
 
     def _on_disconnect(self, _client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
         with self._lock:
             was, self._connected = self._connected, False
         if was:
-            self._tell(f"connection lost ({code})", BROKERS_LOG)
+            self._log_once(f"connection lost ({code})", BROKERS_LOG)
 
     def _on_subscribe(self, _client: Client, _userdata: Any, _mid: int, codes: list[MqttCode], _p: Any) -> None:
         if refused := next((code for code in codes if code.is_failure), None):
-            self._tell(
+            self._log_once(
                 f"subscription refused: {refused}", "give this user access rules (ACL) that let it read tacshade/#"
             )
 

@@ -219,7 +219,7 @@ class MqttLink:
     def offer(self, stream: str, payload: bytes, seq: int) -> None:
         """Send a payload of a stream (not retained) once the peer takes it, unless a newer one comes first.
 
-        With QoS 0, but one payload a second with QoS 1: its answer tells whether anyone listens (`has_listener`).
+        With QoS 0, but one payload a second with QoS 1: its answer shows whether anyone listens (`has_listener`).
 
         Its one outcome: ``published`` (handed to the operating system), ``superseded`` (a newer one displaced it),
         ``refused`` (the broker denied it or, with QoS 0, what it answered last; or it takes none so large), or
@@ -374,7 +374,7 @@ class MqttLink:
             return False
         if not self._told_too_large:
             text = "%s: takes packets of at most %d bytes (mosquitto: max_packet_size); %s of %d is not sent"
-            _log.warning(text + "; this is not told again", self._where, most, self._path(topic), size)
+            _log.warning(text + "; this is not reported again", self._where, most, self._path(topic), size)
         self._told_too_large = True
         return True
 

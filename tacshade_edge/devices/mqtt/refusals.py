@@ -1,4 +1,4 @@
-"""What the broker does not take of us, told once: it goes on for as long as nobody mends the broker's rules."""
+"""What the broker does not take of us, reported once: it goes on for as long as nobody fixes the broker's rules."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Refusals:
     def refused(self, topic: str, why: str) -> None:
         """A message to a topic, or a subscription to it, was refused; the first one is logged."""
         if not self._topics:
-            _log.warning("%s: refuses %s: %s; this is not told again of other topics", self._where, topic, why)
+            _log.warning("%s: refuses %s: %s; this is not reported again of other topics", self._where, topic, why)
         self._topics.add(topic)
 
     def taken(self, topic: str) -> None:

@@ -1,6 +1,6 @@
 """What of one topic may wait, and what paho may hold of it: the latest wins, so memory is bounded.
 
-A stream also knows whether anyone listens: of a QoS 1 message an MQTT 5 broker tells when no subscription matched it.
+A stream also knows whether anyone listens: of a QoS 1 message an MQTT 5 broker reports when no subscription matched it.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ class Ok:
 
 @dataclass(frozen=True, slots=True)
 class Busy:
-    """It still does what it was told, and is there."""
+    """It still does what it was asked, and is there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class Resend:
 
 @dataclass(frozen=True, slots=True)
 class Failed:
-    """It cannot do what it was told, or has stopped."""
+    """It cannot do what it was asked, or has stopped."""
 
     text: str
 
@@ -49,7 +49,7 @@ class Restarted:
 
 @dataclass(frozen=True, slots=True)
 class Position:
-    """Where it was told to be, mm."""
+    """Where it was sent, mm."""
 
     x_mm: float
     y_mm: float

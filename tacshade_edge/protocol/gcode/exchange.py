@@ -25,7 +25,7 @@ class Exchange:
     has_restarted : bool
         It did so at some time since this was made, also where it was begun anew after that.
     position : Position or None
-        What the command was told of it.
+        What the printer answered of it.
     said : tuple of str
         What else was said since the command, at most `_SAID_MAX` lines.
     busy : int

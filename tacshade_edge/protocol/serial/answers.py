@@ -143,7 +143,7 @@ def answer_text(seq: int | None, outcome: SerialResult | Reason, verb: str = "")
 
 
 def event_text(event: LinkEvent) -> str:
-    """The line that tells of `event`."""
+    """The line that reports `event`."""
     match event:
         case PortOpened():
             away = f" away_ms={event.away_ms}" if event.away_ms else ""

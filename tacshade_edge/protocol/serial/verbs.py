@@ -108,7 +108,7 @@ def parse_hello(line: Line) -> Hello | Reason:
 def help_text(line: Line) -> str | Reason:
     """The verbs, or the arguments of the verb that ``HELP`` names."""
     if not line.args:
-        return f"{' '.join(USAGE)}; HELP VERB tells more"
+        return f"{' '.join(USAGE)}; HELP VERB says more"
     return USAGE.get(line.args[0].upper()) or unknown_verb(line.args[0])
 
 

@@ -125,8 +125,8 @@ class LeRobotExport:
         columns = {IMAGE: pa.array([row[IMAGE] for row in rows], image_type)}
         columns |= {key: _column(pa, value) for key, value in values.items()}
         # Without it the loader of a file alone takes pictures for pairs of bytes and a path.
-        told = json.dumps({"info": {"features": {key: _arrow_feature(self._features[key]) for key in columns}}})
-        table = pa.table(columns).replace_schema_metadata({"huggingface": told})
+        described = json.dumps({"info": {"features": {key: _arrow_feature(self._features[key]) for key in columns}}})
+        table = pa.table(columns).replace_schema_metadata({"huggingface": described})
         with self._place.writing():
             if self._writer is None:
                 self._writer = pa.parquet.ParquetWriter(self._place.partial / _DATA, table.schema)
@@ -151,7 +151,7 @@ class LeRobotExport:
             "video_path": None,
             "features": self._features,
         }
-        stats = {key: spread.told(frames, per_pixel=key == IMAGE) for key, spread in self._stats.items()}
+        stats = {key: spread.summary(frames, per_pixel=key == IMAGE) for key, spread in self._stats.items()}
         for name, document in (("info.json", info), ("stats.json", stats)):
             (meta / name).write_text(json.dumps(document, indent=4) + "\n", encoding="utf-8")
         # LeRobot looks a task up by its name, as pandas stores an index.
@@ -172,8 +172,8 @@ class LeRobotExport:
             "meta/episodes/chunk_index": 0,
             "meta/episodes/file_index": 0,
         }
-        for key, told in stats.items():
-            episode |= {f"stats/{key}/{name}": value for name, value in told.items()}
+        for key, summary in stats.items():
+            episode |= {f"stats/{key}/{name}": value for name, value in summary.items()}
         pa.parquet.write_table(pa.Table.from_pylist([episode]), self._place.partial / _EPISODES)
 
 
@@ -196,7 +196,7 @@ class _Spread:
         self._mean, self._count = self._mean + apart * (count / total), total
         self._least, self._greatest = np.minimum(self._least, part.min(axis=0)), np.maximum(self._greatest, part.max(0))
 
-    def told(self, frames: int, *, per_pixel: bool) -> dict[str, Any]:
+    def summary(self, frames: int, *, per_pixel: bool) -> dict[str, Any]:
         """As LeRobot has it; of an image for each channel, of shape (3, 1, 1)."""
         std = np.sqrt(self._squares / self._count)
         found = {"min": self._least, "max": self._greatest, "mean": self._mean, "std": std}

@@ -8,7 +8,7 @@ from tacshade_edge.types import F32, F64, U16
 
 
 def ply(points_mm: F32 | F64, comment: str, labels: U16 | None = None) -> bytes:
-    """A file of points in mm, x, y, z as float, with the number of its object as ``object`` where `labels` tell it.
+    """A file of points in mm, x, y, z as float, with the number of its object as ``object`` where `labels` give it.
 
     Parameters
     ----------

@@ -44,7 +44,7 @@ def read_stl(path: Path) -> F64:
         expected = f"expected an STL file of at most {MAX_TRIANGLES} triangles"
         raise DecodeError(f"{shown(path)}: {error.strerror or error}, {expected}") from None
     count = int.from_bytes(data[80:84], "little")
-    # A binary file may begin with "solid" too: its length tells.
+    # A binary file may begin with "solid" too: its length shows which.
     if len(data) >= _HEAD_BYTES and len(data) == _HEAD_BYTES + count * _TRIANGLE_BYTES:
         corners = np.frombuffer(data, _TRIANGLE, offset=_HEAD_BYTES)["corners"].astype(np.float64)
     elif data.lstrip()[:5].lower() == b"solid":

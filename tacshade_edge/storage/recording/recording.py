@@ -65,7 +65,7 @@ class Recording:
     damage : str
         What is left out of its table, or wrong in an MCAP file beside the frames, for a person; empty where nothing is.
     frames : int or None
-        How many `read` will give at most, in all passes; None where only the end tells.
+        How many `read` will give at most, in all passes; None where only the end shows it.
 
     Raises
     ------
@@ -123,7 +123,7 @@ class Recording:
 
     @property
     def length_ns(self) -> int:
-        """From the first frame of a pass to its last; 0 where nothing tells it: a video, MCAP that was cut off."""
+        """From the first frame of a pass to its last; 0 where nothing states it: a video, MCAP that was cut off."""
         if self._mcap is not None:
             return self._mcap.length_ns
         if self._rows is not None:

@@ -37,7 +37,7 @@ class Event:
 def content_of(recording: Path) -> dict[str, bytes]:
     """Calibration, settings, events and ``recording.json``: those that are there, by name.
 
-    The log tells of what is left out of an MCAP file because it is damaged, or too large.
+    The log reports what is left out of an MCAP file because it is damaged, or too large.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def events_in(content: dict[str, bytes]) -> Iterator[Event]:
 
 
 def wall_minus_t_ns(folder: Path) -> int:
-    """Unix time minus the clock of the frames; 0 where nothing tells it."""
+    """Unix time minus the clock of the frames; 0 where nothing states it."""
     content = {name: data for name in (ABOUT_NAME, EVENTS_NAME) if (data := _read(folder / name)) is not None}
     try:
         about = json.loads(content.get(ABOUT_NAME, b"{}"))

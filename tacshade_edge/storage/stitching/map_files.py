@@ -24,7 +24,7 @@ _PNG_SCALE_MM = 0.001
 
 
 def press_record(press: PlacedPress) -> dict[str, Any]:
-    """What ``map.json`` tells of a press in the map."""
+    """What ``map.json`` says of a press in the map."""
     return {
         "used": press.rejected is None,
         "reason": text_of(press.rejected),

@@ -169,7 +169,7 @@ class StitchFile:
         self._before, self._end = self._end, self._end + len(record)
 
     def take_back(self) -> None:
-        """Remove the press that `append` added just now, and that nobody was told of."""
+        """Remove the press that `append` added just now, and that nobody has seen."""
         assert self._stream is not None
         self._end = self._before
         with disk_errors(self.folder):

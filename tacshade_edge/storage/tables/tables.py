@@ -1,4 +1,4 @@
-"""Strict CSV tables: a mistake is told as ``FILE:LINE: column: found …, expected …``."""
+"""Strict CSV tables: a mistake is reported as ``FILE:LINE: column: found …, expected …``."""
 
 from __future__ import annotations
 

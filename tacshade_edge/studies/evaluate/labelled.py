@@ -1,4 +1,4 @@
-"""Frames with labels in place of surfaces: how found depth, tilt and displacement follow what is known of them."""
+"""Frames with labels in place of surfaces: how found depth, tilt and shear follow what is known of them."""
 
 from __future__ import annotations
 

@@ -147,7 +147,7 @@ def _check_covers(
 def read_images(
     calibration: Calibration, sensor: str, images: Sequence[Path], report: Report, mistake: Callable[[str], None]
 ) -> Iterator[Case]:
-    """Read images and what is known of them; one that cannot be used is told to `mistake` in a line, others go on."""
+    """Read images and what is known of them; one that cannot be used goes to `mistake` as a line, others go on."""
     size = (calibration.image_height_px, calibration.image_width_px)
     for k, path in enumerate(images):
         report("images", k, len(images))

@@ -14,7 +14,7 @@ from tacshade_edge.types import F32, U8
 
 _PANEL_PX = 600  # wide at most, where the surface has fewer cells
 _ERROR_MM = 0.5
-_BEYOND_MM = 0.3  # of the known heights, that the colours still tell apart
+_BEYOND_MM = 0.3  # of the known heights, that the colours still distinguish
 _GAP_PX, _TITLE_PX = 10, 22
 _UNTOUCHED_GREY = 225
 

@@ -30,7 +30,7 @@ class Times:
     Attributes
     ----------
     contact : tuple of float64 (n, 1 + number of stages)
-        Of each round the frames in contact: the step without displacement, then `STAGES`, NaN where one is not run. n
+        Of each round the frames in contact: the step without shear, then `STAGES`, NaN where one is not run. n
         is 0 where the setting finds no contact.
     idle : tuple of float64 (m,)
         Of each round the frames without contact.
@@ -87,7 +87,7 @@ class _Timed:
         self._count = self._next = self._next_idle = self._t_ns = 0
 
     def begin(self) -> None:
-        """Find how many frames fit into a slice; the first step imports and allocates, the second tells."""
+        """Find how many frames fit into a slice; the first step imports and allocates, the second is timed."""
         if self.contact:
             usual_ms = [float(self._step(self.contact[0])[0]) for _ in range(2)][1]
             self._count = min(len(self.contact), max(1, int(SLICE_MS / usual_ms)))

@@ -138,7 +138,7 @@ def test_a_robot_tells_place_and_depth(tmp_path: Path) -> None:
         one.hears("press_002.png: ball of 6 mm, ")
         robot.unplug()
         one.types("")
-        one.hears("not taken: the robot told no pose for this picture (/dev/shm/tacshade-capture-")
+        one.hears("not taken: the robot reported no pose for this picture (/dev/shm/tacshade-capture-")
         one.types("done")
         assert one.ends() == 0
     link.unlink(missing_ok=True)

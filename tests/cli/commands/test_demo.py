@@ -255,8 +255,8 @@ def test_the_page_draws_the_presses(broker: str, tmp_path: Path) -> None:
         wait_until(moves, 60, "depths that change on the canvas")
         if broker == "mosquitto":
             wait_until(lambda: page.execute_script("return tacshade.arrows > 0"), 60, "the skin is dragged")
-            pad = "return [...document.querySelectorAll('#hands button')].find((tab) => tab.textContent === 'demo-map')"
-            wait_until(lambda: page.execute_script(pad), 60, "the other hand")
+            pad = "return [...document.querySelectorAll('#sensors button')].find((t) => t.textContent === 'demo-map')"
+            wait_until(lambda: page.execute_script(pad), 60, "the other sensor")
             page.execute_script(f"{pad}.click()")  # at once: tabs are drawn anew as hands come
             presses = "return tacshade.stitched?.presses ?? 0"
             wait_until(lambda: page.execute_script(presses) >= 4, 60, "a map grows on the page")

@@ -35,7 +35,7 @@ def test_scenes_have_images_and_their_ground_truth(tmp_path: Path, capsys: pytes
         assert str(truth["object"]) == "ball"
 
 
-def test_a_dragged_scene_has_its_displacement(tmp_path: Path) -> None:
+def test_a_dragged_scene_has_its_shear(tmp_path: Path) -> None:
     words = ["simulate", "--out", str(tmp_path), "--objects", "none,cube", "--depth", "3", "--drag", "2", "-1"]
     assert main([*words, "--twist", "8", "--tilt", "5", "0"]) == 0
     none, cube = table(tmp_path / "scenes.csv")

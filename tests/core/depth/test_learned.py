@@ -65,7 +65,7 @@ def test_one_frame_does_not_change_the_next() -> None:
     assert first.height_mm.tobytes() == before == inverse(dark).height_mm.tobytes()
 
 
-def test_displacement_is_in_mm_on_the_maps_cells_and_finite() -> None:
+def test_shear_is_in_mm_on_the_maps_cells_and_finite() -> None:
     network = answering(4, lambda known: known[:16], lambda white, sensor: np.concatenate((white, sensor)))
     preprocessor = Preprocessor(calibrated(HALF, 0), PROFILES["balanced"])
     solver = LearnedSolver(preprocessor, network)

@@ -21,7 +21,7 @@ MODEL = SigmaModel((-1.2, 0.8, -0.3, -0.06, 0.04), 2.0, 0.2, 0.6)
 FLOATS = st.floats(width=32, allow_nan=True, allow_infinity=True)
 
 
-def by_the_formula(h: F32, contact: F32, foreign: F32, where: Bool) -> F64:
+def by_the_formula(h: F32, contact: F32, untrusted: F32, where: Bool) -> F64:
     """Cell by cell, in float64."""
     k, wide = GEOMETRY.skin_radius_mm / 20, np.pad(h.astype(np.float64), 1, mode="edge")
     cell_mm = 2 * REACH * 25.0 * math.sin(math.radians(60.0)) / CELLS
@@ -36,7 +36,7 @@ def by_the_formula(h: F32, contact: F32, foreign: F32, where: Bool) -> F64:
             math.log(0.1 + float(h[i, j]) / k),
             min(math.hypot(along, across), 2.0),
             min(max(float(contact[i, j]), -2.0), 8.0),
-            min(max(float(foreign[i // 4, j // 4]), -12.0), 0.0),
+            min(max(float(untrusted[i // 4, j // 4]), -12.0), 0.0),
         )
         found.append(k * math.exp(math.fsum(w * value for w, value in zip(MODEL.weights, x, strict=True))))
     return np.array(found)
@@ -45,17 +45,17 @@ def by_the_formula(h: F32, contact: F32, foreign: F32, where: Bool) -> F64:
 def test_it_is_the_formula() -> None:
     rng = np.random.default_rng(3)
     h = np.abs(rng.normal(0, 3, (CELLS, CELLS))).astype(np.float32)
-    contact, foreign = (rng.normal(0, 8, (n, n)).astype(np.float32) for n in (CELLS, COARSE))
+    contact, untrusted = (rng.normal(0, 8, (n, n)).astype(np.float32) for n in (CELLS, COARSE))
     where = rng.random((CELLS, CELLS)) < 0.5
     where[0, 0] = where[-1, -1] = True
     for rows in (slice(None), slice(0, 5), slice(7, 11)):  # of the whole map, or of a contact in it
         some = np.zeros_like(where)
         some[rows, 2:13] = where[rows, 2:13]
-        found = sigma_of_scale_1(MODEL, terms(h, contact, foreign, some, GEOMETRY), GEOMETRY)
+        found = sigma_of_scale_1(MODEL, terms(h, contact, untrusted, some, GEOMETRY), GEOMETRY)
         assert found.dtype == np.float32
-        np.testing.assert_allclose(found, by_the_formula(h, contact, foreign, some), rtol=1e-5)
-    found = sigma_of_scale_1(MODEL, terms(h, contact, foreign, where, GEOMETRY), GEOMETRY)
-    np.testing.assert_allclose(found, by_the_formula(h, contact, foreign, where), rtol=1e-5)
+        np.testing.assert_allclose(found, by_the_formula(h, contact, untrusted, some), rtol=1e-5)
+    found = sigma_of_scale_1(MODEL, terms(h, contact, untrusted, where, GEOMETRY), GEOMETRY)
+    np.testing.assert_allclose(found, by_the_formula(h, contact, untrusted, where), rtol=1e-5)
 
 
 @given(
@@ -64,8 +64,8 @@ def test_it_is_the_formula() -> None:
     npst.arrays(np.float32, (COARSE, COARSE), elements=FLOATS),
     npst.arrays(np.bool_, (CELLS, CELLS)),
 )
-def test_whatever_a_network_says_it_is_finite_and_above_0(h: Any, contact: Any, foreign: Any, where: Any) -> None:
-    found = sigma_of_scale_1(MODEL, terms(h, contact, foreign, where, GEOMETRY), GEOMETRY)
+def test_whatever_a_network_says_it_is_finite_and_above_0(h: Any, contact: Any, untrusted: Any, where: Any) -> None:
+    found = sigma_of_scale_1(MODEL, terms(h, contact, untrusted, where, GEOMETRY), GEOMETRY)
     assert found.shape == (np.count_nonzero(where),)
     assert np.isfinite(found).all()
     assert (found > 0).all()

@@ -34,7 +34,7 @@ def test_the_first_message_waits_for_every_finger_and_not_for_ever() -> None:
     together.listen(True, NOW_NS)
     together.hear("thumb", FREE, NOW_NS + 5)
     assert together.due_ns() == NOW_NS + FIRST_NS
-    message = together.tell(NOW_NS + FIRST_NS, 7)
+    message = together.message(NOW_NS + FIRST_NS, 7)
     assert [(f.state, f.reason_code) for f in message.fingers.values()] == [("free", ""), ("away", "starting")]
     assert (message.t_ns, message.wall_ns, message.seq) == (NOW_NS + FIRST_NS, 7, 0)
 
@@ -48,7 +48,7 @@ def test_it_is_due_at_once_when_all_have_told(two: HandAggregator) -> None:
 def test_every_finger_has_the_age_of_its_frame(two: HandAggregator) -> None:
     two.hear("index", TOUCHED, NOW_NS)
     two.hear("thumb", away(Reason(ReasonCode.LOST, "gone")), NOW_NS)
-    fingers = two.tell(NOW_NS, 0).fingers
+    fingers = two.message(NOW_NS, 0).fingers
     assert (fingers["index"].age_ms, fingers["thumb"].age_ms) == (5.5, None)
     assert list(fingers) == ["thumb", "index"]
 
@@ -61,27 +61,27 @@ def test_every_finger_has_the_age_of_its_frame(two: HandAggregator) -> None:
 def test_contact_and_change_are_told_at_most_60_times_a_second_all_else_10_times(
     two: HandAggregator, told: Finger, period_ns: int
 ) -> None:
-    two.tell(NOW_NS, 0)
+    two.message(NOW_NS, 0)
     two.hear("thumb", told, NOW_NS + 1)
     assert two.due_ns() == NOW_NS + period_ns
 
 
 def test_a_contact_that_is_told_is_no_news_until_its_next_frame(two: HandAggregator) -> None:
     two.hear("thumb", TOUCHED, NOW_NS)
-    assert two.tell(NOW_NS, 0).seq == 0
+    assert two.message(NOW_NS, 0).seq == 0
     assert two.due_ns() == NOW_NS + QUIET_PERIOD_NS
-    assert two.tell(NOW_NS + QUIET_PERIOD_NS, 0).seq == 1
+    assert two.message(NOW_NS + QUIET_PERIOD_NS, 0).seq == 1
 
 
 def test_a_finger_that_falls_silent_is_away(two: HandAggregator) -> None:
     two.hear("thumb", TOUCHED, NOW_NS)
     two.hear("index", away(Reason(ReasonCode.LOST, "gone")), NOW_NS)
-    assert two.tell(NOW_NS + STALLED_NS, 0).fingers["thumb"].state == "contact"
-    fingers = two.tell(NOW_NS + STALLED_NS + 1, 0).fingers
+    assert two.message(NOW_NS + STALLED_NS, 0).fingers["thumb"].state == "contact"
+    fingers = two.message(NOW_NS + STALLED_NS + 1, 0).fingers
     assert [f.reason_code for f in fingers.values()] == ["stalled", "lost"]
     assert (fingers["thumb"].state, fingers["thumb"].objects) == ("away", ())
     two.hear("thumb", FREE, NOW_NS + STALLED_NS + 2)
-    assert two.tell(NOW_NS + STALLED_NS + 2, 0).fingers["thumb"].state == "free"
+    assert two.message(NOW_NS + STALLED_NS + 2, 0).fingers["thumb"].state == "free"
 
 
 def test_what_was_told_before_somebody_listened_is_no_news(two: HandAggregator) -> None:
@@ -91,5 +91,5 @@ def test_what_was_told_before_somebody_listened_is_no_news(two: HandAggregator) 
     later_ns = NOW_NS + 10**11
     two.listen(True, later_ns)
     two.listen(True, later_ns + FIRST_NS)
-    fingers = two.tell(later_ns + FIRST_NS, 0).fingers
+    fingers = two.message(later_ns + FIRST_NS, 0).fingers
     assert [f.reason_code for f in fingers.values()] == ["starting", "lost"]

@@ -18,7 +18,7 @@ def lines() -> Iterator[Lines]:
 
 def test_what_a_finger_tells_comes_from_that_finger_in_order(lines: Lines) -> None:
     for seq in range(3):
-        lines.fingers["index"].tell(Finger(state="free", seq=seq))
+        lines.fingers["index"].report(Finger(state="free", seq=seq))
     assert lines.hand["thumb"].take() is None
     told = [lines.hand["index"].take() for _ in range(4)]
     assert [finger and finger.seq for finger in told] == [0, 1, 2, None]
@@ -26,8 +26,8 @@ def test_what_a_finger_tells_comes_from_that_finger_in_order(lines: Lines) -> No
 
 def test_a_hand_that_reads_nothing_keeps_no_finger_waiting_and_harms_no_other(lines: Lines) -> None:
     for seq in range(2000):
-        lines.fingers["thumb"].tell(Finger(state="free", seq=seq))
-    lines.fingers["index"].tell(Finger(state="contact"))
+        lines.fingers["thumb"].report(Finger(state="free", seq=seq))
+    lines.fingers["index"].report(Finger(state="contact"))
     assert lines.hand["index"].take() == Finger(state="contact")
     taken = 0
     while lines.hand["thumb"].take():

@@ -201,7 +201,7 @@ def test_reconstruct_delivers_times_and_settles_every_frame(
         "depth",
         "cloud",
         "deliver",
-        "capture_to_offer",
+        "latency",
     }
     assert all(0 < p["p50"] <= p["p99"] for p in stages.values())
 

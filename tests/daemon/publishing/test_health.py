@@ -59,7 +59,7 @@ def test_every_key_is_documented() -> None:
         name for row in re.findall(r"^\| (`.*?) \|", section, re.MULTILINE) for name in re.findall("`(.+?)`", row)
     }
     timings = Timings()
-    timings.add({"wait": 1.0, "capture_to_offer": 2.0})
+    timings.add({"wait": 1.0, "latency": 2.0})
     message = json.loads(encode_health(Health(FrameLedger(), timings).snapshot(0, {})))
     reported = {each.health_key for each in (Robot, SessionRequests, References, RecordRequests, ActiveProfile)}
     assert set(message) | reported == documented

@@ -124,7 +124,7 @@ def test_a_contact_of_which_nobody_wants_anything_is_counted(calibration: Calibr
     assert played.outcomes == ["without_contact", "unasked", "unasked"]
 
 
-def test_displacement_is_asked_for_while_it_has_a_subscriber_or_always() -> None:
+def test_shear_is_asked_for_while_it_has_a_subscriber_or_always() -> None:
     def need(*wanted: str, always: bool = False) -> Need:
         return Publisher(ignore, ignore, ignore, lambda stream: stream in wanted, always).need()
 

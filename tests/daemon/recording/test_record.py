@@ -221,13 +221,13 @@ def now(count: int, first: int = 0) -> list[Frame]:
     return [replace(frame, t_ns=time.monotonic_ns()) for frame in frames(count, first)]
 
 
-def keeping(live: Live, before_s: float) -> None:
-    live.recorder.keep_before(before_s)
+def keeping(live: Live, pre_roll_s: float) -> None:
+    live.recorder.keep_pre_roll(pre_roll_s)
     assert live.recorder.poll() is None
 
 
 def kept(live: Live, count: int) -> None:
-    wait_until(lambda: live.recorder.counts()["before"] == count, 20, f"{count} frames are kept")
+    wait_until(lambda: live.recorder.counts()["pre_roll"] == count, 20, f"{count} frames are kept")
 
 
 def written(folder: Path) -> list[int]:
@@ -259,28 +259,28 @@ def test_a_recording_begins_with_what_was_before(live: Live, calibration: Calibr
     assert [event["kind"] for event in events] == ["source", "start"]
     assert before[-1].t_ns < events[1]["t_ns"] < after[0].t_ns
     assert live.about()["first_t_ns"] == before[0].t_ns
-    assert live.recorder.counts() == {"written": 7, "dropped": 0, "waiting": 0, "before": 0, "before_dropped": 0}
+    assert live.recorder.counts() == {"written": 7, "dropped": 0, "waiting": 0, "pre_roll": 0, "pre_roll_dropped": 0}
     live.recorder.poll()
     live.give(*now(2))  # what a recording has is not kept for the next one
     kept(live, 2)
-    live.recorder.keep_before(0.0)
+    live.recorder.keep_pre_roll(0.0)
     live.recorder.join(patience(20))
     assert live.recorder.tap is None
 
 
 def test_what_is_kept_is_bounded_and_what_finds_no_room_is_counted(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     size = len(png_of(FREE)) + len(png_of(TOUCHED))
-    monkeypatch.setattr(record, "BEFORE_BYTES", 2 * size)
+    monkeypatch.setattr(record, "PRE_ROLL_BYTES", 2 * size)
     keeping(live, 30.0)
     given = now(10)
     live.give(*given)
-    wait_until(lambda: live.recorder.counts()["before_dropped"] == 6, 20, "the oldest six are given up")
+    wait_until(lambda: live.recorder.counts()["pre_roll_dropped"] == 6, 20, "the oldest six are given up")
     kept(live, 4)
     live.start()
     live.recorder.end(STOPPED)
     assert live.poll_until_ended().dropped == 0
     assert written(live.folder) == [frame.t_ns for frame in given[6:]]
-    assert live.recorder.counts()["before_dropped"] == 6
+    assert live.recorder.counts()["pre_roll_dropped"] == 6
     live.recorder.end(STOPPED)
 
 

@@ -267,7 +267,7 @@ def test_a_chip_that_holds_bytes_back_is_told(link: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(SerialPort, "describe", lambda port: {**told(port), "latency_ms": 16})
     with PtyRobot(link), Side(link) as side:
         status = side.until("two-way", state="connected", sync="two-way")
-    assert status["reason"] == "the port's chip holds bytes back for 16 ms; doctor tells the mend"
+    assert status["reason"] == "the port's chip holds bytes back for 16 ms; doctor says how to fix it"
 
 
 def test_a_robot_that_reads_nothing_costs_no_poses(link: Path) -> None:

@@ -77,7 +77,7 @@ def both(sides: tuple[Side, Side], **wanted: Any) -> bool:
 def test_the_first_that_names_a_port_has_it_and_who_is_alone_shares_nothing() -> None:
     shared = share_lines(documents(thumb="/dev/a", index="/dev/b", middle="/dev/a", ring="", little="/dev/a"))
     assert {name: part.owner for name, part in shared.items()} == dict.fromkeys(("thumb", "middle", "little"), "thumb")
-    assert [len(shared["thumb"].tells), shared["thumb"].hears] == [2, None]
+    assert [len(shared["thumb"].ends), shared["thumb"].hears] == [2, None]
     for part in shared.values():
         part.close()
 
@@ -115,7 +115,7 @@ def test_an_owner_that_is_gone_is_told_by_those_that_follow(link: Path, sides: t
         sides[0].robot.stop(stretched(5))  # and polls no more
         follower = sides[1]
         wait_until(lambda: follower.latest()["reason_code"] == "no_answer", 20, "nothing is heard of the owner")
-        assert follower.latest()["reason"] == "thumb, which has the port, tells nothing"
+        assert follower.latest()["reason"] == "thumb, which has the port, reports nothing"
 
 
 def test_a_follower_that_reads_nothing_keeps_nobody_waiting(link: Path) -> None:

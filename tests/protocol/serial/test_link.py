@@ -77,7 +77,7 @@ def line_frame(text: str) -> bytes:
 def test_a_person_types() -> None:
     desk = Desk()
     assert desk.send(b"help\r\n") == [
-        "OK - HELLO SYNC POSE CAPTURE REFERENCE STITCH STATUS MODE HELP; HELP VERB tells more"
+        "OK - HELLO SYNC POSE CAPTURE REFERENCE STITCH STATUS MODE HELP; HELP VERB says more"
     ]
     assert desk.send(b"HELP pose\r") == ["OK - POSE t x y z qw qx qy qz"]
     assert desk.send(b"status\n") == ["OK - name=done-1"]

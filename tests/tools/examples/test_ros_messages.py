@@ -11,7 +11,7 @@ from tacshade_edge.protocol import wire
 from tacshade_edge.protocol.wire import CloudMessage, HeightMessage
 from tacshade_edge.types import U8
 from tools.examples.ros2 import ros_messages
-from tools.testbed.published_hand import CRC, bump
+from tools.testbed.published_sensor import CRC, bump
 
 typesys = pytest.importorskip("rosbags.typesys", reason="rosbags is not installed")
 STORE = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)

@@ -95,7 +95,7 @@ def test_a_tilted_plate_is_pressed_in_along_its_normal() -> None:
 
 
 @pytest.mark.slow
-def test_a_skin_through_moved_points_has_their_height_and_displacement() -> None:
+def test_a_skin_through_moved_points_has_their_height_and_shear() -> None:
     rest = DOME.radius_mm * cap(DOME.radius_mm, 1.0)[0]
     near = np.exp(-(rest[:, 0] ** 2 + rest[:, 1] ** 2) / 30) * (rest[:, 2] > 0)
     moved = np.array((0.9, -0.4, -1.5)) * near[:, None]

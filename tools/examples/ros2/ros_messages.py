@@ -1,4 +1,4 @@
-"""A hand's messages as ROS 2's: lengths in metres (REP 103), frames of the hand's own, stamps in Unix time.
+"""A sensor's messages as ROS 2's: lengths in metres (REP 103), frames of the sensor's own, stamps in Unix time.
 
 Of no particular ROS: whoever calls brings the message types, so that they can be made where ROS is not.
 """

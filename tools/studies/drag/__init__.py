@@ -1,1 +1,1 @@
-"""How depth and displacement are found when objects are dragged, twisted and tilted."""
+"""How depth and shear are found when objects are dragged, twisted and tilted."""

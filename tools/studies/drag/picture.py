@@ -26,7 +26,7 @@ def draw(rows: Sequence[DragRow]) -> bytes:
             made = [figures([r for r in mine if r.profile == profile and r.condition == c]) for c in conditions]
             for axes, values in zip(column, ([f.me_mm for f in made], [f.shear_median_mm for f in made]), strict=True):
                 axes.plot(conditions, values, "o-", color=colour, label=profile)
-        for axes, title in zip(column, (f"{family}: ME in mm", "median error of the displacement in mm"), strict=True):
+        for axes, title in zip(column, (f"{family}: ME in mm", "median error of the shear in mm"), strict=True):
             axes.set(title=title, ylim=(0, None))
             axes.spines[["top", "right"]].set_visible(False)
             axes.grid(color="#e6e6e6", linewidth=0.8)

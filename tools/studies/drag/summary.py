@@ -12,7 +12,7 @@ from tacshade_edge.studies.tables import markdown
 from tools.studies.drag.work import DragRow
 
 TELLING_MM = 0.5
-"""A true displacement from which its direction counts."""
+"""A true shear from which its direction counts."""
 WRONG, WRONG_MM = 0.25, 0.3
 """So far off, as a ratio and in mm, a depth is wrong."""
 

@@ -167,7 +167,7 @@ def _rows(task: tuple[Plan, SensorName, Calibration, str]) -> list[DragRow]:
 
 
 def _motion(frame: SimulatedFrame, truth: Truth) -> tuple[float, float, float]:
-    """Mean displacement and twist of the skin that truly touches."""
+    """Mean shear and twist of the skin that truly touches."""
     rows, cols = np.nonzero(truth.contact)
     some = slice(None, None, -(-len(rows) // _TRUE_POINTS))
     shear = frame.shear_mm(rows[some].astype(float), cols[some].astype(float)).T

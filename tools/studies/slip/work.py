@@ -64,7 +64,7 @@ class SlideRow:
     told_s : float
         When that was told first; NaN: never.
     found_mm_s, true_mm_s : float
-        Speed over the skin 0.15 s after the onset; NaN where none is told.
+        Speed over the skin 0.15 s after the onset; NaN where none is reported.
     """
 
     profile: str

@@ -1,4 +1,4 @@
-"""Judge the shipped networks on the third family: errors, displacement, intervals and what was refused, as tables.
+"""Judge the shipped networks on the third family: errors, shear, intervals and what was refused, as tables.
 
 ::
 
@@ -70,7 +70,7 @@ class Judged:
     me_mm, sd_pct : float
         Eqs. 13 and 14.
     shear_error_mm : float
-        Median distance of the found displacement to the true one over the cells found in contact.
+        Median distance of the found shear to the true one over the cells found in contact.
     cells, covered : int
         Cells found in contact, and those whose 90 % interval holds the true height.
     """
@@ -149,7 +149,7 @@ def judged(each: Pictured, model: SensorModel, result: Reconstruction) -> Judged
 def table(rows: list[Judged]) -> str:
     """One line for each profile, pressed and dragged."""
     lines = [
-        "| skin | profile | frames | refused | missed | ME mm | SD % | depth off % | displacement off mm "
+        "| skin | profile | frames | refused | missed | ME mm | SD % | depth off % | shear off mm "
         "| in the 90 % interval % |",
         "|---|---|--:|--:|--:|--:|--:|--:|--:|--:|",
     ]

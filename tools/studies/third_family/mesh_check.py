@@ -4,7 +4,7 @@
 
     nice PYTHON -m tools.studies.third_family.mesh_check [--edges-mm 1.3,1.0] [--ways 3]
 
-PYTHON has the engine (requirements.txt). Heights and displacements are compared on the skin's grid, in the contact of
+PYTHON has the engine (requirements.txt). Heights and shears are compared on the skin's grid, in the contact of
 the finest mesh and where its skirt is deeper than 0.1 mm.
 """
 
@@ -25,7 +25,7 @@ from tools.studies.third_family.seen import TOUCHING_MM, deformed
 
 
 def compared(fine: Skin, coarse: Skin, press: Press) -> tuple[float, float, float, float]:
-    """Median and 95th percentile of |h - h| in contact, median beside it (h over 0.1 mm), and of displacement; mm."""
+    """Median and 95th percentile of |h - h| in contact, median beside it (h over 0.1 mm), and of shear; mm."""
     points = node_directions(fine.radius_mm).astype(np.float64) * (fine.radius_mm - fine.height_mm)[..., None]
     distance = distance_mm((press,), fine.radius_mm, points.reshape(-1, 3)).reshape(fine.height_mm.shape)
     contact = distance <= TOUCHING_MM
@@ -49,7 +49,7 @@ def main(arguments: list[str] | None = None) -> int:
 
     meshes = list(zip(map(float, options.edges_mm.split(",")), map(int, options.gel_layers.split(",")), strict=True))
     print("| object | skin | edge mm | layers | CPU s | penetration mm "
-          "| h in contact, median mm | 95 % mm | h beside, median mm | displacement, median mm |")  # fmt: skip
+          "| h in contact, median mm | 95 % mm | h beside, median mm | shear, median mm |")  # fmt: skip
     print("|---|---|--:|--:|--:|--:|--:|--:|--:|--:|")
     for sensor in range(options.ways):
         _, dome = drawn("working", sensor)

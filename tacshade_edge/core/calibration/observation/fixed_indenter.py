@@ -31,7 +31,7 @@ class FixedIndenter:
     ball_radius_mm : float
         0 for another.
     base_T_sensor : Rigid
-        At the press that told it.
+        At the press that stated it.
     """
 
     point_mm: F64
@@ -42,7 +42,7 @@ class FixedIndenter:
         freeze(self, "point_mm")
 
     def turned_deg(self, base_T_sensor: Rigid) -> float:
-        """How far the sensor is turned against the press that told the place; degrees."""
+        """How far the sensor is turned against the press that stated the place; degrees."""
         turn = self.base_T_sensor.rotation.T @ base_T_sensor.rotation
         return math.degrees(math.acos(min(max((float(np.trace(turn)) - 1) / 2, -1.0), 1.0)))
 
@@ -59,7 +59,7 @@ class FixedIndenter:
         return Touch(x_mm, y_mm, _skin_z_mm(x_mm, y_mm, skin_radius_mm) - lowest_mm)
 
 
-def fixed_indenter(base_T_sensor: Rigid, told: Touch, ball_radius_mm: float, skin_radius_mm: float) -> FixedIndenter:
+def fixed_indenter(base_T_sensor: Rigid, stated: Touch, ball_radius_mm: float, skin_radius_mm: float) -> FixedIndenter:
     """Where an indenter stands that presses so; the inverse of `FixedIndenter.touch`.
 
     Raises
@@ -67,8 +67,8 @@ def fixed_indenter(base_T_sensor: Rigid, told: Touch, ball_radius_mm: float, ski
     ValueError
         The press is beside the skin.
     """
-    z_mm = _skin_z_mm(told.x_mm, told.y_mm, skin_radius_mm) - told.depth_mm + ball_radius_mm
-    point_mm = base_T_sensor.apply(np.array((told.x_mm, told.y_mm, z_mm)))
+    z_mm = _skin_z_mm(stated.x_mm, stated.y_mm, skin_radius_mm) - stated.depth_mm + ball_radius_mm
+    point_mm = base_T_sensor.apply(np.array((stated.x_mm, stated.y_mm, z_mm)))
     return FixedIndenter(point_mm, ball_radius_mm, base_T_sensor)
 
 

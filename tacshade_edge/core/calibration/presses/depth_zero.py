@@ -31,7 +31,7 @@ _HINTED_TRAVEL, _HINTED_DEVIATIONS, _SURE_TRAVEL, _SURE_DEVIATIONS = 0.65, 3.0, 
 # An error of a depth: a part of it, and so many mm on the nominal skin.
 _ERROR_PART, _ERROR_MM, _LEAST_DEVIATION = 0.12, 0.15, 0.3
 _HUBER, _ITERATIONS = 1.5, 25
-# Fewer presses tell too little; of fewer than the second, nothing is sure.
+# Fewer presses show too little; of fewer than the second, nothing is sure.
 _LEAST_PRESSES, _LEAST_SURE = 12, 16
 TRAVEL_ADVICE = (
     "--depth-from-touch takes it so; else expected the undeformed skin's z at (x, y) less the z of the indenter's "

@@ -23,7 +23,7 @@ _SEEN_MEDIANS, _SEEN_LEAST_MM = 4.0, 2.0
 _BALL_DEVIATIONS, _BALL_LEAST, _BALL_DEPTH_MM = 4.0, 1.55, 0.8
 # A small ball may look larger than it is: that counts where the stated radius fits so many times worse.
 _LARGER_MISFIT_RATIO = 4.0
-# With fewer presses no fit tells which is wrong.
+# With fewer presses no fit shows which is wrong.
 _LEAST_PRESSES = 3
 
 

@@ -20,7 +20,7 @@ from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import Profile
 from tacshade_edge.types import F32, F64, U8, Bool, Calibration, Geometry
 
-# Radii to try, as parts of the stated one, which is in the middle; no misfit is told from this one.
+# Radii to try, as parts of the stated one, which is in the middle; no misfit is distinguished from this one.
 _LEAST_MISFIT = 1e-3
 _TRIED = np.exp(np.linspace(math.log(0.25), math.log(4.0), 49))
 

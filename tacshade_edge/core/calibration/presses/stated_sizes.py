@@ -1,7 +1,7 @@
 """Are depths, balls and skin as large as they are stated? What a learned profile sees of them, without a refit.
 
 A network is off on a sensor by a factor that hardly changes within it (`gain`), so the greatest height that it finds
-tells a wrong unit, and how the height falls off around that, at any factor, tells the radius of a ball.
+shows a wrong unit, and how the height falls off around that, at any factor, shows the radius of a ball.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from tacshade_edge.core.calibration.observation.press_observation import PressOb
 from tacshade_edge.core.calibration.presses.press_view import PressView
 from tacshade_edge.types import F64, Geometry
 
-# Fewer presses tell nothing of all of them; nor does a network that sees a smaller part of them.
+# Fewer presses show nothing of all of them; nor does a network that sees a smaller part of them.
 _LEAST_PRESSES, _LEAST_SEEN_PART = 4, 0.5
 # Shown over stated, the median of all presses. On good tables depths are 0.6 to 1.3, balls 0.79 to 1.6 and places
 # 0.95 to 1.05.
@@ -29,7 +29,7 @@ _BALL_FACTORS = (0.8, 1.85)
 # more where those are 0.7 or 1 mm too great, and 0.82 and less of diameters.
 _LEAST_BALL_SLOPE, _LEAST_BALL_PER_DEPTH = 0.9, 0.9
 _PLACE_FACTORS = (0.6, 1.4)
-# Places that lie nearer to the middle than this, in skin radii (RMS), tell no factor: a place is found within 1 mm.
+# Places that lie nearer to the middle than this, in skin radii (RMS), show no factor: a place is found within 1 mm.
 _LEAST_REACH_RADII = 0.1
 # Without a place: a skin of twice the radius makes balls look three times as large and more, and depths larger too.
 _SKIN_BALL_FACTORS, _SKIN_DEPTH_FACTORS = (0.45, 2.5), (0.8, 1.3)
@@ -37,7 +37,7 @@ _SKIN_BALL_FACTORS, _SKIN_DEPTH_FACTORS = (0.45, 2.5), (0.8, 1.3)
 
 @dataclass(frozen=True, slots=True)
 class ShownSizes:
-    """What the images show over what is stated, the median of all presses; NaN where too few tell.
+    """What the images show over what is stated, the median of all presses; NaN where too few show it.
 
     Attributes
     ----------

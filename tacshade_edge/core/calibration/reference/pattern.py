@@ -1,4 +1,4 @@
-"""What a reference image tells by itself: the visible circle and the marker pitch."""
+"""What a reference image shows by itself: the visible circle and the marker pitch."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def find_disc(grey: U8) -> Disc:
     The disc is where the marker pattern is, so its rim is where the pattern's variation along the angle ends:
     a step in brightness alone would find the LED ring instead. A coarse circle comes from the textured region; centre
     and radius are then searched for the sharpest end, as J. Daugman's integro-differential operator finds an iris (IEEE
-    Trans. PAMI 15, 1993). The markers themselves (`marker_field`), where they can be told one by one, must fill it.
+    Trans. PAMI 15, 1993). The markers themselves (`marker_field`), where they can be found one by one, must fill it.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Which threshold tells a sensor's markers from what is between them."""
+"""Which threshold separates a sensor's markers from what is between them."""
 
 from __future__ import annotations
 

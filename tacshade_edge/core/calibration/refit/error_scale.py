@@ -24,7 +24,7 @@ def errors_in_sigma(
     height_mm: F32,
     true_mm: F32,
     contact_logit: F32,
-    foreign_logit: F32,
+    untrusted_logit: F32,
     known: Bool,
     geometry: Geometry,
 ) -> F64:
@@ -34,11 +34,11 @@ def errors_in_sigma(
     ----------
     model : SigmaModel
     height_mm, true_mm, contact_logit : float32 (cells, cells)
-    foreign_logit : float32 (M, M)
+    untrusted_logit : float32 (M, M)
     known : bool (cells, cells)
     geometry : Geometry
     """
-    x = terms(height_mm, contact_logit, foreign_logit, known, geometry)
+    x = terms(height_mm, contact_logit, untrusted_logit, known, geometry)
     off = np.abs(height_mm[known].astype(np.float64) - true_mm[known])
     return np.asarray(off / sigma_of_scale_1(model, x, geometry))
 

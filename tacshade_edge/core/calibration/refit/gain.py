@@ -1,8 +1,8 @@
 """The closed-form refit of the learned inverse to known presses.
 
-A network trained on every sensor is off on a given one by a nearly constant factor. Each press tells it where the
+A network trained on every sensor is off on a given one by a nearly constant factor. Each press shows it where the
 indenter's surface is known and the network sees contact. The logarithms are averaged robustly, so that wrong presses
-hardly move the factor, and drawn to 0 as far as their spread leaves it open. Balls tell little more: corrections that
+hardly move the factor, and drawn to 0 as far as their spread leaves it open. Balls show little more: corrections that
 also depend on depth and place fit the balls better, and other shapes no better (tools/training/README.md).
 
 References
@@ -167,8 +167,8 @@ def fit_factor(presses: Sequence[PressRows]) -> float | None:
     for _ in range(_ITERATIONS):
         weight = squares * np.minimum(1, _HUBER * deviation / np.maximum(np.abs(logs - middle), 1e-9))
         middle = float(weight @ logs / weight.sum())
-    presses_told = float(weight.sum() ** 2 / (weight @ weight))
-    drawn = 1 / (1 + (deviation / PRIOR_DEVIATION) ** 2 / presses_told)
+    effective_presses = float(weight.sum() ** 2 / (weight @ weight))
+    drawn = 1 / (1 + (deviation / PRIOR_DEVIATION) ** 2 / effective_presses)
     return min(max(math.exp(drawn * middle), FACTOR_RANGE[0]), FACTOR_RANGE[1])
 
 

@@ -2,7 +2,7 @@
 
 Only where the indenter's surface lies inside the undeformed skin and the shipped network sees contact is h known. The
 skin lifts off near the edge of a contact, so there h is at least the indenter's surface; the contact's outline, what is
-foreign, and h far away are to stay what the shipped network says.
+untrusted, and h far away are to stay what the shipped network says.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from tacshade_edge.core.calibration.refit import gain
 from tacshade_edge.core.calibration.refit.error_scale import error_scale, errors_in_sigma
 from tacshade_edge.core.calibration.refit.profile_refit import placed_press
 from tacshade_edge.core.depth import Network
-from tacshade_edge.core.depth.learned import Inverse, LearnedSolver, foreign_cells
+from tacshade_edge.core.depth.learned import Inverse, LearnedSolver, untrusted_cells
 from tacshade_edge.core.depth.network_maps import fold, known_maps, scale_mm, unfold
-from tacshade_edge.core.frame_check.foreign import FOREIGN_UNLEARNT, foreign_part
+from tacshade_edge.core.frame_check.untrusted import UNTRUSTED_UNLEARNT, untrusted_part
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.disc import rays_in_image
 from tacshade_edge.core.image.preprocess import Preprocessor
@@ -56,7 +56,7 @@ class PressTarget:
     inside : bool (cells, cells)
         In the picture and the disc.
     height, contact_logit : float32 (cells, cells)
-    foreign_logit : float32 (M, M)
+    untrusted_logit : float32 (M, M)
         As the shipped network says.
     """
 
@@ -69,10 +69,10 @@ class PressTarget:
     inside: Bool
     height: F32
     contact_logit: F32
-    foreign_logit: F32
+    untrusted_logit: F32
 
     def __post_init__(self) -> None:
-        arrays = ("white", "surface", "known", "far", "inside", "height", "contact_logit", "foreign_logit")
+        arrays = ("white", "surface", "known", "far", "inside", "height", "contact_logit", "untrusted_logit")
         freeze(self, *arrays)
 
 
@@ -119,7 +119,7 @@ def press_targets(
         seen = preprocessor.preprocess(preprocessor.grey(press.image))
         inverse = solver.inverse(seen)
         at = placed_press(geometry, inverse, press)
-        if at is None or foreign_part(foreign_cells(inverse, len(inverse.height_mm)), inside) > FOREIGN_UNLEARNT:
+        if at is None or untrusted_part(untrusted_cells(inverse, len(inverse.height_mm)), inside) > UNTRUSTED_UNLEARNT:
             continue
         surface: F32 = np.nan_to_num(gain.known_height(geometry, at, len(inverse.height_mm)))
         np.maximum(surface, np.float32(0), out=surface)
@@ -137,7 +137,7 @@ def press_targets(
                 inside,
                 inverse.height_mm / unit_mm,
                 inverse.contact_logit,
-                inverse.foreign_logit,
+                inverse.untrusted_logit,
             )
         )
     calibrated = preprocessor.calibration
@@ -205,7 +205,7 @@ def fitted_error_scale(targets: Targets, network: Network, sensor: F32, geometry
         height_mm = np.where(press.inside, np.maximum(height, 0), np.float32(0)) * unit_mm
         errors.append(
             errors_in_sigma(
-                network.sigma, height_mm, press.surface * unit_mm, contact_logit, maps.foreign, press.known, geometry
+                network.sigma, height_mm, press.surface * unit_mm, contact_logit, maps.untrusted, press.known, geometry
             )
         )
     return error_scale(network.sigma, errors)

@@ -12,8 +12,8 @@ from tacshade_edge.core.calibration.observation.press_observation import placed_
 from tacshade_edge.core.calibration.refit import gain
 from tacshade_edge.core.calibration.refit.error_scale import error_scale, errors_in_sigma
 from tacshade_edge.core.depth import Network, SigmaModel
-from tacshade_edge.core.depth.learned import Inverse, LearnedSolver, foreign_cells
-from tacshade_edge.core.frame_check.foreign import FOREIGN_UNLEARNT, foreign_part
+from tacshade_edge.core.depth.learned import Inverse, LearnedSolver, untrusted_cells
+from tacshade_edge.core.frame_check.untrusted import UNTRUSTED_UNLEARNT, untrusted_part
 from tacshade_edge.core.geometry.disc import rays_in_image
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import Profile
@@ -35,7 +35,7 @@ class Refit:
         Of each press the greatest h that the network finds without a refit.
     placed : tuple of Ball or PlacedIndenter
         Of each press where its indenter is by what is stated.
-    foreign_part : float
+    untrusted_part : float
         So much of the median press's disc the network cannot explain as this sensor's skin, 0 to 1.
     left_out : tuple of str
         Presses whose picture it would refuse, and why.
@@ -48,7 +48,7 @@ class Refit:
     errors_mm: tuple[tuple[str, float], ...]
     found_mm: tuple[float, ...]
     placed: tuple[gain.Placed, ...]
-    foreign_part: float
+    untrusted_part: float
     left_out: tuple[str, ...]
     error_scale: float | None
 
@@ -64,8 +64,8 @@ def refit_profile(
     inside = rays_in_image(solver.grid, calibration).inside
     for press in presses:
         inverse = solver.inverse(preprocessor.preprocess(preprocessor.grey(press.image)))
-        parts.append(foreign_part(foreign_cells(inverse, len(inverse.height_mm)), inside))
-        if parts[-1] > FOREIGN_UNLEARNT:
+        parts.append(untrusted_part(untrusted_cells(inverse, len(inverse.height_mm)), inside))
+        if parts[-1] > UNTRUSTED_UNLEARNT:
             left_out.append(f"{press.name}: {100 * parts[-1]:.0f} % of it does not show this sensor's skin; left out")
             continue
         at = placed_press(geometry, inverse, press)
@@ -106,7 +106,7 @@ def _errors_in_sigma(
     height = np.where(inside, np.maximum(np.nan_to_num(inverse.height_mm * np.float32(factor)), 0), 0)
     truth, use = gain.known_cells(inverse, geometry, placed)
     return errors_in_sigma(
-        model, height.astype(np.float32), truth, inverse.contact_logit, inverse.foreign_logit, use, geometry
+        model, height.astype(np.float32), truth, inverse.contact_logit, inverse.untrusted_logit, use, geometry
     )
 
 

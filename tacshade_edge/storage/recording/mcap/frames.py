@@ -45,7 +45,7 @@ class McapFrames:
     damage : str
         Lines of what is wrong beside the frames, for a person; empty where nothing is.
     length_ns : int
-        From the first message to the last, of whichever topic; 0 where a file does not tell.
+        From the first message to the last, of whichever topic; 0 where a file does not say.
     topic : str
         Of the images.
 
@@ -71,8 +71,8 @@ class McapFrames:
                 damage.append(f"{error}; its frames are left out")
                 continue
             self._paths.append(path)
-        told = [span for span in spans if span is not None]
-        self.length_ns = max(0, told[-1][1] - told[0][0]) if told and len(told) == len(paths) else 0
+        stated = [span for span in spans if span is not None]
+        self.length_ns = max(0, stated[-1][1] - stated[0][0]) if stated and len(stated) == len(paths) else 0
         self.damage = "; ".join(damage)
         self.topic, self._is_ours = _topic_of(self._paths or paths)
         self._unusable = 0
@@ -166,7 +166,7 @@ class McapFrames:
                 raise DecodeError(f"found the time {message.log_ns}, expected at most 2^62 ns")
             return Row(str(count), message.log_ns, None)
         if about.get("seq") != message.sequence:
-            raise DecodeError("found nothing before it that tells its time, expected a message of the channel frame")
+            raise DecodeError("found nothing before it that states its time, expected a message of the channel frame")
         name, t_ns = about.get("image"), _whole(about, "t_ns", T_NS_MAX)
         if not isinstance(name, str) or len(name) > _NAME_CHARS_MAX:
             raise DecodeError(f"image: found {_short(name)}, expected at most {_NAME_CHARS_MAX} characters")

@@ -107,24 +107,24 @@ class ByteFile:
         if (head := self.head(place)) is None:
             return False
         kind, length = head
-        told = self._told_length(kind, place + HEAD.size, length)
-        if told is None:
+        stated = self._stated_length(kind, place + HEAD.size, length)
+        if stated is None:
             return False
-        if kind != Kind.MESSAGE and told == length:
+        if kind != Kind.MESSAGE and stated == length:
             return True
-        is_possible = kind == Kind.MESSAGE or length - told <= _LATER_FIELDS_BYTES
+        is_possible = kind == Kind.MESSAGE or length - stated <= _LATER_FIELDS_BYTES
         return is_possible and self.begins_record(place + HEAD.size + length)
 
-    def _told_length(self, kind: int, place: int, length: int) -> int | None:
+    def _stated_length(self, kind: int, place: int, length: int) -> int | None:
         """By the record's own fields; None where they need more than it has."""
-        told = 0
+        stated = 0
         for field in _FIELDS.get(kind, (length + 1,)):
             if isinstance(field, int):
-                told += field
+                stated += field
             else:
                 size = struct.calcsize(field)
-                number = self.at(place + told, size)
-                told += size + (struct.unpack(field, number)[0] if len(number) == size else length)
-            if told > length:
+                number = self.at(place + stated, size)
+                stated += size + (struct.unpack(field, number)[0] if len(number) == size else length)
+            if stated > length:
                 return None
-        return told
+        return stated

@@ -63,7 +63,7 @@ def mend(path: Path) -> Path | None:
 
 
 def _end_of_records(stream: BinaryIO) -> int | None:
-    """Where the last whole record of the data section ends, past damage amid them, which whoever reads it is told."""
+    """Where the last whole record of the data section ends, past damage amid them, which whoever reads it learns of."""
     file = ByteFile(stream)
     if file.at(0, len(MAGIC)) != MAGIC:
         return None

@@ -1,4 +1,4 @@
-"""From record to record of an MCAP file's data section, past what is damaged, which is told."""
+"""From record to record of an MCAP file's data section, past what is damaged, which is reported."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ def test_the_yaw_is_that_of_the_pictures(yaw_rad: float, scale: float) -> None:
     assert math.remainder(found - yaw_rad, 2 * math.pi) == pytest.approx(0, abs=1e-9)
 
 
-def test_mirrored_and_foreign_pictures_are_refused() -> None:
+def test_mirrored_and_other_pictures_are_refused() -> None:
     with pytest.raises(ConfigError, match="mirrored"):
         yaw_of(8 * RING, 8 * RING * (1, -1))
     with pytest.raises(ConfigError, match="beside where it was put"):

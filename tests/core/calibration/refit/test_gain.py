@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from support.toy_network import NOTHING_FOREIGN
+from support.toy_network import ALL_TRUSTED
 
 from tacshade_edge.core.calibration.refit import gain
 from tacshade_edge.core.depth.learned import Inverse
@@ -23,7 +23,7 @@ def seen(ball: gain.Ball, factor: float = 1.0, where: Geometry | None = None) ->
     height = np.nan_to_num(gain.ball_height(where or geometry(), ball))
     contact = height > 0.5 * ball.depth_max_mm(20.0)
     logit = np.where(contact, 5, -5).astype(np.float32)
-    return Inverse((factor * np.maximum(height, 0)).astype(np.float32), logit, NOTHING_FOREIGN)
+    return Inverse((factor * np.maximum(height, 0)).astype(np.float32), logit, ALL_TRUSTED)
 
 
 def rows(factor: float, where: Geometry | None = None) -> list[gain.PressRows]:
@@ -62,9 +62,7 @@ def test_a_ball_is_located_by_its_contact(x_mm: float, y_mm: float) -> None:
 
 
 def test_without_contact_there_is_nothing_to_locate_or_fit() -> None:
-    nothing = Inverse(
-        np.zeros((112, 112), dtype=np.float32), np.full((112, 112), -5, dtype=np.float32), NOTHING_FOREIGN
-    )
+    nothing = Inverse(np.zeros((112, 112), dtype=np.float32), np.full((112, 112), -5, dtype=np.float32), ALL_TRUSTED)
     ball = gain.stated_ball(geometry(), 0.0, 0.0, 2.0, 5.0)
     assert gain.located_ball(geometry(), nothing, 2.0, 5.0) is None
     assert gain.press_rows(nothing, geometry(), ball) is None

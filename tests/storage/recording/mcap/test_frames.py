@@ -222,13 +222,13 @@ def test_the_daemons_source_reads_it(tmp_path: Path) -> None:
 
 
 RGB = np.stack((picture(0), picture(1), picture(2)), axis=-1)
-FOREIGN = {
+OTHERS = {
     "foxglove.RawImage": RawImage(width=64, height=48, encoding="rgb8", step=192, data=RGB.tobytes()),
     "foxglove.CompressedImage": CompressedImage(data=cv2.imencode(".png", RGB[:, :, ::-1])[1].tobytes(), format="png"),
 }
 
 
-@pytest.mark.parametrize("schema", FOREIGN)
+@pytest.mark.parametrize("schema", OTHERS)
 @pytest.mark.parametrize("compression", list(CompressionType))
 def test_images_of_others(tmp_path: Path, schema: str, compression: CompressionType) -> None:
     path = tmp_path / "rec.mcap"
@@ -237,7 +237,7 @@ def test_images_of_others(tmp_path: Path, schema: str, compression: CompressionT
         writer.start()
         channel = writer.register_channel("/cam", "protobuf", writer.register_schema(schema, "protobuf", b""))
         for t_ns in (5, 9, 7):
-            writer.add_message(channel, t_ns, FOREIGN[schema].SerializeToString(), t_ns)
+            writer.add_message(channel, t_ns, OTHERS[schema].SerializeToString(), t_ns)
         writer.finish()
     frames, refused = every(path)
     assert [(recorded.frame.t_ns, recorded.wall_ns) for recorded in frames] == [(5, 5), (9, 9)]

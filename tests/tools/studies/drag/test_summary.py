@@ -46,7 +46,7 @@ def test_what_is_wrong_and_not_told(changes: dict, wrong: bool) -> None:
     assert silently_wrong(replace(ROW, **changes)) is wrong
 
 
-def test_small_displacements_have_no_direction() -> None:
+def test_small_shears_have_no_direction() -> None:
     assert math.isnan(figures([replace(ROW, true_shear_x_mm=0.1)]).direction_95_deg)
 
 

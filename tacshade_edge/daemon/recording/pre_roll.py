@@ -1,4 +1,4 @@
-"""What a recording may begin with: the latest frames, encoded, bounded in time and in bytes."""
+"""The pre-roll of a recording: the latest frames, encoded, bounded in time and in bytes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Final
 
 from tacshade_edge.types import Frame
 
-BEFORE_BYTES: Final = 64 * 2**20
+PRE_ROLL_BYTES: Final = 64 * 2**20
 """Of PNG: 12 s of grey 640x480 at 30 frames/s, 4 s in colour. Beside 16 MiB that wait, of the 150 MB of the service."""
 EVENT_BYTES: Final = 1024
 

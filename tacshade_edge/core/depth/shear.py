@@ -1,4 +1,4 @@
-"""Displacement of the skin along itself: a network of its own, trained as that of depth is (`learned`).
+"""Shear of the skin along itself: a network of its own, trained as that of depth is (`learned`).
 
 It is run beside depth where somebody asks, one for all profiles, and shares nothing with depth, whose few channels are
 all needed for depth.
@@ -11,30 +11,30 @@ from typing import cast
 import cv2
 import numpy as np
 
-from tacshade_edge.core.depth.base import DisplacementNetwork
+from tacshade_edge.core.depth.base import ShearNetwork
 from tacshade_edge.core.depth.network_maps import fold, known_maps, scale_mm
 from tacshade_edge.types import F32, Geometry
 
 
-class LearnedDisplacement:
-    """The network of displacement, prepared for one sensor.
+class LearnedShear:
+    """The network of shear, prepared for one sensor.
 
     Parameters
     ----------
-    network : DisplacementNetwork
+    network : ShearNetwork
     geometry : Geometry
     pitch_px : float
     reference_white : float32 (N, N), 0 to 1
         White of the unloaded skin, on `disc_map.map_grid`.
     """
 
-    def __init__(self, network: DisplacementNetwork, geometry: Geometry, pitch_px: float, reference_white: F32) -> None:
+    def __init__(self, network: ShearNetwork, geometry: Geometry, pitch_px: float, reference_white: F32) -> None:
         self._network = network
         self._mm = scale_mm(geometry)
         self._sensor = network.sense(known_maps(geometry, pitch_px, reference_white, network.fold))
 
     def __call__(self, white: F32, cells: int) -> F32:
-        """Displacement along x and y, float32 (cells, cells, 2) on as many cells as are asked for, finite.
+        """Shear along x and y, float32 (cells, cells, 2) on as many cells as are asked for, finite.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""A hand without a daemon: what one publishes, of any size and at any pace, from shapes that the caller draws."""
+"""A sensor without a daemon: what one publishes, of any size and at any pace, from shapes that the caller draws."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def uncertain(result: Reconstruction, sigma_mm: float) -> Reconstruction:
     return replace(result, sigma_mm=sigma)
 
 
-class PublishedHand:
+class PublishedSensor:
     """Its retained topics are told when it is entered, its results when asked."""
 
     def __init__(
@@ -89,7 +89,7 @@ class PublishedHand:
         if username is not None:
             self.client.username_pw_set(username, password)
 
-    def __enter__(self) -> PublishedHand:
+    def __enter__(self) -> PublishedSensor:
         self.client.connect("127.0.0.1", self._port)
         self.client.loop_start()
         self.tell_info("fast", profiles=("fast", "paper"))

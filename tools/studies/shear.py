@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""How far off the displacement of a contact is: by the networks, by dense optical flow, and by tracked points.
+"""How far off the shear of a contact is: by the networks, by dense optical flow, and by tracked points.
 
 ::
 
-    .venv/bin/python -m tools.studies.displacement [--sensors default,5,other:31] [--presses 12]
+    .venv/bin/python -m tools.studies.shear [--sensors default,5,other:31] [--presses 12]
 
 Objects are pressed 3 mm deep and dragged up to 3 mm, in `STEPS` frames. Flow and points turn into mm by the true
 depth. Flow (Farneback 2003, on the grey picture) compares the last frame with the reference, as one image
-must; once it begins at the true displacement: what is left then is not for want of a good guess. Points (Shi and Tomasi
+must; once it begins at the true shear: what is left then is not for want of a good guess. Points (Shi and Tomasi
 1994, Lucas and Kanade 1981) are tracked through all frames, checked backwards.
 """
 
@@ -46,7 +46,7 @@ def xy_mm(geometry: Geometry, rows: F32, cols: F32, height_mm: F32) -> F32:
 
 
 def of_flow(geometry: Geometry, reference: U8, grey: U8, height_mm: F32, contact: Bool, begun: F32 | None) -> F32:
-    """Mean displacement of a contact by dense flow from the frame back to the reference."""
+    """Mean shear of a contact by dense flow from the frame back to the reference."""
     flags = 0 if begun is None else cv2.OPTFLOW_USE_INITIAL_FLOW
     levels = 4 if begun is None else 1
     flow = cv2.calcOpticalFlowFarneback(grey, reference, begun, 0.5, levels, 31, 5, 7, 1.5, flags)
@@ -88,7 +88,7 @@ def tracked(greys: list[U8], mask: U8) -> tuple[F32, F32]:
 
 
 def of_points(geometry: Geometry, greys: list[U8], height_mm: F32, contact: Bool) -> F32:
-    """Mean displacement of the points that end in a contact; NaN where fewer than three do."""
+    """Mean shear of the points that end in a contact; NaN where fewer than three do."""
     height, width = contact.shape
     first, last = tracked(greys, disc_mask(height, width, geometry.disc).astype(np.uint8))
     at = np.rint(last).astype(int)
@@ -149,7 +149,7 @@ def main() -> None:
         off = np.array([each for far, each in rows if far == drag])
         cells = [f"{np.nanmedian(way):.2f} ({int(np.isnan(way).sum())})" for way in off.T]
         lines.append([f"{drag:g} mm", str(len(off)), *cells])
-    print("Median of how far off the displacement of a contact is, mm (contacts that it tells nothing of)\n")
+    print("Median of how far off the shear of a contact is, mm (contacts that it tells nothing of)\n")
     print(markdown(["drag", "contacts", *heads, "flow", "flow begun at the truth", "tracked points"], lines))
 
 

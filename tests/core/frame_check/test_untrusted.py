@@ -7,7 +7,7 @@ import pytest
 from support.toy_network import saying
 
 from tacshade_edge.core.depth.network_maps import fold
-from tacshade_edge.core.frame_check.foreign import FOREIGN_SURE, foreign_part, foreign_rows_part
+from tacshade_edge.core.frame_check.untrusted import UNTRUSTED_SURE, untrusted_part, untrusted_rows_part
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
@@ -21,22 +21,22 @@ TOUCHED = np.hypot(ROW, COL) < 20
 
 
 def judged(
-    foreign_rows: slice, image: U8, touched: Bool = TOUCHED, logit: float = 4.0
+    untrusted_rows: slice, image: U8, touched: Bool = TOUCHED, logit: float = 4.0
 ) -> tuple[Reconstructor, Reconstruction]:
-    """A contact in the middle, of whose picture some rows of 28 are told foreign."""
-    foreign = np.full((28, 28), -1, np.float32)
-    foreign[foreign_rows] = logit
+    """A contact in the middle, of whose picture some rows of 28 are untrusted."""
+    untrusted = np.full((28, 28), -1, np.float32)
+    untrusted[untrusted_rows] = logit
     maps = np.stack((np.where(touched, np.float32(1), np.float32(0)), np.where(touched, np.float32(3), np.float32(-3))))
     calibration = replace(calibrated(HALF, 0), factors={})
-    made = Reconstructor(calibration, PROFILES["balanced"], saying(fold(maps, 4), foreign))
+    made = Reconstructor(calibration, PROFILES["balanced"], saying(fold(maps, 4), untrusted))
     return made, made.step(Frame(0, 0, 0, image))
 
 
-def test_a_few_foreign_cells_are_no_contact_and_a_doubt() -> None:
+def test_a_few_untrusted_cells_are_no_contact_and_a_doubt() -> None:
     made, result = judged(slice(13, 14), pressed("ball", 3.0).image)
     assert result.valid
     assert result.degraded is not None
-    assert result.degraded.code is ReasonCode.FOREIGN
+    assert result.degraded.code is ReasonCode.UNTRUSTED
     told = float(result.degraded.text.split(" %")[0])
     rows = np.zeros_like(TOUCHED)
     rows[52:56] = True
@@ -63,7 +63,7 @@ def test_a_skin_that_the_network_does_not_know_is_marked_not_refused() -> None:
     assert result.valid
     assert result.untrusted is not None
     assert result.degraded is not None
-    assert result.degraded.code is ReasonCode.FOREIGN
+    assert result.degraded.code is ReasonCode.UNTRUSTED
 
 
 @pytest.mark.parametrize("logit", [2.0, 4.0])
@@ -83,24 +83,24 @@ def test_a_moved_camera_explains_a_change_where_nothing_touches() -> None:
     assert (result.valid, result.contact) == (True, False)
 
 
-def logits(foreign: Bool, logit: float = 4.0) -> F32:
+def logits(untrusted: Bool, logit: float = 4.0) -> F32:
     """Of 28x28 cells."""
-    return np.where(foreign[2::4, 2::4], np.float32(logit), np.float32(-4))
+    return np.where(untrusted[2::4, 2::4], np.float32(logit), np.float32(-4))
 
 
-def test_foreign_patches_are_no_torn_rows() -> None:
-    """A skin that the network does not know is foreign in patches, however large; a torn picture across the disc."""
+def test_untrusted_patches_are_no_torn_rows() -> None:
+    """A skin that the network does not know is untrusted in patches, however large; a torn picture across the disc."""
     inside = np.hypot(ROW, COL) < 54
     patch, rows = COL > 0, ROW > 24
-    assert foreign_part(patch & inside, inside) > 0.4
-    assert foreign_rows_part(logits(patch), inside) == 0.0
-    assert foreign_rows_part(logits(rows), inside) == pytest.approx(foreign_part(rows, inside), abs=0.02)
-    assert foreign_rows_part(logits(rows, 2.0), inside) > 0.1
-    assert foreign_rows_part(logits(rows, 2.0), inside, FOREIGN_SURE) == 0.0
-    assert foreign_rows_part(logits(np.ones_like(inside)), inside) > 0.97
-    assert foreign_rows_part(logits(np.zeros_like(inside)), inside) == 0.0
+    assert untrusted_part(patch & inside, inside) > 0.4
+    assert untrusted_rows_part(logits(patch), inside) == 0.0
+    assert untrusted_rows_part(logits(rows), inside) == pytest.approx(untrusted_part(rows, inside), abs=0.02)
+    assert untrusted_rows_part(logits(rows, 2.0), inside) > 0.1
+    assert untrusted_rows_part(logits(rows, 2.0), inside, UNTRUSTED_SURE) == 0.0
+    assert untrusted_rows_part(logits(np.ones_like(inside)), inside) > 0.97
+    assert untrusted_rows_part(logits(np.zeros_like(inside)), inside) == 0.0
 
 
-def test_nothing_of_a_disc_without_cells_is_foreign() -> None:
+def test_nothing_of_a_disc_without_cells_is_untrusted() -> None:
     nothing = np.zeros((112, 112), dtype=bool)
-    assert foreign_part(nothing, nothing) == foreign_rows_part(logits(~nothing), nothing) == 0.0
+    assert untrusted_part(nothing, nothing) == untrusted_rows_part(logits(~nothing), nothing) == 0.0
