@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from typing import Any, Final
 
-from tacshade_edge.protocol.messages import PlaybackCommand
+from tacshade_edge.protocol.requests import PlaybackCommand
 from tacshade_edge.storage.recording.recording import RecordedFrame, Recording
 
 Changed = Callable[[dict[str, Any]], None]

@@ -14,8 +14,8 @@ from tacshade_edge.devices.mqtt.client import BrokerAddress
 from tacshade_edge.devices.mqtt.link import MqttLink
 from tacshade_edge.devices.mqtt.topic_slot import PayloadOutcome
 from tacshade_edge.errors import DeviceError
-from tacshade_edge.protocol import messages
-from tacshade_edge.protocol.messages import Request
+from tacshade_edge.protocol import messages, replies
+from tacshade_edge.protocol.requests import Request
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.storage.recording.recording import RecordedFrame
 from tacshade_edge.types import Reconstruction
@@ -130,7 +130,7 @@ class ReplayLink:
         if request.playback is not None and self._playback is not None:
             self._told_s = 0.0
             status = self._playback.command(request.playback)
-            self._link.reply(request, messages.encode_result(request.transaction, status))
+            self._link.reply(request, replies.encode_result(request.transaction, status))
             return
         refusal = Reason(ReasonCode.UNAVAILABLE, "a replay takes no such requests (replay --play takes req/replay)")
-        self._link.reply(request, messages.encode_error(request.transaction, refusal))
+        self._link.reply(request, replies.encode_error(request.transaction, refusal))

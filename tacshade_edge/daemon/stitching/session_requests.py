@@ -11,7 +11,8 @@ from tacshade_edge.daemon.pipeline.observer import STITCHED_S, FrameObserver, Fr
 from tacshade_edge.daemon.requests import Reply
 from tacshade_edge.daemon.stitching.map_publisher import MapPublisher
 from tacshade_edge.daemon.stitching.session_worker import SessionWorker
-from tacshade_edge.protocol.messages import Request, encode_status
+from tacshade_edge.protocol.messages import encode_status
+from tacshade_edge.protocol.requests import Request
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Need
 
