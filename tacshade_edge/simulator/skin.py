@@ -178,15 +178,6 @@ def net_pull(skin: Skin, decay_mm: float) -> F32:
     return pull
 
 
-def complementarity_residual_mm(skin: Skin, decay_mm: float) -> F64:
-    """min(h - obstacle, net pull / diagonal) at the inner nodes: 0 everywhere at the exact solution."""
-    h = skin.height_mm.astype(np.float64)
-    mass = mass_weight(skin.radius_mm, skin.step_mm, h.shape[0] // 2)[1:-1, 1:-1] * (skin.step_mm / decay_mm) ** 2
-    neighbours = h[:-2, 1:-1] + h[2:, 1:-1] + h[1:-1, :-2] + h[1:-1, 2:]
-    pull = h[1:-1, 1:-1] - neighbours / (4 + mass)
-    return np.asarray(np.minimum(h[1:-1, 1:-1] - skin.obstacle_mm[1:-1, 1:-1], pull))
-
-
 def chart_to_direction(x: F64, y: F64, radius_mm: float) -> F64:
     """Chart coordinates in mm to unit vectors from O, (..., 3)."""
     u, v = x / radius_mm, y / radius_mm

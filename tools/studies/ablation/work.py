@@ -26,6 +26,7 @@ from tacshade_edge.studies.evaluate.summary import by_object, figures, worst
 from tacshade_edge.studies.parallel import Report, reported_map
 from tacshade_edge.types import F32, Bool, Calibration, Frame, Geometry
 from tools.studies.ablation.perfected import PerfectedNetwork, true_answer
+from tools.testbed.simulator.families import sensor_name
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,10 +201,10 @@ def object_rows(found: Sequence[tuple[str, Row]]) -> list[AblationRow]:
 def text(found: Sequence[tuple[str, Row]]) -> str:
     """A table for each family."""
     parts = []
-    for family in dict.fromkeys(SensorName.parse(row.sensor).family for _, row in found):
+    for family in dict.fromkeys(sensor_name(row.sensor).family for _, row in found):
         lines = []
         for what in VARIANTS:
-            some = [row for which, row in found if which == what and SensorName.parse(row.sensor).family == family]
+            some = [row for which, row in found if which == what and sensor_name(row.sensor).family == family]
             mean, least = figures(some), worst(list(by_object(some).values()))
             values = (mean.me_mm, least.me_mm, mean.backward_mm), (mean.sd_pct, least.sd_pct)
             lines.append(

@@ -13,6 +13,7 @@ from tacshade_edge.simulator.objects import ball
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.studies.evaluate.sensors import PressedSensor
 from tacshade_edge.types import U8
+from tools.testbed.simulator import camera_faults
 
 Rng = np.random.Generator
 Change = Callable[[U8, SensorModel, Rng], U8]
@@ -29,17 +30,19 @@ def _light(image: U8, model: SensorModel, rng: Rng) -> U8:
 
 def _aged(image: U8, model: SensorModel, rng: Rng) -> U8:
     loss, angle = float(rng.uniform(0.1, 0.4)), float(rng.uniform(0, 360))
-    return nuisance.uneven(image, model.row_c, model.col_c, model.disc_radius_px, loss, angle)
+    return camera_faults.uneven(image, model.row_c, model.col_c, model.disc_radius_px, loss, angle)
 
 
 def _glare(image: U8, model: SensorModel, rng: Rng) -> U8:
     rho, angle = 0.9 * model.disc_radius_px * math.sqrt(rng.uniform()), rng.uniform(0, 2 * math.pi)
     sigma, level = float(rng.uniform(2, 20)), float(rng.uniform(60, 255))
-    return nuisance.glare(image, model.row_c + rho * math.sin(angle), model.col_c + rho * math.cos(angle), sigma, level)
+    return camera_faults.glare(
+        image, model.row_c + rho * math.sin(angle), model.col_c + rho * math.cos(angle), sigma, level
+    )
 
 
 def _warm(image: U8, model: SensorModel, rng: Rng) -> U8:
-    return nuisance.warm(image, model.row_c, model.col_c, float(rng.uniform(0, 1)))
+    return camera_faults.warm(image, model.row_c, model.col_c, float(rng.uniform(0, 1)))
 
 
 def _moved(image: U8, model: SensorModel, rng: Rng) -> U8:
@@ -48,7 +51,7 @@ def _moved(image: U8, model: SensorModel, rng: Rng) -> U8:
 
 
 def _noisy(image: U8, model: SensorModel, rng: Rng) -> U8:
-    return nuisance.noise(image, float(rng.uniform(2, 10)), int(rng.integers(1 << 30)))
+    return camera_faults.noise(image, float(rng.uniform(2, 10)), int(rng.integers(1 << 30)))
 
 
 CHANGES: dict[str, Change] = {
@@ -73,11 +76,11 @@ def _far_moved(image: U8, model: SensorModel, rng: Rng) -> U8:
 
 
 def _far_noisy(image: U8, model: SensorModel, rng: Rng) -> U8:
-    return nuisance.noise(image, float(rng.uniform(15, 50)), int(rng.integers(1 << 30)))
+    return camera_faults.noise(image, float(rng.uniform(15, 50)), int(rng.integers(1 << 30)))
 
 
 def _blurred(image: U8, model: SensorModel, rng: Rng) -> U8:
-    return nuisance.defocus(image, float(rng.uniform(1, 5)))
+    return camera_faults.defocus(image, float(rng.uniform(1, 5)))
 
 
 def _torn_row(model: SensorModel, rng: Rng) -> int:
@@ -87,7 +90,7 @@ def _torn_row(model: SensorModel, rng: Rng) -> int:
 def _sideways(px: int) -> Change:
     def change(image: U8, model: SensorModel, rng: Rng) -> U8:
         scaled_px = round(px * model.image_width_px / 640)
-        return nuisance.torn(image, image, _torn_row(model, rng), scaled_px * int(rng.choice((-1, 1))))
+        return camera_faults.torn(image, image, _torn_row(model, rng), scaled_px * int(rng.choice((-1, 1))))
 
     return change
 
@@ -107,7 +110,7 @@ def _down(image: U8, model: SensorModel, rng: Rng) -> U8:
 
 
 def _flat_below(image: U8, model: SensorModel, rng: Rng) -> U8:
-    return nuisance.torn(image, np.full_like(image, int(rng.choice((0, 128)))), _torn_row(model, rng))
+    return camera_faults.torn(image, np.full_like(image, int(rng.choice((0, 128)))), _torn_row(model, rng))
 
 
 TORN: dict[str, Change] = {

@@ -14,8 +14,8 @@ from tacshade_edge.simulator.model import RIM_HALF_ANGLE_DEG, SensorModel, rando
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedFrame
 from tacshade_edge.simulator.skin import Skin, left_over, press_skin
-from tacshade_edge.simulator.varied_print import PinProfile, VariedRenderer, lattice_print
 from tacshade_edge.types import F32, F64
+from tools.testbed.simulator.varied_print import PinProfile, VariedRenderer, lattice_print
 
 CAPS = PinProfile(((1.0, 0.7, 0.0),))
 """A stem that tapers, under a flat cap."""
