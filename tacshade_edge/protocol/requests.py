@@ -21,55 +21,46 @@ RECORD_NAME_RULE: Final = "up to 64 letters, digits, '.', '_' and '-', not a dot
 _ERROR_CHARS_MAX: Final = 200
 
 
-class _Reference(msgspec.Struct, forbid_unknown_fields=True):
+class _Body(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     transaction: Transaction = None
 
 
-class _Profile(msgspec.Struct, forbid_unknown_fields=True):
+class _Profile(_Body):
     profile: Annotated[str, msgspec.Meta(min_length=1, max_length=128)]
-    transaction: Transaction = None
-
-
-class _Status(msgspec.Struct, forbid_unknown_fields=True):
-    transaction: Transaction = None
 
 
 RecordingFormat = Literal["folder", "mcap"]
 
 
-class _RecordStart(msgspec.Struct, forbid_unknown_fields=True, tag_field="action", tag="start"):
+class _RecordStart(_Body, tag_field="action", tag="start"):
     seconds: Annotated[float, msgspec.Meta(gt=0, le=RECORD_S_MAX)]
     name: Annotated[str, msgspec.Meta(pattern=RECORD_NAME)] | None = None
     format: RecordingFormat = "folder"
-    transaction: Transaction = None
 
 
-class _RecordStop(msgspec.Struct, forbid_unknown_fields=True, tag_field="action", tag="stop"):
-    transaction: Transaction = None
+class _RecordStop(_Body, tag_field="action", tag="stop"):
+    pass
 
 
-class _RecordMark(msgspec.Struct, forbid_unknown_fields=True, tag_field="action", tag="mark"):
+class _RecordMark(_Body, tag_field="action", tag="mark"):
     text: Annotated[str, msgspec.Meta(max_length=200)] = ""
-    transaction: Transaction = None
 
 
-class _Stitch(msgspec.Struct, forbid_unknown_fields=True):
+class _Stitch(_Body):
     action: StitchAction
     name: Annotated[str, msgspec.Meta(min_length=1, max_length=128)] | None = None
-    transaction: Transaction = None
 
     def __post_init__(self) -> None:
         if self.name is not None and self.action != "begin":
             raise ValueError(f"found a name with the action {self.action}")
 
 
-class _Replay(msgspec.Struct, forbid_unknown_fields=True):
+class _Replay(_Body):
     paused: bool | None = None
     step: bool = False
     back: bool = False
     seek_s: Annotated[float, msgspec.Meta(ge=0, le=1e9)] | None = None
     speed: Annotated[float, msgspec.Meta(ge=0.01, le=100)] | None = None
-    transaction: Transaction = None
 
 
 class _Echo(msgspec.Struct):
@@ -77,9 +68,9 @@ class _Echo(msgspec.Struct):
 
 
 _BODIES: Final[dict[Verb, Any]] = {
-    "reference": _Reference,
+    "reference": _Body,
     "profile": _Profile,
-    "status": _Status,
+    "status": _Body,
     "record": _RecordStart | _RecordStop | _RecordMark,
     "stitch": _Stitch,
     "replay": _Replay,
