@@ -16,7 +16,7 @@ from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from tacshade_edge.devices.fixes import connect_fix, is_not_authorised, is_other_version, no_answer_fix, refusal_fix
-from tacshade_edge.devices.mqtt.client import make_client, packet_bytes_max
+from tacshade_edge.devices.mqtt.client import BrokerAddress, make_client, packet_bytes_max
 from tacshade_edge.devices.mqtt.client_id_guard import place_of
 from tacshade_edge.doctor.finding import Finding, fault, ok, warning
 from tacshade_edge.doctor.machine import Process
@@ -88,22 +88,14 @@ class _Session:
         return self.published is not None and self.published.is_failure
 
 
-def check_broker(
-    *, host: str, port: int, sensor_id: str, username: str | None, password: str | None, tls_ca: str | None
-) -> tuple[tuple[Finding, ...], DaemonState]:
+def check_broker(broker: BrokerAddress, sensor_id: str) -> tuple[tuple[Finding, ...], DaemonState]:
     """Connect as the daemon does under a name of its own, and send height-sized messages to itself.
 
     They go to ``tacshade/<sensor-id>/doctor``, which the daemon's access rules allow; nothing is retained.
     """
     base = f"tacshade/{sensor_id}"
-    client = make_client(
-        host=host,
-        base_topic=base,
-        client_id="",  # the broker invents one
-        username=username,
-        password=password,
-        tls_ca=tls_ca,
-    )
+    host, port, username, tls_ca = broker["host"], broker["port"], broker["username"], broker["tls_ca"]
+    client = make_client(broker, base_topic=base, client_id="")  # the broker invents one
     session = _listen(client, f"{base}/doctor")
     where = f"{host}:{port}"
     began_s = time.monotonic()

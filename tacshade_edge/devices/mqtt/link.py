@@ -17,7 +17,7 @@ from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from tacshade_edge.devices.fixes import BROKERS_LOG, connect_fix, no_answer_fix, refusal_fix, with_fix
-from tacshade_edge.devices.mqtt.client import connect, make_client, packet_bytes_max, publish_properties
+from tacshade_edge.devices.mqtt.client import BrokerAddress, connect, make_client, packet_bytes_max, publish_properties
 from tacshade_edge.devices.mqtt.client_id_guard import ClientIdGuard, new_instance
 from tacshade_edge.devices.mqtt.incoming import BadRequest, read_request
 from tacshade_edge.devices.mqtt.outgoing import CONTENT_TYPES, Outgoing
@@ -66,17 +66,8 @@ class MqttLink(Outgoing):
         on_outcome: Callable[[str, int, PayloadOutcome], None],
     ) -> None:
         instance = new_instance()
-        client, asking = (
-            make_client(
-                host=host,
-                base_topic=base_topic,
-                client_id=name,
-                username=username,
-                password=password,
-                tls_ca=tls_ca,
-            )
-            for name in (client_id, "")
-        )
+        broker = BrokerAddress(host=host, port=port, username=username, password=password, tls_ca=tls_ca)
+        client, asking = (make_client(broker, base_topic=base_topic, client_id=name) for name in (client_id, ""))
         super().__init__(client, f"{host}:{port}", base_topic, on_outcome)
         self._host, self._port, self._username, self._tls_ca = host, port, username, tls_ca
         self._on_request = on_request
