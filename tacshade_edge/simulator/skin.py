@@ -114,20 +114,6 @@ def undeformed(radius_mm: float) -> Skin:
     return Skin(radius_mm, step, zero, zero)
 
 
-def left_over(skin: Skin, part: float) -> Skin:
-    """What a skin that creeps keeps of its shape for a while after a release: the same dent, weaker, no object."""
-    weaker = np.float32(part)
-    return replace(
-        skin,
-        height_mm=skin.height_mm * weaker,
-        obstacle_mm=np.zeros_like(skin.obstacle_mm),
-        leaning_mm=None if skin.leaning_mm is None else skin.leaning_mm * weaker,
-        origin_mm=None if skin.origin_mm is None else skin.origin_mm * weaker,
-        stuck=(),
-        slid_mm=(),
-    )
-
-
 def press_skin(
     radius_mm: float,
     decay_mm: float,

@@ -37,6 +37,7 @@ from tools.testbed.calibrated_sensor import (
     unloaded,
 )
 from tools.testbed.simulator import camera_faults
+from tools.testbed.simulator.variants import released
 
 
 def everything(result: Reconstruction) -> tuple[object, ...]:
@@ -398,7 +399,7 @@ def test_a_solver_that_finds_the_contact_itself_is_asked_earlier() -> None:
 
 def test_what_a_release_leaves_in_the_skin_is_no_contact() -> None:
     for x_mm in (0.0, 5.0):
-        left = simulated(HALF).released((Press(OBJECTS["ball"](), x_mm, 0.0, 4.0),), 0.05, 3)
+        left = released(simulated(HALF), (Press(OBJECTS["ball"](), x_mm, 0.0, 4.0),), 0.05, 3)
         assert left.skin.height_mm.max() >= 0.2
         assert not step("accurate", left.image).contact
 

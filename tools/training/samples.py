@@ -22,10 +22,11 @@ from tacshade_edge.simulator.drag import Mechanics, drag_skin
 from tacshade_edge.simulator.model import SensorModel, random_model
 from tacshade_edge.simulator.press import Press, distance_mm
 from tacshade_edge.simulator.render import Renderer, print_features
-from tacshade_edge.simulator.skin import Skin, left_over, mass_weight, obstacle_of, undeformed, window_of
+from tacshade_edge.simulator.skin import Skin, mass_weight, obstacle_of, undeformed, window_of
 from tacshade_edge.simulator.truth import CONTACT_TOLERANCE_MM, shear_mm
 from tacshade_edge.types import F32, F64, U8, Bool, Disc, Geometry
 from tools.testbed.simulator import camera_faults
+from tools.testbed.simulator.left_over import left_over
 from tools.testbed.simulator.other_family import CAPS, TURNING, other_model, two_scale_skin
 from tools.testbed.simulator.tactip import tactip
 from tools.testbed.simulator.varied_print import PinProfile, VariedRenderer, lattice_print

@@ -30,16 +30,8 @@ class PressedSensor(Protocol):
 
     model: SensorModel
 
-    def noiseless(self) -> PressedSensor:
-        """The same sensor with a camera without noise."""
-        ...
-
     def frame(self, presses: Sequence[Press] = (), noise_seed: int = 0) -> SimulatedFrame:
         """Take a picture."""
-        ...
-
-    def released(self, presses: Sequence[Press], part: float, noise_seed: int = 0) -> SimulatedFrame:
-        """Take a picture of what the presses left in the skin."""
         ...
 
 

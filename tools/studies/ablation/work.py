@@ -27,6 +27,7 @@ from tacshade_edge.studies.parallel import Report, reported_map
 from tacshade_edge.types import F32, Bool, Calibration, Frame, Geometry
 from tools.studies.ablation.perfected import PerfectedNetwork, true_answer
 from tools.testbed.simulator.families import sensor_name
+from tools.testbed.simulator.variants import noiseless
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +144,7 @@ def _unfitted(calibration: Calibration, variant: Variant) -> Calibration:
 
 
 def _presses(plan: Plan, name: SensorName, sensor: PressedSensor, object_name: str) -> list[_Pressed]:
-    quiet = sensor.noiseless()
+    quiet = noiseless(sensor)
     made = []
     for scene in scenes(sensor.model, name.seed, object_name, plan.depths_mm):
         frame = sensor.frame((scene.press,), scene.noise_seed)

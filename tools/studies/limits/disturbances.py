@@ -14,6 +14,7 @@ from tacshade_edge.simulator.press import Press
 from tacshade_edge.studies.evaluate.sensors import PressedSensor
 from tacshade_edge.types import U8
 from tools.testbed.simulator import camera_faults
+from tools.testbed.simulator.variants import released
 
 Rng = np.random.Generator
 Change = Callable[[U8, SensorModel, Rng], U8]
@@ -143,5 +144,5 @@ def without_contact(sensor: PressedSensor, what: str, seed: int, noise_seed: int
         rho, angle = model.skin_radius_mm * rng.uniform(0, 0.4), rng.uniform(0, 2 * math.pi)
         radius, depth, part = rng.uniform(3, 9), rng.uniform(2, 4), rng.uniform(*LEFT)
         press = Press(ball(radius), rho * math.cos(angle), rho * math.sin(angle), depth)
-        return sensor.released((press,), part, noise_seed).image
+        return released(sensor, (press,), part, noise_seed).image
     return (CHANGES | BEYOND)[what](sensor.frame((), noise_seed).image, sensor.model, rng)
