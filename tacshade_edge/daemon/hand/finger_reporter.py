@@ -15,13 +15,7 @@ PERIOD_NS: Final = 100_000_000  # without contact; in contact every frame tells
 
 
 class FingerReporter(FrameObserver):
-    """One sensor as a finger: tells while somebody listens to the hand, and then asks for depth.
-
-    Parameters
-    ----------
-    line : FingerLine
-    hand_T_sensor : Rigid
-    """
+    """One sensor as a finger: tells while somebody listens to the hand, and then asks for depth."""
 
     def __init__(self, line: FingerLine, hand_T_sensor: Rigid) -> None:
         self._line = line

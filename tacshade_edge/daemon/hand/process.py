@@ -36,10 +36,6 @@ STOPPED_S: Final = 1.9
 class HandProcess:
     """One hand's conversation with its fingers and the broker.
 
-    Parameters
-    ----------
-    hand : Hand
-    lines : Lines
 
     Raises
     ------

@@ -102,12 +102,7 @@ def share_lines(documents: Sequence[Document]) -> dict[str, SharedLine]:
 
 
 class TellingMotion(RobotMotion):
-    """A `RobotMotion` that hands on what it is told.
-
-    Parameters
-    ----------
-    tells : sequence of socket
-    """
+    """A `RobotMotion` that hands on what it is told."""
 
     def __init__(self, tells: Sequence[socket.socket]) -> None:
         super().__init__()
@@ -151,11 +146,6 @@ class TellingMotion(RobotMotion):
 class FollowingChannel:
     """In a `SerialChannel`'s place where another sensor has the port.
 
-    Parameters
-    ----------
-    owner : str
-    hears : socket
-    motion : RobotMotion
 
     Attributes
     ----------

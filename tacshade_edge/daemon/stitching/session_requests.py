@@ -19,6 +19,8 @@ from tacshade_edge.types import Need
 if TYPE_CHECKING:
     from tacshade_edge.daemon.robot.robot import Robot  # imports pyserial
 
+_TOLD = ("name", "presses", "points", "revision", "missed", "folder")
+
 
 class SessionRequests(FrameObserver):
     """The App's side of `SessionWorker`; used by the main thread, but for the frames.
@@ -89,14 +91,7 @@ class SessionRequests(FrameObserver):
             state, reason = "ending" if session.ending else "open", session.missed_reason
             if self._robot and not self._robot.knows_pose():
                 reason = Reason(ReasonCode.NO_POSE, "the robot's pose is not known: nothing can be added")
-        details: dict[str, str | int | float] = {
-            "name": session.name,
-            "presses": session.presses,
-            "points": session.points,
-            "revision": session.revision,
-            "missed": session.missed,
-            "folder": session.folder,
-        }
+        details = {name: getattr(session, name) for name in _TOLD}
         status = encode_status(state, reason, details)
         if status != self._published:
             self._published = status
