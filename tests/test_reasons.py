@@ -21,6 +21,7 @@ from tacshade_edge.simulator import nuisance
 from tacshade_edge.storage.runs.summary import summary
 from tacshade_edge.types import U8, Frame
 from tools.testbed.calibrated_sensor import FULL, calibrated, pressed, unloaded
+from tools.testbed.simulator import camera_faults
 
 FLAGS_AT = 7  # in the wire's header
 CODES = ("size", "black", "saturated", "no_contrast", "noise", "light", "torn", "surround", "camera_shift", "untrusted",
@@ -44,15 +45,15 @@ def images() -> dict[str, U8]:
         "black": good * 0,
         "white": good * 0 + 255,
         "plain": good * 0 + 90,
-        "noise": nuisance.noise(good, 30, 1),
+        "noise": camera_faults.noise(good, 30, 1),
         "dim": nuisance.gain(good, 0.35),
-        "torn": nuisance.torn(touched, good, 240, 20),
+        "torn": camera_faults.torn(touched, good, 240, 20),
         "lost rows": lost,
         "lit surround": np.where(skin[..., None], good, 255).astype(np.uint8),
         "partly another": partly,
         "shifted": nuisance.shift(good, 4, 5),
-        "glare": nuisance.glare(touched, FULL.row_c + 90, FULL.col_c, 14),
-        "blurred": nuisance.defocus(good, 4.0),
+        "glare": camera_faults.glare(touched, FULL.row_c + 90, FULL.col_c, 14),
+        "blurred": camera_faults.defocus(good, 4.0),
     }
 
 

@@ -39,7 +39,7 @@ OTHER_LOAD = 0.1
 
 FIVE = ",".join(PAPER_OBJECTS)
 OTHERS = ",".join(name for name in OBJECTS if name not in PAPER_OBJECTS)
-EVALUATE = ("tacshade-edge", "evaluate")
+EVALUATE = "tools.studies.evaluate"
 
 
 def package(*paths: str) -> tuple[str, ...]:
@@ -52,7 +52,7 @@ FRAME = (
     *package("core/profiles.py", "core/reconstruct.py", "inference"),
 )
 """What turns an image into a result."""
-SENSORS = (*FRAME, *package("core/calibration", "simulator"))
+SENSORS = (*FRAME, *package("core/calibration", "simulator"), "tools/testbed/simulator")
 """The same, and simulated sensors that are calibrated."""
 SCORED = (*SENSORS, *package("studies/evaluate"))
 STAGES = (*SENSORS, *package("studies/stage_times.py", "studies/evaluate/sensors.py"))
@@ -112,21 +112,21 @@ networks were trained on and three of another (square lattice, mushroom pins, a 
 calibrated on 8 references and 40 ball presses, then pressed by every object at 3 places, 1.5, 3 and 4.5 mm deep.
 
 {COLUMNS}""",
-        (*EVALUATE, "--final", "--profile", "paper", "fast", "balanced", "accurate", "--objects", FIVE),
+        (EVALUATE, "--final", "--profile", "paper", "fast", "balanced", "accurate", "--objects", FIVE),
         SCORED,
         drawn=("figure6.png",),
     ),
     "other-objects": Page(
         "Eight other objects",
         f"The sensors, places and depths of [the paper's five objects](objects.md).\n\n{COLUMNS}",
-        (*EVALUATE, "--final", "--objects", OTHERS),
+        (EVALUATE, "--final", "--objects", OTHERS),
         SCORED,
     ),
     "no-presses": Page(
         "One reference, no press",
         f"The sensors and presses of [the paper's five objects](objects.md), each sensor with one reference and no "
         f"ball press.\n\n{COLUMNS}",
-        (*EVALUATE, "--final", "--presses", "0", "--references", "1", "--objects", FIVE),
+        (EVALUATE, "--final", "--presses", "0", "--references", "1", "--objects", FIVE),
         SCORED,
     ),
     "drag": Page(

@@ -109,7 +109,7 @@ class _Sensor:
         self._keep("skin", lambda: made.skin(*made.untouched(info), info, self._id, now_ns))
 
     def hear(self, topic: str, payload: bytes) -> None:
-        """Tell the viewers. Raises DecodeError."""
+        """Send it to the viewers. Raises DecodeError."""
         now_ns = time.time_ns()
         match topic:
             case "height":

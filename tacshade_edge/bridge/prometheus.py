@@ -47,7 +47,7 @@ class SensorMetrics:
     sensors : sequence of str
         Sensors to report on; empty is all that come.
     clock_s : callable
-        Tells the age of what was heard.
+        Reports the age of what was heard.
     """
 
     def __init__(self, sensors: list[str], clock_s: Callable[[], float] = time.monotonic) -> None:

@@ -70,7 +70,7 @@ class Session:
     indenters : mapping of str to Indenter or float
         Those besides the ball.
     robot : RobotPlaces, optional
-        Tells place and depth, where a robot presses.
+        Gives place and depth, where a robot presses.
     """
 
     def __init__(
@@ -276,7 +276,7 @@ class Session:
         self._advise(check)
 
     def _advise(self, check: PressCheck) -> None:
-        """Tell which press helps most next; a plan knows by itself."""
+        """Say which press helps most next; a plan knows by itself."""
         self._live.note = self._advice.text(self._taken, check)
         if self._live.note and not self._left():
             self._terminal.say(f"  {self._live.note}")

@@ -56,7 +56,7 @@ class Reconstructor:
     make_solver : callable, optional
         In place of the profile's solver.
     find_objects : callable
-        Tells apart what touches.
+        Distinguishes what touches.
 
     Attributes
     ----------

@@ -46,8 +46,8 @@ from tacshade_edge.devices.mqtt.topic_slot import PayloadOutcome
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import links, sources
 from tacshade_edge.inference.network import make_reconstructor
-from tacshade_edge.protocol import messages
-from tacshade_edge.protocol.messages import Request
+from tacshade_edge.protocol import json_payload, messages, replies
+from tacshade_edge.protocol.requests import Request
 from tacshade_edge.protocol.results import RequestResult
 from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
 from tacshade_edge.settings import Document, digest
@@ -106,7 +106,7 @@ class App:
         self.link = links.make_link(document, on_request=self._on_request, on_outcome=self._on_outcome)
         self._publisher = Publisher(
             self.link.offer,
-            self.link.tell,
+            self.link.publish_event,
             self.ledger.settle,
             self.link.has_listener,
             settings.shear == "always",
@@ -295,7 +295,7 @@ class App:
     def _reply(self, request: Request, outcome: RequestResult | Mapping[str, Any] | Reason) -> None:
         """Answer a request where it came from."""
         if not any(observer.answer(request, outcome) for observer in self._observers):
-            self.link.reply(request, messages.encode_reply(request, outcome))
+            self.link.reply(request, replies.encode_reply(request, outcome))
 
     def _on_outcome(self, stream: str, seq: int, outcome: PayloadOutcome) -> None:
         if stream == "height":
@@ -384,4 +384,4 @@ class App:
         }
         self._active.log_late()
         self._publisher.fps = self._latest_health["delivered_fps"]
-        self.link.set_retained("health", messages.encode_health(self._latest_health), qos=0)
+        self.link.set_retained("health", json_payload.encode_json(self._latest_health), qos=0)

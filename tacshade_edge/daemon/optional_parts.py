@@ -12,7 +12,7 @@ from tacshade_edge.daemon.pipeline.observer import FrameObserver
 from tacshade_edge.daemon.requests import Reply
 from tacshade_edge.devices.mqtt.link import MqttLink
 from tacshade_edge.factories import ports, sources
-from tacshade_edge.protocol.messages import Request
+from tacshade_edge.protocol.requests import Request
 from tacshade_edge.reasons import Reason
 from tacshade_edge.rigid import from_seven
 from tacshade_edge.settings import Settings

@@ -14,7 +14,7 @@ from tacshade_edge.daemon.profiles.active_profile import ActiveProfile
 from tacshade_edge.daemon.reference.collector import REFERENCE_FRAMES, ReferenceCollector
 from tacshade_edge.daemon.reference.references import References
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.protocol.messages import Request
+from tacshade_edge.protocol.requests import Request
 from tacshade_edge.protocol.results import ProfileChosen, RequestResult
 from tacshade_edge.quoting import shown
 from tacshade_edge.reasons import Reason, ReasonCode

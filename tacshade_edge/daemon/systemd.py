@@ -24,13 +24,7 @@ _SEND_S = 1.0  # for a manager that does not read
 
 
 class Progress:
-    """Whether work was done since the last question: what a watchdog may be fed with.
-
-    Parameters
-    ----------
-    grab : Grab
-    reconstruct : Reconstruct
-    """
+    """Whether work was done since the last question: what a watchdog may be fed with."""
 
     def __init__(self, grab: Grab, reconstruct: Reconstruct) -> None:
         self._grab = grab
@@ -54,12 +48,7 @@ class Progress:
 
 
 class Service:
-    """One daemon's conversation with the service manager.
-
-    Parameters
-    ----------
-    progress : Progress
-    """
+    """One daemon's conversation with the service manager."""
 
     def __init__(self, progress: Progress) -> None:
         self._progress = progress
@@ -70,7 +59,7 @@ class Service:
         notify("READY=1")
 
     def tick(self, source: SourceState, fps: float) -> None:
-        """Tell the status; feed the watchdog if there was progress. At least twice per ``WatchdogSec``.
+        """Report the status; feed the watchdog if there was progress. At least twice per ``WatchdogSec``.
 
         Parameters
         ----------

@@ -8,12 +8,7 @@ from typing import Any
 
 
 class Connections:
-    """What is open now, and how many were turned away.
-
-    Parameters
-    ----------
-    most : int
-    """
+    """What is open now, and how many were turned away."""
 
     def __init__(self, most: int) -> None:
         self._most = most

@@ -16,7 +16,7 @@ from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from tacshade_edge.devices.fixes import connect_fix, is_not_authorised, is_other_version, no_answer_fix, refusal_fix
-from tacshade_edge.devices.mqtt.client import make_client, packet_bytes_max
+from tacshade_edge.devices.mqtt.client import BrokerAddress, make_client, packet_bytes_max
 from tacshade_edge.devices.mqtt.client_id_guard import place_of
 from tacshade_edge.doctor.finding import Finding, fault, ok, warning
 from tacshade_edge.doctor.machine import Process
@@ -31,7 +31,7 @@ _MESSAGE_BYTES = 38_000  # more than a height map (25 KB), or a cloud of 2700 po
 _HEADER_BYTES = 200
 _PACKET_BYTES = 1_000_000  # a map of 640x480 cells, and room
 _SLOW_MS = 20.0
-_TOLD = ("state", "info", "instance", "health", "status/+")
+_REPORTED = ("state", "info", "instance", "health", "status/+")
 _ACL = "in the broker's ACL file: user {user}, then: topic readwrite tacshade/# (see systemd/mosquitto-tacshade.acl)"
 
 
@@ -88,22 +88,14 @@ class _Session:
         return self.published is not None and self.published.is_failure
 
 
-def check_broker(
-    *, host: str, port: int, sensor_id: str, username: str | None, password: str | None, tls_ca: str | None
-) -> tuple[tuple[Finding, ...], DaemonState]:
+def check_broker(broker: BrokerAddress, sensor_id: str) -> tuple[tuple[Finding, ...], DaemonState]:
     """Connect as the daemon does under a name of its own, and send height-sized messages to itself.
 
     They go to ``tacshade/<sensor-id>/doctor``, which the daemon's access rules allow; nothing is retained.
     """
     base = f"tacshade/{sensor_id}"
-    client = make_client(
-        host=host,
-        base_topic=base,
-        client_id="",  # the broker invents one
-        username=username,
-        password=password,
-        tls_ca=tls_ca,
-    )
+    host, port, username, tls_ca = broker["host"], broker["port"], broker["username"], broker["tls_ca"]
+    client = make_client(broker, base_topic=base, client_id="")  # the broker invents one
     session = _listen(client, f"{base}/doctor")
     where = f"{host}:{port}"
     began_s = time.monotonic()
@@ -222,7 +214,7 @@ def _round_trip(client: Client, session: _Session, base: str, username: str | No
     """Subscribe to what we and the daemon publish, publish, and time it."""
     topic = f"{base}/doctor"
     acl = _ACL.format(user=username or "(none)")
-    client.subscribe([(f"{base}/{name}", SubscribeOptions(1)) for name in ("doctor", *_TOLD)])
+    client.subscribe([(f"{base}/{name}", SubscribeOptions(1)) for name in ("doctor", *_REPORTED)])
     _pump(client, lambda: session.subscribed)
     if not session.subscribed or any(code.is_failure for code in session.subscribed):
         return fault("broker round trip", f"may not subscribe under {base}/", acl)

@@ -116,15 +116,8 @@ def _judge(document: Document, captured: Captured) -> Findings:
 
 
 def _ask_broker(document: Document, machine: Machine) -> tuple[Findings, DaemonState]:
-    mqtt, sensor_id = document.settings.mqtt, document.settings.sensor_id
-    findings, daemon = check_broker(
-        host=mqtt.host,
-        port=mqtt.port,
-        sensor_id=sensor_id,
-        username=mqtt.username,
-        password=links.read_password(document),
-        tls_ca=mqtt.ca_file,
-    )
+    sensor_id = document.settings.sensor_id
+    findings, daemon = check_broker(links.broker_address(document), sensor_id)
     if any(finding.state == "fault" for finding in findings):
         return findings, daemon
     return (*findings, judge_daemon(daemon, machine.daemon(), sensor_id)), daemon

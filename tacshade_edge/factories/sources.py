@@ -6,6 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from tacshade_edge.devices import fixes
 from tacshade_edge.devices.base import FrameSource
 from tacshade_edge.devices.camera import v4l2_node
@@ -18,27 +20,13 @@ from tacshade_edge.storage.tables.frame_table import table_in
 def _v4l2(source: V4l2) -> FrameSource:
     from tacshade_edge.devices.camera.v4l2 import V4l2Source
 
-    return V4l2Source(
-        device=source.device,
-        width_px=source.width_px,
-        height_px=source.height_px,
-        fps=source.fps,
-        fourcc=source.fourcc,
-        exposure=source.exposure,
-    )
+    return V4l2Source(**msgspec.structs.asdict(source))
 
 
 def _rpicam(source: Rpicam) -> FrameSource:
     from tacshade_edge.devices.camera.rpicam import RpicamSource
 
-    return RpicamSource(
-        camera=source.camera,
-        width_px=source.width_px,
-        height_px=source.height_px,
-        fps=source.fps,
-        exposure_us=source.exposure_us,
-        gain=source.gain,
-    )
+    return RpicamSource(**msgspec.structs.asdict(source))
 
 
 def _files(source: Files) -> FrameSource:

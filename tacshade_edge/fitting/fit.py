@@ -34,7 +34,7 @@ ORDER = (DEFAULT, *(name for name in LADDER if name != DEFAULT))
 _SAY_S = 5.0
 
 Say = Callable[[str], None]
-"""Told what is done and how long it will take, every few seconds."""
+"""Called with what is done and how long it will take, every few seconds."""
 
 
 @dataclass(frozen=True, slots=True)

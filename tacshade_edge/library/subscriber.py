@@ -13,7 +13,7 @@ from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import MQTTErrorCode
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 
-from tacshade_edge.devices.mqtt.client import connect_now, make_client
+from tacshade_edge.devices.mqtt.client import BrokerAddress, connect_now, make_client
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.library.arguments import path_of, text_of, wrong
 from tacshade_edge.library.frame_assembler import TOPICS, FrameAssembler
@@ -69,14 +69,15 @@ def listen(
         raise wrong("sensor_id", sensor_id, _SENSOR_ID)
     if password is not None and username is None:
         raise ConfigError("password: found one without a username, expected both")
-    client = make_client(
+    address = BrokerAddress(
         host=host,
-        base_topic=f"tacshade/{sensor_id}",
-        client_id=f"tacshade-listen-{secrets.token_hex(6)}",
+        port=port,
         username=None if username is None else text_of("username", username, "text"),
         password=None if password is None else text_of("password", password, "text"),
         tls_ca=None if ca_file is None else str(path_of("ca_file", ca_file)),
     )
+    ident = f"tacshade-listen-{secrets.token_hex(6)}"
+    client = make_client(address, base_topic=f"tacshade/{sensor_id}", client_id=ident)
     return _Heard(client, host, port, sensor_id)
 
 

@@ -78,21 +78,25 @@ class _Message:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class HeightMessage(_Message):
+class _GridMessage(_Message):
+    """What those of values at each cell carry: cell (i, j) is image pixel (row0 + i·step_px, col0 + j·step_px)."""
+
+    row0: float
+    col0: float
+    step_px: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeightMessage(_GridMessage):
     """A decoded ``height``.
 
     Attributes
     ----------
     height_mm : float32 (rows, cols)
         Radial deformation in mm, positive inwards, in steps of the scale; NaN outside the disc. Read-only.
-    row0, col0, step_px : float
-        Grid cell (i, j) is image pixel (row0 + i·step_px, col0 + j·step_px).
     """
 
     height_mm: F32
-    row0: float
-    col0: float
-    step_px: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,39 +116,29 @@ class CloudMessage(_Message):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ShearMessage(_Message):
+class ShearMessage(_GridMessage):
     """A decoded ``shear``.
 
     Attributes
     ----------
     shear_mm : float32 (rows, cols, 2)
         Shear of the skin along x and y in mm, in steps of the scale; NaN outside the disc. Read-only.
-    row0, col0, step_px : float
-        As of `HeightMessage`.
     """
 
     shear_mm: F32
-    row0: float
-    col0: float
-    step_px: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SigmaMessage(_Message):
+class SigmaMessage(_GridMessage):
     """A decoded ``sigma``.
 
     Attributes
     ----------
     sigma_mm : float32 (rows, cols)
         Standard deviation of the height in mm, in steps of the scale; NaN where nothing touches. Read-only.
-    row0, col0, step_px : float
-        As of `HeightMessage`.
     """
 
     sigma_mm: F32
-    row0: float
-    col0: float
-    step_px: float
 
 
 def encode_height(
@@ -240,9 +234,9 @@ def decode(data: bytes | bytearray | memoryview) -> HeightMessage | CloudMessage
     values_mm = np.where(steps == OUTSIDE, np.float32(np.nan), steps * np.float32(scale_mm))
     values_mm.setflags(write=False)
     if kind == _SHEAR:
-        return ShearMessage(*common, values_mm.reshape(rows, cols, 2), row0, col0, step_px)
+        return ShearMessage(*common, row0, col0, step_px, values_mm.reshape(rows, cols, 2))
     made = HeightMessage if kind == _HEIGHT else SigmaMessage
-    return made(*common, values_mm.reshape(rows, cols), row0, col0, step_px)
+    return made(*common, row0, col0, step_px, values_mm.reshape(rows, cols))
 
 
 def _check(data: bytes) -> tuple[int, int, int]:

@@ -76,16 +76,9 @@ def read_sensor(path: Path) -> Sensor:
     if problem := wrong_with(given.flange_T_sensor):
         raise ConfigError(f"{path}:{found['flange_T_sensor',].line}: flange_T_sensor: {problem}")
     circle = given.visible_circle
-    return Sensor(
-        skin_radius_mm=given.skin_radius_mm,
-        camera_distance_mm=given.camera_distance_mm,
-        visible_half_angle_deg=given.visible_half_angle_deg,
-        polarity=given.polarity,
-        alpha=given.alpha,
-        binarisation=given.binarisation,
-        flange_T_sensor=tuple(given.flange_T_sensor),
-        visible_circle=None if circle is None else Disc(circle.row_px, circle.col_px, circle.radius_px),
-    )
+    disc = None if circle is None else Disc(circle.row_px, circle.col_px, circle.radius_px)
+    others = {"flange_T_sensor": tuple(given.flange_T_sensor), "visible_circle": disc}
+    return Sensor(**msgspec.structs.asdict(given) | others)
 
 
 def with_visible_circle(text: str, circle: Disc | None) -> str:

@@ -1,8 +1,7 @@
-"""What goes wrong between a sensor and its image: functions from image to image, uint8 (H, W) or (H, W, 3)."""
+"""What changes between a sensor's images in use: functions from image to image, uint8 (H, W) or (H, W, 3)."""
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from tacshade_edge.types import U8
@@ -13,66 +12,9 @@ def gain(image: U8, factor: float) -> U8:
     return np.asarray(np.clip(image.astype(np.float32) * factor + 0.5, 0, 255), np.uint8)
 
 
-def uneven(image: U8, row_c: float, col_c: float, radius_px: float, loss: float, angle_deg: float) -> U8:
-    """Dim one side, as an LED of the ring that ages does: by `loss` (a ratio) at the rim there, not at all opposite."""
-    rows, cols = np.ogrid[: image.shape[0], : image.shape[1]]
-    angle = np.radians(angle_deg)
-    along = ((rows - row_c) * np.sin(angle) + (cols - col_c) * np.cos(angle)) / radius_px
-    light = np.asarray(1 - loss * np.clip((1 + along) / 2, 0, 1), np.float32)
-    if image.ndim == 3:
-        light = light[..., None]
-    return np.asarray(np.clip(image * light + 0.5, 0, 255), np.uint8)
-
-
-def warm(image: U8, row_c: float, col_c: float, part: float) -> U8:
-    """Warm the camera and its LEDs up, all the way at `part` 1: 8 % less light, black 6 levels up, 0.3 % larger."""
-    zoom = 1 + 0.003 * part
-    to_cold = np.array(((1 / zoom, 0, col_c * (1 - 1 / zoom)), (0, 1 / zoom, row_c * (1 - 1 / zoom))))
-    size = (image.shape[1], image.shape[0])
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    larger = cv2.warpAffine(image, to_cold, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(np.clip(larger.astype(np.float32) * (1 - 0.08 * part) + 6 * part + 0.5, 0, 255), np.uint8)
-
-
-def glare(image: U8, row: float, col: float, radius_px: float, grey: float = 220.0) -> U8:
-    """Add a highlight that fades over `radius_px` (its standard deviation)."""
-    rows, cols = np.ogrid[: image.shape[0], : image.shape[1]]
-    spot = grey * np.exp(-((rows - row) ** 2 + (cols - col) ** 2) / (2 * radius_px**2))
-    if image.ndim == 3:
-        spot = spot[..., None]
-    return np.asarray(np.clip(image + spot + 0.5, 0, 255), np.uint8)
-
-
-def speck(image: U8, row: float, col: float, radius_px: float, grey: float = 20.0) -> U8:
-    """Lay a grain of dust before the camera, or take a marker off: a dark spot with a soft edge."""
-    rows, cols = np.ogrid[: image.shape[0], : image.shape[1]]
-    cover = np.clip(radius_px + 0.5 - np.hypot(rows - row, cols - col), 0, 1)
-    if image.ndim == 3:
-        cover = cover[..., None]
-    return np.asarray(np.clip(image * (1 - cover) + grey * cover + 0.5, 0, 255), np.uint8)
-
-
-def torn(image: U8, other: U8, row: int, shift_px: int = 0) -> U8:
-    """Show `other` from a row on, sideways by `shift_px`: two frames in one, or one that lost its line sync."""
-    result = image.copy()
-    result[row:] = np.roll(other[row:], shift_px, axis=1)
-    return result
-
-
 def shift(image: U8, rows: int, cols: int) -> U8:
     """Move the image by whole pixels, repeating its border."""
     height, width = image.shape[:2]
     i = np.clip(np.arange(height) - rows, 0, height - 1)
     j = np.clip(np.arange(width) - cols, 0, width - 1)
     return np.asarray(image[i][:, j], np.uint8)
-
-
-def defocus(image: U8, sigma_px: float) -> U8:
-    """Blur by a Gaussian of the given standard deviation."""
-    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px), np.uint8)
-
-
-def noise(image: U8, sigma_grey: float, seed: int) -> U8:
-    """Add independent Gaussian noise to every value."""
-    draw = np.random.default_rng((seed, 5)).standard_normal(image.shape, np.float32)
-    return np.asarray(np.clip(image + sigma_grey * draw + 0.5, 0, 255), np.uint8)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from tacshade_edge.simulator.drag import drag_skin
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.render import Renderer
-from tacshade_edge.simulator.skin import Skin, left_over, press_skin
+from tacshade_edge.simulator.skin import Skin, press_skin
 from tacshade_edge.simulator.truth import Truth, measure, shear_mm, skin_points
 from tacshade_edge.types import F32, F64, U8
 
@@ -50,10 +50,6 @@ class SimulatedSensor:
         self._renderer = Renderer(self.model)
         self._last: tuple[tuple[Press, ...], Skin, F32] | None = None  # a held press costs only its noise
 
-    def noiseless(self) -> SimulatedSensor:
-        """The same sensor with a camera without noise."""
-        return SimulatedSensor(replace(self.model, read_noise_grey=0.0, shot_noise_grey=0.0))
-
     def frame(self, presses: Sequence[Press] = (), noise_seed: int = 0) -> SimulatedFrame:
         """Take a picture; several presses at once are one union.
 
@@ -68,11 +64,6 @@ class SimulatedSensor:
             self._last = (key, skin, self._renderer.draw(skin))
         _, skin, clean = self._last
         return SimulatedFrame(self._renderer.expose(clean, noise_seed), key, skin, self.model)
-
-    def released(self, presses: Sequence[Press], part: float, noise_seed: int = 0) -> SimulatedFrame:
-        """Take a picture after the presses are gone, while the skin still keeps a part of its deformation."""
-        skin = left_over(skin_under(self.model, tuple(presses)), part)
-        return SimulatedFrame(self._renderer.expose(self._renderer.draw(skin), noise_seed), (), skin, self.model)
 
 
 def skin_under(model: SensorModel, presses: Sequence[Press], rest: Skin | None = None) -> Skin:

@@ -114,20 +114,6 @@ def undeformed(radius_mm: float) -> Skin:
     return Skin(radius_mm, step, zero, zero)
 
 
-def left_over(skin: Skin, part: float) -> Skin:
-    """What a skin that creeps keeps of its shape for a while after a release: the same dent, weaker, no object."""
-    weaker = np.float32(part)
-    return replace(
-        skin,
-        height_mm=skin.height_mm * weaker,
-        obstacle_mm=np.zeros_like(skin.obstacle_mm),
-        leaning_mm=None if skin.leaning_mm is None else skin.leaning_mm * weaker,
-        origin_mm=None if skin.origin_mm is None else skin.origin_mm * weaker,
-        stuck=(),
-        slid_mm=(),
-    )
-
-
 def press_skin(
     radius_mm: float,
     decay_mm: float,
@@ -176,15 +162,6 @@ def net_pull(skin: Skin, decay_mm: float) -> F32:
     neighbours = h[:-2, 1:-1] + h[2:, 1:-1] + h[1:-1, :-2] + h[1:-1, 2:]
     pull[1:-1, 1:-1] = (4 + mass[1:-1, 1:-1]) * h[1:-1, 1:-1] - neighbours
     return pull
-
-
-def complementarity_residual_mm(skin: Skin, decay_mm: float) -> F64:
-    """min(h - obstacle, net pull / diagonal) at the inner nodes: 0 everywhere at the exact solution."""
-    h = skin.height_mm.astype(np.float64)
-    mass = mass_weight(skin.radius_mm, skin.step_mm, h.shape[0] // 2)[1:-1, 1:-1] * (skin.step_mm / decay_mm) ** 2
-    neighbours = h[:-2, 1:-1] + h[2:, 1:-1] + h[1:-1, :-2] + h[1:-1, 2:]
-    pull = h[1:-1, 1:-1] - neighbours / (4 + mass)
-    return np.asarray(np.minimum(h[1:-1, 1:-1] - skin.obstacle_mm[1:-1, 1:-1], pull))
 
 
 def chart_to_direction(x: F64, y: F64, radius_mm: float) -> F64:

@@ -19,7 +19,7 @@ from tacshade_edge.errors import DeviceError
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 Report = Callable[[str, int, int], None]
-"""Told what is counted, how many are done, and of how many."""
+"""Called with what is counted, how many are done, and of how many."""
 
 
 def usable_cores() -> int:

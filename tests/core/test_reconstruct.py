@@ -36,6 +36,8 @@ from tools.testbed.calibrated_sensor import (
     step,
     unloaded,
 )
+from tools.testbed.simulator import camera_faults
+from tools.testbed.simulator.variants import released
 
 
 def everything(result: Reconstruction) -> tuple[object, ...]:
@@ -62,7 +64,7 @@ def harmless(model: SensorModel) -> dict[str, U8]:
     good = unloaded(model)
     part = model.disc_radius_px / 205
     glare = {
-        f"glare {r} px at {where}": nuisance.glare(good, model.row_c + y * part, model.col_c + x * part, r * part)
+        f"glare {r} px at {where}": camera_faults.glare(good, model.row_c + y * part, model.col_c + x * part, r * part)
         for r in (8, 14, 20)
         for where, (x, y) in {"the middle": (0, 0), "the side": (80, -50)}.items()
     }
@@ -70,7 +72,7 @@ def harmless(model: SensorModel) -> dict[str, U8]:
         "no contact": good,
         "dimmed": nuisance.gain(good, 0.9),
         "brightened": nuisance.gain(good, 1.1),
-        "noise": nuisance.noise(good, 5, 1),
+        "noise": camera_faults.noise(good, 5, 1),
         "shifted down": nuisance.shift(good, 1, 0),
         "shifted left": nuisance.shift(good, 0, -1),
     }
@@ -82,8 +84,8 @@ def unusable(model: SensorModel) -> dict[str, U8]:
         "black": good * 0,
         "white": good * 0 + 255,
         "saturated": nuisance.gain(good, 6),
-        "noisy": nuisance.noise(good, 30, 1),
-        "torn": nuisance.torn(good, good * 0, model.image_height_px // 2),
+        "noisy": camera_faults.noise(good, 30, 1),
+        "torn": camera_faults.torn(good, good * 0, model.image_height_px // 2),
         "another size": good[:-3],
     }
 
@@ -398,7 +400,7 @@ def test_a_solver_that_finds_the_contact_itself_is_asked_earlier() -> None:
 
 def test_what_a_release_leaves_in_the_skin_is_no_contact() -> None:
     for x_mm in (0.0, 5.0):
-        left = simulated(HALF).released((Press(OBJECTS["ball"](), x_mm, 0.0, 4.0),), 0.05, 3)
+        left = released(simulated(HALF), (Press(OBJECTS["ball"](), x_mm, 0.0, 4.0),), 0.05, 3)
         assert left.skin.height_mm.max() >= 0.2
         assert not step("accurate", left.image).contact
 

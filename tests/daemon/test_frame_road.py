@@ -124,7 +124,7 @@ def test_from_grab_to_the_link(app: App) -> None:
     held = calls_of(lambda: run(app), holders)
     found = [code for code in held if "/daemon/" in code.co_filename or code in ON_THE_ROAD]
     stays = [code.co_qualname for code in found]
-    whole = road(found[: stays.index("MqttLink.offer") + 1])
+    whole = road(found[: stays.index(OFFER.co_qualname) + 1])
     assert no_longer_than(FROM_GRAB_TO_LINK, whole), (whole, stays)
     assert tuple(name.removesuffix(".see") for name in stays if name.endswith(".see")) == SEEN_BY
 
@@ -137,7 +137,7 @@ def test_nothing_stands_between_reconstruction_and_publisher_nor_behind_it(app: 
             above = above.f_back
 
     found = [code.co_qualname for code in calls_of(lambda: run(app), callers)]
-    assert found == ["MqttLink.offer", "Publisher._send", "Publisher.see", "Reconstruct._process"]
+    assert found == [OFFER.co_qualname, "Publisher._send", "Publisher.see", "Reconstruct._process"]
 
 
 def arguments(frame: FrameType) -> list[Any]:

@@ -19,7 +19,7 @@ from tacshade_edge.devices.mqtt.link import MqttLink
 from tacshade_edge.errors import DecodeError, DeviceError
 from tacshade_edge.factories import links
 from tacshade_edge.factories.links import make_link
-from tacshade_edge.protocol.messages import Request, parse_request
+from tacshade_edge.protocol.requests import Request, parse_request
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.settings import Document, load
 from tacshade_edge.types import Calibration

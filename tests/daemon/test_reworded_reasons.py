@@ -18,7 +18,8 @@ from tacshade_edge.daemon.pipeline.observer import FrameResult
 from tacshade_edge.daemon.robot.motion import RobotMotion
 from tacshade_edge.daemon.robot.serial_commands import SerialCommands
 from tacshade_edge.daemon.stitching.session_requests import SessionRequests
-from tacshade_edge.protocol.messages import Request, encode_reply
+from tacshade_edge.protocol.replies import encode_reply
+from tacshade_edge.protocol.requests import Request
 from tacshade_edge.protocol.serial.clock_sync import ClockSync
 from tacshade_edge.protocol.serial.link import SerialLink
 from tacshade_edge.protocol.serial.verbs import Command

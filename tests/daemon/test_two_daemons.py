@@ -17,6 +17,7 @@ from typing import Any
 import cv2
 import pytest
 
+from tacshade_edge.devices.mqtt.client import BrokerAddress
 from tacshade_edge.doctor.broker import check_broker, judge_daemon
 from tacshade_edge.doctor.machine import Process
 from tacshade_edge.storage.calibration import calibration_file
@@ -102,9 +103,8 @@ def test_two_daemons(tmp_path: Path, devices: list[str], same_id: bool, same_fol
         if same_id:
             place = f"on {socket.gethostname()}, {holder}"
             wait_until(lambda: second.said(f"tacshade/left is held by another daemon, {place}; waiting"), 30, "id")
-            _, found = check_broker(
-                host="127.0.0.1", port=broker.port, sensor_id="left", username=None, password=None, tls_ca=None
-            )
+            address = BrokerAddress(host="127.0.0.1", port=broker.port, username=None, password=None, tls_ca=None)
+            _, found = check_broker(address, "left")
             finding = judge_daemon(found, Process(first.process.pid, ("tacshade-edge", "run")), "left")
             waiting = f"on {socket.gethostname()}, process {second.process.pid}"
             assert finding.found == f"left is held by a daemon {place}; another waits for it, {waiting}"

@@ -22,7 +22,7 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.support.select import Select
 
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
-from tacshade_edge.protocol import messages, wire
+from tacshade_edge.protocol import json_payload, messages, wire
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.simulator.script import demonstration
@@ -232,7 +232,7 @@ def test_a_hand_that_is_not_calibrated_yet_shows_its_picture_and_why(page: Chrom
         sensor.tell_info("fast", profiles=("fast",), missing=missing)
         sensor.tell("state", b"degraded", retain=True)
         sensor.tell("status/camera", messages.encode_status("unusable", missing), retain=True)
-        sensor.tell("health", messages.encode_health({"invalid_reason": missing.text}))
+        sensor.tell("health", json_payload.encode_json({"invalid_reason": missing.text}))
         sensor.tell("preview", picture)
         shows(page, "state", "degraded camera: not calibrated: found no file")
         wait_until(lambda: page.find_element(By.ID, "picture").is_displayed(), 15, "the picture")

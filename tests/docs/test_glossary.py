@@ -113,3 +113,10 @@ def test_the_bridges_speak_of_sensors() -> None:
     bridges = {name: text for name, text in texts().items() if name.startswith("tacshade_edge/bridge/")}
     assert len(bridges) > 5
     assert [name for name, text in bridges.items() if pattern("hand").search(text)] == []
+
+
+def test_nothing_in_the_package_tells() -> None:
+    """Programs report, say, show, state; `stream.tell()` is Python's."""
+    sought = re.compile(r"(?i)(?<![a-z])(?:tell|tells|told|telling)(?![a-z])(?!\(\))")
+    package = {name: text for name, text in texts().items() if name.startswith("tacshade_edge/")}
+    assert [name for name, text in package.items() if sought.search(text)] == []

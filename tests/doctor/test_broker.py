@@ -22,8 +22,8 @@ needs_mosquitto = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not
 
 
 def ask(port: int, **options: Any) -> tuple[dict[str, Finding], DaemonState]:
-    asked: dict[str, Any] = {"host": "127.0.0.1", "username": None, "password": None, "tls_ca": None} | options
-    findings, daemon = check_broker(port=port, sensor_id="left", **asked)
+    asked: Any = {"host": "127.0.0.1", "port": port, "username": None, "password": None, "tls_ca": None} | options
+    findings, daemon = check_broker(asked, "left")
     assert all(bool(finding.mend) == (finding.state != "ok") for finding in findings)
     return {finding.check: finding for finding in findings}, daemon
 

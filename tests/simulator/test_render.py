@@ -5,13 +5,14 @@ import cv2
 import numpy as np
 import pytest
 
-from tacshade_edge.simulator.model import SensorModel, tactip
+from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.render import Renderer, _carried, _on_skin, print_features, project
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.simulator.skin import press_skin, undeformed
 from tacshade_edge.types import F32
+from tools.testbed.simulator.tactip import tactip
 
 MODEL = replace(SensorModel(), specular_spots=0, read_noise_grey=0.0, shot_noise_grey=0.0)
 

@@ -18,6 +18,7 @@ from tacshade_edge.simulator import nuisance
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.types import U8
 from tools.testbed.calibrated_sensor import FULL, HALF, TACTIP, calibrated, pressed, simulated
+from tools.testbed.simulator import camera_faults
 
 MODELS = {"full": FULL, "half": HALF, "tactip": TACTIP}
 FRAMES = {"full": 10, "half": 40, "tactip": 40}
@@ -49,7 +50,7 @@ def test_the_cameras_own_noise_and_other_light_are_no_contact(profile: str, name
     for seed, image in enumerate(untouched(name)):
         frames = {
             "its own noise": image,
-            "noise of 4 levels": nuisance.noise(image, 4, seed),
+            "noise of 4 levels": camera_faults.noise(image, 4, seed),
             "light": nuisance.gain(image, 0.85 + 0.3 * seed / FRAMES[name]),
             "fading light": shaded(model, image, 0.3),
         }
@@ -77,7 +78,7 @@ def test_the_noise_of_g_is_far_below_the_gate(name: str) -> None:
 def test_a_press_in_the_same_noise_is_a_contact(profile: str) -> None:
     """So that a gate that never opens is not called honest."""
     for seed in range(5):
-        assert sound_step(made(profile, "half"), nuisance.noise(pressed("ball", 2.0).image, 4, seed)).contact
+        assert sound_step(made(profile, "half"), camera_faults.noise(pressed("ball", 2.0).image, 4, seed)).contact
 
 
 @pytest.mark.parametrize("profile", PROFILES)

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from tacshade_edge.devices.mqtt.link import MqttLink
-from tacshade_edge.protocol.messages import Request
+from tacshade_edge.protocol.requests import Request
 from tacshade_edge.reasons import ReasonCode
 from tools.testbed.mqtt_rig import MOSQUITTO, Subscriber
 from tools.testbed.patience import promised, wait_until

@@ -24,7 +24,7 @@ from pathlib import Path
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 
-from tacshade_edge.devices.mqtt.client import connect, make_client
+from tacshade_edge.devices.mqtt.client import BrokerAddress, connect, make_client
 from tools.testbed.daemon_rig import broker
 
 DROP_IN = Path(__file__).parents[2] / "systemd/mosquitto-tacshade.conf"
@@ -73,14 +73,8 @@ def latencies_ms(port: int, ca: Path | None, nodelay: bool, args: argparse.Names
     subscriber.connect(HOST, port)
     subscriber.subscribe(TOPIC)
     subscriber.loop_start()
-    publisher = make_client(
-        host=HOST,
-        base_topic="tacshade/bench",
-        client_id="bench",
-        username=None,
-        password=None,
-        tls_ca=str(ca) if ca else None,
-    )
+    address = BrokerAddress(host=HOST, port=port, username=None, password=None, tls_ca=str(ca) if ca else None)
+    publisher = make_client(address, base_topic="tacshade/bench", client_id="bench")
     if not nodelay:
         publisher.on_socket_open = None
     ready = threading.Event()

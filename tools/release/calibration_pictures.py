@@ -31,6 +31,7 @@ from tacshade_edge.types import U8
 from tools.testbed.browser import browser
 from tools.testbed.patience import wait_until
 from tools.testbed.person import person
+from tools.testbed.simulator import camera_faults
 
 SHOWN_PX = (320, 240)
 PRESS = ("ball", "6", "2.5", "1", "-3")
@@ -47,7 +48,7 @@ def views() -> dict[str, U8]:
     touching = Press(ball(float(radius_mm)), float(x_mm), float(y_mm), float(depth_mm))
     return {
         "good": good,
-        "unsharp": nuisance.defocus(good, 2.5),
+        "unsharp": camera_faults.defocus(good, 2.5),
         "bright": nuisance.gain(good, 3.0),
         "dark": nuisance.gain(good, 0.17),
         "pressed": to_grey(sensor.frame((touching,)).image),

@@ -12,7 +12,8 @@ from tacshade_edge.core.calibration.presses.press_selection import MIN_PRESSES
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import TacshadeError
 from tacshade_edge.simulator.objects import OBJECTS
-from tacshade_edge.studies.evaluate.sensors import FINAL_SEED, FINAL_SENSORS, PRESSES, REFERENCES, SensorName
+from tacshade_edge.studies.evaluate.sensors import PRESSES, REFERENCES, SensorName
+from tools.testbed.simulator.families import FINAL_SEED, FINAL_SENSORS, working_sensors
 
 NETWORKS = tuple(name for name in PROFILES if name != "paper")
 """Profiles that do not take a second for each frame."""
@@ -35,7 +36,9 @@ def options(what: str, sensors: str, final: tuple[SensorName, ...] = FINAL_SENSO
     parser.add_argument("--out", type=Path, metavar="DIR", help="write the table, its rows as CSV, and plots")
     which = parser.add_mutually_exclusive_group()
     named = f"[FAMILY:]SEED below {FINAL_SEED} or default ({sensors})"
-    which.add_argument("--sensors", type=study.sensors, default=study.sensors(sensors), metavar="SEED,...", help=named)
+    which.add_argument(
+        "--sensors", type=working_sensors, default=working_sensors(sensors), metavar="SEED,...", help=named
+    )
     kept = "the sensors kept for the figures of a release: not to be looked at while working"
     which.add_argument("--final", dest="sensors", action="store_const", const=final, help=kept)
     parser.set_defaults(json=False)

@@ -48,6 +48,7 @@ from tacshade_edge.studies.evaluate.score import KnownTruth, Label, score
 from tacshade_edge.studies.evaluate.sensors import PRESS_NOISE, REFERENCE_NOISE, PressedSensor, SensorName
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import F64, Calibration, Frame
+from tools.testbed.simulator.families import sensor_name
 
 CASES = "other:31,other:32,other:33,default,other:31/balls,other:32/balls,other:33/balls"
 PRESSES = 40
@@ -202,8 +203,8 @@ def cost(sensor: PressedSensor, calibrations: Mapping[str, Calibration]) -> dict
 def measured(case: str, threads: int) -> dict[str, object]:
     """Calibrate, fit and judge a case."""
     torch.set_num_threads(threads)
-    sensor_name, _, presses = case.partition("/")
-    name = SensorName.parse(sensor_name)
+    text, _, presses = case.partition("/")
+    name = sensor_name(text)
     sensor = name.make()
     result = calibrated(sensor, pressed(sensor, name.seed or 0, presses == "balls"))
     began_s = time.monotonic()

@@ -31,6 +31,7 @@ from tacshade_edge.simulator.scene import SimulatedFrame
 from tacshade_edge.studies.evaluate.sensors import PressedSensor, SensorName, calibrated, reconstructor
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import F32, U8, Bool, Frame, Geometry
+from tools.testbed.simulator.families import sensor_name
 
 STEPS, DEPTH_MM, DRAGS_MM = 16, 3.0, (0.0, 1.0, 2.0, 3.0)
 BACKWARDS_PX = 0.5
@@ -142,7 +143,7 @@ def main() -> None:
     parser.add_argument("--sensors", default="default,5,other:31")
     parser.add_argument("--presses", type=int, default=24, help="of each sensor")
     args = parser.parse_args()
-    rows = [row for name in args.sensors.split(",") for row in errors(SensorName.parse(name), args.presses)]
+    rows = [row for name in args.sensors.split(",") for row in errors(sensor_name(name), args.presses)]
     heads = [name for name in PROFILES if name != "paper"]
     lines = []
     for drag in DRAGS_MM:

@@ -5,7 +5,7 @@
 
     .venv/bin/python -m tools.studies.stitch_pads [--pads shapes:1 relief:1] [--sensors default other:1] [--keep DIR]
 
-Each sensor, calibrated on 40 ball presses, presses each surface (`simulator.drawn_pads.KINDS`, KIND:SEED) all over,
+Each sensor, calibrated on 40 ball presses, presses each surface (`drawn_pads.KINDS`, KIND:SEED) all over,
 at varied depths and tilts. Its maps are made with exact poses and with poses that are off by Gaussian noise of several
 sizes, once with refinement, once with the poses as reported, and by the paper's average. docs/results/stitching.md is
 what it prints. --keep stores what was reconstructed, so that the next run only stitches; delete it after a change of
@@ -27,16 +27,17 @@ from tacshade_edge.core.stitching.press_points import PressPoints, press_points
 from tacshade_edge.core.stitching.stitcher import Stitcher
 from tacshade_edge.core.stitching.surface_map import STEP_MM, Raster
 from tacshade_edge.rigid import Rigid, from_seven
-from tacshade_edge.simulator import drawn_pads
 from tacshade_edge.simulator import pad as pads
 from tacshade_edge.simulator.press import Press
-from tacshade_edge.studies.evaluate.sensors import PressedSensor, SensorName, calibrated, reconstructor
+from tacshade_edge.studies.evaluate.sensors import PressedSensor, calibrated, reconstructor
 from tacshade_edge.studies.parallel import ordered_map, usable_cores
 from tacshade_edge.studies.stitch.average import radius_average
 from tacshade_edge.studies.stitch.score import at_cells_of
 from tacshade_edge.studies.stitch.work import AVERAGED_POINTS
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import F32, Calibration, Frame
+from tools.studies import drawn_pads
+from tools.testbed.simulator.families import sensor_name
 
 PADS = ("shapes:1", "shapes:2", "sparse:1", "relief:1", "relief:2")
 SENSORS = ("default", "5", "11", "other:1", "other:2", "two-scales:3")
@@ -98,7 +99,7 @@ def presses_of(task: Task) -> tuple[list[Rigid], list[PressPoints], float]:
             ends, radius_mm = npz["ends"][:-1], float(npz["radius_mm"])
             parts = [np.split(npz[name], ends) for name in ("points", "normals", "confidence")]
             return [from_seven(p) for p in npz["poses"]], [PressPoints(*p) for p in zip(*parts, strict=True)], radius_mm
-    name = SensorName.parse(task.sensor)
+    name = sensor_name(task.sensor)
     sensor, calibration, seed = name.make(), _calibration(task.sensor), int(task.pad.partition(":")[2] or 0)
     radius_mm = sensor.model.skin_radius_mm
     surface = surface_of(task.pad)
@@ -121,7 +122,7 @@ def presses_of(task: Task) -> tuple[list[Rigid], list[PressPoints], float]:
 
 @functools.cache
 def _calibration(sensor: str) -> Calibration:
-    return calibrated(SensorName.parse(sensor), 8, 40).calibration
+    return calibrated(sensor_name(sensor), 8, 40).calibration
 
 
 def _reconstructed(

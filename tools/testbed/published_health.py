@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from tacshade_edge.daemon.pipeline.ledger import FrameLedger, Timings
 from tacshade_edge.daemon.publishing.health import Health
-from tacshade_edge.protocol import messages
+from tacshade_edge.protocol import json_payload
 
 
 def health() -> bytes:
@@ -17,4 +17,6 @@ def health() -> bytes:
     timings.add({"latency": 20.0, "solve": 5.0})
     told = Health(ledger, timings).snapshot(4, {"published": 9, "refused": 0})
     parts = {"recorder": {"written": 5, "waiting": 1}, "budget": None}
-    return messages.encode_health({**told, **parts, "reference": {"state": "following"}, "invalid_reason_code": "torn"})
+    return json_payload.encode_json(
+        {**told, **parts, "reference": {"state": "following"}, "invalid_reason_code": "torn"}
+    )

@@ -38,6 +38,7 @@ from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.studies.evaluate.sensors import PRESS_NOISE, PRESSES, REFERENCE_NOISE, REFERENCES, SensorName
 from tacshade_edge.types import F32, F64, Calibration, Geometry
 from tools.studies.sigma.work import NOISE, presses, true_height_mm
+from tools.testbed.simulator.families import sensor_name
 
 SENSORS = ("5", "11", "21", "50", "51", "52", "other:31", "other:32", "other:33", "other:34", "other:35", "other:36")
 WEIGHT_OBJECTS = ("cube", "ball", "cylinder", "bar", "cross")
@@ -88,7 +89,7 @@ class Measured:
 
 def measure(text: str) -> Measured:
     """Calibrate a sensor and press objects."""
-    name = SensorName.parse(text)
+    name = sensor_name(text)
     sensor = name.make()
     model, networks = sensor.model, load_networks()
     stated = Sensor(model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, "bright")

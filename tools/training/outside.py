@@ -13,13 +13,14 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from tacshade_edge.simulator.model import SensorModel, random_model, tactip
+from tacshade_edge.simulator.model import SensorModel, random_model
 from tacshade_edge.simulator.objects import Shape
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.render import Print, print_features
 from tacshade_edge.simulator.skin import chart_to_direction
-from tacshade_edge.simulator.varied_print import PinProfile, VariedRenderer, lattice_print
 from tacshade_edge.types import F64, U8
+from tools.testbed.simulator.tactip import tactip
+from tools.testbed.simulator.varied_print import PinProfile, VariedRenderer, lattice_print
 from tools.training.shapes import random_shape
 from tools.training.varied import pin_outline, varied_print
 

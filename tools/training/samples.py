@@ -19,14 +19,17 @@ from tacshade_edge.core.image.integral_image import CellMeans, Integrator
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.simulator.drag import Mechanics, drag_skin
-from tacshade_edge.simulator.model import SensorModel, random_model, tactip
-from tacshade_edge.simulator.other_family import CAPS, TURNING, other_model, two_scale_skin
+from tacshade_edge.simulator.model import SensorModel, random_model
 from tacshade_edge.simulator.press import Press, distance_mm
 from tacshade_edge.simulator.render import Renderer, print_features
-from tacshade_edge.simulator.skin import Skin, left_over, mass_weight, obstacle_of, undeformed, window_of
+from tacshade_edge.simulator.skin import Skin, mass_weight, obstacle_of, undeformed, window_of
 from tacshade_edge.simulator.truth import CONTACT_TOLERANCE_MM, shear_mm
-from tacshade_edge.simulator.varied_print import PinProfile, VariedRenderer, lattice_print
 from tacshade_edge.types import F32, F64, U8, Bool, Disc, Geometry
+from tools.testbed.simulator import camera_faults
+from tools.testbed.simulator.left_over import left_over
+from tools.testbed.simulator.other_family import CAPS, TURNING, other_model, two_scale_skin
+from tools.testbed.simulator.tactip import tactip
+from tools.testbed.simulator.varied_print import PinProfile, VariedRenderer, lattice_print
 from tools.training import obstacle
 from tools.training.outside import (
     VIEWS,
@@ -257,20 +260,20 @@ def spoil(image: U8, disc: Disc, rng: np.random.Generator) -> U8:
         image = nuisance.gain(image, float(rng.uniform(0.8, 1.2)))
     if rng.random() < 0.2:
         loss, angle = float(rng.uniform(0, 0.3)), float(rng.uniform(0, 360))
-        image = nuisance.uneven(image, disc.row_c, disc.col_c, disc.radius_px, loss, angle)
+        image = camera_faults.uneven(image, disc.row_c, disc.col_c, disc.radius_px, loss, angle)
     if rng.random() < 0.15:
         for _ in range(int(rng.integers(1, 4))):
             rho, angle = disc.radius_px * math.sqrt(rng.uniform(0, 0.9)), rng.uniform(0, 2 * math.pi)
             row, col = disc.row_c + rho * math.sin(angle), disc.col_c + rho * math.cos(angle)
-            image = nuisance.speck(image, row, col, disc.radius_px * float(rng.uniform(0.008, 0.05)))
+            image = camera_faults.speck(image, row, col, disc.radius_px * float(rng.uniform(0.008, 0.05)))
     if rng.random() < 0.3:
         image = nuisance.shift(image, int(rng.integers(-1, 2)), int(rng.integers(-1, 2)))
     if rng.random() < 0.2:
-        image = nuisance.noise(image, float(rng.uniform(1, 7)), int(rng.integers(1 << 30)))
+        image = camera_faults.noise(image, float(rng.uniform(1, 7)), int(rng.integers(1 << 30)))
     if rng.random() < 0.15:
         rho, angle = disc.radius_px * rng.uniform(0, 0.9), rng.uniform(0, 2 * math.pi)
         row, col = disc.row_c + rho * math.sin(angle), disc.col_c + rho * math.cos(angle)
-        image = nuisance.glare(image, row, col, disc.radius_px * float(rng.uniform(0.01, 0.04)))
+        image = camera_faults.glare(image, row, col, disc.radius_px * float(rng.uniform(0.01, 0.04)))
     return image
 
 

@@ -12,8 +12,8 @@ from scipy.spatial import Delaunay
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.render import Print
 from tacshade_edge.simulator.skin import Skin
-from tacshade_edge.simulator.varied_print import PinProfile, print_at, reach_mm
 from tacshade_edge.types import F64
+from tools.testbed.simulator.varied_print import PinProfile, print_at, reach_mm
 
 GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
 

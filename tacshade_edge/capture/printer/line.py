@@ -24,12 +24,7 @@ _STOP_S = 1.0
 
 
 class PrinterLine:
-    """The line to one printer.
-
-    Parameters
-    ----------
-    port : SerialPort
-    """
+    """The line to one printer."""
 
     def __init__(self, port: SerialPort) -> None:
         self._port = port

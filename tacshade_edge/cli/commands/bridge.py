@@ -7,8 +7,8 @@ import signal
 import sys
 import threading
 from collections.abc import Callable
-from urllib.parse import urlsplit
 
+from tacshade_edge.cli.shared.addresses import address
 from tacshade_edge.cli.shared.dashboard_access import is_loopback
 from tacshade_edge.cli.shared.logs import add_verbosity, start_logging
 from tacshade_edge.devices.mqtt.client import BrokerAddress
@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         kind = kinds.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
         kind.add_argument(
             "--broker",
-            type=_address(1883),
+            type=address(1883),
             default=("localhost", 1883),
             metavar="HOST[:PORT]",
             help="the broker (default: localhost:1883)",
@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         kind.add_argument("--sensor", nargs="+", default=[], metavar="ID", help="only these sensors (default: all)")
         kind.add_argument(
             "--listen",
-            type=_address(port),
+            type=address(port),
             default=("127.0.0.1", port),
             metavar="HOST[:PORT]",
             help=f"address to listen on; port 0: any free one (default: 127.0.0.1:{port}, this machine only)",
@@ -145,19 +145,3 @@ def _missing(error: ModuleNotFoundError, extra: str, package: str) -> Exception:
 
 def _in_url(host: str) -> str:
     return f"[{host}]" if ":" in host else host
-
-
-def _address(port: int) -> Callable[[str], tuple[str, int]]:
-    """Read HOST or HOST:PORT; without one the port is this."""
-
-    def address(text: str) -> tuple[str, int]:
-        try:
-            parts = urlsplit(f"//{text}")
-            host, found = parts.hostname, parts.port
-        except ValueError:
-            host = found = None
-        if not host or parts.netloc != text or parts.username is not None or text.endswith(":"):
-            raise argparse.ArgumentTypeError(f"found {text!r}, expected HOST or HOST:PORT such as localhost:{port}")
-        return host, port if found is None else found
-
-    return address

@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 from urllib.parse import urlsplit
 
+from tacshade_edge.cli.shared.addresses import address
 from tacshade_edge.cli.shared.dashboard_access import is_loopback, make_token, read_token, server_tls
 from tacshade_edge.cli.shared.logs import add_verbosity, start_logging
 from tacshade_edge.errors import ConfigError
@@ -24,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_verbosity(parser)
     parser.add_argument(
         "--broker",
-        type=_host_and_port,
+        type=address(),
         default=("localhost", 1883),
         metavar="HOST:PORT",
         help="the broker's plain MQTT port (default: localhost:1883)",
@@ -123,17 +124,6 @@ def _port(text: str) -> int:
     if text.isascii() and text.isdigit() and int(text) <= 65535:
         return int(text)
     raise argparse.ArgumentTypeError(f"found {text!r}, expected a port from 0 to 65535")
-
-
-def _host_and_port(text: str) -> tuple[str, int]:
-    try:
-        parts = urlsplit(f"//{text}")
-        host, port = parts.hostname, parts.port
-    except ValueError:
-        host = port = None
-    if not host or not port or parts.netloc != text or parts.username is not None:
-        raise argparse.ArgumentTypeError(f"found {text!r}, expected HOST:PORT such as localhost:1883")
-    return host, port
 
 
 def _origin(text: str) -> str:

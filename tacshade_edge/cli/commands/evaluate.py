@@ -20,14 +20,14 @@ from tacshade_edge.storage.tables.labels import COLUMNS
 from tacshade_edge.studies.evaluate import picture, report
 from tacshade_edge.studies.evaluate.own_images import evaluate_images
 from tacshade_edge.studies.evaluate.score import Row
-from tacshade_edge.studies.evaluate.sensors import FINAL_SEED, FINAL_SENSORS, PRESSES, REFERENCES
+from tacshade_edge.studies.evaluate.sensors import PRESSES, REFERENCES
 from tacshade_edge.studies.evaluate.summary import figures
 from tacshade_edge.studies.evaluate.work import Evaluation, Plan, Timing, evaluate, time_profiles
 from tacshade_edge.studies.parallel import usable_cores
 from tacshade_edge.studies.tables import csv_text
 
 WORKING_SENSORS = "default,5,11,21"
-SIMULATED = ("sensors", "final", "objects", "presses", "references")
+SIMULATED = ("sensors", "objects", "presses", "references")
 """Options that mean nothing to a user's own images."""
 
 
@@ -46,13 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     labelled.add_argument(
         "--reference", type=Path, nargs="+", metavar="IMG", help="with --sensor: unloaded (the least loaded frame)"
     )
-    simulated, which = study.add_simulated(parser, WORKING_SENSORS, "all")
-    which.add_argument(
-        "--final",
-        action="store_true",
-        default=None,
-        help=f"sensors from seed {FINAL_SEED} on, for the figures of a release: not to be looked at while working",
-    )
+    simulated = study.add_simulated(parser, WORKING_SENSORS, "all")
     simulated.add_argument("--presses", type=_count, metavar="N", help="ball presses in each calibration; 0: none (40)")
     simulated.add_argument("--references", type=_count, metavar="N", help="reference images in each calibration (8)")
 
@@ -86,9 +80,8 @@ def _simulated(args: argparse.Namespace) -> int:
     presses = _presses(args)
     if args.references == 0:
         args.usage_error("--references: found 0, expected 1 or more")
-    sensors = args.sensors or study.sensors(WORKING_SENSORS)
     plan = Plan(
-        sensors=FINAL_SENSORS if args.final else sensors,
+        sensors=args.sensors or study.sensors(WORKING_SENSORS),
         profiles=_profiles(args),
         objects=args.objects or tuple(OBJECTS),
         references=args.references or REFERENCES,

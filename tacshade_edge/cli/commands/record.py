@@ -16,7 +16,7 @@ from tacshade_edge.cli.commands.replay import positive
 from tacshade_edge.devices.mqtt.caller import MqttCaller
 from tacshade_edge.errors import DecodeError, DeviceError
 from tacshade_edge.factories import links
-from tacshade_edge.protocol.messages import RECORD_NAME, RECORD_NAME_RULE, RECORD_S_MAX
+from tacshade_edge.protocol.requests import RECORD_NAME, RECORD_NAME_RULE, RECORD_S_MAX
 from tacshade_edge.protocol.strict import decode_object
 from tacshade_edge.settings import load
 

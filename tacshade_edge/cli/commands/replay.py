@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+from tacshade_edge.cli.shared.addresses import address
 from tacshade_edge.cli.shared.profile_option import add_profile
 from tacshade_edge.cli.shared.progress import Progress as Shown
 from tacshade_edge.core.profiles import PROFILES
@@ -42,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="to be paused, stepped and wound from the page, until Ctrl-C",
     )
     add("--loop", type=_count, default=1, metavar="TIMES", help="go through it TIMES times, 0 until stopped (1)")
-    add("--mqtt", type=_address, metavar="HOST:PORT", help="publish as `run` does")
+    add("--mqtt", type=address(), metavar="HOST:PORT", help="publish as `run` does")
     add("--config", type=Path, metavar="FILE", help="publish as `run` does, to the broker of these settings")
     add("--sensor-id", type=_sensor_id, default="replay", metavar="ID", help="publish on tacshade/ID (replay)")
     add("input", type=Path, nargs="?", metavar="INPUT", help="folder of images or video; none: compare two runs only")
@@ -186,13 +187,6 @@ def _count(text: str) -> int:
     if not (text.isascii() and text.isdecimal() and len(text) < 10):
         raise argparse.ArgumentTypeError(f"found {text}, expected a whole number from 0")
     return int(text)
-
-
-def _address(text: str) -> tuple[str, int]:
-    host, colon, port = text.rpartition(":")
-    if not (host and colon and port.isascii() and port.isdecimal() and 0 < int(port) < 65536):
-        raise argparse.ArgumentTypeError(f"found {text}, expected HOST:PORT")
-    return host.strip("[]"), int(port)
 
 
 def _sensor_id(text: str) -> str:

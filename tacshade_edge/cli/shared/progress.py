@@ -10,11 +10,11 @@ from typing import Final, TextIO
 
 PERIOD_S: Final = 10.0
 _TERMINAL_PERIOD_S: Final = 0.1
-_TELLING_S: Final = 1.0  # of work, before which nothing is said of the time that is left
+_ESTIMATE_AFTER_S: Final = 1.0  # of work, before which nothing is said of the time that is left
 
 
 class Progress:
-    """Tells how many of how many are done, and the time left if the rest goes on as what was done.
+    """Shows how many of how many are done, and the time left if the rest goes on as what was done.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ class Progress:
 
     @staticmethod
     def _left(passed_s: float, done: int, total: int | None) -> str:
-        if total is None or not 0 < done < total or passed_s < _TELLING_S:
+        if total is None or not 0 < done < total or passed_s < _ESTIMATE_AFTER_S:
             return ""
         return f", {duration(passed_s * (total - done) / done)} left"
 

@@ -17,21 +17,17 @@ from tacshade_edge.factories import calibrations
 from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.studies.cases import Case
 from tacshade_edge.studies.evaluate.own_images import images_in, read_images
-from tacshade_edge.studies.evaluate.sensors import FAMILIES, FINAL_SEED, SensorName
+from tacshade_edge.studies.evaluate.sensors import SensorName
 from tacshade_edge.types import Calibration
 from tacshade_edge.version import how_to_install
 
 
 def sensors(text: str) -> tuple[SensorName, ...]:
-    """Read ``SEED,...``; those kept for final figures are refused. Raises argparse.ArgumentTypeError."""
+    """Read ``SEED,...``. Raises argparse.ArgumentTypeError."""
     try:
-        names = tuple(SensorName.parse(word) for word in text.split(","))
+        return tuple(dict.fromkeys(SensorName.parse(word) for word in text.split(",")))
     except ValueError as error:
         raise argparse.ArgumentTypeError(str(error)) from None
-    kept = [name for name in names if name.seed is not None and name.seed >= FINAL_SEED]
-    if kept:
-        raise argparse.ArgumentTypeError(f"{kept[0]}: seeds from {FINAL_SEED} on are kept for --final")
-    return tuple(dict.fromkeys(names))
 
 
 def objects(text: str) -> tuple[str, ...]:
@@ -60,20 +56,12 @@ def add_arguments(parser: argparse.ArgumentParser, profiles: str, files: str) ->
     parser.set_defaults(usage_error=parser.error)
 
 
-def add_simulated(
-    parser: argparse.ArgumentParser, sensor_names: str, object_names: str
-) -> tuple[argparse._ArgumentGroup, argparse._ActionsContainer]:
-    """Take simulated sensors and objects by name; the group, and that of options which take the place of sensors."""
+def add_simulated(parser: argparse.ArgumentParser, sensor_names: str, object_names: str) -> argparse._ArgumentGroup:
+    """Take simulated sensors and objects by name."""
     group = parser.add_argument_group("simulated sensors")
-    which = group.add_mutually_exclusive_group()
-    which.add_argument(
-        "--sensors",
-        type=sensors,
-        metavar="SEED,...",
-        help=f"[FAMILY:]SEED below {FINAL_SEED} or default ({sensor_names}); families: {', '.join(FAMILIES)}",
-    )
+    group.add_argument("--sensors", type=sensors, metavar="SEED,...", help=f"SEED or default ({sensor_names})")
     group.add_argument("--objects", type=objects, metavar="NAME,...", help=f"of {', '.join(OBJECTS)} ({object_names})")
-    return group, which
+    return group
 
 
 def is_own(args: argparse.Namespace, simulated: tuple[str, ...]) -> bool:

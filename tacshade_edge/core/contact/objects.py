@@ -63,7 +63,7 @@ def contact_of(depth: Depth, inside: Bool) -> Bool:
 def find_objects(
     contact: Bool, height_mm: F32, shear_mm: F32 | None, rays: DiscRays, geometry: Geometry
 ) -> Objects | None:
-    """Tell apart what touches, and where in space its skin lies; None where nothing does.
+    """Distinguish what touches, and where in space its skin lies; None where nothing does.
 
     Parameters
     ----------

@@ -110,13 +110,7 @@ class ContactTracker:
         self._count = 0
 
     def step(self, t_ns: int, contacts: Sequence[Contact]) -> tuple[Tracked, ...]:
-        """Take a frame's objects, in any order; what is not among them has been let go.
-
-        Parameters
-        ----------
-        t_ns : int
-        contacts : sequence of Contact
-        """
+        """Take a frame's objects, in any order; what is not among them has been let go."""
         left = list(self._tracks)
         followed = []
         for contact in contacts:

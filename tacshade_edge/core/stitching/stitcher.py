@@ -98,16 +98,13 @@ class Stitcher:
     ----------
     apex_mm : float
         The skin's radius: z of the undeformed apex in the sensor frame.
-    step_mm : float
-        Of the map.
     """
 
-    def __init__(self, apex_mm: float, step_mm: float = STEP_MM) -> None:
+    def __init__(self, apex_mm: float) -> None:
         self._apex = np.array((0.0, 0.0, apex_mm))
-        self._step_mm = step_mm
         self._presses: list[_Press] = []
         self._points = 0
-        self.map = SurfaceMap(step_mm)
+        self.map = SurfaceMap(STEP_MM)
 
     @property
     def presses(self) -> int:
@@ -184,7 +181,7 @@ class Stitcher:
 
     def _fused(self, poses: Sequence[Rigid], rejected: Sequence[Reason | None], before: Heights | None) -> SurfaceMap:
         """The presses in a new map; with Cauchy's weight of each point's distance to a map that was fused before."""
-        fused = SurfaceMap(self._step_mm, bounded=False)  # refined, presses lie a little elsewhere
+        fused = SurfaceMap(STEP_MM, bounded=False)  # refined, presses lie a little elsewhere
         for press, pose, reason in zip(self._presses, poses, rejected, strict=True):
             if reason is not None:
                 continue

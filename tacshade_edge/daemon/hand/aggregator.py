@@ -24,12 +24,7 @@ _STALLED: Final = away(Reason(ReasonCode.STALLED, "it reports nothing"))
 
 
 class HandAggregator:
-    """The latest of every finger.
-
-    Parameters
-    ----------
-    names : sequence of str
-    """
+    """The latest of every finger."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self._fingers = dict.fromkeys(names, _STARTING)

@@ -15,13 +15,7 @@ PERIOD_NS: Final = 100_000_000  # without contact; in contact for every frame
 
 
 class FingerReporter(FrameObserver):
-    """One sensor as a finger: reports while somebody listens to the hand, and then asks for depth.
-
-    Parameters
-    ----------
-    line : FingerLine
-    hand_T_sensor : Rigid
-    """
+    """One sensor as a finger: reports while somebody listens to the hand, and then asks for depth."""
 
     def __init__(self, line: FingerLine, hand_T_sensor: Rigid) -> None:
         self._line = line
@@ -34,7 +28,7 @@ class FingerReporter(FrameObserver):
         return Need.DEPTH if self._line.wanted else Need.CONTACT
 
     def see(self, seen: FrameResult) -> None:
-        """Tell of a frame's result: of each in contact, of each change, and else ten times a second."""
+        """Report a frame's result: each in contact, each change, and else ten times a second."""
         if (result := seen.reconstruction) is None or not self._line.wanted:
             self._reported = None
             return
@@ -49,6 +43,6 @@ class FingerReporter(FrameObserver):
             self._hand_T_sensor = from_seven(settings.hand_T_sensor)
 
     def source_changed(self, source: SourceState) -> None:
-        """Tell that no usable frames come, whoever listens."""
+        """Report that no usable frames come, whoever listens."""
         if source.reason:
             self._line.report(away(source.reason))

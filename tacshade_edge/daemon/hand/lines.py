@@ -86,7 +86,7 @@ class Lines:
             self.hand[name], self.fingers[name] = HandLine(ours), FingerLine(theirs, self._wanted)
 
     def end(self, name: str) -> None:
-        """Tell for a finger that its process has ended."""
+        """Report for a finger that its process has ended."""
         if name in self.fingers:
             self.fingers[name].report(away(Reason(ReasonCode.DAEMON_STOPPED, "its process has ended")))
 
@@ -97,5 +97,5 @@ class Lines:
             self.hand[name].close()
 
     def want(self, wanted: bool) -> None:
-        """Tell all fingers whether somebody listens to the hand."""
+        """Notify all fingers whether somebody listens to the hand."""
         self._wanted[0] = wanted

@@ -18,9 +18,9 @@ from tacshade_edge.daemon.pipeline.pipeline import Crash, crashes_to
 from tacshade_edge.daemon.systemd import STOP_USEC, notify
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.factories import links
-from tacshade_edge.protocol import messages
+from tacshade_edge.protocol import json_payload, replies
 from tacshade_edge.protocol.hand import encode_hand
-from tacshade_edge.protocol.messages import Request
+from tacshade_edge.protocol.requests import Request
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.settings import Hand
 
@@ -36,10 +36,6 @@ STOPPED_S: Final = 1.9
 class HandProcess:
     """One hand's conversation with its fingers and the broker.
 
-    Parameters
-    ----------
-    hand : Hand
-    lines : Lines
 
     Raises
     ------
@@ -136,7 +132,7 @@ class HandProcess:
             "undecodable": self._undecodable,
             "mqtt": self._link.counters(),
         }
-        self._link.set_retained("health", messages.encode_health(health), qos=0)
+        self._link.set_retained("health", json_payload.encode_json(health), qos=0)
 
     # What other threads call.
 
@@ -150,7 +146,7 @@ class HandProcess:
 
     def _on_request(self, request: Request) -> None:
         text = f"a hand does nothing by itself, expected req/{request.verb} to one of its sensors"
-        self._link.reply(request, messages.encode_reply(request, Reason(ReasonCode.UNAVAILABLE, text)))
+        self._link.reply(request, replies.encode_reply(request, Reason(ReasonCode.UNAVAILABLE, text)))
 
 
 def run(hand: Hand, lines: Lines) -> None:

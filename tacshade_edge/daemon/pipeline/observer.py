@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
-from tacshade_edge.protocol.messages import Request
+from tacshade_edge.protocol.requests import Request
 from tacshade_edge.protocol.results import RequestResult
 from tacshade_edge.reasons import Reason
 from tacshade_edge.settings import Settings

@@ -13,12 +13,7 @@ WIDTH_PX = 320
 
 
 class Preview(FrameObserver):
-    """Publishes the newest frame, no frame twice.
-
-    Parameters
-    ----------
-    link : MqttLink
-    """
+    """Publishes the newest frame, no frame twice."""
 
     def __init__(self, link: MqttLink) -> None:
         self._link = link

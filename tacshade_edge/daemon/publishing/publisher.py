@@ -26,8 +26,8 @@ class Publisher(FrameObserver):
     ----------
     offer : callable
         ``offer(stream, payload, seq)``; must not wait.
-    tell : callable
-        ``tell(topic, payload)`` of an event; must not wait.
+    publish_event : callable
+        ``publish_event(topic, payload)`` of an event; must not wait.
     settle : callable
         ``settle(seq, outcome)`` of a frame whose height is not offered.
     has_listener : callable
@@ -44,13 +44,13 @@ class Publisher(FrameObserver):
     def __init__(
         self,
         offer: Callable[[str, bytes, int], None],
-        tell: Callable[[str, bytes], None],
+        publish_event: Callable[[str, bytes], None],
         settle: Callable[[int, FrameOutcome], None],
         has_listener: Callable[[str], bool] = lambda stream: True,
         always_shear: bool = False,
     ) -> None:
         self._offer = offer
-        self._tell = tell
+        self._publish_event = publish_event
         self._settle = settle
         self._has_listener = has_listener
         self._always_shear = always_shear
@@ -90,7 +90,7 @@ class Publisher(FrameObserver):
             self._send("sigma", wire.encode_sigma, result, seen)
         sliding = {o.id: o for o in result.objects if o.slip is Slip.FULL}
         for began in sliding.keys() - self._sliding:
-            self._tell("event/slip", messages.encode_slip(result, sliding[began]))
+            self._publish_event("event/slip", messages.encode_slip(result, sliding[began]))
         self._sliding = frozenset(sliding)
         sent_ns = self._contact_sent_ns
         due = result.contact or sent_ns is None or result.t_ns - sent_ns >= CONTACT_PERIOD_NS

@@ -7,12 +7,12 @@ import time
 from collections.abc import Callable
 from typing import Any, Final
 
-from tacshade_edge.protocol.messages import PlaybackCommand
+from tacshade_edge.protocol.requests import PlaybackCommand
 from tacshade_edge.storage.recording.recording import RecordedFrame, Recording
 
 Changed = Callable[[dict[str, Any]], None]
 _MS: Final = 3  # decimals of a second
-TOLD_S: Final = 1.0
+REPORT_PERIOD_S: Final = 1.0
 """While it is paused it says so once in so long: a page that is slow loses what comes faster than it takes it."""
 
 
@@ -112,7 +112,7 @@ class Playback:
                     continue
                 wait_s = 0.0 if wound else self._wait_s(t_ns)
                 if wait_s > 0:
-                    still_paused = not self._wake.wait(min(wait_s, TOLD_S)) and self._paused
+                    still_paused = not self._wake.wait(min(wait_s, REPORT_PERIOD_S)) and self._paused
                     continue
                 self._steps = max(self._steps - 1, 0)
                 self._last_ns, self._seq = t_ns, ahead.frame.seq
@@ -153,7 +153,9 @@ class Playback:
         while not again:
             self._changed(self.status())
             with self._wake:
-                again = bool(self._wake.wait_for(lambda: not self._paused or self._steps or self._wound, TOLD_S))
+                again = bool(
+                    self._wake.wait_for(lambda: not self._paused or self._steps or self._wound, REPORT_PERIOD_S)
+                )
         with self._wake:
             if not self._wound:
                 self._seek_ns = 0  # played again

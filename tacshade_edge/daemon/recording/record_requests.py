@@ -15,7 +15,8 @@ from tacshade_edge.daemon.pipeline.observer import RECORDED_S, FrameObserver, So
 from tacshade_edge.daemon.recording.record import STOPPED, LiveRecorder, Recorded
 from tacshade_edge.daemon.requests import Reply
 from tacshade_edge.errors import DeviceError, TacshadeError
-from tacshade_edge.protocol.messages import Request, encode_status
+from tacshade_edge.protocol.messages import encode_status
+from tacshade_edge.protocol.requests import Request
 from tacshade_edge.reasons import ReasonCode, reason_fields
 from tacshade_edge.settings import Settings, to_yaml
 from tacshade_edge.storage.recording.mcap.mend import mend_recordings

@@ -14,8 +14,8 @@ from tacshade_edge.devices.mqtt.client import BrokerAddress
 from tacshade_edge.devices.mqtt.link import MqttLink
 from tacshade_edge.devices.mqtt.topic_slot import PayloadOutcome
 from tacshade_edge.errors import DeviceError
-from tacshade_edge.protocol import messages
-from tacshade_edge.protocol.messages import Request
+from tacshade_edge.protocol import messages, replies
+from tacshade_edge.protocol.requests import Request
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.storage.recording.recording import RecordedFrame
 from tacshade_edge.types import Reconstruction
@@ -61,7 +61,7 @@ class ReplayLink:
         )
         self._playback: Playback | None = None
         self._reported_s = 0.0
-        self._publisher = Publisher(self._offer, self._link.tell, lambda *_: None)
+        self._publisher = Publisher(self._offer, self._link.publish_event, lambda *_: None)
 
     def obey(self, playback: Playback) -> None:
         """Do what ``req/replay`` asks of it."""
@@ -130,7 +130,7 @@ class ReplayLink:
         if request.playback is not None and self._playback is not None:
             self._reported_s = 0.0
             status = self._playback.command(request.playback)
-            self._link.reply(request, messages.encode_result(request.transaction, status))
+            self._link.reply(request, replies.encode_result(request.transaction, status))
             return
         refusal = Reason(ReasonCode.UNAVAILABLE, "a replay takes no such requests (replay --play takes req/replay)")
-        self._link.reply(request, messages.encode_error(request.transaction, refusal))
+        self._link.reply(request, replies.encode_error(request.transaction, refusal))

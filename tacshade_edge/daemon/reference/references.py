@@ -34,7 +34,7 @@ class References(FrameObserver):
     path : Path
         Of the stored reference.
     sensor_id : str
-        Told to another daemon that wants the same file.
+        Named to another daemon that wants the same file.
 
     Attributes
     ----------

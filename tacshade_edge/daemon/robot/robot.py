@@ -14,7 +14,8 @@ from tacshade_edge.daemon.robot.serial_channel import SILENT_NS, SerialChannel
 from tacshade_edge.daemon.robot.serial_commands import SerialCommands
 from tacshade_edge.daemon.robot.shared_line import FollowingChannel, ForwardingMotion, SharedLine
 from tacshade_edge.devices.serial.port import SerialPort
-from tacshade_edge.protocol.messages import Request, encode_status
+from tacshade_edge.protocol.messages import encode_status
+from tacshade_edge.protocol.requests import Request
 from tacshade_edge.protocol.results import RequestResult
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Frame, Need

@@ -37,11 +37,6 @@ class PortState:
 class SerialChannel:
     """One robot's line.
 
-    Parameters
-    ----------
-    port : SerialPort
-    motion : RobotMotion
-    commands : SerialCommands
 
     Attributes
     ----------

@@ -9,7 +9,7 @@ from queue import Empty, SimpleQueue
 from typing import Any, Protocol
 
 from tacshade_edge.daemon.robot.motion import RobotMotion
-from tacshade_edge.protocol.messages import Request
+from tacshade_edge.protocol.requests import Request
 from tacshade_edge.protocol.results import (
     ClockRead,
     FrameCaptured,

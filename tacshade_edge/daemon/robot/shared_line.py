@@ -102,19 +102,14 @@ def share_lines(documents: Sequence[Document]) -> dict[str, SharedLine]:
 
 
 class ForwardingMotion(RobotMotion):
-    """A `RobotMotion` that hands on what it takes.
-
-    Parameters
-    ----------
-    ends : sequence of socket
-    """
+    """A `RobotMotion` that hands on what it takes."""
 
     def __init__(self, ends: Sequence[socket.socket]) -> None:
         super().__init__()
         self._ends = ends
         self._received: tuple[int, int, int | None] | None = None
         self._port: _Port | None = None
-        self._port_told_ns = 0
+        self._port_reported_ns = 0
 
     def restart(self) -> None:
         super().restart()
@@ -137,8 +132,8 @@ class ForwardingMotion(RobotMotion):
         """Hand on how the port is: a change at once, else once a second."""
         now_ns = time.monotonic_ns()
         changed = self._port is None or (state, mode) != (self._port.state, self._port.mode)
-        if changed or now_ns - self._port_told_ns >= _PORT_PERIOD_NS:
-            self._port, self._port_told_ns = _Port(state, mode, quiet_since_ns, counts), now_ns
+        if changed or now_ns - self._port_reported_ns >= _PORT_PERIOD_NS:
+            self._port, self._port_reported_ns = _Port(state, mode, quiet_since_ns, counts), now_ns
             self._forward(self._port)
 
     def _forward(self, message: msgspec.Struct) -> None:
@@ -151,11 +146,6 @@ class ForwardingMotion(RobotMotion):
 class FollowingChannel:
     """In a `SerialChannel`'s place where another sensor has the port.
 
-    Parameters
-    ----------
-    owner : str
-    hears : socket
-    motion : RobotMotion
 
     Attributes
     ----------

@@ -9,7 +9,7 @@ import numpy as np
 
 from tacshade_edge.core.stitching.surface_map import Raster
 from tacshade_edge.daemon.stitching.map_revision import MapRevision
-from tacshade_edge.protocol.messages import encode_map
+from tacshade_edge.protocol.json_payload import encode_json
 from tacshade_edge.protocol.wire import encode_map_cloud
 from tacshade_edge.types import F32
 
@@ -64,7 +64,7 @@ class MapPublisher:
             wall_ns=time.time_ns(),
         )
         self._publish("map/cloud", cloud)
-        self._publish("map/final" if revision.folder else "map/revision", encode_map(about))
+        self._publish("map/final" if revision.folder else "map/revision", encode_json(about))
         return False
 
 

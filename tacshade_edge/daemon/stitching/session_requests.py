@@ -11,12 +11,15 @@ from tacshade_edge.daemon.pipeline.observer import STITCHED_S, FrameObserver, Fr
 from tacshade_edge.daemon.requests import Reply
 from tacshade_edge.daemon.stitching.map_publisher import MapPublisher
 from tacshade_edge.daemon.stitching.session_worker import SessionWorker
-from tacshade_edge.protocol.messages import Request, encode_status
+from tacshade_edge.protocol.messages import encode_status
+from tacshade_edge.protocol.requests import Request
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Need
 
 if TYPE_CHECKING:
     from tacshade_edge.daemon.robot.robot import Robot  # imports pyserial
+
+_REPORTED = ("name", "presses", "points", "revision", "missed", "folder")
 
 
 class SessionRequests(FrameObserver):
@@ -88,14 +91,7 @@ class SessionRequests(FrameObserver):
             state, reason = "ending" if session.ending else "open", session.missed_reason
             if self._robot and not self._robot.knows_pose():
                 reason = Reason(ReasonCode.NO_POSE, "the robot's pose is not known: nothing can be added")
-        details: dict[str, str | int | float] = {
-            "name": session.name,
-            "presses": session.presses,
-            "points": session.points,
-            "revision": session.revision,
-            "missed": session.missed,
-            "folder": session.folder,
-        }
+        details = {name: getattr(session, name) for name in _REPORTED}
         status = encode_status(state, reason, details)
         if status != self._published:
             self._published = status

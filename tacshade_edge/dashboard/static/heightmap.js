@@ -115,7 +115,7 @@ export class HeightView {
     this.read();
   }
 
-  /** Tell the depth under the pointer, and its standard deviation where the skin is touched. */
+  /** Show the depth under the pointer, and its standard deviation where the skin is touched. */
   read() {
     const { map, geometry, cell } = this;
     if (!map || !cell) {

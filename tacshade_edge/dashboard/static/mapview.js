@@ -121,7 +121,7 @@ export class MapView {
     return i >= 0 && j >= 0 && i < this.rows && j < this.cols ? [i, j] : null;
   }
 
-  /** Tell z under the pointer. */
+  /** Show z under the pointer. */
   read() {
     const cell = this.about && this.at_mm ? this.cellOf(...this.at_mm) : null;
     if (!cell) {

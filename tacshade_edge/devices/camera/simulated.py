@@ -10,7 +10,6 @@ from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.simulator.script import demonstration
-from tacshade_edge.simulator.truth import Truth
 from tacshade_edge.types import U8, Frame
 
 
@@ -26,7 +25,8 @@ class SimulatedSource:
     """A `FrameSource` that never ends.
 
     Frame `seq` is due at a whole number of periods after the opening, and `t_ns` is that time, as a camera's would
-    be; a frame whose time passed before the reader asked for it is dropped and counted.
+    be; a frame whose time passed before the reader asked for it is dropped and counted. It is drawn then: 10 to 40 ms,
+    60 to 170 at each of the few places of an object that is dragged.
 
     Parameters
     ----------
@@ -34,20 +34,12 @@ class SimulatedSource:
     model : SensorModel, optional
     script : Script, optional
         What is pressed at each frame; by default every object in turn.
-    ring : int
-        0: every frame is drawn when it is due (10 to 40 ms; 60 to 170 at each of the few places of an object that is
-        dragged, which costs the frames that were due meanwhile). N: the first N frames of the script are drawn by
-        `open` (0.9 MB each at 640x480) and then repeated, so that reading them costs nothing.
     """
 
-    def __init__(
-        self, *, fps: float, model: SensorModel | None = None, script: Script | None = None, ring: int = 0
-    ) -> None:
+    def __init__(self, *, fps: float, model: SensorModel | None = None, script: Script | None = None) -> None:
         self._fps, self._period_ns = fps, round(1e9 / fps)
         self._script: Script = script or demonstration()
         self._sensor = SimulatedSensor(model)
-        self._ring_size = ring
-        self._ring: list[U8] = []
         self._next_seq = 0
         self._zero_ns = 0  # when frame 0 was due, or would have been before a reopening
         self._dropped = 0
@@ -58,9 +50,7 @@ class SimulatedSource:
         return self._dropped
 
     def open(self) -> None:
-        """Draw the ring, if one is wanted, and start the clock."""
-        if len(self._ring) < self._ring_size:
-            self._ring = [self._draw(index) for index in range(self._ring_size)]
+        """Start the clock."""
         self._zero_ns = time.monotonic_ns() - self._next_seq * self._period_ns
 
     def read(self) -> Frame:
@@ -71,7 +61,7 @@ class SimulatedSource:
             self._next_seq += missed
         seq = self._next_seq
         self._next_seq += 1
-        image = self._ring[seq % self._ring_size] if self._ring_size else self._draw(seq)
+        image = self._draw(seq)
         t_ns = self._zero_ns + seq * self._period_ns
         ahead_ns = t_ns - time.monotonic_ns()
         if ahead_ns > 0:
@@ -80,26 +70,17 @@ class SimulatedSource:
         return Frame(seq=seq, t_ns=t_ns, wall_ns=wall_ns, image=image)
 
     def close(self) -> None:
-        """Nothing to release; the ring is kept for the next opening."""
+        """Nothing to release."""
 
     def describe(self) -> dict[str, str | int | float]:
-        """Size, pace and how the frames are made."""
+        """Size and pace."""
         model = self._sensor.model
         return {
             "device": "simulated",
             "width_px": model.image_width_px,
             "height_px": model.image_height_px,
             "fps": self._fps,
-            "ring": self._ring_size,
         }
-
-    def presses(self, seq: int) -> tuple[Press, ...]:
-        """What is pressed in frame `seq`."""
-        return self._script.at(seq % self._ring_size if self._ring_size else seq)
-
-    def truth(self, seq: int) -> Truth:
-        """Measure the ground truth of frame `seq` (slow: for tests and evaluation)."""
-        return self._sensor.frame(self.presses(seq)).truth()
 
     def _draw(self, index: int) -> U8:
         presses = self._script.at(index)

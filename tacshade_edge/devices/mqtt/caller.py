@@ -50,14 +50,7 @@ class MqttCaller:
         self._denied: MqttCode | None = None
         self._latest: dict[str, bytes] = {}
         self._replies: dict[str, dict[str, Any]] = {}
-        self._client = make_client(
-            host=broker["host"],
-            base_topic=self._base,
-            client_id=f"tacshade-{verb}-{secrets.token_hex(6)}",
-            username=broker["username"],
-            password=broker["password"],
-            tls_ca=broker["tls_ca"],
-        )
+        self._client = make_client(broker, base_topic=self._base, client_id=f"tacshade-{verb}-{secrets.token_hex(6)}")
         self._client.on_connect = self._on_connect
         self._client.on_connect_fail = self._on_connect_fail
         self._client.on_subscribe = self._on_subscribe

@@ -32,15 +32,7 @@ class BrokerAddress(TypedDict):
     tls_ca: str | None
 
 
-def make_client(
-    *,
-    host: str,
-    base_topic: str,
-    client_id: str,
-    username: str | None,
-    password: str | None,
-    tls_ca: str | None,
-) -> Client:
+def make_client(broker: BrokerAddress, *, base_topic: str, client_id: str) -> Client:
     """A client that will retry every second once its loop runs.
 
     MQTT 5, since only a version 5 connection is given a request's response topic and correlation data;
@@ -51,13 +43,14 @@ def make_client(
     ConfigError
         A host name, topic or authority file that can never work.
     """
-    _check(host, base_topic)
+    tls_ca = broker["tls_ca"]
+    _check(broker["host"], base_topic)
     client = Client(CallbackAPIVersion.VERSION2, client_id=client_id, protocol=MQTTProtocolVersion.MQTTv5)
     client.reconnect_delay_set(_RECONNECT_DELAY_S, _RECONNECT_DELAY_S)
     client.connect_timeout = _CONNECT_TIMEOUT_S
     client.on_socket_open = _on_socket_open
-    if username is not None:
-        client.username_pw_set(username, password)
+    if broker["username"] is not None:
+        client.username_pw_set(broker["username"], broker["password"])
     if tls_ca is not None:
         try:
             client.tls_set(ca_certs=tls_ca)

@@ -44,14 +44,7 @@ class Follower:
         self._topics: frozenset[str] = frozenset()
         self._connected = False
         self._logged = ""
-        self._client = make_client(
-            host=broker["host"],
-            base_topic="tacshade",
-            client_id=f"tacshade-bridge-{secrets.token_hex(6)}",
-            username=broker["username"],
-            password=broker["password"],
-            tls_ca=broker["tls_ca"],
-        )
+        self._client = make_client(broker, base_topic="tacshade", client_id=f"tacshade-bridge-{secrets.token_hex(6)}")
         self._client.on_connect = self._on_connect
         self._client.on_connect_fail = self._on_connect_fail
         self._client.on_disconnect = self._on_disconnect

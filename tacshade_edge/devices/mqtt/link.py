@@ -1,11 +1,4 @@
-"""The link to the MQTT broker: never blocks its caller, bounded whatever the peer does, back by itself.
-
-paho's own queue is unbounded for QoS 0, so every topic has an `TopicSlot`: one waiting payload, the newest, and
-at most two that paho holds and has not yet written.
-
-Threads: callers' and paho's network thread. `_lock` guards all state and is never held while paho or a
-callback of ours is called, since paho calls back with locks of its own held.
-"""
+"""The connection to the MQTT broker, which comes back by itself; what goes over it is `Outgoing`'s."""
 
 from __future__ import annotations
 
@@ -15,54 +8,27 @@ import socket
 import sys
 import threading
 import time
-from collections import Counter
 from collections.abc import Callable
-from typing import Any, Final, Literal
+from typing import Any
 
 from paho.mqtt.client import Client, MQTTMessage
-from paho.mqtt.enums import MQTTErrorCode
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from tacshade_edge.devices.fixes import BROKERS_LOG, connect_fix, no_answer_fix, refusal_fix, with_fix
-from tacshade_edge.devices.mqtt.client import (
-    connect,
-    make_client,
-    packet_bytes,
-    packet_bytes_max,
-    publish_properties,
-)
+from tacshade_edge.devices.mqtt.client import BrokerAddress, connect, make_client, packet_bytes_max, publish_properties
 from tacshade_edge.devices.mqtt.client_id_guard import ClientIdGuard, new_instance
-from tacshade_edge.devices.mqtt.refusals import Refusals
-from tacshade_edge.devices.mqtt.topic_slot import Item, PayloadOutcome, TopicSlot
-from tacshade_edge.errors import DecodeError
-from tacshade_edge.protocol.messages import Request, encode_error, parse_request, parse_transaction
+from tacshade_edge.devices.mqtt.incoming import BadRequest, read_request
+from tacshade_edge.devices.mqtt.outgoing import CONTENT_TYPES, Outgoing
+from tacshade_edge.devices.mqtt.topic_slot import Item, PayloadOutcome
+from tacshade_edge.protocol.requests import Request
 from tacshade_edge.reasons import Reason, ReasonCode
 
 _log = logging.getLogger(__name__)
 
-_UNSENT_PER_STREAM: Final = 2
-_ANSWERS_OPEN_MAX: Final = 16
-_STREAM_EXPIRY_S: Final = 5  # a broker drops what a stalled subscriber did not take by then
-_NO_LISTENER: Final = 0x10  # "no matching subscribers", MQTT 5
-_JSON: Final = "application/json"
-_CONTENT_TYPES: Final = {
-    "height": "application/vnd.tacshade.height",
-    "cloud": "application/vnd.tacshade.cloud",
-    "map/cloud": "application/vnd.tacshade.cloud",
-    "shear": "application/vnd.tacshade.shear",
-    "sigma": "application/vnd.tacshade.sigma",
-    "preview": "image/jpeg",
-    "state": "text/plain",
-}
-_COUNTERS: Final = (
-    *("connects", "losses", "published", "superseded", "failed", "refused"),
-    *("requests", "bad_requests", "replies", "replies_dropped", "events", "events_dropped"),
-)
 
-
-class MqttLink:
+class MqttLink(Outgoing):
     """Publish streams, retained values and replies; receive requests.
 
     Parameters
@@ -99,64 +65,32 @@ class MqttLink:
         on_request: Callable[[Request], None],
         on_outcome: Callable[[str, int, PayloadOutcome], None],
     ) -> None:
-        self._where = f"{host}:{port}"
-        self._host, self._port, self._base = host, port, base_topic
-        self._username, self._tls_ca = username, tls_ca
-        self._on_request, self._on_outcome = on_request, on_outcome
-        self._lock = threading.Lock()
-        self._changed = threading.Condition(self._lock)
-        self._connected, self._refused, self._stopping = False, False, False
-        self._reason: Reason | None = self._with_address(ReasonCode.STARTING, "not started")
-        self._epoch = 0  # counts lost connections: what was handed over in an older one is settled already
-        self._outlets: dict[str, TopicSlot] = {}
-        self._by_mid: dict[int, tuple[TopicSlot, Item, int] | None] = {}  # with its QoS; None: sent once
-        self._early: dict[int, MqttCode] = {}  # what paho's thread reported before publish() had returned the number
-        self._answers_open = 0
-        self._watched: dict[str, Callable[[bytes], None]] = {}
-        self._refusals = Refusals(self._where)
-        self._packet_bytes_max: int | None = None
-        self._told_too_large = False
-        self._counters: Counter[str] = Counter()
-        self._thread: threading.Thread | None = None
         instance = new_instance()
-        self._client, asking = (
-            make_client(
-                host=host,
-                base_topic=base_topic,
-                client_id=name,
-                username=username,
-                password=password,
-                tls_ca=tls_ca,
-            )
-            for name in (client_id, "")
-        )
+        broker = BrokerAddress(host=host, port=port, username=username, password=password, tls_ca=tls_ca)
+        client, asking = (make_client(broker, base_topic=base_topic, client_id=name) for name in (client_id, ""))
+        super().__init__(client, f"{host}:{port}", base_topic, on_outcome)
+        self._host, self._port, self._username, self._tls_ca = host, port, username, tls_ca
+        self._on_request = on_request
+        self._refused = False
+        self._reason: Reason | None = self._with_address(ReasonCode.STARTING, "not started")
+        self._watched: dict[str, Callable[[bytes], None]] = {}
+        self._thread: threading.Thread | None = None
         self._holder = ClientIdGuard(asking, host, port, base_topic, instance)
-        will = publish_properties(_CONTENT_TYPES["state"], of_will=True)
-        self._client.will_set(f"{base_topic}/state", b"offline", qos=1, retain=True, properties=will)
-        self._client.on_pre_connect = self._on_pre_connect
-        self._client.on_connect = self._on_connect
-        self._client.on_connect_fail = self._on_connect_fail
-        self._client.on_disconnect = self._on_disconnect
-        self._client.on_publish = self._on_publish
-        self._client.on_subscribe = self._on_subscribe
-        self._client.on_message = self._on_message
+        will = publish_properties(CONTENT_TYPES["state"], of_will=True)
+        client.will_set(f"{base_topic}/state", b"offline", qos=1, retain=True, properties=will)
+        client.on_pre_connect = self._on_pre_connect
+        client.on_connect = self._on_connect
+        client.on_connect_fail = self._on_connect_fail
+        client.on_disconnect = self._on_disconnect
+        client.on_subscribe = self._on_subscribe
+        client.on_message = self._on_message
         self.set_retained("state", b"online")
         self.set_retained("instance", json.dumps(instance).encode())
-
-    @property
-    def connected(self) -> bool:
-        """The broker has accepted us."""
-        return self._connected
 
     @property
     def reason(self) -> Reason | None:
         """Why not connected; None when connected."""
         return self._reason
-
-    def counters(self) -> dict[str, int]:
-        """Since the start; all names are always there. `refused`: the broker denied it, or takes none so large."""
-        with self._lock:
-            return {name: self._counters[name] for name in _COUNTERS}
 
     def start(self) -> None:
         """Begin to connect, and go on for ever; an absent broker is no error. Call once."""
@@ -196,209 +130,13 @@ class MqttLink:
         """
         self._watched[topic] = on_payload
 
-    def set_retained(self, topic: str, payload: bytes, *, qos: Literal[0, 1] = 1) -> None:
-        """Publish a retained value, now and again on every connection; the newest wins.
-
-        The topic is below the base topic; with a slash at its beginning it is from the broker's root.
-        """
-        with self._lock:
-            outlet = self._outlet(topic, qos, True)
-            outlet.put(Item(payload, 0))
-        self._pump(outlet)
-
-    def has_listener(self, stream: str) -> bool:
-        """Whether a stream may have a subscriber: False while the broker's latest answer was that it has none.
-
-        True once a second all the same, so that the next payload asks again; and with a broker that is away, or that
-        never says so (MQTT 5 leaves it to the broker).
-        """
-        with self._lock:
-            outlet = self._outlets.get(stream)
-            return outlet is None or not outlet.no_listener or outlet.probe_due(time.monotonic_ns())
-
-    def offer(self, stream: str, payload: bytes, seq: int) -> None:
-        """Send a payload of a stream (not retained) once the peer takes it, unless a newer one comes first.
-
-        With QoS 0, but one payload a second with QoS 1: its answer shows whether anyone listens (`has_listener`).
-
-        Its one outcome: ``published`` (handed to the operating system), ``superseded`` (a newer one displaced it),
-        ``refused`` (the broker denied it or, with QoS 0, what it answered last; or it takes none so large), or
-        ``failed`` (displaced or lost while the broker was away). While the broker is away the newest is kept,
-        and is the first to go out: subscribers are never left with an older truth.
-        """
-        with self._lock:
-            outlet = self._outlet(stream, 0, False)
-            item = Item(payload, seq)
-            displaced = item if self._stopping else outlet.put(item)
-            outcome: PayloadOutcome = "superseded" if self._connected and not self._stopping else "failed"
-        if displaced is not None:
-            self._settle(outcome, [(stream, displaced)])
-        self._pump(outlet)
-
-    def reply(self, request: Request, payload: bytes) -> None:
-        """Answer a request on ``res/<verb>``, or where its MQTT 5 properties say. Lost with the connection."""
-        self._send_once("replies", request.response_topic or f"res/{request.verb}", payload, request.correlation)
-
-    def tell(self, topic: str, payload: bytes) -> None:
-        """Say once what happened, under the base topic (QoS 1, not retained). Lost with the connection, and counted."""
-        self._send_once("events", topic, payload, None)
-
-    # -- sending --------------------------------------------------------------------------------------------------
-
-    def _path(self, topic: str) -> str:
-        return topic[1:] if topic.startswith("/") else f"{self._base}/{topic}"
-
-    def _outlet(self, topic: str, qos: int, retain: bool) -> TopicSlot:
-        """The topic's outlet, made on first use. Lock held."""
-        if topic not in self._outlets:
-            content_type = _CONTENT_TYPES.get(topic, _JSON)
-            properties = publish_properties(content_type, expiry_s=None if retain else _STREAM_EXPIRY_S)
-            most = 1 if retain else _UNSENT_PER_STREAM
-            self._outlets[topic] = TopicSlot(topic, qos, retain, most, properties)
-        return self._outlets[topic]
-
-    def _pump(self, outlet: TopicSlot) -> None:
-        """Hand paho what may go. One thread at a time per outlet; a second leaves the work to the first."""
-        while True:
-            with self._lock:
-                item = outlet.take() if self._may_go(outlet) else None
-                epoch = self._epoch
-                if item is None:
-                    return
-                if too_large := self._too_large(outlet.topic, item.payload, outlet.properties):
-                    outlet.done(item)
-                    outlet.busy = False
-                    self._counters["refused"] += outlet.retain
-                else:
-                    qos = outlet.next_qos(time.monotonic_ns())
-            if too_large:
-                if not outlet.retain:
-                    self._settle("refused", [(outlet.topic, item)])
-                continue
-            info = self._client.publish(self._path(outlet.topic), item.payload, qos, outlet.retain, outlet.properties)
-            settled: tuple[PayloadOutcome, Item] | None = None
-            with self._lock:
-                outlet.busy = False
-                if epoch != self._epoch:
-                    continue  # lost meanwhile, and settled then
-                taken = info.rc == MQTTErrorCode.MQTT_ERR_SUCCESS
-                if not taken:  # the connection is going; the next one pumps
-                    failed = outlet.refuse(item)
-                    settled = None if failed is None else ("failed", failed)
-                elif (code := self._early.pop(info.mid, None)) is not None:
-                    settled = (self._done(outlet, item, qos, code), item)
-                else:
-                    self._by_mid[info.mid] = (outlet, item, qos)
-            if settled is not None:
-                self._settled(outlet, *settled)
-            if not taken:
-                return
-
-    def _may_go(self, outlet: TopicSlot) -> bool:
-        """Whether paho may be handed more of a topic. Lock held.
-
-        The state goes first, and the rest once the broker has answered it: else frames that access rules deny would
-        count as published until they are known.
-        """
-        state = self._outlets["state"]
-        return self._connected and not self._stopping and (outlet is state or state.refused is not None)
-
-    def _settled(self, outlet: TopicSlot, outcome: PayloadOutcome, item: Item) -> None:
-        """An item that paho had is done. Lock not held."""
-        if not outlet.retain:
-            self._settle(outcome, [(outlet.topic, item)])
-        elif outlet.topic == "state":
-            with self._lock:
-                others = sorted((o for o in self._outlets.values() if o is not outlet), key=lambda o: not o.retain)
-            for other in others:
-                self._pump(other)
-
-    def _send_once(self, kind: str, topic: str, payload: bytes, correlation: bytes | None) -> None:
-        """Publish a reply or an event (QoS 1).
-
-        Dropped when not connected, too large or when 16 are not yet acknowledged.
-        """
-        properties = publish_properties(_JSON, correlation=correlation)
-        with self._lock:
-            too_large = self._too_large(topic, payload, properties)
-            if too_large or not self._connected or self._answers_open >= _ANSWERS_OPEN_MAX:
-                self._counters[f"{kind}_dropped"] += 1
-                self._counters["refused"] += too_large
-                return
-            self._answers_open += 1
-            self._counters[kind] += 1
-            epoch = self._epoch
-        info = self._client.publish(self._path(topic), payload, 1, False, properties)
-        with self._lock:
-            if epoch != self._epoch:
-                return
-            if info.rc != MQTTErrorCode.MQTT_ERR_SUCCESS:
-                self._answers_open -= 1
-            elif (code := self._early.pop(info.mid, None)) is not None:
-                self._answered(code)
-            else:
-                self._by_mid[info.mid] = None
-
-    def _answered(self, code: MqttCode) -> None:
-        """The broker has answered a reply or an event of ours. Lock held."""
-        self._answers_open -= 1
-        self._note("res or event", code)
-        self._counters["refused"] += code.is_failure
-
-    def _done(self, outlet: TopicSlot, item: Item, qos: int, code: MqttCode) -> PayloadOutcome:
-        """Paho has sent an item (QoS 0), or the broker has answered it with a reason code. Lock held."""
-        outlet.done(item)
-        if qos == 1:
-            outlet.no_listener = code.value == _NO_LISTENER
-            outlet.refused = code.is_failure
-            self._note(outlet.topic, code)
-            self._counters["refused"] += outlet.retain and code.is_failure
-        self._changed.notify_all()
-        # With QoS 0 nobody answers: the rules that deny the state, or this stream's latest probe, deny it too.
-        refused = self._outlets["state"].refused if outlet.refused is None else outlet.refused
-        return "refused" if refused else "published"
-
-    def _note(self, topic: str, code: MqttCode) -> None:
-        """Keep whether the broker takes a topic. Lock held."""
-        if code.is_failure:
-            which = self._path(topic) if topic.startswith("/") else f"{self._base}/#"
-            expected = f"expected access rules (ACL) that let this user write {which}"
-            self._refusals.refused(self._path(topic), f"{code}, {expected}")
-        else:
-            self._refusals.taken(self._path(topic))
-
-    def _too_large(self, topic: str, payload: bytes, properties: Properties) -> bool:
-        """Whether the broker would end the connection for this message. Lock held."""
-        size, most = packet_bytes(self._path(topic), payload, properties), self._packet_bytes_max
-        if most is None or size <= most:
-            return False
-        if not self._told_too_large:
-            text = "%s: takes packets of at most %d bytes (mosquitto: max_packet_size); %s of %d is not sent"
-            _log.warning(text + "; this is not reported again", self._where, most, self._path(topic), size)
-        self._told_too_large = True
-        return True
-
-    def _settle(self, outcome: PayloadOutcome, items: list[tuple[str, Item]]) -> None:
-        """Tell the outcome of stream items. Lock not held."""
-        with self._lock:
-            self._counters[outcome] += len(items)
-        for stream, item in items:
-            self._on_outcome(stream, item.seq, outcome)
-
     def _lose(self, reason: Reason | None) -> list[tuple[str, Item]]:
-        """Forget the connection; what failed with it. Lock held."""
-        self._counters["losses"] += self._connected and not self._stopping
-        self._connected = False
+        """The connection is gone; what failed with it. Lock held."""
         if self._stopping:
             self._set_reason(self._with_address(ReasonCode.STOPPED, "stopped"))
         else:
             self._set_reason(reason, BROKERS_LOG)
-        self._epoch += 1
-        self._by_mid.clear()
-        self._early.clear()
-        self._answers_open = 0
-        self._changed.notify_all()
-        return [(o.topic, item) for o in self._outlets.values() for item in o.give_back()]
+        return self._forget()
 
     def _with_address(self, code: ReasonCode, text: str) -> Reason:
         return Reason(code, f"{self._where}: {text}")
@@ -430,11 +168,11 @@ class MqttLink:
         self._thread, self._refused = threading.current_thread(), False
         if self._connected:  # paho can lose a connection without on_disconnect
             self._drop(self._with_address(ReasonCode.LOST, "connection lost"))
-        self._holder.wait_until_gone(self._tell_holder, lambda: self._stopping)
+        self._holder.wait_until_gone(self._report_holder, lambda: self._stopping)
         if self._stopping:
             raise ConnectionAbortedError("stopped")
 
-    def _tell_holder(self, reason: Reason) -> None:
+    def _report_holder(self, reason: Reason) -> None:
         if reason != self._reason:
             _log.warning("%s; waiting until it is gone", reason)
         with self._lock:
@@ -488,20 +226,6 @@ class MqttLink:
             failed = self._lose(reason)
         self._settle("failed", failed)
 
-    def _on_publish(self, _client: Client, _userdata: Any, mid: int, code: MqttCode, _properties: Any) -> None:
-        with self._lock:
-            if mid not in self._by_mid:
-                self._early[mid] = code
-                return
-            entry = self._by_mid.pop(mid)
-            if entry is None:
-                self._answered(code)
-                return
-            outlet, item, qos = entry
-            outcome = self._done(outlet, item, qos, code)
-        self._settled(outlet, outcome, item)
-        self._pump(outlet)
-
     def _on_subscribe(
         self, _client: Client, _userdata: Any, _mid: int, codes: list[MqttCode], _properties: Any
     ) -> None:
@@ -513,24 +237,10 @@ class MqttLink:
         if (on_payload := self._watched.get(message.topic.removeprefix(f"{self._base}/"))) is not None:
             on_payload(bytes(message.payload))
             return
-        verb = message.topic.removeprefix(f"{self._base}/req/")
-        payload = bytes(message.payload)
-        asked = str(getattr(message.properties, "ResponseTopic", None) or "")
-        correlation = getattr(message.properties, "CorrelationData", None)
-        # Nowhere else: who may ask must not be able to make this daemon say things in the name of a hand.
-        below = asked.removeprefix(f"{self._base}/")
-        sound = below != asked and len(below) > len("res/") and asked.isprintable() and not set(asked) & set("+#")
-        response_topic = below if sound and below.startswith("res/") else None
-        try:
-            request = parse_request(verb, payload, response_topic=response_topic, correlation=correlation)
-        except DecodeError as error:
-            with self._lock:
-                self._counters["bad_requests"] += 1
-            if not verb.isprintable():  # brokers end a connection that publishes on such a topic
-                return
-            answer = encode_error(parse_transaction(payload), error.reason)
-            self._send_once("replies", response_topic or f"res/{verb}", answer, correlation)
-            return
+        request = read_request(self._base, message)
         with self._lock:
-            self._counters["requests"] += 1
-        self._on_request(request)
+            self._counters["bad_requests" if isinstance(request, BadRequest) else "requests"] += 1
+        if isinstance(request, Request):
+            self._on_request(request)
+        elif request.topic is not None:
+            self._send_once("replies", request.topic, request.answer, request.correlation)

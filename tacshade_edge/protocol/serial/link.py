@@ -17,15 +17,13 @@ from tacshade_edge.protocol.serial.answers import (
     PROTOCOL_VERSION,
     LinkEvent,
     answer_text,
-    error_text,
     event_text,
-    printable,
-    seq_text,
 )
 from tacshade_edge.protocol.serial.counts import LinkCounts
 from tacshade_edge.protocol.serial.framing import Framing
-from tacshade_edge.protocol.serial.line import Line, crc16, parse_line, seal
+from tacshade_edge.protocol.serial.line import Line, crc16, parse_line
 from tacshade_edge.protocol.serial.modes import Mode
+from tacshade_edge.protocol.serial.output import Output
 from tacshade_edge.protocol.serial.pose import PoseSample, decode_pose, parse_pose
 from tacshade_edge.protocol.serial.pose_sequence import PoseSequence
 from tacshade_edge.protocol.serial.replies import Repeat, ReplyCache
@@ -77,7 +75,7 @@ class SerialLink:
         self._framing = Framing(self.counts)
         self._session = _Session()
         self._poses = PoseSequence()
-        self._output = bytearray()
+        self._output = Output(self._framing, self.counts)
         self._bad_pose_answered_ns: int | None = None
 
     @property
@@ -114,22 +112,20 @@ class SerialLink:
         """Answer ``OK`` or ``ERR``; not a command of a session that is over: its number may mean another now."""
         text = answer_text(command.seq, outcome, command.verb)
         if command.seq is None or self._session.replies.keep(command.seq, command, text):
-            self._send(text)
+            self._output.send(text)
 
     def notify(self, event: LinkEvent) -> None:
         """Send an ``EVT``, which nobody asked for."""
-        self._send(event_text(event))
+        self._output.send(event_text(event))
 
     def take_output(self) -> bytes:
         """What to write to the port, once."""
-        output = bytes(self._output)
-        self._output.clear()
-        return output
+        return self._output.take()
 
     def interrupted(self) -> None:
         """The port was lost: half a line is none. All else goes on."""
         self._framing.clear()
-        self._output.clear()
+        self._output.take()
 
     def _frame(self, frame: bytes, now_ns: int) -> Iterator[Received]:
         try:
@@ -158,7 +154,7 @@ class SerialLink:
             else:
                 self.counts.damaged += line.code == ReasonCode.BAD_CHECKSUM
                 if raw.split(b" ", 1)[0] not in (b"OK", b"ERR", b"EVT"):
-                    self._refuse(None, line)
+                    self._output.refuse(None, line)
             return
         self.counts.lines += 1
         if line.verb in _OURS:
@@ -166,7 +162,7 @@ class SerialLink:
         elif self._session.crc_required and not line.checked:
             self.counts.damaged += 1
             text = "found none, expected one since HELLO asked for it"
-            self._refuse(None, Reason(ReasonCode.BAD_CHECKSUM, text))
+            self._output.refuse(None, Reason(ReasonCode.BAD_CHECKSUM, text))
         elif line.verb == "POSE":
             try:
                 sample = parse_pose(line)
@@ -196,12 +192,12 @@ class SerialLink:
         answered_ns = self._bad_pose_answered_ns
         if answered_ns is None or now_ns - answered_ns >= BAD_POSE_PERIOD_NS:
             self._bad_pose_answered_ns = now_ns
-            self._refuse(seq, Reason(ReasonCode.BAD_ARGUMENTS, f"POSE: {text}"))
+            self._output.refuse(seq, Reason(ReasonCode.BAD_ARGUMENTS, f"POSE: {text}"))
 
     def _hello(self, line: Line) -> Iterator[Received]:
         hello = parse_hello(line)
         if isinstance(hello, Reason):
-            self._refuse(line.seq, hello)
+            self._output.refuse(line.seq, hello)
             return
         if not hello.boot or hello.boot != self._session.boot:  # else the same HELLO again: the numbers stay known
             self._session = _Session(hello.boot, replies=ReplyCache(line.seq))
@@ -209,30 +205,30 @@ class SerialLink:
             yield Greeted(hello.boot)
         self._session.crc_required = hello.crc_required
         crc = "req" if hello.crc_required else "opt"
-        self._accept(line.seq, f"tacshade {PROTOCOL_VERSION} crc={crc} mode={self.mode}")
+        self._output.accept(line.seq, f"tacshade {PROTOCOL_VERSION} crc={crc} mode={self.mode}")
 
     def _help(self, line: Line) -> None:
         text = help_text(line)
         if isinstance(text, Reason):
-            self._refuse(line.seq, text)
+            self._output.refuse(line.seq, text)
         else:
-            self._accept(line.seq, text)
+            self._output.accept(line.seq, text)
 
     def _command(self, line: Line, now_ns: int) -> Iterator[Received]:
         parsed = parse_command(line, now_ns)
         if isinstance(parsed, Reason):
-            self._refuse(line.seq, parsed)
+            self._output.refuse(line.seq, parsed)
             return
         command = parsed if isinstance(parsed, Command) else None
         if line.seq is not None:
             repeat = self._session.replies.admit(line.seq, line.text.strip(" "), command)
             if isinstance(repeat, Reason):
-                self._refuse(line.seq, repeat)
+                self._output.refuse(line.seq, repeat)
                 return
             if isinstance(repeat, Repeat):
                 self.counts.repeats += 1
                 if repeat.reply is not None:
-                    self._send(repeat.reply)
+                    self._output.send(repeat.reply)
                 return
         if isinstance(parsed, Command):
             self.counts.commands += 1
@@ -243,20 +239,8 @@ class SerialLink:
     def _set_mode(self, seq: int | None, mode: Mode) -> None:
         if seq is not None:
             self._session.replies.keep(seq, None, f"OK {seq} {mode}")
-        self._accept(seq, mode)  # still in the old mode
+        self._output.accept(seq, mode)  # still in the old mode
         self._framing.switch(mode)  # all that was received after this line is in the new one already
-
-    def _accept(self, seq: int | None, text: str) -> None:
-        self._send(printable(f"OK {seq_text(seq)} {text}"))
-
-    def _refuse(self, seq: int | None, reason: Reason) -> None:
-        """Answer a line that was not handed out."""
-        self.counts.refused += 1
-        self._send(printable(f"ERR {seq_text(seq)} {error_text(reason)}"))
-
-    def _send(self, text: str) -> None:
-        line = seal(text)
-        self._output += line if self.mode == "ASCII" else cobs.encode(b"L" + line[:-1]) + b"\0"
 
 
 def _undamaged(raw: bytes) -> bool:

@@ -14,12 +14,7 @@ from tacshade_edge.types import Reconstruction
 
 
 class CsvExport:
-    """A row for each frame, empty where a value is none.
-
-    Parameters
-    ----------
-    path : Path
-    """
+    """A row for each frame, empty where a value is none."""
 
     def __init__(self, path: Path) -> None:
         self._place = NewPlace(path)

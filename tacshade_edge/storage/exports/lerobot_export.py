@@ -33,9 +33,6 @@ _DATA, _EPISODES = "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/f
 class LeRobotExport:
     """A folder that LeRobot's loader takes; see docs/recordings.md for the features. Needs the extra ``lerobot``.
 
-    Parameters
-    ----------
-    folder : Path
 
     Raises
     ------

@@ -12,12 +12,7 @@ from tacshade_edge.types import Reconstruction
 
 
 class PlyExport:
-    """A folder of ``SEQ.ply``: points of the contacted skin in mm, sensor frame, with the number of their object.
-
-    Parameters
-    ----------
-    folder : Path
-    """
+    """A folder of ``SEQ.ply``: points of the contacted skin in mm, sensor frame, with the number of their object."""
 
     def __init__(self, folder: Path) -> None:
         self._place = NewPlace(folder)

@@ -78,10 +78,6 @@ class SessionInfo(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class StitchFile:
     """An open session's files.
 
-    Parameters
-    ----------
-    folder : Path
-    info : SessionInfo
 
     Raises
     ------

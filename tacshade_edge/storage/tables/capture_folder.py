@@ -133,12 +133,7 @@ def _columns(cells: Sequence[str]) -> tuple[str, ...]:
 
 
 class CaptureFolder:
-    """The folder; every change is whole on the disk when the call returns, or a DeviceError.
-
-    Parameters
-    ----------
-    path : Path
-    """
+    """The folder; every change is whole on the disk when the call returns, or a DeviceError."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

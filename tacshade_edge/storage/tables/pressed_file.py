@@ -20,10 +20,6 @@ class PressedFile:
 
     An indenter is ``ball``, or an object of the simulator, whose radius is empty. No row, or no file: nothing touches.
     The file should be replaced whole (written beside its place and renamed).
-
-    Parameters
-    ----------
-    path : Path
     """
 
     def __init__(self, path: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -164,13 +164,7 @@ def score(label: Label, truth: KnownTruth, result: Reconstruction) -> Row:
     nan = math.nan
     return Row(
         profile=result.profile,
-        sensor=label.sensor,
-        object=label.object,
-        image=label.image,
-        depth_mm=label.depth_mm,
-        x_mm=label.x_mm,
-        y_mm=label.y_mm,
-        rotation_deg=label.rotation_deg,
+        **asdict(label),
         valid=result.valid,
         contact=result.contact,
         saturated=result.saturated,

@@ -1,4 +1,4 @@
-"""The sensors of a study: families of simulated ones by name, each calibrated as a user calibrates his own."""
+"""The sensors of a study: simulated ones by name, each calibrated as a user calibrates his own."""
 
 from __future__ import annotations
 
@@ -14,13 +14,9 @@ from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import load_networks, make_reconstructor
 from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.simulator.model import SensorModel, random_model
-from tacshade_edge.simulator.other_family import OtherSensor, other_model
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedFrame, SimulatedSensor
 from tacshade_edge.types import Calibration
-
-FINAL_SEED = 9000
-"""Sensors from this seed on are for final figures; nobody looks at them while working on what is measured."""
 
 REFERENCES, PRESSES = 8, 40
 """Images that each sensor is calibrated on, unless something else is asked for."""
@@ -34,32 +30,18 @@ class PressedSensor(Protocol):
 
     model: SensorModel
 
-    def noiseless(self) -> PressedSensor:
-        """The same sensor with a camera without noise."""
-        ...
-
     def frame(self, presses: Sequence[Press] = (), noise_seed: int = 0) -> SimulatedFrame:
         """Take a picture."""
         ...
 
-    def released(self, presses: Sequence[Press], part: float, noise_seed: int = 0) -> SimulatedFrame:
-        """Take a picture of what the presses left in the skin."""
-        ...
+
+def tacshade(seed: int | None) -> SimulatedSensor:
+    """The simulator's own family."""
+    return SimulatedSensor(SensorModel() if seed is None else random_model(seed))
 
 
-def _usual(seed: int | None) -> SensorModel:
-    return SensorModel() if seed is None else random_model(seed)
-
-
-FAMILIES: dict[str, Callable[[int | None], PressedSensor]] = {
-    "tacshade": lambda seed: SimulatedSensor(_usual(seed)),
-    "other": lambda seed: OtherSensor(other_model(seed or 0)),
-    # One of the other family's differences each.
-    "square": lambda seed: OtherSensor(_usual(seed), capped=False, two_scales=False),
-    "capped": lambda seed: OtherSensor(other_model(seed or 0), square=False, two_scales=False),
-    "two-scales": lambda seed: OtherSensor(_usual(seed), square=False, capped=False),
-}
-"""Family to the sensor of a seed (None: its default one); another family is one line here."""
+FAMILIES: dict[str, Callable[[int | None], PressedSensor]] = {"tacshade": tacshade}
+"""Family to the function of a module that makes the sensor of a seed (None: its default one)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,8 +73,14 @@ class SensorName:
         """Make the sensor."""
         return FAMILIES[self.family](self.seed)
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Take the family along: another process may not know it."""
+        return _in_family, (self.family, self.seed, FAMILIES[self.family])
 
-FINAL_SENSORS = tuple(SensorName(family, FINAL_SEED + k) for family in ("tacshade", "other") for k in (18, 19, 20))
+
+def _in_family(family: str, seed: int | None, make: Callable[[int | None], PressedSensor]) -> SensorName:
+    FAMILIES.setdefault(family, make)
+    return SensorName(family, seed)
 
 
 def calibrated(name: SensorName, references: int, presses: int) -> CalibrationResult:

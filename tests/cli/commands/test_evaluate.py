@@ -14,10 +14,8 @@ from support.half_family import half_family
 from support.progress_lines import only_progress
 
 from tacshade_edge.cli import main
-from tacshade_edge.cli.shared import study
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.studies.evaluate.score import Row
-from tacshade_edge.studies.evaluate.sensors import FINAL_SENSORS
 from tools.testbed.painted_sensor import HEIGHT, TOUCHED, WIDTH, painted_calibration
 from tools.testbed.patience import patience
 
@@ -123,11 +121,8 @@ def test_an_image_without_truth_is_one_line_and_exit_1(own: Path, capsys: pytest
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--sensors", "9000"], "9000: seeds from 9000 on are kept for --final"),
-        (["--sensors", "5,tacshade:12345"], "12345: seeds from 9000 on are kept for --final"),
         (["--sensors", "teapot:1"], "no sensor family is called 'teapot', expected one of tacshade"),
         (["--sensors", "5,"], "found '', expected a seed"),
-        (["--sensors", "5", "--final"], "not allowed with"),
         (["--objects", "ball,teapot"], "'teapot' is not known, expected some of cube"),
         (["--presses", "5"], "--presses: found 5, expected 0, or 8 or more"),
         (["--presses", "-1"], "invalid whole number value"),
@@ -136,7 +131,6 @@ def test_an_image_without_truth_is_one_line_and_exit_1(own: Path, capsys: pytest
         (["--images", "x"], "belong together"),
         (["--calibration", "x"], "belong together"),
         (["--calibration", "x", "--images", "x", "--presses", "8"], "--presses is for simulated sensors"),
-        (["--calibration", "x", "--images", "x", "--final"], "--final is for simulated sensors"),
     ],
 )
 def test_usage_mistakes_exit_2(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -168,11 +162,3 @@ def test_what_is_not_there_is_one_line(
 def test_an_output_that_is_a_file_is_told_before_the_work(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*SMALL, "--out", str(own / "cal.npz")]) == 1
     assert "cal.npz: cannot be written" in capsys.readouterr().err
-
-
-def test_final_sensors_are_those_that_nobody_may_name() -> None:
-    assert len(FINAL_SENSORS) >= 3
-    assert all(name.seed is not None and name.seed >= 9000 for name in FINAL_SENSORS)
-    for name in FINAL_SENSORS:
-        with pytest.raises(Exception, match="kept for --final"):
-            study.sensors(str(name))

@@ -148,7 +148,7 @@ def test_an_unreadable_image_does_not_stop_the_others(folder: Path, capsys: pyte
         (["--out", "o", "--loop", "-1"], "found -1, expected a whole number from 0"),
         (["--out", "o", "--speed", "0"], "found 0, expected a number over 0"),
         (["--out", "o", "--fps", "nan"], "found nan, expected a number over 0"),
-        (["--mqtt", "localhost"], "found localhost, expected HOST:PORT"),
+        (["--mqtt", "localhost"], "found 'localhost', expected HOST:PORT"),
         (["--mqtt", "h:1", "--sensor-id", "a/b"], "found a/b, expected letters"),
         (["--against", "o"], "--against compares --out DIR, which is missing"),
         (["--out", "o", "--against", "./o"], "--out and --against are the same folder"),

@@ -87,7 +87,6 @@ def test_the_settings_are_those_of_a_settings_file(own: Path, capsys: pytest.Cap
         (["--budget-ms", "0"], "invalid number above 0 value: '0'"),
         (["--budget-ms", "nan"], "invalid number above 0"),
         (["--budget-ms", "soon"], "invalid number above 0"),
-        (["--sensors", "9000"], "9000: seeds from 9000 on are kept"),
         (["--objects", "teapot"], "'teapot' is not known"),
         (["--images", "x"], "belong together"),
         (["--calibration", "x", "--images", "x", "--objects", "ball"], "--objects is for simulated sensors"),

@@ -13,6 +13,7 @@ from tacshade_edge.simulator import nuisance
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.types import U8
 from tools.testbed.calibrated_sensor import FULL, HALF, TACTIP, calibrated, pressed, random_sensor, unloaded
+from tools.testbed.simulator import camera_faults
 
 
 @given(grey=hnp.arrays(np.uint8, (16, 24)), rounded=st.integers(0, ROUNDED))
@@ -40,6 +41,6 @@ def test_the_first_look_misses_nothing(factor: float, rows: int, sigma: float) -
     calibration = calibrated(HALF, 0)
     check = block_check(calibration.reference_grey, calibration.geometry.disc)
     assert check
-    image = nuisance.noise(nuisance.shift(nuisance.gain(unloaded(HALF), factor), rows, 0), sigma, 1)
+    image = camera_faults.noise(nuisance.shift(nuisance.gain(unloaded(HALF), factor), rows, 0), sigma, 1)
     first, exact = (block_reasons(to_grey(image), check, rounded) for rounded in (ROUNDED, 0))
     assert all(coarse for coarse, said in zip(first, exact, strict=True) if said)

@@ -21,6 +21,7 @@ from tacshade_edge.simulator import nuisance
 from tacshade_edge.simulator.model import random_model
 from tacshade_edge.types import U8, Disc
 from tools.testbed.calibrated_sensor import HALF, calibrated, pressed, presses, unloaded
+from tools.testbed.simulator import camera_faults
 
 DISC = Disc(HALF.row_c, HALF.col_c, HALF.disc_radius_px)
 
@@ -74,7 +75,7 @@ def test_light_and_focus(reference: Look) -> None:
         assert drift(reference, nuisance.gain(image, 0.7)).light == pytest.approx(0.7, abs=0.02)
         assert text_of(light_drift_reason(drift(reference, nuisance.gain(image, 0.7)))).endswith(" times the light")
         assert light_drift_reason(drift(reference, nuisance.gain(image, 0.9))) is None
-        assert "blurred or dirty" in text_of(light_drift_reason(drift(reference, nuisance.defocus(image, 1.5))))
+        assert "blurred or dirty" in text_of(light_drift_reason(drift(reference, camera_faults.defocus(image, 1.5))))
         ramp = 1 - 0.5 * np.linspace(0, 1, image.shape[1])[None, :]
         assert "the light falls otherwise" in text_of(
             light_drift_reason(drift(reference, (image * ramp).astype(np.uint8)))

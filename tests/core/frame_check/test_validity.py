@@ -32,6 +32,7 @@ from tools.testbed.calibrated_sensor import (
     simulated,
     unloaded,
 )
+from tools.testbed.simulator import camera_faults
 
 
 def check_of(model: SensorModel) -> FrameCheck:
@@ -49,12 +50,12 @@ def bad_frames(good: U8) -> dict[str, tuple[U8, str]]:
         "nearly black": (black + 5, "black"),
         "grey": (grey, "no contrast"),
         "white": (white, "saturated"),
-        "half white": (nuisance.torn(good, white, rows // 2), "saturated"),
-        "torn, black below": (nuisance.torn(good, black, rows // 2), "torn"),
-        "torn, grey below": (nuisance.torn(good, grey, rows // 2), "torn"),
-        "torn, black from three quarters": (nuisance.torn(good, black, 3 * rows // 4), "torn"),
-        "line sync lost": (nuisance.torn(good, good, rows // 2, 40), "torn"),
-        "noise": (nuisance.noise(good, 30, 1), "noise"),
+        "half white": (camera_faults.torn(good, white, rows // 2), "saturated"),
+        "torn, black below": (camera_faults.torn(good, black, rows // 2), "torn"),
+        "torn, grey below": (camera_faults.torn(good, grey, rows // 2), "torn"),
+        "torn, black from three quarters": (camera_faults.torn(good, black, 3 * rows // 4), "torn"),
+        "line sync lost": (camera_faults.torn(good, good, rows // 2, 40), "torn"),
+        "noise": (camera_faults.noise(good, 30, 1), "noise"),
         "a third of the light": (nuisance.gain(good, 0.3), "light"),
         "three times the light": (nuisance.gain(good, 3), "light|saturated"),
         "half the size": (good[::2, ::2], "size"),
@@ -83,10 +84,10 @@ def test_an_unloaded_frame_is_good_also_with_a_nuisance(model: SensorModel) -> N
         good,
         nuisance.gain(good, 0.9),
         nuisance.gain(good, 1.1),
-        nuisance.noise(good, 5, 1),
+        camera_faults.noise(good, 5, 1),
         nuisance.shift(good, 1, 0),
         nuisance.shift(good, 0, -1),
-        nuisance.glare(good, model.row_c, model.col_c, 15),
+        camera_faults.glare(good, model.row_c, model.col_c, 15),
     ):
         assert invalid_reason(to_grey(image), check) is None
 
@@ -150,7 +151,7 @@ def test_tiny_images_have_an_answer(size: tuple[int, int]) -> None:
 @pytest.mark.parametrize("shift_px", [5, 10, 20])
 @pytest.mark.parametrize("row", [150, 240, 330])
 def test_a_small_tear_is_seen_where_two_frames_meet(row: int, shift_px: int) -> None:
-    torn = nuisance.torn(unloaded(FULL), unloaded(FULL, noise_seed=51), row, shift_px)
+    torn = camera_faults.torn(unloaded(FULL), unloaded(FULL, noise_seed=51), row, shift_px)
     assert re.match(
         rf"torn: row {row - 1} |torn or moved",
         text_of(invalid_reason(to_grey(torn), sensor_check(calibrated(FULL), unloaded=True))),
@@ -245,12 +246,12 @@ ROWS, COLS = st.integers(0, 239), st.integers(-9, 9)
 DISTURBED = st.lists(
     st.one_of(
         st.builds(lambda factor: lambda image: nuisance.gain(image, factor), st.floats(0.3, 2.4)),
-        st.builds(lambda sigma, seed: lambda image: nuisance.noise(image, sigma, seed), st.floats(0, 20), ROWS),
+        st.builds(lambda sigma, seed: lambda image: camera_faults.noise(image, sigma, seed), st.floats(0, 20), ROWS),
         st.builds(lambda rows, cols: lambda image: nuisance.shift(image, rows, cols), COLS, COLS),
-        st.builds(lambda row, cols: lambda image: nuisance.torn(image, image, row, cols), ROWS, COLS),
-        st.builds(lambda row, level: lambda image: nuisance.torn(image, image * 0 + level, row), ROWS, ROWS),
-        st.builds(lambda sigma: lambda image: nuisance.defocus(image, sigma), st.floats(0.5, 20)),
-        st.builds(lambda row, col: lambda image: nuisance.glare(image, row, col, 60, 250), ROWS, ROWS),
+        st.builds(lambda row, cols: lambda image: camera_faults.torn(image, image, row, cols), ROWS, COLS),
+        st.builds(lambda row, level: lambda image: camera_faults.torn(image, image * 0 + level, row), ROWS, ROWS),
+        st.builds(lambda sigma: lambda image: camera_faults.defocus(image, sigma), st.floats(0.5, 20)),
+        st.builds(lambda row, col: lambda image: camera_faults.glare(image, row, col, 60, 250), ROWS, ROWS),
         st.builds(lambda part: lambda image: nuisance.gain(image, part) + np.uint8(9), st.floats(0, 0.2)),
     ),
     max_size=2,
@@ -290,8 +291,8 @@ def test_the_fast_check_says_what_the_plain_one_says(touched: bool, changes: lis
 )
 def test_the_same_of_tiny_images(size: tuple[int, int], disc: Disc, gain: float, sigma: float, seed: int) -> None:
     draw = np.random.default_rng(seed).integers(0, 256, size, dtype=np.uint8)
-    reference = nuisance.gain(nuisance.defocus(draw, 2), 1.2)
-    grey = nuisance.noise(nuisance.gain(reference, gain), sigma, seed)
+    reference = nuisance.gain(camera_faults.defocus(draw, 2), 1.2)
+    grey = camera_faults.noise(nuisance.gain(reference, gain), sigma, seed)
     mask = disc_mask(*size, disc)
     reason = text_of(invalid_reason(grey, frame_check(reference, mask, disc, unloaded=True)))
     assert_says(reason, *plain_reason(grey, reference, mask, disc))

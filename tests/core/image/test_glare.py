@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.core.image.glare import GLARE_LIFT, GLARE_PX, glare_check, glare_mask
 from tacshade_edge.core.image.greyscale import to_grey
-from tacshade_edge.simulator import nuisance
 from tacshade_edge.types import U8
 from tools.testbed.calibrated_sensor import HALF, calibrated, pressed, unloaded
+from tools.testbed.simulator import camera_faults
 
 
 def masks() -> tuple[U8, U8]:
@@ -32,7 +32,7 @@ def test_glare_is_covered_and_the_rest_is_not(radius_px: float) -> None:
     reference, mask = masks()
     check = glare_check(reference, mask, calibrated(HALF, 0).pitch_px)
     assert glare_mask(to_grey(unloaded()), check) is None
-    found = glare_mask(to_grey(nuisance.glare(unloaded(), 110, 190, radius_px)), check)
+    found = glare_mask(to_grey(camera_faults.glare(unloaded(), 110, 190, radius_px)), check)
     assert found is not None
     rows, cols = np.indices(found.shape)
     apart = np.hypot(rows - 110, cols - 190)

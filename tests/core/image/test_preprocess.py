@@ -9,9 +9,9 @@ from tacshade_edge.core.contact.gate import ContactGate
 from tacshade_edge.core.image.median import median
 from tacshade_edge.core.image.preprocess import Preprocessed, Preprocessor
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.simulator import nuisance
 from tacshade_edge.types import F32
 from tools.testbed.calibrated_sensor import HALF, calibrated, pressed, unloaded
+from tools.testbed.simulator import camera_faults
 
 CHANGE = np.float32(60)
 
@@ -52,7 +52,7 @@ def test_the_change_is_eq_9_of_the_ratio(profile: str, polarity: str) -> None:
 @pytest.mark.parametrize("profile", PROFILES)
 def test_a_value_is_of_its_image_whatever_came_after_it(profile: str) -> None:
     preprocessor = Preprocessor(calibrated(HALF, 0), PROFILES[profile])
-    images = [pressed("ball", 3.0).image, nuisance.glare(unloaded(), 110, 190, 12), unloaded() * 0]
+    images = [pressed("ball", 3.0).image, camera_faults.glare(unloaded(), 110, 190, 12), unloaded() * 0]
 
     def everything(found: Preprocessed) -> tuple[object, ...]:
         arrays = (found.g, found.g_d, found.white.total)

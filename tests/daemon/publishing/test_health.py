@@ -16,7 +16,7 @@ from tacshade_edge.daemon.recording.record_requests import RecordRequests
 from tacshade_edge.daemon.reference.references import References
 from tacshade_edge.daemon.robot.robot import Robot
 from tacshade_edge.daemon.stitching.session_requests import SessionRequests
-from tacshade_edge.protocol.messages import encode_health
+from tacshade_edge.protocol.json_payload import encode_json
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Frame, HeightMap, ObjectCloud, Reconstruction
 
@@ -60,7 +60,7 @@ def test_every_key_is_documented() -> None:
     }
     timings = Timings()
     timings.add({"wait": 1.0, "latency": 2.0})
-    message = json.loads(encode_health(Health(FrameLedger(), timings).snapshot(0, {})))
+    message = json.loads(encode_json(Health(FrameLedger(), timings).snapshot(0, {})))
     reported = {each.health_key for each in (Robot, SessionRequests, References, RecordRequests, ActiveProfile)}
     assert set(message) | reported == documented
     assert message["latency_ms"] == {"p50": 2.0, "p99": 2.0}

@@ -8,7 +8,7 @@ import pytest
 from support.recordings import write_recording
 
 from tacshade_edge.daemon.recording.playback import Playback
-from tacshade_edge.protocol.messages import PlaybackCommand
+from tacshade_edge.protocol.requests import PlaybackCommand
 from tacshade_edge.storage.recording.recording import Recording
 from tools.testbed.painted_sensor import FREE
 from tools.testbed.patience import patience

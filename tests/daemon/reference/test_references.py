@@ -16,6 +16,7 @@ from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.storage.calibration.calibration_file import with_crc
 from tacshade_edge.types import U8, Calibration, Frame
+from tools.testbed.simulator import camera_faults
 
 FPS = 10
 
@@ -109,7 +110,7 @@ def test_a_doubt_or_a_spot_stops_it_with_its_reason(resting: Resting, calibratio
     assert (resting.health["state"], resting.health["reason"]) == ("stopped", doubt.text)
     assert resting.health["looks"] == 1
     disc = calibration.geometry.disc
-    assert resting.look(nuisance.glare(pictures.free, disc.row_c, disc.col_c + 20, 2))
+    assert resting.look(camera_faults.glare(pictures.free, disc.row_c, disc.col_c + 20, 2))
     assert (resting.health["state"], resting.health["reason_code"]) == ("stopped", "patch_changed")
     assert resting.references.calibration is calibration
 

@@ -17,7 +17,7 @@ from tacshade_edge.daemon.pipeline.observer import FrameResult
 from tacshade_edge.daemon.robot.robot import Robot
 from tacshade_edge.daemon.robot.serial_commands import WAITING_MAX
 from tacshade_edge.devices.serial.port import SerialPort
-from tacshade_edge.protocol.messages import Request
+from tacshade_edge.protocol.requests import Request
 from tacshade_edge.protocol.results import ReferenceTaken, SessionBegun
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Calibration, Frame, HeightMap, Need, ObjectCloud, Reconstruction

@@ -3,26 +3,25 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-import pytest
 
 from tacshade_edge.devices.base import FrameSource
 from tacshade_edge.devices.camera.simulated import SimulatedSource
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.objects import ball
 from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.simulator.script import Script
 
 SMALL = replace(SensorModel(), image_height_px=48, image_width_px=64, row_c=23.0, col_c=31.0, disc_radius_px=20.0)
 SCRIPT = Script((Press(ball(5.0), depth_mm=3.0),), approach=1, hold=1, release=1, pause=1)
 
 
-def source(fps: float = 200.0, ring: int = 0) -> SimulatedSource:
-    return SimulatedSource(fps=fps, model=SMALL, script=SCRIPT, ring=ring)
+def source(fps: float = 200.0) -> SimulatedSource:
+    return SimulatedSource(fps=fps, model=SMALL, script=SCRIPT)
 
 
-@pytest.mark.parametrize("ring", [0, 4])
-def test_frames_come_at_their_time_stamps_one_period_apart(ring: int) -> None:
-    camera: FrameSource = source(ring=ring)
+def test_frames_come_at_their_time_stamps_one_period_apart() -> None:
+    camera: FrameSource = source()
     camera.open()
     frames = []
     for _ in range(20):
@@ -40,7 +39,7 @@ def test_frames_come_at_their_time_stamps_one_period_apart(ring: int) -> None:
 
 
 def test_what_was_not_read_in_time_is_dropped_and_counted() -> None:
-    camera = source(fps=1000.0, ring=4)
+    camera = source(fps=1000.0)
     camera.open()
     first = camera.read()
     until_ns = first.t_ns + 20_000_000
@@ -52,21 +51,12 @@ def test_what_was_not_read_in_time_is_dropped_and_counted() -> None:
     assert late.t_ns - first.t_ns == late.seq * 1_000_000
 
 
-def test_the_ring_repeats_and_its_truth_is_known() -> None:
-    camera = source(ring=4)
+def test_the_frames_are_the_scripts() -> None:
+    camera, sensor = source(fps=20.0), SimulatedSensor(SMALL)
     camera.open()
-    seen = {}
-    while len(seen) < 8:
-        frame = camera.read()
-        seen[frame.seq] = frame.image
-    for seq, image in seen.items():
-        for other, image_other in seen.items():
-            assert np.array_equal(image, image_other) == (seq % 4 == other % 4)
-    assert camera.presses(4) == ()
-    assert camera.presses(6)[0].depth_mm == 3.0
-    assert camera.presses(6)[0].shape.name == "ball"
-    assert camera.truth(6).depth_max_mm == pytest.approx(3.0, abs=0.02)
-    assert camera.truth(4).depth_max_mm == 0.0
+    for frame in (camera.read() for _ in range(4)):
+        drawn = sensor.frame(SCRIPT.at(frame.seq), noise_seed=frame.seq).image
+        np.testing.assert_array_equal(frame.image, drawn)
 
 
 def test_numbering_goes_on_after_a_reopening() -> None:
@@ -79,5 +69,5 @@ def test_numbering_goes_on_after_a_reopening() -> None:
     again = camera.read()
     assert again.seq == 3 + camera.dropped
     assert again.t_ns > last.t_ns
-    assert camera.describe() == {"device": "simulated", "width_px": 64, "height_px": 48, "fps": 200.0, "ring": 0}
+    assert camera.describe() == {"device": "simulated", "width_px": 64, "height_px": 48, "fps": 200.0}
     assert SimulatedSource(fps=30).describe()["fps"] == 30, "as it was asked for, without what rounding makes of it"

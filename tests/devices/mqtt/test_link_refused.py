@@ -13,7 +13,7 @@ from support.link_rig import BASE, Rig, broker_test, code, needs_mosquitto, offe
 from tacshade_edge.devices.mqtt.client import packet_bytes, publish_properties
 from tacshade_edge.devices.mqtt.link import MqttLink
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.protocol.messages import Request
+from tacshade_edge.protocol.requests import Request
 from tacshade_edge.reasons import ReasonCode
 from tools.testbed.mqtt_rig import Broker, Subscriber
 from tools.testbed.patience import wait_until

@@ -10,8 +10,8 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 from support.link_rig import BASE, Rig, broker_test, needs_mosquitto
 
-from tacshade_edge.protocol import messages
-from tacshade_edge.protocol.messages import Request
+from tacshade_edge.protocol import replies
+from tacshade_edge.protocol.requests import Request
 from tools.testbed.mqtt_rig import Broker, Subscriber
 from tools.testbed.patience import patience, wait_until
 
@@ -23,7 +23,7 @@ class TestRequests:
         subscriber.publish(f"{BASE}/req/profile", b'{"profile": "fast", "transaction": "t1"}')
         request = rig.requests.get(timeout=patience(5))
         assert request == Request("profile", "t1", "fast")
-        rig.link.reply(request, messages.encode_result(request.transaction, {"profile": "fast"}))
+        rig.link.reply(request, replies.encode_result(request.transaction, {"profile": "fast"}))
         assert json.loads(subscriber.wait_for(f"{BASE}/res/profile")[0])["transaction"] == "t1"
 
     def test_mqtt5_client_is_answered_where_it_asked(self, rig: Rig, broker: Broker) -> None:
@@ -109,16 +109,16 @@ class TestRequests:
         self, rig: Rig, broker: Broker, subscriber: Subscriber
     ) -> None:
         for k in range(3):
-            rig.link.tell("event/slip", b"%d" % k)
+            rig.link.publish_event("event/slip", b"%d" % k)
         assert subscriber.wait_for(f"{BASE}/event/slip", 3) == [b"0", b"1", b"2"]
         with Subscriber(broker.port) as late:
-            rig.link.tell("event/slip", b"3")
+            rig.link.publish_event("event/slip", b"3")
             assert late.wait_for(f"{BASE}/event/slip") == [b"3"]
         assert rig.link.counters() | {"events": 4, "events_dropped": 0} == rig.link.counters()
 
     def test_events_of_a_broker_that_is_away_are_counted(self, rig: Rig, broker: Broker) -> None:
         broker.kill()
         wait_until(lambda: not rig.link.connected, 5, "the loss")
-        rig.link.tell("event/slip", b"lost")
+        rig.link.publish_event("event/slip", b"lost")
         assert rig.link.counters()["events_dropped"] == 1
         broker.start()

@@ -13,6 +13,8 @@ import pytest
 from support.half_family import half_family
 from support.progress_lines import only_progress
 
+from tools.studies import evaluate
+
 STUDIES = ("ablation", "drag", "limits", "sigma", "slip")
 ONE_OBJECT = ["--objects", "ball", "--profile", "fast", "--references", "1", "--presses", "8"]
 
@@ -123,6 +125,21 @@ def test_slip_writes_its_tables(
 def test_usage_mistakes_exit_2(name: str, words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as left:
         program(name).main(words)
+    assert left.value.code == 2
+    assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--sensors", "5,tacshade:12345"], "--sensors: seeds from 9000 on are kept for --final"),
+        (["--sensors", "5", "--final"], "--final does not go with --sensors"),
+        (["--final", "--calibration", "x", "--images", "x"], "--sensors is for simulated sensors"),
+    ],
+)
+def test_evaluate_keeps_the_final_sensors(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as left:
+        evaluate.main(words)
     assert left.value.code == 2
     assert message in capsys.readouterr().err
 

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.simulator.model import SensorModel, tactip
+from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.objects import ball
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.studies.evaluate.labelled import FoundRow
 from tools.studies import real_frames
 from tools.studies.real_frames import RealFrame
+from tools.testbed.simulator.tactip import tactip
 
 LIST_HEADER = "Image number, contact, shear_x, shear_y, pose_z, pose_Rx, pose_Ry, shear_Rz \n"
 FREE_LINE = "{}, False, 0.00, 0.00, 0.00, 0.00, 0.00, 0.00 \n"

@@ -26,6 +26,8 @@ from tacshade_edge.studies.evaluate.summary import by_object, figures, worst
 from tacshade_edge.studies.parallel import Report, reported_map
 from tacshade_edge.types import F32, Bool, Calibration, Frame, Geometry
 from tools.studies.ablation.perfected import PerfectedNetwork, true_answer
+from tools.testbed.simulator.families import sensor_name
+from tools.testbed.simulator.variants import noiseless
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +144,7 @@ def _unfitted(calibration: Calibration, variant: Variant) -> Calibration:
 
 
 def _presses(plan: Plan, name: SensorName, sensor: PressedSensor, object_name: str) -> list[_Pressed]:
-    quiet = sensor.noiseless()
+    quiet = noiseless(sensor)
     made = []
     for scene in scenes(sensor.model, name.seed, object_name, plan.depths_mm):
         frame = sensor.frame((scene.press,), scene.noise_seed)
@@ -200,10 +202,10 @@ def object_rows(found: Sequence[tuple[str, Row]]) -> list[AblationRow]:
 def text(found: Sequence[tuple[str, Row]]) -> str:
     """A table for each family."""
     parts = []
-    for family in dict.fromkeys(SensorName.parse(row.sensor).family for _, row in found):
+    for family in dict.fromkeys(sensor_name(row.sensor).family for _, row in found):
         lines = []
         for what in VARIANTS:
-            some = [row for which, row in found if which == what and SensorName.parse(row.sensor).family == family]
+            some = [row for which, row in found if which == what and sensor_name(row.sensor).family == family]
             mean, least = figures(some), worst(list(by_object(some).values()))
             values = (mean.me_mm, least.me_mm, mean.backward_mm), (mean.sd_pct, least.sd_pct)
             lines.append(

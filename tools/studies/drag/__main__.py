@@ -11,13 +11,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from tacshade_edge.cli.shared.progress import Progress
-from tacshade_edge.studies.evaluate.sensors import FINAL_SENSORS
 from tacshade_edge.studies.parallel import usable_cores
 from tacshade_edge.studies.tables import csv_text
 from tools.studies import command
 from tools.studies.drag.picture import draw
 from tools.studies.drag.summary import text
 from tools.studies.drag.work import SENSORS, DragRow, Plan, study
+from tools.testbed.simulator.families import FINAL_SENSORS
 
 FINAL = tuple(FINAL_SENSORS[k] for k in (0, 1, 3, 4))
 """Two of each family: a dragged frame takes a second."""

@@ -13,6 +13,8 @@ from tacshade_edge.simulator.objects import ball
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.studies.evaluate.sensors import PressedSensor
 from tacshade_edge.types import U8
+from tools.testbed.simulator import camera_faults
+from tools.testbed.simulator.variants import released
 
 Rng = np.random.Generator
 Change = Callable[[U8, SensorModel, Rng], U8]
@@ -29,17 +31,19 @@ def _light(image: U8, model: SensorModel, rng: Rng) -> U8:
 
 def _aged(image: U8, model: SensorModel, rng: Rng) -> U8:
     loss, angle = float(rng.uniform(0.1, 0.4)), float(rng.uniform(0, 360))
-    return nuisance.uneven(image, model.row_c, model.col_c, model.disc_radius_px, loss, angle)
+    return camera_faults.uneven(image, model.row_c, model.col_c, model.disc_radius_px, loss, angle)
 
 
 def _glare(image: U8, model: SensorModel, rng: Rng) -> U8:
     rho, angle = 0.9 * model.disc_radius_px * math.sqrt(rng.uniform()), rng.uniform(0, 2 * math.pi)
     sigma, level = float(rng.uniform(2, 20)), float(rng.uniform(60, 255))
-    return nuisance.glare(image, model.row_c + rho * math.sin(angle), model.col_c + rho * math.cos(angle), sigma, level)
+    return camera_faults.glare(
+        image, model.row_c + rho * math.sin(angle), model.col_c + rho * math.cos(angle), sigma, level
+    )
 
 
 def _warm(image: U8, model: SensorModel, rng: Rng) -> U8:
-    return nuisance.warm(image, model.row_c, model.col_c, float(rng.uniform(0, 1)))
+    return camera_faults.warm(image, model.row_c, model.col_c, float(rng.uniform(0, 1)))
 
 
 def _moved(image: U8, model: SensorModel, rng: Rng) -> U8:
@@ -48,7 +52,7 @@ def _moved(image: U8, model: SensorModel, rng: Rng) -> U8:
 
 
 def _noisy(image: U8, model: SensorModel, rng: Rng) -> U8:
-    return nuisance.noise(image, float(rng.uniform(2, 10)), int(rng.integers(1 << 30)))
+    return camera_faults.noise(image, float(rng.uniform(2, 10)), int(rng.integers(1 << 30)))
 
 
 CHANGES: dict[str, Change] = {
@@ -73,11 +77,11 @@ def _far_moved(image: U8, model: SensorModel, rng: Rng) -> U8:
 
 
 def _far_noisy(image: U8, model: SensorModel, rng: Rng) -> U8:
-    return nuisance.noise(image, float(rng.uniform(15, 50)), int(rng.integers(1 << 30)))
+    return camera_faults.noise(image, float(rng.uniform(15, 50)), int(rng.integers(1 << 30)))
 
 
 def _blurred(image: U8, model: SensorModel, rng: Rng) -> U8:
-    return nuisance.defocus(image, float(rng.uniform(1, 5)))
+    return camera_faults.defocus(image, float(rng.uniform(1, 5)))
 
 
 def _torn_row(model: SensorModel, rng: Rng) -> int:
@@ -87,7 +91,7 @@ def _torn_row(model: SensorModel, rng: Rng) -> int:
 def _sideways(px: int) -> Change:
     def change(image: U8, model: SensorModel, rng: Rng) -> U8:
         scaled_px = round(px * model.image_width_px / 640)
-        return nuisance.torn(image, image, _torn_row(model, rng), scaled_px * int(rng.choice((-1, 1))))
+        return camera_faults.torn(image, image, _torn_row(model, rng), scaled_px * int(rng.choice((-1, 1))))
 
     return change
 
@@ -107,7 +111,7 @@ def _down(image: U8, model: SensorModel, rng: Rng) -> U8:
 
 
 def _flat_below(image: U8, model: SensorModel, rng: Rng) -> U8:
-    return nuisance.torn(image, np.full_like(image, int(rng.choice((0, 128)))), _torn_row(model, rng))
+    return camera_faults.torn(image, np.full_like(image, int(rng.choice((0, 128)))), _torn_row(model, rng))
 
 
 TORN: dict[str, Change] = {
@@ -140,5 +144,5 @@ def without_contact(sensor: PressedSensor, what: str, seed: int, noise_seed: int
         rho, angle = model.skin_radius_mm * rng.uniform(0, 0.4), rng.uniform(0, 2 * math.pi)
         radius, depth, part = rng.uniform(3, 9), rng.uniform(2, 4), rng.uniform(*LEFT)
         press = Press(ball(radius), rho * math.cos(angle), rho * math.sin(angle), depth)
-        return sensor.released((press,), part, noise_seed).image
+        return released(sensor, (press,), part, noise_seed).image
     return (CHANGES | BEYOND)[what](sensor.frame((), noise_seed).image, sensor.model, rng)

@@ -10,12 +10,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from tacshade_edge.cli.shared.progress import Progress
-from tacshade_edge.studies.evaluate.sensors import FINAL_SENSORS
 from tacshade_edge.studies.parallel import usable_cores
 from tacshade_edge.studies.tables import csv_text
 from tools.studies import command
 from tools.studies.slip.summary import text
 from tools.studies.slip.work import HeldRow, Plan, ReleaseRow, SlideRow, study
+from tools.testbed.simulator.families import FINAL_SENSORS
 
 KINDS = {"_slides": SlideRow, "_held": HeldRow, "_releases": ReleaseRow}
 

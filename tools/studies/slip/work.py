@@ -12,14 +12,14 @@ import numpy as np
 
 from tacshade_edge.core.contact.tracking import ContactTracker, follow
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.simulator.motion import Motion, pressed
-from tacshade_edge.simulator.moving_scene import MovingScene
 from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.studies.cases import calibrate_sensors
 from tacshade_edge.studies.evaluate.sensors import PRESSES, REFERENCES, SensorName, reconstructor
 from tacshade_edge.studies.parallel import Report, reported_map
 from tacshade_edge.types import Calibration, Frame, Need, Slip
+from tools.testbed.simulator.motion import Motion, pressed
+from tools.testbed.simulator.moving_scene import MovingScene
 
 FPS = 60
 OBJECT_NAMES = ("ball", "cube")

@@ -12,8 +12,8 @@ from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import Press, distance_mm
 from tacshade_edge.simulator.skin import Skin, direction_to_chart, undeformed
 from tacshade_edge.simulator.truth import Truth, measure, skin_points
-from tacshade_edge.simulator.varied_print import PinProfile, VariedRenderer, lattice_print
 from tacshade_edge.types import F64
+from tools.testbed.simulator.varied_print import PinProfile, VariedRenderer, lattice_print
 
 TOUCHING_MM = 0.06
 """Skin nearer to the object than this touches it: between points that touch, the mesh's skin lies so far off it."""

@@ -1,4 +1,4 @@
-"""Is an image a press that `calibrate` can use? Told while the indenter is still there."""
+"""Is an image a press that `calibrate` can use? Answered while the indenter is still there."""
 
 from __future__ import annotations
 

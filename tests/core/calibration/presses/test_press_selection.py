@@ -13,9 +13,9 @@ from tacshade_edge.inference.network import load_networks
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.studies.evaluate.sensors import SensorName
 from tacshade_edge.types import U8, Polarity
 from tools.testbed.calibrated_sensor import HALF, TACTIP, presses, references, sensor_of, unloaded
+from tools.testbed.simulator.families import sensor_name
 
 pytestmark = pytest.mark.slow
 
@@ -121,7 +121,7 @@ def test_a_true_table_is_not_refused() -> None:
 @pytest.mark.parametrize("name", ["5", "11", "21", "other:31", "other:32"])
 def test_true_tables_of_other_sensors_are_not_refused(name: str) -> None:
     """And diameters are, on each."""
-    sensor = SensorName.parse(name).make()
+    sensor = sensor_name(name).make()
     free = [sensor.frame((), k).image for k in range(3)]
     table = [
         KnownPress(f"press {k}", sensor.frame((p,), 100 + k).image, radius_mm, p.depth_mm, p.x_mm, p.y_mm)
@@ -181,7 +181,7 @@ def test_one_press_with_x_and_y_swapped_is_named_and_left_out() -> None:
 @pytest.mark.parametrize(("name", "pitch_mm"), [("61", 1.27), ("other:53", 1.32)])
 def test_a_fine_lattice_keeps_its_right_presses(name: str, pitch_mm: float) -> None:
     """Where the skin brightens most is elsewhere then."""
-    sensor = SensorName.parse(name).make()
+    sensor = sensor_name(name).make()
     sensor = type(sensor)(replace(sensor.model, pitch_mm=pitch_mm))  # type: ignore[call-arg]
     free = [sensor.frame((), 1000 + k).image for k in range(5)]
     table = [

@@ -31,6 +31,7 @@ from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.types import U8, Calibration, Frame
 from tools.testbed.calibrated_sensor import HALF, TACTIP, calibrated, simulated, unloaded
+from tools.testbed.simulator import camera_faults
 
 pytestmark = pytest.mark.slow
 
@@ -70,8 +71,8 @@ def test_a_still_picture_is_not_worth_a_renewal() -> None:
     "change",
     [
         lambda image, part: nuisance.gain(image, 1 - 0.15 * part),
-        lambda image, part: nuisance.uneven(image, *DISC, 0.2 * part, 30),
-        lambda image, part: nuisance.warm(image, *DISC[:2], 0.4 * part),
+        lambda image, part: camera_faults.uneven(image, *DISC, 0.2 * part, 30),
+        lambda image, part: camera_faults.warm(image, *DISC[:2], 0.4 * part),
     ],
     ids=["light ages", "one lamp ages", "warms up"],
 )
@@ -101,7 +102,7 @@ def speckled(radius_pitches: float) -> Callable[[U8, float], U8]:
     radius_px = radius_pitches * calibrated(count=0).pitch_px
 
     def change(image: U8, part: float) -> U8:
-        covered = nuisance.speck(image, row, col, radius_px).astype(np.float32)
+        covered = camera_faults.speck(image, row, col, radius_px).astype(np.float32)
         return np.asarray(np.rint(image + part * (covered - image)), np.uint8)
 
     return change
@@ -109,7 +110,7 @@ def speckled(radius_pitches: float) -> Callable[[U8, float], U8]:
 
 def torn(image: U8, part: float) -> U8:
     """From the middle down the skin slips sideways."""
-    return nuisance.torn(image, image, round(HALF.row_c), round(6 * part))
+    return camera_faults.torn(image, image, round(HALF.row_c), round(6 * part))
 
 
 def moving(image: U8, part: float) -> U8:
@@ -123,10 +124,10 @@ def moving(image: U8, part: float) -> U8:
         (speckled(0.35), {ReasonCode.PATCH_CHANGED}),
         (speckled(1.5), {ReasonCode.PATCH_CHANGED}),
         (torn, {ReasonCode.PATCH_CHANGED, ReasonCode.TORN, ReasonCode.CAMERA_SHIFT}),
-        (lambda image, part: nuisance.defocus(image, 0.1 + 2 * part), {ReasonCode.LIGHT_DRIFT}),
+        (lambda image, part: camera_faults.defocus(image, 0.1 + 2 * part), {ReasonCode.LIGHT_DRIFT}),
         (lambda image, part: nuisance.gain(image, 1 - 0.5 * part), {ReasonCode.LIGHT_DRIFT}),
         (moving, {ReasonCode.CAMERA_SHIFT, ReasonCode.PATCH_CHANGED}),
-        (lambda image, part: nuisance.uneven(image, *DISC, 0.6 * part, 0), {ReasonCode.LIGHT_DRIFT}),
+        (lambda image, part: camera_faults.uneven(image, *DISC, 0.6 * part, 0), {ReasonCode.LIGHT_DRIFT}),
     ],
     ids=["a marker fades", "a stain", "torn", "blurs", "goes dark", "the camera moves", "a lamp dies"],
 )
@@ -180,7 +181,7 @@ def test_an_object_laid_on_over_hours_is_found_as_one_that_comes_at_once(
 
 def test_a_sensor_that_trembles_does_not_raise_its_gate() -> None:
     origin = calibrated(count=0)
-    trembling = [nuisance.noise(nuisance.gain(image, 0.9), 20, k) for k, image in enumerate(rest())]
+    trembling = [camera_faults.noise(nuisance.gain(image, 0.9), 20, k) for k, image in enumerate(rest())]
     renewed = follow(origin, origin, trembling)
     assert renewed.calibration is None or renewed.calibration.noise_grey == origin.noise_grey
 

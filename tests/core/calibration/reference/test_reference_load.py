@@ -10,10 +10,10 @@ from tacshade_edge.core.geometry.disc import Grid
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator.model import random_model
 from tacshade_edge.simulator.objects import OBJECTS
-from tacshade_edge.simulator.other_family import OtherSensor, other_model
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.types import Disc
 from tools.testbed.calibrated_sensor import loaded, references, sensor_of
+from tools.testbed.simulator.other_family import OtherSensor, other_model
 
 
 def test_a_turn_moves_what_stands_on_the_grid() -> None:

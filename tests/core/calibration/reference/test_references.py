@@ -22,12 +22,13 @@ from tools.testbed.calibrated_sensor import (
     step,
     unloaded,
 )
+from tools.testbed.simulator import camera_faults
 
 SENSOR = sensor_of(HALF)
 
 
 def test_noise_is_measured_from_the_references() -> None:
-    noisy = [nuisance.noise(image, 12, k) for k, image in enumerate(references())]
+    noisy = [camera_faults.noise(image, 12, k) for k, image in enumerate(references())]
     assert calibrate(SENSOR, noisy).calibration.noise_grey > 1.5 * calibrated(count=0).noise_grey
 
 
@@ -74,7 +75,7 @@ def test_a_new_reference_keeps_everything_else() -> None:
         (loaded(3.0, 0.0), "reference refused: .*under load"),
         (loaded(3.0, 6.0), "reference refused: .*under load"),
         ([nuisance.shift(unloaded(), 0, 4)] * 3, "reference refused: the image moved by 4.0 px; .*calibrate again"),
-        ([nuisance.defocus(unloaded(), 2.5)] * 3, "reference refused: 0.* times the contrast"),
+        ([camera_faults.defocus(unloaded(), 2.5)] * 3, "reference refused: 0.* times the contrast"),
     ],
     ids=["none", "black", "size", "load in the middle", "load", "moved", "blurred"],
 )

@@ -5,6 +5,7 @@ from tacshade_edge.simulator.objects import ball
 from tacshade_edge.simulator.press import Press
 from tools.studies.limits.disturbances import BEYOND, CHANGES, RELEASED, UNDISTURBED, without_contact
 from tools.testbed.calibrated_sensor import HALF, simulated
+from tools.testbed.simulator.variants import released
 
 CLEAN = simulated(HALF).frame((), 9).image
 
@@ -19,7 +20,7 @@ def test_a_seed_draws_one_image_that_differs_from_the_clean_one(what: str) -> No
 
 
 def test_after_a_release_the_skin_is_left_a_shallow_dent_and_no_contact() -> None:
-    left = simulated(HALF).released((Press(ball(), 0, 0, 3.0),), 0.05, 1)
+    left = released(simulated(HALF), (Press(ball(), 0, 0, 3.0),), 0.05, 1)
     assert left.skin.height_mm.max() == pytest.approx(0.15, abs=0.001)
     assert left.presses == ()
     assert not left.skin.obstacle_mm.any()

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from tacshade_edge.simulator import nuisance
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.types import U8
+from tools.testbed.simulator import camera_faults
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,5 +41,5 @@ class SlowLight:
 
     def on(self, image: U8, model: SensorModel, t_s: float) -> U8:
         """An image, uint8 (H, W, 3), that was drawn in the first light, as it is at a time."""
-        warm = nuisance.warm(image, model.row_c, model.col_c, self.warm_part(t_s))
+        warm = camera_faults.warm(image, model.row_c, model.col_c, self.warm_part(t_s))
         return nuisance.gain(warm, self.aged_part(t_s))

@@ -6,11 +6,11 @@ import pytest
 
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.simulator.objects import ball
-from tacshade_edge.simulator.other_family import OtherSensor, other_model, turned_mm, two_scale_skin
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.simulator.skin import press_skin
-from tacshade_edge.simulator.varied_print import PinProfile, VariedRenderer, lattice_print
+from tools.testbed.simulator.other_family import OtherSensor, other_model, turned_mm, two_scale_skin
+from tools.testbed.simulator.varied_print import PinProfile, VariedRenderer, lattice_print
 
 MODEL = replace(other_model(3), image_height_px=240, image_width_px=320, row_c=119.0, col_c=160.0, disc_radius_px=100.0)
 PRESS = Press(ball(6.0), 1.0, 1.0, 3.0)

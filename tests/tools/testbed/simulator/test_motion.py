@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tacshade_edge.simulator.motion import CLEAR_MM, Motion, pressed
 from tacshade_edge.simulator.objects import ball
 from tacshade_edge.simulator.press import Press
+from tools.testbed.simulator.motion import CLEAR_MM, Motion, pressed
 
 BALL = ball(5.0)
 WAY = (

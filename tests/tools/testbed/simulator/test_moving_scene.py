@@ -7,13 +7,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.motion import Motion, pressed
-from tacshade_edge.simulator.moving_scene import MovingScene
 from tacshade_edge.simulator.objects import OBJECTS, Shape, ball
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedSensor
-from tacshade_edge.simulator.slow_light import SlowLight
 from tacshade_edge.types import Slip
+from tools.testbed.simulator.motion import Motion, pressed
+from tools.testbed.simulator.moving_scene import MovingScene
+from tools.testbed.simulator.slow_light import SlowLight
 
 pytestmark = pytest.mark.slow
 

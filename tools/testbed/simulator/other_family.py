@@ -13,9 +13,10 @@ from tacshade_edge.simulator.drag import Contacts, Mechanics, drag_skin
 from tacshade_edge.simulator.model import RIM_HALF_ANGLE_DEG, SensorModel, random_model
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedFrame
-from tacshade_edge.simulator.skin import Skin, left_over, press_skin
-from tacshade_edge.simulator.varied_print import PinProfile, VariedRenderer, lattice_print
+from tacshade_edge.simulator.skin import Skin, press_skin
 from tacshade_edge.types import F32, F64
+from tools.testbed.simulator.left_over import left_over
+from tools.testbed.simulator.varied_print import PinProfile, VariedRenderer, lattice_print
 
 CAPS = PinProfile(((1.0, 0.7, 0.0),))
 """A stem that tapers, under a flat cap."""
@@ -43,7 +44,7 @@ class OtherSensor:
         self._renderer = VariedRenderer(model, marks, CAPS if capped else FRUSTUM)
 
     def noiseless(self) -> OtherSensor:
-        """As `SimulatedSensor.noiseless`."""
+        """The same sensor with a camera without noise."""
         return OtherSensor(replace(self.model, read_noise_grey=0.0, shot_noise_grey=0.0), *self._differences)
 
     def frame(self, presses: Sequence[Press] = (), noise_seed: int = 0) -> SimulatedFrame:
@@ -54,7 +55,7 @@ class OtherSensor:
         )
 
     def released(self, presses: Sequence[Press], part: float, noise_seed: int = 0) -> SimulatedFrame:
-        """As `SimulatedSensor.released`."""
+        """Take a picture after the presses are gone, while the skin still keeps a part of its deformation."""
         skin = left_over(self._pressed(presses), part)
         return SimulatedFrame(self._renderer.expose(self._renderer.draw(skin), noise_seed), (), skin, self.model)
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.slow_light import SlowLight
+from tools.testbed.simulator.slow_light import SlowLight
 
 IMAGE = np.full((48, 64, 3), 100, np.uint8)
 MODEL = SensorModel()

@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tacshade_edge.simulator.creep import imprint, kept, rest
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.objects import ball
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import skin_under
 from tacshade_edge.types import F32
+from tools.testbed.simulator.creep import imprint, kept, rest
 
 PART, TAU_S = 0.1, 0.8
 

@@ -10,16 +10,16 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from tacshade_edge.simulator.creep import Imprint, imprint, kept, rest
 from tacshade_edge.simulator.drag import contact_nodes
 from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.motion import Motion
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.render import Renderer
 from tacshade_edge.simulator.scene import SimulatedFrame, skin_under
 from tacshade_edge.simulator.skin import Skin, node_directions
-from tacshade_edge.simulator.slow_light import SlowLight
 from tacshade_edge.types import F32, Slip
+from tools.testbed.simulator.creep import Imprint, imprint, kept, rest
+from tools.testbed.simulator.motion import Motion
+from tools.testbed.simulator.slow_light import SlowLight
 
 STICKS = 0.9
 """Part of a contact that goes with the object, from which it sticks: the outermost ring of any contact slides."""

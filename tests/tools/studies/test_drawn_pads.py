@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 
 from tacshade_edge.rigid import from_seven
-from tacshade_edge.simulator.drawn_pads import KINDS, SIDE_MM, relief
 from tacshade_edge.simulator.pad import raster, scan
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.skin import press_skin
+from tools.studies.drawn_pads import KINDS, SIDE_MM, relief
 
 RADIUS_MM = 20.0
 

@@ -1,0 +1,46 @@
+"""What comes from the broker: requests, and what this link watches below its base topic."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from paho.mqtt.client import MQTTMessage
+
+from tacshade_edge.errors import DecodeError
+from tacshade_edge.protocol.replies import encode_error
+from tacshade_edge.protocol.requests import Request, parse_request, parse_transaction
+
+
+@dataclass(frozen=True, slots=True)
+class BadRequest:
+    """A request that is refused.
+
+    Attributes
+    ----------
+    topic : str or None
+        Where `answer` goes, below the base topic; None where it cannot be answered.
+    answer : bytes
+    correlation : bytes or None
+    """
+
+    topic: str | None
+    answer: bytes
+    correlation: bytes | None
+
+
+def read_request(base_topic: str, message: MQTTMessage) -> Request | BadRequest:
+    """Understand a message on ``req/<verb>``."""
+    verb = message.topic.removeprefix(f"{base_topic}/req/")
+    payload = bytes(message.payload)
+    asked = str(getattr(message.properties, "ResponseTopic", None) or "")
+    correlation = getattr(message.properties, "CorrelationData", None)
+    # Nowhere else: who may ask must not be able to make this daemon say things in the name of a hand.
+    below = asked.removeprefix(f"{base_topic}/")
+    sound = below != asked and len(below) > len("res/") and asked.isprintable() and not set(asked) & set("+#")
+    response_topic = below if sound and below.startswith("res/") else None
+    try:
+        return parse_request(verb, payload, response_topic=response_topic, correlation=correlation)
+    except DecodeError as error:
+        # Brokers end a connection that publishes on a topic with control characters.
+        topic = (response_topic or f"res/{verb}") if verb.isprintable() else None
+        return BadRequest(topic, encode_error(parse_transaction(payload), error.reason), correlation)

@@ -1,0 +1,303 @@
+"""What goes to the broker: never blocks its caller, bounded whatever the peer does.
+
+paho's own queue is unbounded for QoS 0, so every topic has an `TopicSlot`: one waiting payload, the newest, and
+at most two that paho holds and has not yet written.
+
+Threads: callers' and paho's network thread. `_lock` guards all state and is never held while paho or a
+callback of ours is called, since paho calls back with locks of its own held.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from typing import Any, Final, Literal
+
+from paho.mqtt.client import Client
+from paho.mqtt.enums import MQTTErrorCode
+from paho.mqtt.properties import Properties
+from paho.mqtt.reasoncodes import ReasonCode as MqttCode
+
+from tacshade_edge.devices.mqtt.client import packet_bytes, publish_properties
+from tacshade_edge.devices.mqtt.refusals import Refusals
+from tacshade_edge.devices.mqtt.topic_slot import Item, PayloadOutcome, TopicSlot
+from tacshade_edge.protocol.requests import Request
+
+_log = logging.getLogger(__name__)
+
+_UNSENT_PER_STREAM: Final = 2
+_ANSWERS_OPEN_MAX: Final = 16
+_STREAM_EXPIRY_S: Final = 5  # a broker drops what a stalled subscriber did not take by then
+_NO_LISTENER: Final = 0x10  # "no matching subscribers", MQTT 5
+_JSON: Final = "application/json"
+CONTENT_TYPES: Final = {
+    "height": "application/vnd.tacshade.height",
+    "cloud": "application/vnd.tacshade.cloud",
+    "map/cloud": "application/vnd.tacshade.cloud",
+    "shear": "application/vnd.tacshade.shear",
+    "sigma": "application/vnd.tacshade.sigma",
+    "preview": "image/jpeg",
+    "state": "text/plain",
+}
+_COUNTERS: Final = (
+    *("connects", "losses", "published", "superseded", "failed", "refused"),
+    *("requests", "bad_requests", "replies", "replies_dropped", "events", "events_dropped"),
+)
+
+
+class Outgoing:
+    """The payloads on their way to one broker.
+
+    Parameters
+    ----------
+    client : Client
+        Its `on_publish` becomes this object's.
+    where : str
+        The broker, for the log.
+    base_topic : str
+    on_outcome : callable
+        Gets (stream, seq, outcome) once per offered payload.
+    """
+
+    def __init__(
+        self, client: Client, where: str, base_topic: str, on_outcome: Callable[[str, int, PayloadOutcome], None]
+    ) -> None:
+        self._client, self._where, self._base, self._on_outcome = client, where, base_topic, on_outcome
+        self._lock = threading.Lock()
+        self._changed = threading.Condition(self._lock)
+        self._connected, self._stopping = False, False
+        self._epoch = 0  # counts lost connections: what was handed over in an older one is settled already
+        self._outlets: dict[str, TopicSlot] = {}
+        self._by_mid: dict[int, tuple[TopicSlot, Item, int] | None] = {}  # with its QoS; None: sent once
+        self._early: dict[int, MqttCode] = {}  # what paho's thread reported before publish() had returned the number
+        self._answers_open = 0
+        self._refusals = Refusals(where)
+        self._packet_bytes_max: int | None = None
+        self._reported_too_large = False
+        self._counters: Counter[str] = Counter()
+        client.on_publish = self._on_publish
+
+    @property
+    def connected(self) -> bool:
+        """The broker has accepted us."""
+        return self._connected
+
+    def counters(self) -> dict[str, int]:
+        """Since the start; all names are always there. `refused`: the broker denied it, or takes none so large."""
+        with self._lock:
+            return {name: self._counters[name] for name in _COUNTERS}
+
+    def set_retained(self, topic: str, payload: bytes, *, qos: Literal[0, 1] = 1) -> None:
+        """Publish a retained value, now and again on every connection; the newest wins.
+
+        The topic is below the base topic; with a slash at its beginning it is from the broker's root.
+        """
+        with self._lock:
+            outlet = self._outlet(topic, qos, True)
+            outlet.put(Item(payload, 0))
+        self._pump(outlet)
+
+    def has_listener(self, stream: str) -> bool:
+        """Whether a stream may have a subscriber: False while the broker's latest answer was that it has none.
+
+        True once a second all the same, so that the next payload asks again; and with a broker that is away, or that
+        never says so (MQTT 5 leaves it to the broker).
+        """
+        with self._lock:
+            outlet = self._outlets.get(stream)
+            return outlet is None or not outlet.no_listener or outlet.probe_due(time.monotonic_ns())
+
+    def offer(self, stream: str, payload: bytes, seq: int) -> None:
+        """Send a payload of a stream (not retained) once the peer takes it, unless a newer one comes first.
+
+        With QoS 0, but one payload a second with QoS 1: its answer shows whether anyone listens (`has_listener`).
+
+        Its one outcome: ``published`` (handed to the operating system), ``superseded`` (a newer one displaced it),
+        ``refused`` (the broker denied it or, with QoS 0, what it answered last; or it takes none so large), or
+        ``failed`` (displaced or lost while the broker was away). While the broker is away the newest is kept,
+        and is the first to go out: subscribers are never left with an older truth.
+        """
+        with self._lock:
+            outlet = self._outlet(stream, 0, False)
+            item = Item(payload, seq)
+            displaced = item if self._stopping else outlet.put(item)
+            outcome: PayloadOutcome = "superseded" if self._connected and not self._stopping else "failed"
+        if displaced is not None:
+            self._settle(outcome, [(stream, displaced)])
+        self._pump(outlet)
+
+    def reply(self, request: Request, payload: bytes) -> None:
+        """Answer a request on ``res/<verb>``, or where its MQTT 5 properties say. Lost with the connection."""
+        self._send_once("replies", request.response_topic or f"res/{request.verb}", payload, request.correlation)
+
+    def publish_event(self, topic: str, payload: bytes) -> None:
+        """Say once what happened, under the base topic (QoS 1, not retained). Lost with the connection, and counted."""
+        self._send_once("events", topic, payload, None)
+
+    def _path(self, topic: str) -> str:
+        return topic[1:] if topic.startswith("/") else f"{self._base}/{topic}"
+
+    def _outlet(self, topic: str, qos: int, retain: bool) -> TopicSlot:
+        """The topic's outlet, made on first use. Lock held."""
+        if topic not in self._outlets:
+            content_type = CONTENT_TYPES.get(topic, _JSON)
+            properties = publish_properties(content_type, expiry_s=None if retain else _STREAM_EXPIRY_S)
+            most = 1 if retain else _UNSENT_PER_STREAM
+            self._outlets[topic] = TopicSlot(topic, qos, retain, most, properties)
+        return self._outlets[topic]
+
+    def _pump(self, outlet: TopicSlot) -> None:
+        """Hand paho what may go. One thread at a time per outlet; a second leaves the work to the first."""
+        while True:
+            with self._lock:
+                item = outlet.take() if self._may_go(outlet) else None
+                epoch = self._epoch
+                if item is None:
+                    return
+                if too_large := self._too_large(outlet.topic, item.payload, outlet.properties):
+                    outlet.done(item)
+                    outlet.busy = False
+                    self._counters["refused"] += outlet.retain
+                else:
+                    qos = outlet.next_qos(time.monotonic_ns())
+            if too_large:
+                if not outlet.retain:
+                    self._settle("refused", [(outlet.topic, item)])
+                continue
+            info = self._client.publish(self._path(outlet.topic), item.payload, qos, outlet.retain, outlet.properties)
+            settled: tuple[PayloadOutcome, Item] | None = None
+            with self._lock:
+                outlet.busy = False
+                if epoch != self._epoch:
+                    continue  # lost meanwhile, and settled then
+                taken = info.rc == MQTTErrorCode.MQTT_ERR_SUCCESS
+                if not taken:  # the connection is going; the next one pumps
+                    failed = outlet.refuse(item)
+                    settled = None if failed is None else ("failed", failed)
+                elif (code := self._early.pop(info.mid, None)) is not None:
+                    settled = (self._done(outlet, item, qos, code), item)
+                else:
+                    self._by_mid[info.mid] = (outlet, item, qos)
+            if settled is not None:
+                self._settled(outlet, *settled)
+            if not taken:
+                return
+
+    def _may_go(self, outlet: TopicSlot) -> bool:
+        """Whether paho may be handed more of a topic. Lock held.
+
+        The state goes first, and the rest once the broker has answered it: else frames that access rules deny would
+        count as published until they are known.
+        """
+        state = self._outlets["state"]
+        return self._connected and not self._stopping and (outlet is state or state.refused is not None)
+
+    def _settled(self, outlet: TopicSlot, outcome: PayloadOutcome, item: Item) -> None:
+        """An item that paho had is done. Lock not held."""
+        if not outlet.retain:
+            self._settle(outcome, [(outlet.topic, item)])
+        elif outlet.topic == "state":
+            with self._lock:
+                others = sorted((o for o in self._outlets.values() if o is not outlet), key=lambda o: not o.retain)
+            for other in others:
+                self._pump(other)
+
+    def _send_once(self, kind: str, topic: str, payload: bytes, correlation: bytes | None) -> None:
+        """Publish a reply or an event (QoS 1).
+
+        Dropped when not connected, too large or when 16 are not yet acknowledged.
+        """
+        properties = publish_properties(_JSON, correlation=correlation)
+        with self._lock:
+            too_large = self._too_large(topic, payload, properties)
+            if too_large or not self._connected or self._answers_open >= _ANSWERS_OPEN_MAX:
+                self._counters[f"{kind}_dropped"] += 1
+                self._counters["refused"] += too_large
+                return
+            self._answers_open += 1
+            self._counters[kind] += 1
+            epoch = self._epoch
+        info = self._client.publish(self._path(topic), payload, 1, False, properties)
+        with self._lock:
+            if epoch != self._epoch:
+                return
+            if info.rc != MQTTErrorCode.MQTT_ERR_SUCCESS:
+                self._answers_open -= 1
+            elif (code := self._early.pop(info.mid, None)) is not None:
+                self._answered(code)
+            else:
+                self._by_mid[info.mid] = None
+
+    def _answered(self, code: MqttCode) -> None:
+        """The broker has answered a reply or an event of ours. Lock held."""
+        self._answers_open -= 1
+        self._note("res or event", code)
+        self._counters["refused"] += code.is_failure
+
+    def _done(self, outlet: TopicSlot, item: Item, qos: int, code: MqttCode) -> PayloadOutcome:
+        """Paho has sent an item (QoS 0), or the broker has answered it with a reason code. Lock held."""
+        outlet.done(item)
+        if qos == 1:
+            outlet.no_listener = code.value == _NO_LISTENER
+            outlet.refused = code.is_failure
+            self._note(outlet.topic, code)
+            self._counters["refused"] += outlet.retain and code.is_failure
+        self._changed.notify_all()
+        # With QoS 0 nobody answers: the rules that deny the state, or this stream's latest probe, deny it too.
+        refused = self._outlets["state"].refused if outlet.refused is None else outlet.refused
+        return "refused" if refused else "published"
+
+    def _note(self, topic: str, code: MqttCode) -> None:
+        """Keep whether the broker takes a topic. Lock held."""
+        if code.is_failure:
+            which = self._path(topic) if topic.startswith("/") else f"{self._base}/#"
+            expected = f"expected access rules (ACL) that let this user write {which}"
+            self._refusals.refused(self._path(topic), f"{code}, {expected}")
+        else:
+            self._refusals.taken(self._path(topic))
+
+    def _too_large(self, topic: str, payload: bytes, properties: Properties) -> bool:
+        """Whether the broker would end the connection for this message. Lock held."""
+        size, most = packet_bytes(self._path(topic), payload, properties), self._packet_bytes_max
+        if most is None or size <= most:
+            return False
+        if not self._reported_too_large:
+            text = "%s: takes packets of at most %d bytes (mosquitto: max_packet_size); %s of %d is not sent"
+            _log.warning(text + "; this is not reported again", self._where, most, self._path(topic), size)
+        self._reported_too_large = True
+        return True
+
+    def _settle(self, outcome: PayloadOutcome, items: list[tuple[str, Item]]) -> None:
+        """Report the outcome of stream items. Lock not held."""
+        with self._lock:
+            self._counters[outcome] += len(items)
+        for stream, item in items:
+            self._on_outcome(stream, item.seq, outcome)
+
+    def _forget(self) -> list[tuple[str, Item]]:
+        """Forget the connection; what failed with it. Lock held."""
+        self._counters["losses"] += self._connected and not self._stopping
+        self._connected = False
+        self._epoch += 1
+        self._by_mid.clear()
+        self._early.clear()
+        self._answers_open = 0
+        self._changed.notify_all()
+        return [(o.topic, item) for o in self._outlets.values() for item in o.give_back()]
+
+    def _on_publish(self, _client: Client, _userdata: Any, mid: int, code: MqttCode, _properties: Any) -> None:
+        with self._lock:
+            if mid not in self._by_mid:
+                self._early[mid] = code
+                return
+            entry = self._by_mid.pop(mid)
+            if entry is None:
+                self._answered(code)
+                return
+            outlet, item, qos = entry
+            outcome = self._done(outlet, item, qos, code)
+        self._settled(outlet, outcome, item)
+        self._pump(outlet)

@@ -1,0 +1,45 @@
+"""What is written to the robot: sealed lines, framed as the mode asks."""
+
+from __future__ import annotations
+
+from tacshade_edge.protocol.serial import cobs
+from tacshade_edge.protocol.serial.answers import error_text, printable, seq_text
+from tacshade_edge.protocol.serial.counts import LinkCounts
+from tacshade_edge.protocol.serial.framing import Framing
+from tacshade_edge.protocol.serial.line import seal
+from tacshade_edge.reasons import Reason
+
+
+class Output:
+    """Lines until the port takes them.
+
+    Parameters
+    ----------
+    framing : Framing
+        Its mode is that of the lines.
+    counts : LinkCounts
+    """
+
+    def __init__(self, framing: Framing, counts: LinkCounts) -> None:
+        self._framing, self._counts = framing, counts
+        self._waiting = bytearray()
+
+    def accept(self, seq: int | None, text: str) -> None:
+        """Answer ``OK``."""
+        self.send(printable(f"OK {seq_text(seq)} {text}"))
+
+    def refuse(self, seq: int | None, reason: Reason) -> None:
+        """Answer ``ERR`` to a line that was not handed out."""
+        self._counts.refused += 1
+        self.send(printable(f"ERR {seq_text(seq)} {error_text(reason)}"))
+
+    def send(self, text: str) -> None:
+        """Seal a line and keep it."""
+        line = seal(text)
+        self._waiting += line if self._framing.mode == "ASCII" else cobs.encode(b"L" + line[:-1]) + b"\0"
+
+    def take(self) -> bytes:
+        """What to write to the port, once."""
+        output = bytes(self._waiting)
+        self._waiting.clear()
+        return output

@@ -1,0 +1,1 @@
+"""What the simulated sensor has for tests and studies alone."""
