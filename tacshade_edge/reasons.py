@@ -28,6 +28,11 @@ class ReasonCode(StrEnum):
     UNTRUSTED = "untrusted"
     NO_USABLE_FRAME = "no_usable_frame"
 
+    # A touch.
+    TOUCH_UNLIKE = "touch_unlike"
+    TOUCH_RANGE = "touch_range"
+    TOUCH_NETWORKS = "touch_networks"
+
     # A daemon without a calibration.
     NOT_CALIBRATED = "not_calibrated"
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import overload
 
 import numpy as np
@@ -19,6 +20,7 @@ from tacshade_edge.core.frame_check.validity import picture_reason, sensor_check
 from tacshade_edge.core.geometry.disc import DiscRays, rays_in_image
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import Profile
+from tacshade_edge.core.touch.answer import touch_by_model, touch_without_labels
 from tacshade_edge.reasons import Reason
 from tacshade_edge.types import (
     F32,
@@ -31,9 +33,11 @@ from tacshade_edge.types import (
     Need,
     ObjectCloud,
     Reconstruction,
+    Touch,
+    TouchModel,
 )
 
-STAGES = ("check", "grey", "gate", "denoise", "depth", "shear", "cloud", "sigma")
+STAGES = ("check", "grey", "gate", "denoise", "depth", "shear", "cloud", "sigma", "touch")
 """All that a step may mark, in order; a stage that did not run is not marked."""
 
 FindObjects = Callable[[Bool, F32, F32 | None, DiscRays, Geometry], Objects | None]
@@ -57,6 +61,8 @@ class Reconstructor:
         In place of the profile's solver.
     find_objects : callable
         Distinguishes what touches.
+    touch : TouchModel, Reason or None
+        The profile's, or why it cannot be used; without one a touch is what map and shear say of it.
 
     Attributes
     ----------
@@ -71,6 +77,7 @@ class Reconstructor:
         network: Network | None = None,
         make_solver: MakeSolver | None = None,
         find_objects: FindObjects = find_objects,
+        touch: TouchModel | Reason | None = None,
     ) -> None:
         self.calibration = calibration
         self.profile = profile
@@ -81,6 +88,7 @@ class Reconstructor:
         self._untrusted_check = untrusted.UntrustedCheck(self._preprocessor)
         self._solver = (make_solver or SOLVERS[profile.solver])(self._preprocessor, network)
         self._find_objects = find_objects
+        self._touch = touch
         self.grid = self._solver.grid
         self.rays = rays_in_image(self.grid, calibration)
         self._zero_mm = np.where(self.rays.inside, np.float32(0), np.float32(np.nan)).astype(np.float32)
@@ -107,8 +115,8 @@ class Reconstructor:
         mark : callable
             Called with a stage's name (`STAGES`) at its end; a caller with a clock times them so.
         need : Need
-            With ``CONTACT`` it ends where a frame in contact would get its depth: None for that one. Without ``SHEAR``
-            and ``SIGMA`` a frame in contact has none.
+            With ``CONTACT`` it ends where a frame in contact would get its depth: None for that one. Without ``SHEAR``,
+            ``SIGMA`` and ``TOUCH`` a frame in contact has none.
         """
         grey = self._preprocessor.grey(frame.image, self._grey_space)
         reason = size_reason(frame.image, self._shape) or picture_reason(grey, self._frame_check)
@@ -131,7 +139,8 @@ class Reconstructor:
         if need == Need.CONTACT:
             return None
 
-        depth = self._solver.solve(preprocessed, mark)
+        features: list[F32] | None = [] if Need.TOUCH in need and isinstance(self._touch, TouchModel) else None
+        depth = self._solver.solve(preprocessed, mark, features)
         reason = self._untrusted_check.invalid_reason(depth.untrusted_logit, self.rays.inside, preprocessed.white)
         degraded = degraded or untrusted.degraded_reason(depth.untrusted, self.rays.inside)
         mark("depth")
@@ -140,7 +149,7 @@ class Reconstructor:
 
         shear_mm = None
         if Need.SHEAR in need:
-            shear_mm = self._solver.shear_mm(preprocessed)
+            shear_mm = self._solver.shear_mm(preprocessed, features)
             if shear_mm is not None:
                 shear_mm += self._zero_mm[..., None]
             mark("shear")
@@ -157,11 +166,22 @@ class Reconstructor:
         if Need.SIGMA in need:
             sigma_mm = self._sigma_mm(depth, height_mm, objects.contact)
             mark("sigma")
-        return self._whole(frame, degraded, depth, height_mm, shear_mm, sigma_mm, objects)
+        whole = self._whole(frame, degraded, depth, height_mm, shear_mm, sigma_mm, objects)
+        return self._with_touch(whole, features, mark) if Need.TOUCH in need else whole
 
     def depth(self, image: U8) -> Depth:
         """What the solver makes of an image, without frame check and gate."""
         return self._solver.solve(self._preprocessor.preprocess(self._preprocessor.grey(image)), no_mark)
+
+    def _with_touch(self, made: Reconstruction, features: list[F32] | None, mark: Mark) -> Reconstruction:
+        if isinstance(self._touch, Reason):
+            touch = Touch(reason=self._touch)
+        elif self._touch is None or not features:
+            touch = touch_without_labels(made.objects, made.shear_of_contact_mm)
+        else:
+            touch = touch_by_model(self._touch, features)
+        mark("touch")
+        return replace(made, touch=touch)
 
     def _sigma_mm(self, depth: Depth, height_mm: F32, contact: Bool) -> F32 | None:
         if self._sigma is None or depth.contact_logit is None or depth.untrusted_logit is None:

@@ -51,7 +51,11 @@ def load(path: str | os.PathLike[str], *, store: bool = True) -> Calibration:
 
     _log.warning("%s: of version %s: making it again for version %d", path, version, calibration_file.VERSION)
     try:
-        made = replace(make_again(inputs, load_networks()), fitted=calibration_file.fitted_in(path))
+        made = replace(
+            make_again(inputs, load_networks()),
+            fitted=calibration_file.fitted_in(path),
+            touch=calibration_file.touch_in(path),
+        )
     except ConfigError as error:
         raise ConfigError(f"{path}: cannot be made again by this version: {error}; calibrate again") from None
     return _running(path, _stored(Path(path), made, inputs, version) if store else calibration_file.with_crc(made))

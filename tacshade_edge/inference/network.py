@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 from collections.abc import Callable
@@ -16,7 +17,8 @@ from tacshade_edge.core.profiles import PROFILES, Profile
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.free_memory import return_free_memory
 from tacshade_edge.inference.onnx_weights import layout_of, values_of, weights_of, with_values, with_weights_of
-from tacshade_edge.types import F32, Calibration, FittedNetwork
+from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.types import F32, Calibration, FittedNetwork, TouchModel
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
@@ -44,15 +46,21 @@ def read_network(onnx: Path, fitted: FittedNetwork | None = None) -> Network:
             raise ValueError(f"fitted to another layout than that of {onnx.name}")
         frames = len(values_of(frame))
         frame, once = with_values(frame, fitted.weights[:frames]), with_values(once, fitted.weights[frames:])
-    session, correction = _session(in_integers(onnx, frame)), None if fitted is None else fitted.correction
+    graph, correction = in_integers(onnx, frame), None if fitted is None else fitted.correction
+    session, with_features = _session(graph), _with_features(onnx, graph)
 
     def run(white: F32, sensor: F32) -> NetworkMaps:
         maps, untrusted = session.run(None, {"white": white[None], "sensor": sensor[None]})
         return NetworkMaps(maps[0], untrusted[0, 0])
 
+    def run_touch(white: F32, sensor: F32) -> tuple[NetworkMaps, F32]:
+        maps, untrusted, features = with_features(white, sensor)
+        return NetworkMaps(maps[0], untrusted[0, 0]), features[0]
+
     shear = read_shear(WEIGHTS / "shear.onnx")
     return_free_memory()  # of `accurate` 8 MB
-    return Network(int(about["fold"]), _sensing(once, correction), run, shear, _sigma(onnx.stem))
+    touch = run_touch if _touch_file(onnx).exists() else None
+    return Network(int(about["fold"]), _sensing(once, correction), run, shear, _sigma(onnx.stem), touch)
 
 
 def in_integers(onnx: Path, frame: bytes) -> bytes:
@@ -98,13 +106,48 @@ def _sigma(name: str) -> SigmaModel | None:
 
 def read_shear(onnx: Path) -> ShearNetwork:
     """Read the network of shear."""
-    session, about = _session(in_integers(onnx, onnx.read_bytes())), _about(onnx)
+    graph, about = in_integers(onnx, onnx.read_bytes()), _about(onnx)
+    session, with_features = _session(graph), _with_features(onnx, graph)
 
     def run(white: F32, sensor: F32) -> F32:
         answer: F32 = session.run(None, {"white": white[None], "sensor": sensor[None]})[0][0]
         return answer
 
-    return ShearNetwork(int(about["fold"]), int(about["cells"]), _sensing(_beside(onnx)), run)
+    def run_touch(white: F32, sensor: F32) -> tuple[F32, F32]:
+        answer, features = with_features(white, sensor)
+        return answer[0], features[0]
+
+    touch = run_touch if _touch_file(onnx).exists() else None
+    return ShearNetwork(int(about["fold"]), int(about["cells"]), _sensing(_beside(onnx)), run, touch)
+
+
+def _touch_file(onnx: Path) -> Path:
+    """The nodes that pool the activations that a touch model looks at (tools/training/touch_outputs.py)."""
+    return onnx.with_suffix(".touch.onnx")
+
+
+def _with_features(onnx: Path, graph: bytes) -> Callable[[F32, F32], list[F32]]:
+    """What runs a graph with one more output, its features. Its session is made when it is first asked for."""
+    made: list[InferenceSession] = []
+
+    def run(white: F32, sensor: F32) -> list[F32]:
+        if not made:
+            made.append(_session(graph + _touch_file(onnx).read_bytes()))  # messages end to end are one message
+        answers: list[F32] = made[0].run(None, {"white": white[None], "sensor": sensor[None]})
+        return answers
+
+    return run
+
+
+def touch_networks(name: str, fitted: FittedNetwork | None = None) -> str:
+    """Which networks a touch model's features are of (`TouchModel.networks`): a digest of all that makes them."""
+    digest = hashlib.sha256()
+    for onnx in (WEIGHTS / f"{name}.onnx", WEIGHTS / "shear.onnx"):
+        for path in (onnx, _beside(onnx), onnx.with_suffix(".integer.onnx"), _touch_file(onnx)):
+            digest.update(path.read_bytes())
+    if fitted is not None:
+        digest.update(fitted.weights.tobytes() + fitted.correction.tobytes())
+    return digest.hexdigest()
 
 
 def _about(onnx: Path) -> dict[str, Any]:
@@ -150,6 +193,17 @@ def load_networks() -> dict[str, Network]:
 def make_reconstructor(calibration: Calibration, profile: Profile) -> Reconstructor:
     """A reconstructor, with a network of its own where the profile names one: the fitted one where there is one."""
     name = profile.network
-    return Reconstructor(
-        calibration, profile, load_network(name, calibration.fitted.get(profile.name)) if name else None
-    )
+    fitted = calibration.fitted.get(profile.name)
+    network = load_network(name, fitted) if name else None
+    return Reconstructor(calibration, profile, network, touch=_touch(calibration, profile))
+
+
+def _touch(calibration: Calibration, profile: Profile) -> TouchModel | Reason | None:
+    """The profile's touch model, where it was learnt with the networks that run now."""
+    model = calibration.touch.get(profile.name)
+    if model is None or not profile.network:
+        return None
+    if model.networks == touch_networks(profile.network, calibration.fitted.get(profile.name)):
+        return model
+    text = "the touch model was learnt with other networks: `tacshade-edge calibrate --labels` makes it again"
+    return Reason(ReasonCode.TOUCH_NETWORKS, text)

@@ -5,6 +5,7 @@ from tacshade_edge.types.calibration import Binarisation, Calibration, Fit, Fitt
 from tacshade_edge.types.frame import IDENTITY_POSE, Frame, Pose
 from tacshade_edge.types.geometry import Disc, Geometry
 from tacshade_edge.types.reconstruction import HeightMap, Need, ObjectCloud, Reconstruction, Slip, TouchedObject
+from tacshade_edge.types.touch import QUANTITIES, TOUCH_ARRAYS, Touch, TouchModel
 
 __all__ = [
     "F32",
@@ -12,6 +13,8 @@ __all__ = [
     "I32",
     "I64",
     "IDENTITY_POSE",
+    "QUANTITIES",
+    "TOUCH_ARRAYS",
     "U8",
     "U16",
     "Binarisation",
@@ -30,6 +33,8 @@ __all__ = [
     "ProfileFit",
     "Reconstruction",
     "Slip",
+    "Touch",
+    "TouchModel",
     "TouchedObject",
     "freeze",
 ]

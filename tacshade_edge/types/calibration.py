@@ -11,6 +11,7 @@ import numpy as np
 from tacshade_edge.types.arrays import F32, U8, freeze
 from tacshade_edge.types.frame import IDENTITY_POSE
 from tacshade_edge.types.geometry import Geometry
+from tacshade_edge.types.touch import TouchModel
 
 Polarity = Literal["bright", "dark"]
 Binarisation = Literal["adaptive", "global", "otsu"]
@@ -133,6 +134,8 @@ class Calibration:
         Of each profile that has weights of its own; its factor is not used.
     error_scales : mapping of str to float
         On σ, of each profile whose shipped network's errors presses have shown (`core.depth.sigma`).
+    touch : mapping of str to TouchModel
+        Of each profile that has learnt from labelled frames (``calibrate --labels``).
     flange_T_sensor : 7 floats
         x, y, z in mm, quaternion w, x, y, z.
     crc32 : int
@@ -158,6 +161,7 @@ class Calibration:
     fit: Fit | None = None
     fitted: Mapping[str, FittedNetwork] = field(default_factory=dict)
     error_scales: Mapping[str, float] = field(default_factory=dict)
+    touch: Mapping[str, TouchModel] = field(default_factory=dict)
     flange_T_sensor: tuple[float, ...] = IDENTITY_POSE
     crc32: int = 0
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from tacshade_edge.reasons import Reason
 from tacshade_edge.types.arrays import F32, U16, Bool, freeze
+from tacshade_edge.types.touch import Touch
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,13 +56,14 @@ class ObjectCloud:
 
 
 class Need(Flag):
-    """How much of a frame is asked for; both the shear and the error of depth have depth with them."""
+    """How much of a frame is asked for: shear and the error of depth have depth with them, a touch has both."""
 
     CONTACT = 0
     DEPTH = 1
     SHEAR = 3
     SIGMA = 5
-    ALL = 7
+    TOUCH = 11
+    ALL = 15
 
 
 class Slip(IntEnum):
@@ -149,6 +151,8 @@ class Reconstruction:
         solver reports none.
     untrusted : bool (rows, cols) or None
         Cells that do not show the sensor's skin: their values say nothing, and they are no contact. None: no cell.
+    touch : Touch or None
+        None without contact, or where nobody asked.
     """
 
     seq: int
@@ -168,6 +172,7 @@ class Reconstruction:
     shear_mm: F32 | None = None
     sigma_mm: F32 | None = None
     untrusted: Bool | None = None
+    touch: Touch | None = None
 
     def __post_init__(self) -> None:
         for name in ("shear_mm", "sigma_mm", "untrusted"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tacshade_edge.core.depth import Depth, Network
-from tacshade_edge.core.depth.base import Mark
+from tacshade_edge.core.depth.base import Features, Mark
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.disc import rays_in_image
 from tacshade_edge.core.image.integral_image import CellMeans
@@ -26,10 +26,10 @@ class ToySolver:
         self._cells = CellMeans(preprocessor.integrator, worked_on)
         self._reference = self._cells.means(preprocessor.reference_white) / np.float32(255)
 
-    def solve(self, preprocessed: Preprocessed, mark: Mark) -> Depth:
+    def solve(self, preprocessed: Preprocessed, mark: Mark, features: Features | None = None) -> Depth:
         """See `core.depth.Solver`."""
         whiter = self._inside & (self._cells.means(preprocessed.white) > self._reference + np.float32(0.1))
         return Depth(np.where(whiter, np.float32(DEPTH_MM), np.float32(0)), whiter)
 
-    def shear_mm(self, preprocessed: Preprocessed) -> None:
+    def shear_mm(self, preprocessed: Preprocessed, features: Features | None = None) -> None:
         """Tell none."""

@@ -15,6 +15,10 @@ Mark = Callable[[str], None]
 """Called with a stage's name at its end; a caller with a clock times the stages so."""
 
 
+Features = list[F32]
+"""Takes what a touch model looks at, network by network."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Depth:
     """A solver's answer on its grid.
@@ -78,12 +82,15 @@ class ShearNetwork:
     sense : callable
     run : callable
         To the shear along x and y, (2, M, M).
+    run_touch : callable or None
+        To that and float32 (D,) of features for a touch model (`core.touch`).
     """
 
     fold: int
     cells: int
     sense: Callable[[F32], F32]
     run: Callable[[F32, F32], F32]
+    run_touch: Callable[[F32, F32], tuple[F32, F32]] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +112,8 @@ class Network:
         Run beside it where shear is asked for.
     sigma : SigmaModel or None
         Its errors, where they were measured.
+    run_touch : callable or None
+        As `run`, and float32 (D,) of features for a touch model (`core.touch`).
     """
 
     fold: int
@@ -112,6 +121,7 @@ class Network:
     run: Callable[[F32, F32], NetworkMaps]
     shear: ShearNetwork
     sigma: SigmaModel | None = None
+    run_touch: Callable[[F32, F32], tuple[NetworkMaps, F32]] | None = None
 
 
 class Solver(Protocol):
@@ -127,14 +137,17 @@ class Solver(Protocol):
         """Whether its `shear_mm` reports anything."""
         ...
 
-    def solve(self, preprocessed: Preprocessed, mark: Mark) -> Depth:
-        """Solve for one image in contact; `mark` is for stages before the last, ``depth``, which the caller marks."""
+    def solve(self, preprocessed: Preprocessed, mark: Mark, features: Features | None = None) -> Depth:
+        """Solve for one image in contact; `mark` is for stages before the last, ``depth``, which the caller marks.
+
+        Where `features` is given, those of its network are appended.
+        """
         ...
 
-    def shear_mm(self, preprocessed: Preprocessed) -> F32 | None:
+    def shear_mm(self, preprocessed: Preprocessed, features: Features | None = None) -> F32 | None:
         """Shear along x and y of the skin at the grid's cells, float32 (rows, cols, 2); None: not reported.
 
-        The caller's own; finite; outside the disc it says nothing.
+        The caller's own; finite; outside the disc it says nothing. `features` as in `solve`.
         """
         ...
 

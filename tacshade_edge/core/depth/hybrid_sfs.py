@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from tacshade_edge.core.depth.base import Depth, Mark, Network
+from tacshade_edge.core.depth.base import Depth, Features, Mark, Network
 from tacshade_edge.core.image.grey_maps import GreyMapper, GreyMaps
 from tacshade_edge.core.image.greyscale import Denoiser, shape_grey
 from tacshade_edge.core.image.preprocess import Preprocessed, Preprocessor
@@ -163,11 +163,11 @@ class HybridSfs:
         # α is per pixel of the image (the paper ties it to the image's resolution).
         self._alpha_mm = preprocessor.camera.alpha * preprocessor.camera.geometry.mm_per_px
 
-    def solve(self, preprocessed: Preprocessed, mark: Mark) -> Depth:
+    def solve(self, preprocessed: Preprocessed, mark: Mark, features: Features | None = None) -> Depth:
         """See `Solver`."""
         maps = self._grey_mapper.maps(preprocessed)
         mark("denoise")
         return self._depth(maps, self._alpha_mm)
 
-    def shear_mm(self, preprocessed: Preprocessed) -> None:
+    def shear_mm(self, preprocessed: Preprocessed, features: Features | None = None) -> None:
         """See `Solver`: the paper has none."""

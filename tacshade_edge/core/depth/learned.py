@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tacshade_edge.core.depth.base import Depth, Mark, Network
+from tacshade_edge.core.depth.base import Depth, Features, Mark, Network
 from tacshade_edge.core.depth.network_maps import fold, known_maps, scale_mm, unfold
 from tacshade_edge.core.depth.shear import LearnedShear
 from tacshade_edge.core.geometry import disc_map
@@ -63,10 +63,15 @@ class LearnedInverse:
         self._mm = scale_mm(geometry)
         self._sensor = network.sense(known_maps(geometry, pitch_px, reference_white, network.fold))
 
-    def __call__(self, white: F32) -> Inverse:
-        """Run it on a frame's white, float32 (cells, cells), 0 to 1."""
+    def __call__(self, white: F32, features: Features | None = None) -> Inverse:
+        """Run it on a frame's white, float32 (cells, cells), 0 to 1; its features are appended where asked for."""
         n = self._network.fold
-        maps = self._network.run(fold(white[None], n), self._sensor)
+        folded = fold(white[None], n)
+        if features is None or self._network.run_touch is None:
+            maps = self._network.run(folded, self._sensor)
+        else:
+            maps, some = self._network.run_touch(folded, self._sensor)
+            features.append(some)
         height, logit = unfold(maps.depth_and_contact, n)
         return Inverse(height * self._mm, logit, maps.untrusted)
 
@@ -107,17 +112,17 @@ class LearnedSolver:
         self._factor = np.float32(1.0 if profile.name in camera.fitted else camera.factors.get(profile.name, 1.0))
         self._deepest_mm = np.float32(DEEPEST_RADII * camera.geometry.skin_radius_mm)
 
-    def inverse(self, preprocessed: Preprocessed) -> Inverse:
+    def inverse(self, preprocessed: Preprocessed, features: Features | None = None) -> Inverse:
         """What the network makes of an image, not refitted: for calibration."""
-        return self._inverse(self.white(preprocessed))
+        return self._inverse(self.white(preprocessed), features)
 
     def white(self, preprocessed: Preprocessed) -> F32:
         """What the network is given of an image, not folded: float32 (cells, cells), 0 to 1."""
         return self._cells.means(preprocessed.white)
 
-    def solve(self, preprocessed: Preprocessed, mark: Mark) -> Depth:
+    def solve(self, preprocessed: Preprocessed, mark: Mark, features: Features | None = None) -> Depth:
         """See `Solver`."""
-        inverse = self.inverse(preprocessed)
+        inverse = self.inverse(preprocessed, features)
         height = inverse.height_mm * self._factor
         finite = np.isfinite(height)
         repaired_px = finite.size - int(np.count_nonzero(finite))
@@ -138,9 +143,9 @@ class LearnedSolver:
             inverse.untrusted_logit,
         )
 
-    def shear_mm(self, preprocessed: Preprocessed) -> F32 | None:
+    def shear_mm(self, preprocessed: Preprocessed, features: Features | None = None) -> F32 | None:
         """See `Solver`."""
-        return self._shear(self._shear_cells.means(preprocessed.white), self.grid.rows)
+        return self._shear(self._shear_cells.means(preprocessed.white), self.grid.rows, features)
 
 
 def untrusted_cells(inverse: Inverse, cells: int) -> Bool:

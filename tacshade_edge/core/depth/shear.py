@@ -11,7 +11,7 @@ from typing import cast
 import cv2
 import numpy as np
 
-from tacshade_edge.core.depth.base import ShearNetwork
+from tacshade_edge.core.depth.base import Features, ShearNetwork
 from tacshade_edge.core.depth.network_maps import fold, known_maps, scale_mm
 from tacshade_edge.types import F32, Geometry
 
@@ -33,7 +33,7 @@ class LearnedShear:
         self._mm = scale_mm(geometry)
         self._sensor = network.sense(known_maps(geometry, pitch_px, reference_white, network.fold))
 
-    def __call__(self, white: F32, cells: int) -> F32:
+    def __call__(self, white: F32, cells: int, features: Features | None = None) -> F32:
         """Shear along x and y, float32 (cells, cells, 2) on as many cells as are asked for, finite.
 
         Parameters
@@ -41,8 +41,15 @@ class LearnedShear:
         white : float32 (N, N), 0 to 1
             Of a frame.
         cells : int
+        features : list, optional
+            Those of the frame are appended.
         """
-        found = self._network.run(fold(white[None], self._network.fold), self._sensor)
+        folded = fold(white[None], self._network.fold)
+        if features is None or self._network.run_touch is None:
+            found = self._network.run(folded, self._sensor)
+        else:
+            found, some = self._network.run_touch(folded, self._sensor)
+            features.append(some)
         coarse = np.ascontiguousarray(np.moveaxis(found, 0, 2))
         if not np.isfinite(coarse).all():
             coarse = np.nan_to_num(coarse, posinf=0.0, neginf=0.0)

@@ -12,9 +12,9 @@ from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.quoting import shown
 from tacshade_edge.storage import checked_npz
 from tacshade_edge.storage.atomic_files import write_whole
-from tacshade_edge.storage.calibration import calibration_content, calibration_inputs, fitted_networks
+from tacshade_edge.storage.calibration import calibration_content, calibration_inputs, fitted_networks, touch_models
 from tacshade_edge.storage.checked_npz import Content
-from tacshade_edge.types import Calibration, Disc, Fit, FittedNetwork, Geometry, ProfileFit
+from tacshade_edge.types import Calibration, Disc, Fit, FittedNetwork, Geometry, ProfileFit, TouchModel
 
 _log = logging.getLogger(__name__)
 
@@ -83,10 +83,13 @@ def _content(calibration: Calibration) -> Content:
     if calibration.error_scales:  # older files have none, and keep their checksum
         meta["error_scales"] = dict(calibration.error_scales)
     arrays = {name: getattr(calibration, name) for name in REFERENCE_ARRAYS}
-    if not calibration.fitted:
-        return Content(meta, arrays)
-    packed = fitted_networks.pack(calibration.fitted)
-    return Content({**meta, "fitted": packed[0]}, {**arrays, **packed[1]})
+    for key, packed in (
+        ("fitted", fitted_networks.pack(calibration.fitted)),
+        ("touch", touch_models.pack(calibration.touch)),
+    ):
+        if packed[0]:
+            meta, arrays = {**meta, key: packed[0]}, {**arrays, **packed[1]}
+    return Content(meta, arrays)
 
 
 def with_crc(calibration: Calibration) -> Calibration:
@@ -182,13 +185,25 @@ def fitted_in(path: str | os.PathLike[str]) -> dict[str, FittedNetwork]:
         raise ConfigError(f"{name}: {shown(error)}: calibrate again") from None
 
 
+def touch_in(path: str | os.PathLike[str]) -> dict[str, TouchModel]:
+    """The touch models of a calibration of this version or another. Raises ConfigError as `inputs_in`."""
+    name = os.fspath(path)
+    content, _ = checked_npz.read(name, "calibration", "`tacshade-edge calibrate`")
+    try:
+        return touch_models.unpack(content.meta.get("touch", {}), content.arrays)
+    except ValueError as error:
+        raise ConfigError(f"{name}: {shown(error)}: calibrate again") from None
+
+
 def _from_content(name: str, content: Content) -> Calibration:
     meta, arrays = content.meta, content.arrays
     if meta.get("version") not in (VERSION, *OTHER_NETWORKS):
         found = shown(meta.get("version"), 20)
         raise ConfigError(f"{name}: calibration version {found}, expected {VERSION}: calibrate again")
     fitted = fitted_networks.unpack(meta.get("fitted", {}), arrays)
+    touch = touch_models.unpack(meta.get("touch", {}), arrays)
     others = {*calibration_inputs.ARRAYS, *map(fitted_networks.array_name, fitted)}
+    others.update(name for profile in touch for name in touch_models.array_names(profile))
     arrays = {key: array for key, array in arrays.items() if key not in others}
     if set(arrays) != set(REFERENCE_ARRAYS):
         raise ConfigError(f"{name}: not a calibration; expected a file written by `tacshade-edge calibrate`")
@@ -215,6 +230,7 @@ def _from_content(name: str, content: Content) -> Calibration:
         flange_T_sensor=tuple(meta["flange_T_sensor"]),
         factors=meta["factors"],
         fitted=fitted,
+        touch=touch,
         error_scales=meta.get("error_scales", {}),
         **arrays,
     )

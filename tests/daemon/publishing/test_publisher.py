@@ -132,7 +132,7 @@ def test_shear_is_asked_for_while_it_has_a_subscriber_or_always() -> None:
     assert need("contact") is need("height") is need("cloud") is Need.DEPTH
     assert need("shear") is need("shear", "height") is need(always=True) is Need.SHEAR
     assert need("sigma") is need("sigma", "height") is Need.SIGMA
-    assert need("shear", "sigma") is need("sigma", always=True) is Need.ALL
+    assert need("shear", "sigma") is need("sigma", always=True) is Need.SHEAR | Need.SIGMA
 
 
 def test_errors_go_out_while_they_have_a_subscriber_and_once_more_at_release(

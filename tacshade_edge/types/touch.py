@@ -1,0 +1,160 @@
+"""A touch as a few numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tacshade_edge.reasons import Reason
+from tacshade_edge.types.arrays import F32, freeze
+
+QUANTITIES = (
+    "depth_mm",
+    "tilt_x_deg",
+    "tilt_y_deg",
+    "shear_x_mm",
+    "shear_y_mm",
+    "twist_deg",
+    "x_mm",
+    "y_mm",
+    "edge_deg",
+    "force_x_n",
+    "force_y_n",
+    "force_z_n",
+    "torque_x_nmm",
+    "torque_y_nmm",
+    "torque_z_nmm",
+)
+"""Columns of LABELS.csv; the first six are known without labels too."""
+
+
+@dataclass(frozen=True, slots=True)
+class Touch:
+    """What is known of the touch that a frame shows.
+
+    Attributes
+    ----------
+    values, sigma : mapping of str to float or None
+        Of each quantity, in the unit of its name, and one standard deviation; None where the model does not know.
+    reason : Reason or None
+        Why it does not know one or all.
+    """
+
+    values: Mapping[str, float | None] = field(default_factory=dict)
+    sigma: Mapping[str, float | None] = field(default_factory=dict)
+    reason: Reason | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TouchModel:
+    """What was learnt for one profile. D features, m components, M centres, K basis functions, Q quantities.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of the quantities, some of `types.touch.QUANTITIES`.
+    networks : str
+        Of which networks the features are (`inference.touch_features.networks_digest`).
+    mean, deviation : float32 (D,)
+        Of each feature over the table; the deviation is above 0.
+    components : float32 (D, m)
+        From standardised features to coordinates of which the table's mean square, summed, is 1.
+    scale : float
+        Length of a standardised feature vector whose coordinates have length 1.
+    spread : float32 (m,)
+        Standard deviation of each coordinate over the table, descending.
+    centres : float32 (M, m)
+    width : float
+        Of the squared-exponential kernel.
+    basis : float32 (m + M, K)
+        From kernel values to basis functions that are uncorrelated over the table.
+    weights, precision : float32 (K, Q)
+        Mean of each basis function's weight; its posterior variance in parts of `noise`².
+    ridge, offset, noise : float32 (Q,)
+        Regularisation, mean over the table, and the standard deviation of a label about the model.
+    low, high : float32 (Q,)
+        Labels of the table end there.
+    leverage_max, residual_max : float
+        A frame beyond either is unlike those of the table: `leverage` of its coordinates, and the part of its
+        standardised features that the components leave out.
+
+    Raises
+    ------
+    ValueError
+        Shapes that do not belong together, or a number that is not finite.
+    """
+
+    names: tuple[str, ...]
+    networks: str
+    mean: F32
+    deviation: F32
+    components: F32
+    scale: float
+    spread: F32
+    centres: F32
+    width: float
+    basis: F32
+    weights: F32
+    precision: F32
+    ridge: F32
+    offset: F32
+    noise: F32
+    low: F32
+    high: F32
+    leverage_max: float
+    residual_max: float
+
+    def __post_init__(self) -> None:
+        freeze(self, *TOUCH_ARRAYS)
+        shapes = _shapes(self)
+        for name in TOUCH_ARRAYS:
+            array: F32 = getattr(self, name)
+            if array.dtype != np.float32 or array.shape != shapes[name]:
+                raise ValueError(f"touch model: {name} is {array.dtype} {array.shape}, expected {shapes[name]}")
+            if not np.isfinite(array).all():
+                raise ValueError(f"touch model: {name} has a value that is not finite")
+        positive = [self.deviation.min(), self.spread.min(), self.noise.min(), self.ridge.min(), self.width]
+        positive += [self.scale, self.leverage_max, self.residual_max]
+        if not all(np.isfinite(value) and value > 0 for value in positive) or (self.precision < 0).any():
+            raise ValueError("touch model: a deviation, width or limit is not above 0")
+
+
+TOUCH_ARRAYS = (
+    "mean",
+    "deviation",
+    "components",
+    "spread",
+    "centres",
+    "basis",
+    "weights",
+    "precision",
+    "ridge",
+    "offset",
+    "noise",
+    "low",
+    "high",
+)
+
+
+def _shapes(model: TouchModel) -> dict[str, tuple[int, ...]]:
+    """The shape of each array, by those of `components`, `centres` and `basis`."""
+    if any(getattr(model, name).ndim != 2 for name in ("components", "centres", "basis")) or not model.names:
+        raise ValueError("touch model: found no quantity, or arrays that are no matrices")
+    features, parts = model.components.shape
+    centres, columns, quantities = len(model.centres), model.basis.shape[1], len(model.names)
+    if min(features, parts, centres, columns) < 1:
+        raise ValueError("touch model: found an empty matrix")
+    each = (quantities,)
+    return {
+        "mean": (features,),
+        "deviation": (features,),
+        "components": (features, parts),
+        "spread": (parts,),
+        "centres": (centres, parts),
+        "basis": (parts + centres, columns),
+        "weights": (columns, quantities),
+        "precision": (columns, quantities),
+        **dict.fromkeys(("ridge", "offset", "noise", "low", "high"), each),
+    }
