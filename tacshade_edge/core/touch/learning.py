@@ -157,6 +157,8 @@ def learn(features: F32, names: Sequence[str], labels: F64, groups: I64, network
         tried.append((float(score), basis, solved))
     _, basis, solved = min(tried, key=lambda one: one[0])
     limits, solved = _judged(features, labels, groups, basis.width, solved)
+    # A frame of the table itself is like the table.
+    own = float(leverage(space.at, space.spread.astype(np.float64)).max())
     reports = tuple(_report(name, basis, labels[:, q], groups, solved[q]) for q, name in enumerate(names))
     kept = [q for q, report in enumerate(reports) if report.seen]
     if not kept:
@@ -182,7 +184,7 @@ def learn(features: F32, names: Sequence[str], labels: F64, groups: I64, network
         noise=np.array([solved[q].noise for q in kept], np.float32),
         low=np.nanmin(labels[:, kept], axis=0).astype(np.float32),
         high=np.nanmax(labels[:, kept], axis=0).astype(np.float32),
-        leverage_max=limits[0],
+        leverage_max=max(limits[0], 1.01 * own),
         residual_max=limits[1],
     )
     return LearntTouch(model, reports)
@@ -268,7 +270,6 @@ def _report(name: str, basis: _Basis, labels: F64, groups: I64, solved: _Solved)
     residuals = np.abs(solved.residuals)
     known = labels[solved.rows]
     error, r2 = float(residuals.mean()), 1 - float(np.mean(residuals**2) / max(np.var(known), 1e-12))
-    interval = Z_90 * solved.noise * np.sqrt(1 + solved.variances)
     robust = 1.4826 * float(np.median(residuals))
     seen = r2 >= max(SEEN, SEEN_ERRORS / float(np.sqrt(len(known))))
     exponent = _exponent(basis, labels, groups, error)
@@ -277,12 +278,18 @@ def _report(name: str, basis: _Basis, labels: F64, groups: I64, solved: _Solved)
         rows=len(solved.rows),
         error=error,
         r2=r2,
-        coverage_90=float(np.mean(residuals <= interval)),
+        coverage_90=_coverage(residuals / np.sqrt(1 + solved.variances)),
         error_twice=error * 2**-exponent,
         error_four_times=error * 4**-exponent,
         seen=seen,
         contradicting=tuple(int(row) for row in solved.rows[residuals > CONTRADICTS * robust]) if seen else (),
     )
+
+
+def _coverage(scaled: F64) -> float:
+    """How many residuals of each half the interval by the other half's holds."""
+    halves = scaled[::2], scaled[1::2]
+    return float(np.mean([np.mean(a <= np.quantile(b, 0.9)) for a, b in (halves, halves[::-1])]))
 
 
 def _exponent(basis: _Basis, labels: F64, groups: I64, error: float) -> float:
