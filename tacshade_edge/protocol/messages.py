@@ -10,6 +10,22 @@ from tacshade_edge.protocol.json_payload import encode_json
 from tacshade_edge.protocol.wire import WIRE_VERSION
 from tacshade_edge.reasons import Reason, code_of, reason_fields
 from tacshade_edge.types import Calibration, Reconstruction, Touch, TouchedObject
+from tacshade_edge.types.touch import QUANTITIES
+
+# All but the reason may be null, which the viewers' JSON Schema has no word for.
+TOUCH_SCHEMA: Mapping[str, Any] = {
+    "title": "tacshade.Touch",
+    "type": "object",
+    "properties": {
+        **{name: {"type": "number"} for name in ("t_ns", "seq")},
+        **{
+            name: {"type": "object", "properties": {each: {"type": "number"} for each in QUANTITIES}}
+            for name in ("touch", "touch_sigma")
+        },
+        **{name: {"type": "string"} for name in ("reason", "reason_code")},
+    },
+}
+"""JSON Schema of ``touch``, for viewers."""
 
 
 def encode_contact(result: Reconstruction, *, fps: float) -> bytes:
