@@ -69,9 +69,14 @@ def test_numbers_have_their_intervals_and_what_is_not_known_says_why(page: Chrom
         sensor.tell("touch", b'{"seq":9,"touch":{"depth_mm":"deep"},"touch_sigma":{"depth_mm":1}}')
         wait_until(lambda: js(page, "tacshade.undecodable") == before + 1, 15, "it is counted")
 
+        odd = Touch({"a_constructor": 0.5}, {"a_constructor": 0.1})
+        until_shown(page, sensor, lambda: touched(9, odd), 9)
+        wait_until(lambda: len(rows(page)) == 1, 15, "one number")
+        assert (rows(page)[0]["name"], rows(page)[0]["value"]) == ("a constructor", "0.50 ± 0.10 ")
+
         until_shown(page, sensor, lambda: touched(10, None), 10)
         shows(page, "touch-words", "nothing touches")
-        assert [row["value"] for row in rows(page)] == ["– mm", "– °", "– N"]
+        assert [row["value"] for row in rows(page)] == ["– "]
 
 
 def test_it_is_asked_for_while_it_is_seen(page: Chrome, tmp_path: Path) -> None:

@@ -71,7 +71,7 @@ export function checkTouch(message) {
   if (!Number.isFinite(seq) || typeof reason !== "string") throw new Error("not a touch");
   if (touch === null && touch_sigma === null) return message;
   const names = Object.keys(touch ?? {}), sigma = touch_sigma ?? {};
-  if (typeof touch !== "object" || names.length > QUANTITIES_MAX || !names.every((name) => NAME.test(name) && name in sigma)) throw new Error("not a touch");
+  if (typeof touch !== "object" || names.length > QUANTITIES_MAX || !names.every((name) => NAME.test(name) && Object.hasOwn(sigma, name))) throw new Error("not a touch");
   for (const name of names) {
     if (touch[name] !== null || sigma[name] !== null) within({ value: touch[name], sigma: sigma[name] }, { value: [-QUANTITY_MAX, QUANTITY_MAX], sigma: [0, QUANTITY_MAX] });
   }

@@ -4,7 +4,7 @@
 import { cut } from "./bounds.js";
 import { element, number } from "./panels.js";
 
-const UNITS = { mm: ["mm", 2], deg: ["°", 1], n: ["N", 2], nmm: ["N·mm", 1] }; // digits of each
+const UNITS = new Map([["mm", ["mm", 2]], ["deg", ["°", 1]], ["n", ["N", 2]], ["nmm", ["N·mm", 1]]]); // and digits
 const FREE = "nothing touches";
 const $ = (id) => document.getElementById(id);
 
@@ -28,7 +28,7 @@ export class TouchPanel {
   }
 
   clear() {
-    this.rows = new Map(); // name -> { value, more, interval, row, end }
+    this.rows = new Map(); // name -> what `makeRow` gives
     this.drawn = null;
     $("touch-numbers").replaceChildren();
     $("touch-words").textContent = "nothing has touched yet";
@@ -49,16 +49,19 @@ export class TouchPanel {
     const { touch, touch_sigma, reason } = message ?? {};
     const words = reason || (message && !touch ? FREE : "");
     $("touch-words").textContent = words;
-    for (const name of Object.keys(touch ?? {})) if (!this.rows.has(name)) this.rows.set(name, addRow(name));
+    const names = Object.keys(touch ?? {});
+    if (touch && (names.length !== this.rows.size || !names.every((name) => this.rows.has(name)))) {
+      this.rows = new Map(names.map((name) => [name, makeRow(name)]));
+      $("touch-numbers").replaceChildren(...[...this.rows.values()].map(({ row }) => row));
+    }
     for (const [name, row] of this.rows) showRow(row, touch?.[name] ?? null, touch_sigma?.[name] ?? 0, words || "not known");
   }
 }
 
-function addRow(name) {
-  const [, words, unit] = /^(.*?)_?([^_]*)$/.exec(name), [symbol, digits] = UNITS[unit] ?? ["", 2];
+function makeRow(name) {
+  const [, words, unit] = /^(.*?)_?([^_]*)$/.exec(name), [symbol, digits] = UNITS.get(unit) ?? ["", 2];
   const value = element("output"), more = element("span"), interval = element("i");
-  const row = element("div", {}, element("dt", { textContent: cut((UNITS[unit] ? words : name).replaceAll("_", " "), 40) }), element("dd", {}, value, more), element("div", { className: "interval", ariaHidden: "true" }, interval));
-  $("touch-numbers").append(row);
+  const row = element("div", {}, element("dt", { textContent: cut((UNITS.has(unit) ? words : name).replaceAll("_", " "), 40) }), element("dd", {}, value, more), element("div", { className: "interval", ariaHidden: "true" }, interval));
   return { row, value, more, interval, symbol, digits, end: 0 };
 }
 
