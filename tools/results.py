@@ -222,6 +222,17 @@ is; the picture most like the mean of all serves as the reference.""",
         REAL,
         needs="out/real/tactip-cnn-bayes",
     ),
+    "touch": Page(
+        "A touch as a few numbers, by labels",
+        """\
+A touch model (`calibrate --labels`) on the thresholded frames of `dexterousrobot/tactile_data_shear`, of the robot
+`cr_tactip` alone: every frame counts, and where there is no answer the labels' mean is the guess. `random` draws the
+labels from both runs of the robot and judges 1000 other frames; `grouped` learns from its first run and judges the
+second. From 100 labels on means of four draws, from 4000 one draw.""",
+        ("tools.studies.touch", "out/real/tactile_data_shear"),
+        REAL,
+        needs="out/real/tactile_data_shear",
+    ),
     "real-plates": Page(
         "A real TacTip: tilted and sheared plates",
         f"""\

@@ -61,8 +61,9 @@ class Reconstructor:
         In place of the profile's solver.
     find_objects : callable
         Distinguishes what touches.
-    touch : TouchModel, Reason or None
-        The profile's, or why it cannot be used; without one a touch is what map and shear say of it.
+    touch : TouchModel, Reason, list or None
+        The profile's, or why it cannot be used; without one a touch is what map and shear say of it. A list takes the
+        features of each touch that is asked for, to learn from.
 
     Attributes
     ----------
@@ -77,7 +78,7 @@ class Reconstructor:
         network: Network | None = None,
         make_solver: MakeSolver | None = None,
         find_objects: FindObjects = find_objects,
-        touch: TouchModel | Reason | None = None,
+        touch: TouchModel | Reason | list[F32] | None = None,
     ) -> None:
         self.calibration = calibration
         self.profile = profile
@@ -139,7 +140,7 @@ class Reconstructor:
         if need == Need.CONTACT:
             return None
 
-        features: list[F32] | None = [] if Need.TOUCH in need and isinstance(self._touch, TouchModel) else None
+        features: list[F32] | None = [] if Need.TOUCH in need and isinstance(self._touch, TouchModel | list) else None
         depth = self._solver.solve(preprocessed, mark, features)
         reason = self._untrusted_check.invalid_reason(depth.untrusted_logit, self.rays.inside, preprocessed.white)
         degraded = degraded or untrusted.degraded_reason(depth.untrusted, self.rays.inside)
@@ -176,10 +177,12 @@ class Reconstructor:
     def _with_touch(self, made: Reconstruction, features: list[F32] | None, mark: Mark) -> Reconstruction:
         if isinstance(self._touch, Reason):
             touch = Touch(reason=self._touch)
-        elif self._touch is None or not features:
-            touch = touch_without_labels(made.objects, made.shear_of_contact_mm)
+        elif isinstance(self._touch, TouchModel) and features:
+            touch = touch_by_model(self._touch, np.concatenate(features))
         else:
-            touch = touch_by_model(self._touch, features)
+            touch = touch_without_labels(made.objects, made.shear_of_contact_mm)
+            if isinstance(self._touch, list) and features:
+                self._touch.append(np.concatenate(features))
         mark("touch")
         return replace(made, touch=touch)
 

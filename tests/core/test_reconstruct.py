@@ -331,6 +331,7 @@ def test_a_view_that_is_not_contiguous_gives_the_same() -> None:
     assert everything(result) == everything(step("fast", image))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rows", "cols"), [(241, 319), (243, 330), (360, 361)])
 def test_odd_sizes_work(rows: int, cols: int) -> None:
     model = replace(HALF, image_height_px=rows, image_width_px=cols)
@@ -356,6 +357,7 @@ def test_what_the_image_cuts_off_the_disc_is_outside() -> None:
     assert np.hypot(*result.objects[0].centroid_mm[:2]) < 1.5
 
 
+@pytest.mark.slow
 def test_an_orthographic_sensor_works() -> None:
     model = replace(HALF, camera_distance_mm=None)
     seen = [press for press in presses(model) if press.depth_mm > 1.0 and np.hypot(press.x_mm, press.y_mm) < 8]

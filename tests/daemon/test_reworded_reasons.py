@@ -200,6 +200,7 @@ def stitched() -> list[Any]:
     return [codes, finished.raster.z_mm.tobytes()]
 
 
+@pytest.mark.slow
 def test_rewording_changes_no_behaviour(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tacshade_edge.core.stitching.rest.REST_NS", 0)
     ball, free = step("fast", pressed("ball", 3.0).image), step("fast", unloaded())

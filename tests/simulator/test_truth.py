@@ -85,6 +85,7 @@ def test_object_points_are_on_the_object_inside_the_skin(small_sensor: Simulated
     assert np.linalg.norm(points, axis=1).max() <= 20.0
 
 
+@pytest.mark.slow
 @given(
     name=st.sampled_from(sorted(OBJECTS)),
     x_mm=st.floats(-16, 16),

@@ -21,6 +21,7 @@ def nearest_mean(a: F32, b: F32) -> float:
     return float(apart.min(axis=1).mean())
 
 
+@pytest.mark.slow
 @given(CLOUDS, CLOUDS, st.floats(0.1, 10))
 def test_scores_are_those_of_brute_force(found: F32, true: F32, h_max: float) -> None:
     score = score_cloud(found, true, h_max)

@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tacshade_edge.cli.commands.calibrate_labels import learn_from_labels, touch_report, touch_warnings
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
 from tacshade_edge.core.calibration.observation.touches import from_travel
@@ -22,10 +23,12 @@ from tacshade_edge.core.frame_check import registration
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.factories import calibrations
 from tacshade_edge.inference.network import load_networks
+from tacshade_edge.inference.touch_learning import report_lines
 from tacshade_edge.settings.sensor_file import read_sensor
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.storage.images import read_image
 from tacshade_edge.storage.tables.indenters import read_indenters
+from tacshade_edge.storage.tables.labels import read_labels
 from tacshade_edge.storage.tables.presses import read_presses
 from tacshade_edge.types import U8, Calibration
 from tacshade_edge.version import how_to_install
@@ -54,6 +57,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--fit", action="store_true", help="train the networks on with the presses, some minutes; needs the extra fit"
     )
+    parser.add_argument(
+        "--labels", type=Path, metavar="LABELS.csv", help="labelled frames: depth, tilt, shear, forces ... as numbers"
+    )
     parser.add_argument("--out", type=Path, required=True, metavar="CAL.npz", help="the calibration to write")
     parser.add_argument(
         "--allow-loaded-reference", action="store_true", help="warn only when the reference seems taken under load"
@@ -68,6 +74,8 @@ def run(args: argparse.Namespace) -> int:
         if args.presses or args.indenters:
             given = "--presses" if args.presses else "--indenters"
             args.usage_error(f"{given} has no meaning with --rezero, which keeps what was fitted to presses")
+        if args.labels:
+            args.usage_error("--labels has no meaning with --rezero, which keeps what was learnt from labels")
         if args.fit:
             args.usage_error("--fit has no meaning with --rezero, which keeps what was fitted to presses")
         return _rezero(args)
@@ -80,6 +88,7 @@ def run(args: argparse.Namespace) -> int:
     references = _read_references(args.reference)
     if args.indenters and not args.presses:
         args.usage_error("--indenters has no meaning without --presses, which name them")
+    labelled = read_labels(args.labels, args.labels.parent) if args.labels else []
     indenters = read_indenters(args.indenters) if args.indenters else {}
     presses, notes = read_presses(args.presses, indenters) if args.presses else ([], ())
     if args.presses and not presses:
@@ -95,9 +104,19 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(_by_path(str(error), args)) from None
     fitted = fit(result.calibration, result.presses, _say) if fit else None
     calibration = fitted.calibration if fitted else result.calibration
+    touch = learn_from_labels(calibration, args.labels, labelled) if labelled else ()
+    learnt = {one.profile: one.learnt.model for one in touch if one.learnt.model is not None}
+    calibration = replace(calibration, touch=learnt)
     stored = calibration_file.save(args.out, calibration, inputs_of(sensor, references, presses))
-    _print(args, stored, (*notes, *result.warnings), _quality(result.quality) | _fitted(fitted))
+    _print(
+        args,
+        stored,
+        (*notes, *result.warnings, *touch_warnings(touch)),
+        _quality(result.quality) | _fitted(fitted) | touch_report(touch),
+    )
     if not args.json:
+        for line in (line for one in touch for line in report_lines(one)):
+            print(line)
         print(f"{'as shipped, ' if fitted else ''}{result.quality.line}")
         for report in fitted.profiles if fitted else ():
             print(report.line)

@@ -16,8 +16,8 @@ from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator.objects import OBJECTS, PAPER_OBJECTS
 from tacshade_edge.storage.calibration import calibration_file
-from tacshade_edge.storage.tables.labels import COLUMNS
 from tacshade_edge.studies.evaluate import picture, report
+from tacshade_edge.studies.evaluate.labelled import COLUMNS
 from tacshade_edge.studies.evaluate.own_images import evaluate_images
 from tacshade_edge.studies.evaluate.score import Row
 from tacshade_edge.studies.evaluate.sensors import PRESSES, REFERENCES
@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         files="evaluation.md, evaluation.csv, evaluation.json, figure6.png",
     )
     labelled = parser.add_argument_group("your own frames with labels, in place of surfaces (--images, --labels)")
-    labelled.add_argument("--labels", type=Path, metavar="CSV", help=f"image,{','.join(COLUMNS)}; any may be empty")
+    labelled.add_argument("--labels", type=Path, metavar="CSV", help=f"image and any of {', '.join(COLUMNS)}")
     labelled.add_argument(
         "--sensor", type=Path, metavar="SENSOR.yaml", help="what is known of the sensor, in place of --calibration"
     )

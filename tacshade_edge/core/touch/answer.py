@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import numpy as np
-
 from tacshade_edge.core.touch.model import predict
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import F32, Touch, TouchedObject, TouchModel
@@ -21,9 +19,9 @@ PLAIN_SIGMA = (0.4, 5.0, 5.0, 1.0, 1.0, 4.0)
 """One standard deviation of each without labels, on plates of sensors that nobody here made (docs/touch.md)."""
 
 
-def touch_by_model(model: TouchModel, features: Sequence[F32]) -> Touch:
-    """What a model makes of a frame's features, network by network."""
-    found = predict(model, np.concatenate(features))
+def touch_by_model(model: TouchModel, features: F32) -> Touch:
+    """What a model makes of a frame's features, float32 (D,)."""
+    found = predict(model, features)
     if not found.alike:
         unknown = dict.fromkeys(model.names)
         return Touch(unknown, unknown, Reason(ReasonCode.TOUCH_UNLIKE, "unlike every frame of the labels"))

@@ -1,4 +1,4 @@
-"""LABELS.csv: what a robot or a person knows of each frame, for ``tacshade-edge evaluate --labels``."""
+"""LABELS.csv: what a robot or a person knows of each frame, for ``calibrate --labels`` and ``evaluate --labels``."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.storage.tables.tables import number, read_rows
-
-COLUMNS = ("depth_mm", "tilt_x_deg", "tilt_y_deg", "shear_x_mm", "shear_y_mm")
+from tacshade_edge.storage.tables.tables import number, read_columns
+from tacshade_edge.types import QUANTITIES
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,15 +19,21 @@ class LabelledImage:
     ----------
     path : Path
     known : mapping of str to float
-        Some of `COLUMNS`.
+        Some of `types.QUANTITIES`.
+    where : str
+        ``FILE:LINE``.
+    group : str
+        Images of one press have the same; empty where nothing is stated.
     """
 
     path: Path
     known: Mapping[str, float]
+    where: str = ""
+    group: str = ""
 
 
 def read_labels(path: Path, folder: Path) -> list[LabelledImage]:
-    """Read the table; a cell is empty where nothing is known.
+    """Read the table: columns in any order, a cell is empty where nothing is known.
 
     Parameters
     ----------
@@ -39,14 +44,23 @@ def read_labels(path: Path, folder: Path) -> list[LabelledImage]:
     Raises
     ------
     ConfigError
-        ``FILE:LINE: column: found …, expected …``, or no line at all.
+        ``FILE:LINE: column: found …, expected …``, no quantity, or no line at all.
     """
+    table = read_columns(path, ("image",), (*QUANTITIES, "group"), "labels")
+    if table.unknown:
+        expected = f"image, group and any of {', '.join(QUANTITIES)}"
+        raise ConfigError(f"{path}:1: {table.unknown[0]}: found an unknown column, expected {expected}")
     labelled = []
-    for where, (name, *cells) in read_rows(path, ("image", *COLUMNS), "labels"):
-        if not name:
+    for where, cells in table.rows:
+        if not (name := cells["image"].strip()):
             raise ConfigError(f"{where}: image: found nothing, expected a file of {folder}")
-        known = {column: number(where, column, cell) for column, cell in zip(COLUMNS, cells, strict=True) if cell}
-        labelled.append(LabelledImage(folder / name, known))
+        texts = {column: cells.get(column, "").strip() for column in QUANTITIES}
+        if table.decimal_comma:
+            texts = {column: text.replace(",", ".") for column, text in texts.items()}
+        known = {column: number(where, column, text) for column, text in texts.items() if text}
+        labelled.append(LabelledImage(folder / name, known, where, cells.get("group", "").strip()))
     if not labelled:
         raise ConfigError(f"{path}: found no image, expected a line for each")
+    if not any(row.known for row in labelled):
+        raise ConfigError(f"{path}:1: found no quantity, expected some of {', '.join(QUANTITIES)}")
     return labelled

@@ -10,10 +10,11 @@ import numpy as np
 from scipy.stats import rankdata
 
 from tacshade_edge.reasons import code_of
-from tacshade_edge.storage.tables.labels import COLUMNS
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import F64, Reconstruction
 
+COLUMNS = ("depth_mm", "tilt_x_deg", "tilt_y_deg", "shear_x_mm", "shear_y_mm")
+"""Of LABELS.csv, what a reconstruction says too."""
 PAIRS = {"tilt": ("tilt_x_deg", "tilt_y_deg"), "shear": ("shear_x_mm", "shear_y_mm")}
 """What has two axes, which need not be the camera's."""
 

@@ -120,6 +120,7 @@ def test_opened_to_a_network_it_wants_a_token_and_is_read_only() -> None:
         assert "unencrypted" in child.communicate(timeout=patience(20))[1]
 
 
+@pytest.mark.slow
 def test_a_token_is_told_once_and_kept(tmp_path: Path) -> None:
     cert, key = certificate(tmp_path)
     words = ["--host", "0.0.0.0", "--token-file", str(tmp_path / "t"), "--certificate", str(cert), "--key", str(key)]

@@ -104,6 +104,7 @@ def false_alarms(model: SensorModel, names: list[str], depths: tuple[float, ...]
     return alarms
 
 
+@pytest.mark.slow
 def test_no_contact_raises_a_false_alarm() -> None:
     assert false_alarms(HALF, sorted(OBJECTS), (3.0,)) == []
 

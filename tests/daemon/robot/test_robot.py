@@ -165,6 +165,7 @@ def test_unplugged_and_plugged_in_again_the_session_goes_on_and_the_gap_is_told(
     assert counts["clock_restarts"] == 1  # the greeting; not the cable
 
 
+@pytest.mark.slow
 def test_a_robot_that_reboots_is_noticed_and_known_again(link: Path) -> None:
     with PtyRobot(link, rate_hz=100, binary=True, clock=Clock(5000.0, 20.0)) as robot, Side(link) as side:
         side.until("synchronised", sync="two-way")

@@ -99,6 +99,7 @@ def test_other_files_and_none_that_can_be_read(path: Path) -> None:
         reference_file.load(path, CALIBRATED)
 
 
+@pytest.mark.slow
 @given(st.data())
 def test_a_damaged_file_is_refused_or_is_what_was_stored(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject

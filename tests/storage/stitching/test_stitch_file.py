@@ -151,6 +151,7 @@ def test_sessions_of_another_sensor_are_not_ours(tmp_path: Path) -> None:
     assert open_session(tmp_path, "right") == tmp_path / "one"
 
 
+@pytest.mark.slow
 def test_what_was_acknowledged_survives_kill_9(tmp_path: Path) -> None:
     with subprocess.Popen(
         [sys.executable, stitch_until_killed.__file__, str(tmp_path / "one")],

@@ -21,11 +21,18 @@ def test_cells_may_be_empty(tmp_path: Path) -> None:
     assert two.known == {}
 
 
+def test_columns_in_any_order_as_a_spreadsheet_writes_them(tmp_path: Path) -> None:
+    (one,) = read_labels(table(tmp_path, "group;force_z_n;image\np1;-2,5;a.png\n"), tmp_path)
+    assert one.known == {"force_z_n": -2.5}
+    assert (one.group, one.where) == ("p1", f"{tmp_path}/labels.csv:2")
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", r"labels.csv:1: found the header nothing, expected image,depth_mm"),
-        ("image,depth\na,1\n", r"labels.csv:1: found the header image,depth, expected image,depth_mm"),
+        ("", r"labels.csv:1: found the header nothing, expected image"),
+        ("image,depth\na,1\n", r"labels.csv:1: depth: found an unknown column, expected image, group and any of"),
+        ("image,group\na,1\n", r"labels.csv:1: found no quantity, expected some of depth_mm"),
         (HEADER, "found no image, expected a line for each"),
         (HEADER + "a.png,deep,,,,\n", r"labels.csv:2: depth_mm: found 'deep', expected a number"),
         (HEADER + "a.png,nan,,,,\n", r"labels.csv:2: depth_mm: found 'nan', expected a number"),

@@ -15,7 +15,7 @@ needs_broker = [
     pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed"),
 ]
 QUICK = (
-    "an answer is wanted on the hand's own topics",
+    "an answer is wanted on the sensor's own topics",
     "a bit flipped in a session's presses",
     "recordings read while they are written",
     "the page is asked for by who may not",

@@ -14,12 +14,16 @@ import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tacshade_edge.types import F64
 from tools.studies.third_family.dome import FIRST_SEED, RANGES, drawn
 from tools.studies.third_family.paths import ways
+
+if TYPE_CHECKING:
+    from tools.studies.third_family.solve import State
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,6 +56,17 @@ def read(path: Path) -> Kept:
         return Kept(**{name: file[name] for name in Kept.__slots__})
 
 
+def keep(path: Path, rest: F64, pressed: State, dragged: State) -> None:
+    """Write a way's states, whole or not at all."""
+    part = path.with_suffix(".part.npz")
+    np.savez_compressed(
+        part, rest_mm=rest, pressed_mm=pressed.at_mm, dragged_mm=dragged.at_mm,
+        penetration_mm=np.array((pressed.penetration_mm, dragged.penetration_mm)),
+        stirring_mm=np.array((pressed.stirring_mm, dragged.stirring_mm)),
+    )  # fmt: skip
+    os.replace(part, path)
+
+
 def solve_all(range_name: str, sensors: int, count: int, folder: Path) -> None:
     """Solve what is missing."""
     from tools.studies.third_family.solve import solved
@@ -64,14 +79,7 @@ def solve_all(range_name: str, sensors: int, count: int, folder: Path) -> None:
             path = kept_file(folder, range_name, sensor, k)
             if path.exists():
                 continue
-            rest, pressed, dragged = solved(dome, way)
-            part = path.with_suffix(".part.npz")
-            np.savez_compressed(
-                part, rest_mm=rest, pressed_mm=pressed.at_mm, dragged_mm=dragged.at_mm,
-                penetration_mm=np.array((pressed.penetration_mm, dragged.penetration_mm)),
-                stirring_mm=np.array((pressed.stirring_mm, dragged.stirring_mm)),
-            )  # fmt: skip
-            os.replace(part, path)
+            keep(path, *solved(dome, way))
             print(f"sensor {sensor}, way {k}: {way.object_name}", flush=True)
 
 

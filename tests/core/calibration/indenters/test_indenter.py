@@ -65,6 +65,7 @@ SHAPES: dict[str, tuple[Indenter, Callable[[F64], F64]]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("distance_mm", [None, 14.0])
 @pytest.mark.parametrize("turn", TURNS)
 @pytest.mark.parametrize("name", SHAPES)
@@ -90,6 +91,7 @@ def test_its_surface_is_that_of_the_simulators_press(
         assert press.distance_mm(R_MM, nearer).min() > -0.008
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turn", TURNS)
 @pytest.mark.parametrize("name", SHAPES)
 def test_the_greatest_depth_and_the_first_touch(name: str, turn: tuple[float, float, float]) -> None:

@@ -1,0 +1,99 @@
+"""Labelled frames to a touch model of one profile."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tacshade_edge.core.profiles import Profile
+from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.core.touch.learning import LEAST_ROWS, LearntTouch, learn
+from tacshade_edge.inference.network import load_network, touch_networks
+from tacshade_edge.types import F32, QUANTITIES, U8, Calibration, Frame, Need
+
+
+@dataclass(frozen=True, slots=True)
+class LabelledFrame:
+    """A picture's place in the table, what is known of it, and its group (empty: it is one alone)."""
+
+    name: str
+    image: U8
+    known: Mapping[str, float]
+    group: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TouchResult:
+    """What a profile learnt from a table.
+
+    Attributes
+    ----------
+    profile : str
+    learnt : LearntTouch
+    names : tuple of str
+        Of the frames that were used; its reports number them.
+    left_out : tuple of str
+        A line for each frame that was not, with why.
+    too_few : mapping of str to int
+        Rows of each quantity that has less than are needed.
+    """
+
+    profile: str
+    learnt: LearntTouch
+    names: tuple[str, ...]
+    left_out: tuple[str, ...]
+    too_few: Mapping[str, int]
+
+
+def learn_touch(calibration: Calibration, profile: Profile, frames: Iterable[LabelledFrame]) -> TouchResult:
+    """Learn a profile's touch model; the profile has a network."""
+    assert profile.network is not None
+    fitted = calibration.fitted.get(profile.name)
+    taken: list[F32] = []
+    reconstructor = Reconstructor(calibration, profile, load_network(profile.network, fitted), touch=taken)
+    names, left_out, known, groups = [], [], [], []
+    for frame in frames:
+        made = reconstructor.step(Frame(0, 0, 0, frame.image), need=Need.TOUCH)
+        if made is None or not made.valid or not made.contact:
+            why = "found no contact" if made is None or made.valid else str(made.reason)
+            left_out.append(f"{frame.name}: {why}")
+            continue
+        names.append(frame.name)
+        known.append(frame.known)
+        groups.append(frame.group or f"\0{len(names)}")
+    labels = np.array([[one.get(name, np.nan) for name in QUANTITIES] for one in known]).reshape(-1, len(QUANTITIES))
+    counts = np.isfinite(labels).sum(axis=0)
+    used = np.flatnonzero(counts >= LEAST_ROWS)
+    too_few = {QUANTITIES[q]: int(counts[q]) for q in np.flatnonzero((counts > 0) & (counts < LEAST_ROWS))}
+    learnt = LearntTouch(None, ())
+    if len(used):
+        numbers = np.unique(groups, return_inverse=True)[1].astype(np.int64)
+        chosen = [QUANTITIES[q] for q in used]
+        learnt = learn(np.stack(taken), chosen, labels[:, used], numbers, touch_networks(profile.network, fitted))
+    return TouchResult(profile.name, learnt, tuple(names), tuple(left_out), too_few)
+
+
+def report_lines(result: TouchResult) -> Sequence[str]:
+    """What a person wants to know of it."""
+    lines = [f"touch model of {result.profile}: {len(result.names)} frames"]
+    for each in result.learnt.reports:
+        unit = each.name.rpartition("_")[2]
+        if not each.seen:
+            lines.append(f"  {each.name}: cannot be seen in these frames (R² {each.r2:.2f}): no answer")
+            continue
+        lines.append(
+            f"  {each.name}: off by {each.error:.3g} {unit} (R² {each.r2:.2f}; 90 % intervals hold "
+            f"{100 * each.coverage_90:.0f} %); expect {each.error_twice:.3g} with twice the labels, "
+            f"{each.error_four_times:.3g} with four times"
+        )
+        if each.contradicting:
+            rows = ", ".join(result.names[row] for row in each.contradicting[:SHOWN])
+            more = f" and {len(each.contradicting) - SHOWN} more" if len(each.contradicting) > SHOWN else ""
+            lines.append(f"    contradict the others: {rows}{more}")
+    return lines
+
+
+SHOWN = 5
+"""Rows that a line names."""

@@ -1,0 +1,167 @@
+"""The touch model on the third family: learnt from plates, judged on other plates and on objects that it never saw.
+
+::
+
+    nice ENGINE/bin/python -m tools.studies.third_family.touch --solve --states STATES
+    .venv/bin/python -m tools.studies.third_family.touch --states STATES
+
+The first line has the engine (requirements.txt) and is slow; what is in STATES already is left as it is. Of each way
+both states are frames: pressed, and then dragged and turned. `LABELS` frames of plates are labelled, the others
+judge; so do a ball and a bar, of which "right" is an error of at most twice that on the plates that judge.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.core.touch.answer import touch_by_model
+from tacshade_edge.core.touch.learning import learn
+from tacshade_edge.inference.network import load_network
+from tacshade_edge.simulator.objects import OBJECTS
+from tacshade_edge.simulator.press import Press
+from tacshade_edge.studies.evaluate.sensors import SCENE_NOISE
+from tacshade_edge.studies.tables import markdown
+from tacshade_edge.types import F32, F64, Frame, Need
+from tools.studies.third_family.dome import FIRST_SEED, Dome, drawn
+from tools.studies.third_family.evaluate import calibrated
+from tools.studies.third_family.paths import DEEPEST_PART, Way, plate_depth_mm
+from tools.studies.third_family.seen import deformed, renderer
+from tools.studies.third_family.states import Kept, keep, read
+
+RANGE, SENSOR = "working", 0
+COUNTS = {"plate": 75, "ball": 10, "bar": 10}
+LABELS = 100
+NAMES = ("depth_mm", "tilt_x_deg", "tilt_y_deg", "shear_x_mm", "shear_y_mm", "twist_deg")
+SHOWN = {"depth mm": (0,), "tilt °": (1, 2), "shear mm": (3, 4), "twist °": (5,)}
+
+
+def ways(dome: Dome) -> list[tuple[Way, float]]:
+    """Plates, balls and bars of any depth, tilt, drag and twist, and how far each is pressed along its normal, mm."""
+    rng = np.random.default_rng((FIRST_SEED[RANGE], 43))
+    scale = dome.radius_mm / 20
+    deepest = min(4.0, DEEPEST_PART * (dome.skin_mm + dome.gel_part * dome.radius_mm) / scale)
+    made = []
+    for name, count in COUNTS.items():
+        for _ in range(count):
+            pressed = float(rng.uniform(0.5, 0.6 * deepest)) * scale
+            tilt, lean, drag, along = (float(v) for v in rng.uniform((0, 0, 0, 0), (15, 2 * math.pi, 2.5, 2 * math.pi)))
+            twist, turn = (float(v) for v in rng.uniform((-8, 0), (8, 360)))
+            lean_deg = (tilt * math.cos(lean), tilt * math.sin(lean)) if name == "plate" else (0.0, 0.0)
+            depth = plate_depth_mm(pressed, dome.radius_mm, scale, *lean_deg) if name == "plate" else pressed
+            press = Press(
+                OBJECTS[name](), 0.0, 0.0, depth, turn, scale, *lean_deg,
+                drag * scale * math.cos(along), drag * scale * math.sin(along), twist,
+            )  # fmt: skip
+            made.append((Way(name, press), pressed))
+    return made
+
+
+def kept_file(folder: Path, way: int) -> Path:
+    """Where a way's states are kept."""
+    return folder / f"touch-{RANGE}-{SENSOR}-{way}.npz"
+
+
+def solve_all(folder: Path) -> None:
+    """Solve what is missing."""
+    from tools.studies.third_family.solve import solved
+
+    folder.mkdir(parents=True, exist_ok=True)
+    _, dome = drawn(RANGE, SENSOR)
+    for k, (way, _) in enumerate(ways(dome)):
+        if not (path := kept_file(folder, k)).exists():
+            keep(path, *solved(dome, way))
+            print(f"way {k}: {way.object_name}", flush=True)
+
+
+def label(way: Way, pressed_mm: float, dragged: bool) -> tuple[float, ...]:
+    """What a robot knows: `NAMES`."""
+    press = way.press
+    moved = (press.drag_x_mm, press.drag_y_mm, press.twist_deg) if dragged else (0.0, 0.0, 0.0)
+    return (pressed_mm, press.tilt_x_deg, press.tilt_y_deg, *moved)
+
+
+def seen(folder: Path, profile: str) -> tuple[list[str], F32, F64, F64]:
+    """Object, features and label of every frame in contact, and what is known of it without labels."""
+    model, dome = drawn(RANGE, SENSOR)
+    draws = renderer(model, FIRST_SEED[RANGE] + SENSOR)
+    chosen = PROFILES[profile]
+    assert chosen.network is not None
+    taken: list[F32] = []
+    made = Reconstructor(calibrated(RANGE, SENSOR), chosen, load_network(chosen.network), touch=taken)
+    objects, labels, plain = [], [], []
+    for k, (way, pressed_mm) in enumerate(ways(dome)):
+        kept: Kept = read(kept_file(folder, k))
+        for dragged, at_mm in enumerate((kept.pressed_mm, kept.dragged_mm)):
+            skin = deformed(dome.radius_mm, kept.rest_mm, at_mm)
+            image = draws.expose(draws.draw(skin), SCENE_NOISE + 2 * k + dragged)
+            before = len(taken)
+            result = made.step(Frame(0, 0, 0, image), need=Need.TOUCH)
+            if len(taken) > before and result is not None and result.touch is not None:
+                plain.append([result.touch.values[name] for name in NAMES])
+                objects.append(way.object_name)
+                labels.append(label(way, pressed_mm, bool(dragged)))
+    return objects, np.stack(taken), np.array(labels), np.array(plain, float)
+
+
+def report(folder: Path) -> None:
+    """Learn, judge, print."""
+    lines = []
+    for profile in ("balanced", "accurate"):
+        objects, features, labels, plain = seen(folder, profile)
+        plates = [k for k, name in enumerate(objects) if name == "plate"]
+        order = np.random.default_rng(1).permutation(len(plates) // 2)
+        shuffled = [plates[2 * way + end] for way in order for end in (0, 1)]  # both states of a way on one side
+        taught = shuffled[:LABELS]
+        learnt = learn(features[taught], NAMES, labels[taught], np.arange(len(taught)) // 2, "study")
+        assert learnt.model is not None
+        usual = np.full(len(NAMES), math.nan)
+        for name in COUNTS:
+            judged = shuffled[LABELS:] if name == "plate" else [k for k, one in enumerate(objects) if one == name]
+            touches = [touch_by_model(learnt.model, features[k]) for k in judged]
+            found = np.array([[touch.values.get(q) for q in NAMES] for touch in touches], float)
+            off = np.abs(found - labels[judged])
+            if name == "plate":
+                usual = np.nanmean(off, axis=0)
+            right = (off <= 2 * np.maximum(usual, 1e-9)) | np.isnan(off)
+            cells = [
+                f"{np.nanmean(off[:, list(columns)]):.2f}" if np.isfinite(off[:, list(columns)]).any() else "-"
+                for columns in SHOWN.values()
+            ]
+            answered = np.isfinite(found[:, 0]).sum()
+            lines.append((profile, name, str(len(judged)), str(answered), *cells, f"{100 * right[:, :5].mean():.0f} %"))
+        off = np.abs(plain - labels)[plates]
+        cells = [f"{np.nanmean(off[:, list(columns)]):.2f}" for columns in SHOWN.values()]
+        lines.append((profile, "plate, without labels", str(len(plates)), str(len(plates)), *cells, ""))
+        deviations = np.sqrt(np.nanmean(off**2, axis=0))
+        deviation = dict(zip(NAMES, deviations.round(2).tolist(), strict=True))
+        print(f"{profile}: standard deviations without labels: {deviation}")
+    columns = ("profile", "object", "frames", "answered", *SHOWN, "right or no answer")
+    print(markdown(columns, lines))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Parse, solve or judge."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--states", type=Path, required=True)
+    parser.add_argument("--solve", action="store_true")
+    options = parser.parse_args(arguments)
+    if options.solve:
+        solve_all(options.states)
+        return 0
+    if not all(os.path.exists(kept_file(options.states, k)) for k in range(sum(COUNTS.values()))):
+        print(f"{options.states}: not every way is solved: run with --solve first", file=sys.stderr)
+        return 1
+    report(options.states)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,179 @@
+#!/usr/bin/env python3
+"""The touch model on a robot's labelled frames: errors by number of labels, beside published networks.
+
+::
+
+    git clone https://github.com/dexterousrobot/tactile_data_shear out/real/tactile_data_shear
+    .venv/bin/python -m tools.studies.touch out/real/tactile_data_shear
+
+Of that set `cr_tactip` alone. It has no licence: it stays outside the tree. Every frame counts: where there is no
+answer the labels' mean is the guess. `random` draws the labels from all frames, and judges the others; `grouped` learns
+from one run of the robot (train_data) and judges another (val_data).
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import sys
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.core.touch.answer import touch_by_model
+from tacshade_edge.core.touch.learning import learn
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.inference.network import load_network
+from tacshade_edge.storage.images import read_image
+from tacshade_edge.studies.tables import markdown
+from tacshade_edge.types import F32, F64, Bool, Calibration, Frame, Need, TouchModel
+from tools.studies.real_frames import PUBLISHED, forced, rows_of
+
+FOLDER = "data/cr_tactip/surface_3d"
+RUNS = ("train_data", "val_data")
+COLUMNS = {
+    "pose_z": "depth_mm",
+    "pose_Rx": "tilt_x_deg",
+    "pose_Ry": "tilt_y_deg",
+    "shear_x": "shear_x_mm",
+    "shear_y": "shear_y_mm",
+    "shear_Rz": "twist_deg",
+}
+NAMES = tuple(COLUMNS.values())
+SHOWN = {"depth mm": (0,), "tilt °": (1, 2), "shear mm": (3, 4), "twist °": (5,)}
+LABELS = (4000, 400, 100, 40)
+JUDGED = 1000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frames:
+    """All frames of both runs: features of those in contact, labels, which were usable, which are of the second run."""
+
+    features: F32
+    labels: F64
+    usable: Bool
+    second: Bool
+
+
+def seen(clone: Path, profile: str) -> Frames:
+    """Run the networks over every frame once."""
+    pictures, labels, second = [], [], []
+    for run in RUNS:
+        for row in rows_of(clone / FOLDER / run / "targets_images.csv"):
+            pictures.append(clone / FOLDER / run / "processed_images" / row["sensor_image"])
+            labels.append([float(row[name]) for name in COLUMNS])
+            second.append(run == RUNS[1])
+    known, later = np.array(labels), np.array(second)
+    least = pictures[int(np.where(later, known[:, 0], np.inf).argmin())]
+    taken: list[F32] = []
+    made = reconstructor(forced([least]), profile, taken)
+    usable = []
+    for path in pictures:
+        before = len(taken)
+        made.step(Frame(0, 0, 0, read_image(path)), need=Need.TOUCH)
+        usable.append(len(taken) > before)
+    features = np.zeros((len(pictures), len(taken[0])), np.float32)
+    features[np.array(usable)] = taken
+    return Frames(features, known, np.array(usable), later)
+
+
+def reconstructor(calibration: Calibration, profile: str, touch: TouchModel | list[F32]) -> Reconstructor:
+    """With a touch model, or what takes features."""
+    chosen = PROFILES[profile]
+    assert chosen.network is not None
+    return Reconstructor(calibration, chosen, load_network(chosen.network), touch=touch)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Score:
+    """One split: mean absolute errors, what 90 % intervals hold, part without an answer, and seconds of learning."""
+
+    errors: F64
+    holds: F64
+    unanswered: float
+    learning_s: float
+
+
+def scored(frames: Frames, split: str, count: int, seed: int) -> Score:
+    """Learn from `count` frames, judge `JUDGED` others."""
+    random = np.random.default_rng(seed)
+    if split == "random":
+        order = random.permutation(len(frames.labels))
+        taught, judged = order[:count], order[-JUDGED:]
+    else:
+        taught, judged = random.permutation(np.flatnonzero(~frames.second))[:count], np.flatnonzero(frames.second)
+    taught = taught[frames.usable[taught]]
+    began_s = time.monotonic()
+    learnt = learn(frames.features[taught], NAMES, frames.labels[taught], np.arange(len(taught)), "study")
+    learning_s = time.monotonic() - began_s
+    errors = np.abs(frames.labels[judged] - frames.labels[taught].mean(axis=0))
+    covered = np.full(errors.shape, np.nan)
+    for k, at in enumerate(judged):
+        if not frames.usable[at] or learnt.model is None:
+            continue
+        touch = touch_by_model(learnt.model, frames.features[at])
+        for q, name in enumerate(NAMES):
+            value, sigma = touch.values.get(name), touch.sigma.get(name)
+            if value is not None and sigma is not None:
+                errors[k, q] = abs(frames.labels[at, q] - value)
+                covered[k, q] = errors[k, q] <= 1.645 * sigma
+    holds = np.array([np.nanmean(one) if np.isfinite(one).any() else np.nan for one in covered.T])
+    return Score(errors.mean(axis=0), holds, float(np.isnan(covered[:, 0]).mean()), learning_s)
+
+
+def report(clone: Path, profiles: Sequence[str], counts: Sequence[int]) -> None:
+    """Measure, print."""
+    lines: list[tuple[str, ...]] = [("published networks", "4002", "", "0.106", "0.32", "0.78", "1.48", "", "", "")]
+    for profile in profiles:
+        frames = seen(clone, profile)
+        left = int((~frames.usable).sum())
+        print(f"{profile}: {left} of {len(frames.usable)} frames are not usable", file=sys.stderr)
+        for split in ("random", "grouped"):
+            for count in counts:
+                scores = [scored(frames, split, count, seed) for seed in range(1 if count > 400 else 4)]
+                errors = np.mean([one.errors for one in scores], axis=0)
+                holds = np.mean([one.holds for one in scores], axis=0)
+                lines.append(
+                    (
+                        profile,
+                        str(count),
+                        split,
+                        *(f"{errors[list(columns)].mean():.3f}" for columns in SHOWN.values()),
+                        f"{np.nanmin(holds):.2f} to {np.nanmax(holds):.2f}",
+                        f"{100 * np.mean([one.unanswered for one in scores]):.1f} %",
+                        f"{np.mean([one.learning_s for one in scores]):.1f}",
+                    )
+                )
+    columns = ("", "labels", "split", *SHOWN, "90 % intervals hold", "no answer", "learning, s")
+    print(markdown(columns, lines))
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss >> 10
+    print(f"\nMean absolute errors. Peak memory of this study, all frames' features at once: {most} MB.")
+    print(f"Published: {PUBLISHED}.")
+
+
+def main(arguments: Iterable[str] | None = None) -> int:
+    """Measure, print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("clone", type=Path)
+    parser.add_argument(
+        "--profile", nargs="+", choices=("fast", "balanced", "accurate"), default=("balanced", "accurate")
+    )
+    parser.add_argument("--labels", nargs="+", type=int, default=LABELS)
+    args = parser.parse_args(None if arguments is None else list(arguments))
+    cv2.setNumThreads(1)
+    try:
+        report(args.clone, args.profile, args.labels)
+    except (ConfigError, OSError) as error:
+        print(f"touch.py: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
