@@ -19,6 +19,7 @@ from tacshade_edge.bridge.viewers import MESSAGE_BYTES_MAX, Channel, Viewers
 from tacshade_edge.core.geometry.disc import Grid
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.protocol import wire
+from tacshade_edge.protocol.messages import TOUCH_SCHEMA
 from tacshade_edge.protocol.received import (
     ALIVE,
     Info,
@@ -28,6 +29,7 @@ from tacshade_edge.protocol.received import (
     decode_info,
     decode_state,
     decode_status,
+    decode_touch,
 )
 from tacshade_edge.protocol.wire import CloudMessage, HeightMessage
 from tacshade_edge.quoting import escaped
@@ -52,6 +54,7 @@ _TOPICS: Final[dict[str, tuple[str, ...]]] = {
     "map": ("map/cloud",),
     "preview": ("preview",),
     "contact": ("contact",),
+    "touch": ("touch",),
     "health": ("health",),
     "log": ("state", "status/+", "event/slip"),
     "tf": (),
@@ -74,6 +77,7 @@ class _Sensor:
             "map": (PointCloud.get_schema(), 1),
             "preview": (CompressedImage.get_schema(), 1),
             "contact": (made.CONTACT_SCHEMA, _LINES),
+            "touch": (TOUCH_SCHEMA, _LINES),
             "health": (_HEALTH_SCHEMA, 1),
             "log": (Log.get_schema(), _LINES),
             "tf": (FrameTransforms.get_schema(), 1),
@@ -127,6 +131,9 @@ class _Sensor:
                 self._send("preview", lambda: made.picture(payload, self._id, now_ns))
             case "contact":
                 decode_contact(payload)
+                self._send(topic, lambda: payload)
+            case "touch":
+                decode_touch(payload)
                 self._send(topic, lambda: payload)
             case "health":
                 decode_health(payload)

@@ -16,13 +16,21 @@ from tacshade_edge.core.geometry.disc import Grid, disc_rays
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.library.result import Result, result_of
 from tacshade_edge.protocol import wire
-from tacshade_edge.protocol.received import Contact, Info, decode_contact, decode_info, decode_state
+from tacshade_edge.protocol.received import (
+    Contact,
+    Info,
+    TouchNumbers,
+    decode_contact,
+    decode_info,
+    decode_state,
+    decode_touch,
+)
 from tacshade_edge.protocol.wire import CloudMessage, HeightMessage, ShearMessage, SigmaMessage
 from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.types import F32, Geometry, HeightMap, ObjectCloud, Reconstruction, TouchedObject
+from tacshade_edge.types import F32, Geometry, HeightMap, ObjectCloud, Reconstruction, Touch, TouchedObject
 
 _STREAMS: Final = ("height", "cloud", "shear", "sigma")
-TOPICS: Final = (*_STREAMS, "contact", "info", "state")
+TOPICS: Final = (*_STREAMS, "touch", "contact", "info", "state")
 _SEQ: Final = struct.Struct("<8xI")
 
 M = TypeVar("M", HeightMessage, CloudMessage, ShearMessage, SigmaMessage)
@@ -34,6 +42,7 @@ class _Whole:
 
     contact: Contact
     streams: dict[str, bytes]
+    touch: Touch | None
 
 
 class FrameAssembler:
@@ -57,6 +66,7 @@ class FrameAssembler:
     def forget(self) -> None:
         """Drop what is not whole: the messages that follow are another connection's."""
         self._latest: dict[str, bytes] = {}
+        self._touch: TouchNumbers | None = None
         self._newest: _Whole | None = None
 
     @property
@@ -69,6 +79,8 @@ class FrameAssembler:
         with contextlib.suppress(DecodeError):
             if topic in _STREAMS:
                 self._latest[topic] = payload
+            elif topic == "touch":
+                self._touch = decode_touch(payload)
             elif topic == "state":
                 self.state = decode_state(payload)
             elif topic == "info":
@@ -88,7 +100,7 @@ class FrameAssembler:
             self.passed_over += 1
             return
         self.passed_over += self._newest is not None
-        self._newest = _Whole(contact, streams)
+        self._newest = _Whole(contact, streams, _touch_of(contact, self._touch))
 
     def take(self) -> Result | None:
         """The result of the newest frame; None where there is none that can be understood."""
@@ -141,6 +153,7 @@ class FrameAssembler:
             volume_mm3=volume_mm3,
             shear_mm=shear_mm,
             sigma_mm=None if sigma is None else sigma.sigma_mm,
+            touch=whole.touch,
         )
         if made.valid:
             made = follow(self._tracker, made)
@@ -187,9 +200,16 @@ def _untouched(last: HeightMap) -> HeightMap:
     return HeightMap(zero_mm, np.zeros(zero_mm.shape, np.bool_), last.row0, last.col0, last.step_px)
 
 
-def _reason(code: str) -> Reason | None:
-    """Its code is all that is published of it."""
+def _touch_of(contact: Contact, numbers: TouchNumbers | None) -> Touch | None:
+    """A contact's own touch."""
+    if numbers is None or numbers.seq != contact.seq or numbers.touch is None or numbers.touch_sigma is None:
+        return None
+    return Touch(numbers.touch, numbers.touch_sigma, _reason(numbers.reason_code, numbers.reason))
+
+
+def _reason(code: str, text: str = "") -> Reason | None:
+    """Where no text is published, its code is the text."""
     if not code:
         return None
     known = next((reason for reason in ReasonCode if reason.value == code), None)
-    return Reason(known or ReasonCode.DECODE, code)
+    return Reason(known or ReasonCode.DECODE, text or code)

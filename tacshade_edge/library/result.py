@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
@@ -56,6 +56,11 @@ class Result:
         In the order of their labels, the greatest first.
     volume_mm3 : float
         Displaced under the contacts.
+    touch, touch_sigma : mapping of str to float or None
+        The touch as a few numbers, each in the unit of its name, and one standard deviation of each; None where the
+        model does not know one. None without contact, or where they are not reported.
+    touch_reason, touch_reason_code : str
+        Why the model does not know one or all; empty when it knows all.
     pose : Pose or None
         ``base_T_flange`` at `t_ns`, where a robot states it.
     geometry : Geometry
@@ -85,6 +90,10 @@ class Result:
     labels: U16
     objects: tuple[TouchedObject, ...]
     volume_mm3: float
+    touch: Mapping[str, float | None] | None
+    touch_sigma: Mapping[str, float | None] | None
+    touch_reason: str
+    touch_reason_code: str
     pose: Pose | None
     geometry: Geometry
 
@@ -106,7 +115,8 @@ class Result:
 
 def result_of(made: Reconstruction, geometry: Geometry, pose: Pose | None, untrusted: Bool | None) -> Result:
     """A reconstruction as people take it."""
-    height, cloud = made.height, made.cloud
+    height, cloud, touch = made.height, made.cloud, made.touch
+    touch_reason = None if touch is None else touch.reason
     return Result(
         seq=made.seq,
         t_ns=made.t_ns,
@@ -131,6 +141,10 @@ def result_of(made: Reconstruction, geometry: Geometry, pose: Pose | None, untru
         labels=cloud.labels,
         objects=made.objects,
         volume_mm3=made.volume_mm3,
+        touch=None if touch is None else touch.values,
+        touch_sigma=None if touch is None else touch.sigma,
+        touch_reason=text_of(touch_reason),
+        touch_reason_code=code_of(touch_reason),
         pose=pose,
         geometry=geometry,
     )

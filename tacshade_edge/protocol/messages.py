@@ -1,4 +1,4 @@
-"""The JSON payloads that the daemon publishes: ``contact``, ``event/slip``, ``info`` and ``status/<part>``."""
+"""The JSON payloads that the daemon publishes: ``contact``, ``touch``, ``event/slip``, ``info``, ``status/<part>``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,23 @@ from typing import Any
 from tacshade_edge.protocol.json_payload import encode_json
 from tacshade_edge.protocol.wire import WIRE_VERSION
 from tacshade_edge.reasons import Reason, code_of, reason_fields
-from tacshade_edge.types import Calibration, Reconstruction, TouchedObject
+from tacshade_edge.types import Calibration, Reconstruction, Touch, TouchedObject
+from tacshade_edge.types.touch import QUANTITIES
+
+# All but the reason may be null, which the viewers' JSON Schema has no word for.
+TOUCH_SCHEMA: Mapping[str, Any] = {
+    "title": "tacshade.Touch",
+    "type": "object",
+    "properties": {
+        **{name: {"type": "number"} for name in ("t_ns", "seq")},
+        **{
+            name: {"type": "object", "properties": {each: {"type": "number"} for each in QUANTITIES}}
+            for name in ("touch", "touch_sigma")
+        },
+        **{name: {"type": "string"} for name in ("reason", "reason_code")},
+    },
+}
+"""JSON Schema of ``touch``, for viewers."""
 
 
 def encode_contact(result: Reconstruction, *, fps: float) -> bytes:
@@ -47,6 +63,23 @@ def encode_contact(result: Reconstruction, *, fps: float) -> bytes:
             "wall_ns": result.wall_ns,
         }
     )
+
+
+def encode_touch(result: Reconstruction) -> bytes:
+    """The ``touch`` payload: each quantity and its standard deviation, and why one or all are not known."""
+    reason = result.reason if result.touch is None else result.touch.reason
+    return encode_json({"t_ns": result.t_ns, "seq": result.seq, **touch_fields(result.touch), **reason_fields(reason)})
+
+
+def touch_fields(touch: Touch | None) -> dict[str, Any]:
+    """``touch`` and ``touch_sigma`` as messages and ``summary.json`` have them, rounded to 0.0001; null without one."""
+    if touch is None:
+        return {"touch": None, "touch_sigma": None}
+    return {"touch": _rounded(touch.values), "touch_sigma": _rounded(touch.sigma)}
+
+
+def _rounded(values: Mapping[str, float | None]) -> dict[str, float | None]:
+    return {name: None if value is None else round(value, 4) for name, value in values.items()}
 
 
 def encode_slip(result: Reconstruction, sliding: TouchedObject) -> bytes:

@@ -1,4 +1,4 @@
-"""``info``, ``contact``, ``health``, ``state`` and ``status/<part>`` as a subscriber understands them.
+"""``info``, ``contact``, ``touch``, ``health``, ``state`` and ``status/<part>`` as a subscriber understands them.
 
 Keys that it does not know are ignored; what no daemon publishes is refused (`protocol.strict`).
 """
@@ -25,6 +25,8 @@ _Code = Annotated[str, Meta(pattern=r"\A[a-z0-9_]{0,64}\Z")]
 _Key = Annotated[str, Meta(pattern=r"\A[A-Za-z0-9_.-]{1,64}\Z")]
 _Rate = Annotated[float, Meta(ge=0, le=1e9)]
 _Mm = Annotated[float, Meta(ge=-1e6, le=1e6)]
+_Numbers = Annotated[dict[_Key, Annotated[float, Meta(ge=-1e6, le=1e6)] | None], Meta(max_length=64)]
+_Sigmas = Annotated[dict[_Key, Annotated[float, Meta(ge=0, le=1e6)] | None], Meta(max_length=64)]
 _Counts = Annotated[dict[_Key, Count], Meta(max_length=64)]
 
 
@@ -71,6 +73,21 @@ class Contact(msgspec.Struct, frozen=True):
     degraded_code: _Code = ""
 
 
+class TouchNumbers(msgspec.Struct, frozen=True):
+    """A decoded ``touch``; both mappings have the same names, and are None without contact."""
+
+    seq: Count
+    t_ns: Count
+    touch: _Numbers | None
+    touch_sigma: _Sigmas | None
+    reason: str = ""
+    reason_code: _Code = ""
+
+    def __post_init__(self) -> None:
+        if (self.touch or {}).keys() != (self.touch_sigma or {}).keys():
+            raise ValueError("found other names in touch_sigma than in touch")
+
+
 class Percentiles(msgspec.Struct, frozen=True):
     """Of times in ms."""
 
@@ -110,6 +127,11 @@ def decode_info(payload: bytes) -> Info:
 def decode_contact(payload: bytes) -> Contact:
     """Understand a ``contact``. Raises DecodeError."""
     return decode("contact", payload, Contact)
+
+
+def decode_touch(payload: bytes) -> TouchNumbers:
+    """Understand a ``touch``. Raises DecodeError."""
+    return decode("touch", payload, TouchNumbers)
 
 
 def decode_health(payload: bytes) -> Health:

@@ -25,7 +25,7 @@ from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 
 from tacshade_edge.protocol import messages, wire
 from tacshade_edge.protocol.wire import HeightMessage
-from tacshade_edge.types import F64, Pose
+from tacshade_edge.types import F64, Pose, Touch
 from tools.testbed.bridge_process import BridgeProcess
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker
 from tools.testbed.patience import patience
@@ -175,8 +175,9 @@ def test_a_viewer_sees_a_press(tmp_path: Path) -> None:
             assert volume_mm3(rest) > 0  # its triangles face outwards
             (fixed,) = placed.transforms
             assert (fixed.parent_frame_id, fixed.child_frame_id) == ("drawn/flange", "drawn/sensor")
-            await seen.subscribe(*(f"/tacshade/drawn/{name}" for name in ("height", "cloud", "contact", "log")))
-            await until(lambda: all(asker.heard(f"tacshade/drawn/{name}") for name in ("height", "cloud", "contact")))
+            streams = ("height", "cloud", "contact", "touch")
+            await seen.subscribe(*(f"/tacshade/drawn/{name}" for name in (*streams, "log")))
+            await until(lambda: all(asker.heard(f"tacshade/drawn/{name}") for name in streams))
             sensor.tell("state", b"degraded")
             await seen.until(
                 "log", found=lambda line: (line.name, line.message) == ("tacshade/drawn/state", "degraded")
@@ -186,7 +187,10 @@ def test_a_viewer_sees_a_press(tmp_path: Path) -> None:
             sensor.tell("cloud", wire.encode_cloud(press, calibration_crc32=CRC))
             contact = messages.encode_contact(press, fps=30.0)
             sensor.tell("contact", contact)
-            image, cloud, told = await seen.until("height", "cloud", "contact")
+            touch = messages.encode_touch(replace(press, touch=Touch({"twist_deg": -2.5}, {"twist_deg": 0.5})))
+            sensor.tell("touch", b'{"seq":7,"t_ns":0,"touch":{"twist_deg":1e300},"touch_sigma":{"twist_deg":0.5}}')
+            sensor.tell("touch", touch)
+            image, cloud, told, numbers = await seen.until(*streams)
             expected = wire.decode(height)
             assert isinstance(expected, HeightMessage)
             assert (image.encoding, image.frame_id) == ("32FC1", "drawn/sensor")
@@ -206,6 +210,7 @@ def test_a_viewer_sees_a_press(tmp_path: Path) -> None:
             (pressed,) = await seen.until("skin", found=lambda skin: least_radius_mm(skin) < 19)
             assert least_radius_mm(pressed) == pytest.approx(18.0, abs=0.05)  # its corners lie beside the deepest point
             assert told == json.loads(contact)
+            assert numbers == json.loads(touch)
 
     with bridged(tmp_path) as (url, sensor, asker):
         asyncio.run(watch(url, sensor, asker))

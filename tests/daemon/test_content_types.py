@@ -19,7 +19,7 @@ from tools.testbed.patience import wait_until
 
 pytestmark = [pytest.mark.broker, pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")]
 
-STREAMS = {"height", "cloud", "shear", "sigma", "contact", "preview"}
+STREAMS = {"height", "cloud", "shear", "sigma", "touch", "contact", "preview"}
 RETAINED = {"state", "info", "instance", "health", "status/camera", "status/stitching"}
 OF_A_SESSION = {"map/revision", "map/cloud", "map/final", "res/stitch"}
 KINDS = {

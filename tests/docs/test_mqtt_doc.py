@@ -28,6 +28,7 @@ ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "docs" / "mqtt.md").read_text()
 VECTORS = json.loads((ROOT / "tests" / "protocol" / "vectors" / "wire.json").read_text())
 HAND_VECTORS = json.loads((ROOT / "tests" / "protocol" / "vectors" / "hand.json").read_text())
+TOUCH_VECTORS = json.loads((ROOT / "tests" / "protocol" / "vectors" / "touch.json").read_text())
 NODE = shutil.which("node")
 
 # Reads lines of hex; each is decoded from a view at an odd offset of a larger buffer, as mqtt.js delivers it.
@@ -227,6 +228,10 @@ def test_what_is_told_of_a_map_is_what_the_text_shows() -> None:
     assert (cloud.seq, cloud.contact) == (vector["seq"], vector["contact"])
 
 
+def test_the_touch_in_the_text_is_the_first_of_its_vectors() -> None:
+    assert json.loads(code("json", "Touch")) == json.loads(TOUCH_VECTORS[0]["payload"])
+
+
 def test_vector_in_the_text_is_one_of_the_file() -> None:
     assert "".join(code("text").split()) == VECTORS[0]["hex"]
 
@@ -258,9 +263,9 @@ def test_header_table_is_without_a_gap() -> None:
 )
 def test_an_example_does_not_flood_a_terminal(path: Path) -> None:
     """Where `mosquitto_sub` gets a stream, it ends after a count, and it prints nothing binary."""
-    streams = {f"tacshade/left-index/{name}" for name in ("height", "cloud", "shear", "sigma", "contact", "preview")}
-    streams.add("tacshade/hand/left/objects")
-    binary = streams - {"tacshade/left-index/contact", "tacshade/hand/left/objects"} | {"tacshade/left-index/map/cloud"}
+    text = {"tacshade/left-index/contact", "tacshade/left-index/touch", "tacshade/hand/left/objects"}
+    streams = text | {f"tacshade/left-index/{name}" for name in ("height", "cloud", "shear", "sigma", "preview")}
+    binary = streams - text | {"tacshade/left-index/map/cloud"}
     for line in re.findall(r"^    (?:.*\s)?mosquitto_sub\s.*$", path.read_text(), re.MULTILINE):
         words = shlex.split(line, comments=True)
         patterns = [word for flag, word in itertools.pairwise(words) if flag == "-t"]

@@ -71,6 +71,9 @@ def test_a_frame_heard_is_the_frame_published(name: str) -> None:
     assert (result.seq, result.t_ns, result.wall_ns) == (7, made.t_ns, made.wall_ns)
     assert (result.valid, result.in_contact, result.profile) == (True, True, "balanced")
     assert result.pose == replace(POSE, t_ns=made.t_ns)
+    assert made.touch is not None
+    assert result.touch == pytest.approx(made.touch.values, abs=1e-4)
+    assert result.touch_sigma == pytest.approx(made.touch.sigma, abs=1e-4)
     np.testing.assert_allclose(result.skin_mm()[result.contact][0], made.cloud.points_mm[0], atol=0.002)
 
 

@@ -11,7 +11,8 @@ import pytest
 
 from tacshade_edge.library.frame_assembler import FrameAssembler
 from tacshade_edge.protocol import messages, wire
-from tacshade_edge.types import Reconstruction
+from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.types import Reconstruction, Touch
 from tools.testbed.published_sensor import CRC, bump, calibration, dragged, uncertain
 
 INFO: dict[str, Any] = json.loads(
@@ -62,6 +63,24 @@ def test_shear_and_error_of_another_grid_pass_a_frame_over(other: Reconstruction
         assert frames.passed_over == 1
         show(frames, replace(TOUCHED, seq=8))
         assert frames.take() is not None
+
+
+def test_a_touch_of_another_frame_and_one_that_is_none_are_nobodys() -> None:
+    frames = heard()
+    outside = Touch({"x_mm": None}, {"x_mm": None}, Reason(ReasonCode.TOUCH_RANGE, "outside the labelled range: x_mm"))
+    touched = replace(TOUCHED, touch=outside)
+    for seq, payload, expected in (
+        (7, messages.encode_touch(touched), {"x_mm": None}),
+        (8, messages.encode_touch(touched), None),
+        (9, b'{"seq":9,"t_ns":0,"touch":{"x_mm":1e300},"touch_sigma":{"x_mm":0}}', None),
+    ):
+        frames.add("touch", payload)
+        show(frames, replace(TOUCHED, seq=seq))
+        result = frames.take()
+        assert result is not None
+        assert result.touch == result.touch_sigma == expected
+        told = ("outside the labelled range: x_mm", "touch_range") if expected else ("", "")
+        assert (result.touch_reason, result.touch_reason_code) == told
 
 
 def test_shear_without_a_height_passes_a_frame_over() -> None:

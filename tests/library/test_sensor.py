@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import threading
 from dataclasses import FrozenInstanceError
 from pathlib import Path
@@ -38,6 +39,13 @@ def test_it_is_what_the_command_writes(sensor: ts.Sensor, calibration: Path, tmp
             np.testing.assert_array_equal(getattr(result, key), written[key], err_msg=key)
     assert (result.valid, result.reason, result.reason_code, result.in_contact) == (True, "", "", True)
     assert result.depth_max_mm == result.objects[0].depth_max_mm == pytest.approx(2.0, rel=0.2)
+    (record,) = json.loads((tmp_path / "summary.json").read_text())
+    assert result.touch is not None
+    assert result.touch_sigma is not None
+    assert record["touch"] == pytest.approx(result.touch, abs=1e-4)
+    assert record["touch_sigma"] == pytest.approx(result.touch_sigma, abs=1e-4)
+    assert [record[key] for key in ("touch_reason", "touch_reason_code")] == ["", ""]
+    assert (result.touch_reason, result.touch_reason_code) == ("", "")
     assert result.profile == sensor.profile == "balanced"
 
 
@@ -66,6 +74,7 @@ def test_results_are_frozen_and_no_thread_is_left(sensor: ts.Sensor) -> None:
     for name in ("height_mm", "contact", "untrusted", "shear_mm", "sigma_mm", "points_mm", "labels"):
         assert not getattr(result, name).flags.writeable, name
     assert not result.in_contact
+    assert (result.touch, result.touch_sigma) == (None, None)
     assert np.nanmax(np.abs(result.height_mm)) == 0
     assert set(threading.enumerate()) <= before
 

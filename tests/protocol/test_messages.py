@@ -12,7 +12,7 @@ import pytest
 
 from tacshade_edge.protocol import json_payload, messages
 from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.types import Calibration, Disc, Geometry, Reconstruction, Slip, TouchedObject
+from tacshade_edge.types import Calibration, Disc, Geometry, Reconstruction, Slip, Touch, TouchedObject
 
 
 def test_contact_is_flat_numbers_with_the_promised_keys(
@@ -48,6 +48,27 @@ def test_contact_without_contact_has_no_place(make_result: Callable[..., Reconst
         "shear_x_mm,shear_y_mm,twist_deg,slip,slip_mm_s,fps,reason_code,degraded_code,wall_ns"
     )
     assert [decoded[k] for k in ("contact", "depth_max_mm", "objects", "x_mm", "y_mm")] == [0, 0.0, 0, None, None]
+
+
+def test_a_touch_is_numbers_by_name_with_their_deviations(make_result: Callable[..., Reconstruction]) -> None:
+    reason = Reason(ReasonCode.TOUCH_RANGE, "outside the labelled range: force_z_n")
+    touch = Touch({"depth_mm": 1.81251, "force_z_n": None}, {"depth_mm": 0.0625, "force_z_n": None}, reason)
+    assert json.loads(messages.encode_touch(make_result(touch=touch))) == {
+        "t_ns": 1_000,
+        "seq": 5,
+        "touch": {"depth_mm": 1.8125, "force_z_n": None},
+        "touch_sigma": {"depth_mm": 0.0625, "force_z_n": None},
+        "reason": "outside the labelled range: force_z_n",
+        "reason_code": "touch_range",
+    }
+
+
+def test_without_contact_a_touch_is_null_for_the_frames_reason(make_result: Callable[..., Reconstruction]) -> None:
+    torn = Reason(ReasonCode.TORN, "torn")
+    free, invalid = make_result(contact=False), make_result(contact=False, valid=False, reason=torn)
+    decoded = [json.loads(messages.encode_touch(result)) for result in (free, invalid)]
+    assert [d["touch"] for d in decoded] == [d["touch_sigma"] for d in decoded] == [None, None]
+    assert [(d["reason"], d["reason_code"]) for d in decoded] == [("", ""), ("torn", "torn")]
 
 
 def test_contact_tells_the_most_of_what_moves(

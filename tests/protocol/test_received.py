@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,6 +17,7 @@ from tools.testbed.published_sensor import calibration
 INFO: dict[str, Any] = json.loads(
     messages.encode_info(version="0", config_digest="0", profile="fast", calibration=calibration())
 )
+TOUCHES = json.loads((Path(__file__).parent / "vectors" / "touch.json").read_text())
 
 
 def test_what_a_daemon_tells_is_understood() -> None:
@@ -55,6 +57,17 @@ def test_rays_of_the_extremes_that_are_taken_are_numbers(extreme: int) -> None:
         assert info.geometry is not None
         rays = disc_rays(Grid(4, 4, 0.0, 0.0, 1.0), info.geometry.geometry)
         assert abs(rays.u).max() < 1e12
+
+
+@pytest.mark.parametrize("vector", TOUCHES, ids=lambda vector: str(vector["name"]))
+def test_a_touch_is_understood_or_refused(vector: dict[str, Any]) -> None:
+    payload = vector["payload"].encode()
+    if "error" in vector:
+        with pytest.raises(DecodeError, match=r"^touch: .*, expected what docs/mqtt.md says"):
+            received.decode_touch(payload)
+        return
+    touch = received.decode_touch(payload)
+    assert {key: getattr(touch, key) for key in vector["expect"]} == vector["expect"]
 
 
 @pytest.mark.parametrize("sent", [b"", b"on line", b"online\n", b"\xff", b"x" * 10_000_000])

@@ -137,4 +137,6 @@ class PublishedSensor:
             self.tell("shear", wire.encode_shear(result, calibration_crc32=CRC))
         if result.sigma_mm is not None:
             self.tell("sigma", wire.encode_sigma(result, calibration_crc32=CRC))
+        if result.touch is not None or not result.contact:
+            self.tell("touch", messages.encode_touch(result))
         self.tell("contact", messages.encode_contact(result, fps=30.0))

@@ -5,10 +5,13 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
+from typing import Final
 
 from tacshade_edge.cli.shared.profile_option import add_profile
 from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.touch.answer import PLAIN
 from tacshade_edge.daemon.recording.replay import Progress, replay
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import calibrations
@@ -21,14 +24,12 @@ from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME, 
 from tacshade_edge.types import Calibration
 
 SENSOR_ID = "replay"
-# What is added to the recording's name where --out is not given.
-_ENDINGS = {"mcap": ".mcap", "csv": ".csv", "ply": "-ply", "lerobot": "-lerobot"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add = parser.add_argument
-    add("--to", choices=tuple(_ENDINGS), required=True, help="the format; mcap and lerobot need the extra of that name")
+    add("--to", choices=tuple(FORMATS), required=True, help="the format; mcap and lerobot need the extra of that name")
     add("--calibration", type=Path, metavar="CAL.npz", help="from `calibrate` (the recording's own)")
     add_profile(parser)
     add("--out", type=Path, metavar="PATH", help="a new file, of ply and lerobot a new folder (beside the recording)")
@@ -37,15 +38,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Export; 1 where images could not be read."""
-    if args.to == "mcap":
-        require_mcap()
     recording = Recording(args.input)
     for line in (recording.damage, "the recording was cut off: what is whole is exported" if recording.cut_off else ""):
         if line:
             _report(f"{args.input}: {line}")
     content = content_of(args.input)
     calibration, out = _calibration(args), args.out or _beside(args.input, args.to)
-    export = _export(args, out, calibration, content)
+    _, begin = FORMATS[args.to]
+    export = begin(out, calibration, args.profile, content)
     reconstructor = make_reconstructor(calibration, PROFILES[args.profile])
     progress = Progress()
     try:
@@ -58,31 +58,52 @@ def run(args: argparse.Namespace) -> int:
     return 1 if progress.undecodable else 0
 
 
-def _export(args: argparse.Namespace, out: Path, calibration: Calibration, content: dict[str, bytes]) -> Export:
-    """Imported on demand: each needs packages of its own."""
-    if args.to == "csv":
-        from tacshade_edge.storage.exports.csv_export import CsvExport
+# Each is imported on demand: it needs packages of its own.
 
-        return CsvExport(out)
-    if args.to == "ply":
-        from tacshade_edge.storage.exports.ply_export import PlyExport
 
-        return PlyExport(out)
-    if args.to == "lerobot":
-        from tacshade_edge.storage.exports.lerobot_export import LeRobotExport
-
-        return LeRobotExport(out)
+def _mcap(out: Path, calibration: Calibration, profile: str, content: dict[str, bytes]) -> Export:
+    require_mcap()
     from tacshade_edge.storage.exports.mcap_export import McapExport
 
-    return McapExport(
-        out, sensor_id=_sensor_id(content), calibration=calibration, profile=args.profile, content=content
-    )
+    return McapExport(out, sensor_id=_sensor_id(content), calibration=calibration, profile=profile, content=content)
+
+
+def _csv(out: Path, calibration: Calibration, profile: str, content: dict[str, bytes]) -> Export:
+    from tacshade_edge.storage.exports.csv_export import CsvExport
+
+    return CsvExport(out, _touch_names(calibration, profile))
+
+
+def _ply(out: Path, calibration: Calibration, profile: str, content: dict[str, bytes]) -> Export:
+    from tacshade_edge.storage.exports.ply_export import PlyExport
+
+    return PlyExport(out)
+
+
+def _lerobot(out: Path, calibration: Calibration, profile: str, content: dict[str, bytes]) -> Export:
+    from tacshade_edge.storage.exports.lerobot_export import LeRobotExport
+
+    return LeRobotExport(out, _touch_names(calibration, profile))
+
+
+FORMATS: Final[dict[str, tuple[str, Callable[[Path, Calibration, str, dict[str, bytes]], Export]]]] = {
+    "mcap": (".mcap", _mcap),
+    "csv": (".csv", _csv),
+    "ply": ("-ply", _ply),
+    "lerobot": ("-lerobot", _lerobot),
+}
+"""Of each what is added to the recording's name where --out is not given, and what writes it."""
+
+
+def _touch_names(calibration: Calibration, profile: str) -> tuple[str, ...]:
+    """The quantities of a touch: those that were labelled, or what is known without labels."""
+    return calibration.touch[profile].names if profile in calibration.touch else PLAIN
 
 
 def _beside(recording: Path, to: str) -> Path:
     recording = recording.resolve()
     name = recording.name.removesuffix(".part").removesuffix(".mcap") if is_mcap(recording) else recording.name
-    return recording.with_name(name + _ENDINGS[to])
+    return recording.with_name(name + FORMATS[to][0])
 
 
 def _calibration(args: argparse.Namespace) -> Calibration:

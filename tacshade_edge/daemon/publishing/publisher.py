@@ -16,9 +16,10 @@ CONTACT_PERIOD_NS = 100_000_000  # without contact; in contact for every frame
 class Publisher(FrameObserver):
     """Publishes what of a frame somebody wants, and settles the frame.
 
-    With contact: ``height``, ``cloud``, ``shear``, ``sigma`` and ``contact`` of every frame, and one ``event/slip``
-    when an object begins to slide. Without: one zero ``height`` when the contact ends (flagged when an invalid frame
-    ended it), then only ``contact`` at 10 Hz. A frame whose height is offered is settled by what becomes of that offer.
+    With contact: ``height``, ``cloud``, ``shear``, ``sigma``, ``touch`` and ``contact`` of every frame, and one
+    ``event/slip`` when an object begins to slide. Without: one zero ``height`` and one empty ``touch`` when the contact
+    ends (flagged when an invalid frame ended it), then only ``contact`` at 10 Hz. A frame whose height is offered is
+    settled by what becomes of that offer.
     What nobody listens to is left out, but never the begin or end of a contact that is or was published: nobody is left
     with an older truth.
 
@@ -64,6 +65,8 @@ class Publisher(FrameObserver):
         need = Need.SHEAR if self._always_shear or self._has_listener("shear") else Need.CONTACT
         if self._has_listener("sigma"):
             need |= Need.SIGMA
+        if self._has_listener("touch"):
+            need |= Need.TOUCH
         if any(map(self._has_listener, ("height", "cloud", "contact"))):
             need |= Need.DEPTH
         return need
@@ -88,6 +91,8 @@ class Publisher(FrameObserver):
             self._send("shear", wire.encode_shear, result, seen)
         if result.sigma_mm is not None and (result.contact or changed) and self._has_listener("sigma"):
             self._send("sigma", wire.encode_sigma, result, seen)
+        if (result.touch is not None or (changed and not result.contact)) and self._has_listener("touch"):
+            self._offer("touch", messages.encode_touch(result), result.seq)
         sliding = {o.id: o for o in result.objects if o.slip is Slip.FULL}
         for began in sliding.keys() - self._sliding:
             self._publish_event("event/slip", messages.encode_slip(result, sliding[began]))

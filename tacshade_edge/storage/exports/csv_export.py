@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TextIO
 
@@ -14,9 +15,10 @@ from tacshade_edge.types import Reconstruction
 
 
 class CsvExport:
-    """A row for each frame, empty where a value is none."""
+    """A row for each frame, empty where a value is none; `touch_names` are the quantities of a touch."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, touch_names: Sequence[str]) -> None:
+        self._touch_names = touch_names
         self._place = NewPlace(path)
         with self._place.writing():
             self._stream: TextIO = self._place.partial.open("w", encoding="utf-8", newline="")
@@ -25,7 +27,7 @@ class CsvExport:
 
     def add(self, recorded: RecordedFrame, result: Reconstruction) -> None:
         """Write a row."""
-        numbers = frame_numbers(recorded, result)
+        numbers = frame_numbers(recorded, result, self._touch_names)
         with self._place.writing():
             if self._frames == 0:
                 self._writer.writerow(numbers)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,12 +14,13 @@ import numpy.typing as npt
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.storage.atomic_files import sync
 from tacshade_edge.storage.exports.new_place import NewPlace
-from tacshade_edge.storage.exports.numbers import POSE_COLUMNS, contact_numbers
+from tacshade_edge.storage.exports.numbers import POSE_COLUMNS, contact_numbers, touch_numbers
 from tacshade_edge.storage.recording.recording import RecordedFrame
 from tacshade_edge.types import U8, Reconstruction
 from tacshade_edge.version import how_to_install
 
 IMAGE, HEIGHT, CONTACT = "observation.images.tactile", "observation.tactile.height_mm", "observation.tactile.contact"
+TOUCH, TOUCH_SIGMA = "observation.tactile.touch", "observation.tactile.touch_sigma"
 TIME, STATE = "observation.tactile.t_s", "observation.state"
 CONTACT_NAMES: Final = (
     *("contact", "depth_max_mm", "area_mm2", "volume_mm3", "objects", "x_mm", "y_mm"),
@@ -33,6 +35,11 @@ _DATA, _EPISODES = "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/f
 class LeRobotExport:
     """A folder that LeRobot's loader takes; see docs/recordings.md for the features. Needs the extra ``lerobot``.
 
+    Parameters
+    ----------
+    folder : Path
+    touch_names : sequence of str
+        The quantities of a touch.
 
     Raises
     ------
@@ -40,7 +47,7 @@ class LeRobotExport:
         The extra is missing; from `add`, an image of another size than the first, or not all frames have poses.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, touch_names: Sequence[str]) -> None:
         try:
             import pyarrow
             import pyarrow.parquet  # makes it an attribute
@@ -50,6 +57,7 @@ class LeRobotExport:
         self._pa: Any = pyarrow
         self._place = NewPlace(folder)
         self._writer: Any = None
+        self._touch_names = touch_names
         self._features: dict[str, dict[str, Any]] = {}
         self._stats: dict[str, _Spread] = {}
         self._rows: list[dict[str, Any]] = []
@@ -65,15 +73,18 @@ class LeRobotExport:
         image = frame.image if frame.image.ndim == 3 else np.asarray(cv2.cvtColor(frame.image, cv2.COLOR_GRAY2BGR))
         self._first_ns = self._first_ns or frame.t_ns
         numbers = contact_numbers(recorded, result)
+        touch, touch_sigma = touch_numbers(result, self._touch_names)
         row: dict[str, Any] = {
             HEIGHT: np.nan_to_num(result.height.height_mm),
             CONTACT: np.array([numbers[key] or 0.0 for key in CONTACT_NAMES], np.float32),
+            TOUCH: np.array([value or 0.0 for value in touch], np.float32),
+            TOUCH_SIGMA: np.array([value or 0.0 for value in touch_sigma], np.float32),
             TIME: np.array([(frame.t_ns - self._first_ns) / 1e9], np.float32),
         }
         if frame.pose is not None:
             row[STATE] = np.array([getattr(frame.pose, key) for key in POSE_COLUMNS], np.float32)
         if not self._features:
-            self._features = _features(image, row)
+            self._features = _features(image, row, self._touch_names)
         if self._features[IMAGE]["shape"] != list(image.shape):
             raise ConfigError(f"{name}: found {image.shape[1]}x{image.shape[0]} px, expected the size of the first")
         if (STATE in self._features) != (STATE in row):
@@ -201,9 +212,10 @@ class _Spread:
         return {key: value.tolist() for key, value in shaped.items()} | {"count": [frames]}
 
 
-def _features(image: U8, row: dict[str, Any]) -> dict[str, dict[str, Any]]:
+def _features(image: U8, row: dict[str, Any], touch_names: Sequence[str]) -> dict[str, dict[str, Any]]:
     """What LeRobot calls them; a name for each value where they have names."""
     named = {CONTACT: list(CONTACT_NAMES), STATE: list(POSE_COLUMNS), TIME: None, HEIGHT: ["row", "col"]}
+    named |= {key: list(touch_names) for key in (TOUCH, TOUCH_SIGMA)}
     features: dict[str, dict[str, Any]] = {}
     features[IMAGE] = {"dtype": "image", "shape": list(image.shape), "names": ["height", "width", "channels"]}
     features |= {key: {"dtype": "float32", "shape": list(row[key].shape), "names": named[key]} for key in row}

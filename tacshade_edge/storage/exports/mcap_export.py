@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 
+from tacshade_edge.protocol.messages import encode_touch
 from tacshade_edge.storage.atomic_files import sync
 from tacshade_edge.storage.exports.new_place import NewPlace
 from tacshade_edge.storage.exports.numbers import contact_numbers
@@ -64,6 +65,7 @@ class McapExport:
             self._writer.write("cloud", messages.cloud(result.cloud, ident, wall_ns), wall_ns, frame.seq)
             contact = json.dumps(contact_numbers(recorded, result)).encode()
             self._writer.write("contact", contact, wall_ns, frame.seq)
+            self._writer.write("touch", encode_touch(result), wall_ns, frame.seq)
 
     def finish(self) -> None:
         """Make it whole."""

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from typing import Any, Final
 
-from tacshade_edge.protocol.messages import encode_contact
+from tacshade_edge.protocol.messages import encode_contact, touch_fields
+from tacshade_edge.reasons import code_of
 from tacshade_edge.storage.recording.recording import RecordedFrame
 from tacshade_edge.types import Reconstruction
 
@@ -20,8 +22,16 @@ def contact_numbers(recorded: RecordedFrame, result: Reconstruction) -> dict[str
     return numbers
 
 
-def frame_numbers(recorded: RecordedFrame, result: Reconstruction) -> dict[str, Any]:
-    """A row of a table: image and times, the numbers of the contact, ``base_T_flange``; None where there is none."""
+def touch_numbers(result: Reconstruction, names: Sequence[str]) -> tuple[list[float | None], list[float | None]]:
+    """Each of these quantities of the touch, and its standard deviation; None where it is not known."""
+    fields = touch_fields(result.touch)
+    values, sigmas = ([(fields[key] or {}).get(name) for name in names] for key in ("touch", "touch_sigma"))
+    return values, sigmas
+
+
+def frame_numbers(recorded: RecordedFrame, result: Reconstruction, touch_names: Sequence[str]) -> dict[str, Any]:
+    """A row of a table: image, times, the numbers of contact and touch, ``base_T_flange``; None where there is none."""
+    values, sigmas = touch_numbers(result, touch_names)
     frame = recorded.frame
     pose = frame.pose
     return {
@@ -29,6 +39,9 @@ def frame_numbers(recorded: RecordedFrame, result: Reconstruction) -> dict[str, 
         "valid": int(result.valid),
         "saturated": int(result.saturated),
         **contact_numbers(recorded, result),
+        **{f"touch_{name}": value for name, value in zip(touch_names, values, strict=True)},
+        **{f"touch_sigma_{name}": value for name, value in zip(touch_names, sigmas, strict=True)},
+        "touch_reason_code": code_of(None if result.touch is None else result.touch.reason),
         **{f"flange_{name}": None if pose is None else float(getattr(pose, name)) for name in POSE_COLUMNS},
         "pose_error_us": None if pose is None else frame.pose_error_us,
     }

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from tacshade_edge.protocol.messages import touch_fields
 from tacshade_edge.reasons import reason_fields
 from tacshade_edge.types import Reconstruction
 
@@ -22,6 +23,8 @@ def summary(result: Reconstruction) -> dict[str, Any]:
         "volume_mm3": round(result.volume_mm3, 4),
         "repaired_px": result.repaired_px,
         "shear_mm": _rounded(result.shear_of_contact_mm),
+        **touch_fields(result.touch),
+        **reason_fields(None if result.touch is None else result.touch.reason, "touch_reason"),
         "objects": [
             {
                 "label": o.label,

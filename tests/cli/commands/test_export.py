@@ -14,6 +14,8 @@ import numpy as np
 import pytest
 
 from tacshade_edge.cli import main
+from tacshade_edge.cli.commands import export as command
+from tacshade_edge.core.touch.answer import PLAIN
 from tacshade_edge.storage.recording.recorder import Recorder, png_of
 from tacshade_edge.types import Frame, Pose
 from tools.testbed.painted_sensor import BLACK, FREE, TOUCHED, painted_calibration, touched_depth_mm
@@ -58,7 +60,10 @@ def test_csv_has_a_row_for_each_frame(recording: Path, capsys: pytest.CaptureFix
     assert int(rows[2]["t_ns"]) == T_NS + 2 * PERIOD_NS
     assert int(rows[2]["wall_ns"]) == WALL_NS + 2 * PERIOD_NS
     assert float(rows[2]["flange_x_mm"]) == 102.0
-    assert rows[0]["x_mm"] == ""
+    assert rows[0]["x_mm"] == rows[0]["touch_depth_mm"] == rows[0]["touch_sigma_depth_mm"] == ""
+    assert float(rows[1]["touch_depth_mm"]) == pytest.approx(touched_depth_mm(), abs=1e-3)
+    assert float(rows[1]["touch_sigma_depth_mm"]) > 0
+    assert [name for name in rows[0] if name.startswith("touch_sigma_")] == [f"touch_sigma_{name}" for name in PLAIN]
     assert rows[3]["reason_code"] == "black"
 
 
@@ -95,7 +100,7 @@ def test_mcap_opens_in_its_own_library(opened: Any, recording: Path) -> None:
         messages.setdefault(channel.topic, []).append((schema.name, message))
     root = "/tacshade/left-index"
     counts = {topic.removeprefix(f"{root}/"): len(found) for topic, found in messages.items()}
-    assert counts == {"camera": 5, "frame": 5, "height": 5, "cloud": 5, "contact": 5, "tf": 6, "log": 1}
+    assert counts == {"camera": 5, "frame": 5, "height": 5, "cloud": 5, "contact": 5, "touch": 5, "tf": 6, "log": 1}
     schema, message = messages[f"{root}/camera"][1]
     camera = CompressedImage.FromString(message.data)
     assert (schema, camera.format) == ("foxglove.CompressedImage", "png")
@@ -113,6 +118,8 @@ def test_mcap_opens_in_its_own_library(opened: Any, recording: Path) -> None:
     assert (flange.parent_frame_id, flange.translation.x) == ("left-index/base", pytest.approx(0.1))
     contact = json.loads(messages[f"{root}/contact"][1][1].data)
     assert contact["t_ns"] == T_NS + PERIOD_NS
+    free, touched = (json.loads(message.data) for _, message in messages[f"{root}/touch"][:2])
+    assert (free["touch"], list(touched["touch"])) == (None, list(PLAIN))
     log = Log.FromString(messages[f"{root}/log"][0][1].data)
     assert log.message.startswith("start: ")
     assert log.timestamp.ToNanoseconds() == WALL_NS - 1
@@ -151,6 +158,9 @@ def test_lerobots_layout(recording: Path) -> None:
     assert height.max() == pytest.approx(touched_depth_mm(), abs=1e-6)
     image = cv2.imdecode(np.frombuffer(rows[1]["observation.images.tactile"]["bytes"], np.uint8), cv2.IMREAD_COLOR)
     np.testing.assert_array_equal(image[:, :, 0], TOUCHED)
+    assert info["features"]["observation.tactile.touch"]["names"] == list(PLAIN)
+    assert rows[1]["observation.tactile.touch"][0] == pytest.approx(touched_depth_mm(), abs=1e-3)
+    assert [any(row["observation.tactile.touch_sigma"]) for row in rows] == [False, True, True, False, False]
     stats = json.loads((root / "meta/stats.json").read_text())
     contacts = np.array([row["observation.tactile.contact"] for row in rows])
     told = stats["observation.tactile.contact"]
@@ -178,6 +188,13 @@ def test_a_recording_that_was_cut_off_has_its_wall_time(tmp_path: Path, capsys: 
     assert "was cut off" in capsys.readouterr().err
     rows = list(csv.DictReader(io.StringIO(recording.with_name("rec.csv").read_text())))
     assert [int(row["wall_ns"]) for row in rows] == [WALL_NS + k * PERIOD_NS for k in range(5)]
+
+
+def test_a_format_is_its_entry_alone(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _, begin = command.FORMATS["csv"]
+    monkeypatch.setitem(command.FORMATS, "table", ("-table.txt", begin))
+    assert export(recording, "table") == 0
+    assert len(recording.with_name("rec-table.txt").read_text().splitlines()) == 1 + len(IMAGES)
 
 
 def test_what_is_there_is_not_overwritten(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:

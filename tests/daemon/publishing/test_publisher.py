@@ -93,7 +93,7 @@ def test_a_known_pose_goes_with_height_and_cloud(calibration: Calibration, pictu
     frames = [Frame(0, 5, 0, pictures.touched, POSE, 70), Frame(1, 6, 0, pictures.touched)]
     for frame in frames:
         publisher.see(FrameResult(frame, calibration, reconstructor.step(frame)))
-    decoded = [wire.decode(payload) for stream, payload in offers if stream != "contact"]
+    decoded = [wire.decode(payload) for stream, payload in offers if stream not in ("contact", "touch")]
     assert [(m.pose, m.pose_error_us) for m in decoded] == [(POSE, 70)] * 4 + [(None, 0)] * 4
 
 
@@ -132,6 +132,7 @@ def test_shear_is_asked_for_while_it_has_a_subscriber_or_always() -> None:
     assert need("contact") is need("height") is need("cloud") is Need.DEPTH
     assert need("shear") is need("shear", "height") is need(always=True) is Need.SHEAR
     assert need("sigma") is need("sigma", "height") is Need.SIGMA
+    assert need("touch") is need("touch", "shear", "height") is Need.TOUCH
     assert need("shear", "sigma") is need("sigma", always=True) is Need.SHEAR | Need.SIGMA
 
 
@@ -145,6 +146,19 @@ def test_errors_go_out_while_they_have_a_subscriber_and_once_more_at_release(
     assert np.isfinite(contact.sigma_mm).any()
     assert np.isnan(released.sigma_mm).all()
     assert Played(calibration, images, ("height",)).seqs("sigma") == []
+
+
+def test_a_touch_goes_out_while_it_has_a_subscriber_and_once_more_at_release(
+    calibration: Calibration, pictures: Any
+) -> None:
+    images = [pictures.free, pictures.touched, pictures.touched, pictures.black, pictures.free]
+    played = Played(calibration, images, ("touch",))
+    assert played.seqs("touch") == [1, 2, 3]
+    first, _, released = [json.loads(payload) for stream, payload, _ in played.offers if stream == "touch"]
+    assert first["touch"]["depth_mm"] == pytest.approx(touched_depth_mm(), abs=0.001)
+    assert first["touch"].keys() == first["touch_sigma"].keys()
+    assert (released["touch"], released["touch_sigma"], released["reason_code"]) == (None, None, "black")
+    assert Played(calibration, images, ("height", "shear")).seqs("touch") == []
 
 
 def test_a_slip_is_told_once_at_its_onset(calibration: Calibration, pictures: Any) -> None:

@@ -12,6 +12,7 @@ from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, McapRecord, Schema
 from mcap.writer import CompressionType, Writer
 
+from tacshade_edge.protocol.messages import TOUCH_SCHEMA
 from tacshade_edge.storage.recording.mcap import messages
 from tacshade_edge.storage.recording.mcap.frames import CAMERA, FRAME, OURS, POSE_KEYS
 from tacshade_edge.types import Frame
@@ -30,6 +31,7 @@ _SCHEMAS: Final[dict[str, dict[str, Any]]] = {
     FRAME: dict.fromkeys(_FRAME_KEYS, _NUMBER) | {"image": {"type": "string"}},
     "contact": dict.fromkeys(_CONTACT_KEYS, _NUMBER)
     | {key: {"type": "string"} for key in ("reason_code", "degraded_code")},
+    "touch": TOUCH_SCHEMA["properties"],
 }
 
 
