@@ -17,7 +17,7 @@ TOUCH_SCHEMA: Mapping[str, Any] = {
     "title": "tacshade.Touch",
     "type": "object",
     "properties": {
-        **{name: {"type": "number"} for name in ("t_ns", "seq")},
+        **{name: {"type": "number"} for name in ("t_ns", "seq", "wall_ns")},
         **{
             name: {"type": "object", "properties": {each: {"type": "number"} for each in QUANTITIES}}
             for name in ("touch", "touch_sigma")
@@ -68,7 +68,8 @@ def encode_contact(result: Reconstruction, *, fps: float) -> bytes:
 def encode_touch(result: Reconstruction) -> bytes:
     """The ``touch`` payload: each quantity and its standard deviation, and why one or all are not known."""
     reason = result.reason if result.touch is None else result.touch.reason
-    return encode_json({"t_ns": result.t_ns, "seq": result.seq, **touch_fields(result.touch), **reason_fields(reason)})
+    when = {"t_ns": result.t_ns, "seq": result.seq, "wall_ns": result.wall_ns}
+    return encode_json({**when, **touch_fields(result.touch), **reason_fields(reason)})
 
 
 def touch_fields(touch: Touch | None) -> dict[str, Any]:

@@ -80,6 +80,7 @@ class TouchNumbers(msgspec.Struct, frozen=True):
     t_ns: Count
     touch: _Numbers | None
     touch_sigma: _Sigmas | None
+    wall_ns: Count = 0
     reason: str = ""
     reason_code: _Code = ""
 

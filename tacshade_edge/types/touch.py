@@ -69,9 +69,11 @@ class TouchModel:
     width : float
         Of the squared-exponential kernel.
     basis : float32 (m + M, K)
-        From kernel values to basis functions that are uncorrelated over the table.
-    weights, precision : float32 (K, Q)
-        Mean of each basis function's weight; its posterior variance in parts of `noise`².
+        From kernel values to the basis functions that vary most over the table, uncorrelated there.
+    weights : float32 (m + M, Q)
+        Of the kernel values in the quantity's mean.
+    precision : float32 (K, Q)
+        Posterior variance of each basis function's weight, in parts of `noise`².
     ridge, offset, noise : float32 (Q,)
         Regularisation, mean over the table, and the standard deviation of a label about the model.
     low, high : float32 (Q,)
@@ -154,7 +156,7 @@ def _shapes(model: TouchModel) -> dict[str, tuple[int, ...]]:
         "spread": (parts,),
         "centres": (centres, parts),
         "basis": (parts + centres, columns),
-        "weights": (columns, quantities),
+        "weights": (parts + centres, quantities),
         "precision": (columns, quantities),
         **dict.fromkeys(("ridge", "offset", "noise", "low", "high"), each),
     }

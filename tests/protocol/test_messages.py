@@ -56,6 +56,7 @@ def test_a_touch_is_numbers_by_name_with_their_deviations(make_result: Callable[
     assert json.loads(messages.encode_touch(make_result(touch=touch))) == {
         "t_ns": 1_000,
         "seq": 5,
+        "wall_ns": 2_000,
         "touch": {"depth_mm": 1.8125, "force_z_n": None},
         "touch_sigma": {"depth_mm": 0.0625, "force_z_n": None},
         "reason": "outside the labelled range: force_z_n",

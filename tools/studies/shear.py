@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 import math
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 
 import cv2
@@ -30,7 +31,7 @@ from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedFrame
 from tacshade_edge.studies.evaluate.sensors import PressedSensor, SensorName, calibrated, reconstructor
 from tacshade_edge.studies.tables import markdown
-from tacshade_edge.types import F32, U8, Bool, Frame, Geometry
+from tacshade_edge.types import F32, F64, U8, Bool, Frame, Geometry
 from tools.testbed.simulator.families import sensor_name
 
 STEPS, DEPTH_MM, DRAGS_MM = 16, 3.0, (0.0, 1.0, 2.0, 3.0)
@@ -61,12 +62,11 @@ def of_flow(geometry: Geometry, reference: U8, grey: U8, height_mm: F32, contact
 def true_flow(geometry: Geometry, frame: SimulatedFrame, height_mm: F32, contact: Bool) -> F32:
     """Pixels back to the reference, (H, W, 2), by the truth where the skin touches; its mean elsewhere."""
     rows, cols = np.nonzero(contact)
-    before = xy_mm(geometry, rows.astype(np.float32), cols.astype(np.float32), height_mm[contact])
-    before = before - frame.shear_mm(rows.astype(float), cols.astype(float))
+    seen = xy_mm(geometry, rows.astype(np.float32), cols.astype(np.float32), height_mm[contact])
+    before: F64 = seen - frame.shear_mm(rows.astype(float), cols.astype(float))
     z = np.sqrt(geometry.skin_radius_mm**2 - (before**2).sum(axis=1))
-    away = 1.0 if geometry.camera_distance_mm is None else z + geometry.camera_distance_mm
-    by = geometry.f_px or 1 / geometry.mm_per_px
-    px = before * (by / away)[:, None] if geometry.f_px else before * by
+    d = geometry.camera_distance_mm
+    px = before / geometry.mm_per_px if d is None else before * (geometry.f_px / (z + d))[:, None]
     flow = np.zeros((*contact.shape, 2), np.float32)
     moved = np.stack((px[:, 0] + geometry.disc.col_c - cols, px[:, 1] + geometry.disc.row_c - rows), axis=1)
     flow[...] = moved.mean(axis=0)
@@ -78,10 +78,10 @@ def tracked(greys: list[U8], mask: U8) -> tuple[F32, F32]:
     """Points of the first frame that could be followed, and where they are in the last; column and row, (N, 2) each."""
     first = cv2.goodFeaturesToTrack(greys[0], 2000, 0.02, 4, mask=mask)
     now, alive = first, np.ones(len(first), bool)
-    options = {"winSize": (15, 15), "maxLevel": 2}
+    follow = partial(cv2.calcOpticalFlowPyrLK, nextPts=None, winSize=(15, 15), maxLevel=2)
     for before, after in pairwise(greys):
-        new, found, _ = cv2.calcOpticalFlowPyrLK(before, after, now, None, **options)
-        back, returned, _ = cv2.calcOpticalFlowPyrLK(after, before, new, None, **options)
+        new, found, _ = follow(before, after, now)
+        back, returned, _ = follow(after, before, new)
         near = np.linalg.norm((back - now)[:, 0], axis=1) < BACKWARDS_PX
         alive &= near & (found[:, 0] > 0) & (returned[:, 0] > 0)
         now = new
@@ -93,7 +93,7 @@ def of_points(geometry: Geometry, greys: list[U8], height_mm: F32, contact: Bool
     height, width = contact.shape
     first, last = tracked(greys, disc_mask(height, width, geometry.disc).astype(np.uint8))
     at = np.rint(last).astype(int)
-    ends = (at >= 0).all(axis=1) & (at < (width, height)).all(axis=1)
+    ends: Bool = np.asarray((at >= 0).all(axis=1) & (at < (width, height)).all(axis=1))
     ends[ends] = contact[at[ends, 1], at[ends, 0]]
     if ends.sum() < 3:
         return np.full(2, np.nan, np.float32)
@@ -113,7 +113,8 @@ def errors(name: SensorName, count: int) -> list[tuple[float, list[float]]]:
     for k in range(count):
         drag = DRAGS_MM[k % len(DRAGS_MM)]
         shape = OBJECTS[list(OBJECTS)[int(rng.integers(len(OBJECTS)))]]()
-        angle, x, y = float(rng.uniform(0, 2 * math.pi)), *rng.uniform(-4, 4, 2).tolist()
+        angle = float(rng.uniform(0, 2 * math.pi))
+        x, y = (float(at) for at in rng.uniform(-4, 4, 2))
         press = Press(shape, x, y, DEPTH_MM, float(rng.uniform(0, 360)))
         greys = [reference]
         for step in range(1, STEPS + 1):

@@ -167,7 +167,7 @@ class Graph:
         bias = self._op("Cast", self._op("Round", bias), to=TensorProto.INT32)
         weight = self._op("Cast", rounded, to=TensorProto.INT8)
         step = self._op("Div", step, self._constant(coded.scale))
-        zero, to_zero = (self._constant(np.uint8(each.zero)) for each in (x, coded))
+        zero, to_zero = (self._zero(each) for each in (x, coded))
         inputs = (x.name, self._one, zero, weight, step, self._weight_zero, self._one, to_zero, bias)
         return Tensor(self._op("QLinearConv", *inputs, like=node), coded.scale, coded.zero)
 
@@ -223,7 +223,11 @@ class Graph:
         self._made[output] = Tensor(name, coded.scale, coded.zero)
 
     def _scale_and_zero(self, x: Tensor) -> tuple[str, str]:
-        return self._constant(x.scale[0]), self._constant(np.uint8(x.zero))
+        return self._constant(x.scale[0]), self._zero(x)
+
+    def _zero(self, x: Tensor) -> str:
+        assert x.zero is not None
+        return self._constant(np.uint8(x.zero))
 
     def _cast(self, x: Tensor) -> str:
         return x.name if x.zero is None else self._op("Cast", x.name, to=TensorProto.FLOAT)

@@ -153,7 +153,7 @@ def _plate(rng: np.random.Generator, reach: float) -> Shape:
     """Everything above a tilted plane, cut off along up to two lines."""
     tilt = math.radians(25.0) * math.sqrt(rng.uniform())
     normal = np.array((math.sin(tilt), 0.0, math.cos(tilt)))
-    cuts = []
+    cuts: list[tuple[float, float, float]] = []
     for _ in range(int(rng.choice((0, 1, 2), p=(0.6, 0.3, 0.1)))):
         angle, far = rng.uniform(0, 2 * math.pi), float(rng.uniform(-0.5, 0.8)) * reach
         cuts.append((math.cos(angle), math.sin(angle), max(far, 1.0) if cuts else far))

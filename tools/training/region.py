@@ -70,7 +70,9 @@ def inputs(profile: str, fold: int) -> tuple[list[F32], Bool, float]:
         nothing = np.zeros((2 * fold * fold, *white.shape[1:]), np.float32)
         return NetworkMaps(nothing, np.zeros((COARSE_CELLS, COARSE_CELLS), np.float32))
 
-    shipped = load_network(PROFILES[profile].network)
+    chosen = PROFILES[profile].network
+    assert chosen is not None
+    shipped = load_network(chosen)
     made = Reconstructor(calibration, PROFILES[profile], replace(shipped, fold=fold, sense=sense, run=run))
     for what in OBJECTS:
         for scene in scenes(sensor.model, name.seed, what):
@@ -94,7 +96,7 @@ def piece(net: Net, x: F32, inside: Bool, margin: int) -> tuple[float, float, in
     cut = (slice(top * net.fold, bottom * net.fold), slice(left * net.fold, right * net.fold))
     error = np.abs(part_height - height[cut])[touched[cut]].max()
     flips = np.count_nonzero((part_logit > 0)[inside[cut]] != (logit[cut] > 0)[inside[cut]])
-    return (bottom - top) * (right - left) / size**2, float(error), flips
+    return float((bottom - top) * (right - left)) / size**2, float(error), int(flips)
 
 
 def answer(net: Net, x: F32) -> tuple[F32, F32]:

@@ -129,7 +129,7 @@ def random_presses(model: SensorModel, rng: np.random.Generator) -> tuple[Press,
     scale = model.skin_radius_mm / 20
     reach = 0.85 * model.skin_radius_mm * math.sin(math.radians(model.visible_half_angle_deg))
     target = float(rng.uniform(0.1, 6.5)) * scale
-    presses = []
+    presses: list[Press] = []
     for _ in range(int(rng.choice((1, 2, 3), p=(0.78, 0.15, 0.07)))):
         rho, angle = reach * rng.uniform() ** 0.6, rng.uniform(0, 2 * math.pi)
         x, y = rho * math.cos(angle), rho * math.sin(angle)

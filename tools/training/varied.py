@@ -43,13 +43,13 @@ def varied_print(model: SensorModel, rng: np.random.Generator) -> Print:
     kind = rng.integers(4)
     if kind == 0:
         n = np.arange(count)
-        pins = _polar(reach * np.sqrt((n + 0.5) / count), GOLDEN_ANGLE * n)
+        pins = _polar(reach * np.sqrt((n + 0.5) / count), GOLDEN_ANGLE * n.astype(float))
     elif kind == 1:
         rings = np.arange(math.ceil(reach / p) + 1) + float(rng.uniform(0, 1))
         pins = np.concatenate([_ring(p * k, p, rng) for k in rings])
     elif kind == 2:
-        n = 2 * math.ceil(reach / p) + 2
-        i, j = np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1))
+        side = np.arange(-2 * math.ceil(reach / p) - 2, 2 * math.ceil(reach / p) + 3)
+        i, j = np.meshgrid(side, side)
         angle, ratio = math.radians(float(rng.uniform(50, 80))), float(rng.uniform(1, 1.3))
         cell = p * np.array(((1, 0), (ratio * math.cos(angle), ratio * math.sin(angle)))) / math.sqrt(ratio)
         pins = np.stack((i.ravel(), j.ravel()), axis=1) @ cell
@@ -120,4 +120,5 @@ def _polar(rho: F64, angle: F64) -> F64:
 
 def _ring(rho: float, pitch: float, rng: np.random.Generator) -> F64:
     count = max(1, round(2 * math.pi * rho / pitch))
-    return _polar(np.full(count, rho), np.arange(count) * (2 * math.pi / count) + rng.uniform(0, 2 * math.pi))
+    angles: F64 = np.arange(count, dtype=float) * (2 * math.pi / count) + rng.uniform(0, 2 * math.pi)
+    return _polar(np.full(count, rho), angles)

@@ -25,8 +25,9 @@ from tacshade_edge.core.touch.model import (
 from tacshade_edge.types import F32, F64, I64, TouchModel
 
 COMPONENTS = 128
-CENTRES = 500
-"""With these a model takes 3.4 MB at most in a file."""
+CENTRES = 1000
+FUNCTIONS = 350
+"""Of the basis, whose variance is kept one by one. With these a model takes 3.8 MB at most in a file."""
 WIDTHS = (0.7, 1.0, 1.4, 2.0, 3.0)
 """Of the kernel, in the root mean square of a frame's coordinates."""
 RIDGES = np.logspace(-3, 3, 25)
@@ -118,7 +119,10 @@ class _Basis:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Solved:
-    """One quantity's weights, and of each labelled row the held-out residual and variance, in parts of the noise's."""
+    """One quantity's weights, and of each labelled row the held-out residual and variance, in parts of the noise's.
+
+    The variance is NaN where it says nothing of other frames.
+    """
 
     rows: I64
     ridge: float
@@ -130,7 +134,7 @@ class _Solved:
     @property
     def noise(self) -> float:
         """A label's standard deviation about the model, such that the 90 % interval holds 90 % of held-out rows."""
-        return max(float(np.quantile(np.abs(self.residuals) / np.sqrt(1 + self.variances), 0.9)) / Z_90, 1e-9)
+        return max(float(np.nanquantile(np.abs(self.residuals) / np.sqrt(1 + self.variances), 0.9)) / Z_90, 1e-9)
 
 
 def learn(features: F32, names: Sequence[str], labels: F64, groups: I64, networks: str) -> LearntTouch:
@@ -157,6 +161,8 @@ def learn(features: F32, names: Sequence[str], labels: F64, groups: I64, network
         tried.append((float(score), basis, solved))
     _, basis, solved = min(tried, key=lambda one: one[0])
     limits, solved = _judged(features, labels, groups, basis.width, solved)
+    if len(features) > FOLDED_ROWS:
+        solved = [_as_others(basis, space.at, one) for one in solved]
     # A frame of the table itself is like the table.
     own = float(leverage(space.at, space.spread.astype(np.float64)).max())
     reports = tuple(_report(name, basis, labels[:, q], groups, solved[q]) for q, name in enumerate(names))
@@ -174,10 +180,11 @@ def learn(features: F32, names: Sequence[str], labels: F64, groups: I64, network
         spread=space.spread,
         centres=basis.centres.astype(np.float32),
         width=basis.width,
-        basis=basis.matrix.astype(np.float32),
-        weights=np.stack([solved[q].weights for q in kept], axis=1).astype(np.float32),
+        basis=basis.matrix[:, -FUNCTIONS:].astype(np.float32),
+        weights=np.stack([basis.matrix @ solved[q].weights for q in kept], axis=1).astype(np.float32),
         precision=np.stack(
-            [1 / (basis.power * part + solved[q].ridge) for q, part in zip(kept, parts, strict=True)], axis=1
+            [1 / (basis.power[-FUNCTIONS:] * part + solved[q].ridge) for q, part in zip(kept, parts, strict=True)],
+            axis=1,
         ).astype(np.float32),
         ridge=np.array([solved[q].ridge for q in kept], np.float32),
         offset=np.array([solved[q].offset for q in kept], np.float32),
@@ -210,8 +217,12 @@ def _space(features: F32) -> _Space:
     return _Space(mean, deviation, components, scale, (standard @ components).astype(np.float64))
 
 
+def _centre_rows(rows: int) -> I64:
+    return np.linspace(0, rows - 1, min(CENTRES, rows)).astype(np.int64)
+
+
 def _basis(at: F64, width: float) -> _Basis:
-    centres = at[np.linspace(0, len(at) - 1, min(CENTRES, len(at))).astype(int)]
+    centres = at[_centre_rows(len(at))]
     parts = at.shape[1]
     power, turned = np.linalg.eigh(kernel_values(centres, centres, width)[:, parts:])
     keep = power > 1e-6 * power[-1]
@@ -246,6 +257,15 @@ def _solve(basis: _Basis, labels: F64, groups: I64) -> _Solved:
     assert best is not None
     weights = at / (power + best[1])
     return _Solved(rows, best[1], offset, turned @ weights if some else weights, best[2], best[3])
+
+
+def _as_others(basis: _Basis, at: F64, solved: _Solved) -> _Solved:
+    """With the variances that the model gives frames that it does not know: those of rows that are no centres."""
+    values = basis.values[solved.rows][:, -FUNCTIONS:]
+    precision = 1 / (basis.power[-FUNCTIONS:] * len(solved.rows) / len(at) + solved.ridge)
+    variances = (values * values) @ precision + unreached(at[solved.rows], values) / solved.ridge
+    variances[np.isin(solved.rows, _centre_rows(len(at)))] = np.nan
+    return replace(solved, variances=variances)
 
 
 def _held_out(values: F64, inverse: F64, left: F64, at: F64, groups: I64) -> tuple[F64, F64]:
@@ -288,6 +308,7 @@ def _report(name: str, basis: _Basis, labels: F64, groups: I64, solved: _Solved)
 
 def _coverage(scaled: F64) -> float:
     """How many residuals of each half the interval by the other half's holds."""
+    scaled = scaled[np.isfinite(scaled)]
     halves = scaled[::2], scaled[1::2]
     return float(np.mean([np.mean(a <= np.quantile(b, 0.9)) for a, b in (halves, halves[::-1])]))
 

@@ -48,8 +48,9 @@ def predict(model: TouchModel, features: F32) -> Prediction:
     """The quantities of a frame, float32 (D,) of features."""
     standard = standardised(features, model.mean, model.deviation)
     at = standard @ model.components
-    values = kernel_values(at[None], model.centres, model.width)[0] @ model.basis
-    mean = model.offset + values @ model.weights
+    near = kernel_values(at[None], model.centres, model.width)[0]
+    mean = model.offset + near @ model.weights
+    values = near @ model.basis
     spread = 1 + (values * values) @ model.precision + unreached(at[None], values[None]) / model.ridge
     alike = leverage(at[None], model.spread)[0] <= model.leverage_max
     alike = alike and residual(standard[None], at[None], model.scale)[0] <= model.residual_max

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from tacshade_edge.protocol.messages import encode_touch
@@ -65,7 +66,7 @@ class McapExport:
             self._writer.write("cloud", messages.cloud(result.cloud, ident, wall_ns), wall_ns, frame.seq)
             contact = json.dumps(contact_numbers(recorded, result)).encode()
             self._writer.write("contact", contact, wall_ns, frame.seq)
-            self._writer.write("touch", encode_touch(result), wall_ns, frame.seq)
+            self._writer.write("touch", encode_touch(replace(result, wall_ns=wall_ns)), wall_ns, frame.seq)
 
     def finish(self) -> None:
         """Make it whole."""

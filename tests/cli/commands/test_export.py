@@ -120,6 +120,7 @@ def test_mcap_opens_in_its_own_library(opened: Any, recording: Path) -> None:
     assert contact["t_ns"] == T_NS + PERIOD_NS
     free, touched = (json.loads(message.data) for _, message in messages[f"{root}/touch"][:2])
     assert (free["touch"], list(touched["touch"])) == (None, list(PLAIN))
+    assert touched["wall_ns"] == contact["wall_ns"]
     log = Log.FromString(messages[f"{root}/log"][0][1].data)
     assert log.message.startswith("start: ")
     assert log.timestamp.ToNanoseconds() == WALL_NS - 1

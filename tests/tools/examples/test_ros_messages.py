@@ -7,8 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tacshade_edge.core.calibration.indenters.indenter import Indenter, place
 from tacshade_edge.protocol import wire
+from tacshade_edge.protocol.received import TouchNumbers
 from tacshade_edge.protocol.wire import CloudMessage, HeightMessage
+from tacshade_edge.rigid import from_seven
 from tacshade_edge.types import U8
 from tools.examples.ros2 import ros_messages
 from tools.testbed.published_sensor import CRC, bump
@@ -61,6 +64,35 @@ def test_a_cloud() -> None:
     for axis, name in enumerate("xyz"):
         np.testing.assert_allclose(points[name], message.points_mm[:, axis] / 1000, rtol=1e-6)
     np.testing.assert_array_equal(points["object"], message.labels)
+
+
+def touch(**values: float | None) -> TouchNumbers:
+    return TouchNumbers(7, 1, values, dict.fromkeys(values, 0.1), wall_ns=PRESS.wall_ns)
+
+
+def test_a_wrench_is_what_was_labelled_and_is_known() -> None:
+    labelled = touch(depth_mm=1.0, force_z_n=-2.5, torque_x_nmm=40.0)
+    wrench = there_and_back(ros_messages.wrench(Ros(), labelled, "left-index"))
+    assert wrench.header.frame_id == "left-index/sensor"
+    assert wrench.header.stamp.sec * 10**9 + wrench.header.stamp.nanosec == PRESS.wall_ns
+    force, torque = wrench.wrench.force, wrench.wrench.torque
+    assert (force.x, force.y, force.z) == (0.0, 0.0, -2.5)
+    assert (torque.x, torque.y, torque.z) == pytest.approx((0.04, 0.0, 0.0))
+    for unknown in (touch(depth_mm=1.0), touch(force_z_n=None), touch(force_z_n=1.0, force_x_n=None), touch()):
+        assert ros_messages.wrench(Ros(), unknown, "left-index") is None
+
+
+def test_a_surface_lies_below_the_skin_and_is_tilted() -> None:
+    known = touch(depth_mm=2.0, tilt_x_deg=30.0, tilt_y_deg=-20.0, twist_deg=10.0, x_mm=12.0, y_mm=0.0)
+    surface = there_and_back(ros_messages.surface(Ros(), known, 20.0, "left-index"))
+    at, turn = surface.pose.position, surface.pose.orientation
+    assert (at.x, at.y, at.z) == pytest.approx((0.012, 0.0, 0.014))
+    found = from_seven((0.0, 0.0, 0.0, turn.w, turn.x, turn.y, turn.z)).rotation
+    axes = place(Indenter("axes", np.eye(3)[None]), 20.0, 12.0, 0.0, 2.0, 10.0, 30.0, -20.0)  # as PRESSES.csv says
+    np.testing.assert_allclose(np.diff(found.T, axis=0), np.diff(axes.triangles_mm[0], axis=0), atol=1e-12)
+    assert there_and_back(ros_messages.surface(Ros(), touch(depth_mm=2.0, tilt_x_deg=0.0, tilt_y_deg=0.0), 20.0, "a"))
+    for unknown in (touch(depth_mm=2.0), touch(depth_mm=2.0, tilt_x_deg=0.0, tilt_y_deg=0.0, twist_deg=None), touch()):
+        assert ros_messages.surface(Ros(), unknown, 20.0, "left-index") is None
 
 
 def test_a_transform() -> None:

@@ -5,15 +5,20 @@ Of no particular ROS: whoever calls brings the message types, so that they can b
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
 
+from tacshade_edge.protocol.received import TouchNumbers
 from tacshade_edge.protocol.wire import CloudMessage, HeightMessage
+from tacshade_edge.rigid import shift, turn
 
 M_PER_MM = 0.001
 FLOAT32, UINT16 = 7, 4  # of sensor_msgs/PointField
+FORCE = ("force_x_n", "force_y_n", "force_z_n")
+TORQUE = ("torque_x_nmm", "torque_y_nmm", "torque_z_nmm")
 POINT = np.dtype([("xyz", "<f4", 3), ("object", "<u2")])
 
 
@@ -83,12 +88,67 @@ def transform(ros: Ros, values: tuple[float, ...], wall_ns: int, parent: str, ch
                 child_frame_id=child,
                 transform=ros.make(
                     "geometry_msgs/msg/Transform",
-                    translation=ros.make("geometry_msgs/msg/Vector3", x=x * M_PER_MM, y=y * M_PER_MM, z=z * M_PER_MM),
+                    translation=_vector(ros, [v * M_PER_MM for v in (x, y, z)]),
                     rotation=ros.make("geometry_msgs/msg/Quaternion", x=qx, y=qy, z=qz, w=qw),
                 ),
             )
         ],
     )
+
+
+def wrench(ros: Ros, touch: TouchNumbers, sensor_id: str) -> Any | None:
+    """``geometry_msgs/WrenchStamped``: force in N, torque in N·m, 0 along what was not labelled; None unless known."""
+    if (values := _known(touch, (*FORCE, *TORQUE), needed=())) is None:
+        return None
+    force, torque = values[:3], [value * M_PER_MM for value in values[3:]]
+    return ros.make(
+        "geometry_msgs/msg/WrenchStamped",
+        header=header(ros, touch.wall_ns, f"{sensor_id}/sensor"),
+        wrench=ros.make("geometry_msgs/msg/Wrench", force=_vector(ros, force), torque=_vector(ros, torque)),
+    )
+
+
+def surface(ros: Ros, touch: TouchNumbers, skin_radius_mm: float, sensor_id: str) -> Any | None:
+    """``geometry_msgs/PoseStamped`` of the touched surface, by depth, tilt and twist; None unless they are known.
+
+    It lies `depth_mm` below the undeformed skin at (x, y), turned by the twist about z, then tilted about x, then y.
+    Twist, x and y are 0 where they were not labelled.
+    """
+    names = ("depth_mm", "tilt_x_deg", "tilt_y_deg", "twist_deg", "x_mm", "y_mm")
+    if (values := _known(touch, names, needed=names[:3])) is None:
+        return None
+    depth, x, y = values[0], values[4], values[5]
+    tilt_x, tilt_y, twist = (math.radians(angle) for angle in values[1:4])
+    z = math.sqrt(max(0.0, skin_radius_mm**2 - x**2 - y**2)) - depth
+    *place, qw, qx, qy, qz = (
+        shift(x, y, z) @ turn((0, tilt_y, 0)) @ turn((tilt_x, 0, 0)) @ turn((0, 0, twist))
+    ).seven()
+    return ros.make(
+        "geometry_msgs/msg/PoseStamped",
+        header=header(ros, touch.wall_ns, f"{sensor_id}/sensor"),
+        pose=ros.make(
+            "geometry_msgs/msg/Pose",
+            position=ros.make("geometry_msgs/msg/Point", **_xyz([v * M_PER_MM for v in place])),
+            orientation=ros.make("geometry_msgs/msg/Quaternion", x=qx, y=qy, z=qz, w=qw),
+        ),
+    )
+
+
+def _known(touch: TouchNumbers, names: Sequence[str], needed: Sequence[str]) -> list[float] | None:
+    """Values of a touch, 0 of what was not labelled; None where one is not known or what is needed was not labelled."""
+    given = touch.touch or {}
+    values = [given.get(name, 0.0) for name in names]
+    known = [value for value in values if value is not None]
+    enough = all(name in given for name in needed) and any(name in given for name in names)
+    return known if enough and len(known) == len(values) else None
+
+
+def _vector(ros: Ros, values: Sequence[float]) -> Any:
+    return ros.make("geometry_msgs/msg/Vector3", **_xyz(values))
+
+
+def _xyz(values: Sequence[float]) -> dict[str, float]:
+    return dict(zip("xyz", values, strict=True))
 
 
 def header(ros: Ros, wall_ns: int, frame_id: str) -> Any:

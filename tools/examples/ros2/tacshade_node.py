@@ -7,7 +7,6 @@ python3 -m tools.examples.ros2.tacshade_node localhost:1883 left-index
 from __future__ import annotations
 
 import array
-import json
 import logging
 import sys
 import time
@@ -21,6 +20,7 @@ from tacshade_edge.devices.mqtt.client import BrokerAddress
 from tacshade_edge.devices.mqtt.follower import Follower
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol import wire
+from tacshade_edge.protocol.received import decode_info, decode_touch
 from tools.examples.ros2 import ros_messages
 
 POLL_S = 0.1
@@ -57,16 +57,32 @@ def main() -> None:
             get_message("sensor_msgs/msg/PointCloud2"), f"/tacshade/{name}/cloud", qos_profile_sensor_data
         ),
     }
+    wrenches = node.create_publisher(
+        get_message("geometry_msgs/msg/WrenchStamped"), f"/tacshade/{name}/wrench", qos_profile_sensor_data
+    )
+    surfaces = node.create_publisher(
+        get_message("geometry_msgs/msg/PoseStamped"), f"/tacshade/{name}/surface", qos_profile_sensor_data
+    )
+    skin_radius_mm = 0.0
     moving = node.create_publisher(get_message("tf2_msgs/msg/TFMessage"), "/tf", 10)
     fixed = node.create_publisher(get_message("tf2_msgs/msg/TFMessage"), "/tf_static", latched)
 
     def hear(topic: str, payload: bytes, _retained: bool) -> None:
-        if topic.endswith("/info"):
-            if geometry := json.loads(payload)["geometry"]:
-                placed = geometry["flange_T_sensor"], time.time_ns(), f"{sensor_id}/flange", f"{sensor_id}/sensor"
-                fixed.publish(ros_messages.transform(ros, *placed))
-            return
+        nonlocal skin_radius_mm
         try:
+            if topic.endswith("/info"):
+                if geometry := decode_info(payload).geometry:
+                    skin_radius_mm = geometry.skin_radius_mm
+                    placed = geometry.flange_T_sensor, time.time_ns(), f"{sensor_id}/flange", f"{sensor_id}/sensor"
+                    fixed.publish(ros_messages.transform(ros, *placed))
+                return
+            if topic.endswith("/touch"):
+                touch = decode_touch(payload)
+                if wrench := ros_messages.wrench(ros, touch, sensor_id):
+                    wrenches.publish(wrench)
+                if skin_radius_mm and (surface := ros_messages.surface(ros, touch, skin_radius_mm, sensor_id)):
+                    surfaces.publish(surface)
+                return
             message = wire.decode(payload)
         except DecodeError as error:
             node.get_logger().warning(f"{topic}: {error}")
@@ -86,6 +102,8 @@ def main() -> None:
     try:
         while rclpy.ok():
             wanted = {topic for topic, publisher in streams.items() if publisher.get_subscription_count()}
+            if wrenches.get_subscription_count() or surfaces.get_subscription_count():
+                wanted.add(f"{base}/touch")
             follower.follow({f"{base}/info", *wanted})
             rclpy.spin_once(node, timeout_sec=POLL_S)
     except KeyboardInterrupt:

@@ -88,33 +88,34 @@ def label(way: Way, pressed_mm: float, dragged: bool) -> tuple[float, ...]:
     return (pressed_mm, press.tilt_x_deg, press.tilt_y_deg, *moved)
 
 
-def seen(folder: Path, profile: str) -> tuple[list[str], F32, F64]:
-    """Object, features and label of every frame in contact."""
+def seen(folder: Path, profile: str) -> tuple[list[str], F32, F64, F64]:
+    """Object, features and label of every frame in contact, and what is known of it without labels."""
     model, dome = drawn(RANGE, SENSOR)
     draws = renderer(model, FIRST_SEED[RANGE] + SENSOR)
     chosen = PROFILES[profile]
     assert chosen.network is not None
     taken: list[F32] = []
     made = Reconstructor(calibrated(RANGE, SENSOR), chosen, load_network(chosen.network), touch=taken)
-    objects, labels = [], []
+    objects, labels, plain = [], [], []
     for k, (way, pressed_mm) in enumerate(ways(dome)):
         kept: Kept = read(kept_file(folder, k))
         for dragged, at_mm in enumerate((kept.pressed_mm, kept.dragged_mm)):
             skin = deformed(dome.radius_mm, kept.rest_mm, at_mm)
             image = draws.expose(draws.draw(skin), SCENE_NOISE + 2 * k + dragged)
             before = len(taken)
-            made.step(Frame(0, 0, 0, image), need=Need.TOUCH)
-            if len(taken) > before:
+            result = made.step(Frame(0, 0, 0, image), need=Need.TOUCH)
+            if len(taken) > before and result is not None and result.touch is not None:
+                plain.append([result.touch.values[name] for name in NAMES])
                 objects.append(way.object_name)
                 labels.append(label(way, pressed_mm, bool(dragged)))
-    return objects, np.stack(taken), np.array(labels)
+    return objects, np.stack(taken), np.array(labels), np.array(plain, float)
 
 
 def report(folder: Path) -> None:
     """Learn, judge, print."""
     lines = []
     for profile in ("balanced", "accurate"):
-        objects, features, labels = seen(folder, profile)
+        objects, features, labels, plain = seen(folder, profile)
         plates = [k for k, name in enumerate(objects) if name == "plate"]
         order = np.random.default_rng(1).permutation(len(plates) // 2)
         shuffled = [plates[2 * way + end] for way in order for end in (0, 1)]  # both states of a way on one side
@@ -136,6 +137,13 @@ def report(folder: Path) -> None:
             ]
             answered = np.isfinite(found[:, 0]).sum()
             lines.append((profile, name, str(len(judged)), str(answered), *cells, f"{100 * right[:, :5].mean():.0f} %"))
+        off = np.abs(plain - labels)[plates]
+        cells = [f"{np.nanmean(off[:, list(columns)]):.2f}" for columns in SHOWN.values()]
+        lines.append((profile, "plate, without labels", str(len(plates)), str(len(plates)), *cells, ""))
+        deviations = np.sqrt(np.nanmean(off**2, axis=0))
+        print(
+            f"{profile}: standard deviations without labels: {dict(zip(NAMES, deviations.round(2).tolist(), strict=True))}"
+        )
     columns = ("profile", "object", "frames", "answered", *SHOWN, "right or no answer")
     print(markdown(columns, lines))
 
