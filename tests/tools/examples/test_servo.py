@@ -51,8 +51,9 @@ def test_a_tilted_plane_is_met_at_right_angles_and_at_the_depth_although_the_rob
 
 
 def test_towards_the_edge_and_turned_along_it() -> None:
-    across = FollowEdge(1.5, 10.0).velocity({"depth_mm": 1.0, "y_mm": 2.0, "edge_deg": -5.0}, 0.0)
-    assert across == (10.0, 8.0, 2.0, 0.0, 0.0, -20.0)
+    velocity = FollowEdge(1.5, 10.0).velocity({"depth_mm": 1.0, "y_mm": 2.0, "edge_deg": -5.0}, 0.0)
+    along = 10.0 * math.tan(math.radians(-5.0))
+    assert velocity == pytest.approx((10.0, along + 8.0, 2.0, 0.0, 0.0, -20.0))
 
 
 def test_a_robot_stops_when_it_is_not_told_to_go_on() -> None:

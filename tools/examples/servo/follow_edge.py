@@ -12,6 +12,7 @@ Read README.md before a real robot moves.
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Mapping
 
@@ -38,9 +39,10 @@ class FollowEdge:
         self._down, self._across, self._about_z = Loop(LIMIT_MM_S), Loop(LIMIT_MM_S), Loop(LIMIT_DEG_S)
 
     def velocity(self, touch: Mapping[str, float], dt_s: float) -> Velocity:
-        """Go on along x, towards the edge along y, into the plate along z; turn as the edge is turned."""
+        """Go on along the edge, to it along y, to the depth along z; turn as the edge is turned."""
+        along = self._speed_mm_s * math.tan(math.radians(touch["edge_deg"]))
         down = self._down.velocity(self._depth_mm - touch["depth_mm"], dt_s)
-        across = self._across.velocity(touch["y_mm"], dt_s)
+        across = along + self._across.velocity(touch["y_mm"], dt_s)
         about_z = self._about_z.velocity(touch["edge_deg"], dt_s)
         return (self._speed_mm_s, across, down, 0.0, 0.0, about_z)
 

@@ -10,6 +10,7 @@ Begin with the sensor on the surface; it moves along its own x. Read README.md b
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Mapping
 
@@ -36,8 +37,9 @@ class FollowSurface:
         self._down, self._about_x, self._about_y = Loop(LIMIT_MM_S), Loop(LIMIT_DEG_S), Loop(LIMIT_DEG_S)
 
     def velocity(self, touch: Mapping[str, float], dt_s: float) -> Velocity:
-        """Go on along x, into the surface along z; turn as the surface is tilted."""
-        down = self._down.velocity(self._depth_mm - touch["depth_mm"], dt_s)
+        """Go on along the surface, to the depth along z; turn as the surface is tilted."""
+        along = -self._speed_mm_s * math.tan(math.radians(touch["tilt_y_deg"]))
+        down = along + self._down.velocity(self._depth_mm - touch["depth_mm"], dt_s)
         about_x = self._about_x.velocity(touch["tilt_x_deg"], dt_s)
         about_y = self._about_y.velocity(touch["tilt_y_deg"], dt_s)
         return (self._speed_mm_s, 0.0, down, about_x, about_y, 0.0)
