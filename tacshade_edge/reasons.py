@@ -90,6 +90,7 @@ class ReasonCode(StrEnum):
     OTHER_VERSION = "other_version"
     NUMBER_REUSED = "number_reused"
     NUMBER_STALE = "number_stale"
+    LINE_TOO_SLOW = "line_too_slow"
 
     # A stitching session, and a press of it.
     NO_SESSION = "no_session"

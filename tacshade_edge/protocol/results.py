@@ -142,4 +142,11 @@ class LineStatus:
     garbage: int
 
 
-SerialResult = ClockRead | FrameCaptured | LineStatus | ReferenceTaken | SessionResult
+@dataclass(frozen=True, slots=True)
+class TouchSwitched:
+    """Of ``TOUCH``: at most how many events a second come now; 0 is off."""
+
+    rate_hz: int
+
+
+SerialResult = ClockRead | FrameCaptured | LineStatus | TouchSwitched | ReferenceTaken | SessionResult

@@ -69,6 +69,10 @@ def finger(**changed: Any) -> dict[str, Any]:
     return {"fingers": {"thumb": {"state": "contact", "objects": [touched]}}}
 
 
+def numbers(**values: Any) -> dict[str, Any]:
+    return {"seq": 1, "touch": values, "touch_sigma": {name: None if v is None else 0.5 for name, v in values.items()}}
+
+
 NAN, INFINITE = {"f": "NaN"}, {"f": "Infinity"}
 
 
@@ -121,6 +125,25 @@ def test_text_and_tables_are_cut_before_anything_is_drawn_of_them() -> None:
             "checkContact",
             [({"contact": 1, "depth_max_mm": 1.5, "x_mm": None},), ({},)],
             [({"depth_max_mm": "a"},), ({"x_mm": {}},), ({"slip": []},)],
+        ),
+        (
+            "checkTouch",
+            [
+                ({"seq": 1, "touch": None, "touch_sigma": None},),
+                ({"seq": 1, "touch": {}, "touch_sigma": {}, "reason": "x"},),
+                (numbers(depth_mm=1.5, tilt_x_deg=None),),
+            ],
+            [
+                ({},),
+                ({"seq": 1, "touch": 5, "touch_sigma": {}},),
+                ({"seq": 1, "touch": {}, "touch_sigma": {}, "reason": {}},),
+                ({"seq": 1, "touch": {"depth_mm": 1}, "touch_sigma": {}},),
+                ({"seq": 1, "touch": {"depth_mm": 1}, "touch_sigma": {"depth_mm": None}},),
+                ({"seq": 1, "touch": {"depth_mm": 1}, "touch_sigma": {"depth_mm": -1}},),
+                *((numbers(depth_mm=value),) for value in ("x", 1e7, NAN, INFINITE)),
+                (numbers(**{"<b>": 1}),),
+                (numbers(**{f"q{k}": 0 for k in range(33)}),),
+            ],
         ),
         (
             "checkPart",

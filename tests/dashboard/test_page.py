@@ -91,7 +91,7 @@ def test_the_drawn_depth_is_the_pressed_depth(page: Chrome, tmp_path: Path, cali
                 return {"ball", "cube", "small_crescent"} <= set(shots)
 
             wait_until(look, 90, "cube, crescent and ball were shown")
-            picture(page, "dashboard", (1000, 1240))
+            picture(page, "dashboard", (1000, 1480))
             assert text(page, "state") == "online"
             assert Select(page.find_element(By.ID, "profile")).first_selected_option.text == DEFAULT
             sent = {h.seq: h for h in map(wire.decode, seen.of("tacshade/left-index/height"))}

@@ -18,10 +18,12 @@ from typing import Any
 import pytest
 
 from tacshade_edge.daemon.robot.robot import Robot
+from tacshade_edge.daemon.robot.touch_events import TouchEvents
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.protocol.serial.counts import LinkCounts
 from tacshade_edge.protocol.serial.link import SerialLink
 from tacshade_edge.protocol.serial.verbs import USAGE
+from tacshade_edge.types import QUANTITIES
 from tools.testbed.patience import patience
 
 ROOT = Path(__file__).parents[2]
@@ -75,8 +77,8 @@ def test_what_is_typed_by_hand_is_answered_so() -> None:
 def test_every_verb_and_every_counter_has_its_row() -> None:
     verbs = re.findall(r"^\| `([A-Z]+)[^|]*` \|", TEXT.replace("\\|", "/"), re.MULTILINE)
     assert set(verbs) >= set(USAGE)
-    for name in LinkCounts().as_dict():
-        assert f"`{name}`" in TEXT
+    for name in (*LinkCounts().as_dict(), *TouchEvents(0, lambda: None).as_dict(), *QUANTITIES):
+        assert re.search(rf"[` \n]{name}[` \n]", TEXT), name
 
 
 @pytest.mark.skipif(GCC is None, reason="gcc is not installed")
@@ -100,7 +102,7 @@ def test_the_microcontrollers_code_makes_the_vectors(tmp_path: Path) -> None:
     for vector in VECTORS["poses"]:
         asked.append(f"pose {vector['seq']} {vector['t_ns']} {' '.join(map(str, vector['values']))}")
         expected.append(vector["frame"])
-    for vector in VECTORS["line_frames"]:
+    for vector in (*VECTORS["line_frames"], *VECTORS["touches"]):
         asked.append(f"line {vector['line']}")
         expected.append(vector["frame"])
     done = subprocess.run(
@@ -168,4 +170,8 @@ def test_the_hosts_code_talks_to_the_daemon() -> None:
 
 def test_the_vectors_in_the_text_are_those_of_the_file() -> None:
     pose, line = VECTORS["poses"][0], VECTORS["line_frames"][0]
-    assert blocks("text")[-1].split("\n")[:4] == [pose["hex"], pose["frame"], line["line"], line["frame"]]
+    touch = VECTORS["touches"][0]
+    expected = [pose["hex"], pose["frame"], *(each[key] for each in (line, touch) for key in ("line", "frame"))]
+    assert blocks("text")[-1].splitlines() == expected
+    events = [line[2:] for line in blocks("text")[1].splitlines() if "EVT" in line]
+    assert events == [each["line"] for each in VECTORS["touches"]]

@@ -53,6 +53,7 @@ TEXTS: tuple[tuple[str, object], ...] = (
     ("info", {"profiles": 5}),
     ("info", {"geometry": {"radius_px": 0, "image_height_px": 1e9, "image_width_px": 1e9}}),
     ("contact", {"contact": 1, "depth_max_mm": LONG, "x_mm": {}}),
+    ("touch", {"seq": 1, "touch": {f"k{k}": k for k in range(20_000)}, "touch_sigma": {}, "reason": LONG}),
     ("status/replay", {"state": "playing", "position_s": LONG, "speed": LONG}),
     ("status/stitching", {"state": "open", "name": LONG, "presses": {}}),
     (

@@ -42,8 +42,8 @@ from tools.testbed.patience import wait_until
 SENSOR_ID = "finger"
 BASE = f"tacshade/{SENSOR_ID}"
 MEANT = re.compile(
-    rf"{BASE}/(state|info|instance|health|status/(camera|serial|recorder|stitching|rival)|height|cloud|shear|sigma|contact"
-    r"|preview|event/slip|map/(revision|final|cloud)|res/[^+#\x00-\x1f\x7f]+)"
+    rf"{BASE}/(state|info|instance|health|status/(camera|serial|recorder|stitching|rival)|height|cloud|shear|sigma|touch"
+    r"|contact|preview|event/slip|map/(revision|final|cloud)|res/[^+#\x00-\x1f\x7f]+)"
 )
 LOOKED_AT = tuple(f"{BASE}/{part}" for part in ("contact", "health", "res/status"))
 _FILE_NAME = re.compile(r"[A-Za-z0-9._-]{1,64}")

@@ -11,6 +11,9 @@ from pathlib import Path
 import msgspec
 import yaml
 
+from tacshade_edge.capture.labels.robot_labels import RobotLabels
+from tacshade_edge.capture.labels.scale import BAUD, Scale, scale_port
+from tacshade_edge.capture.labels.session import LabelSession
 from tacshade_edge.capture.live import Live
 from tacshade_edge.capture.page import Page
 from tacshade_edge.capture.printer.line import PrinterLine
@@ -36,6 +39,7 @@ from tacshade_edge.settings.printer_file import read_printer
 from tacshade_edge.settings.sensor_file import check_value, read_sensor, with_visible_circle
 from tacshade_edge.storage.tables.capture_folder import REFERENCES, CaptureFolder, read_plan
 from tacshade_edge.storage.tables.indenters import read_indenters, write_printables
+from tacshade_edge.storage.tables.label_folder import LABELS, LabelFolder
 from tacshade_edge.storage.tables.presses import BALL
 from tacshade_edge.types import Disc
 
@@ -65,6 +69,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="write indenters to print (STL), INDENTERS.yaml and a PLAN.csv of presses, and end",
     )
+    what.add_argument(
+        "--labels",
+        type=Path,
+        metavar="DIR",
+        help="take labelled frames into DIR/LABELS.csv: readings that are typed, a robot's poses, a scale",
+    )
+    parser.add_argument(
+        "--scale",
+        metavar="DEVICE[:BAUD]",
+        help=f"with --labels: a scale that writes numbers with their unit on this serial port ({BAUD} baud)",
+    )
     camera = parser.add_mutually_exclusive_group()
     camera.add_argument("--camera", metavar="DEVICE", help="the camera, where the machine has several")
     camera.add_argument("--config", type=Path, metavar="FILE", help="settings whose source is the camera")
@@ -83,17 +98,23 @@ def run(args: argparse.Namespace) -> int:
         for path in write_printables(args.indenters):
             print(path)
         return 0
+    if args.scale is not None and args.labels is None:
+        raise ConfigError("--scale: expected --labels DIR with it")
+    if args.labels is not None and (args.plan or args.printer):
+        raise ConfigError("--labels: found --plan or --printer, expected neither")
     if args.printer is not None and args.plan is None:
         raise ConfigError("--printer: found no --plan, expected the presses to take (--indenters DIR writes some)")
     terminal = Terminal(0, sys.stdout)
-    folder = CaptureFolder(args.folder)
+    folder = CaptureFolder(args.labels or args.folder)
     source, serial = _source(args, folder)
     folder.make()
     try:
         sensor = _sensor(folder, terminal)
         indenters = read_indenters(folder.indenters) if folder.indenters.exists() else {}
         plan = read_plan(args.plan, indenters, sensor.skin_radius_mm) if args.plan else ()
-        if args.printer is None:
+        if args.labels is not None:
+            _run(folder, source, serial, terminal, sensor, _labelling(args, serial, terminal, sensor))
+        elif args.printer is None:
 
             def by_hand(live: Live) -> None:
                 with robot_poses(serial) as pose_at:
@@ -120,12 +141,34 @@ def run(args: argparse.Namespace) -> int:
         terminal.say("")
     except KeyboardInterrupt:
         terminal.say("")
-        terminal.say(f"what was taken is kept; go on with: tacshade-edge capture {shlex.quote(str(folder.path))}")
+        option = "--labels " if args.labels else ""
+        words = f"tacshade-edge capture {option}{shlex.quote(str(folder.path))}"
+        terminal.say(f"what was taken is kept; go on with: {words}")
         raise
     except DeviceError as error:
         raise DeviceError(f"{error}; the same command goes on in {folder.path}", code=error.code) from None
-    _say_next(folder, terminal)
+    (_say_next_of_labels if args.labels else _say_next)(folder, terminal)
     return 0
+
+
+def _labelling(
+    args: argparse.Namespace, serial: Serial | None, terminal: Terminal, sensor: Sensor
+) -> Callable[[Live], None]:
+    """What takes labelled frames of an open camera."""
+
+    def session(live: Live) -> None:
+        scale = None if args.scale is None else Scale(scale_port(args.scale))
+        try:
+            if scale:
+                scale.open()
+            with robot_poses(serial) as pose_at:
+                robot = RobotLabels(sensor, pose_at) if pose_at else None
+                LabelSession(LabelFolder(args.labels), live, terminal, scale, robot).run()
+        finally:
+            if scale:
+                scale.close()
+
+    return session
 
 
 def _run(
@@ -230,6 +273,15 @@ def _sensor(folder: CaptureFolder, terminal: Terminal) -> Sensor:
                     terminal.say(f"  {error}")
         folder.write(folder.sensor, yaml.safe_dump(values, sort_keys=False))
     return read_sensor(folder.sensor)
+
+
+def _say_next_of_labels(folder: CaptureFolder, terminal: Terminal) -> None:
+    """The command that learns from the table, to be copied."""
+    shown = shlex.quote(str(folder.path))
+    words = f"tacshade-edge calibrate --sensor {shown}/{folder.sensor.name} --reference {shown}/{REFERENCES}"
+    terminal.say(f"next:\n  {words} --labels {shown}/{LABELS} --out {shown}/{_CALIBRATION}")
+    if not list(folder.path.glob(REFERENCES)):
+        terminal.say(f"no reference is there yet: tacshade-edge capture {shown} takes some")
 
 
 def _say_next(folder: CaptureFolder, terminal: Terminal) -> None:

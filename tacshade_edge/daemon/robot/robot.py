@@ -13,6 +13,7 @@ from tacshade_edge.daemon.robot.motion import RobotMotion
 from tacshade_edge.daemon.robot.serial_channel import SILENT_NS, SerialChannel
 from tacshade_edge.daemon.robot.serial_commands import SerialCommands
 from tacshade_edge.daemon.robot.shared_line import FollowingChannel, ForwardingMotion, SharedLine
+from tacshade_edge.daemon.robot.touch_events import TouchEvents
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.protocol.messages import encode_status
 from tacshade_edge.protocol.requests import Request
@@ -63,7 +64,8 @@ class Robot(FrameObserver):
     ) -> None:
         self.motion = ForwardingMotion(shared.ends) if shared and shared.ends else RobotMotion()
         wake = port.wake if port else lambda: None
-        self.commands = SerialCommands(self.motion, on_request, state, missing, wake)
+        self._touch = TouchEvents(port.baud if port else 0, wake)
+        self.commands = SerialCommands(self.motion, on_request, state, missing, wake, self._touch)
         self._channel: SerialChannel | FollowingChannel
         if port:
             self._channel = SerialChannel(port, self.motion, self.commands)
@@ -113,16 +115,18 @@ class Robot(FrameObserver):
     def health(self) -> dict[str, Any]:
         """The line's, the clock's and the frames' counts."""
         frames = {"frames_with_pose": self._with_pose, "frames_without_pose": self._without_pose}
-        return {**self._channel.as_dict(), **self.motion.as_dict(), **frames}
+        return {**self._channel.as_dict(), **self.motion.as_dict(), **frames, **self._touch.as_dict()}
 
     def need(self) -> Need:
-        """Depth, while a capture waits."""
-        return Need.DEPTH if self.commands.capture_pending else Need.CONTACT
+        """Depth, while a capture waits, and a touch while the robot listens to them."""
+        depth = Need.DEPTH if self.commands.capture_pending else Need.CONTACT
+        return depth | Need.TOUCH if self._touch.is_on else depth
 
     def see(self, seen: FrameResult) -> None:
-        """Answer the robot's captures."""
+        """Answer the robot's captures, and report the touch."""
         if seen.reconstruction is not None:
             self.commands.observe(seen.frame, seen.reconstruction)
+            self._touch.observe(seen.reconstruction)
 
     def answer(self, request: Request, outcome: RequestResult | Mapping[str, Any] | Reason) -> bool:
         """Answer what the robot asked for over its line."""

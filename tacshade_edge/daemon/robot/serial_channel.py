@@ -13,6 +13,7 @@ from tacshade_edge.daemon.robot.serial_commands import SerialCommands
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.protocol.serial.answers import PortOpened, PosesMissing, SyncChanged
+from tacshade_edge.protocol.serial.line import LINE_BYTES_MAX
 from tacshade_edge.protocol.serial.link import Greeted, PoseArrived, SerialLink
 from tacshade_edge.protocol.serial.modes import Mode
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -126,10 +127,12 @@ class SerialChannel:
             elif isinstance(received, Greeted):
                 _log.info("the robot greeted%s", f", boot {received.boot}" if received.boot else "")
                 self._motion.restart()
+                self._commands.touch.switch(None)
             else:
                 self._commands.handle(received, self._link)
         self._commands.send_answers(self._link)
         self._send_events(now_ns)
+        self._send_touch()
         self._write()
         return bool(data)
 
@@ -145,6 +148,13 @@ class SerialChannel:
             self._sent_sync = sync.mode
             self._link.notify(SyncChanged(sync.mode, sync.error_us))
             _log.info("sync %s%s", sync.mode, f": {sync.reason}" if sync.reason else "")
+
+    def _send_touch(self) -> None:
+        """Give the newest touch to a port that has less than a line to send, so that it is the newest there too."""
+        if time.monotonic() < self._write_after_s or self._port.unsent() >= LINE_BYTES_MAX:
+            return
+        if (seen := self._commands.touch.take()) is not None:
+            self._link.notify(seen)
 
     def _write(self) -> None:
         data = self._link.take_output()

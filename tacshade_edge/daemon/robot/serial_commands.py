@@ -9,6 +9,7 @@ from queue import Empty, SimpleQueue
 from typing import Any, Protocol
 
 from tacshade_edge.daemon.robot.motion import RobotMotion
+from tacshade_edge.daemon.robot.touch_events import TouchEvents
 from tacshade_edge.protocol.requests import Request
 from tacshade_edge.protocol.results import (
     ClockRead,
@@ -20,6 +21,7 @@ from tacshade_edge.protocol.results import (
     SessionResult,
 )
 from tacshade_edge.protocol.serial.link import SerialLink
+from tacshade_edge.protocol.serial.touch import parse_touch
 from tacshade_edge.protocol.serial.verbs import Command
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Frame, Reconstruction
@@ -53,6 +55,7 @@ class SerialCommands:
         Why there is no calibration; None when there is one.
     wake : callable
         Called when an answer waits to be sent.
+    touch : TouchEvents
 
     Attributes
     ----------
@@ -67,8 +70,10 @@ class SerialCommands:
         state: Callable[[], dict[str, Any]],
         missing: Callable[[], Reason | None],
         wake: Callable[[], None],
+        touch: TouchEvents,
     ) -> None:
         self.sessions: Sessions | None = None
+        self.touch = touch
         self._motion = motion
         self._on_request = on_request
         self._state = state
@@ -91,6 +96,8 @@ class SerialCommands:
             link.answer(command, self._status(link))
         elif (missing := self._missing()) is not None:
             link.answer(command, missing)
+        elif command.verb == "TOUCH":
+            link.answer(command, self.touch.switch(parse_touch(command.args)))
         elif command.verb == "CAPTURE":
             with self._lock:
                 busy = len(self._captures) >= WAITING_MAX

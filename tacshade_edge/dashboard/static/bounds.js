@@ -4,7 +4,7 @@
 export const TEXT_MAX = 300, ENTRIES_MAX = 100, PARTS_MAX = 32, SENSORS_MAX = 64, FINGERS_MAX = 16;
 const BYTES_MAX = 1 << 20, DEPTH_MAX = 6;
 const SIDE_MAX = 4096, AWAY_MAX_PX = 1 << 16, SCALE_MAX_MM = 1000;
-const OBJECTS_MAX = 64;
+const OBJECTS_MAX = 64, QUANTITIES_MAX = 32, QUANTITY_MAX = 1e6;
 const NAME = /^[A-Za-z0-9_-]{1,64}$/;
 const NUMBERS_OF_CONTACT = ["contact", "seq", "depth_max_mm", "area_mm2", "volume_mm3", "objects", "x_mm", "y_mm", "slip", "fps"];
 const NUMBERS_OF_REPLAY = ["position_s", "length_s", "speed", "frame"];
@@ -64,6 +64,19 @@ export function checkInfo(info) {
 }
 
 export const checkContact = (contact) => checkNumbers(contact, NUMBERS_OF_CONTACT);
+
+/** A `touch`: as many names in both of its parts, or null without contact. */
+export function checkTouch(message) {
+  const { seq, touch, touch_sigma, reason = "" } = message;
+  if (!Number.isFinite(seq) || typeof reason !== "string") throw new Error("not a touch");
+  if (touch === null && touch_sigma === null) return message;
+  const names = Object.keys(touch ?? {}), sigma = touch_sigma ?? {};
+  if (typeof touch !== "object" || names.length > QUANTITIES_MAX || !names.every((name) => NAME.test(name) && Object.hasOwn(sigma, name))) throw new Error("not a touch");
+  for (const name of names) {
+    if (touch[name] !== null || sigma[name] !== null) within({ value: touch[name], sigma: sigma[name] }, { value: [-QUANTITY_MAX, QUANTITY_MAX], sigma: [0, QUANTITY_MAX] });
+  }
+  return message;
+}
 
 /** A `status/<part>`; the page reckons with what a replay and a recorder report. */
 export function checkPart(part) {

@@ -1,7 +1,7 @@
 // The page: sensors, what is known of the chosen one, and when it is drawn.
 
 import { drawArrows } from "./arrows.js";
-import { PARTS_MAX, SENSORS_MAX, checkContact, checkDecoded, checkInfo, checkPart, cut, read } from "./bounds.js";
+import { PARTS_MAX, SENSORS_MAX, checkContact, checkDecoded, checkInfo, checkPart, checkTouch, cut, read } from "./bounds.js";
 import { DepthChart } from "./chart.js";
 import { objectColour } from "./colours.js";
 import { Compare } from "./compare.js";
@@ -9,13 +9,14 @@ import { freshness } from "./freshness.js";
 import { HeightView } from "./heightmap.js";
 import { Link } from "./link.js";
 import { MapView } from "./mapview.js";
-import { CONTACT, contactOfMap, keepContact, nextMap, partOfMap } from "./newest.js";
+import { CONTACT, contactOfMap, keep, keepContact, nextMap, partOfMap, touchOfMap } from "./newest.js";
 import { element, levelOf, number, showContact, showHealth, showParts, showRates, showState } from "./panels.js";
 import { SkinView } from "./skin3d.js";
 import { commandPlayback, isPaused, isPlayed, showAgain, updatePlayback } from "./playback.js";
 import { commandRecordings, updateRecording } from "./record.js";
 import { isRemoved, remove, restore } from "./retired.js";
 import { Rezero } from "./rezero.js";
+import { TouchPanel } from "./touch.js";
 import { Whole } from "./hand_view.js";
 import { decode } from "./wire.js";
 
@@ -33,7 +34,7 @@ const sensors = new Map(); // sensor id -> { state, info }
 let chosen = null, view = emptyView(), undecodable = 0, heard = 0, superseded = 0, drawn = 0, arrows = 0, drawTimes = [], scheduled = false, picture = "";
 let link = null, asking = false;
 
-const heights = new HeightView(), stitched = new MapView(), skin = new SkinView(schedule), chart = new DepthChart();
+const heights = new HeightView(), stitched = new MapView(), skin = new SkinView(schedule), chart = new DepthChart(), touch = new TouchPanel({ link: () => link });
 const compare = new Compare({ link: () => link, decoded, changed: schedule, readOnly: READ_ONLY });
 const whole = new Whole({ link: () => link, infos: (sensor) => sensors.get(sensor)?.info, decoded, changed: schedule, damaged: () => { undecodable++; } });
 const rezero = new Rezero({
@@ -51,7 +52,7 @@ link.subscribe("tacshade/+/state", "tacshade/+/info", "tacshade/hand/+/state");
 /** All that is known of the chosen sensor. */
 function emptyView() {
   return {
-    height: null, cloud: null, shear: null, sigma: null, map: null, mapPayload: null, mapCloud: null, about: {}, contact: null, contacts: new Map(), numbers: null, with_map: {}, shown_ms: 0, health: null, parts: new Map(), heard_ms: null, health_ms: null, chosen_ms: performance.now(), height_ms: 0, age_ms: null,
+    height: null, cloud: null, shear: null, sigma: null, map: null, mapPayload: null, mapCloud: null, about: {}, contact: null, contacts: new Map(), numbers: null, touches: new Map(), touch: null, touch_ms: 0, with_map: {}, shown_ms: 0, health: null, parts: new Map(), heard_ms: null, health_ms: null, chosen_ms: performance.now(), height_ms: 0, age_ms: null,
   };
 }
 
@@ -87,6 +88,11 @@ function takeChosen(what, payload, retained) {
       rezero.heard(contact);
       schedule();
     }, checkContact);
+  } else if (what === "touch") {
+    json(payload, (numbers) => {
+      keep(view.touches, numbers);
+      schedule();
+    }, checkTouch);
   } else if (what === "health") {
     json(payload, (health) => {
       view.health = health;
@@ -177,6 +183,7 @@ function leave() {
   rezero.cancel();
   compare.choose(null);
   chosen = null;
+  touch.choose(null);
   $("sensor").hidden = true;
   showTabs();
 }
@@ -211,6 +218,7 @@ function choose(sensor) {
   $("sensor").hidden = false;
   document.title = `${sensor} – TacShade`;
   link.subscribe(...STREAMS.map((stream) => `tacshade/${sensor}/${stream}`));
+  touch.choose(sensor);
   showContact(null);
   showParts(view.parts);
   showTabs();
@@ -293,6 +301,7 @@ function draw() {
   compare.draw({ name: chosen, view, info: sensors.get(chosen)?.info }, sensors.get(compare.sensor) ?? {}, heights);
   if (redraw) skin.render();
   showContact(contactOfMap(view));
+  if (view.map) touch.draw(touchOfMap(view));
   updateStale();
 }
 

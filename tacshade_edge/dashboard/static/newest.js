@@ -3,7 +3,7 @@
 import { zeroMap } from "./geometry.js";
 
 export const CONTACT = 1;
-const RELEASE_LOST_MS = 500, CONTACTS_KEPT = 64, HEADER_BYTES = 96, SEQ_AT = 8;
+const RELEASE_LOST_MS = 500, MESSAGES_KEPT = 64, HEADER_BYTES = 96, SEQ_AT = 8;
 export const VALUES = { height: "height_mm", cloud: "points_mm", shear: "shear_mm", sigma: "sigma_mm" };
 
 const TOGETHER_MS = 300;
@@ -30,11 +30,15 @@ export function partOfMap(view, what, decoded) {
   return null;
 }
 
-/** Keep a `contact` until its map is drawn. */
+/** Keep a message of numbers until its map is drawn. */
+export function keep(messages, message) {
+  messages.set(message.seq, message);
+  if (messages.size > MESSAGES_KEPT) messages.delete(messages.keys().next().value);
+}
+
 export function keepContact(view, contact) {
   view.contact = contact;
-  view.contacts.set(contact.seq, contact);
-  if (view.contacts.size > CONTACTS_KEPT) view.contacts.delete(view.contacts.keys().next().value);
+  keep(view.contacts, contact);
 }
 
 /** The numbers of the map that is shown; for a moment those of the one before, and null where they did not come. */
@@ -45,6 +49,14 @@ export function contactOfMap(view) {
   const own = free ? contact : view.contacts.get(map.seq);
   if (own || performance.now() - view.shown_ms > TOGETHER_MS) view.numbers = own ?? null;
   return view.numbers;
+}
+
+/** The `touch` of the map that is shown; for a moment the one before, and null where none came. */
+export function touchOfMap(view) {
+  const own = view.touches.get(view.map.seq), now = performance.now();
+  if (own) view.touch_ms = now;
+  if (own || now - view.touch_ms > TOGETHER_MS) view.touch = own ?? null;
+  return view.touch;
 }
 
 /** The map to draw now, or null when the one that is shown is right. decoded(payload): null where it is damaged. */

@@ -40,7 +40,7 @@ class SerialPort:
 
     def __init__(self, device: str, baud: int) -> None:
         self.device = device
-        self._baud = baud
+        self.baud = baud
         self._low_latency = ""
         self._proven = False
         self._port: serial.Serial | None = None
@@ -65,7 +65,7 @@ class SerialPort:
             raise
         try:
             port = serial.serial_for_url(self.device, do_not_open=True)
-            port.baudrate = self._baud
+            port.baudrate = self.baud
             port.timeout, port.write_timeout = READ_S, WRITE_S
             port.exclusive = True
             port.open()
@@ -96,6 +96,13 @@ class SerialPort:
             raise self._failed(error) from error
         return True
 
+    def unsent(self) -> int:
+        """How many bytes that `write` took wait in the driver; 0 where it keeps no count. Raises DeviceError."""
+        try:
+            return int(getattr(self._opened(), "out_waiting", 0))
+        except (OSError, termios.error) as error:
+            raise self._failed(error) from error
+
     def wake(self) -> None:
         """Make a `read` that waits return; from any thread."""
         with self._closing:
@@ -112,7 +119,7 @@ class SerialPort:
 
     def describe(self) -> dict[str, str | int | float]:
         """For ``status/serial``; `latency_ms` is how long an FTDI chip may hold bytes back."""
-        details: dict[str, str | int | float] = {"device": self.device, "baud": self._baud}
+        details: dict[str, str | int | float] = {"device": self.device, "baud": self.baud}
         if self._port is not None and self._low_latency:
             details["low_latency"] = self._low_latency
         timer = Path("/sys/class/tty") / Path(self.device).resolve().name / "device" / "latency_timer"

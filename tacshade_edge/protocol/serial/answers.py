@@ -17,8 +17,10 @@ from tacshade_edge.protocol.results import (
     SessionBegun,
     SessionEnded,
     SessionStatus,
+    TouchSwitched,
 )
 from tacshade_edge.protocol.serial.line import LINE_BYTES_MAX
+from tacshade_edge.protocol.serial.touch import TouchSeen, touch_text
 from tacshade_edge.reasons import Reason, ReasonCode
 
 PROTOCOL_VERSION: Final = 1
@@ -76,7 +78,7 @@ class SyncChanged:
     error_us: int
 
 
-LinkEvent = PortOpened | PosesMissing | SyncChanged
+LinkEvent = PortOpened | PosesMissing | SyncChanged | TouchSeen
 
 
 def result_text(result: SerialResult) -> str:
@@ -97,6 +99,8 @@ def result_text(result: SerialResult) -> str:
                 f"drift_ppm={result.drift_ppm} poses={result.poses} lost={result.poses_lost} "
                 f"damaged={result.damaged} garbage={result.garbage}"
             )
+        case TouchSwitched():
+            return f"on=1 rate_hz={result.rate_hz}" if result.rate_hz else "on=0"
         case ReferenceTaken():
             crc32, noise_grey = result.calibration_crc32, result.noise_grey
             stored = int(result.unstored is None)
@@ -152,6 +156,8 @@ def event_text(event: LinkEvent) -> str:
             return f"EVT GAP poses={event.poses}"
         case SyncChanged():
             return f"EVT SYNC mode={event.mode} error_us={event.error_us}"
+        case TouchSeen():
+            return touch_text(event)
         case _:
             assert_never(event)
 

@@ -11,9 +11,11 @@ from tacshade_edge.protocol.serial.answers import PROTOCOL_VERSION
 from tacshade_edge.protocol.serial.line import Line
 from tacshade_edge.protocol.serial.modes import Mode
 from tacshade_edge.protocol.serial.pose import parse_time
+from tacshade_edge.protocol.serial.touch import NAMES_MAX, parse_touch
 from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.types import QUANTITIES
 
-CommandVerb = Literal["SYNC", "CAPTURE", "REFERENCE", "STITCH", "STATUS"]
+CommandVerb = Literal["SYNC", "CAPTURE", "REFERENCE", "STITCH", "TOUCH", "STATUS"]
 STITCH_ACTIONS: Final = ("BEGIN", "ADD", "END", "ABORT", "STATUS")
 USAGE: Final = {
     "HELLO": "HELLO 1 [crc=req|opt] [boot=ID]",
@@ -22,6 +24,7 @@ USAGE: Final = {
     "CAPTURE": "CAPTURE",
     "REFERENCE": "REFERENCE",
     "STITCH": f"STITCH {'|'.join(STITCH_ACTIONS)} [NAME]",
+    "TOUCH": f"TOUCH OFF|ON NAME... [RATE], 1 to {NAMES_MAX} of {' '.join(QUANTITIES)}",
     "STATUS": "STATUS",
     "MODE": "MODE BIN|ASCII",
     "HELP": "HELP [VERB]",
@@ -31,6 +34,7 @@ _ARGUMENTS: Final[dict[CommandVerb, tuple[int, int]]] = {  # the least and the m
     "CAPTURE": (0, 0),
     "REFERENCE": (0, 0),
     "STITCH": (1, 2),
+    "TOUCH": (1, NAMES_MAX + 2),
     "STATUS": (0, 0),
 }
 _BOOT = re.compile(r"boot=([0-9A-Za-z]{1,16})")
@@ -44,7 +48,7 @@ class Command:
     ----------
     seq : int or None
     verb : str
-        SYNC, CAPTURE, REFERENCE, STITCH or STATUS; the number of arguments is right.
+        SYNC, CAPTURE, REFERENCE, STITCH, TOUCH or STATUS; the number of arguments is right.
     args : tuple of str
     arrived_ns : int
         As given to `SerialLink.receive`.
@@ -80,12 +84,14 @@ def parse_command(line: Line, arrived_ns: int) -> Command | Mode | Reason:
         args = (args[0].upper(), *args[1:])
         if args[0] not in STITCH_ACTIONS:
             return _usage(verb)
-    if verb == "SYNC":
-        try:
+    try:
+        if verb == "SYNC":
             for text in args:
                 parse_time(text)
-        except DecodeError as error:
-            return Reason(ReasonCode.BAD_ARGUMENTS, str(error))
+        elif verb == "TOUCH":
+            parse_touch(args)
+    except DecodeError as error:
+        return Reason(ReasonCode.BAD_ARGUMENTS, str(error))
     return Command(line.seq, verb, args, arrived_ns)
 
 

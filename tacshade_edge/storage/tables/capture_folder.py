@@ -8,13 +8,11 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
-
 from tacshade_edge.core.calibration.indenters.indenter import Indenter
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.storage.atomic_files import disk_errors, write_whole
-from tacshade_edge.storage.images import read_image
+from tacshade_edge.storage.images import png, read_image
 from tacshade_edge.storage.tables.presses import BALL, HEADER, MORE, press_rows
 from tacshade_edge.storage.tables.tables import number, read_rows
 from tacshade_edge.types import U8
@@ -22,8 +20,6 @@ from tacshade_edge.types import U8
 SENSOR, SETTINGS, PRESSES, INDENTERS = "SENSOR.yaml", "config.yaml", "PRESSES.csv", "INDENTERS.yaml"
 PRINTER = "PRINTER.yaml"
 REFERENCES = "reference_*.png"
-
-_PNG_OPTIONS = (cv2.IMWRITE_PNG_COMPRESSION, 3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,7 +182,7 @@ class CaptureFolder:
             for path in self.path.glob(REFERENCES):
                 path.unlink()
             for k, image in enumerate(images):
-                write_whole(self.path / f"reference_{k:02d}.png", _png(image))
+                write_whole(self.path / f"reference_{k:02d}.png", png(image))
 
     def picture(self, press: TakenPress) -> U8:
         """The image of a press. Raises ConfigError."""
@@ -216,7 +212,7 @@ class CaptureFolder:
         """Write a press after those that were taken: first its image, then the table."""
         added = TakenPress(f"press_{next_number(taken):03d}.png", press)
         with disk_errors(self.path):
-            write_whole(self.path / added.image, _png(image))
+            write_whole(self.path / added.image, png(image))
             write_whole(self.presses, _table([*taken, added]))
         return added
 
@@ -230,10 +226,6 @@ class CaptureFolder:
 def next_number(taken: Sequence[TakenPress]) -> int:
     """Of the press that comes after these."""
     return max((one.number for one in taken), default=0) + 1
-
-
-def _png(image: U8) -> bytes:
-    return bytes(cv2.imencode(".png", image, _PNG_OPTIONS)[1].tobytes())
 
 
 def _table(rows: Sequence[TakenPress]) -> bytes:

@@ -19,6 +19,7 @@ from tacshade_edge.protocol.results import (
     SessionBegun,
     SessionEnded,
     SessionStatus,
+    TouchSwitched,
 )
 from tacshade_edge.protocol.serial.answers import (
     ERROR_WORDS,
@@ -28,6 +29,7 @@ from tacshade_edge.protocol.serial.answers import (
     answer_text,
     event_text,
 )
+from tacshade_edge.protocol.serial.touch import TouchSeen
 from tacshade_edge.reasons import Reason, ReasonCode
 
 DOCS = Path(__file__).parents[3] / "docs"
@@ -49,6 +51,8 @@ DOCS = Path(__file__).parents[3] / "docs"
             LineStatus("streaming", 30.0, "two-way", 500, 1.25, 100, 1, 2, 3),
             "camera=streaming fps=30.0 sync=two-way error_us=500 drift_ppm=1.25 poses=100 lost=1 damaged=2 garbage=3",
         ),
+        (TouchSwitched(30), "on=1 rate_hz=30"),
+        (TouchSwitched(0), "on=0"),
         (ReferenceTaken(10, 7, 0.5), "frames=10 calibration_crc32=7 noise_grey=0.5 stored=1"),
         (
             ReferenceTaken(10, 7, 0.5, Reason(ReasonCode.DISK, "full")),
@@ -95,3 +99,4 @@ def test_events() -> None:
     assert event_text(PortOpened(17)) == "EVT READY tacshade 1 away_ms=17"
     assert event_text(PosesMissing(3)) == "EVT GAP poses=3"
     assert event_text(SyncChanged("oneway", 2000)) == "EVT SYNC mode=oneway error_us=2000"
+    assert event_text(TouchSeen(1, 2, True, (("x_mm", None),))) == "EVT TOUCH 1 2 x_mm=-"

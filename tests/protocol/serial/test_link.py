@@ -77,7 +77,7 @@ def line_frame(text: str) -> bytes:
 def test_a_person_types() -> None:
     desk = Desk()
     assert desk.send(b"help\r\n") == [
-        "OK - HELLO SYNC POSE CAPTURE REFERENCE STITCH STATUS MODE HELP; HELP VERB says more"
+        "OK - HELLO SYNC POSE CAPTURE REFERENCE STITCH TOUCH STATUS MODE HELP; HELP VERB says more"
     ]
     assert desk.send(b"HELP pose\r") == ["OK - POSE t x y z qw qx qy qz"]
     assert desk.send(b"status\n") == ["OK - name=done-1"]
@@ -267,7 +267,7 @@ def test_a_lost_port_ends_a_line_and_nothing_else() -> None:
     desk.send(b"#1 HELLO 1\n#2 CAPTURE\n#3 CAPT")
     desk.link.interrupted()
     assert desk.send(b"URE\n#2 CAPTURE\n") == [
-        "ERR - VERB found URE, expected one of HELLO SYNC POSE CAPTURE REFERENCE STITCH STATUS MODE HELP",
+        "ERR - VERB found URE, expected one of HELLO SYNC POSE CAPTURE REFERENCE STITCH TOUCH STATUS MODE HELP",
         "OK 2 name=done-1",
     ]
     assert desk.link.counts.garbage_bytes == len("#3 CAPT")

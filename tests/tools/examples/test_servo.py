@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import math
 import socket
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ from tacshade_edge.rigid import shift, turn
 from tacshade_edge.simulator.skin import press_skin
 from tools.examples.servo.follow_edge import FollowEdge
 from tools.examples.servo.follow_surface import FollowSurface
-from tools.examples.servo.label_poses import labelled
 from tools.examples.servo.robot import Robot
 from tools.testbed.servo.skins import MODEL, PlaneSkins, edge_press
 from tools.testbed.servo.world import LateRobot, Surface
@@ -79,15 +77,3 @@ def test_an_interpolated_skin_is_the_simulators(plane_skins: PlaneSkins) -> None
     # A half plane whose edge is far away is a plane.
     whole = press_skin(R_MM, MODEL.skin_decay_mm, (edge_press(1.55, -12.0, 0.0),)).height_mm
     assert np.abs(tilted - whole).max() < 0.01
-
-
-def test_labels_of_poses_are_those_of_the_touch(tmp_path: Path, plane_skins: PlaneSkins) -> None:
-    poses = [shift(0, 0, dz) @ Surface.start @ turn((0.1, -0.15, 0)) for dz in (3.0, 0.0, -0.5, 3.0, -1.0)]
-    lines = ["image,t_ns,x_mm,y_mm,z_mm,qw,qx,qy,qz,pose_error_us"]
-    lines += [f"{k}.png,{k},{','.join(map(repr, pose.seven()))},0" for k, pose in enumerate(poses)]
-    (tmp_path / "frames.csv").write_text("\n".join(lines))
-    (tmp_path / "SENSOR.yaml").write_text(f"skin_radius_mm: {R_MM}\n")
-    rows = labelled(tmp_path, tmp_path / "SENSOR.yaml", top_mm=0.0)
-    assert [(row[0], row[-1]) for row in rows] == [("1.png", "1"), ("2.png", "1"), ("4.png", "2")]
-    truth = Surface(plane_skins).touch(poses[1])  # the surface is level there
-    assert [float(value) for value in rows[0][1:-1]] == pytest.approx(list(truth.values()), abs=1e-4)

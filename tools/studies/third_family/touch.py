@@ -141,9 +141,8 @@ def report(folder: Path) -> None:
         cells = [f"{np.nanmean(off[:, list(columns)]):.2f}" for columns in SHOWN.values()]
         lines.append((profile, "plate, without labels", str(len(plates)), str(len(plates)), *cells, ""))
         deviations = np.sqrt(np.nanmean(off**2, axis=0))
-        print(
-            f"{profile}: standard deviations without labels: {dict(zip(NAMES, deviations.round(2).tolist(), strict=True))}"
-        )
+        deviation = dict(zip(NAMES, deviations.round(2).tolist(), strict=True))
+        print(f"{profile}: standard deviations without labels: {deviation}")
     columns = ("profile", "object", "frames", "answered", *SHOWN, "right or no answer")
     print(markdown(columns, lines))
 

@@ -1,0 +1,78 @@
+"""Labels of a frame from a robot's poses: where what was touched first is now, seen from the sensor."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tacshade_edge.capture.robot_place import PoseAt
+from tacshade_edge.core.calibration.inputs import Sensor
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.rigid import Rigid, from_seven, of_pose
+from tacshade_edge.types import Frame
+
+
+class RobotLabels:
+    """Labels against the pose at which the skin touched first.
+
+    Parameters
+    ----------
+    sensor : Sensor
+        With ``flange_T_sensor``.
+    pose_at : PoseAt
+    """
+
+    def __init__(self, sensor: Sensor, pose_at: PoseAt) -> None:
+        self._skin_radius_mm = sensor.skin_radius_mm
+        self._flange_T_sensor = from_seven(sensor.flange_T_sensor)
+        self._pose_at = pose_at
+        self._first: Rigid | None = None
+
+    @property
+    def knows_first_touch(self) -> bool:
+        """Whether the first touch was confirmed."""
+        return self._first is not None
+
+    def confirm_first_touch(self, frame: Frame) -> None:
+        """The skin just touches in this frame. Raises ConfigError."""
+        self._first = self._base_T_sensor(frame)
+
+    def labels(self, frame: Frame) -> dict[str, float]:
+        """What `labels_between` gives; nothing before the first touch was confirmed. Raises ConfigError."""
+        if self._first is None:
+            return {}
+        return labels_between(self._first, self._base_T_sensor(frame), self._skin_radius_mm)
+
+    def _base_T_sensor(self, frame: Frame) -> Rigid:
+        pose = self._pose_at(frame)
+        if isinstance(pose, str):
+            raise ConfigError(pose)
+        return of_pose(pose) @ self._flange_T_sensor
+
+
+def labels_between(first: Rigid, now: Rigid, skin_radius_mm: float) -> dict[str, float]:
+    """Depth, tilt, shear and twist of an object that stands still, against where the sensor touched it first.
+
+    With now_T_first = now⁻¹ first, the object's point that was at the skin's tip (0, 0, r) is now at q = now_T_first
+    (0, 0, r): depth is r - q_z, shear (q_x, q_y). The object has turned by the rotation of now_T_first, which is
+    R_y(tilt_y) R_x(tilt_x) R_z(twist).
+
+    Parameters
+    ----------
+    first, now : Rigid
+        ``base_T_sensor``.
+    skin_radius_mm : float
+        r.
+    """
+    moved = now.inverse() @ first
+    x, y, z = moved.apply(np.array((0.0, 0.0, skin_radius_mm))).tolist()
+    turned = moved.rotation
+    return {
+        "depth_mm": skin_radius_mm - z,
+        "tilt_x_deg": -math.degrees(math.asin(max(-1.0, min(1.0, turned[1, 2])))),
+        "tilt_y_deg": math.degrees(math.atan2(turned[0, 2], turned[2, 2])),
+        "shear_x_mm": x,
+        "shear_y_mm": y,
+        "twist_deg": math.degrees(math.atan2(turned[1, 0], turned[1, 1])),
+    }

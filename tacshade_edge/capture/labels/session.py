@@ -1,0 +1,270 @@
+"""The dialogue that takes labelled frames: readings that are typed, or presses that a scale or a robot labels."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from tacshade_edge.capture.labels.clock_offset import ClockOffset, Press, find_offset
+from tacshade_edge.capture.labels.robot_labels import RobotLabels
+from tacshade_edge.capture.labels.scale import Scale, force_at
+from tacshade_edge.capture.live import STILL_FRAMES, Live
+from tacshade_edge.capture.terminal import Terminal
+from tacshade_edge.core.calibration.reference.stillness import REST_MOST_GREY, block_means, motion_grey
+from tacshade_edge.core.image.greyscale import to_grey
+from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.storage.tables.label_folder import LabelFolder, LabelRow
+from tacshade_edge.storage.tables.tables import number
+from tacshade_edge.types import F32, QUANTITIES, Frame
+
+_REST_S = 3.0
+_KEPT_EVERY_NS, _KEPT_MAX = 100_000_000, 100  # of a press
+_POSE_NS = 200_000_000  # the pose after a frame is there by then
+_NO_IMAGE = np.zeros((1, 1), np.uint8)
+_FORCE = "force_z_n"
+_CHANGE_FACTOR, _CHANGE_GREY = 2.0, 0.1  # above what rest shows something touches
+
+_HELP = """  Enter            record a press: press, lift again, Enter; with a scale or a robot
+    NAME=VALUE ...   hold still what you have read: force_z_n=1.2 depth_mm=0.5; one picture is taken
+    touch            the robot holds the skin where it just touches: depth and the rest count from there
+    undo             take back the last press
+    done             end"""
+
+
+class LabelSession:
+    """One start of the command, over a folder that may hold an earlier one's work.
+
+    Parameters
+    ----------
+    folder : LabelFolder
+    live : Live
+    terminal : Terminal
+    scale : Scale, optional
+        Open.
+    robot : RobotLabels, optional
+    """
+
+    def __init__(
+        self, folder: LabelFolder, live: Live, terminal: Terminal, scale: Scale | None, robot: RobotLabels | None
+    ) -> None:
+        self._folder = folder
+        self._live = live
+        self._terminal = terminal
+        self._scale = scale
+        self._robot = robot
+        self._rows = folder.rows()
+        self._presses: dict[str, Press] = {}  # by group, of this start
+        self._rest: F32 = np.zeros((1, 1), np.float32)
+        self._rest_change = 0.0
+        self._tare_n = 0.0
+        self._unaligned = self._unposed = ""
+
+    def run(self) -> None:
+        """Take rest and tare, then labelled frames until the person ends it.
+
+        Raises
+        ------
+        InputEnded, DeviceError, ConfigError
+            What was taken until then is in the folder.
+        """
+        if self._rows:
+            self._terminal.say(f"{len(self._rows)} labelled pictures are here already")
+        self._take_rest()
+        while True:
+            group = str(max((int(row.group) for row in self._rows if row.group.isdecimal()), default=0) + 1)
+            match self._live.ask(f"press {group} (Enter, NAME=VALUE ..., touch, undo, done, help):").split():
+                case ["done"]:
+                    break
+                case ["help" | "?"]:
+                    self._terminal.say(_HELP)
+                case ["undo"]:
+                    self._undo()
+                case ["touch"]:
+                    self._confirm_touch()
+                case []:
+                    self._record(group)
+                case words:
+                    self._typed(words, group)
+        self._end()
+
+    def _take_rest(self) -> None:
+        load = " nor load the scale" if self._scale else ""
+        while True:
+            self._live.ask(f"Nothing may touch the skin{load}: Enter takes rest{' and tare' if self._scale else ''}.")
+            since_s = time.monotonic()
+            blocks = [block_means(to_grey(one.image)) for one in self._live.frames(STILL_FRAMES, _REST_S)]
+            rest_grey = motion_grey(blocks)
+            if rest_grey > REST_MOST_GREY:
+                found = f"found {rest_grey:.1f} grey levels of change, expected {REST_MOST_GREY:g} at most"
+                self._terminal.say(f"  refused: the picture moves, or its noise is great: {found}")
+                continue
+            self._live.rest_grey = rest_grey
+            self._rest = np.mean(blocks, axis=0)
+            self._rest_change = max(self._change(one) for one in blocks)
+            if self._scale is None or self._tare(self._scale, since_s):
+                return
+
+    def _tare(self, scale: Scale, since_s: float) -> bool:
+        scale.check()
+        tare_n, spread_n = scale.median_n(since_s)
+        if math.isnan(tare_n):
+            self._terminal.say("  refused: the scale has written nothing meanwhile")
+            return False
+        self._tare_n = tare_n
+        self._terminal.say(f"  tare: the scale reads {tare_n:.4f} N, spread {spread_n:.4f} N")
+        return True
+
+    def _change(self, blocks: F32) -> float:
+        """How much a picture differs from rest, in grey levels; the light's own change is not counted."""
+        change = blocks - self._rest
+        return float(np.abs(change - np.median(change)).mean())
+
+    def _typed(self, words: Sequence[str], group: str) -> None:
+        try:
+            known = _parse(words)
+        except ConfigError as error:
+            self._terminal.say(f"  {error} (help says how)")
+            return
+        frame = self._live.still_frame()
+        if frame is None:
+            self._terminal.say("  given up: nothing was taken")
+            return
+        known = {**self._robot_labels(frame), **known}
+        self._keep([LabelRow(self._folder.add_image(np.array(frame.image)), known, group, frame.t_ns)])
+
+    def _record(self, group: str) -> None:
+        if self._scale is None and not (self._robot and self._robot.knows_first_touch):
+            expected = "touch first" if self._robot else "NAME=VALUE ..., for there is no scale and no robot"
+            self._terminal.say(f"  found nothing, expected {expected} (help says how)")
+            return
+        self._terminal.say("  press, and lift again; Enter ends it")
+        seen: list[tuple[float, float]] = []
+        rows: list[LabelRow] = []
+        posed: list[dict[str, float]] = []
+        held: deque[Frame] = deque()  # until the robot's pose after each is there
+        while self._terminal.line() is None:
+            frame = self._live.frame()
+            if self._scale is not None:
+                self._scale.check()
+            change = self._change(block_means(to_grey(frame.image)))
+            seen.append((frame.t_ns / 1e9, change))
+            due = not rows or frame.t_ns - (rows[-1].t_ns or 0) >= _KEPT_EVERY_NS
+            if change > _CHANGE_FACTOR * self._rest_change + _CHANGE_GREY and due and len(rows) < _KEPT_MAX:
+                rows.append(LabelRow(self._folder.add_image(np.array(frame.image)), {}, group, frame.t_ns))
+                held.append(replace(frame, image=_NO_IMAGE))
+            while held and frame.t_ns - held[0].t_ns > _POSE_NS:
+                posed.append(self._robot_labels(held.popleft()))
+        posed += map(self._robot_labels, held)
+        if not rows:
+            self._terminal.say("  not taken: nothing touched the skin in the picture")
+            return
+        t_s, changes = np.array(seen).T
+        self._presses[group] = Press(t_s, changes)
+        self._keep([replace(row, known=known) for row, known in zip(rows, posed, strict=True)])
+
+    def _robot_labels(self, frame: Frame) -> dict[str, float]:
+        try:
+            return self._robot.labels(frame) if self._robot else {}
+        except ConfigError as error:
+            self._unposed = str(error)
+            return {}
+
+    def _confirm_touch(self) -> None:
+        if self._robot is None:
+            self._terminal.say("  found no robot, expected serial in the settings")
+            return
+        frame = self._live.still_frame()
+        try:
+            if frame is not None:
+                self._robot.confirm_first_touch(frame)
+        except ConfigError as error:
+            self._terminal.say(f"  not taken: {error}")
+            return
+        self._terminal.say("  first touch is here" if frame else "  given up")
+
+    def _undo(self) -> None:
+        if not self._rows or self._rows[-1].t_ns is None:
+            self._terminal.say("  nothing was taken since the start")
+            return
+        group = self._rows[-1].group
+        removed = [row for row in self._rows if row.group == group]
+        self._rows = [row for row in self._rows if row.group != group]
+        self._presses.pop(group, None)
+        self._folder.write(self._with_force(), removed)
+        self._terminal.say(f"  press {group} is taken back: {len(removed)} pictures")
+
+    def _keep(self, rows: Sequence[LabelRow]) -> None:
+        self._rows += rows
+        written = self._with_force()
+        self._folder.write(written)
+        names = ", ".join(sorted({name for row in written[-len(rows) :] for name in row.known}, key=QUANTITIES.index))
+        self._terminal.say(f"  press {rows[0].group}: {len(rows)} pictures with {names or 'no quantity yet'}")
+        if self._unposed:
+            self._terminal.say(f"  some without the robot's labels: {self._unposed}")
+            self._unposed = ""
+
+    def _with_force(self) -> list[LabelRow]:
+        """The rows with the scale's force, as soon as its clock is known."""
+        offset = self._offset()
+        if self._scale is None or offset is None:
+            return self._rows
+        rows, readings = [], self._scale.readings()
+        for row in self._rows:
+            if row.t_ns is not None and _FORCE not in row.known:
+                force_n = force_at(row.t_ns / 1e9 + offset.offset_s, *readings)
+                if force_n is not None:
+                    row = replace(row, known={**row.known, _FORCE: force_n - self._tare_n})
+            rows.append(row)
+        return rows
+
+    def _offset(self) -> ClockOffset | None:
+        if self._scale is None:
+            return None
+        try:
+            offset = find_offset(list(self._presses.values()), *self._scale.readings())
+        except ValueError as error:
+            self._unaligned = str(error)
+            return None
+        self._unaligned = ""
+        return offset
+
+    def _end(self) -> None:
+        """State tare, drift and the scale's clock; a scale that cannot be lined up gives no force."""
+        if self._scale is None:
+            return
+        self._live.ask("Nothing may touch the skin nor load the scale: Enter measures the drift.")
+        since_s = time.monotonic()
+        self._live.frames(STILL_FRAMES, _REST_S)
+        self._scale.check()
+        after_n, spread_n = self._scale.median_n(since_s)
+        drift = "not measured" if math.isnan(after_n) else f"{after_n - self._tare_n:+.4f} N, spread {spread_n:.4f} N"
+        self._terminal.say(f"scale: tare before {self._tare_n:.4f} N, which is taken out; drift after {drift}")
+        offset = self._offset()
+        self._folder.write(self._with_force())
+        if offset is None:
+            raise DeviceError(
+                f"scale: the offset of its clock was not found: {self._unaligned}; "
+                f"the presses of this start have no {_FORCE}"
+            )
+        self._terminal.say(
+            f"scale: its readings come {1e3 * offset.offset_s:.0f} ms after the pictures, "
+            f"standard error {1e3 * offset.error_s:.0f} ms from {offset.presses} presses"
+        )
+
+
+def _parse(words: Sequence[str]) -> dict[str, float]:
+    """Readings that were typed. Raises ConfigError."""
+    known = {}
+    for word in words:
+        name, equals, text = word.partition("=")
+        if not equals or name not in QUANTITIES:
+            raise ConfigError(f"found {word[:40]!r}, expected NAME=VALUE with one of {', '.join(QUANTITIES)}")
+        if name in known:
+            raise ConfigError(f"{name}: found twice, expected once")
+        known[name] = number("press", name, text)
+    return known

@@ -1,0 +1,79 @@
+"""The images and LABELS.csv that ``tacshade-edge capture --labels`` writes; `labels` reads them."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.storage.atomic_files import disk_errors, write_whole
+from tacshade_edge.storage.images import png
+from tacshade_edge.storage.tables.labels import read_labels
+from tacshade_edge.types import QUANTITIES, U8
+
+LABELS = "LABELS.csv"
+
+
+@dataclass(frozen=True, slots=True)
+class LabelRow:
+    """A row: an image of the folder, what is known of it, the number of its press, and its time where it is of now."""
+
+    image: str
+    known: Mapping[str, float]
+    group: str
+    t_ns: int | None = None
+
+
+class LabelFolder:
+    """Every change is whole on the disk when the call returns, or a DeviceError."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._number = max((_number(one.name) for one in path.glob("label_*.png")), default=0)
+
+    @property
+    def table(self) -> Path:
+        """LABELS.csv."""
+        return self._path / LABELS
+
+    def rows(self) -> list[LabelRow]:
+        """Those of an earlier start; none without a table. Raises ConfigError."""
+        if not self.table.exists():
+            return []
+        labelled = read_labels(self.table, self._path)
+        if missing := next((one for one in labelled if not one.path.is_file()), None):
+            raise ConfigError(f"{missing.where}: image: found no file {missing.path}, expected it beside the table")
+        return [LabelRow(str(one.path.relative_to(self._path)), one.known, one.group) for one in labelled]
+
+    def add_image(self, image: U8) -> str:
+        """Write an image; its name."""
+        self._number += 1
+        name = f"label_{self._number:05d}.png"
+        with disk_errors(self._path):
+            write_whole(self._path / name, png(image))
+        return name
+
+    def write(self, rows: Sequence[LabelRow], removed: Sequence[LabelRow] = ()) -> None:
+        """Write the table, which is none without a row, then delete images that are not in it any more."""
+        columns = [name for name in QUANTITIES if any(name in row.known for row in rows)]
+        stream = io.StringIO(newline="")
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(("image", *columns, "group"))
+        for row in rows:
+            cells = (f"{row.known[name]:.4f}" if name in row.known else "" for name in columns)
+            writer.writerow((row.image, *cells, row.group))
+        with disk_errors(self._path):
+            if columns:
+                write_whole(self.table, stream.getvalue().encode())
+            else:
+                self.table.unlink(missing_ok=True)
+            for row in removed:
+                (self._path / row.image).unlink(missing_ok=True)
+
+
+def _number(name: str) -> int:
+    digits = name.removeprefix("label_").removesuffix(".png")
+    return int(digits) if digits.isascii() and digits.isdecimal() else 0

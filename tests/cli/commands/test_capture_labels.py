@@ -1,0 +1,250 @@
+"""A person who labels frames of the simulated sensor: by typing, with a scale that a pty plays, with a robot."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+import tty
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tacshade_edge.cli import main
+from tacshade_edge.rigid import shift, turn
+from tacshade_edge.simulator.model import SensorModel
+from tacshade_edge.storage.tables.labels import LabelledImage, read_labels
+from tools.testbed.person import Person, person
+from tools.testbed.robot import PtyRobot
+
+LATE_S = 0.3
+WEIGHT_KG = 0.15
+
+
+class PtyScale:
+    """Twenty lines a second on a pty; what is put on it shows `LATE_S` later."""
+
+    def __init__(self) -> None:
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        self.device = os.ttyname(self._slave)
+        self._stop = threading.Event()
+        self._loads = [(0.0, 0.0)]
+        self._thread = threading.Thread(target=self._run)
+
+    def put(self, kg: float) -> None:
+        self._loads.append((time.monotonic() + LATE_S, kg))
+
+    def __enter__(self) -> PtyScale:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join()
+        os.close(self._slave)
+        os.close(self._master)
+
+    def _run(self) -> None:
+        while not self._stop.wait(0.05):
+            now_s = time.monotonic()
+            kg = next(kg for from_s, kg in reversed(self._loads) if from_s <= now_s)
+            os.write(self._master, f"ST,GS,{kg + 0.012:+8.3f}kg\r\n".encode())  # it was not set to zero
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    path = tmp_path / "sim.yaml"
+    path.write_text("source: {kind: simulated, fps: 20, pressed: hand.csv}\n")
+    sensor, model = tmp_path / "out", SensorModel()
+    sensor.mkdir()
+    (sensor / "SENSOR.yaml").write_text(
+        f"skin_radius_mm: {model.skin_radius_mm}\nvisible_half_angle_deg: {model.visible_half_angle_deg}\n"
+        f"camera_distance_mm: {model.camera_distance_mm}\npolarity: bright\n"
+    )
+    press(tmp_path)
+    return path
+
+
+def press(folder: Path, row: str = "") -> None:
+    beside = folder / "hand.part"
+    beside.write_text(f"indenter,radius_mm,depth_mm,x_mm,y_mm\n{row}\n")
+    os.replace(beside, folder / "hand.csv")
+
+
+def labelled(out: Path) -> list[LabelledImage]:
+    return read_labels(out / "LABELS.csv", out)
+
+
+def rested(one: Person) -> None:
+    one.hears("Enter takes rest")
+    one.types("")
+
+
+def presses(one: Person, folder: Path, scale: PtyScale, numbers: range) -> Iterator[str]:
+    """Press and lift while it is recorded; what it is taken as."""
+    pause = threading.Event()
+    for number in numbers:
+        one.hears(f"press {number} (Enter")
+        one.types("")
+        one.hears("press, and lift again")
+        pause.wait(0.5)
+        press(folder, "ball,6,2.5,1,-3")
+        scale.put(WEIGHT_KG)
+        pause.wait(1.2)
+        press(folder)
+        scale.put(0)
+        pause.wait(0.8)
+        one.types("")
+        yield one.hears(f"press {number}: ")
+
+
+def test_readings_that_are_typed(tmp_path: Path, config: Path) -> None:
+    out = tmp_path / "out"
+    with person("--labels", str(out), "--config", str(config)) as one:
+        rested(one)
+        one.hears("press 1 (Enter, NAME=VALUE ...")
+        for words, why in (
+            ("", "found nothing, expected NAME=VALUE ..., for there is no scale and no robot"),
+            ("force_n=1", "found 'force_n=1', expected NAME=VALUE with one of depth_mm,"),
+            ("force_z_n=much", "press: force_z_n: found 'much', expected a number"),
+            ("force_z_n=1 force_z_n=2", "force_z_n: found twice, expected once"),
+            ("touch", "found no robot, expected serial in the settings"),
+            ("undo", "nothing was taken since the start"),
+        ):
+            one.types(words)
+            one.hears(why)
+        one.types("force_z_n=1.2 depth_mm=0.5")
+        one.hears("press 1: 1 pictures with depth_mm, force_z_n")
+        one.types("force_z_n=2")
+        one.hears("press 2: 1 pictures with force_z_n")
+        one.types("undo")
+        one.hears("press 2 is taken back: 1 pictures")
+        one.types("done")
+        assert one.ends() == 0
+        assert f"--labels {out}/LABELS.csv --out {out}/calibration.npz" in one.heard
+    (first,) = labelled(out)
+    assert (first.path.name, first.known, first.group) == (
+        "label_00001.png",
+        {"force_z_n": 1.2, "depth_mm": 0.5},
+        "1",
+    )
+    assert sorted(path.name for path in out.glob("*.png")) == ["label_00001.png"]
+    with person("--labels", str(out)) as one:  # goes on, with the same camera
+        one.hears("1 labelled pictures are here already")
+        rested(one)
+        one.types("twist_deg=-3")
+        one.hears("press 2: 1 pictures with twist_deg")
+        one.process.terminate()
+        one.ends()
+    assert [(row.known, row.group) for row in labelled(out)] == [(first.known, "1"), ({"twist_deg": -3.0}, "2")]
+
+
+@pytest.mark.slow
+def test_a_scale_is_lined_up_with_the_pictures(tmp_path: Path, config: Path) -> None:
+    out = tmp_path / "out"
+    with PtyScale() as scale, person("--labels", str(out), "--config", str(config), "--scale", scale.device) as one:
+        rested(one)
+        one.hears(f"tare: the scale reads {0.012 * 9.80665:.4f} N, spread 0.0000 N")
+        for _ in presses(one, tmp_path, scale, range(1, 6)):
+            pass
+        one.types("done")
+        one.hears("Enter measures the drift.")
+        scale.put(0.001)
+        threading.Event().wait(LATE_S + 0.1)
+        one.types("")
+        one.hears("scale: tare before 0.1177 N, which is taken out; drift after +0.0098 N, spread")
+        one.hears("scale: its readings come ")
+        one.hears(" presses")
+        late_ms, error_ms = float(one.before.split()[0]), float(one.before.split("standard error ")[1].split()[0])
+        assert one.ends() == 0
+    assert error_ms < 50
+    # A picture is taken up to a frame after the hand has moved, a reading up to a twentieth of a second later.
+    assert 1e3 * LATE_S - 75 < late_ms < 1e3 * LATE_S + 75
+    rows = labelled(out)
+    assert {row.group for row in rows} == {"1", "2", "3", "4", "5"}
+    weight_n = WEIGHT_KG * 9.80665
+    near = [row for row in rows if abs(row.known["force_z_n"] - weight_n) < 0.01]
+    assert len(near) > 0.7 * len(rows) > 20
+    assert all(-0.01 < row.known["force_z_n"] < weight_n + 0.01 for row in rows)
+
+
+@pytest.mark.slow
+def test_a_scale_that_cannot_be_lined_up_gives_no_force(tmp_path: Path, config: Path) -> None:
+    out = tmp_path / "out"
+    with PtyScale() as scale, person("--labels", str(out), "--config", str(config), "--scale", scale.device) as one:
+        rested(one)
+        one.hears("tare: the scale reads")
+        for _ in presses(one, tmp_path, scale, range(1, 3)):
+            one.hears("no quantity yet")
+        one.types("depth_mm=1")
+        one.hears("press 3: 1 pictures with depth_mm")
+        one.types("done")
+        one.hears("Enter measures the drift.")
+        one.types("")
+        assert one.ends() == 1
+        assert "the offset of its clock was not found: found 2 of 2 presses" in one.heard
+    rows = labelled(out)
+    assert [row.known for row in rows if row.known] == [{"depth_mm": 1.0}]
+    assert {row.group for row in rows} == {"1", "2", "3"}
+
+
+@pytest.mark.slow
+def test_a_robots_poses_label_a_press(tmp_path: Path, config: Path) -> None:
+    link, out = Path(f"/dev/shm/tacshade-labels-{os.getpid()}"), tmp_path / "out"
+    with config.open("a") as settings:
+        settings.write(f"serial: {{device: {link}}}\n")
+    first = shift(300, -20, 150) @ turn((2.0, 0.3, 0))
+    place = first.seven()
+    with (
+        PtyRobot(link, rate_hz=50, binary=True, where=lambda _: place),
+        person("--labels", str(out), "--config", str(config)) as one,
+    ):
+        rested(one)
+        one.hears("press 1 (Enter")
+        one.types("")
+        one.hears("found nothing, expected touch first")
+        one.types("touch")
+        one.hears("first touch is here")
+        one.types("")
+        one.hears("press, and lift again")
+        place = (first @ shift(0.5, -0.25, 1.5)).seven()
+        pause = threading.Event()
+        pause.wait(0.5)
+        press(tmp_path, "ball,6,1.5,0,0")
+        pause.wait(1.0)
+        press(tmp_path)
+        pause.wait(0.2)
+        one.types("")
+        one.hears("press 1: ")
+        one.hears("pictures with depth_mm, tilt_x_deg, tilt_y_deg, shear_x_mm, shear_y_mm, twist_deg")
+        one.types("done")
+        assert one.ends() == 0
+    link.unlink(missing_ok=True)
+    rows = labelled(out)
+    assert len(rows) > 4
+    for row in rows:
+        assert row.known == {
+            "depth_mm": pytest.approx(1.5, abs=1e-3),
+            "tilt_x_deg": pytest.approx(0, abs=1e-3),
+            "tilt_y_deg": pytest.approx(0, abs=1e-3),
+            "shear_x_mm": pytest.approx(-0.5, abs=1e-3),
+            "shear_y_mm": pytest.approx(0.25, abs=1e-3),
+            "twist_deg": pytest.approx(0, abs=1e-3),
+        }
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (["DIR", "--scale", "/dev/ttyUSB0"], "--scale: expected --labels DIR with it"),
+        (["--labels", "DIR", "--plan", "PLAN.csv"], "--labels: found --plan or --printer, expected neither"),
+    ],
+)
+def test_options_that_do_not_go_together(
+    words: list[str], why: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["capture", *(word.replace("DIR", str(tmp_path / "d")) for word in words)]) == 78
+    assert capsys.readouterr().err == f"tacshade-edge: {why}\n"
+    assert not (tmp_path / "d").exists()

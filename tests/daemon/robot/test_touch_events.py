@@ -1,0 +1,199 @@
+"""``TOUCH`` through a pty: a robot asks, frames are shown, and the robot reads."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import count
+
+import numpy as np
+import pytest
+
+from tacshade_edge.daemon.pipeline.observer import FrameResult
+from tacshade_edge.daemon.robot.robot import Robot
+from tacshade_edge.daemon.robot.touch_events import TouchEvents
+from tacshade_edge.devices.serial.port import SerialPort
+from tacshade_edge.errors import DecodeError
+from tacshade_edge.protocol.results import TouchSwitched
+from tacshade_edge.protocol.serial import cobs
+from tacshade_edge.protocol.serial.line import seal
+from tacshade_edge.protocol.serial.touch import TouchAsked
+from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.types import Frame, HeightMap, Need, ObjectCloud, Reconstruction, Touch
+from tools.testbed.patience import patience, wait_until
+
+NS = 1_000_000_000
+FREE = Reconstruction(
+    *(0, 0, 0, "fast", True, None, False, False, None),
+    HeightMap(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.bool_), 0, 0, 1),
+    ObjectCloud(np.zeros((0, 3), np.float32), np.zeros(0, np.uint16)),
+)
+
+
+def touched(seq: int, depth_mm: float | None, t_ns: int | None = None) -> Reconstruction:
+    touch = Touch({"depth_mm": depth_mm}, {"depth_mm": None})
+    return replace(FREE, seq=seq, t_ns=seq * NS if t_ns is None else t_ns, contact=True, touch=touch)
+
+
+class Bench:
+    """The robot's end of a pty, and the daemon's part that serves it."""
+
+    def __init__(self, baud: int = 115200) -> None:
+        self.master, self._slave = os.openpty()
+        self.robot = Robot(
+            SerialPort(os.ttyname(self._slave), baud), lambda _: None, dict, lambda _: None, lambda: self.missing
+        )
+        self.missing: Reason | None = None
+        self._heard = b""
+        self._numbers = count(1)
+
+    def __enter__(self) -> Bench:
+        self.robot.start()
+        wait_until(lambda: "READY" in self.line(), 10, "the port")
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.robot.stop(10)
+        os.close(self.master)
+        os.close(self._slave)
+
+    def line(self) -> str:
+        """The next line or frame without its checksum, read one byte at a time."""
+        deadline_s = time.monotonic() + patience(10)
+        while time.monotonic() < deadline_s:
+            if select.select([self.master], [], [], 0.1)[0]:
+                byte = os.read(self.master, 1)
+                if byte in b"\n\0" and self._heard:
+                    raw, self._heard = self._heard, b""
+                    text = cobs.decode(raw)[1:] if byte == b"\0" else raw
+                    return text.decode().rpartition("*")[0]
+                self._heard += byte
+        raise AssertionError(f"no line, only {self._heard!r}")
+
+    def ask(self, text: str, *, binary: bool = False) -> str:
+        """The answer to a line that is sent one byte at a time."""
+        sealed = seal(f"#{next(self._numbers)} {text}")
+        for byte in cobs.encode(b"L" + sealed[:-1]) + b"\0" if binary else sealed:
+            os.write(self.master, bytes([byte]))
+        return self.line()
+
+    def show(self, result: Reconstruction) -> None:
+        self.robot.see(FrameResult(Frame(result.seq, result.t_ns, 0, np.zeros((2, 2), np.uint8)), None, result))
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    with Bench() as made:
+        yield made
+
+
+@pytest.mark.parametrize("binary", [False, True], ids=["ASCII", "BIN"])
+def test_each_frame_in_contact_and_one_at_the_end_until_off(bench: Bench, binary: bool) -> None:
+    if binary:
+        assert bench.ask("MODE BIN") == "OK 1 BIN"
+    assert bench.robot.need() == Need.CONTACT
+    assert bench.ask("TOUCH ON depth_mm force_z_n", binary=binary).endswith("on=1 rate_hz=60")
+    assert bench.robot.need() == Need.TOUCH
+    bench.show(FREE)  # nothing ended
+    bench.show(replace(FREE, contact=True))  # begun before anybody asked
+    bench.show(touched(7, 1.25))
+    assert bench.line() == "EVT TOUCH 7 7000000000 depth_mm=1.250 force_z_n=-"
+    bench.show(touched(8, None))
+    assert bench.line() == "EVT TOUCH 8 8000000000 depth_mm=- force_z_n=-"
+    bench.show(replace(FREE, valid=False, reason=Reason(ReasonCode.BLACK, "black")))
+    bench.show(replace(FREE, seq=9, t_ns=9 * NS))
+    assert bench.line() == "EVT TOUCH 9 9000000000 contact=0 depth_mm=- force_z_n=-"
+    bench.show(replace(FREE, seq=10, t_ns=10 * NS))
+    bench.show(touched(11, 0.5))
+    assert bench.line() == "EVT TOUCH 11 11000000000 depth_mm=0.500 force_z_n=-"
+    assert bench.ask("TOUCH OFF", binary=binary).endswith(" on=0")
+    assert bench.robot.need() == Need.CONTACT
+    bench.show(touched(12, 0.5))
+    assert bench.robot.health().items() >= {"touch_events": 4, "touch_dropped": 0}.items()
+
+
+def test_what_is_refused(bench: Bench) -> None:
+    assert bench.ask("TOUCH") == f"ERR 1 ARGS expected {bench.ask('HELP TOUCH').removeprefix('OK 2 ')}"
+    assert bench.ask("TOUCH ON depth_mm 0") == "ERR 3 ARGS found the RATE 0, expected whole Hz from 1 to 1000"
+    assert bench.ask("TOUCH ON depth_mm 500") == (
+        "ERR 4 REFUSED found 500 events a second of up to 69 bytes, expected at most 10368 bytes/s, 90 % of "
+        "115200 baud: a RATE of at most 150, fewer names, or a faster line"
+    )
+    assert not bench.robot.need()
+    bench.missing = Reason(ReasonCode.NOT_CALIBRATED, "not calibrated: do that")
+    assert bench.ask("TOUCH ON depth_mm") == "ERR 5 UNCALIBRATED not calibrated: do that"
+
+
+def test_a_refused_one_leaves_the_one_before(bench: Bench) -> None:
+    assert bench.ask("TOUCH ON depth_mm 30") == "OK 1 on=1 rate_hz=30"
+    assert "REFUSED" in bench.ask("TOUCH ON force_z_n 500")
+    bench.show(touched(1, 1.0))
+    assert bench.line() == "EVT TOUCH 1 1000000000 depth_mm=1.000"
+
+
+def test_a_robot_that_begins_anew_asks_again(bench: Bench) -> None:
+    assert bench.ask("TOUCH ON depth_mm") == "OK 1 on=1 rate_hz=60"
+    assert bench.ask("HELLO 1 boot=b").startswith("OK 2 tacshade 1")
+    assert bench.robot.need() == Need.CONTACT
+
+
+def test_a_robot_that_reads_late_gets_the_newest(bench: Bench) -> None:
+    assert bench.ask("TOUCH ON depth_mm 100") == "OK 1 on=1 rate_hz=100"
+    shown = 0
+
+    def show(frames: int) -> None:
+        nonlocal shown
+        for _ in range(frames):
+            shown += 1
+            bench.show(touched(shown, 1.0))
+
+    def stuck() -> int:
+        show(10)
+        return int(bench.robot.health()["unsent_bytes"])
+
+    wait_until(stuck, 30, "a port that takes no more")
+    show(20)
+    counts = bench.robot.health()
+    assert counts["touch_events"] + counts["touch_dropped"] in (shown - 1, shown)
+    assert counts["touch_dropped"] >= 18
+    last = f"EVT TOUCH {shown} "
+    seen = [""]
+    while not seen[-1].startswith(last):
+        with contextlib.suppress(DecodeError, UnicodeDecodeError):  # what was cut where the port was full
+            seen.append(bench.line())
+    numbers = [int(text.split()[2]) for text in seen if text.startswith("EVT TOUCH ")]
+    assert numbers == sorted(set(numbers))
+    assert len(numbers) <= shown - 18
+
+
+def rates(asked_hz: int, frame_hz: float, jitter_s: float = 0.0) -> list[int]:
+    """Which frames of 10 s are reported."""
+    events, woken = TouchEvents(10**7, lambda: None), []
+    assert events.switch(TouchAsked(("depth_mm",), asked_hz)) == TouchSwitched(asked_hz)
+    rng = np.random.default_rng(1)
+    for k in range(int(10 * frame_hz)):
+        events.observe(touched(k, 1.0, int(NS * (5 + k / frame_hz + rng.uniform(0, jitter_s)))))
+        if (seen := events.take()) is not None:
+            woken.append(seen.seq)
+    return woken
+
+
+@pytest.mark.parametrize(
+    ("asked_hz", "frame_hz", "jitter_s", "expected"),
+    [
+        (60, 60, 0.004, 600),
+        (60, 30, 0.004, 300),
+        (50, 60, 0.0, 500),
+        (30, 60, 0.004, 300),
+        (7, 60, 0.004, 70),
+        (60, 120, 0, 600),
+    ],
+)
+def test_at_most_so_many_a_second_and_all_of_a_slower_camera(
+    asked_hz: int, frame_hz: float, jitter_s: float, expected: int
+) -> None:
+    assert len(rates(asked_hz, frame_hz, jitter_s)) == pytest.approx(expected, abs=2)
