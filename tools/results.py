@@ -195,6 +195,19 @@ g_hn, on the same maps.""",
         ("tools.studies.iterations",),
         SCORED,
     ),
+    "servo": Page(
+        "Loops closed on the touch",
+        """\
+`tools/examples/servo`: follow a surface at 1.5 mm and right angles, and an edge, in real time through a mosquitto and
+the daemon, on 60 frames a second of the simulated sensor at the pose of a robot. The robot obeys after 20 ms and the
+added latency, and its velocity follows with a time constant of 30 ms. The surface has waves 4 mm high and 80 mm long
+and is up to 6° steep across the way; the edge has the same waves, in a flat plate. Under the sensor the surface is
+drawn as the plane that touches it there, and the edge as straight. The touch model has 400 labelled frames of a flat
+plate, or of its straight edge; the tables without labels have none. The skin slides: nothing drags it.""",
+        ("tools.examples.servo.bench",),
+        (*DAEMON, *package("core/touch", "library", "simulator"), "tools/examples/servo", "tools/testbed/servo"),
+        drawn=("servo.png",),
+    ),
     "stitching": Page(
         "Maps with poses refined, and as reported",
         """\

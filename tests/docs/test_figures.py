@@ -41,13 +41,15 @@ def rounded(value: str | float, digits: int) -> str:
 
 
 class Page:
-    """The tables of a page, or of one family of sensors on it."""
+    """The tables of a page, of one family of sensors on it, or below one of its headings."""
 
-    def __init__(self, name: str, family: str = "") -> None:
+    def __init__(self, name: str, family: str = "", part: str = "") -> None:
         text = (ROOT / "docs" / "results" / f"{name}.md").read_text(encoding="utf-8")
         if family:
             parts = re.split(r"^(?:Family (\w+)|Both families)$", text, flags=re.MULTILINE)
             text = parts[parts.index(family) + 1]
+        if part:
+            text = text.partition(f"## {part}\n")[2].partition("\n## ")[0]
         self.name = name
         blocks = re.findall(r"(?:^\|.*\|\n)+", text + "\n", re.MULTILINE)
         self._tables = [
@@ -417,6 +419,28 @@ def faults_of_thousands() -> Claims:
     yield f"# kill -9, {Page('faults-kills').cell('kills', 'all')} times"
 
 
+SERVO = (
+    ("`follow_surface`", "follow_surface", ("depth mm", "tilt x deg", "tilt y deg"), ("5", "10", "20")),
+    ("the same without labels", "follow_surface, without labels", ("depth mm", "tilt x deg", "tilt y deg"), ("10",)),
+    ("`follow_edge`", "follow_edge", ("depth mm", "y mm", "edge deg"), ("5", "10", "20")),
+)
+
+
+def servo() -> Claims:
+    for loop, part, columns, speeds in SERVO:
+        page = Page("servo", part=part)
+        for speed in speeds:
+            errors = [
+                ", ".join(page.cell(column, speed, added).partition(" ")[0] for column in columns)
+                for added in ("0", "100")
+            ]
+            yield f"| {loop} | {speed} | {' | '.join(errors)} |"
+    page = Page("servo")
+    touches = [int(cell) for cell in page.cells("touches a second")]
+    ages = [int(cell) for cell in page.cells("their age, ms")]
+    yield f"took {min(touches)} to {max(touches)} touches a second, {min(ages)} to {max(ages)} ms old in the median"
+
+
 AWAITED = pytest.mark.xfail(
     "capture:" not in (ROOT / "docs/results/calibration.md").read_text(encoding="utf-8"),
     strict=True,
@@ -430,6 +454,7 @@ CLAIMS = (
     pytest.param("docs/accuracy.md", other_objects, id="other_objects"),
     pytest.param("docs/accuracy.md", limits, id="limits"),
     pytest.param("docs/shear.md", shear_under_drag, id="shear_under_drag"),
+    pytest.param("docs/touch.md", servo, id="servo"),
     pytest.param("docs/sigma.md", sigma, id="sigma"),
     pytest.param("docs/speed.md", stages, id="stages"),
     pytest.param("docs/speed.md", as_printed, id="as_printed"),

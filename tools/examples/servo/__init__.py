@@ -1,0 +1,1 @@
+"""Loops closed on a touch: follow a surface, follow an edge."""

@@ -1,0 +1,57 @@
+#!/usr/bin/env python3
+"""Follow the edge of a plate at a set depth, the edge under the tip and along the sensor's x.
+
+::
+
+    .venv/bin/python -m tools.examples.servo.follow_edge localhost:1883 left-index --robot 192.168.1.5:30000
+
+It needs labels of edges: `y_mm`, where the edge crosses the sensor's y axis, and `edge_deg`, the edge's direction, from
+x towards y. Begin with the tip on the edge, at right angles to the plate, with the edge within 25° of the sensor's x.
+Read README.md before a real robot moves.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Mapping
+
+from tools.examples.servo.control import Loop
+from tools.examples.servo.running import Velocity, options, run
+
+NAMES = ("depth_mm", "y_mm", "edge_deg")
+LIMIT_MM_S, LIMIT_DEG_S = 20.0, 30.0
+
+
+class FollowEdge:
+    """From a touch to a velocity.
+
+    Parameters
+    ----------
+    depth_mm : float
+        To keep.
+    speed_mm_s : float
+        Along the sensor's x.
+    """
+
+    def __init__(self, depth_mm: float, speed_mm_s: float) -> None:
+        self._depth_mm, self._speed_mm_s = depth_mm, speed_mm_s
+        self._down, self._across, self._about_z = Loop(LIMIT_MM_S), Loop(LIMIT_MM_S), Loop(LIMIT_DEG_S)
+
+    def velocity(self, touch: Mapping[str, float], dt_s: float) -> Velocity:
+        """Go on along the edge, to it along y, to the depth along z; turn as the edge is turned."""
+        along = self._speed_mm_s * math.tan(math.radians(touch["edge_deg"]))
+        down = self._down.velocity(self._depth_mm - touch["depth_mm"], dt_s)
+        across = along + self._across.velocity(touch["y_mm"], dt_s)
+        about_z = self._about_z.velocity(touch["edge_deg"], dt_s)
+        return (self._speed_mm_s, across, down, 0.0, 0.0, about_z)
+
+
+def main() -> int:
+    """Follow until Ctrl-C, or for a time."""
+    args = options(__doc__).parse_args()
+    return run(args, NAMES, FollowEdge(args.depth_mm, args.speed_mm_s).velocity)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
