@@ -16,7 +16,8 @@ PLAIN = ("depth_mm", "tilt_x_deg", "tilt_y_deg", "shear_x_mm", "shear_y_mm", "tw
 """What is known without labels."""
 
 PLAIN_SIGMA = (0.4, 5.0, 5.0, 1.0, 1.0, 4.0)
-"""One standard deviation of each without labels, on plates of sensors that nobody here made (docs/touch.md)."""
+"""One standard deviation of each without labels. On plates of a sensor of the third family they are smaller: 0.28, 1.1,
+1.1, 0.34, 0.42, 2.9 (tools/studies/third_family/touch.py); other objects and real skins are worse."""
 
 
 def touch_by_model(model: TouchModel, features: F32) -> Touch:

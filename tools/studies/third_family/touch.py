@@ -129,7 +129,7 @@ def report(folder: Path) -> None:
             found = np.array([[touch.values.get(q) for q in NAMES] for touch in touches], float)
             off = np.abs(found - labels[judged])
             if name == "plate":
-                usual = np.nanmean(off, axis=0)
+                usual = np.array([np.nanmean(one) if np.isfinite(one).any() else math.nan for one in off.T])
             right = (off <= 2 * np.maximum(usual, 1e-9)) | np.isnan(off)
             cells = [
                 f"{np.nanmean(off[:, list(columns)]):.2f}" if np.isfinite(off[:, list(columns)]).any() else "-"
