@@ -17,6 +17,7 @@ from tacshade_edge.core.stitching.stitcher import Stitcher
 from tacshade_edge.daemon.pipeline.observer import FrameResult
 from tacshade_edge.daemon.robot.motion import RobotMotion
 from tacshade_edge.daemon.robot.serial_commands import SerialCommands
+from tacshade_edge.daemon.robot.touch_events import TouchEvents
 from tacshade_edge.daemon.stitching.session_requests import SessionRequests
 from tacshade_edge.protocol.replies import encode_reply
 from tacshade_edge.protocol.requests import Request
@@ -40,7 +41,10 @@ class Robot:
     def __init__(self) -> None:
         self.requests: list[Request] = []
         state = {"source": "streaming", "health": {}}
-        self.commands = SerialCommands(RobotMotion(), self.requests.append, lambda: state, lambda: None, lambda: None)
+        touch = TouchEvents(0, lambda: None)
+        self.commands = SerialCommands(
+            RobotMotion(), self.requests.append, lambda: state, lambda: None, lambda: None, touch
+        )
 
     def with_interpolated_pose(self, frame: Frame) -> Frame:
         return frame
