@@ -68,7 +68,11 @@ class RobotPlaces:
         return *name, f"{touch.depth_mm:.3f}", f"{touch.x_mm:.3f}", f"{touch.y_mm:.3f}"
 
     def _base_T_sensor(self, frame: Frame) -> Rigid:
-        pose = self._pose_at(frame)
-        if isinstance(pose, str):
-            raise ConfigError(pose)
-        return of_pose(pose) @ self._flange_T_sensor
+        return base_T_sensor(self._pose_at(frame), self._flange_T_sensor)
+
+
+def base_T_sensor(pose: Pose | str, flange_T_sensor: Rigid) -> Rigid:
+    """Where a robot's pose has the sensor. Raises ConfigError: why the pose is not known."""
+    if isinstance(pose, str):
+        raise ConfigError(pose)
+    return of_pose(pose) @ flange_T_sensor

@@ -46,8 +46,8 @@ def read_network(onnx: Path, fitted: FittedNetwork | None = None) -> Network:
             raise ValueError(f"fitted to another layout than that of {onnx.name}")
         frames = len(values_of(frame))
         frame, once = with_values(frame, fitted.weights[:frames]), with_values(once, fitted.weights[frames:])
-    graph, correction = in_integers(onnx, frame), None if fitted is None else fitted.correction
-    session, with_features = _session(graph), _with_features(onnx, graph)
+    session, correction = _session(in_integers(onnx, frame)), None if fitted is None else fitted.correction
+    with_features = _with_features(onnx, fitted)
 
     def run(white: F32, sensor: F32) -> NetworkMaps:
         maps, untrusted = session.run(None, {"white": white[None], "sensor": sensor[None]})
@@ -106,8 +106,8 @@ def _sigma(name: str) -> SigmaModel | None:
 
 def read_shear(onnx: Path) -> ShearNetwork:
     """Read the network of shear."""
-    graph, about = in_integers(onnx, onnx.read_bytes()), _about(onnx)
-    session, with_features = _session(graph), _with_features(onnx, graph)
+    session, about = _session(in_integers(onnx, onnx.read_bytes())), _about(onnx)
+    with_features = _with_features(onnx)
 
     def run(white: F32, sensor: F32) -> F32:
         answer: F32 = session.run(None, {"white": white[None], "sensor": sensor[None]})[0][0]
@@ -126,13 +126,20 @@ def _touch_file(onnx: Path) -> Path:
     return onnx.with_suffix(".touch.onnx")
 
 
-def _with_features(onnx: Path, graph: bytes) -> Callable[[F32, F32], list[F32]]:
-    """What runs a graph with one more output, its features. Its session is made when it is first asked for."""
+def _with_features(onnx: Path, fitted: FittedNetwork | None = None) -> Callable[[F32, F32], list[F32]]:
+    """What runs a graph with one more output, its features.
+
+    Graph and session are made when they are first asked for: the files are read again, no weights are kept for it.
+    """
     made: list[InferenceSession] = []
 
     def run(white: F32, sensor: F32) -> list[F32]:
         if not made:
-            made.append(_session(graph + _touch_file(onnx).read_bytes()))  # messages end to end are one message
+            frame = onnx.read_bytes()
+            if fitted is not None:
+                frame = with_values(frame, fitted.weights[: len(values_of(frame))])
+            # Messages end to end are one message.
+            made.append(_session(in_integers(onnx, frame) + _touch_file(onnx).read_bytes()))
         answers: list[F32] = made[0].run(None, {"white": white[None], "sensor": sensor[None]})
         return answers
 

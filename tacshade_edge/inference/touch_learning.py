@@ -9,7 +9,7 @@ import numpy as np
 
 from tacshade_edge.core.profiles import Profile
 from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.core.touch.learning import LEAST_ROWS, LearntTouch, learn
+from tacshade_edge.core.touch.learning import LEAST_GROUPS, LEAST_ROWS, LearntTouch, learn
 from tacshade_edge.inference.network import load_network, touch_networks
 from tacshade_edge.types import F32, QUANTITIES, U8, Calibration, Frame, Need
 
@@ -36,15 +36,15 @@ class TouchResult:
         Of the frames that were used; its reports number them.
     left_out : tuple of str
         A line for each frame that was not, with why.
-    too_few : mapping of str to int
-        Rows of each quantity that has less than are needed.
+    too_few : mapping of str to (int, int)
+        Rows and groups of each quantity that has less than are needed.
     """
 
     profile: str
     learnt: LearntTouch
     names: tuple[str, ...]
     left_out: tuple[str, ...]
-    too_few: Mapping[str, int]
+    too_few: Mapping[str, tuple[int, int]]
 
 
 def learn_touch(calibration: Calibration, profile: Profile, frames: Iterable[LabelledFrame]) -> TouchResult:
@@ -65,11 +65,13 @@ def learn_touch(calibration: Calibration, profile: Profile, frames: Iterable[Lab
         groups.append(frame.group or f"\0{len(names)}")
     labels = np.array([[one.get(name, np.nan) for name in QUANTITIES] for one in known]).reshape(-1, len(QUANTITIES))
     counts = np.isfinite(labels).sum(axis=0)
-    used = np.flatnonzero(counts >= LEAST_ROWS)
-    too_few = {QUANTITIES[q]: int(counts[q]) for q in np.flatnonzero((counts > 0) & (counts < LEAST_ROWS))}
+    numbers = np.unique(groups, return_inverse=True)[1].astype(np.int64)
+    presses = np.array([len(np.unique(numbers[np.isfinite(column)])) for column in labels.T])
+    enough = (counts >= LEAST_ROWS) & (presses >= LEAST_GROUPS)
+    used = np.flatnonzero(enough)
+    too_few = {QUANTITIES[q]: (int(counts[q]), int(presses[q])) for q in np.flatnonzero((counts > 0) & ~enough)}
     learnt = LearntTouch(None, ())
     if len(used):
-        numbers = np.unique(groups, return_inverse=True)[1].astype(np.int64)
         chosen = [QUANTITIES[q] for q in used]
         learnt = learn(np.stack(taken), chosen, labels[:, used], numbers, touch_networks(profile.network, fitted))
     return TouchResult(profile.name, learnt, tuple(names), tuple(left_out), too_few)

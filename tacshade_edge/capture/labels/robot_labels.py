@@ -6,10 +6,9 @@ import math
 
 import numpy as np
 
-from tacshade_edge.capture.robot_place import PoseAt
+from tacshade_edge.capture.robot_place import PoseAt, base_T_sensor
 from tacshade_edge.core.calibration.inputs import Sensor
-from tacshade_edge.errors import ConfigError
-from tacshade_edge.rigid import Rigid, from_seven, of_pose
+from tacshade_edge.rigid import Rigid, from_seven
 from tacshade_edge.types import Frame
 
 
@@ -45,10 +44,7 @@ class RobotLabels:
         return labels_between(self._first, self._base_T_sensor(frame), self._skin_radius_mm)
 
     def _base_T_sensor(self, frame: Frame) -> Rigid:
-        pose = self._pose_at(frame)
-        if isinstance(pose, str):
-            raise ConfigError(pose)
-        return of_pose(pose) @ self._flange_T_sensor
+        return base_T_sensor(self._pose_at(frame), self._flange_T_sensor)
 
 
 def labels_between(first: Rigid, now: Rigid, skin_radius_mm: float) -> dict[str, float]:

@@ -10,7 +10,7 @@ from typing import Any
 
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.touch.learning import LEAST_ROWS
+from tacshade_edge.core.touch.learning import LEAST_GROUPS, LEAST_ROWS
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.inference.touch_learning import LabelledFrame, TouchResult, learn_touch
 from tacshade_edge.storage.images import read_image
@@ -35,8 +35,8 @@ def learn_from_labels(calibration: Calibration, table: Path, labelled: Sequence[
             results.append(learn_touch(calibration, profile, frames))
     progress.end()
     if not any(one.learnt.reports for one in results):
-        one = results[0]
-        raise ConfigError(f"{table}: {len(one.left_out)} of {len(labelled)} frames cannot be used: {one.left_out[0]}")
+        why = "; ".join(touch_warnings(results[:1]))
+        raise ConfigError(f"{table}: no quantity can be learnt: {why}")
     return results
 
 
@@ -62,8 +62,9 @@ def touch_warnings(results: Sequence[TouchResult]) -> tuple[str, ...]:
         if one.left_out:
             shown = "; ".join(one.left_out[:_SHOWN]) + ("; ..." if len(one.left_out) > _SHOWN else "")
             lines.append(f"{one.profile}: {len(one.left_out)} labelled frames left out: {shown}")
-        for name, count in one.too_few.items():
-            lines.append(f"{one.profile}: {name}: found {count} usable rows, expected {LEAST_ROWS}; left out")
+        for name, (rows, groups) in one.too_few.items():
+            found = f"found {rows} usable rows of {groups} groups, expected {LEAST_ROWS} of {LEAST_GROUPS} or more"
+            lines.append(f"{one.profile}: {name}: {found}; left out")
     return tuple(lines)
 
 

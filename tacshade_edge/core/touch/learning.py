@@ -32,6 +32,8 @@ WIDTHS = (0.7, 1.0, 1.4, 2.0, 3.0)
 """Of the kernel, in the root mean square of a frame's coordinates."""
 RIDGES = np.logspace(-3, 3, 25)
 LEAST_ROWS = 40
+LEAST_GROUPS = 5
+"""Of rows that have a quantity: a press that is held out needs others to be predicted from."""
 FOLDED_ROWS = 1000
 """A larger table's frames are held out one group at a time from components that they were part of."""
 FOLDS = 10
@@ -146,7 +148,7 @@ def learn(features: F32, names: Sequence[str], labels: F64, groups: I64, network
     names : sequence of str
         Of the quantities.
     labels : float64 (n, Q)
-        NaN where a frame has none; each quantity has `LEAST_ROWS` or more.
+        NaN where a frame has none; each quantity has `LEAST_ROWS` or more, in `LEAST_GROUPS` or more.
     groups : int64 (n,)
         Frames of one press have one number: they are held out together.
     networks : str
@@ -157,8 +159,8 @@ def learn(features: F32, names: Sequence[str], labels: F64, groups: I64, network
     for width in WIDTHS:
         basis = _basis(space.at, width)
         solved = [_solve(basis, labels[:, q], groups) for q in range(len(names))]
-        score = np.mean([np.mean(one.residuals**2) / np.var(labels[one.rows, q]) for q, one in enumerate(solved)])
-        tried.append((float(score), basis, solved))
+        errors = [np.mean(one.residuals**2) / _variance(labels[one.rows, q]) for q, one in enumerate(solved)]
+        tried.append((float(np.mean(errors)), basis, solved))
     _, basis, solved = min(tried, key=lambda one: one[0])
     limits, solved = _judged(features, labels, groups, basis.width, solved)
     if len(features) > FOLDED_ROWS:
@@ -195,6 +197,11 @@ def learn(features: F32, names: Sequence[str], labels: F64, groups: I64, network
         residual_max=limits[1],
     )
     return LearntTouch(model, reports)
+
+
+def _variance(labels: F64) -> float:
+    """Above 0 also where all labels are the same."""
+    return max(float(np.var(labels)), 1e-12)
 
 
 def _space(features: F32) -> _Space:
@@ -289,7 +296,7 @@ def _held_out(values: F64, inverse: F64, left: F64, at: F64, groups: I64) -> tup
 def _report(name: str, basis: _Basis, labels: F64, groups: I64, solved: _Solved) -> QuantityReport:
     residuals = np.abs(solved.residuals)
     known = labels[solved.rows]
-    error, r2 = float(residuals.mean()), 1 - float(np.mean(residuals**2) / max(np.var(known), 1e-12))
+    error, r2 = float(residuals.mean()), 1 - float(np.mean(residuals**2)) / _variance(known)
     robust = 1.4826 * float(np.median(residuals))
     seen = r2 >= max(SEEN, SEEN_ERRORS / float(np.sqrt(len(known))))
     exponent = _exponent(basis, labels, groups, error)
@@ -347,14 +354,20 @@ def _judged(
             basis = _basis(space.at, width)
             values = kernel_values(at, basis.centres, width) @ basis.matrix
             for q, one in enumerate(solved):
+                if not np.isfinite(labels[rest, q]).any():
+                    continue
                 residuals, variances = _of_fold(basis, labels[rest, q], values, at, one.ridge)
                 held_out[q][0][held], held_out[q][1][held] = labels[held, q] - residuals, variances
     limits = [max(UNLIKE * float(np.quantile(np.concatenate(each), 0.99)), 1e-6) for each in zip(*found, strict=True)]
     if not whole:
         return (limits[0], limits[1]), list(solved)
+    # A fold may hold out every row that has a quantity: then what `_solve` found stands.
+    folded = [
+        (residuals[one.rows], variances[one.rows]) for one, (residuals, variances) in zip(solved, held_out, strict=True)
+    ]
     return (limits[0], limits[1]), [
-        replace(one, residuals=held_out[q][0][one.rows], variances=held_out[q][1][one.rows])
-        for q, one in enumerate(solved)
+        replace(one, residuals=residuals, variances=variances) if np.isfinite(residuals).all() else one
+        for one, (residuals, variances) in zip(solved, folded, strict=True)
     ]
 
 

@@ -70,7 +70,7 @@ def test_it_learns_and_reports(
         assert one["quantities"]["depth_mm"]["error"] < 0.2
         assert one["quantities"]["tilt_x_deg"]["error"] < 3.0
         assert "force_z_n" not in one["quantities"]  # 30 rows are too few
-    assert any("force_z_n: found 30 usable rows, expected 40" in line for line in report["warnings"])
+    assert any("force_z_n: found 30 usable rows of 30 groups, expected 40 of 5" in line for line in report["warnings"])
     calibration = calibration_file.load(out)
     answers(calibration, folder)
     others(calibration, folder)
@@ -122,7 +122,11 @@ def others(calibration: Calibration, folder: Path) -> None:
         ("image,depth_mm\n0.png,1\n", "LABELS.csv: found 1 of depth_mm, expected 40 or more rows of a quantity"),
         ("image,depth_mm\n" + 40 * "gone.png,1\n", "LABELS.csv:2: image: "),
         ("image,depth_mm\n" + 40 * "small.png,1\n", "small.png: found 32x24 px, expected 320x240 px"),
-        ("image,depth_mm\n" + 40 * "free.png,1\n", "40 of 40 frames cannot be used: "),
+        ("image,depth_mm\n" + 40 * "free.png,1\n", "no quantity can be learnt: fast: 40 labelled frames left out: "),
+        (
+            "image,depth_mm,group\n" + "".join(f"{k}.png,{k},1\n" for k in range(45)),
+            "depth_mm: found 45 usable rows of 1 groups, expected 40 of 5 or more; left out",
+        ),
         ("image,colour\n0.png,1\n", "LABELS.csv:1: colour: found an unknown column, expected image, group and any of"),
     ],
 )
@@ -130,7 +134,8 @@ def test_a_mistake_is_one_line(
     words: list[str], folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, said: str
 ) -> None:
     cv2.imwrite(str(tmp_path / "small.png"), np.zeros((24, 32), np.uint8))
-    cv2.imwrite(str(tmp_path / "free.png"), read_image(folder / "free.png"))
+    for path in folder.glob("*.png"):
+        (tmp_path / path.name).symlink_to(path)
     (tmp_path / "LABELS.csv").write_text(text)
     out = tmp_path / "cal.npz"
     assert main(["calibrate", *words, "--labels", str(tmp_path / "LABELS.csv"), "--out", str(out)]) == 78

@@ -98,6 +98,21 @@ def test_a_frame_unlike_the_table_has_no_answer() -> None:
     assert not predict(model, strange).alike
 
 
+def test_a_label_that_never_changes_is_no_error() -> None:
+    features, labels = table(60, 15)
+    labels[:, 1] = 2.5
+    assert learnt(features, labels).reports[0].seen
+
+
+def test_a_quantity_of_presses_that_one_fold_holds_out() -> None:
+    features, labels = table(300, 16)
+    groups = np.arange(300) // 3
+    labels[groups % 10 != 0, 1] = np.nan
+    report = learnt(features, labels, groups).reports[1]
+    assert report.rows == 30
+    assert np.isfinite(report.error)
+
+
 def test_the_same_table_gives_the_same_model() -> None:
     one, two = (learnt(*table(100, 13)).model for _ in range(2))
     assert one is not None
