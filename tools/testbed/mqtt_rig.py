@@ -141,4 +141,8 @@ class Subscriber:
 
     def wait_for_last(self, topic: str, payload: bytes, timeout_s: float = 5) -> None:
         """Until the latest of a topic is this."""
-        wait_until(lambda: self.of(topic)[-1:] == [payload], timeout_s, f"{payload!r} last of {topic}")
+        try:
+            wait_until(lambda: self.of(topic)[-1:] == [payload], timeout_s, f"{payload!r} last of {topic}")
+        except AssertionError as error:
+            error.add_note(f"received: {self.of(topic)}")
+            raise
