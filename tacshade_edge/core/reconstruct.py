@@ -21,6 +21,7 @@ from tacshade_edge.core.geometry.disc import DiscRays, rays_in_image
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import Profile
 from tacshade_edge.core.touch.answer import touch_by_model, touch_without_labels
+from tacshade_edge.core.touch.imprint import imprint_of
 from tacshade_edge.reasons import Reason
 from tacshade_edge.types import (
     F32,
@@ -178,7 +179,7 @@ class Reconstructor:
         if isinstance(self._touch, Reason):
             touch = Touch(reason=self._touch)
         elif isinstance(self._touch, TouchModel) and features:
-            touch = touch_by_model(self._touch, np.concatenate(features))
+            touch = touch_by_model(self._touch, np.concatenate(features), imprint_of(made.objects, made.volume_mm3))
         else:
             touch = touch_without_labels(made.objects, made.shear_of_contact_mm)
             if isinstance(self._touch, list) and features:

@@ -9,6 +9,7 @@ import numpy as np
 
 from tacshade_edge.core.profiles import Profile
 from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.core.touch.imprint import imprint_of
 from tacshade_edge.core.touch.learning import LEAST_GROUPS, LEAST_ROWS, LearntTouch, learn
 from tacshade_edge.inference.network import load_network, touch_networks
 from tacshade_edge.types import F32, QUANTITIES, U8, Calibration, Frame, Need
@@ -53,7 +54,7 @@ def learn_touch(calibration: Calibration, profile: Profile, frames: Iterable[Lab
     fitted = calibration.fitted.get(profile.name)
     taken: list[F32] = []
     reconstructor = Reconstructor(calibration, profile, load_network(profile.network, fitted), touch=taken)
-    names, left_out, known, groups = [], [], [], []
+    names, left_out, known, groups, imprints = [], [], [], [], []
     for frame in frames:
         made = reconstructor.step(Frame(0, 0, 0, frame.image), need=Need.TOUCH)
         if made is None or not made.valid or not made.contact:
@@ -61,6 +62,7 @@ def learn_touch(calibration: Calibration, profile: Profile, frames: Iterable[Lab
             left_out.append(f"{frame.name}: {why}")
             continue
         names.append(frame.name)
+        imprints.append(imprint_of(made.objects, made.volume_mm3))
         known.append(frame.known)
         groups.append(frame.group or f"\0{len(names)}")
     labels = np.array([[one.get(name, np.nan) for name in QUANTITIES] for one in known]).reshape(-1, len(QUANTITIES))
@@ -73,7 +75,8 @@ def learn_touch(calibration: Calibration, profile: Profile, frames: Iterable[Lab
     learnt = LearntTouch(None, ())
     if len(used):
         chosen = [QUANTITIES[q] for q in used]
-        learnt = learn(np.stack(taken), chosen, labels[:, used], numbers, touch_networks(profile.network, fitted))
+        networks = touch_networks(profile.network, fitted)
+        learnt = learn(np.stack(taken), np.stack(imprints), chosen, labels[:, used], numbers, networks)
     return TouchResult(profile.name, learnt, tuple(names), tuple(left_out), too_few)
 
 

@@ -81,6 +81,12 @@ class TouchModel:
     leverage_max, residual_max : float
         A frame beyond either is unlike those of the table: `leverage` of its coordinates, and the part of its
         standardised features that the components leave out.
+    imprint_weights : float32 (T, I)
+        From the terms of the answered quantities to the imprint that they had in the table (`core.touch.imprint`).
+    imprint_precision : float32 (I, I)
+        Inverse covariance of what the imprints of held-out frames are off by, divided by I.
+    imprint_max : float
+        A frame whose squared distance is beyond it shows another object than the table's.
 
     Raises
     ------
@@ -107,6 +113,9 @@ class TouchModel:
     high: F32
     leverage_max: float
     residual_max: float
+    imprint_weights: F32
+    imprint_precision: F32
+    imprint_max: float
 
     def __post_init__(self) -> None:
         freeze(self, *TOUCH_ARRAYS)
@@ -118,7 +127,7 @@ class TouchModel:
             if not np.isfinite(array).all():
                 raise ValueError(f"touch model: {name} has a value that is not finite")
         positive = [self.deviation.min(), self.spread.min(), self.noise.min(), self.ridge.min(), self.width]
-        positive += [self.scale, self.leverage_max, self.residual_max]
+        positive += [self.scale, self.leverage_max, self.residual_max, self.imprint_max]
         if not all(np.isfinite(value) and value > 0 for value in positive) or (self.precision < 0).any():
             raise ValueError("touch model: a deviation, width or limit is not above 0")
 
@@ -137,18 +146,24 @@ TOUCH_ARRAYS = (
     "noise",
     "low",
     "high",
+    "imprint_weights",
+    "imprint_precision",
 )
 
 
 def _shapes(model: TouchModel) -> dict[str, tuple[int, ...]]:
-    """The shape of each array, by those of `components`, `centres` and `basis`."""
-    if any(getattr(model, name).ndim != 2 for name in ("components", "centres", "basis")) or not model.names:
+    """The shape of each array, by those of `components`, `centres`, `basis` and `imprint_weights`."""
+    if (
+        any(getattr(model, name).ndim != 2 for name in ("components", "centres", "basis", "imprint_weights"))
+        or not model.names
+    ):
         raise ValueError("touch model: found no quantity, or arrays that are no matrices")
     features, parts = model.components.shape
     centres, columns, quantities = len(model.centres), model.basis.shape[1], len(model.names)
     if min(features, parts, centres, columns) < 1:
         raise ValueError("touch model: found an empty matrix")
     each = (quantities,)
+    terms, imprint = (quantities + 1) * (quantities + 2) // 2, model.imprint_weights.shape[1]
     return {
         "mean": (features,),
         "deviation": (features,),
@@ -158,5 +173,7 @@ def _shapes(model: TouchModel) -> dict[str, tuple[int, ...]]:
         "basis": (parts + centres, columns),
         "weights": (parts + centres, quantities),
         "precision": (columns, quantities),
+        "imprint_weights": (terms, imprint),
+        "imprint_precision": (imprint, imprint),
         **dict.fromkeys(("ridge", "offset", "noise", "low", "high"), each),
     }

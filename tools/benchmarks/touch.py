@@ -1,35 +1,42 @@
 #!/usr/bin/env python3
-"""What a touch adds to a frame that has depth and shear: rounds of both take turns.
+"""What a touch adds to a frame that has depth and shear, in rounds that take turns, and what learning takes.
 
 ::
 
     .venv/bin/python -m tools.benchmarks.touch [--rounds 20] [--frames 60] [--labels 400]
+    .venv/bin/python -m tools.benchmarks.touch --learning 4000
 
-The model is learnt from simulated frames of a cylinder at any depth and tilt; the frame is one of them.
+The model is learnt from simulated frames of a cylinder at any depth and tilt; the frame is one of them. The second
+line learns six quantities from so many rows of as many features as `accurate` has: its seconds and memory alone.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import resource
 import sys
 import time
 from collections.abc import Iterable
 from dataclasses import replace
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in the daemon
+if "--learning" not in sys.argv:
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in the daemon
 
 import cv2
 import numpy as np
 
 from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.touch.learning import learn
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.inference.touch_learning import LabelledFrame, learn_touch
 from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.studies.evaluate.sensors import SensorName, calibrated
 from tacshade_edge.studies.tables import markdown
-from tacshade_edge.types import Frame, Need
+from tacshade_edge.types import QUANTITIES, Frame, Need
+
+FEATURES = 4704
 
 
 def frames(count: int) -> Iterable[LabelledFrame]:
@@ -42,13 +49,33 @@ def frames(count: int) -> Iterable[LabelledFrame]:
         yield LabelledFrame(str(k), sensor.frame((press,), k).image, known)
 
 
+def learning(rows: int) -> None:
+    """Learn from made-up features, print."""
+    random = np.random.default_rng(4)
+    hidden = random.uniform(-1, 1, (rows, 60))
+    features = (hidden @ random.normal(size=(60, FEATURES)) + random.normal(size=(rows, FEATURES))).astype(np.float32)
+    labels = hidden[:, :6] + 0.1 * random.normal(size=(rows, 6))
+    imprints = (hidden[:, :6] @ random.normal(size=(6, 4))).astype(np.float32)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    began_s = time.monotonic()
+    learn(features, imprints, QUANTITIES[:6], labels, np.arange(rows), "")
+    took_s = time.monotonic() - began_s
+    more = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) >> 10
+    table = ((str(rows), f"{took_s:.1f}", str(features.nbytes >> 20), str(more)),)
+    print(markdown(("rows", "learning, s", "features, MB", "and at most, MB"), table))
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Measure, print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=20)
     parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--labels", type=int, default=400)
+    parser.add_argument("--learning", type=int, metavar="ROWS")
     args = parser.parse_args(arguments)
+    if args.learning:
+        learning(args.learning)
+        return 0
     cv2.setNumThreads(1)
     calibration = calibrated(SensorName.parse("default"), 8, 40).calibration
     labelled = list(frames(args.labels))

@@ -27,6 +27,7 @@ import numpy as np
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.core.touch.answer import touch_by_model
+from tacshade_edge.core.touch.imprint import imprint_of
 from tacshade_edge.core.touch.learning import learn
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import load_network
@@ -53,9 +54,10 @@ JUDGED = 1000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frames:
-    """All frames of both runs: features of those in contact, labels, which were usable, which are of the second run."""
+    """All frames of both runs: features and imprints of the usable ones, labels, and which are of the second run."""
 
     features: F32
+    imprints: F32
     labels: F64
     usable: Bool
     second: Bool
@@ -73,14 +75,18 @@ def seen(clone: Path, profile: str) -> Frames:
     least = pictures[int(np.where(later, known[:, 0], np.inf).argmin())]
     taken: list[F32] = []
     made = reconstructor(forced([least]), profile, taken)
-    usable = []
+    usable, imprints = [], []
     for path in pictures:
         before = len(taken)
-        made.step(Frame(0, 0, 0, read_image(path)), need=Need.TOUCH)
+        found = made.step(Frame(0, 0, 0, read_image(path)), need=Need.TOUCH)
         usable.append(len(taken) > before)
+        if usable[-1] and found is not None:
+            imprints.append(imprint_of(found.objects, found.volume_mm3))
     features = np.zeros((len(pictures), len(taken[0])), np.float32)
     features[np.array(usable)] = taken
-    return Frames(features, known, np.array(usable), later)
+    shown = np.zeros((len(pictures), len(imprints[0])), np.float32)
+    shown[np.array(usable)] = imprints
+    return Frames(features, shown, known, np.array(usable), later)
 
 
 def reconstructor(calibration: Calibration, profile: str, touch: TouchModel | list[F32]) -> Reconstructor:
@@ -110,14 +116,16 @@ def scored(frames: Frames, split: str, count: int, seed: int) -> Score:
         taught, judged = random.permutation(np.flatnonzero(~frames.second))[:count], np.flatnonzero(frames.second)
     taught = taught[frames.usable[taught]]
     began_s = time.monotonic()
-    learnt = learn(frames.features[taught], NAMES, frames.labels[taught], np.arange(len(taught)), "study")
+    learnt = learn(
+        frames.features[taught], frames.imprints[taught], NAMES, frames.labels[taught], np.arange(len(taught)), "study"
+    )
     learning_s = time.monotonic() - began_s
     errors = np.abs(frames.labels[judged] - frames.labels[taught].mean(axis=0))
     covered = np.full(errors.shape, np.nan)
     for k, at in enumerate(judged):
         if not frames.usable[at] or learnt.model is None:
             continue
-        touch = touch_by_model(learnt.model, frames.features[at])
+        touch = touch_by_model(learnt.model, frames.features[at], frames.imprints[at])
         for q, name in enumerate(NAMES):
             value, sigma = touch.values.get(name), touch.sigma.get(name)
             if value is not None and sigma is not None:

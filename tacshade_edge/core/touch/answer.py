@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from tacshade_edge.core.touch.imprint import belongs
 from tacshade_edge.core.touch.model import predict
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import F32, Touch, TouchedObject, TouchModel
@@ -20,12 +21,14 @@ PLAIN_SIGMA = (0.4, 5.0, 5.0, 1.0, 1.0, 4.0)
 1.1, 0.34, 0.42, 2.9 (tools/studies/third_family/touch.py); other objects and real skins are worse."""
 
 
-def touch_by_model(model: TouchModel, features: F32) -> Touch:
-    """What a model makes of a frame's features, float32 (D,)."""
+def touch_by_model(model: TouchModel, features: F32, imprint: F32) -> Touch:
+    """What a model makes of a frame's features, float32 (D,), and of its imprint (`imprint_of`)."""
     found = predict(model, features)
-    if not found.alike:
+    alike = found.alike and belongs(model, found.values, imprint)
+    if not alike:
         unknown = dict.fromkeys(model.names)
-        return Touch(unknown, unknown, Reason(ReasonCode.TOUCH_UNLIKE, "unlike every frame of the labels"))
+        text = "its imprint is another object's" if found.alike else "unlike every frame of the labels"
+        return Touch(unknown, unknown, Reason(ReasonCode.TOUCH_UNLIKE, text))
     values, sigma = found.values.tolist(), found.sigma.tolist()
     margin = MARGIN * found.sigma
     outside = (found.values < model.low - margin) | (found.values > model.high + margin)

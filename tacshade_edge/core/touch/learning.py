@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tacshade_edge.core.touch.imprint import terms
 from tacshade_edge.core.touch.model import (
     kernel_values,
     leverage,
@@ -41,6 +42,12 @@ SEEN_ERRORS = 2.0
 """A held-out R² below so many standard deviations of what chance gives, 1 / √n, or below `SEEN`: it cannot be seen."""
 SEEN = 0.1
 Z_90 = 1.645
+ANOTHER = 3.0
+"""An imprint is another object's beyond so many times what the squared distance of 95 in 100 held-out ones reaches: so
+few that a torn map in the table does not widen it."""
+IMPRINT_RIDGE = 3.0
+LEAST_DEVIATION = 1e-3
+"""Of an imprint's number over the table, in mm, and of a held-out one's variance, in parts of the table's."""
 UNLIKE = 1.5
 """A frame is unlike the table beyond so many times what 99 of 100 held-out frames of it reach."""
 CONTRADICTS = 5.0
@@ -139,12 +146,23 @@ class _Solved:
         return max(float(np.nanquantile(np.abs(self.residuals) / np.sqrt(1 + self.variances), 0.9)) / Z_90, 1e-9)
 
 
-def learn(features: F32, names: Sequence[str], labels: F64, groups: I64, networks: str) -> LearntTouch:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Imprint:
+    """See `TouchModel.imprint_weights`, `imprint_precision` and `imprint_max`."""
+
+    weights: F64
+    precision: F64
+    most: float
+
+
+def learn(features: F32, imprints: F32, names: Sequence[str], labels: F64, groups: I64, networks: str) -> LearntTouch:
     """Learn a touch model.
 
     Parameters
     ----------
     features : float32 (n, D)
+    imprints : float32 (n, I)
+        See `imprint_of`.
     names : sequence of str
         Of the quantities.
     labels : float64 (n, Q)
@@ -172,6 +190,9 @@ def learn(features: F32, names: Sequence[str], labels: F64, groups: I64, network
     if not kept:
         return LearntTouch(None, reports)
     parts = [len(solved[q].rows) / len(features) for q in kept]
+    low, high = (ends(labels[:, kept], axis=0).astype(np.float32) for ends in (np.nanmin, np.nanmax))
+    values = np.stack([_held_out_values(basis, labels[:, q], solved[q]) for q in kept], axis=1)
+    imprint = _imprint(imprints.astype(np.float64), terms(values, low, high), groups)
     model = TouchModel(
         names=tuple(names[q] for q in kept),
         networks=networks,
@@ -191,10 +212,13 @@ def learn(features: F32, names: Sequence[str], labels: F64, groups: I64, network
         ridge=np.array([solved[q].ridge for q in kept], np.float32),
         offset=np.array([solved[q].offset for q in kept], np.float32),
         noise=np.array([solved[q].noise for q in kept], np.float32),
-        low=np.nanmin(labels[:, kept], axis=0).astype(np.float32),
-        high=np.nanmax(labels[:, kept], axis=0).astype(np.float32),
+        low=low,
+        high=high,
         leverage_max=max(limits[0], 1.01 * own),
         residual_max=limits[1],
+        imprint_weights=imprint.weights.astype(np.float32),
+        imprint_precision=imprint.precision.astype(np.float32),
+        imprint_max=imprint.most,
     )
     return LearntTouch(model, reports)
 
@@ -291,6 +315,32 @@ def _held_out(values: F64, inverse: F64, left: F64, at: F64, groups: I64) -> tup
             held[rows] = without @ residuals[rows]
             variances[rows] = np.maximum((hat @ without).diagonal(), 0)
     return held, variances
+
+
+def _held_out_values(basis: _Basis, labels: F64, solved: _Solved) -> F64:
+    """What the other groups answer for each labelled row, and the model for the rest."""
+    values = solved.offset + basis.values @ solved.weights
+    values[solved.rows] = labels[solved.rows] - solved.residuals
+    return values
+
+
+def _imprint(imprints: F64, values: F64, groups: I64) -> _Imprint:
+    """Least squares from the quantities' terms, (n, T), and how far held-out groups are off."""
+    mean, deviation = imprints.mean(axis=0), np.maximum(imprints.std(axis=0), LEAST_DEVIATION)
+    standard = (imprints - mean) / deviation
+    power, turned = np.linalg.eigh(values.T @ values)
+    values, inverse = values @ turned, 1 / (np.maximum(power, 0) + IMPRINT_RIDGE)
+    at = values.T @ standard
+    off = np.stack(
+        [_held_out(values, inverse, *each, groups)[0] for each in zip(standard.T, at.T, strict=True)], axis=1
+    )
+    weights = turned @ (inverse[:, None] * at) * deviation
+    weights[0] += mean
+    covariance = off.T @ off / len(off) + LEAST_DEVIATION * np.eye(off.shape[1])
+    precision = np.linalg.inv(covariance) / off.shape[1]
+    distances = ((off @ precision) * off).sum(axis=1)
+    most = max(ANOTHER * float(np.quantile(distances, 0.95)), 1e-6)
+    return _Imprint(weights, precision / np.outer(deviation, deviation), most)
 
 
 def _report(name: str, basis: _Basis, labels: F64, groups: I64, solved: _Solved) -> QuantityReport:

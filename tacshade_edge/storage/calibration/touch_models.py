@@ -23,9 +23,10 @@ class _Model(msgspec.Struct, forbid_unknown_fields=True):
     width: float
     leverage_max: float
     residual_max: float
+    imprint_max: float
 
 
-_NUMBERS = ("scale", "width", "leverage_max", "residual_max")
+_NUMBERS = ("scale", "width", "leverage_max", "residual_max", "imprint_max")
 
 
 def array_names(profile: str) -> tuple[str, str]:

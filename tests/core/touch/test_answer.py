@@ -13,18 +13,19 @@ from tacshade_edge.types import TouchedObject, TouchModel
 RANDOM = np.random.default_rng(0)
 FEATURES = RANDOM.normal(size=(80, 20)).astype(np.float32)
 LABELS = FEATURES[:, :2].astype(np.float64) * 2
+IMPRINTS = (FEATURES[:, :2] @ RANDOM.normal(size=(2, 7))).astype(np.float32)
 OBJECT = TouchedObject(1, (0.0, 0.0, 19.0), (3.0, 3.0, 0.5), 1.5, 9.0)
 
 
 @pytest.fixture(scope="module")
 def model() -> TouchModel:
-    found = learn(FEATURES, ("depth_mm", "force_z_n"), LABELS, np.arange(80), "n").model
+    found = learn(FEATURES, IMPRINTS, ("depth_mm", "force_z_n"), LABELS, np.arange(80), "n").model
     assert found is not None
     return found
 
 
 def test_a_frame_like_the_table_is_answered(model: TouchModel) -> None:
-    touch = touch_by_model(model, FEATURES[0])
+    touch = touch_by_model(model, FEATURES[0], IMPRINTS[0])
     assert touch.reason is None
     for q, name in enumerate(("depth_mm", "force_z_n")):
         value, sigma = touch.values[name], touch.sigma[name]
@@ -34,15 +35,24 @@ def test_a_frame_like_the_table_is_answered(model: TouchModel) -> None:
 
 
 def test_one_unlike_it_is_not(model: TouchModel) -> None:
-    touch = touch_by_model(model, np.full(20, 50.0, np.float32))
+    touch = touch_by_model(model, np.full(20, 50.0, np.float32), IMPRINTS[0])
     assert touch.reason is not None
     assert touch.reason.code is ReasonCode.TOUCH_UNLIKE
     assert set(touch.values.values()) == set(touch.sigma.values()) == {None}
 
 
+def test_one_whose_imprint_does_not_belong_to_the_numbers_is_not(model: TouchModel) -> None:
+    touch = touch_by_model(model, FEATURES[0], IMPRINTS[0] + np.float32(3))
+    assert touch.reason is not None
+    assert touch.reason.code is ReasonCode.TOUCH_UNLIKE
+    assert touch.reason.text == "its imprint is another object's"
+    assert set(touch.values.values()) == {None}
+
+
 def test_what_is_outside_the_labelled_range_is_named_and_the_rest_answered(model: TouchModel) -> None:
-    narrow = replace(model, low=np.float32([-9, 90]), high=np.float32([9, 99]))
-    touch = touch_by_model(narrow, FEATURES[0])
+    any_imprint = np.zeros_like(model.imprint_precision)
+    narrow = replace(model, low=np.float32([-9, 90]), high=np.float32([9, 99]), imprint_precision=any_imprint)
+    touch = touch_by_model(narrow, FEATURES[0], IMPRINTS[0])
     assert touch.values["depth_mm"] is not None
     assert touch.values["force_z_n"] is touch.sigma["force_z_n"] is None
     assert touch.reason is not None

@@ -25,7 +25,8 @@ def table(rows: int, seed: int, noise: float = NOISE) -> tuple[F32, F64]:
 
 
 def learnt(features: F32, labels: F64, groups: I64 | None = None, names: tuple[str, ...] = NAMES) -> LearntTouch:
-    return learn(features, names, labels, np.arange(len(features)) if groups is None else groups, "n")
+    imprints = np.zeros((len(features), 7), np.float32)
+    return learn(features, imprints, names, labels, np.arange(len(features)) if groups is None else groups, "n")
 
 
 @pytest.mark.parametrize("rows", [60, 300, pytest.param(1200, marks=pytest.mark.slow)])

@@ -18,7 +18,8 @@ FEATURES = np.random.default_rng(0).normal(size=(60, 20)).astype(np.float32)
 
 @pytest.fixture(scope="module")
 def model() -> TouchModel:
-    found = learn(FEATURES, ("depth_mm", "force_z_n"), FEATURES[:, :2].astype(np.float64), np.arange(60), "ab").model
+    labels = FEATURES[:, :2].astype(np.float64)
+    found = learn(FEATURES, FEATURES[:, :7], ("depth_mm", "force_z_n"), labels, np.arange(60), "ab").model
     assert found is not None
     return found
 

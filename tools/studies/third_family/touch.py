@@ -23,6 +23,7 @@ import numpy as np
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.core.touch.answer import touch_by_model
+from tacshade_edge.core.touch.imprint import imprint_of
 from tacshade_edge.core.touch.learning import learn
 from tacshade_edge.inference.network import load_network
 from tacshade_edge.simulator.objects import OBJECTS
@@ -88,15 +89,15 @@ def label(way: Way, pressed_mm: float, dragged: bool) -> tuple[float, ...]:
     return (pressed_mm, press.tilt_x_deg, press.tilt_y_deg, *moved)
 
 
-def seen(folder: Path, profile: str) -> tuple[list[str], F32, F64, F64]:
-    """Object, features and label of every frame in contact, and what is known of it without labels."""
+def seen(folder: Path, profile: str) -> tuple[list[str], F32, F32, F64, F64]:
+    """Object, features, imprint and label of every frame in contact, and what is known of it without labels."""
     model, dome = drawn(RANGE, SENSOR)
     draws = renderer(model, FIRST_SEED[RANGE] + SENSOR)
     chosen = PROFILES[profile]
     assert chosen.network is not None
     taken: list[F32] = []
     made = Reconstructor(calibrated(RANGE, SENSOR), chosen, load_network(chosen.network), touch=taken)
-    objects, labels, plain = [], [], []
+    objects, imprints, labels, plain = [], [], [], []
     for k, (way, pressed_mm) in enumerate(ways(dome)):
         kept: Kept = read(kept_file(folder, k))
         for dragged, at_mm in enumerate((kept.pressed_mm, kept.dragged_mm)):
@@ -107,25 +108,27 @@ def seen(folder: Path, profile: str) -> tuple[list[str], F32, F64, F64]:
             if len(taken) > before and result is not None and result.touch is not None:
                 plain.append([result.touch.values[name] for name in NAMES])
                 objects.append(way.object_name)
+                imprints.append(imprint_of(result.objects, result.volume_mm3))
                 labels.append(label(way, pressed_mm, bool(dragged)))
-    return objects, np.stack(taken), np.array(labels), np.array(plain, float)
+    return objects, np.stack(taken), np.stack(imprints), np.array(labels), np.array(plain, float)
 
 
 def report(folder: Path) -> None:
     """Learn, judge, print."""
     lines = []
     for profile in ("balanced", "accurate"):
-        objects, features, labels, plain = seen(folder, profile)
+        objects, features, imprints, labels, plain = seen(folder, profile)
         plates = [k for k, name in enumerate(objects) if name == "plate"]
         order = np.random.default_rng(1).permutation(len(plates) // 2)
         shuffled = [plates[2 * way + end] for way in order for end in (0, 1)]  # both states of a way on one side
         taught = shuffled[:LABELS]
-        learnt = learn(features[taught], NAMES, labels[taught], np.arange(len(taught)) // 2, "study")
+        groups = np.arange(len(taught)) // 2
+        learnt = learn(features[taught], imprints[taught], NAMES, labels[taught], groups, "study")
         assert learnt.model is not None
         usual = np.full(len(NAMES), math.nan)
         for name in COUNTS:
             judged = shuffled[LABELS:] if name == "plate" else [k for k, one in enumerate(objects) if one == name]
-            touches = [touch_by_model(learnt.model, features[k]) for k in judged]
+            touches = [touch_by_model(learnt.model, features[k], imprints[k]) for k in judged]
             found = np.array([[touch.values.get(q) for q in NAMES] for touch in touches], float)
             off = np.abs(found - labels[judged])
             if name == "plate":
