@@ -16,7 +16,7 @@ from tacshade_edge.daemon import app as app_module
 from tacshade_edge.daemon.app import App
 from tacshade_edge.daemon.pipeline.ledger import FrameLedger, Timings
 from tacshade_edge.daemon.pipeline.mailbox import Mailbox
-from tacshade_edge.daemon.pipeline.observer import FrameResult
+from tacshade_edge.daemon.pipeline.observer import FrameObserver, FrameResult
 from tacshade_edge.daemon.pipeline.workers import Grab, Reconstruct
 from tacshade_edge.daemon.systemd import STOP_USEC, Progress, Service
 from tacshade_edge.errors import DecodeError, DeviceError
@@ -208,7 +208,7 @@ def test_a_new_source_or_broker_waits_for_a_restart_and_says_so(
     assert app._active.reconstructor.profile.name == "paper"
 
 
-class Steps:
+class Steps(FrameObserver):
     """A reconstructor's and a sink's place, for a worker whose counters matter."""
 
     calibration = painted_calibration()

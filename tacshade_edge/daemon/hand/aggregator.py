@@ -10,8 +10,9 @@ import msgspec
 from tacshade_edge.protocol.hand import Finger, HandObjects, away
 from tacshade_edge.reasons import Reason, ReasonCode
 
-PERIOD_NS: Final = 1_000_000_000 // 60
-"""Between two messages at least."""
+GATHER_NS: Final = 4_000_000
+"""News of one finger waits at most so long for that of the others in contact, whose cameras do not expose together, and
+so long at least after the message before."""
 QUIET_PERIOD_NS: Final = 100_000_000
 """Between two messages at most: without contact and change."""
 FIRST_NS: Final = 500_000_000
@@ -31,7 +32,8 @@ class HandAggregator:
         self._heard_ns: dict[str, int | None] = dict.fromkeys(names)
         self._listened_ns: int | None = None
         self._published_ns = 0
-        self._changed = False
+        self._news: set[str] = set()
+        self._news_ns = 0  # the oldest
         self._seq = 0
 
     def listen(self, listened: bool, now_ns: int) -> None:
@@ -39,7 +41,7 @@ class HandAggregator:
         if not listened:
             self._listened_ns = None
         elif self._listened_ns is None:
-            self._listened_ns, self._changed, self._published_ns = now_ns, True, 0
+            self._listened_ns, self._published_ns = now_ns, 0
             for name, finger in self._fingers.items():
                 self._heard_ns[name] = None
                 if finger.state != "away":
@@ -49,7 +51,9 @@ class HandAggregator:
         """Take what a finger reports."""
         before = self._fingers[name]
         self._fingers[name], self._heard_ns[name] = finger, now_ns
-        self._changed |= finger.state == "contact" or finger.state != before.state
+        if finger.state == "contact" or finger.state != before.state:
+            self._news_ns = self._news_ns if self._news else now_ns
+            self._news.add(name)
 
     def due_ns(self) -> int | None:
         """When the next message is to go; None while nobody listens."""
@@ -58,7 +62,11 @@ class HandAggregator:
             return None
         if self._published_ns == 0 and None in self._heard_ns.values():
             return since_ns + FIRST_NS
-        return self._published_ns + (PERIOD_NS if self._changed else QUIET_PERIOD_NS)
+        if not self._news:
+            return self._published_ns + QUIET_PERIOD_NS if self._published_ns else since_ns
+        touching = {name for name, finger in self._fingers.items() if finger.state == "contact"}
+        gathered_ns = self._news_ns if touching <= self._news else self._news_ns + GATHER_NS
+        return max(gathered_ns, self._published_ns + GATHER_NS)
 
     def message(self, now_ns: int, wall_ns: int) -> HandObjects:
         """The next message."""
@@ -70,6 +78,7 @@ class HandAggregator:
             aged = None if finger.t_ns is None else round((now_ns - finger.t_ns) / 1e6, 3)
             fingers[name] = msgspec.structs.replace(finger, age_ms=aged)
         message = HandObjects(t_ns=now_ns, wall_ns=wall_ns, seq=self._seq, fingers=fingers)
-        self._published_ns, self._changed = now_ns, False
+        self._published_ns = now_ns
+        self._news.clear()
         self._seq += 1
         return message

@@ -31,6 +31,7 @@ class Counts:
         Reconstructed, nothing touched, nothing to send.
     unasked : int
         In contact, but nobody subscribes to the height map: not sent, and no further reconstructed than is needed.
+        Or not looked at, where nobody needs any frame.
     invalid : int
         Could not be used (black, torn, wrong size...).
     failed : int

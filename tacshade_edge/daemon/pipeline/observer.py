@@ -78,6 +78,9 @@ class FrameObserver:
     def see(self, seen: FrameResult) -> None:
         """See a frame that was reconstructed."""
 
+    def skip(self, frame: Frame) -> None:
+        """Learn of a frame that nobody needed and that was not looked at."""
+
     def poll(self) -> None:
         """Do what is due; several times a second."""
 

@@ -23,6 +23,8 @@ from tacshade_edge.types import Frame, HeightMap, Need, ObjectCloud, Reconstruct
 _log = logging.getLogger(__name__)
 
 FIRST_RETRY_S, LONGEST_RETRY_S = 0.1, 1.0
+LOOK_EVERY = 6
+"""Of frames that nobody needs one in so many is looked at: for the sensor's state and for a reference that follows."""
 
 
 class Grab:
@@ -151,6 +153,8 @@ class Reconstruct:
         # Only those that do something: the other calls cost 3 µs a frame.
         self._needs = [each.need for each in observers if type(each).need is not FrameObserver.need]
         self._sees = [each.see for each in observers if type(each).see is not FrameObserver.see]
+        self._skips = [each.skip for each in observers if type(each).skip is not FrameObserver.skip]
+        self._skipped = LOOK_EVERY - 1  # since the latest that was looked at
         self._posed = posed
 
     @property
@@ -162,10 +166,17 @@ class Reconstruct:
         """Work until the mailbox is closed and empty."""
         while (frame := self._mailbox.take()) is not None:
             self.taken += 1
-            self._process(frame)
+            need = self._need()
+            if need is not Need.CONTACT or self._skipped >= LOOK_EVERY - 1:
+                self._skipped = 0
+                self._process(frame, need)
+            else:
+                self._skipped += 1
+                for skip in self._skips:
+                    skip(frame)
             self.processed += 1
 
-    def _process(self, frame: Frame) -> None:
+    def _process(self, frame: Frame, need: Need) -> None:
         timer, reconstructor = self._timer, self._running.reconstructor
         timer.begin()
         began_ns = timer.last_ns
@@ -175,7 +186,7 @@ class Reconstruct:
             calibration, made = None, _not_reconstructed(frame, reconstructor)
         else:
             calibration = reconstructor.calibration
-            made = step_and_track(reconstructor, self._tracker, frame, timer.mark, self._need())
+            made = step_and_track(reconstructor, self._tracker, frame, timer.mark, need)
         step_ms = (time.monotonic_ns() - began_ns) / 1e6
         seen = FrameResult(self._posed(frame) if self._posed else frame, calibration, made, step_ms)
         for see in self._sees:

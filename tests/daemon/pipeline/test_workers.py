@@ -12,7 +12,7 @@ from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.pipeline.ledger import FrameLedger, FrameOutcome, Timings
 from tacshade_edge.daemon.pipeline.mailbox import Mailbox
 from tacshade_edge.daemon.pipeline.observer import FrameObserver, FrameResult, SourceState
-from tacshade_edge.daemon.pipeline.workers import Grab, Reconstruct
+from tacshade_edge.daemon.pipeline.workers import LOOK_EVERY, Grab, Reconstruct
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -136,6 +136,9 @@ class Collected(FrameObserver):
     def see(self, seen: FrameResult) -> None:
         self.ledger.settle(seen.frame.seq, self._outcome(seen))
 
+    def skip(self, frame: Frame) -> None:
+        self.ledger.settle(frame.seq, "unasked")
+
     def _outcome(self, seen: FrameResult) -> FrameOutcome:
         if (result := seen.reconstruction) is None:
             return "unasked"
@@ -206,28 +209,31 @@ def test_reconstruct_delivers_times_and_settles_every_frame(
     assert all(0 < p["p50"] <= p["p99"] for p in stages.values())
 
 
-def test_a_contact_that_nobody_asks_for_ends_at_the_gate_unless_it_is_watched(
+def test_of_frames_that_nobody_asks_for_one_in_six_is_looked_at_up_to_the_gate(
     calibration: Calibration, pictures: Any, wait_until: Any
 ) -> None:
     mailbox: Mailbox[Frame] = Mailbox()
-    ledger, watched = FrameLedger(), Watched(on=False)
+    ledger, timings, watched = FrameLedger(), Timings(), Watched(on=False)
     sink = Collected(ledger, asks=False)
     running = SimpleNamespace(reconstructor=make_reconstructor(calibration, PROFILES["fast"]))
-    worker = Reconstruct(running, mailbox, Timings(), [sink, watched])
+    worker = Reconstruct(running, mailbox, timings, [sink, watched])
     thread = threading.Thread(target=worker.run)
     thread.start()
-    for seq, image in enumerate([pictures.free, pictures.touched, pictures.black, pictures.touched]):
-        if seq == 3:
-            watched.on = True
+    looked_at = {0: pictures.free, LOOK_EVERY: pictures.touched, 2 * LOOK_EVERY: pictures.black}
+    for seq in range(2 * LOOK_EVERY + 2):
+        watched.on = seq == 2 * LOOK_EVERY + 1
         ledger.captured(seq)
-        mailbox.put(Frame(seq, 0, 0, image))
+        mailbox.put(Frame(seq, 0, 0, looked_at.get(seq, pictures.touched)))
         wait_until(lambda seq=seq: worker.processed == seq + 1)
     mailbox.close()
     thread.join(patience(10))
-    assert [(r.seq, r.valid, r.contact) for r in sink.results] == [(0, True, False), (2, False, False), (3, True, True)]
+    found = [(r.seq, r.valid, r.contact) for r in sink.results]
+    assert found == [(0, True, False), (2 * LOOK_EVERY, False, False), (2 * LOOK_EVERY + 1, True, True)]
     assert ledger.counts().as_dict() == {
         **dict.fromkeys(("superseded", "failed", "pending"), 0),
-        **dict.fromkeys(("without_contact", "unasked", "invalid", "published"), 1),
-        "captured": 4,
+        **dict.fromkeys(("without_contact", "invalid", "published"), 1),
+        "unasked": 1 + 2 * (LOOK_EVERY - 1),
+        "captured": 2 * LOOK_EVERY + 2,
     }
-    assert watched.seqs == [3]
+    assert timings.percentiles()["check"]  # of those that were looked at
+    assert watched.seqs == [2 * LOOK_EVERY + 1]
