@@ -24,7 +24,8 @@ _log = logging.getLogger(__name__)
 
 FIRST_RETRY_S, LONGEST_RETRY_S = 0.1, 1.0
 LOOK_EVERY = 6
-"""Of frames that nobody needs one in so many is looked at: for the sensor's state and for a reference that follows."""
+"""Of frames that nobody needs one in so many is looked at: for the sensor's state and for a reference that follows.
+After an invalid one every frame is: else frames that nobody looked at would hide that none can be used."""
 
 
 class Grab:
@@ -168,7 +169,6 @@ class Reconstruct:
             self.taken += 1
             need = self._need()
             if need is not Need.CONTACT or self._skipped >= LOOK_EVERY - 1:
-                self._skipped = 0
                 self._process(frame, need)
             else:
                 self._skipped += 1
@@ -191,6 +191,7 @@ class Reconstruct:
         seen = FrameResult(self._posed(frame) if self._posed else frame, calibration, made, step_ms)
         for see in self._sees:
             see(seen)
+        self._skipped = 0 if made is None or made.valid else LOOK_EVERY - 1
         timer.mark("deliver")
         timer.ms["latency"] = (timer.last_ns - frame.t_ns) / 1e6
         self._timings.add(timer.ms)

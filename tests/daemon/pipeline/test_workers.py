@@ -220,20 +220,23 @@ def test_of_frames_that_nobody_asks_for_one_in_six_is_looked_at_up_to_the_gate(
     thread = threading.Thread(target=worker.run)
     thread.start()
     looked_at = {0: pictures.free, LOOK_EVERY: pictures.touched, 2 * LOOK_EVERY: pictures.black}
-    for seq in range(2 * LOOK_EVERY + 2):
-        watched.on = seq == 2 * LOOK_EVERY + 1
+    looked_at[2 * LOOK_EVERY + 1] = pictures.black  # after an invalid frame all are
+    for seq in range(2 * LOOK_EVERY + 3):
+        watched.on = seq == 2 * LOOK_EVERY + 2
         ledger.captured(seq)
         mailbox.put(Frame(seq, 0, 0, looked_at.get(seq, pictures.touched)))
         wait_until(lambda seq=seq: worker.processed == seq + 1)
     mailbox.close()
     thread.join(patience(10))
     found = [(r.seq, r.valid, r.contact) for r in sink.results]
-    assert found == [(0, True, False), (2 * LOOK_EVERY, False, False), (2 * LOOK_EVERY + 1, True, True)]
+    black = [(2 * LOOK_EVERY + k, False, False) for k in (0, 1)]
+    assert found == [(0, True, False), *black, (2 * LOOK_EVERY + 2, True, True)]
     assert ledger.counts().as_dict() == {
         **dict.fromkeys(("superseded", "failed", "pending"), 0),
-        **dict.fromkeys(("without_contact", "invalid", "published"), 1),
+        **dict.fromkeys(("without_contact", "published"), 1),
+        "invalid": 2,
         "unasked": 1 + 2 * (LOOK_EVERY - 1),
-        "captured": 2 * LOOK_EVERY + 2,
+        "captured": 2 * LOOK_EVERY + 3,
     }
     assert timings.percentiles()["check"]  # of those that were looked at
-    assert watched.seqs == [2 * LOOK_EVERY + 1]
+    assert watched.seqs == [2 * LOOK_EVERY + 2]
