@@ -16,6 +16,7 @@ from tacshade_edge.core.depth.base import Mark
 from tacshade_edge.core.depth.sigma import sigma_of_scale_1, terms
 from tacshade_edge.core.frame_check import untrusted
 from tacshade_edge.core.frame_check.trust import degraded_reason, invalid_reason
+from tacshade_edge.core.frame_check.unchanged import UnchangedSkin
 from tacshade_edge.core.frame_check.validity import picture_reason, sensor_check, size_reason
 from tacshade_edge.core.geometry.disc import DiscRays, rays_in_image
 from tacshade_edge.core.image.preprocess import Preprocessor
@@ -52,6 +53,9 @@ def no_mark(stage: str) -> None:
 class Reconstructor:
     """Turns frames of one calibrated sensor into reconstructions, deterministically.
 
+    Each frame is judged by itself; but one that shows the untouched skin of a frame before it is judged as that was
+    (`frame_check.unchanged`).
+
     Parameters
     ----------
     calibration : Calibration
@@ -86,6 +90,7 @@ class Reconstructor:
         self._shape = (calibration.image_height_px, calibration.image_width_px)
         self._preprocessor = Preprocessor(calibration, profile)
         self._frame_check = sensor_check(self._preprocessor.calibration, self._preprocessor.camera_px)
+        self._unchanged = UnchangedSkin(self._frame_check, halved=self._preprocessor.camera_px == 2)
         self._gate = ContactGate(self._preprocessor)
         self._untrusted_check = untrusted.UntrustedCheck(self._preprocessor)
         self._solver = (make_solver or SOLVERS[profile.solver])(self._preprocessor, network)
@@ -121,10 +126,12 @@ class Reconstructor:
             ``SIGMA`` and ``TOUCH`` a frame in contact has none.
         """
         grey = self._preprocessor.grey(frame.image, self._grey_space)
-        reason = size_reason(frame.image, self._shape) or picture_reason(grey, self._frame_check)
+        reason = size_reason(frame.image, self._shape)
+        unchanged = reason is None and self._unchanged.shown_in(grey)
+        reason = reason or (None if unchanged else picture_reason(grey, self._frame_check))
         mark("check")
-        if reason:
-            return self._empty(frame, reason=reason)
+        if reason or unchanged:
+            return self._empty(frame, reason=reason, degraded=self._unchanged.degraded if unchanged else None)
 
         preprocessed = self._preprocessor.preprocess(grey, self._white_space)
         reason = invalid_reason(preprocessed.unseen, preprocessed.drift_grey)
@@ -136,6 +143,7 @@ class Reconstructor:
         in_contact = self._gate.opens(preprocessed)
         mark("gate")
         if not in_contact:
+            self._unchanged.keep(grey, degraded)
             return self._empty(frame, degraded=degraded)
 
         if need == Need.CONTACT:

@@ -4,20 +4,28 @@
 
     arm_frames.py write FOLDER           calibration.npz, images.npy and images: a free skin, then presses
     arm_frames.py reconstruct FOLDER OUT each profile's result of each image, to OUT.npz
-    arm_frames.py step FOLDER PROFILE IMAGE COUNT    the same frame so many times, for what counts instructions
+    arm_frames.py step FOLDER PROFILE IMAGE LAST PORT COUNT     the same frame so many times, to count instructions
+
+LAST is the last stage that a frame goes through, of `STAGES`; PORT is that of a broker on this machine.
 """
 
 from __future__ import annotations
 
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
+from tacshade_edge.core.contact.tracking import ContactTracker
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.reconstruct import step_and_track
+from tacshade_edge.daemon.pipeline.observer import FrameResult
+from tacshade_edge.daemon.publishing.publisher import Publisher
+from tacshade_edge.devices.mqtt.link import MqttLink
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.types import Frame, Need
@@ -62,12 +70,55 @@ def reconstruct(folder: Path, out: Path) -> None:
     np.savez(out, **found)
 
 
-def step(folder: Path, profile: str, image: int, count: int) -> None:
-    """As the daemon does where nobody asks for shear and standard deviation."""
-    made = make_reconstructor(calibration_file.load(folder / "calibration.npz"), PROFILES[profile])
+STAGES: dict[str, Need] = {
+    "gate": Need.CONTACT,
+    "depth": Need.DEPTH,
+    "shear": Need.SHEAR,
+    "sigma": Need.SHEAR | Need.SIGMA,
+    "encode": Need.SHEAR | Need.SIGMA,
+    "publish": Need.SHEAR | Need.SIGMA,
+}
+"""Up to the gate; with depth, objects and cloud; and so on. `encode` makes all payloads, `publish` sends them."""
+
+
+def step(folder: Path, profile: str, image: int, last: str, port: int, count: int) -> None:
+    """As the daemon does for those who subscribe to so much."""
+    calibration = calibration_file.load(folder / "calibration.npz")
+    made, tracker = make_reconstructor(calibration, PROFILES[profile]), ContactTracker()
     shown = np.load(folder / "images.npy")[image]
+    link = None
+    waiting = threading.Semaphore(0)
+    if last == "publish":
+        link = MqttLink(
+            host="127.0.0.1",
+            port=port,
+            base_topic="tacshade/counted",
+            client_id="counted",
+            on_request=lambda _: None,
+            on_outcome=lambda *_: waiting.release(),
+        )
+        link.start()
+        while link.reason is not None:
+            threading.Event().wait(0.1)
+    offered = 0
+
+    def offer(stream: str, payload: bytes, seq: int) -> None:
+        nonlocal offered
+        if link is not None:
+            offered += 1
+            link.offer(stream, payload, seq)
+
+    publisher = Publisher(offer, lambda *_: None, lambda *_: None)
     for k in range(count):
-        made.step(Frame(k, k, k, shown), need=Need.DEPTH)
+        frame = Frame(k, 16_666_667 * k, 0, shown)
+        result = step_and_track(made, tracker, frame, need=STAGES[last])
+        if last in ("encode", "publish"):
+            publisher.see(FrameResult(frame, calibration, result, 0.0))
+        for _ in range(offered):
+            waiting.acquire()
+        offered = 0
+    if link is not None:
+        link.stop(2.0)
 
 
 if __name__ == "__main__":
@@ -78,4 +129,4 @@ if __name__ == "__main__":
     elif what == "reconstruct":
         reconstruct(Path(where), Path(rest[0]))
     else:
-        step(Path(where), rest[0], int(rest[1]), int(rest[2]))
+        step(Path(where), rest[0], int(rest[1]), rest[2], int(rest[3]), int(rest[4]))

@@ -3,7 +3,7 @@
 
 ::
 
-    python3 -m tools.ci.run_arm [--python 3.11 3.13] [--skip-quick]
+    python3 -m tools.ci.run_arm [--python 3.11 3.13] [--skip-quick | --count-only]
 
 For each Python: the wheels of the lock, one frame after the other against this machine's, a minute of the daemon, maps
 by the command of its Debian package, the quick tests (half an hour each: nothing is emulated fast). For one: the
@@ -30,7 +30,7 @@ from paho.mqtt.enums import CallbackAPIVersion
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.studies.tables import markdown
-from tools.ci.arm_frames import FREE, PRESSED
+from tools.ci.arm_frames import FREE, PRESSED, STAGES
 from tools.testbed.daemon_rig import BASE, broker
 
 TREE = Path(__file__).resolve().parents[2]
@@ -152,11 +152,11 @@ def quick(python: str) -> list[str]:
     return ["quick tests failed"] if done.returncode else []
 
 
-def instructions(profile: str, image: int) -> float:
-    """Of one frame: of `COUNT` and one less one, over one less."""
+def instructions(profile: str, image: int, last: str, port: int) -> float:
+    """Of one frame up to a stage: of `COUNT` and one less one, over `COUNT`."""
     found = []
     for count in (1, 1 + COUNT):
-        script = ("-m", "tools.ci.arm_frames", "step", str(GIVEN), profile, str(image), str(count))
+        script = ("-m", "tools.ci.arm_frames", "step", str(GIVEN), profile, str(image), last, str(port), str(count))
         done = subprocess.run((*ARM, "--count", *script), cwd=TREE, capture_output=True, text=True, check=False)
         if done.returncode:
             raise SystemExit(f"{shlex.join(script)}: {done.stderr.strip()}")
@@ -165,16 +165,25 @@ def instructions(profile: str, image: int) -> float:
 
 
 def count() -> None:
-    """A table of instructions and what they would take."""
+    """Print a table of each stage's instructions, and what all of them would take."""
     rows = []
-    for profile in PROFILES:
-        for name, image in (("no contact", FREE), ("contact", PRESSED)):
-            each = instructions(profile, image)
-            times = [
-                f"{1e3 * each / hz / most:.1f} to {1e3 * each / hz / least:.1f}" for hz, least, most in BOARDS.values()
-            ]
-            rows.append([profile, name, f"{each / 1e6:.1f}", *times])
-    print(markdown(["profile", "frame", "million instructions", *(f"{board}, ms" for board in BOARDS)], rows))
+    with tempfile.TemporaryDirectory() as folder, broker(Path(folder)) as port:
+        for profile in PROFILES:
+            learned = profile != "paper"
+            for name, image in (("no contact", FREE), ("contact", PRESSED)):
+                stages = [stage for stage in STAGES if learned or stage not in ("shear", "sigma")]
+                stages = ["gate"] if image == FREE else stages
+                totals = [instructions(profile, image, stage, port) for stage in stages]
+                own = dict(zip(stages, np.diff([0, *totals]), strict=True))
+                times = [
+                    f"{1e3 * totals[-1] / hz / most:.1f} to {1e3 * totals[-1] / hz / least:.1f}"
+                    for hz, least, most in BOARDS.values()
+                ]
+                cells = [f"{own[stage] / 1e6:.2f}" if stage in own else "" for stage in STAGES]
+                rows.append([profile, name, *cells, f"{totals[-1] / 1e6:.1f}", *times])
+    head = ["profile", "frame", *STAGES, "all", *(f"{board}, ms" for board in BOARDS)]
+    print("Million instructions; the last columns are what all of them would take\n")
+    print(markdown(head, rows))
 
 
 def main() -> int:
@@ -182,12 +191,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="What runs on a board's processor, emulated.")
     parser.add_argument("--python", nargs="+", choices=PYTHONS, default=list(PYTHONS))
     parser.add_argument("--skip-quick", action="store_true", help="without the quick tests")
+    parser.add_argument("--count-only", action="store_true", help="instructions of a frame, and nothing else")
     args = parser.parse_args()
     (TREE / GIVEN).mkdir(parents=True, exist_ok=True)
     for words in (("write", str(GIVEN)), ("reconstruct", str(GIVEN), str(GIVEN / "here.npz"))):
         subprocess.run((sys.executable, "-m", "tools.ci.arm_frames", *words), cwd=TREE, check=True)
     wrong = []
-    for python in args.python:
+    for python in [] if args.count_only else args.python:
         stages = {"frames": same_frames, "daemon": daemon, "package": package} | (
             {} if args.skip_quick else {"quick": quick}
         )
