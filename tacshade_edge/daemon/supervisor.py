@@ -24,7 +24,7 @@ from dataclasses import dataclass, field
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
 from tacshade_edge.daemon.systemd import STOP_USEC, notify
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.inference.network import runtime
+from tacshade_edge.inference.network import preload
 from tacshade_edge.quoting import escaped
 from tacshade_edge.settings import Document, Hand, load_all, load_hand
 
@@ -122,9 +122,9 @@ class Supervisor:
         previous = {number: signal.signal(number, lambda *_: None) for number in numbers}
         wakeup = signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False)
         self._selector.register(reader, selectors.EVENT_READ)
-        profiles = [part.of.settings.profile for part in self._sensors if isinstance(part.of, Document)]
-        if any(PROFILES.get(profile, PROFILES[DEFAULT]).network for profile in profiles):
-            runtime()  # here, since each that imports it by itself has it for itself
+        for part in self._sensors:
+            if isinstance(part.of, Document):  # here, since each that loads it by itself has it for itself
+                preload(PROFILES.get(part.of.settings.profile, PROFILES[DEFAULT]))
         gc.collect()
         gc.freeze()  # the collector would write to every page, and so copy it
 

@@ -197,11 +197,26 @@ def load_networks() -> dict[str, Network]:
     return {name: load_network(profile.network) for name, profile in PROFILES.items() if profile.network}
 
 
+_for_all: dict[str, Network] = {}
+
+
+def preload(profile: Profile) -> None:
+    """Load a profile's shipped network for this process and those that it forks, which share its memory."""
+    if profile.network and profile.network not in _for_all:
+        _for_all[profile.network] = load_network(profile.network)
+
+
 def make_reconstructor(calibration: Calibration, profile: Profile) -> Reconstructor:
-    """A reconstructor, with a network of its own where the profile names one: the fitted one where there is one."""
+    """A reconstructor, with a network of its own where the profile names one: the fitted one where there is one.
+
+    A network that was preloaded is taken in place of its own: only one thread of a daemon runs it.
+    """
     name = profile.network
     fitted = calibration.fitted.get(profile.name)
-    network = load_network(name, fitted) if name else None
+    network = None
+    if name:
+        network = _for_all.get(name) if fitted is None else None
+        network = network or load_network(name, fitted)
     return Reconstructor(calibration, profile, network, touch=_touch(calibration, profile))
 
 

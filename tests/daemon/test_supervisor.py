@@ -234,12 +234,15 @@ def test_one_robots_line_gives_poses_to_every_sensor(folder: Path, broker: Broke
     def posed(seen: Subscriber, name: str) -> bool:
         return any(wire.decode(payload).pose for payload in seen.of(f"tacshade/{name}/height"))
 
+    def shared(seen: Subscriber) -> tuple[str, str]:
+        told = json.loads(seen.of("tacshade/index/status/serial")[-1])
+        return told["state"], told["shared_by"]
+
     with Subscriber(broker.port) as seen, PtyRobot(link, rate_hz=100, binary=True):
         running = Running(folder)
         try:
             wait_until(lambda: posed(seen, "thumb") and posed(seen, "index"), 30, "both have poses")
-            told = json.loads(seen.of("tacshade/index/status/serial")[-1])
-            assert (told["state"], told["shared_by"]) == ("connected", "thumb")
+            wait_until(lambda: shared(seen) == ("connected", "thumb"), 10, "index says whose line it is")
             running.process.send_signal(signal.SIGTERM)
             assert running.process.wait(patience(10)) == 0
         finally:

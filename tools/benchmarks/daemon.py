@@ -7,7 +7,7 @@
 
 Four processes: mosquitto on a loopback port, the daemon (`ring_daemon.py`) or the null daemon (`null_daemon.py`), a
 subscriber that decodes, and this one, which reads the daemon's figures from /proc. The frames are a ring of 640x480
-grey images in memory (10 MB, in the daemon's figures) that were drawn before; the null daemon publishes what was made
+grey images in memory (not in the figures of memory) that were drawn before; the null daemon publishes what was made
 of the same images. In the rows
 
 - ``contact`` a ball goes in and out, pressed from the first frame on, and everything is subscribed to;

@@ -12,7 +12,8 @@ nothing touches the others, and one subscriber asks for ``TOPICS`` of all. In th
 - ``apart`` is as many commands ``run``, each with its own file, as under a template unit;
 - ``null`` is as many null daemons.
 
-Memory is the proportional set size (PSS) of all processes of a row: a page that five share is counted once. CPU is of
+Memory is the proportional set size (PSS) of all processes of a row, without the images in a camera's place: a page that
+five share is counted once. CPU is of
 one core, the sum of all processes, without the first seconds. Of the topic of the hand it is told how many messages
 came a second, and how old a touching finger's frame was when the message that first told of it was decoded.
 """
@@ -38,7 +39,7 @@ from tacshade_edge.protocol import wire
 from tacshade_edge.protocol.hand import decode_hand
 from tacshade_edge.studies.tables import markdown
 from tools.benchmarks.daemon import NULL_DAEMON, RING_DAEMON, SETTLE_S, prepare
-from tools.testbed.daemon_rig import broker, cpu_s
+from tools.testbed.daemon_rig import broker, cpu_s, pss_mb
 
 PRESSED = 2
 TOPICS = ("height", "cloud", "contact", "health", "state")
@@ -92,12 +93,6 @@ def family(pid: int) -> list[int]:
     """A process and its children."""
     found = subprocess.run(("pgrep", "-P", str(pid)), capture_output=True, check=False).stdout
     return [pid, *map(int, found.split())]
-
-
-def pss_mb(pid: int) -> float:
-    """Proportional set size."""
-    text = Path(f"/proc/{pid}/smaps_rollup").read_text()
-    return next(int(line.split()[1]) / 1024 for line in text.splitlines() if line.startswith("Pss:"))
 
 
 def measure(row: str, folder: Path, port: int, names: list[str], args: argparse.Namespace) -> dict[str, Any]:

@@ -60,7 +60,7 @@ class RingSource:
     """
 
     def __init__(self, path: Path, fps: float) -> None:
-        self._images: U8 = np.load(path)
+        self._images: U8 = np.asarray(np.load(path, mmap_mode="r"))  # its pages are told from the daemon's own
         self._period_ns = round(1e9 / fps)
         self._zero_ns = self._next_seq = 0
         self.dropped = 0
@@ -109,10 +109,29 @@ def draw_rings(folder: Path) -> None:
 
 
 def memory_mb(pid: int) -> dict[str, float]:
-    """`FIELDS` of a process, in MiB."""
+    """`FIELDS` of a process, in MiB, without the images of a `RingSource`: a camera's take none."""
     status = Path(f"/proc/{pid}/status").read_text()
     found = {name: re.search(rf"^{key}:\s+(\d+) kB$", status, re.MULTILINE) for name, key in FIELDS.items()}
-    return {name: round(int(match[1]) / 1024, 1) for name, match in found.items() if match}
+    images_mb = _mapped_mb(pid, "Rss", images=True)
+    shown_mb = dict.fromkeys(FIELDS, images_mb) | {"own": 0.0}
+    return {name: round(int(match[1]) / 1024 - shown_mb[name], 1) for name, match in found.items() if match}
+
+
+def pss_mb(pid: int) -> float:
+    """Proportional set size of a process, without the images of a `RingSource`."""
+    return _mapped_mb(pid, "Pss", images=False)
+
+
+def _mapped_mb(pid: int, field: str, images: bool) -> float:
+    """What mappings of images, or all others, have of a field of /proc/PID/smaps."""
+    found, ours = 0, False
+    for line in Path(f"/proc/{pid}/smaps").read_text().splitlines():
+        name, _, rest = line.partition(":")
+        if name == field:
+            found += int(rest.split()[0]) if ours else 0
+        elif "-" in line.split(" ", 1)[0]:
+            ours = line.endswith(".npy") is images
+    return found / 1024
 
 
 def cpu_s(pid: int) -> float:

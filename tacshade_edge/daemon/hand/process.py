@@ -18,6 +18,7 @@ from tacshade_edge.daemon.pipeline.pipeline import Crash, crashes_to
 from tacshade_edge.daemon.systemd import STOP_USEC, notify
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.factories import links
+from tacshade_edge.free_memory import share_free_memory
 from tacshade_edge.protocol import json_payload, replies
 from tacshade_edge.protocol.hand import encode_hand
 from tacshade_edge.protocol.requests import Request
@@ -73,6 +74,7 @@ class HandProcess:
         BaseException
             Whatever left a thread: the broker then publishes the last will.
         """
+        share_free_memory()
         with crashes_to(self._on_crash):
             self._link.start()
             notify("READY=1")
