@@ -31,7 +31,7 @@ from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.settings import Rpicam, V4l2
 from tacshade_edge.types import U8, Disc
 
-_FOURCCS = ("MJPG", "YUYV", "GREY")
+_FOURCCS = ("MJPG", "YUYV", "NV12", "GREY")
 _RATE_PART = 0.9
 _RATE_OFF = 0.01  # 29.97 is 30
 _LOST_PART = 0.05  # a stream's start may cost a frame

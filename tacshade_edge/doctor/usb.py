@@ -20,7 +20,7 @@ from tacshade_edge.doctor.finding import Finding, fault, ok, warning
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.settings import V4l2
 
-_BYTES_PER_PX: Final = {"YUYV": 2.0, "GREY": 1.0, "MJPG": 0.25}
+_BYTES_PER_PX: Final = {"YUYV": 2.0, "NV12": 1.5, "GREY": 1.0, "MJPG": 0.25}
 """Of MJPG the most that pictures of pins and markers take; a camera may reserve more."""
 _SMALL_PX: Final = (320, 240)
 _MB: Final = 1e6

@@ -19,7 +19,7 @@ class V4l2(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     width_px: Annotated[int, Meta(ge=16, le=4096, description="image width")] = 640
     height_px: Annotated[int, Meta(ge=16, le=4096, description="image height")] = 480
     fps: Annotated[int, Meta(ge=1, le=240, description="frames per second asked of the camera")] = 30
-    fourcc: Annotated[Literal["MJPG", "YUYV", "GREY"], Meta(description="pixel format")] = "MJPG"
+    fourcc: Annotated[Literal["MJPG", "YUYV", "NV12", "GREY"], Meta(description="pixel format")] = "MJPG"
     exposure: (
         Annotated[int, Meta(ge=1, le=100_000, description="locked exposure in the driver's unit, 0.1 ms on UVC")] | None
     ) = None

@@ -131,8 +131,9 @@ def test_inferred_drops_are_the_kernels(webcam: None, percent: int) -> None:
     assert abs((frames[-1].seq - frames[0].seq) - (numbers[-1] - numbers[0])) <= 2
 
 
-def test_grey_format(webcam: None) -> None:
-    grey, luma = source(fourcc="GREY"), source()
+@pytest.mark.parametrize("fourcc", ["GREY", "NV12"])
+def test_another_format(webcam: None, fourcc: str) -> None:
+    grey, luma = source(fourcc=fourcc), source()
     grey.open()
     frame = grey.read()
     grey.close()
@@ -142,15 +143,15 @@ def test_grey_format(webcam: None) -> None:
     assert frame is not None
     assert other is not None
     assert frame.image.shape == other.image.shape == (480, 640)
-    # The same bars: GREY is full range, the luma of YUYV is the video range and stays so.
-    assert (frame.image.min(), other.image.min()) == (0, 16)
-    assert int(frame.image.max()) > int(other.image.max())
+    # The same bars: GREY is full range, the luma of the others is the video range and stays so.
+    assert (frame.image.min(), other.image.min()) == (0 if fourcc == "GREY" else 16, 16)
+    assert (int(frame.image.max()) > int(other.image.max())) is (fourcc == "GREY")
 
 
 def test_a_format_it_has_not(webcam: None) -> None:
     with pytest.raises(ConfigError) as caught:
         source(fourcc="MJPG").open()
-    assert str(caught.value) == ("camera /dev/video0: asked 640x480 MJPG, got 640x480 BGR3 (it offers YUYV, GREY)")
+    assert str(caught.value) == ("camera /dev/video0: asked 640x480 MJPG, got 640x480 BGR3 (it offers YUYV, NV12, GREY)")
 
 
 def test_a_size_it_has_not(webcam: None) -> None:

@@ -73,7 +73,10 @@ def write(folder: Path, text: str | bytes) -> Path:
         ("source:\n  kind: v4l2\n  fps: 1e9\n", ":3: source.fps: found 1e9, expected an integer from 1 to 240"),
         ("source:\n  kind: v4l2\n  path: a\n", ":3: source.path: found an unknown key, expected one of kind, device,"),
         ("source:\n  kind: v4l2\n  device: video0\n", ":3: source.device: found video0, expected a string (a path"),
-        ("source:\n  kind: v4l2\n  fourcc: H264\n", ":3: source.fourcc: found H264, expected one of GREY, MJPG, YUYV"),
+        (
+            "source:\n  kind: v4l2\n  fourcc: H264\n",
+            ":3: source.fourcc: found H264, expected one of GREY, MJPG, NV12, YUYV",
+        ),
         ("source:\n  kind: v4l2\n  exposure: 0\n", ":3: source.exposure: found 0, expected an integer from 1 to"),
         (
             "profile: auto\n",

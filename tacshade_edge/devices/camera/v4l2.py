@@ -31,7 +31,7 @@ from tacshade_edge.types import U8, Frame
 
 _log = logging.getLogger(__name__)
 
-FOURCCS = ("MJPG", "YUYV", "GREY")
+FOURCCS = ("MJPG", "YUYV", "NV12", "GREY")
 _STALL_S = 2  # OpenCV's own limit is 10 s a read
 _BUFFERS = 4
 _STAMP_AGE_MAX_NS = 1_000_000_000
@@ -41,7 +41,7 @@ _UNDECODABLE_MAX = 30  # in a row: a second of them is not a camera
 class V4l2Source:
     """A `FrameSource` (devices.base) on a V4L2 camera; frames are grey, the luma that the camera sent.
 
-    The luma of YUYV and GREY is passed on as it is, never rescaled from the video range; MJPG is decoded to grey.
+    The luma of YUYV, NV12 and GREY is passed on as it is, never rescaled from the video range; MJPG is decoded to grey.
     Exposure and white balance are locked where the driver has the controls. All methods belong to one thread,
     except `dropped` and `describe`.
 
@@ -53,7 +53,7 @@ class V4l2Source:
     fps : float
         Asked of the driver, which may choose another; `describe` reports what was stated and what is measured.
     fourcc : str
-        MJPG, YUYV or GREY.
+        MJPG, YUYV, NV12 or GREY.
     exposure : int or None
         In the driver's unit (100 µs for USB cameras); None keeps the driver's value. Automatic is off either way.
 
@@ -253,7 +253,7 @@ def decode(raw: U8, fourcc: str, height_px: int, width_px: int) -> U8 | None:
     raw : uint8 (N,)
         The bytes that the driver filled.
     fourcc : str
-        MJPG, YUYV or GREY.
+        MJPG, YUYV, NV12 or GREY.
     height_px, width_px : int
 
     Returns
@@ -264,8 +264,11 @@ def decode(raw: U8, fourcc: str, height_px: int, width_px: int) -> U8 | None:
     """
     if fourcc == "MJPG":
         return _decode_jpeg(raw, height_px, width_px)
+    luma_px = height_px * width_px
+    if fourcc == "NV12":  # all luma, then half as many bytes of chroma
+        return raw[:luma_px].reshape(height_px, width_px) if 2 * raw.size == 3 * luma_px else None
     channels = 2 if fourcc == "YUYV" else 1
-    if raw.size != height_px * width_px * channels:
+    if raw.size != luma_px * channels:
         return None
     return np.ascontiguousarray(raw.reshape(height_px, width_px, channels)[:, :, 0])
 

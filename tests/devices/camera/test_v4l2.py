@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tacshade_edge.devices.camera.v4l2 import V4l2Source, decode
+from tacshade_edge.devices.camera.v4l2 import FOURCCS, V4l2Source, decode
 from tacshade_edge.errors import ConfigError, DeviceError, TacshadeError
 
 H, W = 48, 64
@@ -111,13 +111,18 @@ def test_luma_is_passed_on_untouched() -> None:
     assert grey.flags.c_contiguous
     np.testing.assert_array_equal(grey, yuyv[:, :, 0])
     np.testing.assert_array_equal(decode(PICTURE.reshape(-1), "GREY", H, W), PICTURE)
+    nv12 = np.concatenate([PICTURE.reshape(-1), RNG.integers(0, 256, H * W // 2, np.uint8)])
+    grey = decode(nv12, "NV12", H, W)
+    assert grey is not None
+    assert np.shares_memory(grey, nv12)
+    np.testing.assert_array_equal(grey, PICTURE)
 
 
-@pytest.mark.parametrize("fourcc", ["YUYV", "GREY"])
+@pytest.mark.parametrize(("fourcc", "bytes_per_px"), [("YUYV", 2), ("NV12", 1.5), ("GREY", 1)])
 @pytest.mark.parametrize("change", [-1, 1, W])
-def test_a_buffer_of_another_size_is_no_image(fourcc: str, change: int) -> None:
+def test_a_buffer_of_another_size_is_no_image(fourcc: str, bytes_per_px: float, change: int) -> None:
     """Short after lost USB packets; longer when the driver pads its lines, which would shear the image."""
-    size = H * W * len(fourcc.replace("GREY", "1").replace("YUYV", "12"))
+    size = int(H * W * bytes_per_px)
     assert decode(np.zeros(size, np.uint8), fourcc, H, W) is not None
     assert decode(np.zeros(size + change, np.uint8), fourcc, H, W) is None
 
@@ -150,6 +155,6 @@ def test_a_damaged_jpeg_never_raises(damage: list[tuple[int, int]]) -> None:
 
 @given(st.binary(max_size=300))
 def test_any_bytes_never_raise(data: bytes) -> None:
-    for fourcc in ("MJPG", "YUYV", "GREY"):
+    for fourcc in FOURCCS:
         image = decode(np.frombuffer(b"\xff\xd8" + data + b"\xff\xd9", np.uint8), fourcc, 2, 3)
         assert image is None or image.shape == (2, 3)
