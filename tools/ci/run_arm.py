@@ -16,7 +16,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import shlex
 import signal
 import subprocess
 import sys
@@ -31,6 +30,7 @@ from paho.mqtt.enums import CallbackAPIVersion
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.studies.tables import markdown
 from tools.ci.arm_frames import FREE, PRESSED
+from tools.rig.arm64 import instructions_each
 from tools.testbed.daemon_rig import BASE, broker
 
 TREE = Path(__file__).resolve().parents[2]
@@ -152,24 +152,13 @@ def quick(python: str) -> list[str]:
     return ["quick tests failed"] if done.returncode else []
 
 
-def instructions(profile: str, image: int) -> float:
-    """Of one frame: of `COUNT` and one less one, over one less."""
-    found = []
-    for count in (1, 1 + COUNT):
-        script = ("-m", "tools.ci.arm_frames", "step", str(GIVEN), profile, str(image), str(count))
-        done = subprocess.run((*ARM, "--count", *script), cwd=TREE, capture_output=True, text=True, check=False)
-        if done.returncode:
-            raise SystemExit(f"{shlex.join(script)}: {done.stderr.strip()}")
-        found.append(int(done.stdout))
-    return (found[1] - found[0]) / COUNT
-
-
 def count() -> None:
     """A table of instructions and what they would take."""
     rows = []
     for profile in PROFILES:
         for name, image in (("no contact", FREE), ("contact", PRESSED)):
-            each = instructions(profile, image)
+            script = ["-m", "tools.ci.arm_frames", "step", str(GIVEN), profile, str(image)]
+            each = instructions_each(script, COUNT)
             times = [
                 f"{1e3 * each / hz / most:.1f} to {1e3 * each / hz / least:.1f}" for hz, least, most in BOARDS.values()
             ]

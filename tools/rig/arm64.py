@@ -162,6 +162,18 @@ def counted(script: list[str]) -> int:
     return done.returncode
 
 
+def instructions_each(script: list[str], runs: int) -> float:
+    """Instructions of one run of a script whose last argument, appended here, is how often: of one and `runs` more."""
+    found = []
+    for count in (1, 1 + runs):
+        command = (sys.executable, "-m", "tools.rig.arm64", "--count", *script, str(count))
+        done = subprocess.run(command, cwd=TREE, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise SystemExit(f"{shlex.join(script)}: {done.stderr.strip()}")
+        found.append(int(done.stdout))
+    return (found[1] - found[0]) / runs
+
+
 def _run(*command: str) -> None:
     done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
     if done.returncode:
@@ -173,18 +185,20 @@ def main() -> int:
     """Parse the command line and run."""
     parser = argparse.ArgumentParser(prog="arm64.py", description="Run COMMAND in an emulated arm64 user space.")
     parser.add_argument("--python", choices=list(SUITES), default="3.11")
+    # With all that follows: words that begin with a dash are no COMMAND to argparse.
     parser.add_argument(
         "--count",
-        action="store_true",
-        help="COMMAND is a Python script, or -m and a module; print its instructions",
+        nargs=argparse.REMAINDER,
+        metavar="SCRIPT",
+        help="a Python script, or -m and a module, with its arguments; print its instructions",
     )
     parser.add_argument("command", nargs=argparse.REMAINDER, metavar="COMMAND", help="with its arguments")
     args = parser.parse_args()
-    if not args.command:
+    if not (args.count or args.command):
         parser.error("COMMAND is missing")
     try:
         if args.count:
-            return counted(args.command)
+            return counted(args.count)
         enter(args.python, args.command)
     except CannotRunError as error:
         print(f"arm64: {error}", file=sys.stderr)
