@@ -3,7 +3,7 @@
 
 ::
 
-    .venv/bin/python -m tools.benchmarks.runtime_counts [--runs 5]
+    .venv/bin/python -m tools.benchmarks.runtime_counts [--runs 20]
 
 Needs what ``tools/rig/arm64.py`` needs. A count compares runtimes whose kernels are alike; it does not see the memory.
 """
@@ -22,7 +22,7 @@ RUNTIMES = (OPENCV, FLOAT, INTEGERS)
 def main() -> None:
     """Count, print; with --run be what is counted."""
     parser = argparse.ArgumentParser(description="Instructions of a network's run on an emulated Cortex-A76.")
-    parser.add_argument("--runs", type=int, default=5, help="that are counted")
+    parser.add_argument("--runs", type=int, default=20, help="that are counted")
     parser.add_argument("--run", nargs=3, metavar=("NETWORK", "RUNTIME", "COUNT"), help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.run:

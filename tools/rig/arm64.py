@@ -152,7 +152,9 @@ def counted(script: list[str]) -> int:
         _run("cc", "-shared", "-fPIC", "-O2", "-o", str(plugin), str(HERE / "count_instructions.c"))
     (root / "proc/cpuinfo").write_text(CPUINFO)
     paths = (TREE / "tests", TREE, root / "opt/lock", root / "opt/dev")
-    environment = os.environ | ENVIRONMENT | {"PYTHONPATH": ":".join(map(str, paths)), "PATH": os.environ["PATH"]}
+    # Without a fixed seed Python's start differs by a million instructions from one time to the next.
+    ours = {"PYTHONPATH": ":".join(map(str, paths)), "PATH": os.environ["PATH"], "PYTHONHASHSEED": "0"}
+    environment = os.environ | ENVIRONMENT | ours
     words = ("qemu-aarch64", "-plugin", str(plugin), "-L", str(root), str(root / "usr/bin/python3.11"), "-B")
     done = subprocess.run((*words, *script), env=environment, stderr=subprocess.PIPE, text=True, check=False)
     found = re.search(r"^instructions: (\d+)$", done.stderr, re.MULTILINE)
