@@ -351,6 +351,18 @@ The row `contact` of [the daemon](daemon.md), with the profile `fast`: without a
         (*package("inference"), "tools/benchmarks/stages.py"),
         idle=True,
     ),
+    "runtime-counts": Page(
+        "Instructions of the networks on a board's processor, emulated",
+        "Of one run by the wheels of `systemd/requirements.lock`, on QEMU's model of a Pi 5's processor.",
+        ("tools.benchmarks.runtime_counts",),
+        (
+            *package("inference"),
+            "systemd/requirements.lock",
+            "tools/benchmarks/runtime.py",
+            "tools/rig/arm64.py",
+            "tools/rig/count_instructions.c",
+        ),
+    ),
     "arm": Page(
         "On a board's processor, emulated",
         """\

@@ -323,6 +323,16 @@ def opencv_beside_onnxruntime() -> Claims:
     yield "finds the same within 2e-5"
 
 
+def instructions() -> Claims:
+    page = Page("runtime-counts")
+    for line, column in (
+        ("OpenCV 5.0, float", "OpenCV"),
+        ("ONNX Runtime 1.32, float", "ONNX Runtime"),
+        ("**ONNX Runtime 1.32, our integer graphs**", "integers"),
+    ):
+        yield f"| {line} | {' | '.join(page.cell(f'{column}, million', name) for name in NETWORKS)} |"
+
+
 def memory() -> Claims:
     text = (ROOT / "docs" / "results" / "memory.md").read_text(encoding="utf-8")
     found = re.findall(r"^ *(\d+)" + r" +([\d.]+)" * 4 + "$", text, re.MULTILINE)
@@ -472,6 +482,7 @@ CLAIMS = (
     pytest.param("docs/service.md", pre_roll, id="pre_roll"),
     pytest.param("docs/replay.md", recording, id="recording"),
     pytest.param("docs/decisions/0005-onnxruntime.md", opencv_beside_onnxruntime, id="opencv_beside_onnxruntime"),
+    pytest.param("docs/decisions/0012-runtimes.md", instructions, id="instructions"),
     pytest.param("docs/reliability.md", faults, id="faults"),
     pytest.param("docs/reliability.md", faults_of_thousands, id="faults_of_thousands"),
     pytest.param("config/default.yaml", paper_in_the_settings, id="paper_in_the_settings"),

@@ -11,6 +11,7 @@ Each figure is the median over the rounds of a round's median (p50) or 99th perc
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 
 import cv2
 import numpy as np
@@ -22,6 +23,36 @@ from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import F32
 from tools.benchmarks.stages import timed_ms
 
+NETWORKS = (*(profile.network for profile in PROFILES.values() if profile.network), "shear")
+OPENCV, FLOAT, INTEGERS = "OpenCV", "ONNX Runtime", "integers"
+
+
+def runners(name: str) -> dict[str, Callable[[], F32]]:
+    """What runs a shipped network once on the same random maps, by each of the three; the first output."""
+    cv2.setNumThreads(1)
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    path = WEIGHTS / f"{name}.onnx"
+    data = path.read_bytes()
+    session, integers = (
+        onnxruntime.InferenceSession(each, options, providers=["CPUExecutionProvider"])
+        for each in (data, in_integers(path, data))
+    )
+    rng = np.random.default_rng(0)
+    maps = {each.name: rng.random(each.shape, dtype=np.float32) for each in session.get_inputs()}
+    net = cv2.dnn.readNetFromONNX(str(path))
+
+    def by_opencv() -> F32:
+        for name, values in maps.items():
+            net.setInput(values, name)
+        return np.asarray(net.forward())
+
+    return {
+        OPENCV: by_opencv,
+        FLOAT: lambda: session.run(None, maps)[0],
+        INTEGERS: lambda: integers.run(None, maps)[0],
+    }
+
 
 def main() -> None:
     """Measure, print."""
@@ -29,35 +60,11 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--runs", type=int, default=200, help="in each round")
     args = parser.parse_args()
-    cv2.setNumThreads(1)
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
     lines = []
-    for name in (*(profile.network for profile in PROFILES.values() if profile.network), "shear"):
-        path = WEIGHTS / f"{name}.onnx"
-        data = path.read_bytes()
-        session, integers = (
-            onnxruntime.InferenceSession(each, options, providers=["CPUExecutionProvider"])
-            for each in (data, in_integers(path, data))
-        )
-        rng = np.random.default_rng(0)
-        maps = {each.name: rng.random(each.shape, dtype=np.float32) for each in session.get_inputs()}
-        net = cv2.dnn.readNetFromONNX(str(path))
-
-        def by_opencv(net: cv2.dnn.Net = net, maps: dict[str, F32] = maps) -> object:
-            for name, values in maps.items():
-                net.setInput(values, name)
-            return net.forward()
-
-        def by_onnxruntime(session: onnxruntime.InferenceSession = session, maps: dict[str, F32] = maps) -> object:
-            return session.run(None, maps)
-
-        def by_integers(session: onnxruntime.InferenceSession = integers, maps: dict[str, F32] = maps) -> object:
-            return session.run(None, maps)
-
-        off = float(np.abs(np.asarray(by_opencv()) - by_onnxruntime()[0]).max())  # type: ignore[index]
-        runs = (by_opencv, by_onnxruntime, by_integers)
-        found = [[timed_ms(run, args.runs) for run in runs] for _ in range(args.rounds)]
+    for name in NETWORKS:
+        made = runners(name)
+        off = float(np.abs(made[OPENCV]() - made[FLOAT]()).max())
+        found = [[timed_ms(run, args.runs) for run in made.values()] for _ in range(args.rounds)]
         (p50, p99), (other50, other99), (integer50, integer99) = np.median(found, axis=0)
         figures = [f"{value:.3f}" for value in (p50, p99, other50, other99)]
         integer = [f"{integer50:.3f}", f"{integer99:.3f}", f"{other50 / integer50:.2f}"]

@@ -16,7 +16,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import shlex
 import signal
 import subprocess
 import sys
@@ -31,6 +30,7 @@ from paho.mqtt.enums import CallbackAPIVersion
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.studies.tables import markdown
 from tools.ci.arm_frames import FREE, PRESSED, STAGES
+from tools.rig.arm64 import instructions_each
 from tools.testbed.daemon_rig import BASE, broker
 
 TREE = Path(__file__).resolve().parents[2]
@@ -152,18 +152,6 @@ def quick(python: str) -> list[str]:
     return ["quick tests failed"] if done.returncode else []
 
 
-def instructions(profile: str, image: int, last: str, port: int) -> float:
-    """Of one frame up to a stage: of `COUNT` and one less one, over `COUNT`."""
-    found = []
-    for count in (1, 1 + COUNT):
-        script = ("-m", "tools.ci.arm_frames", "step", str(GIVEN), profile, str(image), last, str(port), str(count))
-        done = subprocess.run((*ARM, "--count", *script), cwd=TREE, capture_output=True, text=True, check=False)
-        if done.returncode:
-            raise SystemExit(f"{shlex.join(script)}: {done.stderr.strip()}")
-        found.append(int(done.stdout))
-    return (found[1] - found[0]) / COUNT
-
-
 def count() -> None:
     """Print a table of each stage's instructions, and what all of them would take."""
     rows = []
@@ -173,7 +161,8 @@ def count() -> None:
             for name, image in (("no contact", FREE), ("contact", PRESSED)):
                 stages = [stage for stage in STAGES if learned or stage not in ("shear", "sigma")]
                 stages = ["gate"] if image == FREE else stages
-                totals = [instructions(profile, image, stage, port) for stage in stages]
+                script = ["-m", "tools.ci.arm_frames", "step", str(GIVEN), profile, str(image)]
+                totals = [instructions_each([*script, stage, str(port)], COUNT) for stage in stages]
                 own = dict(zip(stages, np.diff([0, *totals]), strict=True))
                 times = [
                     f"{1e3 * totals[-1] / hz / most:.1f} to {1e3 * totals[-1] / hz / least:.1f}"

@@ -152,7 +152,9 @@ def counted(script: list[str]) -> int:
         _run("cc", "-shared", "-fPIC", "-O2", "-o", str(plugin), str(HERE / "count_instructions.c"))
     (root / "proc/cpuinfo").write_text(CPUINFO)
     paths = (TREE / "tests", TREE, root / "opt/lock", root / "opt/dev")
-    environment = os.environ | ENVIRONMENT | {"PYTHONPATH": ":".join(map(str, paths)), "PATH": os.environ["PATH"]}
+    # Without a fixed seed Python's start differs by a million instructions from one time to the next.
+    ours = {"PYTHONPATH": ":".join(map(str, paths)), "PATH": os.environ["PATH"], "PYTHONHASHSEED": "0"}
+    environment = os.environ | ENVIRONMENT | ours
     words = ("qemu-aarch64", "-plugin", str(plugin), "-L", str(root), str(root / "usr/bin/python3.11"), "-B")
     done = subprocess.run((*words, *script), env=environment, stderr=subprocess.PIPE, text=True, check=False)
     found = re.search(r"^instructions: (\d+)$", done.stderr, re.MULTILINE)
@@ -160,6 +162,18 @@ def counted(script: list[str]) -> int:
     if found:
         print(found[1])
     return done.returncode
+
+
+def instructions_each(script: list[str], runs: int) -> float:
+    """Instructions of one run of a script whose last argument, appended here, is how often: of one and `runs` more."""
+    found = []
+    for count in (1, 1 + runs):
+        command = (sys.executable, "-m", "tools.rig.arm64", "--count", *script, str(count))
+        done = subprocess.run(command, cwd=TREE, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise SystemExit(f"{shlex.join(script)}: {done.stderr.strip()}")
+        found.append(int(done.stdout))
+    return (found[1] - found[0]) / runs
 
 
 def _run(*command: str) -> None:
@@ -173,18 +187,20 @@ def main() -> int:
     """Parse the command line and run."""
     parser = argparse.ArgumentParser(prog="arm64.py", description="Run COMMAND in an emulated arm64 user space.")
     parser.add_argument("--python", choices=list(SUITES), default="3.11")
+    # With all that follows: words that begin with a dash are no COMMAND to argparse.
     parser.add_argument(
         "--count",
-        action="store_true",
-        help="COMMAND is a Python script, or -m and a module; print its instructions",
+        nargs=argparse.REMAINDER,
+        metavar="SCRIPT",
+        help="a Python script, or -m and a module, with its arguments; print its instructions",
     )
     parser.add_argument("command", nargs=argparse.REMAINDER, metavar="COMMAND", help="with its arguments")
     args = parser.parse_args()
-    if not args.command:
+    if not (args.count or args.command):
         parser.error("COMMAND is missing")
     try:
         if args.count:
-            return counted(args.command)
+            return counted(args.count)
         enter(args.python, args.command)
     except CannotRunError as error:
         print(f"arm64: {error}", file=sys.stderr)
