@@ -32,7 +32,7 @@ OBSERVED_SD_MM: Final = 0.8
 NOMINAL_MM: Final = 2.0
 UNKNOWN_SD_MM: Final = 50.0
 """Stated where nothing is observed."""
-_STEPS, _CONVERGED_MM = 5, 1e-3
+_STEPS, _CONVERGED_MM = 5, 0.02  # of which the square over the lever is left
 _STEEPEST = 0.2  # n · z of a contact that far off the tip that no camera sees it
 _EYE = np.eye(3)
 
