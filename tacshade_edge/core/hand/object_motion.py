@@ -17,6 +17,8 @@ from tacshade_edge.core.hand.link import (
     AT_REST,
     LEVER_MM,
     OBSERVED_SD_MM,
+    SHEAR_SD_MM,
+    SHEAR_SD_PART,
     UNKNOWN_SD_MM,
     Link,
     LinkMotion,
@@ -30,6 +32,9 @@ from tacshade_edge.types import F64, freeze
 UNSEEN_MM_S: Final = 10.0
 """The deviation of an unobserved direction grows so fast, up to `UNKNOWN_SD_MM`, in what a link leaves to the next: by
 29 degrees/s. Where one finger touches a frame before the others, the object has not turned far unseen."""
+REST_SHARE: Final = 0.3
+"""Of a link without motion so much of the deviation is left to the next: both see the same error of the instant that is
+between them, each with the other sign, and it is left only as far as they weigh it otherwise."""
 RECENTRED_MM: Final = 0.1
 """The point whose translation is reported is put amid the patches that hold, as long as that changes it by less."""
 GAIN_SD: Final = 0.08
@@ -152,7 +157,9 @@ def _next_link(state: _State, keys: tuple[str, ...], start: Patches) -> _State:
     link = begin(start)
     base = state.motion.rigid(state.link.middle_mm) @ state.base
     unseen_mm = min(UNKNOWN_SD_MM, UNSEEN_MM_S * (state.seen_ns - state.began_ns) / 1e9)
-    spread = _spread(state, unseen_mm)
+    way = np.append(state.motion.translation_mm, LEVER_MM * turned_rad(state.motion.rotation))
+    moved_sd_mm = SHEAR_SD_PART * float(np.linalg.norm(way))
+    spread = _spread(state, unseen_mm, max(REST_SHARE, moved_sd_mm / (SHEAR_SD_MM + moved_sd_mm)))
     about_mm = state.about_mm
     if keys:
         amid_mm = base.inverse().apply(link.middle_mm)
@@ -171,8 +178,8 @@ def _seen(state: _State, t_ns: int, stick: Mapping[str, Patch]) -> _State:
     return replace(state, seen=now, seen_ns=t_ns, motion=solve(state.link, now, state.motion))
 
 
-def _spread(state: _State, unseen_mm: float) -> F64:
-    """Covariance of the whole motion about the hand's origin."""
+def _spread(state: _State, unseen_mm: float, share: float) -> F64:
+    """Covariance of the whole motion about the hand's origin, with a share of the link's deviations."""
     link, motion = state.link, state.motion
     blind = link.unobserved * (unseen_mm / _SCALE[:, None])
     to_origin = _moved_to(-(link.middle_mm + motion.translation_mm))
@@ -181,7 +188,7 @@ def _spread(state: _State, unseen_mm: float) -> F64:
     carried[:3, :3] = carried[3:, 3:] = moved.rotation
     carried[:3, 3:] = -_moved_to(moved.translation_mm)[:3, 3:] @ moved.rotation
     return np.asarray(
-        to_origin @ (motion.covariance + blind @ blind.T) @ to_origin.T + carried @ state.spread @ carried.T
+        to_origin @ (share**2 * motion.covariance + blind @ blind.T) @ to_origin.T + carried @ state.spread @ carried.T
     )
 
 
@@ -230,5 +237,5 @@ def _reported(state: _State) -> ObjectMotion:
     gained = GAIN_SD * np.concatenate((translation_mm, rotation_rad))
     return ObjectMotion(
         *(state.since_ns, state.about_mm, translation_mm, rotation_rad),
-        *(change @ _spread(state, UNKNOWN_SD_MM) @ change.T + np.outer(gained, gained), state.unobserved),
+        *(change @ _spread(state, UNKNOWN_SD_MM, 1.0) @ change.T + np.outer(gained, gained), state.unobserved),
     )

@@ -130,4 +130,4 @@ def _ellipsoid(found: ObjectMotion, truth: Rigid) -> float:
     """Squared error by the covariance, over the 90 % bound of the directions that are observed."""
     off_mm = found.about_mm + found.translation_mm - truth.apply(found.about_mm)
     error = np.append(off_mm, turned_rad(found.rigid().rotation @ truth.rotation.T))
-    return float(error @ np.linalg.solve(found.covariance, error)) / CHI2_90[6 - len(found.unobserved)]
+    return float(error @ np.linalg.solve(found.covariance, error)) / CHI2_90[max(1, 6 - len(found.unobserved))]
