@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tacshade_edge.rigid import Rigid, from_seven, shift, turn
+from tacshade_edge.rigid import Rigid, from_seven, shift, turn, turned_rad
 
 numbers = st.floats(-1, 1)
 poses = st.tuples(*[st.floats(-500, 500)] * 3, *[numbers] * 4).filter(lambda v: math.hypot(*v[3:]) > 0.1)
@@ -35,6 +35,13 @@ def test_a_turn_is_the_quaternions(vector: tuple[float, float, float]) -> None:
     axis = np.array(vector) / angle if angle else np.array((1.0, 0.0, 0.0))
     expected = from_seven((0.0, 0.0, 0.0, math.cos(angle / 2), *(math.sin(angle / 2) * axis)))
     np.testing.assert_allclose(turn(vector).rotation, expected.rotation, atol=1e-12)
+
+
+@given(st.tuples(numbers, numbers, numbers), st.floats(0, math.pi - 1e-3))
+def test_a_turn_gives_its_vector_back(axis: tuple[float, float, float], angle: float) -> None:
+    size = math.hypot(*axis)
+    vector = np.array(axis) * (angle / size if size > 1e-3 else 0.0)
+    np.testing.assert_allclose(turned_rad(turn(vector).rotation), vector, atol=1e-9)
 
 
 def test_looking_down_turns_z_over() -> None:

@@ -23,9 +23,52 @@ _Value = Annotated[float, Meta(ge=-1e9, le=1e9)]
 Triple = tuple[_Value, _Value, _Value]
 
 OBJECTS_MAX: Final = 16
-"""The greatest of a finger: what is published of a hand stays within 25 kB, five fingers."""
+"""The greatest of a finger: what five fingers publish stays within 29 kB, and as much again with its motion."""
 FINGERS_MAX: Final = 32
 _DIGITS: Final = 4  # 0.1 µm
+
+
+class Unobservable(msgspec.Struct, frozen=True, kw_only=True):
+    """A motion that the fingers cannot see: a rotation about a line, or a translation along it.
+
+    Attributes
+    ----------
+    axis : 3 floats
+        Unit vector.
+    through_mm : 3 floats or None
+        A point of the line; None: a translation.
+    """
+
+    axis: Triple
+    through_mm: Triple | None
+
+
+class Motion(msgspec.Struct, frozen=True, kw_only=True):
+    """How the object that the hand holds has moved: what was at p is at R (p - about) + about + translation.
+
+    Attributes
+    ----------
+    since_ns : int
+        Capture of the frame with which it was grasped.
+    about_mm, translation_mm : 3 floats
+        A point amid the fingers' patches, and how far that has moved.
+    rotation_deg : 3 floats
+        Rotation vector of R.
+    covariance : 36 floats
+        6x6, row by row: of `translation_mm`, and of a small rotation after R in degrees.
+    unobservable : tuple of Unobservable
+        0 in the motion, and large in the covariance.
+    left_out : tuple of str
+        Fingers over which the object slips.
+    """
+
+    since_ns: Count
+    about_mm: Triple
+    translation_mm: Triple
+    rotation_deg: Triple
+    covariance: Annotated[tuple[_Value, ...], Meta(min_length=36, max_length=36)]
+    unobservable: Annotated[tuple[Unobservable, ...], Meta(max_length=6)] = ()
+    left_out: Annotated[tuple[str, ...], Meta(max_length=FINGERS_MAX)] = ()
 
 
 class HandObject(msgspec.Struct, frozen=True, kw_only=True):
@@ -47,6 +90,8 @@ class HandObject(msgspec.Struct, frozen=True, kw_only=True):
     slip : int or None
         0 stick, 1 partial, 2 full.
     slip_mm_s : float or None
+    motion : Motion or None
+        Of what the whole hand holds; None where no shear is reported, and from a finger to its hand.
     """
 
     id: int | None
@@ -59,6 +104,7 @@ class HandObject(msgspec.Struct, frozen=True, kw_only=True):
     twist_deg: _Value | None
     slip: Annotated[int, Meta(ge=0, le=2)] | None
     slip_mm_s: _Value | None
+    motion: Motion | None = None
 
 
 class Finger(msgspec.Struct, frozen=True, kw_only=True):
@@ -76,6 +122,8 @@ class Finger(msgspec.Struct, frozen=True, kw_only=True):
         The frame's.
     reason_code, degraded_code : str
         Codes of `reasons.ReasonCode`; empty when all is well.
+    axis : 3 floats or None
+        Its own z axis: shear is at right angles to it, twist is about it. None of what no frame reported.
     objects : tuple of HandObject
         The greatest first, at most `OBJECTS_MAX`; empty unless `state` is ``contact``.
     """
@@ -86,6 +134,7 @@ class Finger(msgspec.Struct, frozen=True, kw_only=True):
     seq: Count | None = None
     reason_code: str = ""
     degraded_code: str = ""
+    axis: Triple | None = None
     objects: Annotated[tuple[HandObject, ...], Meta(max_length=OBJECTS_MAX)] = ()
 
 
@@ -123,6 +172,7 @@ def finger_of(result: Reconstruction, hand_T_sensor: Rigid) -> Finger:
         seq=result.seq,
         reason_code=code_of(result.reason),
         degraded_code=code_of(result.degraded),
+        axis=rounded_triple(hand_T_sensor.rotation[:, 2]),
         objects=objects,
     )
 
@@ -156,12 +206,12 @@ def _in_frame(touched: TouchedObject, points_mm: F64, hand_T_sensor: Rigid) -> H
     """An object with its points, which are in the hand's frame already."""
     turn = hand_T_sensor.rotation
     extent_mm = np.ptp(points_mm, axis=0) if len(points_mm) else np.abs(turn) @ np.array(touched.extent_mm)
-    slide = None if touched.shear_mm is None else _triple(turn[:, :2] @ np.array(touched.shear_mm))
+    slide = None if touched.shear_mm is None else rounded_triple(turn[:, :2] @ np.array(touched.shear_mm))
     return HandObject(
         id=touched.id,
-        centroid_mm=_triple(hand_T_sensor.apply(np.array(touched.centroid_mm))),
-        extent_mm=_triple(extent_mm),
-        normal=_triple(turn @ np.array(touched.normal)),
+        centroid_mm=rounded_triple(hand_T_sensor.apply(np.array(touched.centroid_mm))),
+        extent_mm=rounded_triple(extent_mm),
+        normal=rounded_triple(turn @ np.array(touched.normal)),
         depth_max_mm=round(float(touched.depth_max_mm), _DIGITS),
         area_mm2=round(float(touched.area_mm2), _DIGITS),
         shear_mm=slide,
@@ -171,7 +221,8 @@ def _in_frame(touched: TouchedObject, points_mm: F64, hand_T_sensor: Rigid) -> H
     )
 
 
-def _triple(vector: F64) -> Triple:
+def rounded_triple(vector: F64) -> Triple:
+    """Round a vector (3,) to what is published."""
     x, y, z = (round(float(value), _DIGITS) + 0.0 for value in vector)  # no -0.0
     return x, y, z
 

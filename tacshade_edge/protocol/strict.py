@@ -15,7 +15,7 @@ T = TypeVar("T")
 BYTES_MAX: Final = 1 << 16
 """Ten times the largest `health` of a daemon."""
 VALUES_MAX: Final = 1 << 14
-DEPTH_MAX: Final = 8
+DEPTH_MAX: Final = 9
 CHARS_MAX: Final = 4096
 """Of a text; the longest that a daemon publishes is a reason of a few hundred."""
 _INTEGER_MAX: Final = 2**64

@@ -15,6 +15,8 @@ from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol.hand import (
     OBJECTS_MAX,
     HandObjects,
+    Motion,
+    Unobservable,
     away,
     decode_finger,
     decode_hand,
@@ -30,6 +32,18 @@ VECTORS = json.loads((Path(__file__).parent / "vectors" / "hand.json").read_text
 SOUND = [v for v in VECTORS if "expect" in v]
 # A quarter turn about z, from x towards y, and 10, 0, 10 mm away.
 TURNED = from_seven((10.0, 0.0, 10.0, 0.5**0.5, 0.0, 0.0, 0.5**0.5))
+
+
+COVARIANCE = tuple(0.25 if k % 7 == 0 else 0.0 for k in range(36))
+MOVED = Motion(
+    since_ns=500,
+    about_mm=(12.5, 1.25, 30.0),
+    translation_mm=(0.5, 0.0, -0.25),
+    rotation_deg=(0.0, 1.5, 0.0),
+    covariance=COVARIANCE,
+    unobservable=(Unobservable(axis=(0.0, 0.0, 1.0), through_mm=(12.5, 1.25, 30.0)),),
+    left_out=("ring",),
+)
 
 
 def named(vector: dict[str, Any]) -> str:
@@ -60,6 +74,9 @@ def test_the_first_vector_is_what_three_fingers_tell(make_result: Callable[..., 
         "index": finger_of(make_result(contact=False, t_ns=1_000_000, seq=812), TURNED),
         "ring": away(Reason(ReasonCode.LOST, "gone")),
     }
+    first, second = fingers["thumb"].objects
+    held = (msgspec.structs.replace(first, motion=MOVED), second)
+    fingers["thumb"] = msgspec.structs.replace(fingers["thumb"], objects=held)
     aged = dict(zip(fingers, (1.999, 1.0, None), strict=True))
     fingers = {name: msgspec.structs.replace(finger, age_ms=aged[name]) for name, finger in fingers.items()}
     message = HandObjects(t_ns=2_000_000, wall_ns=1_700_000_000_000_000_000, seq=7, fingers=fingers)
@@ -71,7 +88,10 @@ def test_every_sound_vector_is_understood(vector: dict[str, Any]) -> None:
     hand, expect = decode_hand(vector["payload"].encode()), vector["expect"]
     assert (hand.t_ns, hand.seq) == (expect["t_ns"], expect["seq"])
     assert {name: finger.state for name, finger in hand.fingers.items()} == expect["states"]
-    places = [list(o.centroid_mm) for finger in hand.fingers.values() for o in finger.objects]
+    objects = [o for finger in hand.fingers.values() for o in finger.objects]
+    moved = [o.motion and [*o.motion.translation_mm, *o.motion.rotation_deg] for o in objects]
+    assert moved == expect["motions"]
+    places = [list(o.centroid_mm) for o in objects]
     assert places == expect["centroids_mm"]
     assert [finger.age_ms for finger in hand.fingers.values()] == expect["ages_ms"]
 
@@ -100,7 +120,7 @@ def test_a_finger_tells_of_its_greatest_objects_only(make_result: Callable[..., 
     finger = finger_of(make_result(objects=many), TURNED)
     assert [o.area_mm2 for o in finger.objects] == [100.0 - k for k in range(OBJECTS_MAX)]
     most = HandObjects(t_ns=2**62, wall_ns=2**62, seq=2**31, fingers=dict.fromkeys("abcde", finger))
-    assert len(encode_hand(most)) < 25_000
+    assert len(encode_hand(most)) < 29_000
 
 
 def test_a_finger_goes_to_the_hand_and_comes_as_it_was(make_result: Callable[..., Reconstruction]) -> None:

@@ -23,7 +23,7 @@ HUGE = b"1" + b"0" * 400
         (b'{"a":-' + HUGE * 12 + b"}", "expected what"),
         (b'{"a":1e999}', "expected what"),
         (b'{"a":NaN}', "expected what"),
-        (b'{"a":' + b"[" * 9 + b"]" * 9 + b"}", "more than 8 levels"),
+        (b'{"a":' + b"[" * 10 + b"]" * 10 + b"}", "more than 9 levels"),
         (b"[" * 60_000, "expected what"),
         (b'{"a":[' + b"0," * 20_000 + b"0]}", "more than 16384 values"),
         (b'{"a":"' + b"x" * 5000 + b'"}', "5000 characters"),

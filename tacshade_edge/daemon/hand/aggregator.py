@@ -7,6 +7,7 @@ from typing import Final
 
 import msgspec
 
+from tacshade_edge.daemon.hand.held_object import HeldObject, with_motion
 from tacshade_edge.protocol.hand import Finger, HandObjects, away
 from tacshade_edge.reasons import Reason, ReasonCode
 
@@ -35,13 +36,14 @@ class HandAggregator:
         self._news: set[str] = set()
         self._news_ns = 0  # the oldest
         self._seq = 0
+        self._held = HeldObject()
 
     def listen(self, listened: bool, now_ns: int) -> None:
         """Somebody listens, or nobody does; when it begins, what was reported before is no news any more."""
         if not listened:
             self._listened_ns = None
         elif self._listened_ns is None:
-            self._listened_ns, self._published_ns = now_ns, 0
+            self._listened_ns, self._published_ns, self._held = now_ns, 0, HeldObject()
             for name, finger in self._fingers.items():
                 self._heard_ns[name] = None
                 if finger.state != "away":
@@ -70,13 +72,15 @@ class HandAggregator:
 
     def message(self, now_ns: int, wall_ns: int) -> HandObjects:
         """The next message."""
-        fingers = {}
         for name, finger in self._fingers.items():
             heard_ns = self._heard_ns[name] or self._listened_ns or now_ns
             if finger.state != "away" and now_ns - heard_ns > STALLED_NS:
-                finger = self._fingers[name] = _STALLED
+                self._fingers[name] = _STALLED
+        motion = self._held.step(self._fingers, now_ns)
+        fingers = {}
+        for name, finger in self._fingers.items():
             aged = None if finger.t_ns is None else round((now_ns - finger.t_ns) / 1e6, 3)
-            fingers[name] = msgspec.structs.replace(finger, age_ms=aged)
+            fingers[name] = msgspec.structs.replace(with_motion(finger, motion), age_ms=aged)
         message = HandObjects(t_ns=now_ns, wall_ns=wall_ns, seq=self._seq, fingers=fingers)
         self._published_ns = now_ns
         self._news.clear()

@@ -31,9 +31,13 @@ function decodeHand(data) {
   const message = JSON.parse(new TextDecoder().decode(data));
   for (const finger of Object.values(message.fingers)) {
     if (!["contact", "free", "away"].includes(finger.state)) throw new Error("not a finger's state");
-    for (const touched of finger.objects)
-      for (const key of ["centroid_mm", "extent_mm", "normal"])
-        if (touched[key].length !== 3 || !touched[key].every(Number.isFinite)) throw new Error(`not three numbers: ${key}`);
+    for (const touched of finger.objects) {
+      const vectors = ["centroid_mm", "extent_mm", "normal"].map((key) => [touched[key], 3]);
+      if (touched.motion)
+        vectors.push(...["about_mm", "translation_mm", "rotation_deg"].map((key) => [touched.motion[key], 3]), [touched.motion.covariance, 36]);
+      for (const [vector, size] of vectors)
+        if (vector.length !== size || !vector.every(Number.isFinite)) throw new Error(`not ${size} numbers: ${vector}`);
+    }
   }
   return message;
 }

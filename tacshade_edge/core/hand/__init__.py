@@ -1,0 +1,1 @@
+"""What several fingers say together of the object that they hold."""

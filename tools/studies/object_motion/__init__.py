@@ -1,0 +1,1 @@
+"""How well a hand knows the motion of the object that it holds."""
