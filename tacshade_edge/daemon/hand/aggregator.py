@@ -11,7 +11,7 @@ from tacshade_edge.daemon.hand.held_object import HeldObject, with_motion
 from tacshade_edge.protocol.hand import Finger, HandObjects, away
 from tacshade_edge.reasons import Reason, ReasonCode
 
-GATHER_NS: Final = 4_000_000
+GATHER_NS: Final = 3_000_000
 """News of one finger waits at most so long for that of the others in contact, whose cameras do not expose together, and
 so long at least after the message before."""
 QUIET_PERIOD_NS: Final = 100_000_000
