@@ -3,14 +3,14 @@
 
 ::
 
-    .venv/bin/python -m tools.studies.flange [--trials 20] [--profile accurate] [--keep DIR]
+    .venv/bin/python -m tools.studies.flange [--trials 20] [--start 10 10] [--profile accurate] [--keep DIR]
 
 Each trial has a surface, a sensor that was calibrated on 40 ball presses, a true place on the flange, a delay, and a
 start that is 10 mm and 10 degrees off. A robot that believes the start goes through the plan of docs/stitching.md: it
 turns and goes where the plan says, then down until the sensor is so deep in the surface. Every fifth press has frames
 of the motion down and up. Every image is drawn and reconstructed. What the robot reports is off by Gaussian noise,
-once for each press. --keep stores what was reconstructed; delete it after a change of anything but what finds the
-flange.
+once for each press. `--start 0.5 0.5` is for who goes through the plan once more, with what was found. --keep stores
+what was reconstructed; delete it after a change of anything but what finds the flange.
 """
 
 from __future__ import annotations
@@ -45,7 +45,8 @@ SENSORS = ("default", "5", "11", "other:1", "two-scales:3")
 PADS = ("relief:1", "relief:2", "relief:3", "touchpad:0")
 NOISES = ((0.1, 0.1), (0.2, 0.2), (0.3, 0.3))
 """Standard deviations of the reported poses: in every axis in mm, about a random axis through the apex in degrees."""
-START_MM, START_DEG = 10.0, 10.0
+START = (10.0, 10.0)
+"""How far off, in mm and in degrees."""
 TRUE = shift(12, -7, 55) @ turn((0.3, -0.2, 1.1))
 WITHIN_MM, WITHIN_DEG, WITHIN_MS, WITHIN_SIGMAS = 0.5, 0.7, 5.0, 2.5
 _DEPTH_MM, _VARIED_MM = 2.0, 0.4
@@ -61,6 +62,7 @@ class Task:
     trial: int
     profile: str
     keep: Path | None
+    start: tuple[float, float] = START
     constant: bool = False
 
     @property
@@ -85,12 +87,12 @@ class Taken:
     radius_mm: float
 
 
-def start_of(trial: int) -> Rigid:
-    """What the robot believes."""
+def start_of(trial: int, off: tuple[float, float] = START) -> Rigid:
+    """What the robot believes: off by so many mm and degrees."""
     rng = np.random.default_rng((trial, 31))
     axis, way = rng.standard_normal(3), rng.standard_normal(3)
-    rotation = turn(axis / np.linalg.norm(axis) * math.radians(START_DEG)).rotation @ TRUE.rotation
-    return Rigid(rotation, TRUE.translation_mm + way / np.linalg.norm(way) * START_MM)
+    rotation = turn(axis / np.linalg.norm(axis) * math.radians(off[1])).rotation @ TRUE.rotation
+    return Rigid(rotation, TRUE.translation_mm + way / np.linalg.norm(way) * off[0])
 
 
 @functools.cache
@@ -110,7 +112,7 @@ def _lowered(pose: Rigid, radius_mm: float, surface: pads.Surface, depth_mm: flo
 
 def taken(task: Task) -> Taken:
     """All frames in contact of the plan."""
-    name = f"{task.trial}-{task.pad}-{task.sensor}-{task.profile}-{task.constant}.npz".replace(":", "_")
+    name = f"{task.trial}-{task.pad}-{task.sensor}-{task.profile}-{task.constant}-{task.start}.npz".replace(":", "_")
     kept = None if task.keep is None else task.keep / name
     if kept is not None and kept.exists():
         with np.load(kept) as npz:
@@ -125,7 +127,7 @@ def taken(task: Task) -> Taken:
     believed = flange_plan.plan(surface.width_mm / 2, surface.length_mm / 2, radius_mm, turns)
     out = Taken([], [], [], [], radius_mm)
     for k, pose in enumerate(believed):
-        true = pose @ start_of(task.trial).inverse() @ TRUE
+        true = pose @ start_of(task.trial, task.start).inverse() @ TRUE
         true = _lowered(true, radius_mm, surface, _DEPTH_MM + float(rng.uniform(-_VARIED_MM, _VARIED_MM)))
         moving = _MOVING_MM if k % 5 == k // 5 % 5 else ()
         for above_mm in (0.0, *moving):
@@ -192,18 +194,20 @@ def main() -> None:
     """Measure, print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--trials", type=int, default=20)
+    parser.add_argument("--start", type=float, nargs=2, default=START, metavar=("MM", "DEG"), help="how far off it is")
     parser.add_argument("--profile", choices=PROFILES, default="accurate")
     parser.add_argument("--keep", type=Path, metavar="DIR")
     args = parser.parse_args()
     cv2.setNumThreads(1)
+    off_by: tuple[float, float] = (args.start[0], args.start[1])
     found: dict[tuple[float, float], list[tuple[F64, F64]]] = {noise: [] for noise in NOISES}
     rows = []
     for trial in range(args.trials):
-        task = Task(trial, args.profile, args.keep)
+        task = Task(trial, args.profile, args.keep, off_by)
         got = taken(task)
         delay_ms = float(np.random.default_rng((trial, 33)).uniform(*_DELAY_MS))
         for noise in NOISES:
-            result = find_flange(frames_of(got, noise, delay_ms, trial), start_of(trial), got.radius_mm)
+            result = find_flange(frames_of(got, noise, delay_ms, trial), start_of(trial, off_by), got.radius_mm)
             off, sigma = errors(result, delay_ms), np.sqrt(np.diag(result.covariance))
             found[noise].append((off, sigma))
             each = (f"{e:.2f} ({s:.2f})" for e, s in zip(off, sigma, strict=True))
@@ -212,9 +216,11 @@ def main() -> None:
     columns = ("noise of the poses", *limits, f"within {WITHIN_SIGMAS} standard deviations", "RMS in those")
     print(markdown(columns, [told(noise, here) for noise, here in found.items()]), end="\n\n")
     print(markdown(("surface", "sensor", "noise", *ORDER), rows), end="\n\n")
-    got = taken(Task(0, args.profile, args.keep, constant=True))
+    got = taken(Task(0, args.profile, args.keep, off_by, constant=True))
     frames = frames_of(got, NOISES[1], 0.0, 0)
-    print("one orientation:", unseen(frames, start_of(0), find_flange(frames, start_of(0), got.radius_mm)))
+    print(
+        "one orientation:", unseen(frames, start_of(0, off_by), find_flange(frames, start_of(0, off_by), got.radius_mm))
+    )
 
 
 if __name__ == "__main__":
