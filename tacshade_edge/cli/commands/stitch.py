@@ -4,24 +4,30 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from tacshade_edge.cli.shared import find_flange
 from tacshade_edge.cli.shared.profile_option import add_profile
 from tacshade_edge.cli.shared.progress import Progress
-from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.profiles import PROFILES, Profile
+from tacshade_edge.core.stitching.flange_equations import ContactFrame
 from tacshade_edge.core.stitching.stitcher import StitchedMap
 from tacshade_edge.core.stitching.surface_map import STEP_MM, Raster
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import calibrations
 from tacshade_edge.reasons import text_of
+from tacshade_edge.rigid import from_seven
 from tacshade_edge.storage.recording.recording import Recording
 from tacshade_edge.storage.stitching.map_files import press_record, write_map
 from tacshade_edge.storage.tables.poses_table import read_poses
 from tacshade_edge.studies.stitch.average import radius_average
+from tacshade_edge.studies.stitch.contact_frames import frames_of_presses, read_contact_frames
 from tacshade_edge.studies.stitch.picture import write_comparison
 from tacshade_edge.studies.stitch.score import KnownSurface, read_known, score
 from tacshade_edge.studies.stitch.work import Press, all_points, read_presses, read_recording, stitcher_of
+from tacshade_edge.types import Calibration
 
 EXIT_FAILED = 1
 
@@ -41,20 +47,33 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--truth", type=Path, metavar="PAD.npz", help="score the map against this known surface, and picture both"
     )
-    parser.add_argument("--json", action="store_true", help="print map.json")
+    parser.add_argument(
+        "--find-flange",
+        action="store_true",
+        help="no map, but flange.json: flange_T_sensor and the delay of the frames, from overlapping presses",
+    )
+    parser.add_argument("--json", action="store_true", help="print map.json, or flange.json")
 
 
 def run(args: argparse.Namespace) -> int:
     """Stitch; a press that cannot be used is named in map.json, an image that cannot be read here too."""
+    if args.find_flange and args.truth is not None:
+        raise ConfigError("--truth: found with --find-flange, which makes no map; expected one of them")
     calibration = calibrations.load(args.calibration)
     profile, known = PROFILES[args.profile], None if args.truth is None else read_known(args.truth)
     if args.recording is None:
         presses = read_presses(calibration, profile, read_poses(args.poses), Progress())
+    elif args.find_flange:
+        return _flange_of_recording(args, calibration, profile)
     else:
         presses = read_recording(calibration, profile, Recording(args.recording), str(args.recording))
     failed = [p for p in presses if p.failed]
     for press in failed:
         print(f"tacshade-edge: {press.where}: {press.skipped}", file=sys.stderr)
+    if args.find_flange:
+        start = from_seven(calibration.flange_T_sensor)
+        _find_flange(args, calibration, frames_of_presses(presses, start))
+        return EXIT_FAILED if failed else 0
     stitcher = stitcher_of(presses, calibration.geometry.skin_radius_mm)
     if stitcher.presses == 0:
         why = presses[0].skipped if presses else "no contact settled"
@@ -75,6 +94,19 @@ def run(args: argparse.Namespace) -> int:
     else:
         _print(args.out, about)
     return EXIT_FAILED if failed else 0
+
+
+def _flange_of_recording(args: argparse.Namespace, calibration: Calibration, profile: Profile) -> int:
+    found, unread = read_contact_frames(calibration, profile, Recording(args.recording))
+    for reason in unread:
+        print(f"tacshade-edge: {args.recording}: {reason.text}", file=sys.stderr)
+    _find_flange(args, calibration, found)
+    return EXIT_FAILED if unread else 0
+
+
+def _find_flange(args: argparse.Namespace, calibration: Calibration, found: Sequence[ContactFrame]) -> None:
+    start, where = from_seven(calibration.flange_T_sensor), str(args.poses or args.recording)
+    find_flange.run(found, start, calibration.geometry.skin_radius_mm, args.out, where, as_json=args.json)
 
 
 def _details(presses: list[Press], finished: StitchedMap) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from tacshade_edge.core.stitching.overlap_cells import overlap_cells
 from tacshade_edge.core.stitching.press_points import PressPoints
 from tacshade_edge.rigid import Rigid, turn
 from tacshade_edge.types import F64, I64
@@ -33,11 +34,10 @@ _CAUCHY_MM = 0.15  # a difference of that size counts half
 _CONVERGED_MM = 0.005  # no press moves farther in an iteration
 _CG_ITERATIONS_MAX = 60
 _CG_TOLERANCE = 0.01  # of one Gauss-Newton step; the next one goes on
-_LATERAL_RATIO = 5.0  # a place found beside its own is off in height by the slope times so many height errors
+LATERAL_RATIO = 5.0  # a place found beside its own is off in height by the slope times so many height errors
 # How far the reconstruction's errors alone move presses in height, over what they leave in differences: typically, and
 # at most. With exact poses it is 1.1 to 2.5 (tools/studies/stitch_pads.py).
 _OWN_MOVES_TYPICAL, _OWN_MOVES_MAX = 1.8, 2.8
-_SLOPE_MAX = 2.0  # mm per mm; beyond, a slope between two cells is a step
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,14 +120,14 @@ def robots_part(presses: Sequence[F64], reported: Sequence[Rigid], refined: Sequ
     """
     press_of, points = _joined(presses)
     at, _ = _placed(points, press_of, refined, centre_mm)
-    cell, cells, slope, offset = _surface(at, points[:, 3])
-    height = at[:, 2] - np.sum(slope * offset, axis=1)
-    weight = points[:, 3] / (1 + _LATERAL_RATIO**2 * np.sum(slope**2, axis=1))
-    shared = np.bincount(cell, minlength=cells)[cell] > 1
+    cells = overlap_cells(at, points[:, 3], CELL_MM)
+    cell, height = cells.of_point, cells.height_mm
+    weight = points[:, 3] / (1 + LATERAL_RATIO**2 * np.sum(cells.slope**2, axis=1))
+    shared = np.bincount(cell)[cell] > 1
     if not shared.any():
         return 0.0
-    own_part = weight / np.bincount(cell, weight, cells)[cell]  # of the cell's mean, which follows the point so far
-    squares = (height - _cell_means(height, weight, cell, cells)[cell]) ** 2 / np.maximum(1 - own_part, 0.05)
+    own_part = weight / np.bincount(cell, weight)[cell]  # of the cell's mean, which follows the point so far
+    squares = (height - cells.means(height, weight)[cell]) ** 2 / np.maximum(1 - own_part, 0.05)
     left2 = float(np.sum((weight * squares)[shared]) / np.sum(weight[shared]))
     moves = [(refined[k].apply(centre_mm) - reported[k].apply(centre_mm))[2] for k in np.unique(press_of[shared])]
     moved2 = float(np.mean(np.square(moves)))
@@ -160,18 +160,18 @@ def _corrected(pose: Rigid, correction: F64, centre_mm: F64) -> Rigid:
 def _step(points: F64, press_of: I64, poses: Sequence[Rigid], centre_mm: F64, corrections: F64, prior: F64) -> F64:
     """One Gauss-Newton step of all poses: (P, 6)."""
     at, lever = _placed(points, press_of, poses, centre_mm)
-    cell, cells, slope, offset = _surface(at, points[:, 3])
-    # The height that this point gives to its cell's middle, and how it changes with translation and rotation.
-    height = at[:, 2] - np.sum(slope * offset, axis=1)
-    normal = np.concatenate((-slope, np.ones((len(at), 1))), axis=1)
+    cells = overlap_cells(at, points[:, 3], CELL_MM)
+    cell, height = cells.of_point, cells.height_mm
+    # How the height that a point gives to its cell's middle changes with translation and rotation.
+    normal = np.concatenate((-cells.slope, np.ones((len(at), 1))), axis=1)
     jacobian = np.concatenate((normal, np.cross(lever, normal)), axis=1)
-    mean = _cell_means(height, points[:, 3], cell, cells)
+    mean = cells.means(height, points[:, 3])
     weight = points[:, 3] / (SURFACE_SIGMA_MM**2 * (1 + ((height - mean[cell]) / _CAUCHY_MM) ** 2))
-    total = np.bincount(cell, weight, cells)
+    total = np.bincount(cell, weight)
 
     def eliminated(values: F64) -> F64:
         """Without each cell's mean: the surface is eliminated."""
-        return np.asarray(values - (np.bincount(cell, weight * values, cells) / total)[cell])
+        return np.asarray(values - (np.bincount(cell, weight * values) / total)[cell])
 
     starts = np.searchsorted(press_of, np.arange(len(poses)))
 
@@ -201,36 +201,6 @@ def _placed(points: F64, press_of: I64, poses: Sequence[Rigid], centre_mm: F64) 
     rotations, shifts = (np.stack([getattr(p, name) for p in poses]) for name in ("rotation", "translation_mm"))
     at = np.einsum("nij,nj->ni", rotations[press_of], points[:, :3]) + shifts[press_of]
     return at, at - (np.stack([p.apply(centre_mm) for p in poses]))[press_of]
-
-
-def _surface(at: F64, weight: F64) -> tuple[I64, int, F64, F64]:
-    """The cell of each point, how many there are, the map's slope there (N, 2), and x, y from the cell's middle."""
-    column_row = np.floor(at[:, :2] / CELL_MM).astype(np.int64)
-    offset = at[:, :2] - (column_row + 0.5) * CELL_MM
-    column_row -= column_row.min(axis=0)
-    width = int(column_row[:, 0].max()) + 3  # a free column between rows, so that neighbours need no checks
-    key = (column_row[:, 1] + 1) * width + column_row[:, 0] + 1
-    used, cell = np.unique(key, return_inverse=True)
-    z = _cell_means(at[:, 2], weight, cell, len(used))
-    slope = np.stack([_slope(used, z, step) for step in (1, width)], axis=1)
-    return cell, len(used), slope[cell], offset
-
-
-def _slope(used: I64, z: F64, step: int) -> F64:
-    """Of the cells' heights towards the neighbour `step` on: of two sides, one or none; mm per mm."""
-
-    def neighbour(by: int) -> F64:
-        at = np.minimum(np.searchsorted(used, used + by), len(used) - 1)
-        return np.where(used[at] == used + by, z[at], np.nan)
-
-    sides = np.stack((neighbour(step) - z, z - neighbour(-step))) / CELL_MM
-    known = np.isfinite(sides)
-    mean = np.where(known, sides, 0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-    return np.asarray(np.clip(mean, -_SLOPE_MAX, _SLOPE_MAX))
-
-
-def _cell_means(values: F64, weight: F64, cell: I64, cells: int) -> F64:
-    return np.asarray(np.bincount(cell, weight * values, cells) / np.bincount(cell, weight, cells))
 
 
 def _conjugate_gradients(matrix: Callable[[F64], F64], right: F64, inverse: F64) -> F64:

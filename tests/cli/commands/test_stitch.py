@@ -202,3 +202,39 @@ def test_a_folder_that_cannot_be_written(folder: Path, tmp_path: Path, capsys: p
     (tmp_path / "file").write_text("")
     assert main(words(folder, tmp_path / "file" / "out")) == 1
     assert "cannot be written" in capsys.readouterr().err
+
+
+def test_one_orientation_does_not_find_the_flange(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words(folder, tmp_path / "out", "--find-flange")) == 78
+    (line,) = without_progress(capsys.readouterr().err)
+    assert "POSES.csv: translation along x, y and z cannot be seen: every press has the same orientation" in line
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_recording_with_few_presses_does_not_find_the_flange(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = ["stitch", "--calibration", str(folder / "cal.npz"), "--profile", "fast", "--find-flange"]
+    recording = recorded(folder, tmp_path / "recording")
+    assert main([*given, "--recording", str(recording), "--out", str(tmp_path / "out")]) == 78
+    assert "recording: found 3 presses with a pose, expected 12 or more" in capsys.readouterr().err
+
+
+def test_a_pose_that_is_no_number_does_not_find_the_flange(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(folder, tmp_path / "pad")
+    table = tmp_path / "pad" / "POSES.csv"
+    first, second, *rest = table.read_text().splitlines()
+    table.write_text("\n".join((first, second.replace(second.split(",")[1], "nan"), *rest)))
+    assert main(words(tmp_path / "pad", tmp_path / "out", "--find-flange")) == 78
+    assert "POSES.csv:2: x_mm: found" in capsys.readouterr().err
+
+
+def test_a_known_surface_is_of_no_use_for_the_flange(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words(folder, tmp_path / "out", "--find-flange", "--truth", str(folder / "PAD.npz"))) == 78
+    assert "--truth: found with --find-flange" in capsys.readouterr().err

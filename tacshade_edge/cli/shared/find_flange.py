@@ -1,0 +1,70 @@
+"""``tacshade-edge stitch --find-flange``: where the sensor sits on the flange, and the delay of its frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from tacshade_edge.core.stitching.flange import FoundFlange, find_flange
+from tacshade_edge.core.stitching.flange_equations import ContactFrame
+from tacshade_edge.core.stitching.flange_motions import delay_seen, unseen
+from tacshade_edge.core.stitching.refinement import correction
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.rigid import Rigid
+from tacshade_edge.storage.stitching.flange_file import FLANGE, write_flange
+
+PRESSES_MIN = 12
+START_MM, START_DEG = 15.0, 15.0
+"""Found farther from the start than it may be off: no place on the flange, a false one."""
+_PLAN = "(docs/stitching.md has a plan)"
+
+
+def run(
+    frames: Sequence[ContactFrame], start: Rigid, skin_radius_mm: float, out: Path, where: str, *, as_json: bool
+) -> None:
+    """Find, write, print.
+
+    Raises
+    ------
+    ConfigError
+        Too few presses, a motion that is missing, or no place near the start at which the presses agree.
+    """
+    presses = len({frame.press for frame in frames})
+    if presses < PRESSES_MIN:
+        raise ConfigError(f"{where}: found {presses} presses with a pose, expected {PRESSES_MIN} or more {_PLAN}")
+    try:
+        found = find_flange(frames, start, skin_radius_mm)
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}") from None
+    if why := unseen(frames, start, found):
+        raise ConfigError(f"{where}: {why} {_PLAN}")
+    moved_mm, turned_deg = correction(start, found.flange_T_sensor, np.zeros(3))
+    if moved_mm > START_MM or turned_deg > START_DEG:
+        raise ConfigError(
+            f"{where}: the presses agree only {moved_mm:.0f} mm and {turned_deg:.0f} degrees from flange_T_sensor of "
+            "the calibration, expected one that is right within 10 mm and 10 degrees, and base_T_flange in mm"
+        )
+    seen = delay_seen(found)
+    write_flange(out, found, delay_seen=seen, presses=presses, frames=len(frames))
+    if as_json:
+        print((out / FLANGE).read_text(encoding="utf-8"), end="")
+    else:
+        _print(out, found, presses, moved_mm, turned_deg, seen)
+
+
+def _print(out: Path, found: FoundFlange, presses: int, moved_mm: float, turned_deg: float, seen: bool) -> None:
+    sigma = np.sqrt(np.diag(found.covariance))
+    values = ", ".join(f"{value:.6g}" for value in found.flange_T_sensor.seven())
+    print(f"{out / FLANGE}: {presses} presses, {moved_mm:.2f} mm and {turned_deg:.2f} degrees from the calibration's")
+    print(
+        f"in SENSOR.yaml, then calibrate again: flange_T_sensor: [{values}]  "
+        f"# within {max(sigma[:3]):.2f} mm, {max(sigma[3:6]):.2f} degrees (standard deviation)"
+    )
+    if seen:
+        print(f"delay: frames are stamped {found.delay_ms:.1f} ms (± {sigma[6]:.1f}) later than the robot's poses")
+    else:
+        print(
+            "delay: cannot be seen: no press moves in contact, expected a recording of presses down and up at 10 mm/s"
+        )

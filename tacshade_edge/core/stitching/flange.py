@@ -1,0 +1,127 @@
+"""Where the sensor sits on the flange, and the delay of its frames: what makes overlapping presses one surface.
+
+Hand-eye calibration by the surface that presses share, as iterative closest points do it (Chen and Medioni, "Object
+modeling by registration of multiple range images", 1992): in each place of the base frame the heights of all presses
+have to agree. Gauss-Newton with Cauchy's weight, coarse to fine: the surface is one quadratic function first, which
+needs no correspondence and so forgives any error of the start; then it is cells that shrink. In the last ones each
+press has the robot's error and each frame the reconstruction's, and what the sensor systematically does to a contact
+is solved for too, held at zero by what it typically is. Contacts that are all tilted alike look like a turn of the
+sensor: that is not solved for but considered in the covariance (Schmidt, "Application of state-space methods to
+navigation problems", 1966).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from tacshade_edge.core.stitching.flange_equations import (
+    FRAME_TERMS,
+    ContactFrame,
+    Estimate,
+    FlangeProblem,
+    NormalEquations,
+)
+from tacshade_edge.rigid import Rigid
+from tacshade_edge.types import F64, freeze
+
+ORDER = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg", "delay_ms")
+"""Of the covariance: the sensor's origin on the flange, a small turn about the flange's axes through that origin, and
+by how much later than the robot's poses the frames are stamped."""
+
+# Size of the cells, and how far heights of one place differ; the first is one function for all.
+_COARSE_MM = ((0.0, 1.0), (6.0, 0.6), (3.0, 0.4), (1.5, 0.25))
+_FINE_MM = (1.0, 0.15)
+_ITERATIONS_MAX = 12
+_STEP_MAX = np.array((3.0,) * 3 + (np.radians(4),) * 3 + (30.0,))
+_CONVERGED = np.array((0.005,) * 3 + (3e-4,) * 3 + (0.1,))
+# Standard deviations: of the start; of the sensor's own errors in mm at 10 mm; of the considered ones; of each press
+# (what its patch is tilted by is the reconstruction's, the rest the robot's); of each frame's level, and of its bulge.
+_START = np.array((10.0,) * 3 + (np.radians(10),) * 3 + (100.0,))
+_OWN_MM = np.array((0.5, 0.5, 1.0))
+_CONSIDERED = np.array((0.05, 0.05, 0.02))
+_PRESS = np.array((0.2, 0.2, 0.2, np.radians(0.7), np.radians(0.7), np.radians(0.25)))
+_FRAME_MM = np.array((0.2, 0.5))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundFlange:
+    """The result.
+
+    Attributes
+    ----------
+    flange_T_sensor : Rigid
+    delay_ms : float
+    covariance : float64 (7, 7)
+        In the units and the order of `ORDER`.
+    left_mm : float
+        RMS of what heights of one place still differ by.
+    """
+
+    flange_T_sensor: Rigid
+    delay_ms: float
+    covariance: F64
+    left_mm: float
+
+    def __post_init__(self) -> None:
+        freeze(self, "covariance")
+
+
+def find_flange(frames: Sequence[ContactFrame], start: Rigid, skin_radius_mm: float) -> FoundFlange:
+    """Solve.
+
+    Parameters
+    ----------
+    frames : sequence of ContactFrame
+        At least one; those of a press together.
+    start : Rigid
+        ``flange_T_sensor`` within 10 mm and 10 degrees.
+    skin_radius_mm : float
+
+    Returns
+    -------
+    FoundFlange
+        What cannot be seen keeps the start's standard deviation: 10 mm, 10 degrees, 100 ms.
+
+    Raises
+    ------
+    ConfigError
+        The presses face in opposite directions.
+    """
+    problem = FlangeProblem(frames, start, skin_radius_mm)
+    now = Estimate(
+        start, 0.0, np.zeros(len(_OWN_MM)), np.zeros((problem.presses, 6)), np.zeros((len(frames), FRAME_TERMS))
+    )
+    coarse = np.concatenate((_START, _OWN_MM))
+    for level in _COARSE_MM:
+        for _ in range(_ITERATIONS_MAX):
+            step = _solved(problem.equations(now, *level, joint=False), now, start, coarse)[0]
+            now = now.moved(step)
+            if (np.abs(step[:7]) < 10 * _CONVERGED).all():
+                break
+    sigmas = np.concatenate((coarse, np.tile(_PRESS, problem.presses), np.tile(_FRAME_MM, len(frames))))
+    for _ in range(_ITERATIONS_MAX):
+        equations = problem.equations(now, *_FINE_MM, joint=True)
+        step, covariance = _solved(equations, now, start, sigmas)
+        now = now.moved(step)
+        if (np.abs(step[:7]) < _CONVERGED).all():
+            break
+    looks_like = covariance[:7] @ equations.considered * _CONSIDERED
+    units = np.array((1.0,) * 3 + (np.degrees(1),) * 3 + (1.0,))
+    stated = (covariance[:7, :7] + looks_like @ looks_like.T) * np.outer(units, units)
+    return FoundFlange(now.flange_T_sensor, now.delay_ms, stated, equations.left_mm)
+
+
+def _solved(equations: NormalEquations, now: Estimate, start: Rigid, sigmas: F64) -> tuple[F64, F64]:
+    """A Gauss-Newton step, no longer than `_STEP_MAX`, and the covariance."""
+    turned, _ = cv2.Rodrigues(now.flange_T_sensor.rotation @ start.rotation.T)
+    moved_mm = now.flange_T_sensor.translation_mm - start.translation_mm
+    gone = np.concatenate(
+        (moved_mm, turned.ravel(), (now.delay_ms,), now.own, now.presses.ravel(), now.frames_mm.ravel())
+    )
+    covariance: F64 = np.asarray(np.linalg.inv(equations.matrix + np.diag(sigmas**-2.0)), np.float64)
+    step = covariance @ (equations.right - gone[: len(sigmas)] / sigmas**2)
+    return step / max(1.0, float(np.max(np.abs(step[:7]) / _STEP_MAX))), covariance
