@@ -56,14 +56,20 @@ class ObjectCloud:
 
 
 class Need(Flag):
-    """How much of a frame is asked for: shear and the error of depth have depth with them, a touch has both."""
+    """How much of a frame is asked for: shear and the error of depth have depth with them, a touch has both.
+
+    Every bit has a name, those of ``ONLY`` for that alone: Python 3.11.2, Debian 12's, loses others from a union.
+    """
 
     CONTACT = 0
     DEPTH = 1
-    SHEAR = 3
-    SIGMA = 5
-    TOUCH = 11
-    ALL = 15
+    ONLY_SHEAR = 2
+    ONLY_SIGMA = 4
+    ONLY_TOUCH = 8
+    SHEAR = DEPTH | ONLY_SHEAR
+    SIGMA = DEPTH | ONLY_SIGMA
+    TOUCH = SHEAR | ONLY_TOUCH
+    ALL = SIGMA | TOUCH
 
 
 class Slip(IntEnum):
