@@ -32,9 +32,9 @@ from tacshade_edge.types import F64, freeze
 UNSEEN_MM_S: Final = 10.0
 """The deviation of an unobserved direction grows so fast, up to `UNKNOWN_SD_MM`, in what a link leaves to the next: by
 29 degrees/s. Where one finger touches a frame before the others, the object has not turned far unseen."""
-REST_SHARE: Final = 0.3
-"""Of a link without motion so much of the deviation is left to the next: both see the same error of the instant that is
-between them, each with the other sign, and it is left only as far as they weigh it otherwise."""
+REST_SHARE: Final = 0.1
+"""So much of the covariance of a link without motion is left to the next: both see the same error of the instant that
+is between them, each with the other sign, and it is left only as far as they weigh it otherwise."""
 RECENTRED_MM: Final = 0.1
 """The point whose translation is reported is put amid the patches that hold, as long as that changes it by less."""
 GAIN_SD: Final = 0.08
@@ -179,7 +179,7 @@ def _seen(state: _State, t_ns: int, stick: Mapping[str, Patch]) -> _State:
 
 
 def _spread(state: _State, unseen_mm: float, share: float) -> F64:
-    """Covariance of the whole motion about the hand's origin, with a share of the link's deviations."""
+    """Covariance of the whole motion about the hand's origin, with a share of the link's own."""
     link, motion = state.link, state.motion
     blind = link.unobserved * (unseen_mm / _SCALE[:, None])
     to_origin = _moved_to(-(link.middle_mm + motion.translation_mm))
@@ -188,7 +188,7 @@ def _spread(state: _State, unseen_mm: float, share: float) -> F64:
     carried[:3, :3] = carried[3:, 3:] = moved.rotation
     carried[:3, 3:] = -_moved_to(moved.translation_mm)[:3, 3:] @ moved.rotation
     return np.asarray(
-        to_origin @ (share**2 * motion.covariance + blind @ blind.T) @ to_origin.T + carried @ state.spread @ carried.T
+        to_origin @ (share * motion.covariance + blind @ blind.T) @ to_origin.T + carried @ state.spread @ carried.T
     )
 
 
