@@ -89,6 +89,13 @@ def turn(vector_rad: Sequence[float] | F64) -> Rigid:
     return Rigid(np.eye(3) + first * k + second * (k @ k), np.zeros(3))
 
 
+def turned_rad(rotation: F64) -> F64:
+    """Take the rotation vector (3,) that `turn` makes a rotation of, at most half a turn."""
+    w, *v = _quaternion(rotation)
+    sine = math.hypot(*v)
+    return np.array(v) * (2 * math.atan2(sine, w) / sine if sine > 0 else 2.0)
+
+
 def _quaternion(m: F64) -> tuple[float, float, float, float]:
     """Unit quaternion w, x, y, z of a rotation, from the largest of its components: no root of almost nothing."""
     squares = np.array(
