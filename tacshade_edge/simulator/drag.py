@@ -186,8 +186,9 @@ def _swaying(
     moved_mm = contacts.held_mm + (node - before)[::_EVERY, ::_EVERY][contacts.rows, contacts.cols]
     at_contacts = carried[:, contacts.rows, contacts.cols].T
     ahead = contacts.held_mm - at_contacts
-    loads = _loads(skin, direction, contacts, traction, ahead / _length(moved_mm), len(presses))
     sticks = np.linalg.norm(ahead, axis=1) < _STUCK_MM
+    surplus = np.where(sticks, 0.0, np.linalg.norm(ahead, axis=1) / np.maximum(np.linalg.norm(moved_mm, axis=1), 1e-9))
+    loads = _loads(skin, direction, contacts, traction, surplus, len(presses))
     owners = [contacts.owner == k for k in range(len(presses))]
     origin = np.asarray(before - node - np.moveaxis(finer(carried, node.shape[:2]), 0, 2), np.float32)
     part = _unfolded_part(origin, skin.step_mm)
@@ -218,15 +219,15 @@ def loads_of(skin: Skin, model: SensorModel, presses: Sequence[Press]) -> tuple[
     direction = node_directions(skin.radius_mm).astype(np.float64)
     contacts = _contacts(skin, direction, np.zeros((*direction.shape[:2], 2)), model, presses)
     nothing = np.zeros((2, *direction[::_EVERY, ::_EVERY].shape[:2]), np.float32)
-    return _loads(skin, direction, contacts, nothing, np.zeros_like(contacts.held_mm), len(presses))
+    return _loads(skin, direction, contacts, nothing, np.zeros(len(contacts.rows)), len(presses))
 
 
 def _loads(
-    skin: Skin, direction: F64, contacts: Contacts, traction_mm: F32, ahead: F64, presses: int
+    skin: Skin, direction: F64, contacts: Contacts, traction_mm: F32, surplus: F64, presses: int
 ) -> tuple[Load, ...]:
     at = direction[::_EVERY, ::_EVERY][contacts.rows, contacts.cols]
     points = at * (skin.radius_mm - skin.height_mm[::_EVERY, ::_EVERY][contacts.rows, contacts.cols])[:, None]
-    traction, ahead = traction_mm[:, contacts.rows, contacts.cols].T, np.linalg.norm(ahead, axis=1)
+    traction = traction_mm[:, contacts.rows, contacts.cols].T
     area_mm2 = (skin.step_mm * _EVERY) ** 2
     owners = [contacts.owner == k for k in range(presses)]
     return tuple(
@@ -236,14 +237,10 @@ def _loads(
             contacts.pressure_mm[mine],
             traction[mine].astype(np.float64),
             area_mm2,
-            float(ahead[mine].min(initial=1.0)) if mine.any() else 0.0,
+            float(surplus[mine].min(initial=1.0)) if mine.any() else 0.0,
         )
         for mine in owners
     )
-
-
-def _length(vectors: F64) -> F64:
-    return np.asarray(np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), _STUCK_MM))
 
 
 def _mean(vectors: F64) -> tuple[float, float]:

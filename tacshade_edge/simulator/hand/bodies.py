@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from tacshade_edge.simulator.objects import Shape
+from tacshade_edge.simulator.objects import Shape, polygon
 from tacshade_edge.types import F64
 
 
@@ -41,3 +43,17 @@ def cylinder(radius_mm: float, length_mm: float, rounding_mm: float = 2.0) -> Sh
 def sphere(radius_mm: float) -> Shape:
     """A ball about its centre."""
     return Shape("sphere", lambda p: np.asarray(np.linalg.norm(p, axis=1) - np.float32(radius_mm)))
+
+
+def lathed(name: str, outline_mm: Sequence[tuple[float, float]], rounding_mm: float = 2.0) -> Shape:
+    """What an outline makes that is turned about x: its corners (x, distance from x) in turn, convex edges rounded.
+
+    A rounding takes nothing off: it is put around the outline.
+    """
+    upper = list(outline_mm)
+    profile = polygon([*upper, *((x, -rho) for x, rho in reversed(upper))])
+
+    def sdf(p: F64) -> F64:
+        return (profile(p[:, 0], np.hypot(p[:, 1], p[:, 2])) - rounding_mm).astype(p.dtype)
+
+    return Shape(name, sdf)

@@ -21,7 +21,7 @@ from tacshade_edge.types import F64
 _LENGTH_MM = 20.0  # what a turn by 1 rad counts
 _DIFFERENCE_MM = 0.05
 _LONGEST_MM = 0.5  # of a step
-_STEPS = 25
+_STEPS = 12
 _TOLERANCE = 0.01  # of all normal loads and the load from outside
 
 

@@ -5,10 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tacshade_edge.simulator.hand.bodies import box, cylinder, sphere
+from tacshade_edge.simulator.hand.bodies import box, cylinder, lathed, sphere
 from tacshade_edge.simulator.objects import Shape
 
-BODIES = (box(40.0, 30.0, 20.0), cylinder(15.0, 50.0), sphere(18.0))
+CAN = lathed("can", ((-23.0, 13.0), (23.0, 13.0)))
+BODIES = (box(40.0, 30.0, 20.0), cylinder(15.0, 50.0), sphere(18.0), CAN)
 POINTS = st.tuples(*[st.floats(-60, 60)] * 3)
 
 
@@ -26,6 +27,11 @@ def test_distances_are_those_to_faces_edges_and_ends() -> None:
     assert box(40.0, 30.0, 20.0).sdf(corner) == pytest.approx((3.0,))
     assert cylinder(15.0, 50.0).sdf(np.array(((0, 9.0, 12.0), (27, 0, 0), (0, 0, 0)))) == pytest.approx((0, 2, -15))
     assert sphere(18.0).sdf(np.array(((0, 0, 20.0),))) == pytest.approx((2.0,))
+
+
+def test_a_lathed_outline_is_rounded_around_its_corners() -> None:
+    points = np.random.default_rng(0).uniform(-40, 40, (500, 3))
+    assert CAN.sdf(points) == pytest.approx(cylinder(15.0, 50.0).sdf(points), abs=1e-9)
 
 
 def test_edges_rounder_than_the_body_are_refused() -> None:

@@ -24,7 +24,7 @@ def rest(force: tuple[float, float, float], torque: tuple[float, ...] = (0, 0, 0
 
 @pytest.mark.parametrize("force", [(0.0, 0.0, -60.0), (0.0, 150.0, 0.0), (40.0, 80.0, 20.0)])
 def test_the_fingers_bear_the_weight(force: tuple[float, float, float]) -> None:
-    found = rest(THREE, force)
+    found = rest(force)
     assert found is not None
     pressed = sum(each.truth.load.normal_mm3 for each in found.felts if each.truth.load)
     inner = borne(found.felts, THREE, found.hand_T_object, MU)
@@ -36,7 +36,7 @@ def test_the_fingers_bear_the_weight(force: tuple[float, float, float]) -> None:
 
 
 def test_a_torque_turns_it() -> None:
-    found = rest(THREE, (0.0, 0.0, 0.0), (0.0, 4000.0, 0.0))
+    found = rest((0.0, 0.0, 0.0), (0.0, 4000.0, 0.0))
     assert found is not None
     _, x, y, z = found.hand_T_object.seven()[3:]
     assert y > 0.002
@@ -45,7 +45,7 @@ def test_a_torque_turns_it() -> None:
 
 def test_what_friction_does_not_bear_slips() -> None:
     pressed = sum(felt(f, f.hand_T_sensor, BALL, HOME).truth.load.normal_mm3 for f in THREE)  # type: ignore[union-attr]
-    within, beyond = rest(THREE, (0.0, 0.8 * MU * pressed, 0.0)), rest(THREE, (0.0, 1.1 * MU * pressed, 0.0))
+    within, beyond = rest((0.0, 0.8 * MU * pressed, 0.0)), rest((0.0, 1.1 * MU * pressed, 0.0))
     assert within is not None
     assert all(0 < each.truth.margin < 0.4 for each in within.felts)
     assert beyond is None

@@ -35,7 +35,7 @@ def test_a_symmetric_grasp_has_equal_loads_that_cancel_out() -> None:
     assert normals == pytest.approx([normals[0]] * 3, rel=0.01)
     assert np.linalg.norm(sum(load.push_mm3 for load in loads if load)) < 0.01 * normals[0]
     assert [finger.depth_mm for finger in truth.fingers] == pytest.approx([DEPTH_MM] * 3, abs=0.01)
-    assert [finger.margin for finger in truth.fingers] == [1.0] * 3
+    assert [finger.margin for finger in truth.fingers] == pytest.approx([1.0] * 3)
     for finger in truth.fingers:
         assert finger.centre_mm is not None
         assert np.linalg.norm(finger.centre_mm) == pytest.approx(BALL_MM, abs=0.05)
@@ -65,8 +65,7 @@ def test_a_contact_that_slid_is_loaded_the_other_way_as_soon_as_it_turns_back() 
     *_, slid, _, back, farther = held_to(THREE[:1], *way)
     pulls = [t.fingers[0].load.pull_mm3[1] for t in (slid, back, farther) if t.fingers[0].load]
     assert slid.fingers[0].slip is Slip.FULL
-    assert pulls[0] < 0 < pulls[2]
-    assert abs(pulls[1]) < 0.5 * abs(pulls[0]), "2 mm back of the 2 mm that it takes to slide"
+    assert pulls[0] < 0 < pulls[1] < pulls[2]
 
 
 def test_a_finger_that_is_drawn_back_lets_go_and_forgets() -> None:

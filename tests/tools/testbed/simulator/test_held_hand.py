@@ -48,7 +48,7 @@ def test_two_fingers_see_an_object_go(make: Callable[[], DrawnSensor]) -> None:
     assert depths == pytest.approx([1.5, 1.5], abs=0.05)
     for k, finger in enumerate(frames[-1].truth.fingers):
         assert finger.press is not None
-        assert abs(finger.press.drag_y_mm) == pytest.approx(1.0, abs=1e-6)
+        assert abs(finger.press.drag_y_mm) == pytest.approx(1.0, abs=1e-3)
         rests, dragged = (frame.images[k].astype(int) for frame in (frames[0], frames[-1]))
         assert np.abs(rests - dragged).mean() > 1.0, "its picture changes"
     assert frames[0].skins[0] is frames[1].skins[0]
