@@ -1,29 +1,68 @@
-"""The demo's hand of five: fingers that close on a ball and let go, again and again, each a little after the last."""
+"""The demo's hand of five: fingers that hold a bottle, which is pushed, turned, and pulled until one of them slips."""
 
 from __future__ import annotations
 
-import math
 import os
 import shutil
+import time
+from collections.abc import Generator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import cv2
+import numpy as np
 
 from tacshade_edge.rigid import Rigid, shift, turn
+from tacshade_edge.simulator.hand.bodies import lathed
+from tacshade_edge.simulator.hand.held import Finger, Placement, follow
+from tacshade_edge.simulator.hand.script import HandScript
 from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.objects import ball
-from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedSensor
+from tacshade_edge.studies.parallel import ordered_map, usable_cores
 
 HAND_ID: Final = "demo"
 FPS: Final = 10
-BALL_MM: Final = 40.0
-# Where each finger is about the ball, in degrees from the hand's x towards its z.
-FINGERS_DEG: Final = {"thumb": 250.0, "index": 150.0, "middle": 110.0, "ring": 70.0, "little": 30.0}
-_DEPTHS_MM: Final = (0.4, 0.9, 1.4, 1.8, 2.0)
-_HELD, _FREE, _LATE = 12, 14, 2  # frames at the deepest and without contact, and of each finger after the one before
 _MODEL: Final = SensorModel()
+
+BOTTLE: Final = lathed("bottle", ((-80.0, 28.0), (16.0, 28.0), (42.0, 12.0), (96.0, 12.0)))
+"""About the hand's x while it rests, its neck towards +x."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Hold:
+    """Where a finger holds: the point of the bottle at rest, in the hand's x and z, that its tip looks at from outside.
+
+    Attributes
+    ----------
+    x_mm, z_mm : float
+    from_x, from_z : float
+        Direction to the finger.
+    depth_mm : float
+        How far past the point its undeformed tip would be.
+    yaw_deg : float
+        How it is built in, about its own axis.
+    """
+
+    x_mm: float
+    z_mm: float
+    from_x: float
+    from_z: float
+    depth_mm: float
+    yaw_deg: float
+
+
+FINGERS: Final = {
+    "thumb": _Hold(-18.0, -30.0, 0.0, -1.0, 2.4, 0.0),
+    "index": _Hold(76.0, 14.0, 0.1, 1.0, 2.0, 30.0),
+    "middle": _Hold(27.0, 23.6, 0.45, 1.0, 1.8, -20.0),
+    "ring": _Hold(-20.0, 30.0, 0.0, 1.0, 2.2, 15.0),
+    "little": _Hold(-63.0, 30.0, -0.1, 1.0, 1.0, -35.0),
+}
+_BACK_MM: Final = 3.0  # of fingers that do not hold
+STEP_S: Final = 0.2
+"""Of what moves: fewer steps are drawn than frames are taken."""
+_SEEN: Final = "seen.png"  # what a finger's camera takes again and again
 
 _SETTINGS: Final = """\
 hand_id: {hand_id}
@@ -36,22 +75,39 @@ sensors:
 _SENSOR: Final = """\
   {name}:
     calibration: {name}.npz
-    source: {{kind: files, path: {name}, fps: {fps}, loop: true}}
+    source: {{kind: files, path: {name}/{seen}, fps: {fps}, loop: true}}
     hand_T_sensor: {place}
 """
 
 
 def place_of(name: str) -> Rigid:
-    """``hand_T_sensor``: the tip looks at the ball's middle, which is the hand's origin, and which it holds."""
-    angle = math.radians(FINGERS_DEG[name])
-    away_mm = BALL_MM + _MODEL.skin_radius_mm - _DEPTHS_MM[-1]
+    """``hand_T_sensor``."""
+    hold = FINGERS[name]
+    away = np.array((hold.from_x, 0.0, hold.from_z))
+    away /= np.linalg.norm(away)
     # The sensor's z, (0, 0, 1), comes to point inwards.
-    about_y = math.atan2(-math.cos(angle), -math.sin(angle))
-    return shift(away_mm * math.cos(angle), 0.0, away_mm * math.sin(angle)) @ turn((0.0, about_y, 0.0))
+    inwards = turn((0.0, float(np.arctan2(-away[0], -away[2])), 0.0)) @ turn(
+        (0.0, 0.0, float(np.radians(hold.yaw_deg)))
+    )
+    middle = np.array((hold.x_mm, 0.0, hold.z_mm)) + (_MODEL.skin_radius_mm - hold.depth_mm) * away
+    return Rigid(inwards.rotation, middle)
+
+
+def script() -> HandScript:
+    """One round: grasped, pushed, turned, brought back, pulled until the little finger slips, and let go."""
+    rests = shift(0.0, 0.0, 0.0)
+    pushed = shift(0.0, 0.6, -0.25)
+    turned = shift(0.0, 0.6, 0.0) @ turn((np.radians(2.5), np.radians(0.5), 0.0))
+    pulled = shift(1.8, 0.0, 0.0)
+    open_mm, closed_mm = (_BACK_MM,) * len(FINGERS), (0.0,) * len(FINGERS)
+    begin = HandScript((0.0,), (Placement(rests, open_mm),)).held(1.2)
+    grasped = begin.fingers_back(closed_mm, 1.0).held(1.0)
+    moved = grasped.moved(pushed, 0.8).held(0.6).moved(turned, 1.0).held(0.8).moved(rests, 0.8).held(0.6)
+    return moved.moved(pulled, 1.6).held(1.0).fingers_back(open_mm, 1.0).moved(rests, 0.4)
 
 
 def write(folder: Path, port: int) -> Path:
-    """Draw what the fingers see, and write their settings; the path of these.
+    """Draw what fingers see that touch nothing, and write their settings; the path of these.
 
     Parameters
     ----------
@@ -60,22 +116,55 @@ def write(folder: Path, port: int) -> Path:
     port : int
         The broker's.
     """
-    sensor = SimulatedSensor(_MODEL)
-    drawn = folder / "drawn"
-    drawn.mkdir()
-    for k, depth_mm in enumerate((0.0, *_DEPTHS_MM)):
-        presses = (Press(ball(BALL_MM), 0.0, 0.0, depth_mm),) if depth_mm else ()
-        cv2.imwrite(str(drawn / f"{k}.png"), sensor.frame(presses, noise_seed=k).image)
-    closing = list(range(1, len(_DEPTHS_MM) + 1))
-    cycle = [0] * _FREE + closing + closing[-1:] * _HELD + closing[::-1]
     text = _SETTINGS.format(hand_id=HAND_ID, port=port)
-    for late, name in enumerate(FINGERS_DEG):
+    sensor = SimulatedSensor(_MODEL)
+    for name in FINGERS:
         (folder / name).mkdir()
-        for k in range(len(cycle)):
-            os.link(drawn / f"{cycle[k - late * _LATE]}.png", folder / name / f"{k:02d}.png")
+        cv2.imwrite(str(folder / name / _SEEN), sensor.picture(sensor.skin()))
         shutil.copyfile(folder / "calibration.npz", folder / f"{name}.npz")
         seven = [round(value, 6) for value in place_of(name).seven()]
-        text += _SENSOR.format(name=name, fps=FPS, place=seven)
+        text += _SENSOR.format(name=name, seen=_SEEN, fps=FPS, place=seven)
     settings = folder / "hand.yaml"
     settings.write_text(text, encoding="utf-8")
     return settings
+
+
+def play(folder: Path) -> Generator[None, None, None]:
+    """Draw a round on all cores, then show every finger its picture of the moment; to be asked for the next each step.
+
+    All fingers change their pictures at once, for they hold one object.
+    """
+    drawn = list[list[Path]]()
+    for pictures in ordered_map(_draw, [(folder, name) for name in FINGERS], usable_cores()):
+        drawn.append(pictures)
+        yield
+    begin_s, shown = time.monotonic(), dict[str, Path]()
+    while True:
+        step = int((time.monotonic() - begin_s) / STEP_S)
+        for name, pictures in zip(FINGERS, drawn, strict=True):
+            picture = pictures[step % len(pictures)]
+            if shown.get(name) != picture:
+                shown[name] = picture
+                following = folder / name / f"next-{_SEEN}"
+                os.link(picture, following)
+                following.replace(folder / name / _SEEN)
+        yield
+
+
+def _draw(task: tuple[Path, str]) -> list[Path]:
+    """Draw what one finger sees, a picture for each step; where nothing changes it is the same one."""
+    folder, name = task[0] / task[1], task[1]
+    sensor = SimulatedSensor(_MODEL)
+    fingers = [Finger(each, place_of(each), sensor) for each in FINGERS]
+    round_of = script()
+    placements = [round_of.at(k * STEP_S) for k in range(round(round_of.times_s[-1] / STEP_S))]
+    by_skin, drawn = dict[int, Path](), list[Path]()
+    felts = list(follow(fingers, list(FINGERS).index(name), BOTTLE, placements))  # they keep their skins' ids
+    for k, felt in enumerate(felts):
+        key = id(felt.skin) if felt.truth.press else 0
+        if key not in by_skin:
+            by_skin[key] = folder / f"{k:03d}.png"
+            picture = sensor.picture(felt.skin, noise_seed=k)
+            cv2.imwrite(str(by_skin[key]), picture, (cv2.IMWRITE_PNG_COMPRESSION, 1))
+        drawn.append(by_skin[key])
+    return drawn

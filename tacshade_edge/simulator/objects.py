@@ -86,14 +86,14 @@ def _moon(outer: float, inner: float, offset: float) -> Callable[[F64, F64], F64
     return outline
 
 
-def _polygon(vertices: Sequence[tuple[float, float]]) -> Callable[[F64, F64], F64]:
+def polygon(vertices: Sequence[tuple[float, float]]) -> Callable[[F64, F64], F64]:
     """The exact signed distance to a simple polygon."""
-    v = np.asarray(vertices, float)
+    v = [(float(x), float(y)) for x, y in vertices]
 
     def outline(x: F64, y: F64) -> F64:
         nearest = np.full(x.shape, np.inf)
         inside = np.zeros(x.shape, bool)
-        for (ax, ay), (bx, by) in zip(v, np.roll(v, -1, axis=0), strict=True):
+        for (ax, ay), (bx, by) in zip(v, v[1:] + v[:1], strict=True):
             ex, ey, wx, wy = bx - ax, by - ay, x - ax, y - ay
             s = np.clip((wx * ex + wy * ey) / (ex * ex + ey * ey), 0, 1)
             nearest = np.minimum(nearest, (wx - s * ex) ** 2 + (wy - s * ey) ** 2)
@@ -136,7 +136,7 @@ def _bar() -> Shape:
 
 def _edge() -> Shape:
     """A wedge of 90°, its edge along x and facing the skin, slightly rounded."""
-    wedge = _polygon(((0.0, 0.0), (8.0, 8.0), (8.0, 20.0), (-8.0, 20.0), (-8.0, 8.0)))
+    wedge = polygon(((0.0, 0.0), (8.0, 8.0), (8.0, 20.0), (-8.0, 20.0), (-8.0, 8.0)))
     rounding = 0.3
 
     def sdf(p: F64) -> F64:
@@ -161,7 +161,7 @@ def ridge(width_mm: float, length_mm: float = 12.0) -> Shape:
 
 
 def _cone() -> Shape:
-    profile = _polygon(((-7.0, 9.0), (0.0, 0.0), (7.0, 9.0), (7.0, 20.0), (-7.0, 20.0)))
+    profile = polygon(((-7.0, 9.0), (0.0, 0.0), (7.0, 9.0), (7.0, 20.0), (-7.0, 20.0)))
     return _revolve("cone", lambda rho, z: profile(rho, z - 0.8) - 0.8)
 
 
@@ -178,7 +178,7 @@ OBJECTS: dict[str, Callable[[], Shape]] = {
     "cross": _cross,
     "edge": _edge,
     "plate": lambda: _extrude("plate", _disc(25.0)),
-    "prism": lambda: _extrude("prism", _polygon(((6.0, 0.0), (-3.0, 5.2), (-3.0, -5.2)))),
+    "prism": lambda: _extrude("prism", polygon(((6.0, 0.0), (-3.0, 5.2), (-3.0, -5.2)))),
     "ring": _ring,
     "two_balls": lambda: _union("two_balls", (ball(3.5), -5.0, 0.0), (ball(3.5), 5.0, 0.0)),
 }

@@ -48,7 +48,8 @@ class SimulatedSensor:
     def __init__(self, model: SensorModel | None = None) -> None:
         self.model = model or SensorModel()
         self._renderer = Renderer(self.model)
-        self._last: tuple[tuple[Press, ...], Skin, F32] | None = None  # a held press costs only its noise
+        self._last: tuple[tuple[Press, ...], Skin] | None = None  # a held press costs only its noise
+        self._drawn: tuple[Skin, F32] | None = None
 
     def frame(self, presses: Sequence[Press] = (), noise_seed: int = 0) -> SimulatedFrame:
         """Take a picture; several presses at once are one union.
@@ -60,10 +61,19 @@ class SimulatedSensor:
         """
         key = tuple(presses)
         if self._last is None or self._last[0] != key:
-            skin = skin_under(self.model, key)
-            self._last = (key, skin, self._renderer.draw(skin))
-        _, skin, clean = self._last
-        return SimulatedFrame(self._renderer.expose(clean, noise_seed), key, skin, self.model)
+            self._last = key, self.skin(key)
+        skin = self._last[1]
+        return SimulatedFrame(self.picture(skin, noise_seed), key, skin, self.model)
+
+    def skin(self, presses: Sequence[Press] = ()) -> Skin:
+        """Shape the skin without a picture. Raises ValueError as `frame`."""
+        return skin_under(self.model, presses)
+
+    def picture(self, skin: Skin, noise_seed: int = 0) -> U8:
+        """Take a picture of a skin: uint8 (H, W, 3) BGR."""
+        if self._drawn is None or self._drawn[0] is not skin:
+            self._drawn = skin, self._renderer.draw(skin)
+        return self._renderer.expose(self._drawn[1], noise_seed)
 
 
 def skin_under(model: SensorModel, presses: Sequence[Press], rest: Skin | None = None) -> Skin:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tacshade_edge.simulator.load import Load
 from tacshade_edge.simulator.membrane import solve
 from tacshade_edge.simulator.model import RIM_HALF_ANGLE_DEG
 from tacshade_edge.simulator.press import Press, distance_mm
@@ -49,6 +50,8 @@ class Skin:
     slid_mm : tuple of (float, float)
         Of each press that dragged it: how far it has gone ahead of the skin that it touches, along x and y, in the
         mean over its contact.
+    loads : tuple of Load
+        Of each press, where one of them dragged it (`drag.loads_of` has them otherwise).
     rest_mm : float32 (2n+1, 2n+1) or None
         Part of `pressed_mm` that nothing holds, of a skin that creeps.
     """
@@ -61,6 +64,7 @@ class Skin:
     origin_mm: F32 | None = None
     stuck: tuple[float, ...] = ()
     slid_mm: tuple[tuple[float, float], ...] = ()
+    loads: tuple[Load, ...] = ()
     rest_mm: F32 | None = None
 
     def sample(self, x: F64, y: F64) -> F64:

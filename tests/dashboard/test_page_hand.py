@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
+import math
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
+from itertools import chain
 from pathlib import Path
 
 import pytest
+from msgspec import structs
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
 
@@ -56,13 +60,16 @@ class WholeHand:
         self._seq = 0
         self.own.publish("tacshade/hand/left/state", b"online", retain=True)
 
-    def tell(self, touching: Reconstruction | None, **other: Finger) -> None:
-        """One message of the hand, and where the thumb touches its map."""
+    def tell(self, touching: Reconstruction | None, motion: dict[str, object] | None = None, **other: Finger) -> None:
+        """One message of the hand, with a motion of all that is touched, and where the thumb touches its map."""
         thumb = Finger(state="contact", t_ns=1, age_ms=3.0, seq=7, objects=(TOUCHED,)) if touching else FREE
         fingers = {**dict.fromkeys(PLACES_MM, FREE), "thumb": thumb, **other}
         self._seq += 1
         message = HandObjects(t_ns=time.monotonic_ns(), wall_ns=time.time_ns(), seq=self._seq, fingers=fingers)
-        self.own.publish("tacshade/hand/left/objects", encode_hand(message), 0)
+        told = json.loads(encode_hand(message))
+        for touched in chain.from_iterable(finger["objects"] for finger in told["fingers"].values()):
+            touched["motion"] = motion
+        self.own.publish("tacshade/hand/left/objects", json.dumps(told).encode(), 0)
         if touching:
             self.fingers["thumb"].show(touching)
 
@@ -117,6 +124,37 @@ def test_every_finger_is_shown_and_what_it_touches_in_the_hands_frame(
         return bool(js(page, PEAKS)[0] < 80)
 
     wait_until(released, 20, "a release whose map was lost")
+
+
+def moved_by(x_mm: float, turned_deg: float) -> dict[str, object]:
+    """A motion as objects of a hand's message have it."""
+    return {"translation_mm": [x_mm, 0, 0], "rotation_deg": [0, turned_deg, 0], "covariance": [0] * 36, "since_ns": 5}
+
+
+def test_what_is_held_is_drawn_as_one_body_that_moves(page: Chrome, hand: tuple[str, WholeHand]) -> None:
+    address, whole = hand
+    opened(page, address, "hand/left")
+    corners = {"thumb": (-80.0, 0.0, 0.0), "index": (0.0, 0.0, 60.0), "ring": (80.0, 0.0, 0.0)}
+
+    def drawn(motion: dict[str, object] | None, at_mm: float) -> list[list[float]]:
+        touched = {n: structs.replace(TOUCHED, centroid_mm=p) for n, p in corners.items()}
+        fingers = {n: Finger(state="contact", t_ns=1, age_ms=3.0, seq=7, objects=(o,)) for n, o in touched.items()}
+        whole.tell(None, **fingers, motion=motion)
+        points = str(js(page, "document.querySelector('#whole-plane .body')?.getAttribute('points') ?? ''"))
+        found = sorted([float(v) for v in corner.split(",")] for corner in points.split())
+        return found if found and abs(found[0][0] - at_mm) < 0.01 else []
+
+    wait_until(lambda: drawn(None, -80.0), 20, "patches without a motion are where they are")
+    wait_until(lambda: drawn(moved_by(0, 0), -80.0), 20, "grasped")
+    assert js(page, "[...document.querySelectorAll('#whole-plane .name')].map((n) => n.textContent)") == [*PLACES_MM]
+    wait_until(lambda: drawn(moved_by(4, 0), -76.0), 20, "it moves")
+    assert list(chain(*drawn(moved_by(4, 0), -76.0))) == pytest.approx([-76, 0, 4, -60, 84, 0])
+    assert "-80,0" in js(page, "document.querySelector('#whole-plane .grasped').getAttribute('points')")
+    turned = math.radians(10)
+    wait_until(lambda: drawn(moved_by(0, 10), -80 * math.cos(turned)), 20, "it is turned about the hand's y")
+    first = drawn(moved_by(0, 10), -80 * math.cos(turned))[0]
+    assert first[1] == pytest.approx(-80 * math.sin(turned)), "what has x < 0 goes up"
+    picture(page, "dashboard-hand-moved", (1200, 960))
 
 
 def test_a_finger_is_chosen_and_the_hand_again(page: Chrome, hand: tuple[str, WholeHand]) -> None:

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
+from tacshade_edge.simulator.drag import SLIDES
 from tacshade_edge.simulator.objects import OBJECTS, ball
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.simulator.script import Drag, Script, demonstration
-from tools.testbed.simulator.moving_scene import SLIDES
 
 
 def test_a_turn_is_pause_approach_hold_release() -> None:

@@ -15,6 +15,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Generator
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Final
@@ -56,7 +57,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="ADDRESS",
         help="where the page listens, such as 0.0.0.0 (this machine only)",
     )
-    add("--hand", action="store_true", help="a hand of five fingers that grasp, in place of the two single ones")
+    add(
+        "--hand", action="store_true", help="a hand of five fingers that hold a bottle, in place of the two single ones"
+    )
     add("--seconds", type=float, default=math.inf, metavar="N", help="end by itself after N seconds")
 
 
@@ -119,7 +122,7 @@ def run(args: argparse.Namespace) -> int:
         page_of = login or (f"#hand/{demo_hand.HAND_ID}" if args.hand else "")
         shown = " or ".join(f"http://{f'[{name}]' if ':' in name else name}:{http}/{page_of}" for name in names)
         what = (
-            "Five simulated fingers grasp a ball"
+            "Five simulated fingers hold a bottle"
             if args.hand
             else "A simulated sensor presses and drags objects, soon another one stitches a map"
         )
@@ -127,18 +130,20 @@ def run(args: argparse.Namespace) -> int:
         if login:
             print("Unencrypted: others on the network may read the address and what is shown.", flush=True)
         print("Ctrl-C ends.", flush=True)
-        other = None
-        if not args.hand:
+        other: Generator[None, None, None]
+        if args.hand:
+            other = demo_hand.play(folder)
+        else:
             other = touchpad.hand(folder, mqtt, lambda config: start("map", [*me, "run", "--config", str(config)]))
-            stack.callback(other.close)
+        stack.callback(other.close)
+        period_s = demo_hand.STEP_S if args.hand else CHECK_PERIOD_S
         deadline_s = time.monotonic() + args.seconds
         while (left_s := deadline_s - time.monotonic()) > 0:
-            time.sleep(min(CHECK_PERIOD_S, left_s))
+            time.sleep(min(period_s, left_s))
             end_if_asked()
             for child in children:
                 child.check()
-            if other:
-                next(other)
+            next(other)
     return 0
 
 

@@ -60,7 +60,7 @@ export class Whole {
     if (id === this.shown) return;
     this.hide();
     this.shown = id;
-    this.message = this.drawn = this.heard_ms = null;
+    this.message = this.drawn = this.heard_ms = this.body = this.since_ns = null;
     this.fingers = new Map();
     this.shown_ms = performance.now();
     $("whole-maps").replaceChildren();
@@ -136,7 +136,7 @@ export class Whole {
     this.drawPlane(objects);
   }
 
-  /** Fingers as circles and objects as dots with their normals, in the plane in which the fingers lie apart the most. */
+  /** Named fingers as circles, and what they touch as one body, in the plane in which the fingers lie apart the most. */
   drawPlane(objects) {
     const skins = [...this.fingers.keys()].flatMap((name) => {
       const { hand_T_sensor, geometry } = this.infos(name) ?? {};
@@ -148,16 +148,62 @@ export class Whole {
     const flat = (v) => [v[across], -v[up]];
     const ends = skins.flatMap(({ at, radius_mm }) => { const [x, y] = flat(at), r = radius_mm + MARGIN_MM; return [[x - r, y - r], [x + r, y + r]]; });
     const [x0, y0, x1, y1] = [Math.min(...ends.map(([x]) => x)), Math.min(...ends.map(([, y]) => y)), Math.max(...ends.map(([x]) => x)), Math.max(...ends.map(([, y]) => y))];
-    const parts = skins.map(({ name, at, radius_mm }) => shape("circle", { cx: flat(at)[0], cy: flat(at)[1], r: radius_mm, class: "skin" }, name));
-    for (const { name, centroid_mm, normal } of objects) {
-      const [x, y] = flat(centroid_mm), [dx, dy] = flat(normal), label = [...this.fingers.keys()].indexOf(name) + 1;
-      parts.push(shape("path", { d: `M${x} ${y}l${dx * NORMAL_MM} ${dy * NORMAL_MM}`, class: "normal" }), shape("circle", { cx: x, cy: y, r: 2, fill: objectColour(label), class: "touched" }, name));
+    const moved = this.holdBody(objects);
+    const parts = moved ? [outline(this.body.map(flat), "grasped"), outline(this.body.map((p) => flat(moved(p))), "body")] : objects.length > 1 ? [outline(objects.map((o) => flat(o.centroid_mm)), "body")] : [];
+    for (const { name, at, radius_mm } of skins) {
+      const [x, y] = flat(at), touches = objects.some((o) => o.name === name);
+      parts.push(shape("circle", { cx: x, cy: y, r: radius_mm, class: touches ? "skin touching" : "skin" }, name), shape("text", { x, y, class: "name" }, undefined, name));
+    }
+    for (const { name, centroid_mm, normal, extent_mm, slip } of objects) {
+      const [x, y] = flat(centroid_mm), [dx, dy] = flat(normal), fill = objectColour([...this.fingers.keys()].indexOf(name) + 1);
+      const half = Math.max(1.5, Math.hypot(...flat(extent_mm)) / 2), turn = (Math.atan2(dx, -dy) * 180) / Math.PI;
+      parts.push(shape("path", { d: `M${x} ${y}l${dx * NORMAL_MM} ${dy * NORMAL_MM}`, class: "normal" }));
+      parts.push(shape("ellipse", { cx: 0, cy: 0, rx: half, ry: 1.5, transform: `translate(${x} ${y}) rotate(${turn})`, fill, class: slip === 2 ? "patch slips" : "patch" }, `${name}${SLIPS[slip] ? `: ${SLIPS[slip]}` : ""}`));
+      parts.push(shape("circle", { cx: x, cy: y, r: 1, fill, class: "touched" }, name));
     }
     const plane = $("whole-plane");
     plane.setAttribute("viewBox", `${x0} ${y0} ${x1 - x0} ${y1 - y0}`);
     plane.replaceChildren(...parts);
     $("whole-axes").textContent = `${AXES[across]} to the right, ${AXES[up]} upwards, ${Math.round(x1 - x0)} mm wide`;
   }
+
+  /** Keep the patches of what is held, where they were when it was grasped; how it has moved since, or null where that is not known. */
+  holdBody(objects) {
+    const held = objects.filter(({ motion }) => motion && [motion.translation_mm, motion.rotation_deg].every((v) => Array.isArray(v) && v.length === 3 && v.every(Number.isFinite)));
+    if (held.length < 2) return (this.body = this.since_ns = null);
+    const { motion } = held[0], moved = motionOf(motion);
+    if (motion.since_ns !== this.since_ns || held.length > this.body.length) this.body = held.map((o) => moved.back(o.centroid_mm));
+    this.since_ns = motion.since_ns;
+    return moved;
+  }
+}
+
+/** A motion of the hand's message as a function of points, with its inverse as `back`: Rodrigues' rotation about a point, then a translation. */
+function motionOf({ translation_mm, rotation_deg, about_mm = [0, 0, 0] }) {
+  const vector = rotation_deg.map((v) => (v * Math.PI) / 180), angle = Math.hypot(...vector), axis = vector.map((v) => v / (angle || 1));
+  const turned = (p, by) => {
+    const along = axis.reduce((sum, v, k) => sum + v * p[k], 0) * (1 - Math.cos(by));
+    const beside = [0, 1, 2].map((k) => axis[(k + 1) % 3] * p[(k + 2) % 3] - axis[(k + 2) % 3] * p[(k + 1) % 3]);
+    return p.map((v, k) => v * Math.cos(by) + beside[k] * Math.sin(by) + axis[k] * along);
+  };
+  const moved = (p) => turned(p.map((v, k) => v - about_mm[k]), angle).map((v, k) => v + about_mm[k] + translation_mm[k]);
+  moved.back = (p) => turned(p.map((v, k) => v - about_mm[k] - translation_mm[k]), -angle).map((v, k) => v + about_mm[k]);
+  return moved;
+}
+
+/** The convex outline of points (Andrew's monotone chain). */
+function outline(points, kind) {
+  const sorted = [...points].sort((a, b) => a[0] - b[0] || a[1] - b[1]);
+  const chain = (all) => all.reduce((kept, p) => {
+    while (kept.length > 1 && cross(kept.at(-2), kept.at(-1), p) <= 0) kept.pop();
+    return [...kept, p];
+  }, []);
+  const corners = [...chain(sorted).slice(0, -1), ...chain(sorted.toReversed()).slice(0, -1)];
+  return shape("polygon", { points: corners.map((p) => p.join(",")).join(" "), class: kind });
+}
+
+function cross([ax, ay], [bx, by], [cx, cy]) {
+  return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax);
 }
 
 /** A finger's map on its canvas, cropped to the visible disc. */
@@ -177,8 +223,9 @@ function paint({ canvas }, map, geometry, scale_mm) {
   context.putImageData(image, 0, 0);
 }
 
-function shape(name, attributes, title) {
+function shape(name, attributes, title, text = "") {
   const made = document.createElementNS($("whole-plane").namespaceURI, name);
+  made.textContent = text;
   for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
   if (title !== undefined) {
     const tooltip = document.createElementNS($("whole-plane").namespaceURI, "title");

@@ -3,7 +3,6 @@ from __future__ import annotations
 import contextlib
 import http.client
 import json
-import math
 import os
 import pty
 import re
@@ -110,12 +109,12 @@ def test_a_browser_sees_moving_maps_and_ctrl_c_leaves_nothing(broker: str, tmp_p
 
 @pytest.mark.slow
 @pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
-def test_a_hand_of_five_grasps_a_ball_and_what_it_feels_lies_on_it(tmp_path: Path) -> None:
+def test_a_hand_of_five_holds_a_bottle_and_what_it_feels_lies_on_it(tmp_path: Path) -> None:
     with demo([*COMMANDS["mosquitto"], "--hand"], tmp_path) as (process, _):
         (settings,) = tmp_path.glob("tacshade-demo-*/hand.yaml")
         hand = load_hand(settings)
         assert hand is not None
-        assert hand.fingers == tuple(demo_hand.FINGERS_DEG)
+        assert hand.fingers == tuple(demo_hand.FINGERS)
         with Subscriber(hand.common.settings.mqtt.port, f"tacshade/hand/{hand.hand_id}/objects") as seen:
 
             def all_hold() -> bool:
@@ -127,10 +126,10 @@ def test_a_hand_of_five_grasps_a_ball_and_what_it_feels_lies_on_it(tmp_path: Pat
         process.send_signal(signal.SIGINT)
         assert process.communicate(timeout=patience(20)) == ("", "")
     for name, finger in fingers.items():
-        away_mm = math.dist(finger.objects[0].centroid_mm, (0, 0, 0))
-        assert away_mm == pytest.approx(demo_hand.BALL_MM, abs=2.0), name  # it may be closing
-        inwards = -np.array(demo_hand.place_of(name).translation_mm)
-        assert np.dot(finger.objects[0].normal, inwards) / np.linalg.norm(inwards) > 0.95, name
+        centroid_mm = np.array(finger.objects[0].centroid_mm)
+        assert abs(float(demo_hand.BOTTLE.sdf(centroid_mm[None])[0])) < 2.0, name  # it may be closing
+        inwards = demo_hand.place_of(name).rotation[:, 2]
+        assert np.dot(finger.objects[0].normal, inwards) > 0.9, name
     assert running(tmp_path) == []
 
 

@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from tacshade_edge.simulator.drag import contact_nodes
+from tacshade_edge.simulator.drag import contact_nodes, slip_of
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.render import Renderer
@@ -20,11 +20,6 @@ from tacshade_edge.types import F32, Slip
 from tools.testbed.simulator.creep import Imprint, imprint, kept, rest
 from tools.testbed.simulator.motion import Motion
 from tools.testbed.simulator.slow_light import SlowLight
-
-STICKS = 0.9
-"""Part of a contact that goes with the object, from which it sticks: the outermost ring of any contact slides."""
-SLIDES = 0.02
-"""Part of a contact up to which it slides as a whole."""
 
 _MEMORY_STEP_MM = 1.0
 _JUMP_S = 1e-6
@@ -151,7 +146,7 @@ class MovingScene:
                 if len(seen) > 1:
                     speed = math.dist(seen[0][1], seen[-1][1]) / (seen[-1][0] - seen[0][0])
                 stuck = self._stuck(moments[1], k)
-                slip = Slip.STICK if stuck >= STICKS else Slip.FULL if stuck <= SLIDES else Slip.PARTIAL
+                slip = slip_of(stuck)
             velocity, turn = motion.velocity(t_s, self.model.skin_radius_mm)
             states.append(ObjectState(press, k in touching[1], velocity, turn, stuck, slip, speed))
         return tuple(states)

@@ -14,7 +14,7 @@ from tacshade_edge.simulator.model import RIM_HALF_ANGLE_DEG, SensorModel, rando
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedFrame
 from tacshade_edge.simulator.skin import Skin, press_skin
-from tacshade_edge.types import F32, F64
+from tacshade_edge.types import F32, F64, U8
 from tools.testbed.simulator.left_over import left_over
 from tools.testbed.simulator.varied_print import PinProfile, VariedRenderer, lattice_print
 
@@ -42,6 +42,7 @@ class OtherSensor:
         self._differences = (square, capped, two_scales)
         marks = lattice_print(model, 90.0) if square else None
         self._renderer = VariedRenderer(model, marks, CAPS if capped else FRUSTUM)
+        self._drawn: tuple[Skin, F32] | None = None
 
     def noiseless(self) -> OtherSensor:
         """The same sensor with a camera without noise."""
@@ -49,17 +50,22 @@ class OtherSensor:
 
     def frame(self, presses: Sequence[Press] = (), noise_seed: int = 0) -> SimulatedFrame:
         """Take a picture."""
-        skin = self._pressed(presses)
-        return SimulatedFrame(
-            self._renderer.expose(self._renderer.draw(skin), noise_seed), tuple(presses), skin, self.model
-        )
+        skin = self.skin(presses)
+        return SimulatedFrame(self.picture(skin, noise_seed), tuple(presses), skin, self.model)
 
     def released(self, presses: Sequence[Press], part: float, noise_seed: int = 0) -> SimulatedFrame:
         """Take a picture after the presses are gone, while the skin still keeps a part of its deformation."""
-        skin = left_over(self._pressed(presses), part)
-        return SimulatedFrame(self._renderer.expose(self._renderer.draw(skin), noise_seed), (), skin, self.model)
+        skin = left_over(self.skin(presses), part)
+        return SimulatedFrame(self.picture(skin, noise_seed), (), skin, self.model)
 
-    def _pressed(self, presses: Sequence[Press]) -> Skin:
+    def picture(self, skin: Skin, noise_seed: int = 0) -> U8:
+        """Take a picture of a skin: uint8 (H, W, 3) BGR."""
+        if self._drawn is None or self._drawn[0] is not skin:
+            self._drawn = skin, self._renderer.draw(skin)
+        return self._renderer.expose(self._drawn[1], noise_seed)
+
+    def skin(self, presses: Sequence[Press] = ()) -> Skin:
+        """Shape the skin."""
         model, presses = self.model, tuple(presses)
 
         def shape(leaning_mm: F32 | None) -> Skin:
@@ -103,8 +109,8 @@ def carry_far(contacts: Contacts, weight: F32, step_mm: float, model: SensorMode
     return np.asarray(carried * np.where(weight < 2, np.clip(1 - (beyond / rim) ** 3, 0, 1), 0), np.float32)
 
 
-TURNING = Mechanics(turned_mm, carry_far)
-"""How the other model's skin is dragged."""
+TURNING = Mechanics(turned_mm, carry_far, lambda w, *_: w)
+"""How the other model's skin is dragged: each place is a spring of its own, q = kt w."""
 
 
 def other_model(seed: int) -> SensorModel:

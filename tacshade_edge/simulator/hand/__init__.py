@@ -1,0 +1,1 @@
+"""Fingers at known places and the one object that they hold."""

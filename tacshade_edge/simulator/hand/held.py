@@ -1,0 +1,216 @@
+"""Fingers that hold an object which goes its way: what each bears, whether it slips, and what its skin looks like.
+
+Each contact is the skin's own: pressure and traction are those of `skin` and `drag`, so Coulomb's law holds at every
+node and there is no other law for the hand. Loads are in skin units (`load`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from tacshade_edge.rigid import Rigid, shift
+from tacshade_edge.simulator.drag import loads_of, slip_of
+from tacshade_edge.simulator.hand.placed import Grip, contact_centre, moved_along, press_of, slid_on
+from tacshade_edge.simulator.load import Load
+from tacshade_edge.simulator.model import SensorModel
+from tacshade_edge.simulator.objects import Shape
+from tacshade_edge.simulator.press import Press
+from tacshade_edge.simulator.skin import Skin
+from tacshade_edge.types import F64, Slip
+
+
+class FingerSensor(Protocol):
+    """A simulated sensor: `scene.SimulatedSensor`, or one of another family."""
+
+    @property
+    def model(self) -> SensorModel:
+        """Its parameters."""
+        ...
+
+    def skin(self, presses: Sequence[Press] = ()) -> Skin:
+        """Shape the skin under presses."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Finger:
+    """A sensor where it holds.
+
+    Attributes
+    ----------
+    name : str
+    hand_T_sensor : Rigid
+    sensor : FingerSensor
+    """
+
+    name: str
+    hand_T_sensor: Rigid
+    sensor: FingerSensor
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Placement:
+    """Where an object is, and how far each finger is drawn back from where it holds.
+
+    Attributes
+    ----------
+    hand_T_object : Rigid
+    back_mm : tuple of float
+        Of each finger, along its own z and away from the object. Empty: none is.
+    """
+
+    hand_T_object: Rigid
+    back_mm: tuple[float, ...] = ()
+
+    def hand_T_sensor(self, fingers: Sequence[Finger], k: int) -> Rigid:
+        """Where a finger is."""
+        back_mm = self.back_mm[k] if self.back_mm else 0.0
+        return fingers[k].hand_T_sensor @ shift(0.0, 0.0, -back_mm)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FingerTruth:
+    """One finger at a time.
+
+    Attributes
+    ----------
+    name : str
+    hand_T_sensor : Rigid
+        Where it is, drawn back or not.
+    press : Press or None
+        What it feels; None while it touches nothing.
+    centre_mm : float64 (3,) or None
+        The middle of its contact, in the hand's frame.
+    depth_mm : float
+        Greatest h that the object makes.
+    stuck : float
+        Part of its contact in which the skin goes with the object; 1 without a contact.
+    slip : Slip or None
+        By `stuck`; None without a contact.
+    margin : float
+        1 less the tangential load over μ times the normal load, of which a twist's tractions count by their sizes;
+        0 where it slides as a whole, and without a contact.
+    load : Load or None
+        What it bears, along the hand's axes, its torque about the skin's centre; None without a contact.
+    """
+
+    name: str
+    hand_T_sensor: Rigid
+    press: Press | None = None
+    centre_mm: F64 | None = None
+    depth_mm: float = 0.0
+    stuck: float = 1.0
+    slip: Slip | None = None
+    margin: float = 0.0
+    load: Load | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HandTruth:
+    """A hand at a time.
+
+    Attributes
+    ----------
+    hand_T_object : Rigid
+    motion : Rigid
+        Of the object since it was grasped, in the hand's frame: what takes its points from where they were when the
+        first finger touched to where they are. The identity while nothing touches.
+    fingers : tuple of FingerTruth
+    """
+
+    hand_T_object: Rigid
+    motion: Rigid
+    fingers: tuple[FingerTruth, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Felt:
+    """What one finger feels.
+
+    Attributes
+    ----------
+    truth : FingerTruth
+    skin : Skin
+    grip : Grip or None
+        From where on the next motion counts; None while it touches nothing.
+    """
+
+    truth: FingerTruth
+    skin: Skin
+    grip: Grip | None
+
+
+def felt(finger: Finger, hand_T_sensor: Rigid, body: Shape, hand_T_object: Rigid, grip: Grip | None = None) -> Felt:
+    """Press an object on a finger.
+
+    Parameters
+    ----------
+    finger : Finger
+    hand_T_sensor : Rigid
+        Where it is.
+    body : Shape
+        The object, in its own frame.
+    hand_T_object : Rigid
+    grip : Grip, optional
+        Of the time before; without it touches now.
+
+    Raises
+    ------
+    ValueError
+        The object reaches the middle of the sensor.
+    """
+    model, now = finger.sensor.model, hand_T_sensor.inverse() @ hand_T_object
+    at_mm = contact_centre(body, now, model.skin_radius_mm)
+    if at_mm is None:
+        return Felt(FingerTruth(finger.name, hand_T_sensor), finger.sensor.skin(), None)
+    grip = grip or Grip(now)
+    drag = moved_along(grip, now, at_mm)
+    press = press_of(body, now, model.skin_radius_mm, at_mm, drag)
+    skin = finger.sensor.skin((press,))
+    (load,) = loads_of(skin, model, (press,))
+    stuck = skin.stuck[0] if skin.stuck else 1.0
+    slip = slip_of(stuck)
+    truth = FingerTruth(
+        name=finger.name,
+        hand_T_sensor=hand_T_sensor,
+        press=press,
+        centre_mm=hand_T_sensor.apply(at_mm),
+        depth_mm=float(skin.pressed_mm.max()),
+        stuck=stuck,
+        slip=slip,
+        margin=0.0 if slip is Slip.FULL else load.margin(model.coulomb),
+        load=load.turned(hand_T_sensor.rotation),
+    )
+    return Felt(truth, skin, slid_on(grip, drag, load.surplus))
+
+
+def follow(fingers: Sequence[Finger], k: int, body: Shape, placements: Iterable[Placement]) -> Iterator[Felt]:
+    """What finger k feels of an object that goes its way; an object that rests costs nothing.
+
+    The placements are steps: how far an object has slid is known to within one of them.
+    """
+    last: tuple[Placement, Felt] | None = None
+    for placement in placements:
+        if last is None or last[0] is not placement:
+            hand_T_sensor = placement.hand_T_sensor(fingers, k)
+            grip = last[1].grip if last else None
+            last = placement, felt(fingers[k], hand_T_sensor, body, placement.hand_T_object, grip)
+        yield last[1]
+
+
+def hold(
+    fingers: Sequence[Finger], body: Shape, placements: Sequence[Placement]
+) -> Iterator[tuple[HandTruth, list[Skin]]]:
+    """What all fingers feel, and their skins, of each placement in turn."""
+    of_each = [follow(fingers, k, body, placements) for k in range(len(fingers))]
+    grasped: Rigid | None = None
+    for placement, *felts in zip(placements, *of_each, strict=True):
+        pose = placement.hand_T_object
+        touched = any(each.truth.press for each in felts)
+        grasped = (grasped or pose) if touched else None
+        motion = pose @ grasped.inverse() if grasped else Rigid(np.eye(3), np.zeros(3))
+        yield HandTruth(pose, motion, tuple(each.truth for each in felts)), [each.skin for each in felts]

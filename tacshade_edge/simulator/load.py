@@ -1,0 +1,87 @@
+"""What an object and the skin under it bear: pressure along the radius, traction along the skin, summed over a contact.
+
+Skin units: p / kn and q / kt in mm, so that a load is in mm³. How stiff a skin is along its radius and along itself,
+kn and kt, stays open: `SensorModel.coulomb` is μ kn / kt, and who adds both loads up states μ.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tacshade_edge.types import F64, freeze
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Load:
+    """Of one press.
+
+    Attributes
+    ----------
+    normal_mm3 : float
+        ∫ p / kn over its contact, 0 or more.
+    shear_mm3 : float
+        ∫ |q| / kt over its contact, 0 or more. Of a drag it is the tangential load; of a twist, too, whose tractions
+        cancel out in that.
+    push_mm3 : float64 (3,)
+        Force of the pressure on the object over kn, in the sensor frame. All of it passes through O.
+    pull_mm3 : float64 (3,)
+        Force of the traction on the object over kt.
+    torque_mm4 : float64 (3,)
+        Its torque about O.
+    surplus : float
+        Part of its drag and twist that it could go back without sticking anywhere; 0 where it sticks.
+    """
+
+    normal_mm3: float
+    shear_mm3: float
+    push_mm3: F64
+    pull_mm3: F64
+    torque_mm4: F64
+    surplus: float
+
+    def __post_init__(self) -> None:
+        freeze(self, "push_mm3", "pull_mm3", "torque_mm4")
+
+    def turned(self, rotation: F64) -> Load:
+        """The same along other axes, by a rotation (3, 3)."""
+        push, pull, torque = (rotation @ each for each in (self.push_mm3, self.pull_mm3, self.torque_mm4))
+        return replace(self, push_mm3=push, pull_mm3=pull, torque_mm4=torque)
+
+    def margin(self, coulomb: float) -> float:
+        """1 less the part of what Coulomb's law allows that is used: 1 bears nothing along the skin, 0 slides."""
+        most = coulomb * self.normal_mm3
+        return 1 - min(self.shear_mm3 / most, 1.0) if most > 0 else 0.0
+
+
+def summed(direction: F64, points_mm: F64, pressure_mm: F64, traction_mm: F64, area_mm2: float, surplus: float) -> Load:
+    """Add up a contact's nodes.
+
+    Parameters
+    ----------
+    direction, points_mm : float64 (N, 3)
+        Unit vectors from O to them, and where they are.
+    pressure_mm : float64 (N,)
+        p / kn.
+    traction_mm : float64 (N, 2)
+        q / kt of the skin, along the chart's axes; a length of the chart is taken for one of the skin.
+    area_mm2 : float
+        Of each.
+    surplus : float
+        `Load.surplus`.
+    """
+    # Unit tangents of the chart's axes.
+    over = direction[:, :2] / (1 + direction[:, 2:])
+    zero, one = np.zeros(len(direction)), np.ones(len(direction))
+    along_x = np.stack((one, zero, zero), axis=1) - direction[:, :1] * np.column_stack((over, one))
+    along_y = np.stack((zero, one, zero), axis=1) - direction[:, 1:2] * np.column_stack((over, one))
+    pull = -area_mm2 * (traction_mm[:, :1] * along_x + traction_mm[:, 1:] * along_y)
+    return Load(
+        normal_mm3=area_mm2 * float(pressure_mm.sum()),
+        shear_mm3=area_mm2 * float(np.linalg.norm(traction_mm, axis=1).sum()),
+        push_mm3=area_mm2 * (pressure_mm[:, None] * direction).sum(axis=0),
+        pull_mm3=pull.sum(axis=0),
+        torque_mm4=np.cross(points_mm, pull).sum(axis=0),
+        surplus=surplus,
+    )
