@@ -33,18 +33,23 @@ class HeldObject:
 
     def step(self, fingers: Mapping[str, Finger], now_ns: int) -> Motion | None:
         """Take what all fingers reported last; None where no skin that touches has shear."""
-        patches = {
-            f"{name} {number}": patch
-            for name, finger in fingers.items()
-            if finger.state == "contact" and finger.t_ns is not None and now_ns - finger.t_ns <= STALE_NS
-            for number, patch in _patches(finger)
-        }
+        patches = patches_of({k: f for k, f in fingers.items() if f.t_ns is not None and now_ns - f.t_ns <= STALE_NS})
         if not patches or not 0 <= now_ns - self._fitted_ns < PERIOD_NS:
             self._fitted_ns = now_ns
             found = self._tracker.step(max(finger.t_ns or 0 for finger in fingers.values()), patches)
             slipping = dict.fromkeys(key.rpartition(" ")[0] for key, patch in patches.items() if patch.slips)
             self._motion = None if found is None else _published(found, tuple(slipping))
         return self._motion
+
+
+def patches_of(fingers: Mapping[str, Finger]) -> dict[str, Patch]:
+    """What fingers report as patches, by a key that each keeps while it touches."""
+    return {
+        f"{name} {number}": patch
+        for name, finger in fingers.items()
+        if finger.state == "contact"
+        for number, patch in _patches(finger)
+    }
 
 
 def with_motion(finger: Finger, motion: Motion | None) -> Finger:
