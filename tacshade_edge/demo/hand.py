@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import time
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -106,6 +106,10 @@ def script() -> HandScript:
     return moved.moved(pulled, 1.6).held(1.0).fingers_back(open_mm, 1.0).moved(rests, 0.4)
 
 
+_STEPS: Final = round(script().times_s[-1] / STEP_S)
+_GRASPED: Final = round(script().times_s[2] / STEP_S) + 1  # steps until they hold it
+
+
 def write(folder: Path, port: int) -> Path:
     """Draw what fingers see that touch nothing, and write their settings; the path of these.
 
@@ -130,40 +134,52 @@ def write(folder: Path, port: int) -> Path:
 
 
 def play(folder: Path) -> Generator[None, None, None]:
-    """Draw a round on all cores, then show every finger its picture of the moment; to be asked for the next each step.
+    """Show every finger its picture of the moment; to be asked for the next each step.
 
-    All fingers change their pictures at once, for they hold one object.
+    All fingers change their pictures at once, for they hold one object. They grasp it as soon as that is drawn, and
+    hold it while the rest of the round is, on all cores.
     """
     drawn = list[list[Path]]()
-    for pictures in ordered_map(_draw, [(folder, name) for name in FINGERS], usable_cores()):
-        drawn.append(pictures)
+    for name in FINGERS:
+        drawn.append(_draw((folder, name, _GRASPED)))
         yield
-    begin_s, shown = time.monotonic(), dict[str, Path]()
+    shown = dict[str, Path]()
+    for step in range(_GRASPED):
+        _show(folder, drawn, step, shown)
+        yield
+    whole = list[list[Path]]()
+    for pictures in ordered_map(_draw, [(folder, name, _STEPS) for name in FINGERS], usable_cores()):
+        whole.append(pictures)
+        yield
+    begin_s = time.monotonic() - _GRASPED * STEP_S
     while True:
-        step = int((time.monotonic() - begin_s) / STEP_S)
-        for name, pictures in zip(FINGERS, drawn, strict=True):
-            picture = pictures[step % len(pictures)]
-            if shown.get(name) != picture:
-                shown[name] = picture
-                following = folder / name / f"next-{_SEEN}"
-                os.link(picture, following)
-                following.replace(folder / name / _SEEN)
+        _show(folder, whole, int((time.monotonic() - begin_s) / STEP_S) % _STEPS, shown)
         yield
 
 
-def _draw(task: tuple[Path, str]) -> list[Path]:
-    """Draw what one finger sees, a picture for each step; where nothing changes it is the same one."""
-    folder, name = task[0] / task[1], task[1]
+def _show(folder: Path, drawn: Sequence[Sequence[Path]], step: int, shown: dict[str, Path]) -> None:
+    """Change the picture of each finger whose picture changes."""
+    for name, pictures in zip(FINGERS, drawn, strict=True):
+        if shown.get(name) != pictures[step]:
+            shown[name] = pictures[step]
+            following = folder / name / f"next-{_SEEN}"
+            os.link(pictures[step], following)
+            following.replace(folder / name / _SEEN)
+
+
+def _draw(task: tuple[Path, str, int]) -> list[Path]:
+    """Draw so many steps of what one finger sees; where nothing changes it is the same picture."""
+    folder, name, steps = task[0] / task[1], *task[1:]
     sensor = SimulatedSensor(_MODEL)
     fingers = [Finger(each, place_of(each), sensor) for each in FINGERS]
     round_of = script()
-    placements = [round_of.at(k * STEP_S) for k in range(round(round_of.times_s[-1] / STEP_S))]
+    placements = [round_of.at(k * STEP_S) for k in range(steps)]
     by_skin, drawn = dict[int, Path](), list[Path]()
     felts = list(follow(fingers, list(FINGERS).index(name), BOTTLE, placements))  # they keep their skins' ids
     for k, felt in enumerate(felts):
         key = id(felt.skin) if felt.truth.press else 0
         if key not in by_skin:
-            by_skin[key] = folder / f"{k:03d}.png"
+            by_skin[key] = folder / f"{steps}-{k:03d}.png"
             picture = sensor.picture(felt.skin, noise_seed=k)
             cv2.imwrite(str(by_skin[key]), picture, (cv2.IMWRITE_PNG_COMPRESSION, 1))
         drawn.append(by_skin[key])

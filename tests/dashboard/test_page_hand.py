@@ -154,6 +154,7 @@ def test_what_is_held_is_drawn_as_one_body_that_moves(page: Chrome, hand: tuple[
     wait_until(lambda: drawn(moved_by(0, 10), -80 * math.cos(turned)), 20, "it is turned about the hand's y")
     first = drawn(moved_by(0, 10), -80 * math.cos(turned))[0]
     assert first[1] == pytest.approx(-80 * math.sin(turned)), "what has x < 0 goes up"
+    shows(page, "whole-axes", "since it was grasped moved by 0.0 mm, turned by 10.0°")
     picture(page, "dashboard-hand-moved", (1200, 960))
 
 

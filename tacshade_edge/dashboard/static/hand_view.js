@@ -164,7 +164,7 @@ export class Whole {
     const plane = $("whole-plane");
     plane.setAttribute("viewBox", `${x0} ${y0} ${x1 - x0} ${y1 - y0}`);
     plane.replaceChildren(...parts);
-    $("whole-axes").textContent = `${AXES[across]} to the right, ${AXES[up]} upwards, ${Math.round(x1 - x0)} mm wide`;
+    $("whole-axes").textContent = `${AXES[across]} to the right, ${AXES[up]} upwards, ${Math.round(x1 - x0)} mm wide${moved ? `; since it was grasped moved by ${number(moved.by_mm, 1)} mm, turned by ${number(moved.by_deg, 1)}°` : ""}`;
   }
 
   /** Keep the patches of what is held, where they were when it was grasped; how it has moved since, or null where that is not known. */
@@ -187,6 +187,7 @@ function motionOf({ translation_mm, rotation_deg, about_mm = [0, 0, 0] }) {
     return p.map((v, k) => v * Math.cos(by) + beside[k] * Math.sin(by) + axis[k] * along);
   };
   const moved = (p) => turned(p.map((v, k) => v - about_mm[k]), angle).map((v, k) => v + about_mm[k] + translation_mm[k]);
+  Object.assign(moved, { by_mm: Math.hypot(...translation_mm), by_deg: Math.hypot(...rotation_deg) });
   moved.back = (p) => turned(p.map((v, k) => v - about_mm[k] - translation_mm[k]), -angle).map((v, k) => v + about_mm[k]);
   return moved;
 }
