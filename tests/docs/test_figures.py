@@ -409,16 +409,16 @@ def faults() -> Claims:
     page = Page("faults")
     back = max(page.number("recovered s", fault) for fault in ("broker killed, and back", "connection reset"))
     assert back <= 3
-    yield "connected again within 3 s of its return"
+    yield "the daemon reconnects within 3 s of its return"
     stalled = [page.number("detected s", fault) for fault in ("broker stalls for 6 s", "network carries nothing")]
     assert min(stalled) >= 4
     assert max(stalled) <= 15
     yield "reported after 4 to 15 s"
     assert page.number("detected s", "lens covered, and uncovered") <= 4
     assert page.number("recovered s", "lens covered, and uncovered") <= 2
-    yield "`degraded` within 4 s; streams within 2 s of its return"
+    yield "`degraded` within 4 s; streaming within 2 s of its return"
     assert page.number("recovered s", "no calibration at the start") <= 2
-    yield "it is taken up within 2 s"
+    yield "the daemon uses a new one within 2 s"
 
 
 def faults_of_thousands() -> Claims:
