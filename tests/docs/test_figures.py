@@ -236,7 +236,7 @@ def stages_in_numerics() -> Claims:
     page = Page("stages")
     halved, full = (page.cell("floors", profile, "no contact") for profile in ("balanced", "accurate"))
     yield (
-        f"a frame without contact costs {halved} times a threshold and a box filter over the picture where it is "
+        f"a frame without contact costs {halved} times as much as a threshold and a box filter if the picture is "
         f"halved first, {full} times at full resolution"
     )
 
@@ -376,7 +376,7 @@ def arm() -> Claims:
     network = max(off[name] for name in PROFILES)
     yield (
         f"the heights of five frames are within {math.ceil(100 * network) / 100:.2f} mm of x86-64's, those of `paper` "
-        f"within {math.ceil(100 * off['paper']) / 100:.2f} ([page](results/arm.md)), not equal"
+        f"within {math.ceil(100 * off['paper']) / 100:.2f} mm, but not equal ([page](results/arm.md))"
     )
 
 
