@@ -236,7 +236,7 @@ def stages_in_numerics() -> Claims:
     page = Page("stages")
     halved, full = (page.cell("floors", profile, "no contact") for profile in ("balanced", "accurate"))
     yield (
-        f"a frame without contact costs {halved} times a threshold and a box filter over the picture where it is "
+        f"a frame without contact costs {halved} times as much as a threshold and a box filter if the picture is "
         f"halved first, {full} times at full resolution"
     )
 
@@ -376,7 +376,7 @@ def arm() -> Claims:
     network = max(off[name] for name in PROFILES)
     yield (
         f"the heights of five frames are within {math.ceil(100 * network) / 100:.2f} mm of x86-64's, those of `paper` "
-        f"within {math.ceil(100 * off['paper']) / 100:.2f} ([page](results/arm.md)), not equal"
+        f"within {math.ceil(100 * off['paper']) / 100:.2f} mm, but not equal ([page](results/arm.md))"
     )
 
 
@@ -409,16 +409,16 @@ def faults() -> Claims:
     page = Page("faults")
     back = max(page.number("recovered s", fault) for fault in ("broker killed, and back", "connection reset"))
     assert back <= 3
-    yield "connected again within 3 s of its return"
+    yield "the daemon reconnects within 3 s of its return"
     stalled = [page.number("detected s", fault) for fault in ("broker stalls for 6 s", "network carries nothing")]
     assert min(stalled) >= 4
     assert max(stalled) <= 15
     yield "reported after 4 to 15 s"
     assert page.number("detected s", "lens covered, and uncovered") <= 4
     assert page.number("recovered s", "lens covered, and uncovered") <= 2
-    yield "`degraded` within 4 s; streams within 2 s of its return"
+    yield "`degraded` within 4 s; streaming within 2 s of its return"
     assert page.number("recovered s", "no calibration at the start") <= 2
-    yield "it is taken up within 2 s"
+    yield "the daemon uses a new one within 2 s"
 
 
 def faults_of_thousands() -> Claims:
