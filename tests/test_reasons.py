@@ -70,7 +70,7 @@ def outcomes() -> dict[str, tuple[Any, list[str]]]:
             (
                 (result.valid, result.contact, wire.encode_height(result, calibration_crc32=1)[FLAGS_AT], record),
                 json.loads(messages.encode_contact(result, fps=0.0)),
-                [(finding.check, finding.state, finding.mend) for finding in findings],
+                [(finding.check, finding.state, finding.fix) for finding in findings],
             ),
             texts,
         )

@@ -21,7 +21,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "run": ("run", "run the daemon: camera to height maps over MQTT"),
     "demo": ("demo", "a simulated hand, live in a browser; needs nothing else"),
     "check-config": ("check_config", "check a settings file, or export its JSON Schema"),
-    "doctor": ("doctor", "what is wrong with camera, broker, serial ports, clock; and what mends it"),
+    "doctor": ("doctor", "diagnose the camera, broker, serial ports and clock, and suggest fixes"),
     "capture": ("capture", "take a sensor's references and presses, step by step; the first thing with a new one"),
     "calibrate": ("calibrate", "references and ball presses to a calibration file"),
     "reconstruct": ("reconstruct", "images to height maps, clouds and a summary"),

@@ -270,7 +270,7 @@ class Supervisor:
             if self._stopping_s is not None or part.code == 0:
                 part.status = "ended"
             elif part.code == EXIT_CONFIG:
-                part.status = "bad configuration, see the log; reload when it is mended"
+                part.status = "bad configuration, see the log; reload when it is fixed"
             elif part.code == EXIT_STOPPED:
                 self._start_again(part, "its process was stopped by a signal")
             else:

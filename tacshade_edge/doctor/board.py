@@ -23,14 +23,14 @@ def _power(machine: Machine) -> tuple[Finding, ...]:
         return ()
     flags = int(text, 16)
     found = []
-    for bits, what, mend in (
+    for bits, what, fix in (
         (_UNDER_VOLTAGE, "under-voltage", "use the board's own power supply and a short thick cable"),
         (_CAPPED | _SLOWED | _HOT, "slowed down", "cool it: heat sink, fan, open case; and check its power supply"),
     ):
         if flags & bits:
-            found.append(warning("board", f"{what} now, frames will be late or lost", mend))
+            found.append(warning("board", f"{what} now, frames will be late or lost", fix))
         elif flags >> 16 & bits:
-            found.append(warning("board", f"{what} since the start, not now", mend))
+            found.append(warning("board", f"{what} since the start, not now", fix))
     return tuple(found) or (ok("board", "power and temperature are fine, and were since the start"),)
 
 
@@ -38,5 +38,5 @@ def _governor(machine: Machine) -> tuple[Finding, ...]:
     governor = machine.read(f"{_CPU}/scaling_governor")
     if governor != "powersave" or machine.read(f"{_CPU}/scaling_driver") in _OWN_SCALING:
         return ()
-    mend = "echo ondemand | sudo tee /sys/devices/system/cpu/cpu*/cpufreq/scaling_governor"
-    return (warning("board", "the governor powersave keeps the processor at its lowest speed", mend),)
+    fix = "echo ondemand | sudo tee /sys/devices/system/cpu/cpu*/cpufreq/scaling_governor"
+    return (warning("board", "the governor powersave keeps the processor at its lowest speed", fix),)

@@ -117,17 +117,17 @@ def judge_daemon(daemon: DaemonState, process: Process | None, sensor_id: str) -
         found = f"{sensor_id} is held by a daemon {daemon.place}; another waits for it, {daemon.rival}"
         return warning("daemon", found, "stop one of the two, or give its sensor another sensor_id")
     if daemon.alive and process is None:
-        mend = "stop that other daemon, or give this sensor another sensor_id"
-        return warning("daemon", f"none runs here, yet {sensor_id} is {daemon.state} on this broker", mend)
+        fix = "stop that other daemon, or give this sensor another sensor_id"
+        return warning("daemon", f"none runs here, yet {sensor_id} is {daemon.state} on this broker", fix)
     if process is None:
         return ok("daemon", "not running")
     if daemon.state == "online":
         return ok("daemon", f"running, {process}: {daemon}")
-    mend = "journalctl -u tacshade-edge says more"
+    fix = "journalctl -u tacshade-edge says more"
     if daemon.state == "degraded":
-        return warning("daemon", f"running, {process}: {daemon}", mend)
-    mend = f"was it started with these settings? {mend}"
-    return warning("daemon", f"{process} runs, but the broker knows no {sensor_id} online", mend)
+        return warning("daemon", f"running, {process}: {daemon}", fix)
+    fix = f"was it started with these settings? {fix}"
+    return warning("daemon", f"{process} runs, but the broker knows no {sensor_id} online", fix)
 
 
 def _listen(client: Client, topic: str) -> _Session:
@@ -241,10 +241,8 @@ def judge_round_trip(middle_ms: float) -> Finding:
     """Whether messages of 38 KB are quick enough."""
     found = f"{_MESSAGE_BYTES // 1000} KB there and back in {middle_ms:.1f} ms"
     if middle_ms > _SLOW_MS:
-        mend = (
-            "set_tcp_nodelay true in the broker's configuration (systemd/mosquitto-tacshade.conf); a cable, not Wi-Fi"
-        )
-        return warning("broker round trip", found, mend)
+        fix = "set_tcp_nodelay true in the broker's configuration (systemd/mosquitto-tacshade.conf); a cable, not Wi-Fi"
+        return warning("broker round trip", found, fix)
     return ok("broker round trip", found)
 
 

@@ -39,22 +39,22 @@ def load(document: Document) -> tuple[Calibration | None, tuple[Finding, ...]]:
     try:
         calibration = calibrations.find_calibration(document)
     except ConfigError as error:
-        mend = calibrations.how_to_calibrate(document)
+        fix = calibrations.how_to_calibrate(document)
         if os.path.exists(path) and not os.access(path, os.R_OK):
-            mend = f"run this with sudo, or as the service does: {AS_SERVICE}"
-        return None, (fault("calibration", str(error), mend),)
+            fix = f"run this with sudo, or as the service does: {AS_SERVICE}"
+        return None, (fault("calibration", str(error), fix),)
     if isinstance(calibration, Reason):
         found = f"{document.where('calibration')}: found no file {path}: the camera's picture is all that is served"
         return None, (warning("calibration", found, calibrations.how_to_calibrate(document)),)
     days = (time.time() - os.stat(path).st_mtime) / _DAY_S
     found = f"{path}: {calibration.crc32:08x}, {max(days, 0):.0f} days old"
     if not calibration.factors:
-        mend = "take presses (tacshade-edge capture) and calibrate with --presses PRESSES.csv (docs/calibration.md)"
-        return calibration, (warning("calibration", f"{found}; depth is not in true millimetres", mend),)
+        fix = "take presses (tacshade-edge capture) and calibrate with --presses PRESSES.csv (docs/calibration.md)"
+        return calibration, (warning("calibration", f"{found}; depth is not in true millimetres", fix),)
     if renew := calibrations.fits_to_renew(path):
-        mend = "calibrate again with --presses PRESSES.csv --fit (docs/calibration.md)"
+        fix = "calibrate again with --presses PRESSES.csv --fit (docs/calibration.md)"
         found = f"{found}; the networks of {', '.join(renew)} have changed since they were fitted: they run as shipped"
-        return calibration, (warning("calibration", found, mend),)
+        return calibration, (warning("calibration", found, fix),)
     accurate = calibration.fit.profiles.get("accurate") if calibration.fit else None
     depth_error = f", depth error {accurate.depth_mae_mm:.2f} mm" if accurate else ""
     if fitted := calibration.fitted.get(DEFAULT):
@@ -76,7 +76,7 @@ def check_images(calibration: Calibration, images: Sequence[U8], live: bool) -> 
     reconstructor = make_reconstructor(calibration, PROFILES["accurate"])
     result = reconstructor.step(Frame(0, 0, 0, images[-1]))
     if result.reason:
-        return (fault("sensor", f"frames cannot be used: {result.reason}", _mend(result.reason)),)
+        return (fault("sensor", f"frames cannot be used: {result.reason}", _fix(result.reason)),)
     found_drift = _drift(calibration, images)
     place = _check_place(calibration, found_drift)
     if not live:
@@ -86,7 +86,7 @@ def check_images(calibration: Calibration, images: Sequence[U8], live: bool) -> 
         found = f"the skin seems pressed by {result.depth_max_mm:.1f} mm; if nothing touches it, it has changed"
         return (*place, warning("sensor", found, _REZERO))
     if result.degraded:
-        return (*place, warning("sensor", result.degraded.text, _mend(result.degraded)))
+        return (*place, warning("sensor", result.degraded.text, _fix(result.degraded)))
     if registration.shifted_too_far(found_drift, calibration.geometry.disc):
         return place
     if change := registration.light_drift_reason(found_drift):
@@ -105,8 +105,8 @@ def _check_place(calibration: Calibration, found: registration.Drift) -> tuple[F
         return ()
     place = f"visible circle {found.shift_px:.1f} px from where it was calibrated, size {100 * (found.zoom - 1):+.1f} %"
     if registration.shifted_too_far(found, calibration.geometry.disc):
-        mend = "the camera moved in the sensor: fix it where it was, or calibrate again (docs/calibration.md)"
-        return (warning("camera place", place, mend),)
+        fix = "the camera moved in the sensor: fix it where it was, or calibrate again (docs/calibration.md)"
+        return (warning("camera place", place, fix),)
     return (ok("camera place", place),)
 
 
@@ -118,10 +118,10 @@ def _check_noise(calibration: Calibration, images: Sequence[U8]) -> Finding:
         return warning("sensor", str(error), "lift the sensor off what it touches; " + _REZERO)
     noise = f"noise {renewed.noise_grey:.2f} grey levels, {calibration.noise_grey:.2f} when calibrated"
     if len(images) >= 3 and renewed.noise_grey > max(_NOISE_LEVELS, _NOISIER * calibration.noise_grey):
-        mend = "steady its light (a lamp at mains frequency flickers) and whatever shakes it, then calibrate again"
-        return warning("sensor", noise, mend)
+        fix = "steady its light (a lamp at mains frequency flickers) and whatever shakes it, then calibrate again"
+        return warning("sensor", noise, fix)
     return ok("sensor", f"looks as calibrated, no contact, {noise if len(images) >= 3 else 'one image'}")
 
 
-def _mend(reason: Reason) -> str:
+def _fix(reason: Reason) -> str:
     return fixes.OF_FRAMES.get(reason.code, _REZERO)

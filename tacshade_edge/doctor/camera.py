@@ -25,7 +25,7 @@ from tacshade_edge.doctor.cameras import (
 )
 from tacshade_edge.doctor.capture import Captured
 from tacshade_edge.doctor.finding import Finding, fault, ok, warning
-from tacshade_edge.doctor.machine import Machine, may_use, permission_mend
+from tacshade_edge.doctor.machine import Machine, may_use, permission_fix
 from tacshade_edge.errors import DeviceError, TacshadeError
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.settings import Rpicam, V4l2
@@ -38,7 +38,7 @@ _LOST_PART = 0.05  # a stream's start may cost a frame
 _AGE_MAX_S = 0.5
 _SIZES_SHOWN = 8
 _STOP = "to look at the camera itself: sudo systemctl stop tacshade-edge, and start it again afterwards"
-_PICTURE_MENDS = {
+_PICTURE_FIXES = {
     ReasonCode.BLACK: "switch the sensor's light on, take the lens cap off, or raise source.exposure",
     ReasonCode.SATURATED: "dim the sensor's light, or lower source.exposure",
     ReasonCode.NO_CONTRAST: "is the camera inside the sensor, in focus, with its light on?",
@@ -65,7 +65,7 @@ def check_device(source: V4l2, machine: Machine) -> tuple[Finding, ...]:
     if is_csi(device, machine):
         return (fault("camera", f"{device}: is the Raspberry Pi's own {card_name(device, machine)}", CSI_MEND),)
     if not may_use(path) and not path.is_dir():
-        return (fault("camera", f"{device}: no permission to open it", permission_mend(path, "video")),)
+        return (fault("camera", f"{device}: no permission to open it", permission_fix(path, "video")),)
     try:
         card = v4l2_node.check_node(str(path))
     except TacshadeError as error:
@@ -73,8 +73,8 @@ def check_device(source: V4l2, machine: Machine) -> tuple[Finding, ...]:
     findings = [ok("camera", f"{device}: {card}")]
     stable = stable_name(device, machine)
     if stable and not device.startswith(("/dev/v4l/", "/dev/tacshade/")):
-        mend = f"set source.device: {stable}"
-        findings.append(warning("camera name", f"{device} may be another camera after the next plugging", mend))
+        fix = f"set source.device: {stable}"
+        findings.append(warning("camera name", f"{device} may be another camera after the next plugging", fix))
     return (*findings, *_check_offer(source, str(path)))
 
 
@@ -86,8 +86,8 @@ def check_csi(source: Rpicam) -> tuple[Finding, ...]:
     if name := cameras.get(source.camera):
         return (ok("camera", f"camera {source.camera} of {PROGRAM}: {name}"),)
     found = ", ".join(f"{number} ({name})" for number, name in cameras.items()) or "none"
-    mend = f"set source.camera to one of them; {RIBBON_CABLE}" if cameras else RIBBON_CABLE
-    return (fault("camera", f"{PROGRAM} has no camera {source.camera}, it lists {found}", mend),)
+    fix = f"set source.camera to one of them; {RIBBON_CABLE}" if cameras else RIBBON_CABLE
+    return (fault("camera", f"{PROGRAM} has no camera {source.camera}, it lists {found}", fix),)
 
 
 def _check_offer(source: V4l2, node: str) -> tuple[Finding, ...]:
@@ -101,12 +101,12 @@ def _check_offer(source: V4l2, node: str) -> tuple[Finding, ...]:
         return (fault("camera format", _bare(error), "plug it in again"),)
     if source.fourcc not in formats:
         usable = [code for code in _FOURCCS if code in formats]
-        mend = f"set source.fourcc: {' or '.join(usable)}" if usable else "use another camera"
-        return (fault("camera format", f"it has no {source.fourcc}, it has {', '.join(formats) or 'none'}", mend),)
+        fix = f"set source.fourcc: {' or '.join(usable)}" if usable else "use another camera"
+        return (fault("camera format", f"it has no {source.fourcc}, it has {', '.join(formats) or 'none'}", fix),)
     if sizes and not any(each.holds(source.width_px, source.height_px) for each in sizes):
         shown = ", ".join(map(str, sizes[:_SIZES_SHOWN])) + (", ..." if len(sizes) > _SIZES_SHOWN else "")
-        mend = f"set source.width_px and height_px to one of {shown}; then calibrate at that size"
-        return (fault("camera format", f"it has no {source.fourcc} of {size} px", mend),)
+        fix = f"set source.width_px and height_px to one of {shown}; then calibrate at that size"
+        return (fault("camera format", f"it has no {source.fourcc} of {size} px", fix),)
     listed = ", ".join(f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}" for low, high in rates)
     if rates and not any(low * (1 - _RATE_OFF) <= source.fps <= high * (1 + _RATE_OFF) for low, high in rates):
         found = f"{source.fourcc} {size} does not come at {source.fps} frames/s"
@@ -129,9 +129,9 @@ def check_frames(source: V4l2 | Rpicam, captured: Captured, machine: Machine, da
         return (busy,)
     findings: list[Finding] = []
     if captured.error:
-        mend = USB_CABLE if isinstance(source, V4l2) else RIBBON_CABLE
+        fix = USB_CABLE if isinstance(source, V4l2) else RIBBON_CABLE
         name = f"camera {source.device}: " if isinstance(source, V4l2) else f"camera {source.camera} of {PROGRAM}: "
-        findings.append(fault("camera frames", str(captured.error).removeprefix(name), mend))
+        findings.append(fault("camera frames", str(captured.error).removeprefix(name), fix))
     if not captured.t_ns:
         return tuple(findings)
     findings += [_check_rate(source.fps, captured), _check_stamps(captured)]
@@ -142,7 +142,7 @@ def check_frames(source: V4l2 | Rpicam, captured: Captured, machine: Machine, da
 def check_other_source(captured: Captured, fps: float) -> tuple[Finding, ...]:
     """What a source that is no camera delivered: files, or the simulated sensor."""
     if captured.error:
-        return (fault("source", str(captured.error), "mend source.path, or what is there"),)
+        return (fault("source", str(captured.error), "fix source.path, or what is there"),)
     what = captured.described.get("path", captured.described.get("device", "source"))
     if not captured.images:
         return (fault("source", f"{what}: gave no image", "choose another source.path"),)
@@ -161,7 +161,7 @@ def check_picture(image: U8) -> Finding:
     reason = invalid_reason(grey, check)
     if not reason:
         return ok("picture", f"{width}x{height} px, mean grey {grey.mean():.0f}, deviation {grey.std():.0f}")
-    return fault("picture", reason.text, _PICTURE_MENDS.get(reason.code, _PICTURE_MENDS[ReasonCode.NO_CONTRAST]))
+    return fault("picture", reason.text, _PICTURE_FIXES.get(reason.code, _PICTURE_FIXES[ReasonCode.NO_CONTRAST]))
 
 
 def _busy(source: V4l2 | Rpicam, error: Reason, machine: Machine, daemon_state: str) -> Finding | None:
@@ -182,8 +182,8 @@ def _busy(source: V4l2 | Rpicam, error: Reason, machine: Machine, daemon_state: 
         if daemon_state and (daemon in holders or not holders):
             return warning("camera frames", f"the running daemon holds the camera; it says: {daemon_state}", _STOP)
         if not holders:
-            mend = "run this with sudo to see which, and end it"
-            return fault("camera frames", "another program holds the camera", mend)
+            fix = "run this with sudo to see which, and end it"
+            return fault("camera frames", "another program holds the camera", fix)
         who = holders[0]
         return fault("camera frames", f"{who} holds the camera", f"end that program: kill {who.pid}")
     return None
@@ -193,12 +193,12 @@ def _check_rate(set_fps: float, captured: Captured, check: str = "camera frames"
     lost = f", {captured.dropped} lost" if captured.dropped else ""
     found = f"{what}{captured.fps:.1f} frames/s, {set_fps:g} asked{lost}"
     if captured.fps < _RATE_PART * set_fps:
-        mend = (
+        fix = (
             "shorten source.exposure below the frame's period, choose a rate that the camera has, or a smaller size"
             if check == "camera frames"
             else "lower source.fps, or end what else keeps this machine busy"
         )
-        return warning(check, found, mend)
+        return warning(check, found, fix)
     if captured.dropped > _LOST_PART * len(captured.t_ns) and check == "camera frames":
         return warning(check, found, "use fourcc MJPG, a USB port of its own, a shorter cable")
     return ok(check, found)
@@ -210,8 +210,8 @@ def _check_stamps(captured: Captured) -> Finding:
     if any(later <= earlier for earlier, later in pairwise(captured.t_ns)):
         return warning("camera time", f"{found}, not in order", "update the kernel, or use another camera")
     if captured.described.get("time_stamps") not in ("kernel", "sensor"):
-        mend = "poses will match less well; a camera of the driver uvcvideo gives the kernel's time stamps"
-        return warning("camera time", found, mend)
+        fix = "poses will match less well; a camera of the driver uvcvideo gives the kernel's time stamps"
+        return warning("camera time", found, fix)
     if age_s > _AGE_MAX_S:
         return warning("camera time", found, "end what else keeps this machine busy, or lower source.fps")
     return ok("camera time", found)
@@ -225,10 +225,10 @@ def _check_locks(captured: Captured) -> list[Finding]:
         if lock == Lock.NO_CONTROL:
             found += " in this driver"
         if lock == Lock.AUTOMATIC:
-            mend = (
+            fix = (
                 f"its changes look like touch: try `v4l2-ctl -d DEVICE -L` for a control of {label}, or another camera"
             )
-            findings.append(warning("camera control", found, mend))
+            findings.append(warning("camera control", found, fix))
         else:
             findings.append(ok("camera control", found))
     return findings

@@ -124,16 +124,16 @@ def _ask_broker(document: Document, machine: Machine) -> tuple[Findings, DaemonS
 
 
 def _no_broker(why: str) -> tuple[Findings, DaemonState]:
-    mend = "is mqtt.host right, does the network work, and is the name server reachable?"
-    return (fault("broker", why, mend),), DaemonState()
+    fix = "is mqtt.host right, does the network work, and is the name server reachable?"
+    return (fault("broker", why, fix),), DaemonState()
 
 
 def _no_frames(why: str) -> tuple[Captured, Findings]:
     return Captured(), (fault("camera frames", why, _REPLUG),)
 
 
-def _failed(check: str, mend: str) -> Callable[[str], Findings]:
-    return lambda why: (fault(check, why, mend),)
+def _failed(check: str, fix: str) -> Callable[[str], Findings]:
+    return lambda why: (fault(check, why, fix),)
 
 
 def _limited(job: Callable[[], T], limit_s: float, failed: Callable[[str], T]) -> T:

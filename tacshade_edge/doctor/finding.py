@@ -20,14 +20,14 @@ class Finding:
         ``fault``: the daemon cannot work so. ``warning``: it works, worse than it could.
     found : str
         One line for a person.
-    mend : str
+    fix : str
         What to do, with the exact command where there is one; empty when `state` is ``ok``.
     """
 
     check: str
     state: State
     found: str
-    mend: str = ""
+    fix: str = ""
 
 
 def ok(check: str, found: str) -> Finding:
@@ -35,11 +35,11 @@ def ok(check: str, found: str) -> Finding:
     return Finding(check, "ok", found)
 
 
-def warning(check: str, found: str, mend: str) -> Finding:
+def warning(check: str, found: str, fix: str) -> Finding:
     """It works, worse than it could."""
-    return Finding(check, "warning", found, mend)
+    return Finding(check, "warning", found, fix)
 
 
-def fault(check: str, found: str, mend: str) -> Finding:
+def fault(check: str, found: str, fix: str) -> Finding:
     """It cannot work so."""
-    return Finding(check, "fault", found, mend)
+    return Finding(check, "fault", found, fix)

@@ -81,7 +81,7 @@ def may_use(path: Path) -> bool:
     return os.access(path, os.R_OK | os.W_OK, effective_ids=True)
 
 
-def permission_mend(path: Path, usual_group: str) -> str:
+def permission_fix(path: Path, usual_group: str) -> str:
     """The command that gives this user the device."""
     user = pwd.getpwuid(os.geteuid()).pw_name
     try:

@@ -6,7 +6,7 @@ import os
 import re
 
 from tacshade_edge.doctor.finding import Finding, fault, ok, warning
-from tacshade_edge.doctor.machine import Machine, may_use, permission_mend
+from tacshade_edge.doctor.machine import Machine, may_use, permission_fix
 
 _PORT = re.compile(r"tty(USB|ACM|AMA|S|THS)\d+")
 _NO_UART = "0"  # /sys/class/tty/ttyS*/type of a place where there is no chip
@@ -19,8 +19,8 @@ def check_serial(machine: Machine, device: str = "") -> tuple[Finding, ...]:
     found = _check_ports(machine)
     if not device.startswith("/dev/") or machine.at(device).exists():
         return found
-    mend = "plug the robot in; the names that there are: ls /dev/serial/by-id /dev/tty[AU]*"
-    return (fault("serial", f"{device}: no such device, and serial.device names it", mend), *found)
+    fix = "plug the robot in; the names that there are: ls /dev/serial/by-id /dev/tty[AU]*"
+    return (fault("serial", f"{device}: no such device, and serial.device names it", fix), *found)
 
 
 def _check_ports(machine: Machine) -> tuple[Finding, ...]:
@@ -40,13 +40,13 @@ def _check_port(port: str, machine: Machine) -> tuple[Finding, ...]:
         return (warning("serial", f"{device}: the kernel has this port, /dev does not", "sudo udevadm trigger"),)
     wrong = []
     if not may_use(path):
-        wrong.append(warning("serial", f"{label}: no permission", permission_mend(path, "dialout")))
+        wrong.append(warning("serial", f"{label}: no permission", permission_fix(path, "dialout")))
     if _is_console(port, machine):
-        mend = (
+        fix = (
             f"sudo systemctl disable --now serial-getty@{port}; on a Raspberry Pi also: sudo raspi-config, Interface "
             "Options, Serial Port, no login shell, then reboot. Leave it if no robot is on this port"
         )
-        wrong.append(warning("serial", f"{label}: the system's console is on it and would talk to a robot", mend))
+        wrong.append(warning("serial", f"{label}: the system's console is on it and would talk to a robot", fix))
     wrong += [
         warning("serial", f"{label}: in use by {process}", f"end it, if a robot is on this port: kill {process.pid}")
         for process in machine.holders(device)
@@ -54,11 +54,11 @@ def _check_port(port: str, machine: Machine) -> tuple[Finding, ...]:
     ]
     timer = machine.read(f"/sys/class/tty/{port}/device/latency_timer")
     if timer.isdecimal() and int(timer) > _LATENCY_MS:
-        mend = (
+        fix = (
             f"echo {_LATENCY_MS} | sudo tee /sys/class/tty/{port}/device/latency_timer; to keep it, put this line into "
             f"/etc/udev/rules.d/90-ftdi.rules: {_FTDI_RULE}"
         )
-        wrong.append(warning("serial", f"{label}: its chip holds bytes back for up to {timer} ms", mend))
+        wrong.append(warning("serial", f"{label}: its chip holds bytes back for up to {timer} ms", fix))
     return tuple(wrong) or (ok("serial", f"{label}: free to use"),)
 
 

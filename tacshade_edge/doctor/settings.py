@@ -32,16 +32,16 @@ def check_settings(config: Path, sensor_id: str | None = None) -> tuple[Finding,
     except ConfigError as error:
         until = _UNTIL.format("the configured camera, the calibration and the broker are")
         more = f" (and {len(error.others)} more: tacshade-edge check-config {config})" if error.others else ""
-        return fault(SETTINGS, f"{error}{more}", f"{_mend(config)}; {until}"), None, False
+        return fault(SETTINGS, f"{error}{more}", f"{_fix(config)}; {until}"), None, False
     try:
         links.check_broker_files(document)
         links.make_link(document, on_request=lambda _: None, on_outcome=lambda *_: None)
     except ConfigError as error:
-        return fault(SETTINGS, str(error), f"mend that line; {_UNTIL.format('the broker is')}"), document, False
+        return fault(SETTINGS, str(error), f"fix that line; {_UNTIL.format('the broker is')}"), document, False
     return ok(SETTINGS, f"{config}, sensor {document.settings.sensor_id}"), document, True
 
 
-def _mend(config: Path) -> str:
+def _fix(config: Path) -> str:
     try:
         open_regular(config, sys.maxsize).close()
     except PermissionError:
@@ -49,4 +49,4 @@ def _mend(config: Path) -> str:
     except OSError:
         by_capture = "tacshade-edge capture DIR writes some for this camera: give --config DIR/config.yaml"
         return f"{by_capture}; or copy config/default.yaml there"
-    return "mend that line (config/default.yaml explains every key)"
+    return "fix that line (config/default.yaml explains every key)"

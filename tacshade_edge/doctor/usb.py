@@ -95,7 +95,7 @@ def judge(port: Port, cameras: Sequence[V4l2]) -> Finding:
         found += f", and one alone has at most {port.most_bytes_s_of_one / _MB:.0f}"
     # What is not compressed is known to the byte.
     known = [camera for camera in cameras if camera.fourcc != "MJPG"]
-    return (warning if fits(port, known) else fault)("usb", found, "; or ".join(_mends(port, cameras)))
+    return (warning if fits(port, known) else fault)("usb", found, "; or ".join(_fixes(port, cameras)))
 
 
 def fits(port: Port, cameras: Sequence[V4l2]) -> bool:
@@ -109,7 +109,7 @@ def bytes_s(camera: V4l2) -> float:
     return camera.width_px * camera.height_px * _BYTES_PER_PX[camera.fourcc] * camera.fps
 
 
-def _mends(port: Port, cameras: Sequence[V4l2]) -> list[str]:
+def _fixes(port: Port, cameras: Sequence[V4l2]) -> list[str]:
     """What would make them fit, the least painful first."""
 
     def changed(**values: int | str) -> list[V4l2]:
@@ -125,15 +125,15 @@ def _mends(port: Port, cameras: Sequence[V4l2]) -> list[str]:
             fourcc="MJPG", width_px=width, height_px=height
         ),
     }
-    mends = [
+    fixes = [
         f"set {words} ({sum(map(bytes_s, other)) / _MB:.0f} MB/s)"
         for words, other in tries.items()
         if fits(port, other) and other != list(cameras)
     ]
     scale = min(port.most_bytes_s / sum(map(bytes_s, cameras)), port.most_bytes_s_of_one / max(map(bytes_s, cameras)))
     fps = math.floor(scale * max(camera.fps for camera in cameras))
-    mends = mends[:2] + [f"source.fps of at most {fps}"] * (fps >= 1)
-    return [*mends, "plug some into ports of another controller"] if len(cameras) > 1 else mends
+    fixes = fixes[:2] + [f"source.fps of at most {fps}"] * (fps >= 1)
+    return [*fixes, "plug some into ports of another controller"] if len(cameras) > 1 else fixes
 
 
 def _format(camera: V4l2) -> str:

@@ -22,7 +22,7 @@ from tacshade_edge.settings.several import own_folders, split
 from tacshade_edge.settings.strict_yaml import Found, Key, Mistake, dotted
 
 T = TypeVar("T")
-_MISTAKES_MAX = 50  # one after another: what follows is found when these are mended
+_MISTAKES_MAX = 50  # one after another: what follows is found when these are fixed
 
 
 @dataclass(frozen=True, slots=True)

@@ -134,7 +134,7 @@ def test_one_that_dies_or_cannot_start_touches_no_other(folder: Path, broker: Br
 
             calibration_file.save(folder / "ring.npz", painted_calibration())
             running.process.send_signal(signal.SIGHUP)
-            wait_until(lambda: bool(health(seen, "ring")), 20, "the mended one runs after a reload")
+            wait_until(lambda: bool(health(seen, "ring")), 20, "the fixed one runs after a reload")
             running.process.send_signal(signal.SIGTERM)
             assert running.process.wait(patience(10)) == 0
             seen.wait_for_last("tacshade/ring/state", b"stopped")

@@ -37,4 +37,4 @@ def test_the_governor(machine: Any, governor: str, driver: str, warned: int) -> 
     machine.put(f"{CPU}/scaling_driver", driver)
     findings = check_board(machine)
     assert len(findings) == warned
-    assert all("scaling_governor" in finding.mend for finding in findings)
+    assert all("scaling_governor" in finding.fix for finding in findings)

@@ -24,7 +24,7 @@ needs_mosquitto = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not
 def ask(port: int, **options: Any) -> tuple[dict[str, Finding], DaemonState]:
     asked: Any = {"host": "127.0.0.1", "port": port, "username": None, "password": None, "tls_ca": None} | options
     findings, daemon = check_broker(asked, "left")
-    assert all(bool(finding.mend) == (finding.state != "ok") for finding in findings)
+    assert all(bool(finding.fix) == (finding.state != "ok") for finding in findings)
     return {finding.check: finding for finding in findings}, daemon
 
 
@@ -48,14 +48,14 @@ def test_nothing_listens() -> None:
     port = free_port()
     finding = trouble(port)
     assert finding.found == f"127.0.0.1:{port}: refused, nothing listens there"
-    assert "sudo systemctl enable --now mosquitto" in finding.mend
-    assert "`listener` line" in trouble(port, host="127.0.0.2").mend, "another machine's broker is started there"
+    assert "sudo systemctl enable --now mosquitto" in finding.fix
+    assert "`listener` line" in trouble(port, host="127.0.0.2").fix, "another machine's broker is started there"
 
 
 def test_a_name_without_an_address() -> None:
     finding = trouble(1883, host="no-such-broker.invalid")
     assert finding.found.startswith("no-such-broker.invalid: the name has no address")
-    assert finding.mend.endswith("getent hosts no-such-broker.invalid")
+    assert finding.fix.endswith("getent hosts no-such-broker.invalid")
 
 
 @broker_test  # for its seconds of waiting
@@ -69,7 +69,7 @@ def test_a_port_that_says_nothing_where_tls_is_expected(listener: socket.socket,
     with Broker(tmp_path, tls=True) as other:
         finding = trouble(listener.getsockname()[1], tls_ca=str(other.ca))
     assert "no answer within" in finding.found
-    assert "Is it the TLS port?" in finding.mend
+    assert "Is it the TLS port?" in finding.fix
 
 
 @broker_test
@@ -122,14 +122,14 @@ def test_users_and_access_rules(tmp_path: Path) -> None:
         assert ask(broker.port, username="hand", password="right")[0]["broker round trip"].state == "ok"
         wrong = trouble(broker.port, username="hand", password="wrong")
         assert "refuses the user hand or the password" in wrong.found
-        assert wrong.mend.endswith("/etc/mosquitto/tacshade.passwd hand")
+        assert wrong.fix.endswith("/etc/mosquitto/tacshade.passwd hand")
         nobody = trouble(broker.port)
         assert "without a user name" in nobody.found
-        assert "mqtt.username" in nobody.mend
+        assert "mqtt.username" in nobody.fix
         denied = ask(broker.port, username="guest", password="right")[0]["broker round trip"]
         assert denied.state == "fault"
         assert denied.found.startswith(f"may not publish under {BASE}/")
-        assert "user guest, then: topic readwrite" in denied.mend
+        assert "user guest, then: topic readwrite" in denied.fix
 
 
 @broker_test
@@ -165,7 +165,7 @@ def test_a_broker_that_must_not_be_read(tmp_path: Path) -> None:
     with broker:
         denied = ask(broker.port)[0]["broker round trip"]
     assert denied.state == "fault"
-    assert "topic readwrite" in denied.mend
+    assert "topic readwrite" in denied.fix
 
 
 @broker_test
@@ -179,18 +179,18 @@ def test_tls(tmp_path: Path) -> None:
         assert "accepts us over TLS" in good["broker"].found
         wrong = trouble(broker.port, tls_ca=str(other.ca))
         assert "its certificate is refused: self-signed certificate" in wrong.found
-        assert wrong.mend.startswith("set mqtt.ca_file")
+        assert wrong.fix.startswith("set mqtt.ca_file")
         assert good["broker round trip"].state != "fault"
         named = trouble(broker.port, tls_ca=str(broker.ca), host="127.1")
         assert "is not valid for '127.1'" in named.found
-        assert "for 127.1 (subjectAltName)" in named.mend
+        assert "for 127.1 (subjectAltName)" in named.fix
         plain = trouble(broker.port)
         assert plain.found.endswith("takes connections but hangs up: not an MQTT broker")
-        assert "If it is a TLS port (8883), set mqtt.ca_file" in plain.mend
+        assert "If it is a TLS port (8883), set mqtt.ca_file" in plain.fix
     with Broker(tmp_path / "theirs") as broker:
         finding = trouble(broker.port, tls_ca=str(tmp_path / "ours/cert.pem"))
         assert "TLS" in finding.found or "no answer" in finding.found or "reset" in finding.found
-        assert finding.mend
+        assert finding.fix
 
 
 @broker_test
@@ -217,11 +217,11 @@ def test_the_daemon(daemon: DaemonState, running: bool, state: str, found: str) 
     finding = judge_daemon(daemon, Process(5, ("tacshade-edge", "run")) if running else None, "left")
     assert finding.state == state
     assert found in finding.found
-    assert bool(finding.mend) == (state != "ok")
+    assert bool(finding.fix) == (state != "ok")
 
 
 def test_a_slow_round_trip() -> None:
     assert judge_round_trip(1.2) == ok("broker round trip", "38 KB there and back in 1.2 ms")
     slow = judge_round_trip(41)
     assert slow.state == "warning"
-    assert slow.mend.startswith("set_tcp_nodelay true")
+    assert slow.fix.startswith("set_tcp_nodelay true")

@@ -20,7 +20,7 @@ from tools.testbed.painted_sensor import painted_calibration
 
 def judged(images: Sequence[U8], live: bool = True) -> dict[str, Finding]:
     findings = check_images(calibrated(HALF), images, live)
-    assert all(bool(finding.mend) == (finding.state != "ok") for finding in findings)
+    assert all(bool(finding.fix) == (finding.state != "ok") for finding in findings)
     return {finding.check: finding for finding in findings}
 
 
@@ -43,7 +43,7 @@ def test_a_camera_that_moved() -> None:
     assert sensor.found.startswith(
         ("frames cannot be used: camera moved by 3.", "frames cannot be used: camera moved by 4.")
     )
-    assert "fix the camera where it was" in sensor.mend
+    assert "fix the camera where it was" in sensor.fix
 
 
 def test_a_camera_that_came_closer() -> None:
@@ -54,14 +54,14 @@ def test_a_camera_that_came_closer() -> None:
     ]
     assert place.state == "warning"
     assert place.found.startswith("visible circle ")
-    assert "fix it where it was" in place.mend
+    assert "fix it where it was" in place.fix
 
 
 def test_a_sensor_that_aged() -> None:
     sensor = judged([nuisance.gain(image, 0.7) for image in free()])["sensor"]
     assert sensor.state == "warning"
     assert sensor.found.endswith("times the light since it was calibrated")
-    assert "--rezero" in sensor.mend
+    assert "--rezero" in sensor.fix
 
 
 def test_a_pressed_skin() -> None:
@@ -73,7 +73,7 @@ def test_a_pressed_skin() -> None:
 
 
 @pytest.mark.parametrize(
-    ("image", "reason", "mend"),
+    ("image", "reason", "fix"),
     [
         (np.zeros((240, 320), np.uint8), "black", "switch the sensor's light on"),
         (np.zeros((480, 640), np.uint8), "size: 640x480 px, calibrated for 320x240", "set source.width_px"),
@@ -81,11 +81,11 @@ def test_a_pressed_skin() -> None:
         ((unloaded() * 0.35).astype(np.uint8), "light: ", "bring the light"),
     ],
 )
-def test_an_image_that_cannot_be_used(image: U8, reason: str, mend: str) -> None:
+def test_an_image_that_cannot_be_used(image: U8, reason: str, fix: str) -> None:
     sensor = judged([image])["sensor"]
     assert sensor.state == "fault"
     assert sensor.found.startswith(f"frames cannot be used: {reason}")
-    assert sensor.mend.startswith(mend)
+    assert sensor.fix.startswith(fix)
 
 
 def test_a_sensor_that_shakes() -> None:
@@ -102,7 +102,7 @@ def test_glare() -> None:
     sensor = judged([image])["sensor"]
     assert sensor.state == "warning"
     assert sensor.found.startswith("glare: ")
-    assert "shade it" in sensor.mend
+    assert "shade it" in sensor.fix
 
 
 def test_the_file(tmp_path: Path) -> None:
@@ -111,8 +111,8 @@ def test_the_file(tmp_path: Path) -> None:
     absent, (finding,) = load(load_settings(config))
     assert absent is None
     assert finding.state == "warning"
-    assert f"tacshade-edge capture DIR --config {config}" in finding.mend
-    assert f"--out {tmp_path}/c.npz" in finding.mend
+    assert f"tacshade-edge capture DIR --config {config}" in finding.fix
+    assert f"--out {tmp_path}/c.npz" in finding.fix
     (tmp_path / "c.npz").write_bytes(b"PK")
     absent, (finding,) = load(load_settings(config))
     assert (absent, finding.state) == (None, "fault")
@@ -124,7 +124,7 @@ def test_the_file(tmp_path: Path) -> None:
     calibration_file.save(tmp_path / "c.npz", calibrated(HALF, 0))
     _, (finding,) = load(load_settings(config))
     assert finding.state == "warning"
-    assert "--presses" in finding.mend
+    assert "--presses" in finding.fix
     calibration_file.save(tmp_path / "c.npz", fitted_with("balanced", calibrated(HALF)))
     _, (finding,) = load(load_settings(config))
     assert finding.state == "ok"
@@ -133,7 +133,7 @@ def test_the_file(tmp_path: Path) -> None:
     _, (finding,) = load(load_settings(config))
     assert finding.state == "warning"
     assert "the networks of balanced have changed since they were fitted" in finding.found
-    assert "--fit" in finding.mend
+    assert "--fit" in finding.fix
     config.write_text("calibration: c.npz\n")
     known, (finding,) = load(load_settings(config))
     assert known is None

@@ -30,7 +30,7 @@ def frames(fps: float = 30, **changes: Any) -> Captured:
 
 def judged(machine: Any, captured: Captured) -> dict[str, Finding]:
     findings = check_frames(V4l2(), captured, machine, "")
-    assert all(bool(finding.mend) == (finding.state != "ok") for finding in findings)
+    assert all(bool(finding.fix) == (finding.state != "ok") for finding in findings)
     return {finding.check: finding for finding in findings if finding.state != "ok"}
 
 
@@ -73,18 +73,18 @@ def test_what_is_wrong_is_said(machine: Any, captured: Captured, check: str, sai
 
 
 @pytest.mark.parametrize(
-    ("image", "reason", "mend"),
+    ("image", "reason", "fix"),
     [
         (np.full((120, 160), 255, np.uint8), "saturated: 100 %", "dim"),
         (np.full((120, 160), 90, np.uint8), "no contrast", "focus"),
         (np.zeros((120, 160, 3), np.uint8), "black", "light on"),
     ],
 )
-def test_a_picture_that_shows_nothing(image: Any, reason: str, mend: str) -> None:
+def test_a_picture_that_shows_nothing(image: Any, reason: str, fix: str) -> None:
     finding = check_picture(image)
     assert finding.state == "fault"
     assert finding.found.startswith(reason)
-    assert mend in finding.mend
+    assert fix in finding.fix
 
 
 def test_other_sources() -> None:

@@ -41,22 +41,22 @@ def test_a_raspberry_pis_own_nodes_are_no_cameras(machine: Any) -> None:
     assert found_cameras(machine) == []
     assert has_csi_receiver(machine)
     assert is_csi("/dev/video20", machine)
-    assert "CSI" in list_cameras(machine).mend
+    assert "CSI" in list_cameras(machine).fix
     (finding,) = check_device(V4l2(), machine)
     assert (finding.state, finding.found) == ("fault", "/dev/video0: is the Raspberry Pi's own rp1-cfe-csi2_ch0")
-    assert finding.mend.endswith("set source: {kind: rpicam, camera: 0}")
+    assert finding.fix.endswith("set source: {kind: rpicam, camera: 0}")
 
 
 def test_a_camera_that_is_not_there(machine: Any) -> None:
     (alone,) = check_device(V4l2(), machine)
     assert (alone.state, alone.found) == ("fault", "/dev/video0: no such device")
-    assert alone.mend.startswith("plug the camera in")
+    assert alone.fix.startswith("plug the camera in")
     plug(machine, "video2", "HD Camera")
     (other,) = check_device(V4l2(), machine)
-    assert other.mend == "set source.device to one of: /dev/video2 (HD Camera)"
+    assert other.fix == "set source.device to one of: /dev/video2 (HD Camera)"
     machine.at("/sys/class/video4linux/video2/name").write_text("unicam-image\n")
     (csi,) = check_device(V4l2(), machine)
-    assert "CSI" in csi.mend
+    assert "CSI" in csi.fix
 
 
 def test_csi_cameras_are_listed_by_the_boards_program(
@@ -64,7 +64,7 @@ def test_csi_cameras_are_listed_by_the_boards_program(
 ) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     (missing,) = check_csi(Rpicam())
-    assert (missing.state, missing.mend) == ("fault", "sudo apt install rpicam-apps-lite")
+    assert (missing.state, missing.fix) == ("fault", "sudo apt install rpicam-apps-lite")
     monkeypatch.undo()
     rpicam_vid.put_on_path(tmp_path, monkeypatch)
     name = "imx219 [3280x2464 10-bit RGGB]"

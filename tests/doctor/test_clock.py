@@ -21,7 +21,7 @@ def test_judged(now_s: float, synced: bool | None, resolution_s: float, states: 
     findings = judge(now_s, INSTALLED_S, synced, resolution_s)
     assert [finding.state for finding in findings] == states
     assert said in findings[-1].found
-    assert all(bool(finding.mend) == (finding.state != "ok") for finding in findings)
+    assert all(bool(finding.fix) == (finding.state != "ok") for finding in findings)
 
 
 def test_this_machines_clock_answers() -> None:

@@ -32,8 +32,8 @@ def config(tmp_path: Path) -> Path:
 def checked(config: Path, machine: Any) -> dict[str, Finding]:
     found: dict[str, Finding] = {}
     for finding in diagnose(config, machine):
-        assert bool(finding.mend) == (finding.state != "ok"), finding
-        assert "\n" not in finding.found + finding.mend, "a line"
+        assert bool(finding.fix) == (finding.state != "ok"), finding
+        assert "\n" not in finding.found + finding.fix, "a line"
         found[finding.check] = finding
     return found
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from tacshade_edge.doctor.machine import Machine, may_use, permission_mend
+from tacshade_edge.doctor.machine import Machine, may_use, permission_fix
 
 
 def test_who_holds_a_device_by_any_of_its_names(machine: Any) -> None:
@@ -65,18 +65,18 @@ def test_permission_is_that_of_the_user_who_asks() -> None:
         shutil.rmtree(folder)
 
 
-def test_the_mend_names_the_devices_group_and_the_user(tmp_path: Path) -> None:
+def test_the_fix_names_the_devices_group_and_the_user(tmp_path: Path) -> None:
     device = tmp_path / "device"
     device.touch()
     if os.geteuid() == 0:
         os.chown(device, 0, 20)
         assert (
-            permission_mend(device, "dialout")
+            permission_fix(device, "dialout")
             == f"sudo usermod -aG dialout {getpass.getuser()}, then log out and in again"
         )
         os.chown(device, 0, 54321)
-        assert "usermod -aG video " in permission_mend(device, "video"), "a group without a name: the usual one"
+        assert "usermod -aG video " in permission_fix(device, "video"), "a group without a name: the usual one"
         os.chown(device, 0, 0)
-        assert "udev" in permission_mend(device, "video"), "nobody should join root"
+        assert "udev" in permission_fix(device, "video"), "nobody should join root"
     else:
-        assert getpass.getuser() in permission_mend(device, "dialout")
+        assert getpass.getuser() in permission_fix(device, "dialout")

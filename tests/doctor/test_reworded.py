@@ -1,4 +1,4 @@
-"""`doctor` chooses a mend by the code of a reason, never by its text."""
+"""`doctor` chooses a fix by the code of a reason, never by its text."""
 
 from __future__ import annotations
 
@@ -76,32 +76,32 @@ def _of_a_node(machine: Any) -> list[Finding]:
 @pytest.mark.parametrize(
     "check", [pytest.param(_of_images, marks=pytest.mark.slow), _of_pictures, _of_frames, _of_a_node]
 )
-def test_a_reworded_reason_has_the_same_mend(
+def test_a_reworded_reason_has_the_same_fix(
     machine: Any, monkeypatch: pytest.MonkeyPatch, check: Callable[[Any], list[Finding]]
 ) -> None:
     before = check(machine)
     reword(monkeypatch)
     after = check(machine)
-    mends = [(finding.check, finding.state, finding.mend) for finding in before]
-    assert [(finding.check, finding.state, finding.mend) for finding in after] == mends
+    fixes = [(finding.check, finding.state, finding.fix) for finding in before]
+    assert [(finding.check, finding.state, finding.fix) for finding in after] == fixes
     assert any(NONSENSE in finding.found for finding in after)
     assert not any(NONSENSE in finding.found for finding in before)
 
 
 @pytest.mark.slow
-def test_each_bad_image_has_a_mend_of_its_own() -> None:
-    mends = {
-        name: next(finding.mend for finding in check_images(calibrated(HALF), [image], True) if finding.mend)
+def test_each_bad_image_has_a_fix_of_its_own() -> None:
+    fixes = {
+        name: next(finding.fix for finding in check_images(calibrated(HALF), [image], True) if finding.fix)
         for name, image in _bad_images().items()
     }
-    assert len(set(mends.values())) == len(mends), mends
+    assert len(set(fixes.values())) == len(fixes), fixes
 
 
 @pytest.mark.parametrize(
-    ("code", "mend"),
+    ("code", "fix"),
     [(10, "renew"), (9, "renew"), (62, "set mqtt.host to a name in"), (64, "set mqtt.host"), (18, "set mqtt.ca_file")],
 )
-def test_a_refused_certificate_is_told_apart_by_openssls_number(code: int, mend: str) -> None:
+def test_a_refused_certificate_is_told_apart_by_openssls_number(code: int, fix: str) -> None:
     error = ssl.SSLCertVerificationError()
     error.verify_code, error.verify_message = code, NONSENSE
-    assert certificate_fix(error, "broker.local").startswith(mend)
+    assert certificate_fix(error, "broker.local").startswith(fix)

@@ -22,7 +22,7 @@ def plug(machine: Any, port: str, **attributes: str) -> None:
 
 def test_no_port_is_no_fault(machine: Any) -> None:
     (finding,) = check_serial(machine)
-    assert (finding.state, finding.mend) == ("ok", "")
+    assert (finding.state, finding.fix) == ("ok", "")
     assert finding.found.startswith("no serial port found")
 
 
@@ -46,7 +46,7 @@ def test_an_ftdi_chip_that_holds_bytes_back(machine: Any) -> None:
     plug(machine, "ttyUSB0", device__latency_timer="16")
     (finding,) = check_serial(machine)
     assert (finding.state, finding.found) == ("warning", "/dev/ttyUSB0: its chip holds bytes back for up to 16 ms")
-    assert finding.mend.startswith("echo 1 | sudo tee /sys/class/tty/ttyUSB0/device/latency_timer; ")
+    assert finding.fix.startswith("echo 1 | sudo tee /sys/class/tty/ttyUSB0/device/latency_timer; ")
 
 
 def test_another_program_and_a_console(machine: Any) -> None:
@@ -61,10 +61,10 @@ def test_another_program_and_a_console(machine: Any) -> None:
     findings = {finding.found.partition(":")[0]: finding for finding in check_serial(machine)}
     assert len(findings) == 4
     assert findings["/dev/ttyACM0"].found == "/dev/ttyACM0: in use by process 30 (ModemManager)"
-    assert "kill 30" in findings["/dev/ttyACM0"].mend
+    assert "kill 30" in findings["/dev/ttyACM0"].fix
     for port in ("ttyS0", "ttyAMA0"):
         assert "the system's console is on it" in findings[f"/dev/{port}"].found
-        assert f"serial-getty@{port}" in findings[f"/dev/{port}"].mend
+        assert f"serial-getty@{port}" in findings[f"/dev/{port}"].fix
     assert findings["/dev/ttyAMA10"].state == "ok"
 
 
@@ -83,7 +83,7 @@ def test_no_permission(machine: Any) -> None:
         os.seteuid(0)
         shutil.rmtree(root)
     assert (finding.state, finding.found) == ("warning", "/dev/ttyUSB0: no permission")
-    assert finding.mend == "sudo usermod -aG dialout nobody, then log out and in again"
+    assert finding.fix == "sudo usermod -aG dialout nobody, then log out and in again"
 
 
 def test_a_port_without_its_node(machine: Any) -> None:
@@ -91,7 +91,7 @@ def test_a_port_without_its_node(machine: Any) -> None:
     machine.at("/dev/ttyUSB3").unlink()
     (finding,) = check_serial(machine)
     assert finding.state == "warning"
-    assert finding.mend == "sudo udevadm trigger"
+    assert finding.fix == "sudo udevadm trigger"
 
 
 def test_the_robots_port_must_be_there(machine: Any) -> None:

@@ -25,13 +25,13 @@ def test_bad_settings(tmp_path: Path, text: str, usable: bool, said: str) -> Non
     finding, document, broker = check_settings(config)
     assert finding.state == "fault"
     assert finding.found.startswith(f"{config}{said}")
-    assert finding.mend.startswith("mend that line")
+    assert finding.fix.startswith("fix that line")
     assert (document is not None, broker) == (usable, False)
 
 
 def test_no_file(tmp_path: Path) -> None:
     finding, document, _ = check_settings(tmp_path / "none.yaml")
-    assert finding.mend.startswith("tacshade-edge capture DIR writes some for this camera")
+    assert finding.fix.startswith("tacshade-edge capture DIR writes some for this camera")
     assert document is None
 
 
@@ -57,4 +57,4 @@ def test_settings_that_this_user_may_not_read() -> None:
         os.seteuid(0)
         shutil.rmtree(folder)
     assert finding.state == "fault"
-    assert finding.mend.startswith("run this with sudo")
+    assert finding.fix.startswith("run this with sudo")

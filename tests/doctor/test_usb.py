@@ -66,13 +66,13 @@ def test_what_a_stream_takes(source: V4l2, expected: float) -> None:
 def test_what_fits_through_a_port(cameras: list[V4l2], port: Port, state: str) -> None:
     finding = judge(port, cameras)
     assert finding.state == state
-    assert bool(finding.mend) == (state != "ok")
+    assert bool(finding.fix) == (state != "ok")
 
 
 def test_five_yuyv_cameras_are_told_what_would_fit() -> None:
     finding = judge(USB2, [camera(device=k) for k in range(5)])
     assert finding.found == ("USB bus 1, port 1 (480 Mbit/s): 5 cameras with YUYV 640x480 at 30/s: about 92 of 49 MB/s")
-    assert finding.mend == (
+    assert finding.fix == (
         "set source.fourcc: MJPG (12 MB/s); or set source.width_px: 320, height_px: 240, and calibrate at that size "
         "(23 MB/s); or source.fps of at most 16; or plug some into ports of another controller"
     )
@@ -81,8 +81,8 @@ def test_five_yuyv_cameras_are_told_what_would_fit() -> None:
 def test_one_camera_has_its_own_bound() -> None:
     finding = judge(USB2, [camera(fps=60)])
     assert finding.found.endswith("about 37 of 49 MB/s, and one alone has at most 25")
-    assert "another controller" not in finding.mend
-    assert "source.fps of at most 40" in finding.mend
+    assert "another controller" not in finding.fix
+    assert "source.fps of at most 40" in finding.fix
 
 
 def test_cameras_behind_one_port_are_counted_together_and_others_apart(machine: Any) -> None:

@@ -42,7 +42,7 @@ def asked(**changes: object) -> V4l2:
 
 def states(findings: tuple[Finding, ...]) -> dict[str, str]:
     print(*findings, sep="\n")
-    assert all(bool(finding.mend) == (finding.state != "ok") for finding in findings)
+    assert all(bool(finding.fix) == (finding.state != "ok") for finding in findings)
     return {finding.check: finding.state for finding in findings}
 
 
@@ -69,15 +69,15 @@ def test_the_offer_is_the_drivers() -> None:
     listed = subprocess.run(["v4l2-ctl", "-d", NODE, "--list-formats-ext"], check=True, capture_output=True, text=True)
     assert "Discrete 640x480" in listed.stdout
     by_format = check_device(asked(fourcc="MJPG"), MACHINE)[-1]
-    assert (by_format.state, by_format.mend) == ("fault", "set source.fourcc: YUYV or NV12 or GREY")
+    assert (by_format.state, by_format.fix) == ("fault", "set source.fourcc: YUYV or NV12 or GREY")
     by_size = check_device(asked(width_px=648), MACHINE)[-1]
     assert (by_size.state, by_size.found) == ("fault", "it has no YUYV of 648x480 px")
     for size in ("320x180", "640x360", "640x480", "1280x720"):
-        assert (f"Discrete {size}" in listed.stdout) is (size in by_size.mend)
+        assert (f"Discrete {size}" in listed.stdout) is (size in by_size.fix)
     by_rate = check_device(asked(fps=120), MACHINE)[-1]
     assert by_rate.state == "warning"
     assert "does not come at 120 frames/s" in by_rate.found
-    assert "25" in by_rate.mend
+    assert "25" in by_rate.fix
 
 
 def test_slower_than_asked() -> None:
@@ -100,11 +100,11 @@ def test_a_stable_name_is_better() -> None:
     BY_ID.parent.mkdir(parents=True, exist_ok=True)
     BY_ID.symlink_to(NODE)
     name = next(finding for finding in check_device(GOOD, MACHINE) if finding.check == "camera name")
-    assert (name.state, name.mend) == ("warning", f"set source.device: {BY_ID}")
+    assert (name.state, name.fix) == ("warning", f"set source.device: {BY_ID}")
     assert "camera name" not in states(check_device(asked(device=str(BY_ID)), MACHINE))
     (missing,) = check_device(asked(device="/dev/video7"), MACHINE)
     assert missing.state == "fault"
-    assert missing.mend.startswith(f"set source.device to one of: {BY_ID} (vivid")
+    assert missing.fix.startswith(f"set source.device to one of: {BY_ID} (vivid")
 
 
 def test_held_by_another_program() -> None:
@@ -115,7 +115,7 @@ def test_held_by_another_program() -> None:
         _, (finding,) = frames(GOOD)
         assert finding.state == "fault"
         assert finding.found.startswith(f"process {other.pid} (v4l2-ctl ")
-        assert finding.mend.endswith(f"kill {other.pid}")
+        assert finding.fix.endswith(f"kill {other.pid}")
         assert other.stderr.read(1), "and is not disturbed"
         other.kill()
 
@@ -165,6 +165,6 @@ def test_the_command(tmp_path: Path) -> None:
     assert (done.returncode, done.stderr) == (1, "")
     found = {each["check"]: each for each in json.loads(done.stdout)}
     assert found["camera"]["found"] == f"{NODE}: no such device"
-    assert found["camera"]["mend"].startswith("plug the camera in")
+    assert found["camera"]["fix"].startswith("plug the camera in")
     assert found["serial"]["found"].startswith("/dev/ttyS0: the system's console is on it"), "this guest's own"
     assert (found["broker"]["state"], found["calibration"]["state"]) == ("fault", "warning")

@@ -1,4 +1,4 @@
-"""``tacshade-edge doctor``: what is wrong with a sensor and its machine, and what mends it."""
+"""``tacshade-edge doctor``: what is wrong with a sensor and its machine, and what fixes it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--bundle", type=Path, metavar="FILE", help="write what somebody needs who is to help, a zip")
     parser.add_argument("--with-frame", action="store_true", help="the camera's picture is in the bundle too")
     parser.set_defaults(refuse=parser.error)
-    parser.add_argument("--json", action="store_true", help="print a list of {check, state, found, mend}")
+    parser.add_argument("--json", action="store_true", help="print a list of {check, state, found, fix}")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -58,12 +58,12 @@ def run(args: argparse.Namespace) -> int:
 
 
 def shown(finding: Finding, *, colour: bool) -> str:
-    """The finding as it is printed: a line, and the mend below it."""
+    """The finding as it is printed: a line, and the fix below it."""
     state = f"{finding.state:<7}"
     if colour:
         state = f"\x1b[{_COLOURS[finding.state]}m{state}\x1b[0m"
     line = f"{state}  {finding.check:<17}  {escaped(finding.found)}"
-    return f"{line}\n{_INDENT}-> {escaped(finding.mend)}" if finding.mend else line
+    return f"{line}\n{_INDENT}-> {escaped(finding.fix)}" if finding.fix else line
 
 
 def _summary(findings: list[Finding]) -> str:

@@ -19,7 +19,7 @@ from tacshade_edge.protocol.messages import encode_status
 from tacshade_edge.protocol.requests import Request
 from tacshade_edge.reasons import ReasonCode, reason_fields
 from tacshade_edge.settings import Settings, to_yaml
-from tacshade_edge.storage.recording.mcap.mend import mend_recordings
+from tacshade_edge.storage.recording.mcap.fix import fix_recordings
 from tacshade_edge.storage.recording.mcap_recorder import McapRecorder
 from tacshade_edge.storage.recording.recorder import Recorder
 from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME
@@ -55,10 +55,10 @@ class RecordRequests(FrameObserver):
         self._began_s = self._length_s = 0.0
 
     @staticmethod
-    def mend(folder: Path) -> None:
+    def fix(folder: Path) -> None:
         """End the recordings in MCAP that a daemon who died has left; before the first one begins."""
         try:
-            for path in mend_recordings(folder):
+            for path in fix_recordings(folder):
                 _log.warning("%s: its writer died; ended after its last whole record", path)
         except DeviceError as error:
             _log.warning("%s", error)

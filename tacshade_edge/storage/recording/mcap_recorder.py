@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, BinaryIO, Final
 
 from tacshade_edge.storage.atomic_files import FREE_FLOOR_BYTES, disk_errors, part, sync
 from tacshade_edge.storage.recording.mcap import require_mcap
-from tacshade_edge.storage.recording.mcap.mend import mend
+from tacshade_edge.storage.recording.mcap.fix import fix
 from tacshade_edge.storage.recording.recorder import Recorder
 from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME, SETTINGS_NAME
 from tacshade_edge.types import Frame
@@ -105,7 +105,7 @@ class McapRecorder(Recorder):
         self._files += 1
         self._begun_ns = frame.t_ns
         stream = part(self._path).open("wb")
-        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)  # nobody mends it meanwhile
+        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)  # nobody fixes it meanwhile
         writer = self._make(stream)
         for name in (CALIBRATION_NAME, SETTINGS_NAME):
             writer.attach(name, (self.folder / name).read_bytes(), frame.wall_ns)
@@ -118,7 +118,7 @@ class McapRecorder(Recorder):
         stream, writer = self._open
         if self._torn:
             self._leave_torn(stream)
-            mend(part(self._path))
+            fix(part(self._path))
             return
         writer.finish()
         stream.flush()

@@ -28,7 +28,7 @@ def write(folder: Path, port: int, more: str = "") -> str:
     return str(path)
 
 
-def test_a_fault_is_exit_1_and_its_mend_stands_below(tmp_path: Path, capsys: Any) -> None:
+def test_a_fault_is_exit_1_and_its_fix_stands_below(tmp_path: Path, capsys: Any) -> None:
     config = write(tmp_path, free_port())
     assert main(["doctor", "--config", config]) == EXIT_FAILED
     printed = capsys.readouterr()
@@ -45,7 +45,7 @@ def test_json_of_bad_settings_is_a_list_and_exit_78(tmp_path: Path, capsys: Any)
     config = write(tmp_path, 1883, more="sensor: 1\n")
     assert main(["doctor", "--config", config, "--json"]) == EXIT_CONFIG
     found = json.loads(capsys.readouterr().out)
-    assert all(set(each) == {"check", "state", "found", "mend"} for each in found)
+    assert all(set(each) == {"check", "state", "found", "fix"} for each in found)
     assert found[0]["check"] == "settings"
     assert found[0]["state"] == "fault"
     assert found[0]["found"].startswith(f"{config}:4: sensor: found an unknown key")

@@ -15,7 +15,7 @@ from mcap.reader import NonSeekingReader, make_reader
 
 from tacshade_edge.errors import DecodeError, DeviceError
 from tacshade_edge.storage.recording import mcap_recorder
-from tacshade_edge.storage.recording.mcap.mend import mend_recordings
+from tacshade_edge.storage.recording.mcap.fix import fix_recordings
 from tacshade_edge.storage.recording.mcap_recorder import McapRecorder
 from tacshade_edge.storage.recording.recorder import png_of
 from tacshade_edge.storage.recording.recording import Recording
@@ -88,19 +88,19 @@ def test_a_recording_opens_whole_and_each_of_its_files_alone(tmp_path: Path, mon
 
 
 @pytest.mark.slow
-def test_after_a_cut_at_any_of_100_bytes_the_next_start_mends_it(tmp_path: Path) -> None:
+def test_after_a_cut_at_any_of_100_bytes_the_next_start_fixes_it(tmp_path: Path) -> None:
     recorder = begun(tmp_path / "rec", 30)  # half a second
     part = tmp_path / "rec" / "000.mcap.part"
     whole = part.read_bytes()
-    assert mend_recordings(tmp_path) == []  # it is being written to
+    assert fix_recordings(tmp_path) == []  # it is being written to
     recorder.close()
     draw = random.Random(3)
     for at in (draw.randrange(100, len(whole)) for _ in range(100)):
         part.write_bytes(whole[:at])
-        assert len(mend_recordings(tmp_path)) == 1
-        assert mend_recordings(tmp_path) == []
-        mended = part.with_suffix("")
-        with mended.open("rb") as stream:
+        assert len(fix_recordings(tmp_path)) == 1
+        assert fix_recordings(tmp_path) == []
+        fixed = part.with_suffix("")
+        with fixed.open("rb") as stream:
             frames = sum(
                 channel.topic == "/tacshade/left/camera" for _, channel, _ in make_reader(stream).iter_messages()
             )
@@ -108,7 +108,7 @@ def test_after_a_cut_at_any_of_100_bytes_the_next_start_mends_it(tmp_path: Path)
         if at % 10 == 0 and frames:
             assert seqs(tmp_path / "rec") == list(range(frames))
             assert not Recording(tmp_path / "rec").cut_off
-        mended.unlink()
+        fixed.unlink()
 
 
 def test_blocks_that_a_power_cut_left_empty_end_it(tmp_path: Path) -> None:
@@ -117,12 +117,12 @@ def test_blocks_that_a_power_cut_left_empty_end_it(tmp_path: Path) -> None:
     part = tmp_path / "rec" / "000.mcap.part"
     with part.open("ab") as stream:
         stream.write(bytes(70_000))
-    (mended,) = mend_recordings(tmp_path)
-    assert b"\0" * 60_000 not in mended.read_bytes()
+    (fixed,) = fix_recordings(tmp_path)
+    assert b"\0" * 60_000 not in fixed.read_bytes()
     assert seqs(tmp_path / "rec") == [0, 1, 2, 3, 4]
 
 
-def test_mending_keeps_what_stands_behind_damage(tmp_path: Path) -> None:
+def test_fixing_keeps_what_stands_behind_damage(tmp_path: Path) -> None:
     recorder = begun(tmp_path / "rec", 12)
     recorder.close()
     part = tmp_path / "rec" / "000.mcap.part"
@@ -133,7 +133,7 @@ def test_mending_keeps_what_stands_behind_damage(tmp_path: Path) -> None:
     for byte, bit in ((chunks[0] + 5000, 2), (chunks[4] + 3, 4), (chunks[8], 0)):
         content = flipped(content, byte, bit)
     part.write_bytes(content[:-50])
-    assert len(mend_recordings(tmp_path)) == 1
+    assert len(fix_recordings(tmp_path)) == 1
     frames, refused = every(tmp_path / "rec" / "000.mcap")
     assert frames == [1, 2, 3, 5, 6, 7, 9, 10, 11]
     assert len(refused) == 3
@@ -168,7 +168,7 @@ def test_a_kill_between_two_files_leaves_the_first(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(mcap_recorder, "FILE_NS_MAX", 3 * PERIOD_NS)
     begun(tmp_path / "rec", 6).close()
     (tmp_path / "rec" / "001.mcap.part").write_bytes(b"")  # before its first byte reached the disk
-    assert mend_recordings(tmp_path) == []
+    assert fix_recordings(tmp_path) == []
     recording = Recording(tmp_path / "rec")
     assert "001.mcap.part: found no MCAP file" in recording.damage
     assert every(tmp_path / "rec")[0] == [0, 1, 2, 3]
@@ -178,9 +178,9 @@ def test_what_is_not_even_begun_stays(tmp_path: Path) -> None:
     for name, content in (("a", b""), ("b", b"\x89MCAP0\r\n"), ("c", b"something else")):
         (tmp_path / name).mkdir()
         (tmp_path / name / "000.mcap.part").write_bytes(content)
-    assert mend_recordings(tmp_path) == []
+    assert fix_recordings(tmp_path) == []
     assert len(list(tmp_path.glob("*/*.part"))) == 3
-    assert mend_recordings(tmp_path / "none") == []
+    assert fix_recordings(tmp_path / "none") == []
 
 
 def test_a_disk_that_fails_amid_a_record_leaves_the_frames_before(

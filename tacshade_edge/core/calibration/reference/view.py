@@ -50,7 +50,7 @@ class View:
 
     @property
     def advice(self) -> str:
-        """What to mend; empty when nothing is to be."""
+        """What to fix; empty when nothing is to be."""
         if self.saturated_part > _SATURATED_PART:
             return "too bright: less light, or a shorter exposure"
         if self.contrast_grey < _CONTRAST_GREY:

@@ -140,7 +140,7 @@ def test_damage_is_not_followed_however_slowly_it_comes(
     assert looked.reason.code in codes
     assert looked.calibration is None
     assert patch_grey(origin, current) <= PATCH_GREY
-    # What was mended is followed again.
+    # What was fixed is followed again.
     again = follow(origin, current, rest(950))
     assert again.reason is None
     assert patch_grey(origin, again.calibration or current) < 3

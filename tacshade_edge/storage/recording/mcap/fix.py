@@ -18,28 +18,28 @@ _END: Final = HEAD.pack(Kind.DATA_END, 4) + bytes(4) + HEAD.pack(Kind.FOOTER, 20
 _SUFFIX: Final = ".mcap.part"
 
 
-def mend_recordings(folder: Path) -> list[Path]:
-    """Mend every recording below `folder` that nobody writes to.
+def fix_recordings(folder: Path) -> list[Path]:
+    """Fix every recording below `folder` that nobody writes to.
 
     Returns
     -------
     list of Path
-        The files that were mended, by their new names.
+        The files that were fixed, by their new names.
 
     Raises
     ------
     DeviceError
-        The disk refuses; what was not mended is as it was.
+        The disk refuses; what was not fixed is as it was.
     """
     try:
-        found = (mend(path) for path in sorted(folder.glob(f"*/*{_SUFFIX}")))
+        found = (fix(path) for path in sorted(folder.glob(f"*/*{_SUFFIX}")))
         return [path for path in found if path is not None]
     except OSError as error:
         where = error.filename or folder
-        raise DeviceError(f"{where}: cannot be mended: {error.strerror or error}", code=ReasonCode.DISK) from None
+        raise DeviceError(f"{where}: cannot be fixed: {error.strerror or error}", code=ReasonCode.DISK) from None
 
 
-def mend(path: Path) -> Path | None:
+def fix(path: Path) -> Path | None:
     """Make ``NAME.mcap`` of ``NAME.mcap.part``; None where it is being written to, or has not even a header.
 
     Raises OSError.
