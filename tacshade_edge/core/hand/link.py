@@ -22,10 +22,11 @@ from tacshade_edge.types import F64
 
 LEVER_MM: Final = 20.0
 """A rotation counts as the way of a point so far from its axis."""
-SHEAR_SD_MM, SHEAR_SD_PART = 0.05, 0.09
-"""Standard deviation of a change of shear, along each axis, and what each mm that the patch moved adds."""
-DEPTH_SD_MM, DEPTH_SD_PART, DEPTH_SD_FAR_MM = 0.07, 0.2, 1.0
-"""The same of a change of depth; it grows over the first mm only."""
+SHEAR_SD_MM, SHEAR_SD_PART = 0.05, 0.2
+"""Standard deviation of a change of shear, along each axis, and what each mm that the patch moved adds: by what fingers
+of a simulated hand reported of pictures, whose skins slid in part (`tools.studies.object_motion --drawn`)."""
+DEPTH_SD_MM, DEPTH_SD_PART, DEPTH_SD_FAR_MM = 0.07, 0.4, 1.5
+"""The same of a change of depth; it grows over the first 1.5 mm only."""
 TWIST_SD_RAD: Final = np.radians(4.0)
 OBSERVED_SD_MM: Final = 0.8
 """A direction in which the motion would be less sure, after each patch moved by `NOMINAL_MM`, is not observed."""

@@ -37,7 +37,7 @@ REST_SHARE: Final = 0.1
 is between them, each with the other sign, and it is left only as far as they weigh it otherwise."""
 RECENTRED_MM: Final = 0.1
 """The point whose translation is reported is put amid the patches that hold, as long as that changes it by less."""
-GAIN_SD: Final = 0.08
+GAIN_SD: Final = 0.2
 """Relative error of all fingers' shear together: skins of one make follow an object by the same part."""
 FARTHEST_LINE_MM: Final = 200.0
 """A rotation about a line farther off is a translation to a hand."""
