@@ -76,6 +76,8 @@ class Finger(msgspec.Struct, frozen=True, kw_only=True):
         The frame's.
     reason_code, degraded_code : str
         Codes of `reasons.ReasonCode`; empty when all is well.
+    margin : float or None
+        Least of its objects' before a slip, 1 firm to 0 sliding; None without contact, or where no shear is reported.
     objects : tuple of HandObject
         The greatest first, at most `OBJECTS_MAX`; empty unless `state` is ``contact``.
     """
@@ -86,6 +88,7 @@ class Finger(msgspec.Struct, frozen=True, kw_only=True):
     seq: Count | None = None
     reason_code: str = ""
     degraded_code: str = ""
+    margin: Annotated[float, Meta(ge=0, le=1)] | None = None
     objects: Annotated[tuple[HandObject, ...], Meta(max_length=OBJECTS_MAX)] = ()
 
 
@@ -123,6 +126,7 @@ def finger_of(result: Reconstruction, hand_T_sensor: Rigid) -> Finger:
         seq=result.seq,
         reason_code=code_of(result.reason),
         degraded_code=code_of(result.degraded),
+        margin=_rounded(min((o.margin for o in result.objects if o.margin is not None), default=None)),
         objects=objects,
     )
 
