@@ -5,15 +5,14 @@ and the load along it with its shear: by Coulomb's law it slides at some ratio o
 stiffnesses. This limit differs from skin to skin and from object to object. It is learned where the contact slides, and
 taken as `LIMIT` before.
 
-Before all of a contact slides its outer part does (Cattaneo 1938; Mindlin 1949). The shear then falls behind the
-imprint's motion, whatever the friction is, which counts beside the ratio.
+That the sticking part of a contact shrinks before all of it slides (Cattaneo 1938; Mindlin 1949) does not help: the
+strain of the shear that networks find is the same part of it from a half that sticks to nothing.
 """
 
 from __future__ import annotations
 
 import math
-from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from tacshade_edge.types import Slip
 
@@ -23,14 +22,10 @@ LIMIT = 0.7
 """Mean shear over greatest depth at which a contact slides, before it is known: of simulated skins a low one."""
 LEAST_LIMIT, LEAST_DEPTH_MM = 0.1, 0.2
 """What is learned and divided by is at least this: less is noise."""
-LAG_WEIGHT = 0.5
-"""By so much more the ratio counts where the shear no longer follows the motion at all."""
-FILTER_NS = 60_000_000
+FILTER_NS = 80_000_000
 """Time constant of the ratio's low pass."""
-SPAN_NS, LEAST_FRAMES = 350_000_000, 6
-"""Over which shear and motion are compared."""
-LEAST_SHEAR_MM, LEAST_MOTION_MM = 0.3, 0.25
-"""Below it they are not: noise would say as much."""
+SLIDE_NS = 60_000_000
+"""A slide counts from so long on: what is shaken seems to slide for a frame or two."""
 
 
 @dataclass(slots=True)
@@ -40,17 +35,17 @@ class Grip:
     Attributes
     ----------
     limit : float
-        The ratio at which it slides; of the last slide its greatest, once there was one.
+        The ratio at which it slides; the greatest of its last slide, once there was one.
     """
 
     limit: float = LIMIT
     _ratio: float = 0.0
+    _t_ns: int | None = None
+    _since_ns: int | None = None
+    """When the slide began."""
     _slides: bool = False
-    _seen: deque[tuple[int, float, float, float, float]] = field(default_factory=deque)
 
-    def step(
-        self, t_ns: int, shear_mm: tuple[float, float], depth_mm: float, place_mm: tuple[float, float], slip: Slip
-    ) -> float:
+    def step(self, t_ns: int, shear_mm: tuple[float, float], depth_mm: float, slip: Slip) -> float:
         """Take a frame.
 
         Parameters
@@ -61,8 +56,6 @@ class Grip:
             Mean over the contact.
         depth_mm : float
             Greatest h.
-        place_mm : (float, float)
-            Of the imprint.
         slip : Slip
 
         Returns
@@ -71,31 +64,17 @@ class Grip:
             1 firm to 0: the whole contact slides, or would.
         """
         ratio = math.hypot(*shear_mm) / max(depth_mm, LEAST_DEPTH_MM)
-        if self._seen and t_ns > self._seen[-1][0]:
-            self._ratio += (ratio - self._ratio) * -math.expm1((self._seen[-1][0] - t_ns) / FILTER_NS)
+        if self._t_ns is None or t_ns <= self._t_ns:
+            self._ratio, self._since_ns = ratio, None
         else:
-            self._seen.clear()
-            self._ratio = ratio
-        self._seen.append((t_ns, *shear_mm, *place_mm))
-        while t_ns - self._seen[0][0] > SPAN_NS:
-            self._seen.popleft()
-        slid, self._slides = self._slides, slip is Slip.FULL
+            self._ratio += (ratio - self._ratio) * -math.expm1((self._t_ns - t_ns) / FILTER_NS)
+        self._t_ns = t_ns
+        if slip is not Slip.FULL:
+            self._since_ns = None
+        elif self._since_ns is None:
+            self._since_ns = t_ns
+        slid, self._slides = self._slides, self._since_ns is not None and t_ns - self._since_ns >= SLIDE_NS
         if self._slides:
             self.limit = max(self._ratio, self.limit if slid else LEAST_LIMIT)
             return 0.0
-        return max(0.0, 1 - self._ratio / self.limit * (1 + LAG_WEIGHT * self._lag()))
-
-    def _lag(self) -> float:
-        """Part of the imprint's motion that its shear did not follow, 0 to 1, along the shear; 0 before it is known."""
-        seen = list(self._seen)
-        x, y = seen[-1][1:3]
-        size = math.hypot(x, y)
-        if len(seen) < LEAST_FRAMES or size < LEAST_SHEAR_MM:
-            return 0.0
-        some = len(seen) // 3  # means of the first and of the last third: less noise than of single frames
-        sheared, moved = (
-            sum((b[k] - a[k]) * x + (b[k + 1] - a[k + 1]) * y for a, b in zip(seen[:some], seen[-some:], strict=True))
-            / (size * some)
-            for k in (1, 3)
-        )
-        return min(max(1 - sheared / moved, 0.0), 1.0) if moved >= LEAST_MOTION_MM else 0.0
+        return max(0.0, 1 - self._ratio / self.limit)

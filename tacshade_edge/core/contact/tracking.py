@@ -161,7 +161,7 @@ def _followed(track: _Track, t_ns: int, contact: Contact) -> Tracked:
         track.slip = Slip.PARTIAL
     else:
         track.slip = Slip.STICK
-    margin = track.grip.step(t_ns, contact.shear_mm, contact.depth_max_mm, track.at_mm, track.slip)
+    margin = track.grip.step(t_ns, contact.shear_mm, contact.depth_max_mm, track.slip)
     return Tracked(track.number, track.slip, speed, margin)
 
 

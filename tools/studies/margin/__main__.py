@@ -11,43 +11,12 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.studies.parallel import usable_cores
-from tacshade_edge.studies.tables import csv_text, markdown
+from tacshade_edge.studies.tables import csv_text
 from tools.studies import command
-from tools.studies.margin.work import HeldRow, LoadRow, Plan, Row, study
-
-AHEAD_S = 0.1
-"""A slip is announced when the alarm comes so long before its onset."""
-
-
-def text(rows: Sequence[Row]) -> str:
-    """Write the tables."""
-    lines, groups = [], dict.fromkeys(row.group for row in rows)
-    for group in groups:
-        loads = [row for row in rows if isinstance(row, LoadRow) and row.group == group and not np.isnan(row.onset_s)]
-        held = [row for row in rows if isinstance(row, HeldRow) and row.group == group]
-        leads = [row.onset_s - row.alarm_s for row in loads if not np.isnan(row.alarm_s)]
-        lines.append(
-            (
-                group,
-                str(len(loads)),
-                _announced([row.onset_s - row.alarm_s for row in loads]),
-                f"{1000 * np.median(leads):.0f}" if leads else "",
-                f"{np.median([row.stuck for row in loads if not np.isnan(row.stuck)]):.2f}" if leads else "",
-                _announced([row.onset_s - row.again_s for row in loads]),
-                f"{sum(row.held_s for row in held) / 60:.1f}",
-                str(sum(row.alarms for row in held)),
-                f"{min((row.least_margin for row in held), default=np.nan):.2f}",
-            )
-        )
-    header = (
-        *("sensors and objects", "slips", "announced %", "median lead ms", "still stuck", "again announced %"),
-        *("minutes held", "false alarms", "least margin"),
-    )
-    return markdown(header, lines)
+from tools.studies.margin.summary import text
+from tools.studies.margin.work import HeldRow, LoadRow, Plan, study
 
 
 def main(words: Sequence[str] | None = None) -> None:
@@ -63,10 +32,6 @@ def main(words: Sequence[str] | None = None) -> None:
         kinds = {"_loads": LoadRow, "_held": HeldRow}
         files = {name: csv_text(kind, [row for row in rows if isinstance(row, kind)]) for name, kind in kinds.items()}
         command.publish(args, "margin", text(rows), files)
-
-
-def _announced(leads_s: Sequence[float]) -> str:
-    return f"{100 * np.mean([lead >= AHEAD_S - 1e-9 for lead in leads_s]):.0f}" if leads_s else ""
 
 
 if __name__ == "__main__":
