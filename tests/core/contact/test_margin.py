@@ -77,3 +77,16 @@ def test_another_stream_begins_anew() -> None:
     for k in range(20):
         step(grip, 100 + k, 1.4)
     assert step(grip, 0, 0.0) == 1
+
+
+@pytest.mark.parametrize(("slid", "limit"), [(False, 0.9), (True, 0.6)])
+def test_what_was_borne_shows_that_the_limit_is_higher(slid: bool, limit: float) -> None:
+    grip = Grip()
+    for k in range(10):
+        step(grip, k, 0.4, slip=Slip.FULL if slid else Slip.STICK)
+    for k in range(10, 120):
+        step(grip, k, 1.2)
+    assert grip.limit == pytest.approx(0.2 if slid else LIMIT)
+    for k in range(120, 300):
+        step(grip, k, 1.2)
+    assert grip.limit == pytest.approx(limit, abs=1e-3)
