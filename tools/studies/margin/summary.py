@@ -27,14 +27,13 @@ def text(rows: Sequence[Row]) -> str:
                 _announced([row.onset_s - row.alarm_s for row in loads]),
                 f"{1000 * np.median(leads):.0f}" if leads else "",
                 f"{np.median([row.stuck for row in loads if not np.isnan(row.stuck)]):.2f}" if leads else "",
-                _announced([row.onset_s - row.again_s for row in loads]),
                 f"{sum(row.held_s for row in held) / 60:.1f}",
                 str(sum(row.alarms for row in held)),
                 f"{min((row.least_margin for row in held), default=np.nan):.2f}",
             )
         )
     header = (
-        *("sensors and objects", "slips", "announced %", "median lead ms", "still stuck", "again announced %"),
+        *("sensors and objects", "slips", "announced %", "median lead ms", "still stuck"),
         *("minutes held", "false alarms", "least margin"),
     )
     return markdown(header, lines)

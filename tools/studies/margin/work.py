@@ -93,8 +93,6 @@ class LoadRow:
         When all of the contact slides, by the truth, and when the margin first was at most `ALARM`; NaN: never.
     stuck : float
         Part of the contact that truly sticks at the alarm.
-    again_s : float
-        `alarm_s` where the same load comes again after that slip.
     """
 
     group: str
@@ -106,7 +104,6 @@ class LoadRow:
     onset_s: float
     alarm_s: float
     stuck: float
-    again_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,8 +262,9 @@ def _shaken(drawn: _Drawn, begun: Motion, reach_mm: F64, rng: np.random.Generato
     return Motion((*held.times_s, *times.tolist()), (*held.presses, *shaken))
 
 
-def _margins(tracker: ContactTracker, made: Reconstructor, images: Iterable[U8], first: int) -> list[float]:
+def _margins(made: Reconstructor, images: Iterable[U8], first: int) -> list[float]:
     """Least margin of each frame; 1 where nothing touches."""
+    tracker = ContactTracker()
     results = [
         follow(tracker, made.step(Frame(k, round(1e9 * k / FPS), 0, image))) for k, image in enumerate(images, first)
     ]
@@ -286,25 +284,18 @@ def _loaded(
             onset = k
         if k >= onset + AFTER_S * FPS:
             break
-    tracker = ContactTracker()
-    again = first + len(seen) + FPS
-    alarms = [
-        np.flatnonzero(
-            np.array(_margins(tracker, made, [drawn.exposed(one, begin + k) for k, one in enumerate(seen)], begin))
-            <= ALARM
-        )
-        for begin in (first, again)
-    ]
-    once, twice = (float(found[0] + first) / FPS if len(found) else math.nan for found in alarms)
-    stuck = _stuck(seen[alarms[0][0]].skin) if len(alarms[0]) else math.nan
-    return LoadRow(*label, drawn.model.coulomb, reach_s, onset / FPS if onset < last else math.nan, once, stuck, twice)
+    images = (drawn.exposed(one, first + k) for k, one in enumerate(seen))
+    low = np.flatnonzero(np.array(_margins(made, images, first)) <= ALARM)
+    alarm_s, stuck = ((first + low[0]) / FPS, _stuck(seen[low[0]].skin)) if len(low) else (math.nan, math.nan)
+    onset_s = onset / FPS if onset < last else math.nan
+    return LoadRow(*label, drawn.model.coulomb, reach_s, onset_s, float(alarm_s), stuck)
 
 
 def _held(drawn: _Drawn, made: Reconstructor, label: tuple[str, str, str], motion: Motion, held_s: float) -> HeldRow:
     frame = drawn.frames(motion)
     seen = [frame(t) for t in motion.times_s[-PERIOD - 1 : -1]]
     images = (drawn.exposed(seen[k % PERIOD], k) for k in range(round(held_s * FPS)))
-    margins = np.array(_margins(ContactTracker(), made, images, 0))
+    margins = np.array(_margins(made, images, 0))
     low = margins <= ALARM
     alarms = int(low[0]) + int(np.count_nonzero(low[1:] & ~low[:-1]))
     least_stuck = min(_stuck(one.skin) for one in seen)
