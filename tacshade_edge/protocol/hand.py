@@ -124,6 +124,8 @@ class Finger(msgspec.Struct, frozen=True, kw_only=True):
         Codes of `reasons.ReasonCode`; empty when all is well.
     axis : 3 floats or None
         Its own z axis: shear is at right angles to it, twist is about it. None of what no frame reported.
+    margin : float or None
+        Least of its objects' before a slip, 1 firm to 0 sliding; None without contact, or where no shear is reported.
     objects : tuple of HandObject
         The greatest first, at most `OBJECTS_MAX`; empty unless `state` is ``contact``.
     """
@@ -135,6 +137,7 @@ class Finger(msgspec.Struct, frozen=True, kw_only=True):
     reason_code: str = ""
     degraded_code: str = ""
     axis: Triple | None = None
+    margin: Annotated[float, Meta(ge=0, le=1)] | None = None
     objects: Annotated[tuple[HandObject, ...], Meta(max_length=OBJECTS_MAX)] = ()
 
 
@@ -173,6 +176,7 @@ def finger_of(result: Reconstruction, hand_T_sensor: Rigid) -> Finger:
         reason_code=code_of(result.reason),
         degraded_code=code_of(result.degraded),
         axis=rounded_triple(hand_T_sensor.rotation[:, 2]),
+        margin=_rounded(min((o.margin for o in result.objects if o.margin is not None), default=None)),
         objects=objects,
     )
 

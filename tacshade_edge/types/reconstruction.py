@@ -106,6 +106,8 @@ class TouchedObject:
     slip : Slip or None
     slip_mm_s : float or None
         Speed of its imprint over the skin.
+    margin : float or None
+        Before it slips: 1 firm, 0 sliding (`core.contact.margin`).
     """
 
     label: int
@@ -120,6 +122,7 @@ class TouchedObject:
     id: int | None = None
     slip: Slip | None = None
     slip_mm_s: float | None = None
+    margin: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

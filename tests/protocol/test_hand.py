@@ -59,6 +59,7 @@ def touching(make_result: Callable[..., Reconstruction]) -> Reconstruction:
             id=3,
             slip=Slip.PARTIAL,
             slip_mm_s=0.75,
+            margin=0.25,
         ),
         TouchedObject(2, (9.0, 9.0, 16.0), (1.0, 1.0, 0.5), 0.5, 1.5),
     )
@@ -113,6 +114,17 @@ def test_the_extent_is_that_of_the_points_along_the_hands_axes(make_result: Call
 def test_a_frame_that_cannot_be_used_tells_why_and_nothing_else(make_result: Callable[..., Reconstruction]) -> None:
     finger = finger_of(make_result(valid=False, contact=False, reason=Reason(ReasonCode.TORN, "torn")), TURNED)
     assert (finger.state, finger.reason_code, finger.objects) == ("away", "torn", ())
+
+
+def test_a_fingers_margin_is_the_least_of_its_objects(make_result: Callable[..., Reconstruction]) -> None:
+    def told(*margins: float | None) -> float | None:
+        objects = tuple(TouchedObject(k + 1, (0, 0, 0), (1, 1, 1), 1, 1, margin=m) for k, m in enumerate(margins))
+        return finger_of(make_result(objects=objects), TURNED).margin
+
+    assert (told(0.75, 0.12345, 1.0), told(None), told()) == (0.1235, None, None)
+    assert finger_of(make_result(contact=False), TURNED).margin is None
+    with pytest.raises(DecodeError, match="margin"):
+        decode_finger(b'{"state": "contact", "margin": 1.5}')
 
 
 def test_a_finger_tells_of_its_greatest_objects_only(make_result: Callable[..., Reconstruction]) -> None:

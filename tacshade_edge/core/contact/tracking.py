@@ -1,4 +1,4 @@
-"""Objects from frame to frame: a number that each keeps while it touches, and whether it slips.
+"""Objects from frame to frame: a number that each keeps while it touches, whether it slips, and how firmly it is held.
 
 Skin that an object holds stays under it: the mean of where the touched skin was in the reference, the imprint's place
 in the material, stands still whatever the object does. When the object slides, its imprint moves over the material, and
@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from tacshade_edge.core.contact.margin import Grip
 from tacshade_edge.types import Reconstruction, Slip
 
 SPANS_NS = (70_000_000, 150_000_000, 250_000_000)
@@ -50,12 +51,15 @@ class Contact:
         Mean shear of the skin there.
     strain_mm : float
         `rigid_motion.RigidMotion.strain_mm`.
+    depth_max_mm : float
+        Its greatest h.
     """
 
     x_mm: float
     y_mm: float
     shear_mm: tuple[float, float]
     strain_mm: float
+    depth_max_mm: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,24 +73,30 @@ class Tracked:
     slip : Slip
     slip_mm_s : float or None
         Speed of its imprint over the skin's material; None before it is known.
+    margin : float
+        1 firm to 0 sliding.
     """
 
     id: int
     slip: Slip
     slip_mm_s: float | None
+    margin: float
 
 
 def follow(tracker: ContactTracker, result: Reconstruction) -> Reconstruction:
     """A reconstruction whose objects have what tracking finds; one of a solver that reports no shear as it is."""
     contacts = [
-        Contact(o.centroid_mm[0], o.centroid_mm[1], o.shear_mm, o.strain_mm or 0.0)
+        Contact(o.centroid_mm[0], o.centroid_mm[1], o.shear_mm, o.strain_mm or 0.0, o.depth_max_mm)
         for o in result.objects
         if o.shear_mm is not None
     ]
     if len(contacts) < len(result.objects):
         return result
     followed = zip(result.objects, tracker.step(result.t_ns, contacts), strict=True)
-    return replace(result, objects=tuple(replace(o, id=t.id, slip=t.slip, slip_mm_s=t.slip_mm_s) for o, t in followed))
+    return replace(
+        result,
+        objects=tuple(replace(o, id=t.id, slip=t.slip, slip_mm_s=t.slip_mm_s, margin=t.margin) for o, t in followed),
+    )
 
 
 _Seen = deque[tuple[int, float, float, float, float]]
@@ -100,6 +110,7 @@ class _Track:
     noise_mm2: float = FIRST_NOISE_MM**2
     at_mm: tuple[float, float] = (0.0, 0.0)
     slip: Slip = Slip.STICK
+    grip: Grip = field(default_factory=Grip)
 
 
 class ContactTracker:
@@ -150,7 +161,8 @@ def _followed(track: _Track, t_ns: int, contact: Contact) -> Tracked:
         track.slip = Slip.PARTIAL
     else:
         track.slip = Slip.STICK
-    return Tracked(track.number, track.slip, speed)
+    margin = track.grip.step(t_ns, contact.shear_mm, contact.depth_max_mm, track.slip)
+    return Tracked(track.number, track.slip, speed, margin)
 
 
 def _noise_mm2(seen: _Seen, known_mm2: float) -> float:

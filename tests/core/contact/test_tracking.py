@@ -11,7 +11,7 @@ FRAME_NS = 16_666_667
 
 
 def contact(x_mm: float, y_mm: float = 0.0, dragged_mm: float = 0.0, strain_mm: float = 0.0) -> Contact:
-    return Contact(x_mm, y_mm, (dragged_mm, 0.0), strain_mm)
+    return Contact(x_mm, y_mm, (dragged_mm, 0.0), strain_mm, 2.0)
 
 
 def followed(tracker: ContactTracker, *objects: Contact, frame: int = 0) -> tuple[Tracked, ...]:
