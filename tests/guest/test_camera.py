@@ -151,9 +151,7 @@ def test_another_format(webcam: None, fourcc: str) -> None:
 def test_a_format_it_has_not(webcam: None) -> None:
     with pytest.raises(ConfigError) as caught:
         source(fourcc="MJPG").open()
-    assert str(caught.value) == (
-        "camera /dev/video0: asked 640x480 MJPG, got 640x480 BGR3 (it offers YUYV, NV12, GREY)"
-    )
+    assert str(caught.value) == ("camera /dev/video0: asked 640x480 MJPG, got 640x480 BGR3 (it offers YUYV, NV12, GREY)")
 
 
 def test_a_size_it_has_not(webcam: None) -> None:
