@@ -111,3 +111,11 @@ def test_a_stream_that_begins_again_has_no_speed_from_before() -> None:
         followed(tracker, contact(0.5 * k), frame=100 + k)
     (found,) = followed(tracker, contact(2.0), frame=0)
     assert found.slip_mm_s is None
+
+
+def test_each_object_has_a_margin_of_its_own() -> None:
+    tracker = ContactTracker()
+    for k in range(30):
+        firm, loaded = followed(tracker, contact(-5), contact(5, dragged_mm=1.2), frame=k)
+    assert firm.margin == 1
+    assert 0 < loaded.margin < 0.25
