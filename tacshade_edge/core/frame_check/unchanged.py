@@ -35,9 +35,10 @@ class UnchangedSkin:
 
     def __init__(self, check: FrameCheck, halved: bool) -> None:
         boxes = [check.disc] if check.blocks is None else [check.disc, check.blocks.box]
+        halved = halved or min(check.shape) < 2
         per_px = 1 if halved else 2
         self._box = tuple(
-            slice(min(box[axis].start for box in boxes) // per_px, max(box[axis].stop for box in boxes) // per_px)
+            slice(min(box[axis].start for box in boxes) // per_px, -(max(box[axis].stop for box in boxes) // -per_px))
             for axis in (0, 1)
         )
         self._halved = halved
@@ -52,7 +53,8 @@ class UnchangedSkin:
 
     def keep(self, grey: U8, degraded: Reason | None) -> None:
         """Remember an image, uint8 (H, W), that was judged to be valid and without contact."""
-        self._kept, self.degraded = self._looked_at(grey).copy(), degraded
+        shown = self._looked_at(grey)
+        self._kept, self.degraded = shown.copy() if shown.size else None, degraded  # nothing of some tiny pictures
 
     def _looked_at(self, grey: U8) -> U8:
         """What is compared: of the halved image, since a camera's noise is half as large there."""

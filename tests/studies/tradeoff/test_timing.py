@@ -44,5 +44,5 @@ def test_a_setting_that_finds_no_contact_and_no_frames_without_are_nothing() -> 
 def test_a_stage_that_is_not_run_is_nan() -> None:
     (times,), _ = time_settings([Setting(PROFILES["fast"])], painted_calibration(), [[FREE]], [], quiet, rounds=1)
     ran = np.isfinite(times.contact[0][0])
-    assert dict(zip(STAGES, ran[1:], strict=True))["gate"]
+    assert dict(zip(STAGES, ran[1:], strict=True))["check"]
     assert not dict(zip(STAGES, ran[1:], strict=True))["depth"]
