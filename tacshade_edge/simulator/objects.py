@@ -88,12 +88,12 @@ def _moon(outer: float, inner: float, offset: float) -> Callable[[F64, F64], F64
 
 def polygon(vertices: Sequence[tuple[float, float]]) -> Callable[[F64, F64], F64]:
     """The exact signed distance to a simple polygon."""
-    v = [(float(x), float(y)) for x, y in vertices]
+    v = np.asarray(vertices, float)
 
     def outline(x: F64, y: F64) -> F64:
         nearest = np.full(x.shape, np.inf)
         inside = np.zeros(x.shape, bool)
-        for (ax, ay), (bx, by) in zip(v, v[1:] + v[:1], strict=True):
+        for (ax, ay), (bx, by) in zip(v, np.roll(v, -1, axis=0), strict=True):
             ex, ey, wx, wy = bx - ax, by - ay, x - ax, y - ay
             s = np.clip((wx * ex + wy * ey) / (ex * ex + ey * ey), 0, 1)
             nearest = np.minimum(nearest, (wx - s * ex) ** 2 + (wy - s * ey) ** 2)

@@ -128,7 +128,8 @@ def test_every_finger_is_shown_and_what_it_touches_in_the_hands_frame(
 
 def moved_by(x_mm: float, turned_deg: float) -> dict[str, object]:
     """A motion as objects of a hand's message have it."""
-    return {"translation_mm": [x_mm, 0, 0], "rotation_deg": [0, turned_deg, 0], "covariance": [0] * 36, "since_ns": 5}
+    where = {"about_mm": [0, 0, 0], "translation_mm": [x_mm, 0, 0], "rotation_deg": [0, turned_deg, 0]}
+    return {**where, "covariance": [0] * 36, "since_ns": 5, "unobservable": [], "left_out": []}
 
 
 def test_what_is_held_is_drawn_as_one_body_that_moves(page: Chrome, hand: tuple[str, WholeHand]) -> None:
