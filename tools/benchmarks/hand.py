@@ -13,8 +13,8 @@ nothing touches the others, and one subscriber asks for ``TOPICS`` of all. In th
 - ``null`` is as many null daemons.
 
 Memory is the proportional set size (PSS) of all processes of a row, without the images in a camera's place: a page that
-five share is counted once. CPU is of one core, the sum of all processes, without the first seconds. For the topic of the
-hand the bench reports how many messages came a second, and how old a touching finger's frame was when the message that
+five share is counted once. CPU is of one core, the sum of all processes, without the first seconds. Of the hand's topic
+the bench reports how many messages came a second, and how old a touching finger's frame was when the message that
 first reported it was decoded.
 """
 
