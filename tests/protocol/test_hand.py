@@ -107,8 +107,8 @@ def test_the_extent_is_that_of_the_points_along_the_hands_axes(make_result: Call
     eighth = Rigid(from_seven((0, 0, 0, np.cos(np.pi / 8), 0, 0, np.sin(np.pi / 8))).rotation, np.zeros(3))
     points = np.array(((0, 0, 0), (1, 1, 0)), np.float32)  # along y once it is turned by 45 degrees
     result = make_result(objects=(TouchedObject(1, (0.5, 0.5, 0), (1, 1, 0), 1, 1),), points_mm=points)
-    (told,) = finger_of(result, eighth).objects
-    assert told.extent_mm == pytest.approx((0.0, 2**0.5, 0.0), abs=1e-4)
+    (reported,) = finger_of(result, eighth).objects
+    assert reported.extent_mm == pytest.approx((0.0, 2**0.5, 0.0), abs=1e-4)
 
 
 def test_a_frame_that_cannot_be_used_tells_why_and_nothing_else(make_result: Callable[..., Reconstruction]) -> None:
@@ -117,11 +117,11 @@ def test_a_frame_that_cannot_be_used_tells_why_and_nothing_else(make_result: Cal
 
 
 def test_a_fingers_margin_is_the_least_of_its_objects(make_result: Callable[..., Reconstruction]) -> None:
-    def told(*margins: float | None) -> float | None:
+    def margin(*margins: float | None) -> float | None:
         objects = tuple(TouchedObject(k + 1, (0, 0, 0), (1, 1, 1), 1, 1, margin=m) for k, m in enumerate(margins))
         return finger_of(make_result(objects=objects), TURNED).margin
 
-    assert (told(0.75, 0.12345, 1.0), told(None), told()) == (0.1235, None, None)
+    assert (margin(0.75, 0.12345, 1.0), margin(None), margin()) == (0.1235, None, None)
     assert finger_of(make_result(contact=False), TURNED).margin is None
     with pytest.raises(DecodeError, match="margin"):
         decode_finger(b'{"state": "contact", "margin": 1.5}')

@@ -159,8 +159,8 @@ def frames_of(got: Taken, noise: tuple[float, float], delay_ms: float, seed: int
     """The frames with what a robot reports of each press, and stamps that are late."""
     rest = [shift(0, 0, -abs(above)) @ pose for pose, above in zip(got.base_T_sensor, got.above_mm, strict=True)]
     first = {press: k for k, press in reversed(list(enumerate(got.press)))}
-    told = pads.disturbed([rest[first[press]] for press in sorted(first)], got.radius_mm, *noise, seed=seed)
-    flanges = {press: pose @ TRUE.inverse() for press, pose in zip(sorted(first), told, strict=True)}
+    noisy = pads.disturbed([rest[first[press]] for press in sorted(first)], got.radius_mm, *noise, seed=seed)
+    flanges = {press: pose @ TRUE.inverse() for press, pose in zip(sorted(first), noisy, strict=True)}
     numbers = {press: k for k, press in enumerate(sorted(first))}
     frames = []
     for press, above_mm, points in zip(got.press, got.above_mm, got.points, strict=True):
@@ -179,7 +179,7 @@ def errors(found: FoundFlange, delay_ms: float) -> F64:
     return np.concatenate((moved_mm, np.degrees(turned.ravel()), (found.delay_ms - delay_ms,)))
 
 
-def told(noise: tuple[float, float], found: Sequence[tuple[F64, F64]]) -> tuple[str, ...]:
+def row(noise: tuple[float, float], found: Sequence[tuple[F64, F64]]) -> tuple[str, ...]:
     """A line of the table of errors and standard deviations of many trials."""
     off, sigma = np.stack([e for e, _ in found]), np.stack([s for _, s in found])
     mm, deg, ms = np.linalg.norm(off[:, :3], axis=1), np.linalg.norm(off[:, 3:6], axis=1), np.abs(off[:, 6])
@@ -214,7 +214,7 @@ def main() -> None:
             rows.append((task.pad, task.sensor, f"{noise[0]:g} mm, {noise[1]:g}°", *each))
     limits = (f"mm: median, worst; within {WITHIN_MM}", f"degrees; within {WITHIN_DEG}", f"ms; within {WITHIN_MS:g}")
     columns = ("noise of the poses", *limits, f"within {WITHIN_SIGMAS} standard deviations", "RMS in those")
-    print(markdown(columns, [told(noise, here) for noise, here in found.items()]), end="\n\n")
+    print(markdown(columns, [row(noise, here) for noise, here in found.items()]), end="\n\n")
     print(markdown(("surface", "sensor", "noise", *ORDER), rows), end="\n\n")
     got = taken(Task(0, args.profile, args.keep, off_by, constant=True))
     frames = frames_of(got, NOISES[1], 0.0, 0)

@@ -42,9 +42,9 @@ def test_a_symmetric_grasp_has_equal_loads_that_cancel_out() -> None:
 
 
 def test_coulombs_law_is_never_exceeded_and_beyond_it_the_ball_slips() -> None:
-    told = held_to(THREE[:1], *np.arange(0.0, 4.0, 0.3).tolist())
-    margins, slips = [t.fingers[0].margin for t in told], [t.fingers[0].slip for t in told]
-    for truth in told:
+    truths = held_to(THREE[:1], *np.arange(0.0, 4.0, 0.3).tolist())
+    margins, slips = [t.fingers[0].margin for t in truths], [t.fingers[0].slip for t in truths]
+    for truth in truths:
         load = truth.fingers[0].load
         assert load is not None
         # The solver's tolerance; see `friction`.
@@ -57,7 +57,7 @@ def test_coulombs_law_is_never_exceeded_and_beyond_it_the_ball_slips() -> None:
     assert set(slips[onset:]) == {Slip.FULL}
     assert all(a > b for a, b in pairwise(margins[:onset])), "it is ever less firm until it slips"
     assert set(margins[onset:]) == {0.0}
-    assert told[-1].motion.translation_mm == pytest.approx((0.0, 3.9, 0.0))
+    assert truths[-1].motion.translation_mm == pytest.approx((0.0, 3.9, 0.0))
 
 
 def test_a_contact_that_slid_is_loaded_the_other_way_as_soon_as_it_turns_back() -> None:
@@ -71,12 +71,12 @@ def test_a_contact_that_slid_is_loaded_the_other_way_as_soon_as_it_turns_back() 
 def test_a_finger_that_is_drawn_back_lets_go_and_forgets() -> None:
     moved = shift(0.0, 1.0, 0.0)
     go = [Placement(HOME), Placement(moved), Placement(moved, (3.0, 3.0, 0.0)), Placement(moved)]
-    told = [truth for truth, _ in hold(THREE, BALL, go)]
-    assert [f.press is None for f in told[2].fingers] == [True, True, False]
-    assert told[2].fingers[0].slip is None
-    assert told[1].fingers[0].margin < 0.7
-    assert [f.margin for f in told[3].fingers] == pytest.approx([1.0, 1.0, told[1].fingers[2].margin])
-    assert told[3].motion.translation_mm == pytest.approx((0.0, 1.0, 0.0)), "one finger held it all the time"
+    truths = [truth for truth, _ in hold(THREE, BALL, go)]
+    assert [f.press is None for f in truths[2].fingers] == [True, True, False]
+    assert truths[2].fingers[0].slip is None
+    assert truths[1].fingers[0].margin < 0.7
+    assert [f.margin for f in truths[3].fingers] == pytest.approx([1.0, 1.0, truths[1].fingers[2].margin])
+    assert truths[3].motion.translation_mm == pytest.approx((0.0, 1.0, 0.0)), "one finger held it all the time"
     opened = [*go, Placement(moved, (3.0,) * 3), Placement(moved)]
     assert [t for t, _ in hold(THREE, BALL, opened)][-1].motion.translation_mm == pytest.approx((0, 0, 0))
 
@@ -115,11 +115,11 @@ def test_what_rests_is_solved_once() -> None:
 def test_another_family_of_skin_holds_by_its_own_mechanics() -> None:
     model = replace(other_model(3), coulomb=1.0)
     away = BALL_MM + model.skin_radius_mm - DEPTH_MM
-    told = held_to([Finger("other", place(90, away), OtherSensor(model))], 0.0, 0.5, 1.0, 5.0)
-    slips = [t.fingers[0].slip for t in told]
+    truths = held_to([Finger("other", place(90, away), OtherSensor(model))], 0.0, 0.5, 1.0, 5.0)
+    slips = [t.fingers[0].slip for t in truths]
     assert slips[:2] == [Slip.STICK, Slip.STICK]
     assert slips[-1] is Slip.FULL
-    for truth in told:
+    for truth in truths:
         load = truth.fingers[0].load
         assert load is not None
         assert load.shear_mm3 <= 1.03 * model.coulomb * load.normal_mm3
