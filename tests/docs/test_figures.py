@@ -106,6 +106,24 @@ def objects() -> Claims:
     yield f"the ball, whose SD is {trained.cell('SD %', 'ball', 'Table I (real sensor)')} % there"
 
 
+def readme() -> Claims:
+    """The default profile's, wherever a page has profiles."""
+    assert re.search(r"^profile: balanced$", (ROOT / "config/default.yaml").read_text(encoding="utf-8"), re.MULTILINE)
+    trained, other = (Page("objects", family) for family in FAMILIES.values())
+    mean = ("mean", "balanced")
+    error, elsewhere = (rounded(page.cell("ME mm", *mean), 2) for page in (trained, other))
+    yield f"**{error} mm** from the true surface ({elsewhere} mm on another family)"
+    depth = ("balanced", "depth")
+    real = Page("real-raw")
+    order, off = real.cell("rank correlation", *depth), real.cell("mean error", *depth)
+    yield f"**{order}** rank correlation of depth, {off} mm off after a linear fit | {real.cell('frames', *depth)} real"
+    latency = Page("daemon")
+    yield f"**{latency.cell('p50 ms', 'contact')} ms** latency, 99 % within {latency.cell('p99 ms', 'contact')} ms"
+    frame_ms = Page("arm").cell("Pi 5 (Cortex-A76, 2.4 GHz), ms", "balanced", "contact").split(" to ")
+    cores = [rounded(5 * 30 * float(ms) / 10, 0) for ms in frame_ms]
+    yield f"**Five fingers** at 30 frames/s take {cores[0]} to {cores[1]} % of a core"
+
+
 DRAGS = ("0 mm", "1 mm", "2 mm", "3 mm", "3 mm, twist 10°, tilt 15°")
 
 
@@ -465,6 +483,7 @@ AWAITED = pytest.mark.xfail(
 )
 CLAIMS = (
     pytest.param("docs/reference/calibration-checks.md", wrong_presses, marks=AWAITED, id="wrong_presses"),
+    pytest.param("README.md", readme, id="readme"),
     pytest.param("docs/explanation/accuracy.md", objects, id="objects"),
     pytest.param("docs/explanation/accuracy.md", drag, id="drag"),
     pytest.param("docs/explanation/accuracy.md", no_presses, id="no_presses"),
