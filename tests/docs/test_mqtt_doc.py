@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import json
 import re
@@ -14,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import tacshade_client
 from paho.mqtt.client import topic_matches_sub
 
 from tacshade_edge.core.stitching.surface_map import Raster
@@ -61,16 +63,20 @@ def javascript(page: str, name: str) -> str:
 
 
 def by_python(payloads: list[bytes]) -> list[dict[str, Any]]:
-    names: dict[str, Any] = {}
-    exec(code("python"), names)
-    answers = []
+    """The client's answers, in the words of the other decoder."""
+    assert "](../client.md)" in (PAGES / "frames.md").read_text()
+    answers: list[dict[str, Any]] = []
     for payload in payloads:
         try:
-            message = names["decode"](payload)
-        except Exception as error:  # noqa: BLE001 - the reader's ten lines may fail as they like, but must not pass
+            message = tacshade_client.decode(payload)
+        except tacshade_client.DecodeError as error:
             answers.append({"error": str(error)})
-        else:
-            answers.append({k: v.ravel() if isinstance(v, np.ndarray) else v for k, v in message.items()})
+            continue
+        fields = {name: getattr(message, name) for name in message.__dataclass_fields__}
+        flags = sum(bit for bit, name in enumerate_flags() if fields[name])
+        pose = message.pose and dataclasses.astuple(message.pose)[1:]
+        raveled = {name: value.ravel() for name, value in fields.items() if isinstance(value, np.ndarray)}
+        answers.append(fields | raveled | {"flags": flags, "pose": pose})
     return answers
 
 
