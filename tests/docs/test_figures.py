@@ -342,7 +342,7 @@ def memory() -> Claims:
     found = re.findall(r"^ *(\d+)" + r" +([\d.]+)" * 4 + "$", text, re.MULTILINE)
     of = {int(frames): [rounded(mb, 0) for mb in cells] for frames, *cells in found}
     first, last = of[min(of)], of[max(of)]
-    yield f"| profile `balanced` ([page](results/memory.md)) | {first[0]} | {last[0]} | {last[3]} | {last[1]} |"
+    yield f"| profile `balanced` ([page](../results/memory.md)) | {first[0]} | {last[0]} | {last[3]} | {last[1]} |"
 
 
 def shear() -> Claims:
@@ -356,7 +356,7 @@ def runtime() -> Claims:
         f"{page.cell('ONNX Runtime p50 ms', profile)}, {page.cell('integers p50 ms', profile)}"
         for profile in LIMITS_ORDER
     )
-    yield f"| the network, ms ([page](results/runtime.md)) | {' | '.join(pairs)} |"
+    yield f"| the network, ms ([page](../results/runtime.md)) | {' | '.join(pairs)} |"
 
 
 NETWORKS = (*LIMITS_ORDER, "shear")
@@ -370,7 +370,7 @@ def arm() -> Claims:
     network = max(off[name] for name in PROFILES)
     yield (
         f"the heights of five frames are within {math.ceil(100 * network) / 100:.2f} mm of x86-64's, those of `paper` "
-        f"within {math.ceil(100 * off['paper']) / 100:.2f} mm, but not equal ([page](results/arm.md))"
+        f"within {math.ceil(100 * off['paper']) / 100:.2f} mm, but not equal ([page](../results/arm.md))"
     )
 
 
@@ -452,33 +452,33 @@ AWAITED = pytest.mark.xfail(
     reason="the page is of a bench that asked less, and has to be made again",
 )
 CLAIMS = (
-    pytest.param("docs/calibration-checks.md", wrong_presses, marks=AWAITED, id="wrong_presses"),
-    pytest.param("docs/accuracy.md", objects, id="objects"),
-    pytest.param("docs/accuracy.md", drag, id="drag"),
-    pytest.param("docs/accuracy.md", no_presses, id="no_presses"),
-    pytest.param("docs/accuracy.md", other_objects, id="other_objects"),
-    pytest.param("docs/accuracy.md", limits, id="limits"),
-    pytest.param("docs/shear.md", shear_under_drag, id="shear_under_drag"),
-    pytest.param("docs/touch.md", servo, id="servo"),
-    pytest.param("docs/sigma.md", sigma, id="sigma"),
-    pytest.param("docs/speed.md", stages, id="stages"),
-    pytest.param("docs/speed.md", as_printed, id="as_printed"),
-    pytest.param("docs/speed.md", iterations, id="iterations"),
-    pytest.param("docs/speed.md", cost, id="cost"),
-    pytest.param("docs/speed.md", daemon, id="daemon"),
-    pytest.param("docs/speed.md", tradeoff, id="tradeoff"),
-    pytest.param("docs/hand.md", hand, id="hand"),
-    pytest.param("docs/numerics.md", stages_in_numerics, id="stages_in_numerics"),
-    pytest.param("docs/numerics.md", shear, id="shear"),
-    pytest.param("docs/numerics.md", runtime, id="runtime"),
-    pytest.param("docs/numerics.md", arm, id="arm"),
-    pytest.param("docs/service.md", memory, id="memory"),
-    pytest.param("docs/service.md", pre_roll, id="pre_roll"),
-    pytest.param("docs/replay.md", recording, id="recording"),
+    pytest.param("docs/reference/calibration-checks.md", wrong_presses, marks=AWAITED, id="wrong_presses"),
+    pytest.param("docs/explanation/accuracy.md", objects, id="objects"),
+    pytest.param("docs/explanation/accuracy.md", drag, id="drag"),
+    pytest.param("docs/explanation/accuracy.md", no_presses, id="no_presses"),
+    pytest.param("docs/explanation/accuracy.md", other_objects, id="other_objects"),
+    pytest.param("docs/explanation/accuracy.md", limits, id="limits"),
+    pytest.param("docs/how-to/shear.md", shear_under_drag, id="shear_under_drag"),
+    pytest.param("docs/how-to/touch.md", servo, id="servo"),
+    pytest.param("docs/reference/sigma.md", sigma, id="sigma"),
+    pytest.param("docs/explanation/speed.md", stages, id="stages"),
+    pytest.param("docs/explanation/speed.md", as_printed, id="as_printed"),
+    pytest.param("docs/explanation/speed.md", iterations, id="iterations"),
+    pytest.param("docs/explanation/speed.md", cost, id="cost"),
+    pytest.param("docs/explanation/speed.md", daemon, id="daemon"),
+    pytest.param("docs/explanation/speed.md", tradeoff, id="tradeoff"),
+    pytest.param("docs/how-to/hand.md", hand, id="hand"),
+    pytest.param("docs/explanation/numerics.md", stages_in_numerics, id="stages_in_numerics"),
+    pytest.param("docs/explanation/numerics.md", shear, id="shear"),
+    pytest.param("docs/explanation/numerics.md", runtime, id="runtime"),
+    pytest.param("docs/explanation/numerics.md", arm, id="arm"),
+    pytest.param("docs/how-to/service.md", memory, id="memory"),
+    pytest.param("docs/how-to/service.md", pre_roll, id="pre_roll"),
+    pytest.param("docs/how-to/replay.md", recording, id="recording"),
     pytest.param("docs/decisions/0005-onnxruntime.md", opencv_beside_onnxruntime, id="opencv_beside_onnxruntime"),
     pytest.param("docs/decisions/0012-runtimes.md", instructions, id="instructions"),
-    pytest.param("docs/reliability.md", faults, id="faults"),
-    pytest.param("docs/reliability.md", faults_of_thousands, id="faults_of_thousands"),
+    pytest.param("docs/explanation/reliability.md", faults, id="faults"),
+    pytest.param("docs/explanation/reliability.md", faults_of_thousands, id="faults_of_thousands"),
     pytest.param("config/default.yaml", paper_in_the_settings, id="paper_in_the_settings"),
 )
 

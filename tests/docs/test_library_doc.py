@@ -1,4 +1,4 @@
-"""docs/library.md: its examples run as they are written, with the simulated sensor and a real broker."""
+"""docs/reference/library.md: its examples run as they are written, with the simulated sensor and a real broker."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from tools.testbed.calibrated_sensor import FULL, calibrated, pressed, unloaded
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from tools.testbed.patience import patience
 
-TEXT = (Path(__file__).parents[2] / "docs" / "library.md").read_text()
-REPLAY = (Path(__file__).parents[2] / "docs" / "replay.md").read_text()
+TEXT = (Path(__file__).parents[2] / "docs/reference/library.md").read_text()
+REPLAY = (Path(__file__).parents[2] / "docs/how-to/replay.md").read_text()
 EXAMPLES = dict(re.findall(r"^## ([^\n]+)\n[^#]*?```python\n(.*?)```", TEXT, re.DOTALL | re.MULTILINE))
 
 pytestmark = pytest.mark.slow
