@@ -253,7 +253,7 @@ A simulated hand of five holds a box, a cylinder and a ball and moves each so th
 to 2.5 mm. Every finger's picture is drawn and reconstructed (`balanced`), of three kinds of sensors that were kept for
 final figures.""",
         ("tools.studies.object_motion", "--drawn", "2", "--final"),
-        (*SENSORS, *package("core/hand", "daemon/hand", "protocol/hand.py")),
+        (*SENSORS, *package("core/hand", "hand", "protocol/hand.py")),
     ),
     "real-raw": Page(
         "A real TacTip: whole pictures",

@@ -159,6 +159,12 @@ class HandObjects(msgspec.Struct, frozen=True, kw_only=True):
     seq: Count
     fingers: Annotated[dict[str, Finger], Meta(max_length=FINGERS_MAX)]
 
+    @property
+    def motion(self) -> Motion | None:
+        """Of the object that the hand holds; None where no finger that touches it reports shear."""
+        found = (o.motion for finger in self.fingers.values() for o in finger.objects if o.motion is not None)
+        return next(found, None)
+
 
 def finger_of(result: Reconstruction, hand_T_sensor: Rigid) -> Finger:
     """What one result of a finger reports in the hand's frame, without its age."""

@@ -7,7 +7,7 @@ from typing import Final
 
 import msgspec
 
-from tacshade_edge.daemon.hand.held_object import HeldObject, with_motion
+from tacshade_edge.hand.held_object import HeldObject, with_motion
 from tacshade_edge.protocol.hand import Finger, HandObjects, away
 from tacshade_edge.reasons import Reason, ReasonCode
 
