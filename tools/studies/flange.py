@@ -103,7 +103,7 @@ def _calibration(sensor: str) -> Calibration:
     return calibrated(sensor_name(sensor), 8, 40).calibration
 
 
-def _lowered(pose: Rigid, radius_mm: float, surface: pads.Surface, depth_mm: float) -> Rigid:
+def lowered(pose: Rigid, radius_mm: float, surface: pads.Surface, depth_mm: float) -> Rigid:
     """Along the base's z until the undeformed skin is so deep in the surface."""
     dx, dy = np.meshgrid(*(np.linspace(-0.8, 0.8, 81) * radius_mm,) * 2)
     dome = np.sqrt(np.maximum(radius_mm**2 - dx**2 - dy**2, 0))
@@ -131,7 +131,7 @@ def taken(task: Task) -> Taken:
     out = Taken([], [], [], [], radius_mm)
     for k, pose in enumerate(believed):
         true = pose @ start_of(task.trial, task.start).inverse() @ TRUE
-        true = _lowered(true, radius_mm, surface, _DEPTH_MM + float(rng.uniform(-_VARIED_MM, _VARIED_MM)))
+        true = lowered(true, radius_mm, surface, _DEPTH_MM + float(rng.uniform(-_VARIED_MM, _VARIED_MM)))
         moving = _MOVING_MM if k % 5 == k // 5 % 5 else ()
         for above_mm in (0.0, *moving):
             at, seq = shift(0, 0, abs(above_mm)) @ true, len(out.press)
