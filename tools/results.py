@@ -97,7 +97,7 @@ ME is eq. 13, the mean distance from a found point to the nearest true one; back
 the nearest found one; SD, eq. 14 with the half sum of both ("sum": with their sum), never clamped. IoU is of the
 contact's outline, against skin within 0.02 mm of the object. Depth off is the error of the greatest depth, mean and
 worst. A missed contact counts as a skin left alone: SD 0, the true depth for ME and back. Milliseconds here are of a
-machine that did other work; [stages](../speed.md) has those that count."""
+machine that did other work; [stages](../explanation/speed.md) has those that count."""
 
 FOLLOWED = """\
 Depth, tilt and shear are compared by Spearman's rank correlation and by the mean absolute error after a line (a 2x2
@@ -221,8 +221,8 @@ exact poses and with noise on what the robot reports. RMS of height over all tou
         """\
 `stitch --find-flange` on 20 trials: three drawn surfaces with waves and the touchpad, five sensors that were kept for
 final figures, two of which the networks do not know. Each starts 10 mm and 10° off and presses 100 times by
-[the plan](../stitching.md#the-plan); every fifth press has frames of the motion down and up. What the robot reports is
-off by Gaussian noise in every axis, and about a random axis through the apex.""",
+[the plan](../how-to/stitching.md#the-plan); every fifth press has frames of the motion down and up. What the robot
+reports is off by Gaussian noise in every axis, and about a random axis through the apex.""",
         ("tools.studies.flange", "--final"),
         (*SCORED, *package("core/stitching"), "tools/studies/drawn_pads.py", "tools/testbed/flange_plan.py"),
     ),
@@ -417,7 +417,7 @@ board was measured.""",
         """\
 Each row does one thing to a daemon at work: a process of its own, a real mosquitto, ptys, a small file system. Detected
 is from the fault until the daemon has told it, recovered from the fault's end until it works again, both in seconds.
-What is promised is in [reliability](../reliability.md).""",
+What is promised is in [reliability](../explanation/reliability.md).""",
         ("tools.faults", "table"),
         FAULTS,
     ),

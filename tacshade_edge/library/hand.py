@@ -12,7 +12,7 @@ from tacshade_edge.protocol.hand import HandObjects
 
 
 def read_hand(recordings: Iterable[str | os.PathLike[str]], *, profile: str = DEFAULT) -> Iterator[HandObjects]:
-    """Read recordings of a hand's fingers, and give the messages that the hand would have published (docs/hand.md).
+    """Read recordings of a hand's fingers, and give what their hand would have published (docs/how-to/hand.md).
 
     The log reports what is damaged or was cut off.
 

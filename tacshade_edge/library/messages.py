@@ -21,7 +21,7 @@ def decode(payload: bytes | bytearray | memoryview) -> Message | HandObjects:
     Parameters
     ----------
     payload : bytes-like
-        Of docs/mqtt.md, nothing before or behind it.
+        Of docs/reference/mqtt.md, nothing before or behind it.
 
     Returns
     -------

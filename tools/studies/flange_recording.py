@@ -4,8 +4,8 @@
 
     .venv/bin/python -m tools.studies.flange_recording [--sensor 5] [--profile accurate] [--seed 0]
 
-The robot starts 10 mm and 10 degrees off, presses a wavy surface 100 times as docs/stitching.md says, and moves down
-and up at 10 mm/s. Every frame is drawn, and stamped later than the robot's poses, which are off by 0.2 mm and 0.2°.
+The robot starts 10 mm and 10° off, presses a wavy surface 100 times (docs/how-to/stitching.md), and moves down and
+up at 10 mm/s. Every frame is drawn, and stamped later than the robot's poses, which are off by 0.2 mm and 0.2°.
 """
 
 from __future__ import annotations
