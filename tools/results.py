@@ -234,16 +234,16 @@ later; a slip is announced when the margin is at most 0.25 from 100 ms before it
 held at 30 to 45 % of the load to the slip and shaken, by a quarter of their drag and 8 % of their depth, at 30 frames a
 second; a false alarm begins whenever the margin falls to 0.25. "Still stuck" is the part of the contact that truly
 sticks at the alarm.""",
-        ("tools.studies.margin", "--final"),
+        ("tools.studies.margin", "--final", "--held", "120"),
         SCORED,
     ),
     "object-motion": Page(
         "The motion of a held object, from drawn errors",
         """\
-Grasps by geometry, with errors of shear, depth and twist as they were measured on simulated skins; 20 trials of each
+Grasps by geometry, with errors of shear, depth and twist as they were measured on simulated skins; 5 trials of each
 object, number of fingers, skin and event. Errors are of the object's middle at the end of a motion that moves a touched
 patch by up to 2.5 mm.""",
-        ("tools.studies.object_motion",),
+        ("tools.studies.object_motion", "--trials", "5", "--rest-s", "120"),
         package("core/hand"),
     ),
     "object-motion-pictures": Page(
