@@ -92,10 +92,10 @@ def objects() -> Claims:
     assert set(seen.values()) == {"4 of 5"}, "the sentence on the objects of Table I has to be written anew"
     yield "better in both on four of the five objects"
     (count,) = {other.cell("beats Table I in ME and SD", profile)[0] for profile in PROFILES}
-    yield f"On the other family they are so on {WORDS[int(count)]}."
+    yield f"On the other family they are better on {WORDS[int(count)]}."
     frames = sum(int(page.cell("frames without contact", "accurate")) for page in of.values())
     assert all(page.cell("phantoms", profile) == "0" for page in of.values() for profile in PROFILES)
-    yield f"No frame of {frames} without contact was taken for one"
+    yield f"0 of {frames} frames without contact gave a false contact"
     spans = []
     for page, prefix in ((trained, ""), (other, "other:")):
         single = [page.number("ME mm", f"{prefix}{sensor}", "accurate") for sensor in (9018, 9019, 9020)]
