@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import importlib.metadata
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -56,15 +55,15 @@ class Locked:
     extras: Mapping[str, tuple[dict[str, Any], ...]] = field(default_factory=dict)
 
 
-def lock(project: Path) -> list[Locked]:
-    """Resolve a project with all its extras. Raises CalledProcessError."""
+def lock(tree: Path, project: Path) -> list[Locked]:
+    """Resolve a project of a tree with all its extras, in a clone of the last commit. Raises CalledProcessError."""
     with tempfile.TemporaryDirectory() as folder:
-        shutil.copytree(
-            project, folder, dirs_exist_ok=True, ignore=shutil.ignore_patterns(".*", "dist", "out", "tests")
-        )
-        words = ("lock", "--quiet", "--project", folder)
-        subprocess.run((*UV, *words), check=True, env=os.environ | {"TACSHADE_EDGE_VERSION": "1.0.0"})
-        return parse(tomllib.loads(Path(folder, "uv.lock").read_text(encoding="utf-8")))
+        clone = Path(folder, "clone")
+        subprocess.run(("git", "clone", "--quiet", "--depth", "1", f"file://{tree}", str(clone)), check=True)
+        there = clone / project.relative_to(tree)
+        told = os.environ | {"TACSHADE_EDGE_VERSION": "1.0.0"}
+        subprocess.run((*UV, "lock", "--quiet", "--project", str(there)), check=True, env=told)
+        return parse(tomllib.loads((there / "uv.lock").read_text(encoding="utf-8")))
 
 
 def parse(document: Mapping[str, Any]) -> list[Locked]:
@@ -149,7 +148,7 @@ def report(tree: Path) -> str:
     lines = []
     for project in projects(tree):
         about = tomllib.loads((project / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-        name, packages = str(canonicalize_name(about["name"])), lock(project)
+        name, packages = str(canonicalize_name(about["name"])), lock(tree, project)
         extras = [extra for extra in about.get("optional-dependencies", {}) if extra not in NOT_FOR_USERS]
         for extra in ("", *extras):
             added = {}
