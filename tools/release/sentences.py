@@ -36,7 +36,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from tacshade_edge.cli import COMMANDS, command_line
+from tacshade_edge.cli import command_line
 
 TREE = Path(__file__).resolve().parents[2]
 SOURCES = ("docs", "help", "messages")
@@ -45,7 +45,8 @@ _CALLS = {"ConfigError", "DeviceError", "DecodeError", "RefusedError", "SafetySt
 _LOG_CALLS = {"info", "warning", "error", "debug", "exception"}
 _WORDS_MIN = 3
 _CELL_WORDS_MIN = 5
-_WORD = re.compile(r"[A-Za-z][A-Za-z'-]+")
+_WORD = re.compile(r"[A-Za-z][a-z'-]+\b")
+_CODE = re.compile(r"`[^`]*`")
 _LIST_ITEM = re.compile(r"\s*(?:[-*]|\d+\.)\s+")
 _NO_PROSE = re.compile(r"\s*(?:#|<|!\[|\[\w[^]]*\]:|:::|---)")
 _SENTENCE_END = re.compile(r"(?<=[.!?])(?<!e\.g\.)(?<!i\.e\.)(?:\*\*|\)|\")?\s+(?=[A-Z`\[*\"(])")
@@ -75,9 +76,14 @@ def collect(source: str) -> tuple[Sentence, ...]:
     found = {"docs": _of_docs, "help": _of_help, "messages": _of_messages}[source]()
     unique: dict[str, Sentence] = {}
     for sentence in found:
-        if len(_WORD.findall(sentence.text)) >= _WORDS_MIN:
+        if _words(sentence.text) >= _WORDS_MIN:
             unique.setdefault(sentence.text, sentence)
     return tuple(unique.values())
+
+
+def _words(text: str) -> int:
+    """How many words a text has beside code."""
+    return len(_WORD.findall(_CODE.sub("", text)))
 
 
 def _of_docs() -> Iterator[Sentence]:
@@ -95,8 +101,10 @@ def prose(markdown: str) -> Iterator[tuple[int, str]]:
     for number, line in enumerate([*markdown.splitlines(), ""], start=1):
         is_fence = line.lstrip().startswith(("```", "~~~"))
         is_cells = line.lstrip().startswith("|")
-        is_text = bool(line.strip()) and not (is_code or is_fence or is_cells or _NO_PROSE.match(line))
         item = _LIST_ITEM.match(line)
+        is_indented = line.startswith("    ") and not (block or item)
+        is_no_text = is_code or is_fence or is_cells or is_indented or _NO_PROSE.match(line)
+        is_text = bool(line.strip()) and not is_no_text
         if block and (not is_text or item):
             yield begin, block
             block = ""
@@ -105,13 +113,11 @@ def prose(markdown: str) -> Iterator[tuple[int, str]]:
             block = f"{block} {line[item.end() if item else 0 :].strip()}".strip()
         elif is_cells and not is_code:
             cells = (cell.strip() for cell in line.strip().strip("|").split("|"))
-            yield from ((number, cell) for cell in cells if len(_WORD.findall(cell)) >= _CELL_WORDS_MIN)
+            yield from ((number, cell) for cell in cells if _words(cell) >= _CELL_WORDS_MIN)
         is_code ^= is_fence
 
 
 def _of_help() -> Iterator[Sentence]:
-    for summary in (summary for _, summary in COMMANDS.values()):
-        yield Sentence("tacshade-edge", summary)
     parser, _ = command_line(lambda _name: True)
     yield from _of_parser(parser)
 

@@ -14,6 +14,8 @@ code that nobody reads
 ```
 - An item of a list.
 
+    indented code that nobody reads
+
 | short cell | a cell that has five words |
 |---|---|
 """
@@ -45,7 +47,7 @@ def test_prose_is_paragraphs_items_and_long_cells() -> None:
     assert list(prose(MARKDOWN)) == [
         (3, "The broker rejects the message."),
         (9, "An item of a list."),
-        (11, "a cell that has five words"),
+        (13, "a cell that has five words"),
     ]
 
 
