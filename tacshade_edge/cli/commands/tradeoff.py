@@ -13,12 +13,13 @@ from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator.objects import PAPER_OBJECTS
-from tacshade_edge.studies.parallel import usable_cores
+from tacshade_edge.studies.parallel import workers
 from tacshade_edge.studies.tradeoff import budget, picture, report
+from tacshade_edge.studies.tradeoff.accuracy import score_settings
 from tacshade_edge.studies.tradeoff.cases import SensorCases, simulated
 from tacshade_edge.studies.tradeoff.grid import grid
 from tacshade_edge.studies.tradeoff.summary import Point
-from tacshade_edge.studies.tradeoff.work import tradeoff
+from tacshade_edge.studies.tradeoff.work import weigh_and_time
 
 SENSORS = "default,5"
 BUSY = 1.1
@@ -38,28 +39,33 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="MS",
         help="print the settings of the most accurate profile that takes no longer for 99 of 100 frames in contact",
     )
+    study.add_cluster(parser)
     study.add_simulated(parser, SENSORS, "the paper's five")
 
 
 def run(args: argparse.Namespace) -> int:
     """Measure; print the tables and the settings, write the files."""
     mistakes: list[str] = []
-    if study.is_own(args, ("sensors", "objects")):
-        calibration, cases, mistakes = study.own_images(args)
-        images: tuple[SensorCases, ...] = (SensorCases(calibration, tuple(cases)),)
-        if not any(case.touched for case in images[0].cases):
-            expected = "found no image of a contact that can be scored, expected one with its truth"
-            raise ConfigError(f"{args.images}: {expected}")
-        data: dict[str, Any] = {"calibration": str(args.calibration), "images": str(args.images)}
-    else:
-        study.make_folder(args.out)
-        sensors = args.sensors or study.sensors(SENSORS)
-        objects = args.objects or tuple(PAPER_OBJECTS)
-        data = {"sensors": [str(name) for name in sensors], "objects": list(objects)}
-        images = simulated(sensors, objects, usable_cores(), Progress())
-    drawn = study.will_draw(args, "tradeoff.png")
     names = tuple(dict.fromkeys(args.profile or PROFILES))
-    found, busy = tradeoff(grid(names), images, usable_cores(), Progress())
+    settings = grid(names)
+    own = study.is_own(args, ("sensors", "objects"))
+    study.make_folder(args.out)
+    drawn = study.will_draw(args, "tradeoff.png")
+    with workers(args.cluster) as pool:
+        if own:
+            calibration, cases, mistakes = study.own_images(args)
+            images: tuple[SensorCases, ...] = (SensorCases(calibration, tuple(cases)),)
+            if not any(case.touched for case in images[0].cases):
+                expected = "found no image of a contact that can be scored, expected one with its truth"
+                raise ConfigError(f"{args.images}: {expected}")
+            data: dict[str, Any] = {"calibration": str(args.calibration), "images": str(args.images)}
+        else:
+            sensors = args.sensors or study.sensors(SENSORS)
+            objects = args.objects or tuple(PAPER_OBJECTS)
+            data = {"sensors": [str(name) for name in sensors], "objects": list(objects)}
+            images = simulated(sensors, objects, pool, Progress())
+        rows = score_settings(settings, images, pool, Progress())
+    found, busy = weigh_and_time(settings, images, rows, Progress())
     if busy > BUSY:
         words = f"the machine was busy: frames took {busy:.1f} times as long as the processor time that is shown"
         print(f"tacshade-edge: {words}", file=sys.stderr)

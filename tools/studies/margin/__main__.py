@@ -12,7 +12,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tacshade_edge.cli.shared.progress import Progress
-from tacshade_edge.studies.parallel import usable_cores
+from tacshade_edge.cli.shared.study import add_cluster
+from tacshade_edge.studies.parallel import workers
 from tacshade_edge.studies.tables import csv_text
 from tools.studies import command
 from tools.studies.margin.summary import text
@@ -26,9 +27,10 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--held", type=float, default=600.0, metavar="SECONDS", help="over all held in a group (600)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="write the table, and its rows as CSV")
     parser.set_defaults(json=False)
+    add_cluster(parser)
     args = parser.parse_args(words)
-    with command.folder_for(parser, args.out):
-        rows = study(Plan(args.profile, held_s=args.held), usable_cores(), Progress())
+    with command.folder_for(parser, args.out), workers(args.cluster) as pool:
+        rows = study(Plan(args.profile, held_s=args.held), pool, Progress())
         kinds = {"_loads": LoadRow, "_held": HeldRow}
         files = {name: csv_text(kind, [row for row in rows if isinstance(row, kind)]) for name, kind in kinds.items()}
         command.publish(args, "margin", text(rows), files)

@@ -5,13 +5,14 @@ import math
 import pytest
 
 from tacshade_edge.studies.evaluate.sensors import SensorName
+from tacshade_edge.studies.parallel import ThisProcess
 from tools.studies.slip.work import HeldRow, Plan, ReleaseRow, SlideRow, study
 
 
 @pytest.mark.slow
 def test_a_slide_and_a_hold() -> None:
     plan = Plan((SensorName("tacshade", 5),), ("fast",), ("ball",), (20.0,), held_s=0.5, released_s=3.0)
-    rows = study(plan, 1, lambda what, done, of: None)
+    rows = study(plan, ThisProcess(), lambda what, done, of: None)
     (held,) = [row for row in rows if isinstance(row, HeldRow)]
     assert (held.held_s, held.slips) == (0.5, 0)
     (released,) = [row for row in rows if isinstance(row, ReleaseRow)]
