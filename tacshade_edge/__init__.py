@@ -1,7 +1,7 @@
 """Metric shape from touch on a small board, for TacShade optical tactile sensors.
 
-What is listed here is the library (docs/library.md); all else is the program's own and may change at any time.
-Nothing is imported until it is asked for.
+What is listed here is the library (docs/reference/library.md); all else is the program's own and may change at any
+time. Nothing is imported until it is asked for.
 """
 
 from __future__ import annotations

@@ -97,7 +97,7 @@ ME is eq. 13, the mean distance from a found point to the nearest true one; back
 the nearest found one; SD, eq. 14 with the half sum of both ("sum": with their sum), never clamped. IoU is of the
 contact's outline, against skin within 0.02 mm of the object. Depth off is the error of the greatest depth, mean and
 worst. A missed contact counts as a skin left alone: SD 0, the true depth for ME and back. Milliseconds here are of a
-machine that did other work; [stages](../speed.md) has those that count."""
+machine that did other work; [stages](../explanation/speed.md) has those that count."""
 
 FOLLOWED = """\
 Depth, tilt and shear are compared by Spearman's rank correlation and by the mean absolute error after a line (a 2x2
@@ -378,7 +378,7 @@ board was measured.""",
         """\
 Each row does one thing to a daemon at work: a process of its own, a real mosquitto, ptys, a small file system. Detected
 is from the fault until the daemon has told it, recovered from the fault's end until it works again, both in seconds.
-What is promised is in [reliability](../reliability.md).""",
+What is promised is in [reliability](../explanation/reliability.md).""",
         ("tools.faults", "table"),
         FAULTS,
     ),

@@ -15,7 +15,7 @@ Message = wire.HeightMessage | wire.CloudMessage | wire.ShearMessage | wire.Sigm
 
 
 def decode(payload: bytes | bytearray | memoryview) -> Message:
-    """Decode the payload of one ``height``, ``cloud``, ``shear``, ``sigma`` or ``map/cloud`` (docs/mqtt.md).
+    """Decode the payload of one ``height``, ``cloud``, ``shear``, ``sigma`` or ``map/cloud`` (docs/reference/mqtt.md).
 
     Parameters
     ----------

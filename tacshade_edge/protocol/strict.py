@@ -57,7 +57,7 @@ def decode_object(what: str, payload: bytes) -> dict[str, Any]:
 
 
 def _refused(what: str, error: Exception) -> DecodeError:
-    return DecodeError(f"{what}: {escaped(str(error), _ERROR_CHARS_MAX)}, expected what docs/mqtt.md says")
+    return DecodeError(f"{what}: {escaped(str(error), _ERROR_CHARS_MAX)}, expected what docs/reference/mqtt.md says")
 
 
 def _check(value: Any) -> None:

@@ -15,7 +15,7 @@ MECHANICS = {"displacement": ("drag.py", "model.py", "skin.py")}
 """Where a word has its general meaning: files of `simulator`."""
 ALLOWED = {
     # The glossary itself, and old names of settings, which are refused with the new ones.
-    "docs/glossary.md": (),
+    "docs/reference/glossary.md": (),
     "tacshade_edge/settings/model.py": ("displacement", "before_s"),
     # Tensors of the shipped networks are called so in the files: fitted weights are checked against those bytes.
     "tacshade_edge/fitting/torch_network.py": ("foreign",),
@@ -32,7 +32,7 @@ ALLOWED = {
 
 def replaced() -> list[str]:
     """The words of the glossary's last table that are no more: in backticks, in its second column."""
-    table = (ROOT / "docs/glossary.md").read_text(encoding="utf-8").partition("## Replaced words")[2]
+    table = (ROOT / "docs/reference/glossary.md").read_text(encoding="utf-8").partition("## Replaced words")[2]
     return [word for line in re.findall(r"^\| [^|]+ \| ([^|]+) \|$", table, re.MULTILINE) for word in quoted(line)]
 
 
@@ -64,7 +64,7 @@ def found(word: str, in_texts: dict[str, str]) -> list[str]:
     return [
         f"{name}:{text.count(chr(10), 0, match.start()) + 1}"
         for name, text in in_texts.items()
-        if name != "docs/glossary.md" and word not in ALLOWED.get(name, ())
+        if name != "docs/reference/glossary.md" and word not in ALLOWED.get(name, ())
         for match in sought.finditer(f"{text}")
     ]
 

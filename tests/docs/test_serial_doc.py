@@ -1,4 +1,4 @@
-"""docs/serial.md: what it says by hand is said, its C and Python run, its vectors are ours."""
+"""docs/reference/serial.md: what it says by hand is said, its C and Python run, its vectors are ours."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from tacshade_edge.types import QUANTITIES
 from tools.testbed.patience import patience
 
 ROOT = Path(__file__).parents[2]
-TEXT = (ROOT / "docs" / "serial.md").read_text()
+TEXT = (ROOT / "docs/reference/serial.md").read_text()
 VECTORS = json.loads((ROOT / "tests" / "protocol" / "vectors" / "serial.json").read_text())
 GCC = shutil.which("gcc")
 

@@ -99,7 +99,7 @@ def stage(root: Path, wheel: Path, machine: str, python: str, told: str) -> None
     about = root / "usr/share/doc/tacshade-edge"
     about.mkdir(parents=True)
     (about / "copyright").write_text(COPYRIGHT + (TREE / "LICENSE").read_text())
-    for name in ("docs/bill.cdx.json", "CHANGELOG.md"):
+    for name in ("docs/reference/bill.cdx.json", "CHANGELOG.md"):
         shutil.copy(TREE / name, about)
     check_machine(root, machine)
     # Before anything in DEBIAN, which is not installed.

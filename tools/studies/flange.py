@@ -6,7 +6,7 @@
     .venv/bin/python -m tools.studies.flange [--trials 20] [--start 10 10] [--profile accurate] [--keep DIR]
 
 Each trial has a surface, a sensor that was calibrated on 40 ball presses, a true place on the flange, a delay, and a
-start that is 10 mm and 10 degrees off. A robot that believes the start goes through the plan of docs/stitching.md: it
+start that is 10 mm and 10 degrees off. A robot that believes the start goes through the plan of stitching.md: it
 turns and goes where the plan says, then down until the sensor is so deep in the surface. Every fifth press has frames
 of the motion down and up. Every image is drawn and reconstructed. What the robot reports is off by Gaussian noise,
 once for each press. `--start 0.5 0.5` is for who goes through the plan once more, with what was found. --keep stores

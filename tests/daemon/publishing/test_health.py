@@ -20,7 +20,7 @@ from tacshade_edge.protocol.json_payload import encode_json
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Frame, HeightMap, ObjectCloud, Reconstruction
 
-DOCUMENT = Path(__file__).parents[3] / "docs" / "mqtt.md"
+DOCUMENT = Path(__file__).parents[3] / "docs/reference/mqtt.md"
 
 
 def test_rates_are_between_two_snapshots() -> None:

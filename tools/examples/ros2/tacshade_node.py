@@ -1,4 +1,4 @@
-"""An example node: hands on an MQTT broker as ROS 2 topics; see docs/integrations.md for what of it was run.
+"""An example node: hands on an MQTT broker as ROS 2 topics; see docs/how-to/integrations.md for what of it was run.
 
 source /opt/ros/jazzy/setup.bash
 python3 -m tools.examples.ros2.tacshade_node localhost:1883 left-index
