@@ -54,7 +54,8 @@ def central(folder: Path) -> ConfiguredBroker:
     (folder / "central.acl").write_bytes((FILES / "central.acl").read_bytes())
     (folder / "central.acl").chmod(0o600)
     port, people = free_port(), free_port()
-    text = (FILES / "central.conf").read_text().replace("/etc/mosquitto/fleet", str(folder))
+    kept = f"persistence true\npersistence_location {folder}/\n"  # as Debian's mosquitto.conf has it
+    text = kept + (FILES / "central.conf").read_text().replace("/etc/mosquitto/fleet", str(folder))
     text = text.replace("listener 8883", f"listener {port} 127.0.0.1").replace(
         "listener 8884", f"listener {people} 127.0.0.1"
     )
@@ -95,7 +96,8 @@ class CentralClient:
     def __init__(
         self, folder: Path, port: int, hear: Callable[[MQTTMessage], None], name: str | None = None, *topics: str
     ) -> None:
-        self.client = Client(CallbackAPIVersion.VERSION2)
+        # With a session that outlasts a cut: the boards may be back before this client.
+        self.client = Client(CallbackAPIVersion.VERSION2, client_id=f"fleet-{name or USER}", clean_session=not topics)
         files = () if name is None else (str(folder / f"{name}.pem"), str(folder / f"{name}.key"))
         self.client.tls_set(str(folder / "ca.pem"), *files)
         if name is None:
