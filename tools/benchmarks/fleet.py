@@ -24,15 +24,15 @@ from collections import Counter
 from contextlib import ExitStack
 from pathlib import Path
 
+import cv2
 from paho.mqtt.client import MQTTMessage
 
 from tacshade_edge.storage.calibration import calibration_file
-from tools.faults.rig import write_posed_images
 from tools.testbed.bridge_process import BridgeProcess
 from tools.testbed.daemon_rig import cpu_s
 from tools.testbed.fleet import USER, WORD, CentralClient, ConfiguredBroker, board, central, people_port
 from tools.testbed.mqtt_rig import Subscriber
-from tools.testbed.painted_sensor import painted_calibration
+from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 from tools.testbed.patience import wait_until
 
 CUT_S = 5.0
@@ -73,7 +73,7 @@ class Streams:
         def copy(message: MQTTMessage) -> None:
             kind = message.topic.split("/", 2)[2]
             for name, each in copies:
-                each.publish(f"tacshade/{name}/{kind}", message.payload, message.qos, retain=message.retain)
+                each.publish(f"tacshade/{name}/{kind}", bytes(message.payload), message.qos, retain=message.retain)
 
         seen = stack.enter_context(Subscriber(brokers[first].port, "nothing"))
         seen.client.on_message = lambda _client, _data, message: copy(message)
@@ -137,7 +137,9 @@ def main() -> int:
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary, ExitStack() as stack:
         folder, heard = Path(temporary), Heard()
-        write_posed_images(folder / "images")
+        (folder / "images").mkdir()
+        for k in range(64):
+            cv2.imwrite(str(folder / "images" / f"{k:02}.png"), FREE if k < 32 else TOUCHED)
         calibration_file.save(folder / "c.npz", painted_calibration())
         middle = stack.enter_context(central(folder))
         names = [f"b{k:02d}" for k in range(args.boards)]

@@ -3,7 +3,7 @@
 ::
 
     .venv/bin/python -m tools.studies.object_motion [--trials 20] [--rest-s 600] [--csv FILE]
-    .venv/bin/python -m tools.studies.object_motion --drawn 3 [--csv FILE] [--cluster tcp://HOST:8786]
+    .venv/bin/python -m tools.studies.object_motion --drawn 3 [--final] [--csv FILE] [--cluster tcp://HOST:8786]
 
 The first draws the errors of patches as they were measured; the second has a simulated hand hold an object, draws what
 each of five fingers sees, and reconstructs that: a minute of a core for each trial.
@@ -32,12 +32,14 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--trials", type=int, default=20, metavar="N", help="of each object, event, skin and grasp")
     parser.add_argument("--rest-s", type=float, default=600.0, metavar="S")
     parser.add_argument("--drawn", type=int, metavar="N", help="pictures instead, so many of each object and family")
+    parser.add_argument("--final", action="store_true", help="with --drawn: the sensors kept for final figures")
     parser.add_argument("--csv", type=Path, metavar="FILE", help="write a row for each trial")
     study.add_cluster(parser)
     args = parser.parse_args(words)
     if args.drawn:
+        families = drawn.FINAL_FAMILIES if args.final else drawn.FAMILIES
         with command.folder_for(parser, None), workers(args.cluster) as pool:
-            rows = drawn.rows(args.drawn, pool, Progress())
+            rows = drawn.rows(args.drawn, pool, Progress(), families)
     else:
         rows = [score(trial) for trial in trials(Plan(args.trials, rest_s=args.rest_s))]
     print(text(rows))
