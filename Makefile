@@ -18,7 +18,7 @@ CPU_TORCH := --extra-index-url https://download.pytorch.org/whl/cpu 'torch==2.13
 .PHONY: demo lint check docs test test-arm test-container dist deb apt image lock faults format clean
 .DELETE_ON_ERROR:
 
-# Three stamps: the demo installs only what a user needs, and 120 MB for the site only who builds it.
+# Three stamps: the demo installs only what a user needs, and 110 MB for the site only who builds it.
 .venv/run.stamp: pyproject.toml
 	$(PYTHON) -m venv .venv
 	$(PY) -m pip install --quiet --disable-pip-version-check -e '.[demo]'

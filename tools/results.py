@@ -216,6 +216,45 @@ exact poses and with noise on what the robot reports. RMS of height over all tou
         ("tools.studies.stitch_pads",),
         (*SCORED, *package("core/stitching", "studies/stitch")),
     ),
+    "flange": Page(
+        "Where the sensor sits on the flange",
+        """\
+`stitch --find-flange` on 20 trials: three drawn surfaces with waves and the touchpad, five sensors that were kept for
+final figures, two of which the networks do not know. Each starts 10 mm and 10° off and presses 100 times by
+[the plan](../how-to/stitching.md#the-plan); every fifth press has frames of the motion down and up. What the robot
+reports is off by Gaussian noise in every axis, and about a random axis through the apex.""",
+        ("tools.studies.flange", "--final"),
+        (*SCORED, *package("core/stitching"), "tools/studies/drawn_pads.py", "tools/testbed/flange_plan.py"),
+    ),
+    "margin": Page(
+        "The margin before a slip",
+        """\
+Sensors that were kept for final figures. Objects are pulled, or loosened under a drag, until they slide 0.5 to 2 s
+later; a slip is announced when the margin is at most 0.25 from 100 ms before its onset on, by the truth. Others are
+held at 30 to 45 % of the load to the slip and shaken, by a quarter of their drag and 8 % of their depth, at 30 frames a
+second; a false alarm begins whenever the margin falls to 0.25. "Still stuck" is the part of the contact that truly
+sticks at the alarm.""",
+        ("tools.studies.margin", "--final", "--held", "120"),
+        SCORED,
+    ),
+    "object-motion": Page(
+        "The motion of a held object, from drawn errors",
+        """\
+Grasps by geometry, with errors of shear, depth and twist as they were measured on simulated skins; 5 trials of each
+object, number of fingers, skin and event. Errors are of the object's middle at the end of a motion that moves a touched
+patch by up to 2.5 mm.""",
+        ("tools.studies.object_motion", "--trials", "5", "--rest-s", "120"),
+        package("core/hand"),
+    ),
+    "object-motion-pictures": Page(
+        "The motion of a held object, from pictures",
+        """\
+A simulated hand of five holds a box, a cylinder and a ball and moves each so that the patch that moves most moves by 1
+to 2.5 mm. Every finger's picture is drawn and reconstructed (`balanced`), of three kinds of sensors that were kept for
+final figures.""",
+        ("tools.studies.object_motion", "--drawn", "2", "--final"),
+        (*SENSORS, *package("core/hand", "hand", "protocol/hand.py")),
+    ),
     "real-raw": Page(
         "A real TacTip: whole pictures",
         f"""\

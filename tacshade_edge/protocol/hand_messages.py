@@ -153,6 +153,12 @@ class HandObjects:
     seq: Count
     fingers: Annotated[dict[str, Finger], Bounds(most=FINGERS_MAX)]
 
+    @property
+    def motion(self) -> Motion | None:
+        """Of the object that the hand holds; None where no finger that touches it reports shear."""
+        found = (o.motion for finger in self.fingers.values() for o in finger.objects if o.motion is not None)
+        return next(found, None)
+
 
 def decode_hand(payload: bytes) -> HandObjects:
     """Understand an ``objects`` payload; keys that are not known are ignored. Raises DecodeError."""

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
-from tacshade_edge.daemon.hand.held_object import HeldObject, with_motion
+from tacshade_edge.hand.held_object import HeldObject, with_motion
 from tacshade_edge.protocol.hand import Finger, HandObjects, away
 from tacshade_edge.reasons import Reason, ReasonCode
 
