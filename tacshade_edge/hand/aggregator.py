@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
-
-import msgspec
 
 from tacshade_edge.hand.held_object import HeldObject, with_motion
 from tacshade_edge.protocol.hand import Finger, HandObjects, away
@@ -80,7 +79,7 @@ class HandAggregator:
         fingers = {}
         for name, finger in self._fingers.items():
             aged = None if finger.t_ns is None else round((now_ns - finger.t_ns) / 1e6, 3)
-            fingers[name] = msgspec.structs.replace(with_motion(finger, motion), age_ms=aged)
+            fingers[name] = replace(with_motion(finger, motion), age_ms=aged)
         message = HandObjects(t_ns=now_ns, wall_ns=wall_ns, seq=self._seq, fingers=fingers)
         self._published_ns = now_ns
         self._news.clear()

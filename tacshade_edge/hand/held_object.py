@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Final
 
-import msgspec
 import numpy as np
 
 from tacshade_edge.core.hand.object_motion import ObjectMotion, ObjectTracker
@@ -57,8 +57,8 @@ def with_motion(finger: Finger, motion: Motion | None) -> Finger:
     if motion is None or not finger.objects:
         return finger
     held = [number for number, _ in _patches(finger)]
-    objects = (msgspec.structs.replace(o, motion=motion) if o.id in held else o for o in finger.objects)
-    return msgspec.structs.replace(finger, objects=tuple(objects))
+    objects = (replace(o, motion=motion) if o.id in held else o for o in finger.objects)
+    return replace(finger, objects=tuple(objects))
 
 
 def _patches(finger: Finger) -> list[tuple[int, Patch]]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import msgspec
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -29,7 +30,7 @@ def finger(name: str, at_ns: int = NOW_NS, **values: object) -> Finger:
     """Pinches along x."""
     inward = -1.0 if PLACES[name][0] > 0 else 1.0
     facing = {"centroid_mm": PLACES[name], "normal": (inward, 0.0, 0.0)}
-    held = msgspec.structs.replace(CONTACT, **facing, **values)
+    held = replace(CONTACT, **facing, **values)
     return Finger(state="contact", t_ns=at_ns, seq=1, axis=(inward, 0.0, 0.0), objects=(held,))
 
 
@@ -89,8 +90,8 @@ def test_between_two_fits_the_last_one_stands() -> None:
 
 
 def test_the_message_of_five_fingers_is_one_that_decoders_take() -> None:
-    objects = tuple(msgspec.structs.replace(finger("thumb").objects[0], id=k) for k in range(OBJECTS_MAX))
-    full = msgspec.structs.replace(finger("thumb"), objects=objects)
+    objects = tuple(replace(finger("thumb").objects[0], id=k) for k in range(OBJECTS_MAX))
+    full = replace(finger("thumb"), objects=objects)
     held = HeldObject()
     stepped(held, {"a": full}, NOW_NS)
     motion = stepped(held, dict.fromkeys("abcde", full), NOW_NS + PERIOD_NS)
