@@ -429,6 +429,13 @@ def hand() -> Claims:
     yield f"Five sensors take {together} MB where five services would take {apart}"
 
 
+def flange() -> Claims:
+    page = Page("flange")
+    columns = ("mm: median, worst; within 0.5", "degrees; within 0.7", "ms; within 5", "within 2.5 standard deviations")
+    for noise in ("0.1 mm, 0.1°", "0.2 mm, 0.2°", "0.3 mm, 0.3°"):
+        yield f"| {noise} | {' | '.join(page.cells(column, noise)[0] for column in columns)} |"
+
+
 def faults() -> Claims:
     page = Page("faults")
     back = max(page.number("recovered s", fault) for fault in ("broker killed, and back", "connection reset"))
@@ -490,6 +497,7 @@ CLAIMS = (
     pytest.param("docs/explanation/accuracy.md", other_objects, id="other_objects"),
     pytest.param("docs/explanation/accuracy.md", limits, id="limits"),
     pytest.param("docs/how-to/shear.md", shear_under_drag, id="shear_under_drag"),
+    pytest.param("docs/how-to/stitching.md", flange, id="flange"),
     pytest.param("docs/how-to/touch.md", servo, id="servo"),
     pytest.param("docs/reference/sigma.md", sigma, id="sigma"),
     pytest.param("docs/explanation/speed.md", stages, id="stages"),
