@@ -436,6 +436,15 @@ def flange() -> Claims:
         yield f"| {noise} | {' | '.join(page.cells(column, noise)[0] for column in columns)} |"
 
 
+def object_motion() -> Claims:
+    page = Page("object-motion")
+    held = [int(cell) for cell in page.cells("in the 90 % ellipsoid %", "all")]
+    yield f"the ellipsoid holds {min(held)} to {max(held)} %"
+    within = [int(cell) for cell in page.cells("within 0.4 mm and 3° %", "all", "5")[:4]]
+    yield f"within 0.4 mm and 3° in {min(within)} to {max(within)} % of 30 trials"
+    yield f"no jump is over {max(page.cells('jump mm: greatest', 'all'))} mm"
+
+
 def faults() -> Claims:
     page = Page("faults")
     back = max(page.number("recovered s", fault) for fault in ("broker killed, and back", "connection reset"))
@@ -497,6 +506,7 @@ CLAIMS = (
     pytest.param("docs/explanation/accuracy.md", other_objects, id="other_objects"),
     pytest.param("docs/explanation/accuracy.md", limits, id="limits"),
     pytest.param("docs/how-to/shear.md", shear_under_drag, id="shear_under_drag"),
+    pytest.param("docs/how-to/hand.md", object_motion, id="object_motion"),
     pytest.param("docs/how-to/stitching.md", flange, id="flange"),
     pytest.param("docs/how-to/touch.md", servo, id="servo"),
     pytest.param("docs/reference/sigma.md", sigma, id="sigma"),
