@@ -380,18 +380,6 @@ def runtime() -> Claims:
 NETWORKS = (*LIMITS_ORDER, "shear")
 
 
-def networks_in_the_changelog() -> Claims:
-    page = Page("runtime")
-    gains = [page.number("ONNX Runtime p50 ms", name) / page.number("integers p50 ms", name) for name in NETWORKS]
-    found = re.search(
-        r"heights in contact from ([\d.]+), ([\d.]+) and ([\d.]+) mm", document("docs/explanation/numerics.md")
-    )
-    assert found is not None
-    off = max(map(float, found.groups()))
-    speed = f"{rounded(min(gains), 1)} to {rounded(max(gains), 1)} times as fast"
-    yield f"{speed}, heights in contact within {math.ceil(100 * off) / 100:.2f} mm in the mean"
-
-
 def arm() -> Claims:
     page = Page("arm")
     counted = (page.cell("million instructions", profile, "contact") for profile in LIMITS_ORDER)
@@ -529,7 +517,6 @@ CLAIMS = (
     pytest.param("docs/explanation/reliability.md", faults, id="faults"),
     pytest.param("docs/explanation/reliability.md", faults_of_thousands, id="faults_of_thousands"),
     pytest.param("config/default.yaml", paper_in_the_settings, id="paper_in_the_settings"),
-    pytest.param("CHANGELOG.md", networks_in_the_changelog, id="networks_in_the_changelog"),
 )
 
 
