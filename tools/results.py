@@ -463,6 +463,14 @@ from the least of the first half after 900 s to that of the second.""",
         ("tools.faults", "soak-hand", "--seconds", "7200"),
         FAULTS,
     ),
+    "extras": Page(
+        "What an installation brings",
+        """\
+Wheels that pip takes for Python 3.13, with their licences: the plain installation of each distribution, then what each
+extra adds to it. `fit` is PyTorch as the index has it, with CUDA; PyTorch's own index has one for processors alone.""",
+        ("tools.release.extras",),
+        ("pyproject.toml",),
+    ),
 }
 
 
