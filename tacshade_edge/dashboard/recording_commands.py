@@ -46,6 +46,7 @@ class RecordingCommands:
         self._broker = broker
         self._read_only = read_only
         self._played = ""
+        self._player = asyncio.Lock()
 
     async def serve(self, page: ServerConnection) -> None:
         """Answer one command and close; a failure is one line in ``error``."""
@@ -90,10 +91,13 @@ class RecordingCommands:
 
     async def _play(self, page: ServerConnection, path: Path) -> None:
         """Play it for as long as the page holds this connection."""
-        if self._played:
-            raise DeviceError("another recording is being played here")
         if self._broker.tls is not None:
             raise DeviceError("play it by `tacshade-edge replay --play --config FILE`: this broker uses TLS")
+        try:
+            async with asyncio.timeout(_END_S + 1.0):  # the one before may just be ending
+                await self._player.acquire()
+        except TimeoutError:
+            raise DeviceError("another recording is being played here") from None
         self._played = str(path)
         try:
             async with _replaying(path, self._broker) as process:
@@ -108,6 +112,7 @@ class RecordingCommands:
                     task.cancel()
         finally:
             self._played = ""
+            self._player.release()
 
 
 @contextlib.asynccontextmanager

@@ -51,7 +51,10 @@ const rezero = new Rezero({
 });
 const recordings = new Recordings({
   listed: "recordings" in document.documentElement.dataset, readOnly: READ_ONLY,
-  played: (sensor) => { location.hash = encodeURIComponent(sensor); },
+  played: (sensor) => {
+    if (location.hash !== `#${sensor}`) location.hash = sensor;
+    else follow();
+  },
 });
 link = new Link({ reported: updateLink, refused: askLogin, message: take });
 link.subscribe("tacshade/+/state", "tacshade/+/info", "tacshade/hand/+/state");
