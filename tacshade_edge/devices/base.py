@@ -10,7 +10,7 @@ from tacshade_edge.types import Frame
 class FrameSource(Protocol):
     """Where frames come from. A source blocks in `read`; the daemon's grab thread keeps the newest.
 
-    Life: ``open`` → ``read`` … → ``close``; after a `DeviceError` from ``open`` or ``read`` the caller
+    Life: ``open`` → ``read`` or ``skip`` … → ``close``; after a `DeviceError` from one of them the caller
     calls ``close`` and may ``open`` again (a source keeps counting `Frame.seq` across a reopening).
     """
 
@@ -25,6 +25,10 @@ class FrameSource(Protocol):
 
     def read(self) -> Frame | None:
         """The next frame; None when a finite source has ended. Raises DeviceError when the device is lost."""
+        ...
+
+    def skip(self) -> bool:
+        """Let the next frame go by without looking at it; otherwise as `read`: False when a finite source has ended."""
         ...
 
     def close(self) -> None:

@@ -28,7 +28,7 @@ class ScriptedSource:
         self._scripts = iter(scripts)
         self._steps: Iterator[Step] = iter(())
         self._seq = 0
-        self.dropped = 0
+        self.dropped = self.skipped = 0
         self.opened_ns: list[int] = []
         self.is_open = False
 
@@ -52,6 +52,10 @@ class ScriptedSource:
             self._seq += 1
             return Frame(seq=self._seq - 1, t_ns=time.monotonic_ns(), wall_ns=time.time_ns(), image=step)
         raise AssertionError("the script of this opening is used up; end it with None or an error")
+
+    def skip(self) -> bool:
+        self.skipped += 1
+        return self.read() is not None
 
     def close(self) -> None:
         self.is_open = False

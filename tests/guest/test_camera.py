@@ -54,6 +54,8 @@ def test_frames_flow_with_the_kernels_time_stamps(webcam: None) -> None:
     with handed_over() as handed:
         camera.open()
         frames = [camera.read() for _ in range(50)]
+        assert all(camera.skip() for _ in range(5))
+        after = camera.read()
         described = camera.describe()
         camera.close()
     assert described["time_stamps"] == "kernel"
@@ -73,6 +75,10 @@ def test_frames_flow_with_the_kernels_time_stamps(webcam: None) -> None:
         assert abs((time.time_ns() - frame.wall_ns) - (time.monotonic_ns() - frame.t_ns)) < 1e8
     times_ns = [frame.t_ns for frame in frames if frame]
     assert all(later > earlier for earlier, later in itertools.pairwise(times_ns))
+    assert frames[-1] is not None
+    assert after is not None
+    assert after.seq >= frames[-1].seq + 6
+    assert after.t_ns - frames[-1].t_ns == pytest.approx((after.seq - frames[-1].seq) * 1e9 / true_fps, rel=0.1)
 
 
 @contextmanager

@@ -71,14 +71,23 @@ class RingSource:
 
     def read(self) -> Frame:
         """Wait until the next frame is due; that time is its time stamp."""
+        seq, t_ns = self._wait()
+        wall_ns = time.time_ns() - (time.monotonic_ns() - t_ns)
+        return Frame(seq=seq, t_ns=t_ns, wall_ns=wall_ns, image=self._images[seq % len(self._images)])
+
+    def skip(self) -> bool:
+        """Wait until the next frame is due."""
+        self._wait()
+        return True
+
+    def _wait(self) -> tuple[int, int]:
         missed = max((time.monotonic_ns() - self._zero_ns) // self._period_ns - self._next_seq, 0)
         self.dropped += missed
         seq = self._next_seq + missed
         self._next_seq = seq + 1
         t_ns = self._zero_ns + seq * self._period_ns
         time.sleep(max(t_ns - time.monotonic_ns(), 0) / 1e9)
-        wall_ns = time.time_ns() - (time.monotonic_ns() - t_ns)
-        return Frame(seq=seq, t_ns=t_ns, wall_ns=wall_ns, image=self._images[seq % len(self._images)])
+        return seq, t_ns
 
     def close(self) -> None:
         """Nothing to release."""

@@ -80,6 +80,13 @@ class FrameLedger:
                 self._counts.captured += 1
                 self._counts.failed += 1
 
+    def unasked(self) -> None:
+        """A frame arrived that nobody needs and nothing looks at."""
+        with self._changed:
+            if not self._closed:
+                self._counts.captured += 1
+                self._counts.unasked += 1
+
     def settle(self, seq: int, outcome: FrameOutcome) -> None:
         """A frame met its end."""
         with self._changed:

@@ -9,10 +9,16 @@ T = TypeVar("T")
 
 
 class Mailbox(Generic[T]):
-    """A slot for one item."""
+    """A slot for one item, with one thread that takes.
+
+    Two locks in place of a condition: `put` wakes the taker after its own last step, so that the taker never wakes to
+    wait for it.
+    """
 
     def __init__(self) -> None:
-        self._ready = threading.Condition()
+        self._lock = threading.Lock()
+        self._ready = threading.Lock()  # held while there is nothing to take
+        self._ready.acquire()
         self._item: T | None = None
         self._closed = False
 
@@ -23,22 +29,27 @@ class Mailbox(Generic[T]):
         -------
         The item that it replaced, or `item` itself when the mailbox is closed: the caller accounts for it.
         """
-        with self._ready:
+        with self._lock:
             if self._closed:
                 return item
             replaced, self._item = self._item, item
-            self._ready.notify()
-            return replaced
+        if replaced is None:
+            self._ready.release()
+        return replaced
 
     def take(self) -> T | None:
         """Wait for the item; None once the mailbox is closed and empty."""
-        with self._ready:
-            self._ready.wait_for(lambda: self._item is not None or self._closed)
+        self._ready.acquire()
+        with self._lock:
             item, self._item = self._item, None
-            return item
+            if self._closed:
+                self._ready.release()
+        return item
 
     def close(self) -> None:
         """Let the taker have what is there, then None."""
-        with self._ready:
+        with self._lock:
+            wakes = self._item is None and not self._closed
             self._closed = True
-            self._ready.notify_all()
+        if wakes:
+            self._ready.release()

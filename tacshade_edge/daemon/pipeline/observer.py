@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
@@ -51,8 +51,8 @@ class FrameResult:
 class FrameObserver:
     """A part of the daemon that sees frames; it overrides what it does, and nothing else happens.
 
-    `captured` runs in the thread `grab`, `need` and `see` run in the thread `reconstruct`, and none of them may wait.
-    The main thread calls the others; `answer` comes from any thread.
+    The thread `grab` calls `tap`, and `need` too while nobody needs a frame; `reconstruct` calls `need` and `see`. None
+    of them may wait. The main thread calls the others; `answer` comes from any thread.
 
     Attributes
     ----------
@@ -68,8 +68,10 @@ class FrameObserver:
     def start(self) -> None:
         """Begin: the threads of the pipeline run."""
 
-    def captured(self, frame: Frame) -> None:
-        """See a frame that the source gave, whatever becomes of it."""
+    @property
+    def tap(self) -> Callable[[Frame], None] | None:
+        """What takes each frame that the source gives, whatever becomes of it; None while nothing does."""
+        return None
 
     def need(self) -> Need:
         """How much of the next frame is to be reconstructed."""
@@ -77,9 +79,6 @@ class FrameObserver:
 
     def see(self, seen: FrameResult) -> None:
         """See a frame that was reconstructed."""
-
-    def skip(self, frame: Frame) -> None:
-        """Learn of a frame that nobody needed and that was not looked at."""
 
     def poll(self) -> None:
         """Do what is due; several times a second."""

@@ -56,8 +56,8 @@ class Pipeline:
     ) -> None:
         self.ledger = ledger
         self._mailbox: Mailbox[Frame] = Mailbox()
-        self.grab = Grab(source, self._mailbox, ledger, report, observers)
         self.reconstruct = Reconstruct(running, self._mailbox, timings, observers, posed)
+        self.grab = Grab(source, self._mailbox, ledger, report, observers, self.reconstruct.wants_next)
         # Daemon threads: a read or a step that hangs must not keep the process.
         self._threads = (
             threading.Thread(target=self.grab.run, name="grab", daemon=True),

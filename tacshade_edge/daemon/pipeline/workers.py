@@ -25,7 +25,8 @@ _log = logging.getLogger(__name__)
 FIRST_RETRY_S, LONGEST_RETRY_S = 0.1, 1.0
 LOOK_EVERY = 6
 """Of frames that nobody needs one in so many is looked at: for the sensor's state and for a reference that follows.
-After an invalid one every frame is: else frames that nobody looked at would hide that none can be used."""
+After an invalid one every frame is: else frames that nobody looked at would hide that none can be used. The others
+cost what the source's `skip` costs: they are neither copied nor handed to another thread."""
 
 
 class Grab:
@@ -40,7 +41,9 @@ class Grab:
     report : callable
         Called in this thread with each new `SourceState`, never twice with the same.
     observers : sequence of FrameObserver
-        Their `captured` sees every frame.
+        A `tap` of theirs takes every frame.
+    wants_next : callable
+        Whether the next frame goes to the mailbox; asked once for each, before it comes.
     """
 
     def __init__(
@@ -50,6 +53,7 @@ class Grab:
         ledger: FrameLedger,
         report: Callable[[SourceState], None],
         observers: Sequence[FrameObserver] = (),
+        wants_next: Callable[[], bool] = lambda: True,
     ) -> None:
         self._source = source
         self._mailbox = mailbox
@@ -60,7 +64,8 @@ class Grab:
         self.retry_s = FIRST_RETRY_S
         self.last_frame_ns = 0  # CLOCK_MONOTONIC; 0 before the first
         self.attempts = 0  # openings, and frames that could not be decoded
-        self._captured = [each.captured for each in observers if type(each).captured is not FrameObserver.captured]
+        self._tapping = [each for each in observers if type(each).tap is not FrameObserver.tap]
+        self._wants_next = wants_next
 
     def stop(self) -> None:
         """Make `run` return after the read that it is in."""
@@ -85,8 +90,9 @@ class Grab:
     def _read_all(self) -> bool:
         """Read until `stop` (False) or the end (True). Only a frame proves that a device works."""
         while not self._stop.is_set():
+            wanted = self._wants_next()
             try:
-                frame = self._source.read()
+                went_on = self._read(wanted) if wanted or self._is_tapped() else self._skip()
             except DecodeError as error:
                 _log.debug("%s", error)
                 self.attempts += 1
@@ -94,18 +100,37 @@ class Grab:
                 if self._reported is None:  # nothing to see from the start; in a stream it is one counted frame
                     self._change_state(SourceState("away", error.reason))
                 continue
-            if frame is None:
+            if not went_on:
                 return True
-            self._ledger.captured(frame.seq)
             self.last_frame_ns = time.monotonic_ns()
-            for captured in self._captured:
-                captured(frame)
-            if (superseded := self._mailbox.put(frame)) is not None:
-                self._ledger.settle(superseded.seq, "superseded")
             if self._reported is None or self._reported.state != "streaming":
                 self.retry_s = FIRST_RETRY_S
                 self._change_state(SourceState("streaming", None, self._source.describe()))
         return False
+
+    def _read(self, wanted: bool) -> bool:
+        """Take the next frame; False at the end."""
+        if (frame := self._source.read()) is None:
+            return False
+        for each in self._tapping:
+            if tap := each.tap:
+                tap(frame)
+        if wanted:
+            self._ledger.captured(frame.seq)
+            if (superseded := self._mailbox.put(frame)) is not None:
+                self._ledger.settle(superseded.seq, "superseded")
+        else:
+            self._ledger.unasked()
+        return True
+
+    def _skip(self) -> bool:
+        """Let the next frame go by; False at the end."""
+        if went_on := self._source.skip():
+            self._ledger.unasked()
+        return went_on
+
+    def _is_tapped(self) -> bool:
+        return any(each.tap for each in self._tapping)
 
     def _change_state(self, state: SourceState) -> None:
         if state != self._reported:
@@ -154,8 +179,8 @@ class Reconstruct:
         # Only those that do something: the other calls cost 3 µs a frame.
         self._needs = [each.need for each in observers if type(each).need is not FrameObserver.need]
         self._sees = [each.see for each in observers if type(each).see is not FrameObserver.see]
-        self._skips = [each.skip for each in observers if type(each).skip is not FrameObserver.skip]
-        self._skipped = LOOK_EVERY - 1  # since the latest that was looked at
+        self._look_every = 1
+        self._passed = 0  # frames since the latest that was looked at
         self._posed = posed
 
     @property
@@ -167,14 +192,16 @@ class Reconstruct:
         """Work until the mailbox is closed and empty."""
         while (frame := self._mailbox.take()) is not None:
             self.taken += 1
-            need = self._need()
-            if need is not Need.CONTACT or self._skipped >= LOOK_EVERY - 1:
-                self._process(frame, need)
-            else:
-                self._skipped += 1
-                for skip in self._skips:
-                    skip(frame)
+            self._process(frame, self._need())
             self.processed += 1
+
+    def wants_next(self) -> bool:
+        """Whether to look at the next frame: somebody needs it, or it is its turn. Asked once for each, in `grab`."""
+        self._passed += 1
+        if self._passed < self._look_every and self._need() is Need.CONTACT:
+            return False
+        self._passed = 0
+        return True
 
     def _process(self, frame: Frame, need: Need) -> None:
         timer, reconstructor = self._timer, self._running.reconstructor
@@ -191,7 +218,8 @@ class Reconstruct:
         seen = FrameResult(self._posed(frame) if self._posed else frame, calibration, made, step_ms)
         for see in self._sees:
             see(seen)
-        self._skipped = 0 if made is None or made.valid else LOOK_EVERY - 1
+        usable = made is None or made.valid
+        self._look_every = LOOK_EVERY if need is Need.CONTACT and usable else 1
         timer.mark("deliver")
         timer.ms["latency"] = (timer.last_ns - frame.t_ns) / 1e6
         self._timings.add(timer.ms)

@@ -8,7 +8,7 @@ from tacshade_edge.daemon.pipeline.ledger import FrameOutcome
 from tacshade_edge.daemon.pipeline.observer import FrameObserver, FrameResult
 from tacshade_edge.protocol import messages, wire
 from tacshade_edge.settings import Settings
-from tacshade_edge.types import Frame, Need, Reconstruction, Slip
+from tacshade_edge.types import Need, Reconstruction, Slip
 
 CONTACT_PERIOD_NS = 100_000_000  # without contact; in contact for every frame
 
@@ -108,10 +108,6 @@ class Publisher(FrameObserver):
             self._settle(result.seq, "unasked")
         else:
             self._settle(result.seq, "without_contact" if result.valid else "invalid")
-
-    def skip(self, frame: Frame) -> None:
-        """Settle it."""
-        self._settle(frame.seq, "unasked")
 
     def _send(self, stream: str, encode: Callable[..., bytes], result: Reconstruction, seen: FrameResult) -> None:
         frame, calibration = seen.frame, seen.calibration

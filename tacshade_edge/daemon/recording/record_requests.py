@@ -78,10 +78,10 @@ class RecordRequests(FrameObserver):
             self._reply(request, error.reason)
         self.poll()
 
-    def captured(self, frame: Frame) -> None:
-        """Record a frame, while a recording goes on."""
-        if tap := self._recorder.tap:
-            tap(frame)
+    @property
+    def tap(self) -> Callable[[Frame], None] | None:
+        """What records a frame, while a recording goes on or is kept before one."""
+        return self._recorder.tap
 
     def health(self) -> dict[str, int]:
         """The recorder's counts."""

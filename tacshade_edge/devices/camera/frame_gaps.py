@@ -7,6 +7,7 @@ from collections import deque
 _WINDOW = 64  # intervals that the period is measured over: about two seconds at 30 fps
 _ROUNDS = 2
 _FIRST = 24  # intervals before the period is trusted: about a second; these are judged together when it is
+_REGULAR = 0.2  # an interval this near the period, as part of it, is one period however the period is measured anew
 
 
 class FrameGaps:
@@ -27,6 +28,7 @@ class FrameGaps:
         self._intervals_ns: deque[int] = deque(maxlen=_WINDOW)
         self._last_ns: int | None = None
         self._judged = False
+        self._until_measured = 0  # regular intervals
         self.period_ns = 0.0
 
     def add(self, t_ns: int) -> int:
@@ -37,11 +39,16 @@ class FrameGaps:
         last_ns, self._last_ns = self._last_ns, t_ns
         if last_ns is None or t_ns <= last_ns:
             return 0
-        self._intervals_ns.append(t_ns - last_ns)
+        interval_ns = t_ns - last_ns
+        self._intervals_ns.append(interval_ns)
+        self._until_measured -= 1
+        if self._until_measured > 0 and abs(interval_ns - self.period_ns) < _REGULAR * self.period_ns:
+            return 0
         self.period_ns = period_ns = _period_ns(sorted(self._intervals_ns))
         if len(self._intervals_ns) < _FIRST:
             return 0
-        fresh = [t_ns - last_ns] if self._judged else list(self._intervals_ns)
+        self._until_measured = _WINDOW
+        fresh = [interval_ns] if self._judged else list(self._intervals_ns)
         self._judged = True
         return sum(max(round(interval_ns / period_ns) - 1, 0) for interval_ns in fresh)
 

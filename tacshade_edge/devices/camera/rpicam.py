@@ -75,6 +75,7 @@ class RpicamSource:
         self._pending: Frame | None = None
         self._proven = False
         self._sensor_stamps = False
+        self._unseen: U8 = np.empty(height_px * width_px * 3 // 2, np.uint8)
         self._gaps = FrameGaps()
         self._seq = -1
         self._dropped = 0
@@ -113,6 +114,15 @@ class RpicamSource:
             raise DeviceError(f"{self._name}: is not open")
         frame, self._pending = self._pending, None
         return frame or self._framed(*self._stream.next(_STALL_S))
+
+    def skip(self) -> bool:
+        """Take the next frame out of the pipe, for nobody. Waits and raises as `read`."""
+        if self._stream is None:
+            raise DeviceError(f"{self._name}: is not open")
+        if self._pending is None:
+            self._date(self._stream.next(_STALL_S, self._unseen)[1], time.monotonic_ns())
+        self._pending = None
+        return True
 
     def close(self) -> None:
         """End the program; safe to call twice."""
@@ -166,6 +176,11 @@ class RpicamSource:
 
     def _framed(self, image: U8, record: dict[str, str]) -> Frame:
         now_ns, wall_ns = time.monotonic_ns(), time.time_ns()
+        t_ns = self._date(record, now_ns)
+        return Frame(self._seq, t_ns, wall_ns - (now_ns - t_ns), image)
+
+    def _date(self, record: dict[str, str], now_ns: int) -> int:
+        """Time stamp of a frame, which gets its number, and those that were lost before it too."""
         t_ns, lost = now_ns, 0
         stamp_ns = _number(record, "SensorTimestamp")
         if self._sensor_stamps and not np.isnan(stamp_ns):
@@ -175,7 +190,7 @@ class RpicamSource:
             self._gaps.add(now_ns)
         self._seq += 1 + lost
         self._dropped += lost
-        return Frame(self._seq, t_ns, wall_ns - (now_ns - t_ns), image)
+        return t_ns
 
 
 class _Stream:
@@ -215,9 +230,9 @@ class _Stream:
             fcntl.fcntl(self._frames, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
         self._others = [self._records, self._errors]
 
-    def next(self, limit_s: float) -> tuple[U8, dict[str, str]]:
-        """The next image, uint8 (H, W), and what the program reports of it. Raises DeviceError."""
-        content = np.empty(self._bytes, np.uint8)
+    def next(self, limit_s: float, space: U8 | None = None) -> tuple[U8, dict[str, str]]:
+        """The next image, uint8 (H, W), in `space` if given, and what the program reports of it. Raises DeviceError."""
+        content = np.empty(self._bytes, np.uint8) if space is None else space
         view, have = content.data, 0
         while have < self._bytes or b"\n\n" not in self._unread:
             whole = have == self._bytes

@@ -55,22 +55,36 @@ class SimulatedSource:
 
     def read(self) -> Frame:
         """Wait until the next frame is due. Raises DecodeError when what the script presses cannot be drawn."""
+        seq = self._next()
+        image = self._draw(seq)
+        t_ns = self._wait(seq)
+        wall_ns = time.time_ns() - (time.monotonic_ns() - t_ns)
+        return Frame(seq=seq, t_ns=t_ns, wall_ns=wall_ns, image=image)
+
+    def skip(self) -> bool:
+        """Wait until the next frame is due, and draw nothing."""
+        self._wait(self._next())
+        return True
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def _next(self) -> int:
+        """Number of the next frame that is not yet due, or is due now."""
         missed = (time.monotonic_ns() - self._zero_ns) // self._period_ns - self._next_seq
         if missed > 0:
             self._dropped += missed
             self._next_seq += missed
         seq = self._next_seq
         self._next_seq += 1
-        image = self._draw(seq)
-        t_ns = self._zero_ns + seq * self._period_ns
-        ahead_ns = t_ns - time.monotonic_ns()
-        if ahead_ns > 0:
-            time.sleep(ahead_ns / 1e9)
-        wall_ns = time.time_ns() - (time.monotonic_ns() - t_ns)
-        return Frame(seq=seq, t_ns=t_ns, wall_ns=wall_ns, image=image)
+        return seq
 
-    def close(self) -> None:
-        """Nothing to release."""
+    def _wait(self, seq: int) -> int:
+        """Wait until a frame is due; its time stamp."""
+        t_ns = self._zero_ns + seq * self._period_ns
+        if (ahead_ns := t_ns - time.monotonic_ns()) > 0:
+            time.sleep(ahead_ns / 1e9)
+        return t_ns
 
     def describe(self) -> dict[str, str | int | float]:
         """Size and pace."""

@@ -135,6 +135,16 @@ class V4l2Source:
         frame, self._pending = self._pending, None
         return frame or self._decoded(self._capture)
 
+    def skip(self) -> bool:
+        """Give the next frame's buffer back to the driver as it is. Waits and raises as `read`."""
+        if self._capture is None:
+            raise DeviceError(f"camera {self._device}: is not open")
+        if self._pending is None:
+            self._grab(self._capture)
+            self._date(self._capture, time.monotonic_ns())
+        self._pending = None
+        return True
+
     def close(self) -> None:
         """Release the device; safe to call twice."""
         self._pending = None
@@ -223,15 +233,7 @@ class V4l2Source:
                 self._grab(capture)
             grabbed = False
             now_ns, wall_ns = time.monotonic_ns(), time.time_ns()
-            t_ns, lost = now_ns, 0
-            if self._kernel_stamps:
-                stamp_ns = _kernel_stamp_ns(capture)
-                lost = self._gaps.add(stamp_ns)
-                t_ns = min(stamp_ns, now_ns)
-            else:
-                self._gaps.add(now_ns)  # for the measured rate; arrival is too uneven to infer losses from
-            self._seq += 1 + lost
-            self._dropped += lost
+            t_ns = self._date(capture, now_ns)
             ok, raw = capture.retrieve()
             image = decode(np.asarray(raw, np.uint8).reshape(-1), self._fourcc, *self._shape) if ok else None
             if image is not None:
@@ -243,6 +245,19 @@ class V4l2Source:
             f" {self._shape[1]}x{self._shape[0]} (the last had {size} bytes)",
             code=ReasonCode.DECODE,
         )
+
+    def _date(self, capture: cv2.VideoCapture, now_ns: int) -> int:
+        """Time stamp of the frame that was grabbed, which gets its number, and those that were lost before it too."""
+        t_ns, lost = now_ns, 0
+        if self._kernel_stamps:
+            stamp_ns = _kernel_stamp_ns(capture)
+            lost = self._gaps.add(stamp_ns)
+            t_ns = min(stamp_ns, now_ns)
+        else:
+            self._gaps.add(now_ns)  # for the measured rate; arrival is too uneven to infer losses from
+        self._seq += 1 + lost
+        self._dropped += lost
+        return t_ns
 
 
 def decode(raw: U8, fourcc: str, height_px: int, width_px: int) -> U8 | None:

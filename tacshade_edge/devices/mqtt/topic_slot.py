@@ -13,7 +13,8 @@ from paho.mqtt.properties import Properties
 PayloadOutcome = Literal["published", "superseded", "failed", "refused"]
 
 PROBE_PERIOD_NS = 1_000_000_000
-"""So often a message of a stream asks whether anyone listens; a new subscriber is noticed as soon."""
+"""So often a message of a stream asks whether anyone listens; a new subscriber is noticed as soon. Whole periods of the
+clock, so that streams of the same frame ask together: a frame that only asks is reconstructed for nobody."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,7 +72,7 @@ class TopicSlot:
 
     def probe_due(self, now_ns: int) -> bool:
         """Whether the next message is to ask for listeners."""
-        return self.probed_ns is None or now_ns - self.probed_ns >= PROBE_PERIOD_NS
+        return self.probed_ns is None or now_ns // PROBE_PERIOD_NS != self.probed_ns // PROBE_PERIOD_NS
 
     def next_qos(self, now_ns: int) -> int:
         """QoS of the message that is sent now: 1 where it asks. Until the answer comes there may be listeners."""

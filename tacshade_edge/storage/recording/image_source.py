@@ -79,22 +79,33 @@ class FilesSource:
         DecodeError
             This image cannot be used; the next call goes on with the next.
         """
-        entry = next(self._items, None)
-        if entry is None:
+        if (entry := self._next_due()) is None:
             return None
         item, row = entry
-        late_ns = time.monotonic_ns() - self._due_ns
-        if late_ns < 0:
-            time.sleep(-late_ns / 1e9)
-        else:
-            self._due_ns += late_ns
-        self._due_ns += self._period_ns
         t_ns, wall_ns, seq = time.monotonic_ns(), time.time_ns(), self._seq
         self._seq += 1
         frame = Frame(seq=seq, t_ns=t_ns, wall_ns=wall_ns, image=self._checked(item))
         if row is None or row.pose is None:
             return frame
         return replace(frame, pose=replace(row.pose, t_ns=t_ns), pose_error_us=row.pose_error_us)
+
+    def skip(self) -> bool:
+        """Wait until the next frame is due, and do not decode it; False after the last."""
+        entry = self._next_due()
+        self._seq += entry is not None
+        return entry is not None
+
+    def _next_due(self) -> tuple[_Picture, Row | None] | None:
+        """The next picture, when it is due, and its row of the table; None after the last."""
+        if (entry := next(self._items, None)) is None:
+            return None
+        late_ns = time.monotonic_ns() - self._due_ns
+        if late_ns < 0:
+            time.sleep(-late_ns / 1e9)
+        else:
+            self._due_ns += late_ns
+        self._due_ns += self._period_ns
+        return entry
 
     def close(self) -> None:
         """Release the video file."""

@@ -19,6 +19,9 @@ def test_captured_is_the_sum_of_the_outcomes_and_of_what_is_pending(ends: list[F
         if end == "undecodable":
             ledger.undecodable()
             continue
+        if end == "unasked":
+            ledger.unasked()
+            continue
         ledger.captured(seq)
         for outcome in OUTCOMES:
             if end == outcome:
@@ -33,6 +36,7 @@ def test_captured_is_the_sum_of_the_outcomes_and_of_what_is_pending(ends: list[F
     ledger.captured(100)
     ledger.settle(0, "published")
     ledger.undecodable()
+    ledger.unasked()
     assert ledger.counts() == after
 
 

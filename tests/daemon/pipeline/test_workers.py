@@ -136,9 +136,6 @@ class Collected(FrameObserver):
     def see(self, seen: FrameResult) -> None:
         self.ledger.settle(seen.frame.seq, self._outcome(seen))
 
-    def skip(self, frame: Frame) -> None:
-        self.ledger.settle(frame.seq, "unasked")
-
     def _outcome(self, seen: FrameResult) -> FrameOutcome:
         if (result := seen.reconstruction) is None:
             return "unasked"
@@ -209,34 +206,91 @@ def test_reconstruct_delivers_times_and_settles_every_frame(
     assert all(0 < p["p50"] <= p["p99"] for p in stages.values())
 
 
+class InTurn:
+    """A mailbox that has each frame reconstructed at once, in the thread that puts it."""
+
+    def __init__(self) -> None:
+        self.worker: Any = None
+        self._item: Frame | None = None
+
+    def put(self, item: Frame) -> None:
+        self._item = item
+        self.worker.run()
+
+    def take(self) -> Frame | None:
+        item, self._item = self._item, None
+        return item
+
+
+class Alone:
+    """`Grab` and `Reconstruct` on a scripted source, in one thread."""
+
+    def __init__(self, source: Any, calibration: Calibration, tapped: FrameObserver, watched: Watched) -> None:
+        self.ledger, self.timings = FrameLedger(), Timings()
+        self.sink = Collected(self.ledger, asks=False)
+        running = SimpleNamespace(reconstructor=make_reconstructor(calibration, PROFILES["fast"]))
+        mailbox: Any = InTurn()
+        mailbox.worker = self.worker = Reconstruct(running, mailbox, self.timings, [self.sink, watched])
+        self.states: list[SourceState] = []
+        Grab(source, mailbox, self.ledger, self.states.append, [tapped], self.worker.wants_next).run()
+
+
 def test_of_frames_that_nobody_asks_for_one_in_six_is_looked_at_up_to_the_gate(
-    calibration: Calibration, pictures: Any, wait_until: Any
+    calibration: Calibration, pictures: Any, scripted: Any
 ) -> None:
-    mailbox: Mailbox[Frame] = Mailbox()
-    ledger, timings, watched = FrameLedger(), Timings(), Watched(on=False)
-    sink = Collected(ledger, asks=False)
-    running = SimpleNamespace(reconstructor=make_reconstructor(calibration, PROFILES["fast"]))
-    worker = Reconstruct(running, mailbox, timings, [sink, watched])
-    thread = threading.Thread(target=worker.run)
-    thread.start()
-    looked_at = {0: pictures.free, LOOK_EVERY: pictures.touched, 2 * LOOK_EVERY: pictures.black}
-    looked_at[2 * LOOK_EVERY + 1] = pictures.black  # after an invalid frame all are
-    for seq in range(2 * LOOK_EVERY + 3):
-        watched.on = seq == 2 * LOOK_EVERY + 2
-        ledger.captured(seq)
-        mailbox.put(Frame(seq, 0, 0, looked_at.get(seq, pictures.touched)))
-        wait_until(lambda seq=seq: worker.processed == seq + 1)
-    mailbox.close()
-    thread.join(patience(10))
-    found = [(r.seq, r.valid, r.contact) for r in sink.results]
-    black = [(2 * LOOK_EVERY + k, False, False) for k in (0, 1)]
-    assert found == [(0, True, False), *black, (2 * LOOK_EVERY + 2, True, True)]
-    assert ledger.counts().as_dict() == {
+    watched = Watched(on=False)
+    free, touched, black = pictures.free, pictures.touched, pictures.black
+    others = [touched] * (LOOK_EVERY - 1)
+    # After an invalid frame all are looked at, and after one that somebody asked for the next.
+    script = [free, *others, touched, *others, black, black, lambda: setattr(watched, "on", True), touched]
+    script += [lambda: setattr(watched, "on", False), touched, *others, None]
+    source = scripted(script)
+    alone = Alone(source, calibration, FrameObserver(), watched)
+    found = [(r.seq, r.valid, r.contact) for r in alone.sink.results]
+    last = 2 * LOOK_EVERY + 2
+    assert found == [(0, True, False), (last - 2, False, False), (last - 1, False, False), (last, True, True)]
+    assert source.skipped == 3 * (LOOK_EVERY - 1)
+    assert alone.ledger.counts().as_dict() == {
         **dict.fromkeys(("superseded", "failed", "pending"), 0),
         **dict.fromkeys(("without_contact", "published"), 1),
         "invalid": 2,
-        "unasked": 1 + 2 * (LOOK_EVERY - 1),
-        "captured": 2 * LOOK_EVERY + 3,
+        "unasked": 2 + source.skipped,
+        "captured": 5 + 1 + source.skipped,
     }
-    assert timings.percentiles()["check"]  # of those that were looked at
-    assert watched.seqs == [2 * LOOK_EVERY + 2]
+    assert alone.worker.processed == 6
+    assert alone.timings.percentiles()["check"]  # of those that were looked at
+    assert watched.seqs == [last]
+    assert [state.state for state in alone.states] == ["streaming", "ended"]
+
+
+class Taping(FrameObserver):
+    """Takes every frame while it is on."""
+
+    def __init__(self) -> None:
+        self.on = True
+        self.seqs: list[int] = []
+
+    @property
+    def tap(self) -> Callable[[Frame], None] | None:
+        return (lambda frame: self.seqs.append(frame.seq)) if self.on else None
+
+
+def test_what_is_recorded_is_read_and_looked_at_no_more_often(
+    calibration: Calibration, pictures: Any, scripted: Any
+) -> None:
+    tape = Taping()
+    source = scripted([*[pictures.free] * (LOOK_EVERY + 1), lambda: setattr(tape, "on", False), None])
+    alone = Alone(source, calibration, tape, Watched(on=False))
+    assert tape.seqs == list(range(LOOK_EVERY + 1))
+    assert source.skipped == 0
+    counts = alone.ledger.counts()
+    assert (alone.worker.processed, counts.without_contact, counts.unasked) == (2, 2, LOOK_EVERY - 1)
+
+
+def test_a_lost_source_is_reported_though_nobody_looks_at_its_frames(
+    calibration: Calibration, pictures: Any, scripted: Any
+) -> None:
+    source = scripted([pictures.free, pictures.free, GONE], [pictures.free, None])
+    alone = Alone(source, calibration, FrameObserver(), Watched(on=False))
+    assert [state.state for state in alone.states] == ["streaming", "away", "streaming", "ended"]
+    assert (alone.ledger.counts().unasked, source.skipped) == (2, 4)

@@ -41,6 +41,23 @@ def test_losses_before_the_period_is_known_are_counted_when_it_is() -> None:
     assert found == [*[0] * 24, 2, 1]
 
 
+def test_a_camera_that_slows_down_a_little_at_a_time_loses_nothing() -> None:
+    gaps, t_ns = FrameGaps(), 0
+    for number in range(1000):
+        t_ns += PERIOD_NS + number * PERIOD_NS // 1000
+        assert gaps.add(t_ns) == 0
+    assert 1.9 * PERIOD_NS < gaps.period_ns < 2 * PERIOD_NS
+
+
+def test_a_camera_that_halves_its_rate_loses_frames_until_the_window_has_turned_over() -> None:
+    gaps = FrameGaps()
+    assert sum(gaps.add(number * PERIOD_NS) for number in range(100)) == 0
+    found = [gaps.add((99 + 2 * number) * PERIOD_NS) for number in range(1, 150)]
+    assert found[0] == 1
+    assert not any(found[64:])
+    assert gaps.period_ns == 2 * PERIOD_NS
+
+
 def test_a_long_stall_is_counted_in_full() -> None:
     numbers = [*range(50), *range(100, 120)]
     assert counted(numbers) == 50

@@ -69,6 +69,20 @@ def test_the_luma_of_each_frame_and_the_sensors_time(stand_in: Callable[..., Non
     assert told["fps_measured"] == pytest.approx(50, rel=0.01)
 
 
+def test_frames_that_are_skipped_are_counted_on(stand_in: Callable[..., None]) -> None:
+    stand_in(lose=[30, 31, 35])
+    camera = source()
+    camera.open()
+    try:
+        assert all(camera.skip() for _ in range(38))
+        frame = camera.read()
+    finally:
+        camera.close()
+    assert frame is not None
+    np.testing.assert_array_equal(frame.image, IMAGES[41 % len(IMAGES)])
+    assert (frame.seq, camera.dropped) == (41, 3)
+
+
 def test_lost_frames_are_counted_and_a_reopened_camera_counts_on(stand_in: Callable[..., None]) -> None:
     stand_in(lose=[30, 31, 35])
     camera = source()
@@ -147,7 +161,8 @@ def test_no_program(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 def test_reading_without_opening_and_closing_twice() -> None:
     camera = source()
-    with pytest.raises(DeviceError, match="is not open"):
-        camera.read()
+    for take in (camera.read, camera.skip):
+        with pytest.raises(DeviceError, match="is not open"):
+            take()
     camera.close()
     camera.close()

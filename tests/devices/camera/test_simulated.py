@@ -3,6 +3,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+import pytest
 
 from tacshade_edge.devices.base import FrameSource
 from tacshade_edge.devices.camera.simulated import SimulatedSource
@@ -49,6 +50,20 @@ def test_what_was_not_read_in_time_is_dropped_and_counted() -> None:
     assert late.seq >= 20
     assert camera.dropped == late.seq - 1
     assert late.t_ns - first.t_ns == late.seq * 1_000_000
+
+
+def test_a_frame_that_is_skipped_is_waited_for_and_not_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    camera: FrameSource = source(fps=20.0)
+    camera.open()
+    first = camera.read()
+    assert first is not None
+    monkeypatch.setattr(SimulatedSource, "_draw", None)
+    assert camera.skip()
+    assert time.monotonic_ns() >= first.t_ns + 50_000_000
+    monkeypatch.undo()
+    later = camera.read()
+    assert later is not None
+    assert later.seq == 2 + camera.dropped
 
 
 def test_the_frames_are_the_scripts() -> None:

@@ -86,8 +86,9 @@ def test_paths_that_are_none(device: str) -> None:
 
 def test_reading_without_opening_and_closing_twice() -> None:
     camera = source("/dev/video63")
-    with pytest.raises(DeviceError, match="is not open"):
-        camera.read()
+    for take in (camera.read, camera.skip):
+        with pytest.raises(DeviceError, match="is not open"):
+            take()
     camera.close()
     camera.close()
     assert camera.dropped == 0

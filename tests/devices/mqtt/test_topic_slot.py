@@ -77,7 +77,7 @@ def test_retained_value_waits_again_after_every_loss() -> None:
 
 def test_a_stream_asks_for_listeners_once_a_period_and_after_every_loss() -> None:
     outlet = make_outlet()
-    asked = [outlet.next_qos(t_ns) for t_ns in (5, 6, PROBE_PERIOD_NS, PROBE_PERIOD_NS + 5, PROBE_PERIOD_NS + 6)]
+    asked = [outlet.next_qos(t_ns) for t_ns in (5, 6, PROBE_PERIOD_NS - 1, PROBE_PERIOD_NS + 5, PROBE_PERIOD_NS + 6)]
     assert asked == [1, 0, 0, 1, 0]
     outlet.no_listener = True
     assert outlet.next_qos(PROBE_PERIOD_NS + 7) == 0
@@ -87,6 +87,14 @@ def test_a_stream_asks_for_listeners_once_a_period_and_after_every_loss() -> Non
     outlet.no_listener = True
     outlet.give_back()
     assert (outlet.no_listener, outlet.next_qos(2 * PROBE_PERIOD_NS + 6)) == (False, 1)
+
+
+def test_streams_that_were_sent_one_after_the_other_ask_together() -> None:
+    one, other = make_outlet(), make_outlet()
+    assert [one.next_qos(5), other.next_qos(PROBE_PERIOD_NS - 5)] == [1, 1]
+    assert not one.probe_due(PROBE_PERIOD_NS - 1)
+    assert one.probe_due(PROBE_PERIOD_NS)
+    assert other.probe_due(PROBE_PERIOD_NS)
 
 
 def test_a_retained_value_keeps_its_qos() -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import socket
+import time
 from pathlib import Path
 
 import cv2
@@ -61,6 +62,21 @@ def test_frames_come_no_faster_than_asked(folder: Path) -> None:
     times = [frame.t_ns for _ in range(7) if (frame := source.read())]
     assert len(times) == 7
     assert times[-1] - times[0] >= 6 * 5_000_000 - 1_000_000  # sleep may wake a little early
+
+
+def test_what_is_skipped_is_waited_for_and_not_decoded(folder: Path) -> None:
+    (folder / "0.png").write_bytes(b"none")
+    source = FilesSource(path=folder, fps=240, loop=False)
+    source.open()
+    began_ns = time.monotonic_ns()
+    skipped = sum(iter(source.skip, False))
+    assert time.monotonic_ns() - began_ns >= (skipped - 1) * 4_000_000
+    source.close()
+    source.open()
+    assert source.skip()
+    frame = source.read()
+    assert frame is not None
+    assert frame.seq == skipped + 1
 
 
 def test_a_loop_and_a_reopening_keep_counting(folder: Path) -> None:
