@@ -1,7 +1,7 @@
 """The binary MQTT payloads ``height``, ``cloud``, ``shear`` and ``sigma``: a 96-byte little-endian header, raw values.
 
-The layout is the table of docs/reference/mqtt.md, a promise to subscribers: it may only be added to. So a decoder
-ignores flag bits and reserved bytes that it does not know, and refuses everything else that it does not know.
+The layout is the table of docs/reference/mqtt/frames.md, a promise to subscribers: it may only be added to. So a
+decoder ignores flag bits and reserved bytes that it does not know, and refuses everything else that it does not know.
 """
 
 from __future__ import annotations

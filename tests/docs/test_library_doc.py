@@ -19,6 +19,7 @@ from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.calibrated_sensor import FULL, calibrated, pressed, unloaded
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from tools.testbed.patience import patience
+from tools.testbed.recorded_hand import record_hand
 
 TEXT = (Path(__file__).parents[2] / "docs/reference/library.md").read_text()
 README = (Path(__file__).parents[2] / "README.md").read_text()
@@ -65,6 +66,7 @@ def test_every_example_is_one_of_these() -> None:
         "A camera",
         "A running sensor",
         "A recording",
+        "A hand",
         "Messages and files, decoded",
         "From a cell to millimetres",
     ]
@@ -90,6 +92,17 @@ def test_a_recording(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     depth_mm = run("A recording", made, monkeypatch)["depth_mm"]
     assert depth_mm[0] == 0
     assert depth_mm[1] > 1
+
+
+def test_a_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    for recording in record_hand(tmp_path):
+        recording.rename(tmp_path / "grasp")
+        (finger := tmp_path / "rec" / recording.name).mkdir(parents=True)
+        (tmp_path / "grasp").rename(finger / "grasp")
+    run("A hand", tmp_path, monkeypatch)
+    printed = capsys.readouterr().out.splitlines()
+    assert printed
+    assert all(re.fullmatch(r"\d+ \(.*\) \(.*\)", line) for line in printed)
 
 
 def test_messages_and_files(made: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
