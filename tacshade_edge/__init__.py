@@ -1,7 +1,7 @@
 """Metric shape from touch on a small board, for TacShade optical tactile sensors.
 
-What is listed here is the library (docs/library.md); all else is the program's own and may change at any time.
-Nothing is imported until it is asked for.
+What is listed here is the library (docs/reference/library.md); all else is the program's own and may change at any
+time. Nothing is imported until it is asked for.
 """
 
 from __future__ import annotations
@@ -12,10 +12,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from tacshade_edge.errors import ConfigError, DecodeError, DeviceError, TacshadeError
     from tacshade_edge.library.frames import open, read
+    from tacshade_edge.library.hand import read_hand
     from tacshade_edge.library.messages import decode, decode_file
     from tacshade_edge.library.result import Result, Results
     from tacshade_edge.library.sensor import Sensor, load
     from tacshade_edge.library.subscriber import listen
+    from tacshade_edge.protocol.hand import Finger, HandObject, HandObjects, Motion, Unobservable
     from tacshade_edge.protocol.wire import CloudMessage, HeightMessage, ShearMessage, SigmaMessage
     from tacshade_edge.types import Geometry, Pose, Slip, TouchedObject
 
@@ -26,8 +28,12 @@ __all__ = [
     "ConfigError",
     "DecodeError",
     "DeviceError",
+    "Finger",
     "Geometry",
+    "HandObject",
+    "HandObjects",
     "HeightMessage",
+    "Motion",
     "Pose",
     "Result",
     "Results",
@@ -37,6 +43,7 @@ __all__ = [
     "Slip",
     "TacshadeError",
     "TouchedObject",
+    "Unobservable",
     "__version__",
     "decode",
     "decode_file",
@@ -44,15 +51,18 @@ __all__ = [
     "load",
     "open",
     "read",
+    "read_hand",
 ]
 
 _HOMES = {
     "errors": ("ConfigError", "DecodeError", "DeviceError", "TacshadeError"),
     "library.frames": ("open", "read"),
     "library.subscriber": ("listen",),
+    "library.hand": ("read_hand",),
     "library.messages": ("decode", "decode_file"),
     "library.result": ("Result", "Results"),
     "library.sensor": ("Sensor", "load"),
+    "protocol.hand": ("Finger", "HandObject", "HandObjects", "Motion", "Unobservable"),
     "protocol.wire": ("CloudMessage", "HeightMessage", "ShearMessage", "SigmaMessage"),
     "types": ("Geometry", "Pose", "Slip", "TouchedObject"),
 }

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import ClassVar
 
-from tacshade_edge.reasons import Reason, ReasonCode
+from .reasons import Reason, ReasonCode
 
 
 class TacshadeError(Exception):

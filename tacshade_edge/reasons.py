@@ -10,7 +10,7 @@ from enum import StrEnum
 
 
 class ReasonCode(StrEnum):
-    """Every reason in ``summary.json``, over MQTT and on the serial line; docs/mqtt.md has what each means."""
+    """Every reason in ``summary.json``, over MQTT and on the serial line; docs/reference/mqtt/reasons.md has them."""
 
     # A frame.
     SIZE = "size"

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from tacshade_edge.types import F64, Pose, freeze
+from .types import F64, Pose, freeze
 
 
 @dataclass(frozen=True, slots=True, eq=False)

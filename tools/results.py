@@ -97,7 +97,7 @@ ME is eq. 13, the mean distance from a found point to the nearest true one; back
 the nearest found one; SD, eq. 14 with the half sum of both ("sum": with their sum), never clamped. IoU is of the
 contact's outline, against skin within 0.02 mm of the object. Depth off is the error of the greatest depth, mean and
 worst. A missed contact counts as a skin left alone: SD 0, the true depth for ME and back. Milliseconds here are of a
-machine that did other work; [stages](../speed.md) has those that count."""
+machine that did other work; [stages](../explanation/speed.md) has those that count."""
 
 FOLLOWED = """\
 Depth, tilt and shear are compared by Spearman's rank correlation and by the mean absolute error after a line (a 2x2
@@ -215,6 +215,45 @@ Sensors that press drawn surfaces all over, 100 presses 4 mm apart, up to 0.4 mm
 exact poses and with noise on what the robot reports. RMS of height over all touched cells.""",
         ("tools.studies.stitch_pads",),
         (*SCORED, *package("core/stitching", "studies/stitch")),
+    ),
+    "flange": Page(
+        "Where the sensor sits on the flange",
+        """\
+`stitch --find-flange` on 20 trials: three drawn surfaces with waves and the touchpad, five sensors that were kept for
+final figures, two of which the networks do not know. Each starts 10 mm and 10° off and presses 100 times by
+[the plan](../how-to/stitching.md#the-plan); every fifth press has frames of the motion down and up. What the robot
+reports is off by Gaussian noise in every axis, and about a random axis through the apex.""",
+        ("tools.studies.flange", "--final"),
+        (*SCORED, *package("core/stitching"), "tools/studies/drawn_pads.py", "tools/testbed/flange_plan.py"),
+    ),
+    "margin": Page(
+        "The margin before a slip",
+        """\
+Sensors that were kept for final figures. Objects are pulled, or loosened under a drag, until they slide 0.5 to 2 s
+later; a slip is announced when the margin is at most 0.25 from 100 ms before its onset on, by the truth. Others are
+held at 30 to 45 % of the load to the slip and shaken, by a quarter of their drag and 8 % of their depth, at 30 frames a
+second; a false alarm begins whenever the margin falls to 0.25. "Still stuck" is the part of the contact that truly
+sticks at the alarm.""",
+        ("tools.studies.margin", "--final", "--held", "120"),
+        SCORED,
+    ),
+    "object-motion": Page(
+        "The motion of a held object, from drawn errors",
+        """\
+Grasps by geometry, with errors of shear, depth and twist as they were measured on simulated skins; 5 trials of each
+object, number of fingers, skin and event. Errors are of the object's middle at the end of a motion that moves a touched
+patch by up to 2.5 mm.""",
+        ("tools.studies.object_motion", "--trials", "5", "--rest-s", "120"),
+        package("core/hand"),
+    ),
+    "object-motion-pictures": Page(
+        "The motion of a held object, from pictures",
+        """\
+A simulated hand of five holds a box, a cylinder and a ball and moves each so that the patch that moves most moves by 1
+to 2.5 mm. Every finger's picture is drawn and reconstructed (`balanced`), of three kinds of sensors that were kept for
+final figures.""",
+        ("tools.studies.object_motion", "--drawn", "2", "--final"),
+        (*SENSORS, *package("core/hand", "hand", "protocol/hand.py")),
     ),
     "real-raw": Page(
         "A real TacTip: whole pictures",
@@ -378,7 +417,7 @@ board was measured.""",
         """\
 Each row does one thing to a daemon at work: a process of its own, a real mosquitto, ptys, a small file system. Detected
 is from the fault until the daemon has told it, recovered from the fault's end until it works again, both in seconds.
-What is promised is in [reliability](../reliability.md).""",
+What is promised is in [reliability](../explanation/reliability.md).""",
         ("tools.faults", "table"),
         FAULTS,
     ),
@@ -423,6 +462,14 @@ a viewer that reads nothing, recordings in turn, and a broker that is restarted 
 from the least of the first half after 900 s to that of the second.""",
         ("tools.faults", "soak-hand", "--seconds", "7200"),
         FAULTS,
+    ),
+    "extras": Page(
+        "What an installation brings",
+        """\
+Wheels that pip takes for Python 3.13, with their licences: the plain installation of each distribution, then what each
+extra adds to it. `fit` is PyTorch as the index has it, with CUDA; PyTorch's own index has one for processors alone.""",
+        ("tools.release.extras",),
+        ("pyproject.toml",),
     ),
 }
 

@@ -18,7 +18,8 @@ from tacshade_edge.core.frame_check import untrusted
 from tacshade_edge.core.frame_check.trust import degraded_reason, invalid_reason
 from tacshade_edge.core.frame_check.unchanged import UnchangedSkin
 from tacshade_edge.core.frame_check.validity import picture_reason, sensor_check, size_reason
-from tacshade_edge.core.geometry.disc import DiscRays, rays_in_image
+from tacshade_edge.core.geometry.disc import DiscRays
+from tacshade_edge.core.geometry.sensor_rays import rays_in_image
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import Profile
 from tacshade_edge.core.touch.answer import touch_by_model, touch_without_labels

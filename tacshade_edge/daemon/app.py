@@ -1,6 +1,6 @@
 """The daemon: the only place that wires source, reconstructor and broker, and the main thread's loop.
 
-docs/architecture.md lists the threads and the queues between them.
+docs/explanation/architecture.md lists the threads and the queues between them.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Messages to the service manager; without one nothing happens here.
 
-The messages and their way are those of sdnotify(3); docs/service.md lists when each is sent.
+The messages and their way are those of sdnotify(3); docs/how-to/service.md lists when each is sent.
 """
 
 from __future__ import annotations

@@ -178,7 +178,7 @@ async def run(
     try:
         listener = Listener(host, port, bounds.admit)
         tokens = Login(token, f"tacshade-{listener.getsockname()[1]}", secure=tls is not None) if token else None
-        # Compression would cost the board more than it saves: docs/dashboard.md has the figures.
+        # Compression would cost the board more than it saves: docs/how-to/dashboard.md has the figures.
         server = await serve(
             Bridge(broker, read_only=read_only).carry,
             sock=listener,

@@ -25,7 +25,7 @@ _NOISIER, _NOISE_LEVELS = 2.0, 2.0
 _DAY_S = 86400
 _REZERO = (
     "with nothing touching the skin, publish {} to tacshade/SENSOR/req/reference while the daemon runs; if that does "
-    "not last, calibrate again (docs/calibration.md)"
+    "not last, calibrate again (docs/how-to/calibration.md)"
 )
 _AGED = (
     "bring light, exposure and focus back to what they were, or take a new reference: tacshade-edge calibrate --rezero "
@@ -49,10 +49,12 @@ def load(document: Document) -> tuple[Calibration | None, tuple[Finding, ...]]:
     days = (time.time() - os.stat(path).st_mtime) / _DAY_S
     found = f"{path}: {calibration.crc32:08x}, {max(days, 0):.0f} days old"
     if not calibration.factors:
-        fix = "take presses (tacshade-edge capture) and calibrate with --presses PRESSES.csv (docs/calibration.md)"
+        fix = (
+            "take presses (tacshade-edge capture) and calibrate with --presses PRESSES.csv (docs/how-to/calibration.md)"
+        )
         return calibration, (warning("calibration", f"{found}; depth is not in true millimetres", fix),)
     if renew := calibrations.fits_to_renew(path):
-        fix = "calibrate again with --presses PRESSES.csv --fit (docs/calibration.md)"
+        fix = "calibrate again with --presses PRESSES.csv --fit (docs/how-to/calibration.md)"
         found = f"{found}; the networks of {', '.join(renew)} have changed since they were fitted: they run as shipped"
         return calibration, (warning("calibration", found, fix),)
     accurate = calibration.fit.profiles.get("accurate") if calibration.fit else None
@@ -105,7 +107,7 @@ def _check_place(calibration: Calibration, found: registration.Drift) -> tuple[F
         return ()
     place = f"visible circle {found.shift_px:.1f} px from where it was calibrated, size {100 * (found.zoom - 1):+.1f} %"
     if registration.shifted_too_far(found, calibration.geometry.disc):
-        fix = "the camera moved in the sensor: fix it where it was, or calibrate again (docs/calibration.md)"
+        fix = "the camera moved in the sensor: fix it where it was, or calibrate again (docs/how-to/calibration.md)"
         return (warning("camera place", place, fix),)
     return (ok("camera place", place),)
 

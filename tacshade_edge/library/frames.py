@@ -79,7 +79,7 @@ def read(recording: str | os.PathLike[str], sensor: Sensor | None = None) -> Res
     ----------
     recording : path
         A folder or MCAP file that ``tacshade-edge record`` made, any folder of images, an image, or a video
-        (docs/replay.md).
+        (docs/how-to/replay.md).
     sensor : Sensor, optional
         By default of the recording's own calibration, with the profile ``balanced``.
 

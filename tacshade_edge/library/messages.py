@@ -1,4 +1,4 @@
-"""The binary messages of a daemon and of a replay's files, decoded."""
+"""The messages of a daemon, of a hand and of a replay's files, decoded."""
 
 from __future__ import annotations
 
@@ -9,23 +9,24 @@ from pathlib import Path
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.library.arguments import path_of, wrong
 from tacshade_edge.protocol import wire
+from tacshade_edge.protocol.hand import HandObjects, decode_hand
 from tacshade_edge.storage.runs.run_files import payloads
 
 Message = wire.HeightMessage | wire.CloudMessage | wire.ShearMessage | wire.SigmaMessage
 
 
-def decode(payload: bytes | bytearray | memoryview) -> Message:
-    """Decode the payload of one ``height``, ``cloud``, ``shear``, ``sigma`` or ``map/cloud`` (docs/mqtt.md).
+def decode(payload: bytes | bytearray | memoryview) -> Message | HandObjects:
+    """Decode the payload of one ``height``, ``cloud``, ``shear``, ``sigma``, ``map/cloud`` or hand's ``objects``.
 
     Parameters
     ----------
     payload : bytes-like
-        Header and values, nothing before or behind them.
+        Of docs/reference/mqtt.md, nothing before or behind it.
 
     Returns
     -------
-    HeightMessage, CloudMessage, ShearMessage or SigmaMessage
-        As its header says; arrays are read-only, lengths in mm.
+    HeightMessage, CloudMessage, ShearMessage, SigmaMessage or HandObjects
+        As its header says, of JSON the last; arrays are read-only, lengths in mm.
 
     Raises
     ------
@@ -36,7 +37,8 @@ def decode(payload: bytes | bytearray | memoryview) -> Message:
     """
     if not isinstance(payload, bytes | bytearray | memoryview):
         raise wrong("payload", payload, "bytes")
-    return wire.decode(payload)
+    data = bytes(payload)
+    return decode_hand(data) if data.startswith(b"{") else wire.decode(data)
 
 
 def decode_file(path: str | os.PathLike[str]) -> Iterator[Message]:

@@ -29,7 +29,7 @@ class Result:
     valid : bool
         False: the frame could not be used; every height is 0.
     reason, reason_code : str
-        Why not, for a person and for a program (docs/mqtt.md, Reasons); empty when valid.
+        Why not, for a person and for a program (docs/reference/mqtt/reasons.md); empty when valid.
     degraded, degraded_code : str
         Why the result deserves less trust; empty when all is well.
     in_contact : bool

@@ -40,7 +40,7 @@ def listen(
     password: str | None = None,
     ca_file: str | os.PathLike[str] | None = None,
 ) -> Results:
-    """Listen to a running daemon (docs/mqtt.md).
+    """Listen to a running daemon (docs/reference/mqtt.md).
 
     A result is given for each frame in contact, for the end of a contact, and ten times a second while nothing touches.
     A reader that is slower gets the newest; the others are passed over.

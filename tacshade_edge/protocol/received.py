@@ -1,48 +1,49 @@
-"""``info``, ``contact``, ``touch``, ``health``, ``state`` and ``status/<part>`` as a subscriber understands them.
+"""The JSON that sensors and hands publish, and ``state``, as a subscriber understands it.
 
 Keys that it does not know are ignored; what no daemon publishes is refused (`protocol.strict`).
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Annotated, Final, Literal, get_args
 
-import msgspec
-from msgspec import Meta
-
-from tacshade_edge.errors import DecodeError
-from tacshade_edge.protocol.strict import decode
-from tacshade_edge.quoting import quoted
-from tacshade_edge.rigid import from_seven
-from tacshade_edge.types import Disc, Geometry
+from ..errors import DecodeError
+from ..quoting import quoted
+from ..rigid import from_seven
+from ..types import Disc, Geometry
+from .strict import Bounds, decode
 
 State = Literal["online", "degraded", "stopped", "offline"]
 STATES: Final[tuple[State, ...]] = get_args(State)
 ALIVE: Final = ("online", "degraded")
 
-Count = Annotated[int, Meta(ge=0)]  # below 2^64 as every integer of `strict`
-_Code = Annotated[str, Meta(pattern=r"\A[a-z0-9_]{0,64}\Z")]
-_Key = Annotated[str, Meta(pattern=r"\A[A-Za-z0-9_.-]{1,64}\Z")]
-_Rate = Annotated[float, Meta(ge=0, le=1e9)]
-_Mm = Annotated[float, Meta(ge=-1e6, le=1e6)]
-_Numbers = Annotated[dict[_Key, Annotated[float, Meta(ge=-1e6, le=1e6)] | None], Meta(max_length=64)]
-_Sigmas = Annotated[dict[_Key, Annotated[float, Meta(ge=0, le=1e6)] | None], Meta(max_length=64)]
-_Counts = Annotated[dict[_Key, Count], Meta(max_length=64)]
+Count = Annotated[int, Bounds(least=0)]  # below 2^64 as every integer of `strict`
+_Code = Annotated[str, Bounds(pattern=r"[a-z0-9_]{0,64}")]
+_Key = Annotated[str, Bounds(pattern=r"[A-Za-z0-9_.-]{1,64}")]
+_Rate = Annotated[float, Bounds(0, 1e9)]
+_Number = Annotated[float, Bounds(-1e6, 1e6)]
+_Pose = tuple[_Number, _Number, _Number, _Number, _Number, _Number, _Number]
+_Numbers = Annotated[dict[_Key, _Number | None], Bounds(most=64)]
+_Sigmas = Annotated[dict[_Key, Annotated[float, Bounds(0, 1e6)] | None], Bounds(most=64)]
+_Counts = Annotated[dict[_Key, Count], Bounds(most=64)]
+_Place = Annotated[float, Bounds(-1e7, 1e7)]
 
 
-class InfoGeometry(msgspec.Struct, frozen=True):
+@dataclass(frozen=True, slots=True)
+class InfoGeometry:
     """What places a pixel in mm."""
 
-    skin_radius_mm: Annotated[float, Meta(ge=0.1, le=1e4)]
-    camera_distance_mm: Annotated[float, Meta(gt=1e-6, le=1e5)] | None
-    visible_half_angle_deg: Annotated[float, Meta(ge=1e-3, le=90)]
-    row_c: Annotated[float, Meta(ge=-1e5, le=1e5)]
-    col_c: Annotated[float, Meta(ge=-1e5, le=1e5)]
-    radius_px: Annotated[float, Meta(ge=1, le=1e5)]
-    image_height_px: Annotated[int, Meta(ge=1, le=65535)]
-    image_width_px: Annotated[int, Meta(ge=1, le=65535)]
-    flange_T_sensor: tuple[_Mm, _Mm, _Mm, _Mm, _Mm, _Mm, _Mm]
-    calibration_crc32: Annotated[int, Meta(ge=0, lt=2**32)]
+    skin_radius_mm: Annotated[float, Bounds(0.1, 1e4)]
+    camera_distance_mm: Annotated[float, Bounds(1e-6, 1e5)] | None
+    visible_half_angle_deg: Annotated[float, Bounds(1e-3, 90)]
+    row_c: Annotated[float, Bounds(-1e5, 1e5)]
+    col_c: Annotated[float, Bounds(-1e5, 1e5)]
+    radius_px: Annotated[float, Bounds(1, 1e5)]
+    image_height_px: Annotated[int, Bounds(1, 65535)]
+    image_width_px: Annotated[int, Bounds(1, 65535)]
+    flange_T_sensor: _Pose
+    calibration_crc32: Annotated[int, Bounds(0, 2**32 - 1)]
 
     def __post_init__(self) -> None:
         from_seven(self.flange_T_sensor)
@@ -54,26 +55,62 @@ class InfoGeometry(msgspec.Struct, frozen=True):
         return Geometry(self.skin_radius_mm, self.camera_distance_mm, self.visible_half_angle_deg, disc)
 
 
-class Info(msgspec.Struct, frozen=True):
-    """A decoded ``info``; `geometry` is None before there is a calibration, for the `reason`."""
+@dataclass(frozen=True, slots=True)
+class Info:
+    """A decoded ``info``.
+
+    Attributes
+    ----------
+    geometry : InfoGeometry or None
+        None before there is a calibration, for the `reason` and its code.
+    hand_id : str or None
+        Of the hand that the sensor is a finger of.
+    hand_T_sensor : 7 floats or None
+        x, y, z in mm, quaternion w, x, y, z; None without a hand.
+    """
 
     geometry: InfoGeometry | None
     profile: str
     reason: str = ""
+    reason_code: _Code = ""
+    version: str = ""
+    hand_id: str | None = None
+    hand_T_sensor: _Pose | None = None
+
+    def __post_init__(self) -> None:
+        if self.hand_T_sensor is not None:
+            from_seven(self.hand_T_sensor)
 
 
-class Contact(msgspec.Struct, frozen=True):
-    """A decoded ``contact``, without the numbers of its objects. The codes are empty where all is well."""
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """A decoded ``contact``; the numbers are None where nothing touches or nobody asks for them.
+
+    The codes are empty where all is well.
+    """
 
     seq: Count
     t_ns: Count
-    contact: Annotated[int, Meta(ge=0, le=1)]
+    contact: Annotated[int, Bounds(0, 1)]
     wall_ns: Count = 0
     reason_code: _Code = ""
     degraded_code: _Code = ""
+    depth_max_mm: _Number | None = None
+    area_mm2: _Rate | None = None
+    volume_mm3: _Rate | None = None
+    objects: Count = 0
+    x_mm: _Number | None = None
+    y_mm: _Number | None = None
+    shear_x_mm: _Number | None = None
+    shear_y_mm: _Number | None = None
+    twist_deg: _Number | None = None
+    slip: Annotated[int, Bounds(0, 2)] | None = None
+    slip_mm_s: _Number | None = None
+    fps: _Rate | None = None
 
 
-class TouchNumbers(msgspec.Struct, frozen=True):
+@dataclass(frozen=True, slots=True)
+class TouchNumbers:
     """A decoded ``touch``; both mappings have the same names, and are None without contact."""
 
     seq: Count
@@ -89,15 +126,17 @@ class TouchNumbers(msgspec.Struct, frozen=True):
             raise ValueError("found other names in touch_sigma than in touch")
 
 
-class Percentiles(msgspec.Struct, frozen=True):
+@dataclass(frozen=True, slots=True)
+class Percentiles:
     """Of times in ms."""
 
     p50: _Rate
     p99: _Rate
 
 
-class Health(msgspec.Struct, frozen=True):
-    """A decoded ``health``: what is counted and measured of every sensor; the rest of it is for people."""
+@dataclass(frozen=True, slots=True)
+class Health:
+    """A decoded ``health`` of a sensor: what is counted and measured of every sensor; the rest of it is for people."""
 
     uptime_s: _Rate
     frames: _Counts
@@ -106,18 +145,83 @@ class Health(msgspec.Struct, frozen=True):
     delivered_fps: _Rate
     published_fps: _Rate
     latency_ms: Percentiles | None
-    stages_ms: Annotated[dict[_Key, Percentiles], Meta(max_length=64)]
+    stages_ms: Annotated[dict[_Key, Percentiles], Bounds(most=64)]
     mqtt: _Counts
     recorder: _Counts
     invalid_reason_code: _Code = ""
     degraded_reason_code: _Code = ""
+    wall_ns: Count = 0
 
 
-class Status(msgspec.Struct, frozen=True):
+@dataclass(frozen=True, slots=True)
+class HandHealth:
+    """A decoded ``health`` of a hand: how many messages of each finger it received, and how many were damaged."""
+
+    uptime_s: _Rate
+    heard: _Counts
+    undecodable: Count
+    mqtt: _Counts
+    wall_ns: Count = 0
+
+
+@dataclass(frozen=True, slots=True)
+class SlipEvent:
+    """A decoded ``event/slip``: the object `id` began to slide at x, y of the sensor frame."""
+
+    seq: Count
+    t_ns: Count
+    x_mm: _Number
+    y_mm: _Number
+    slip_mm_s: _Number | None = None
+    id: Count | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class StitchedMap:
+    """A decoded ``map/revision`` or ``map/final``.
+
+    Attributes
+    ----------
+    name : str
+        Of the session.
+    revision, presses, used : int
+        `revision` counts the presses and the end; `used` are those in the map.
+    x0_mm, y0_mm, width_mm, length_mm : float
+        The map's extent along x and y of the base frame.
+    z_min_mm, z_max_mm : float or None
+        None of an empty map.
+    area_mm2 : float
+    points : int
+        Of ``map/cloud``.
+    spacing_mm : float
+        Between them.
+    folder : str
+        With the final map's files, on the daemon's machine; empty before the end.
+    """
+
+    name: str
+    revision: Count
+    presses: Count
+    used: Count
+    x0_mm: _Place
+    y0_mm: _Place
+    width_mm: _Place
+    length_mm: _Place
+    z_min_mm: _Place | None
+    z_max_mm: _Place | None
+    area_mm2: _Rate
+    points: Count
+    spacing_mm: _Place
+    folder: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
     """A decoded ``status/<part>``, without the part's own details; an empty payload is one of nothing."""
 
     state: str = ""
     reason: str | None = ""
+    reason_code: _Code | None = ""
 
 
 def decode_info(payload: bytes) -> Info:
@@ -138,6 +242,21 @@ def decode_touch(payload: bytes) -> TouchNumbers:
 def decode_health(payload: bytes) -> Health:
     """Understand a ``health``. Raises DecodeError."""
     return decode("health", payload, Health)
+
+
+def decode_hand_health(payload: bytes) -> HandHealth:
+    """Understand a ``health`` of a hand. Raises DecodeError."""
+    return decode("health", payload, HandHealth)
+
+
+def decode_slip(payload: bytes) -> SlipEvent:
+    """Understand an ``event/slip``. Raises DecodeError."""
+    return decode("event/slip", payload, SlipEvent)
+
+
+def decode_map(payload: bytes) -> StitchedMap:
+    """Understand a ``map/revision`` or ``map/final``. Raises DecodeError."""
+    return decode("map", payload, StitchedMap)
 
 
 def decode_status(topic: str, payload: bytes) -> Status:

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
+import json
 import math
-from typing import Any, Final, TypeVar
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from types import NoneType, UnionType
+from typing import Annotated, Any, Final, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-import msgspec
-
-from tacshade_edge.errors import DecodeError
-from tacshade_edge.quoting import escaped
+from ..errors import DecodeError
+from ..quoting import escaped, quoted
 
 T = TypeVar("T")
+_Reader = Callable[[Any], Any]
 
 BYTES_MAX: Final = 1 << 16
 """Ten times the largest `health` of a daemon."""
@@ -19,7 +25,49 @@ DEPTH_MAX: Final = 9
 CHARS_MAX: Final = 4096
 """Of a text; the longest that a daemon publishes is a reason of a few hundred."""
 _INTEGER_MAX: Final = 2**64
-_ERROR_CHARS_MAX: Final = 200
+_ERROR_CHARS_MAX, _KEY_CHARS_MAX = 200, 60
+_SURROGATE: Final = re.compile("[\ud800-\udfff]")
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """What a type alone does not state, as part of an ``Annotated`` one.
+
+    Attributes
+    ----------
+    least, most : float
+        Of a number its value, of an array or object its length.
+    pattern : str or None
+        The whole of a text matches it.
+    """
+
+    least: float = -math.inf
+    most: float = math.inf
+    pattern: str | None = None
+
+
+class _Mismatch(ValueError):
+    """A value that is not what its place is for; `place` grows on the way out."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self.place = ""
+
+    def __str__(self) -> str:
+        return f"${self.place} {self.args[0]}"
+
+
+def _not(expected: str, value: Any) -> _Mismatch:
+    match value:
+        case dict():
+            found = "an object"
+        case list():
+            found = "an array"
+        case str():
+            found = quoted(value)
+        case _:
+            found = json.dumps(value)
+    return _Mismatch(f"is {found}, not {expected}")
 
 
 def decode(what: str, payload: bytes, kind: type[T]) -> T:
@@ -31,7 +79,7 @@ def decode(what: str, payload: bytes, kind: type[T]) -> T:
         The topic, for the error.
     payload : bytes
     kind : type
-        Its ranges are its own.
+        A dataclass, whose ranges are its own (`Bounds`), or a type that one of its fields may have.
 
     Raises
     ------
@@ -41,14 +89,15 @@ def decode(what: str, payload: bytes, kind: type[T]) -> T:
     if len(payload) > BYTES_MAX:
         raise DecodeError(f"{what}: {len(payload)} bytes, expected at most {BYTES_MAX}")
     try:
-        value = msgspec.json.decode(payload)
+        value = json.loads(str(payload, "utf-8"), parse_constant=_no_constant)
         _check(value)
-    except (msgspec.DecodeError, ValueError, RecursionError) as error:  # ValueError: no UTF-8, too many digits
-        raise _refused(what, error) from error
-    try:
-        return msgspec.convert(value, kind)
-    except msgspec.ValidationError as error:
-        raise _refused(what, error) from error
+        whole: Any = kind  # else mypy asks whether a type has a hash
+        read: T = _reader(whole)(value)
+    except (ValueError, RecursionError) as error:  # ValueError: no UTF-8, too many digits, a dataclass's own check
+        raise DecodeError(
+            f"{what}: {escaped(str(error), _ERROR_CHARS_MAX)}, expected what docs/reference/mqtt.md says"
+        ) from error
+    return read
 
 
 def decode_object(what: str, payload: bytes) -> dict[str, Any]:
@@ -56,8 +105,8 @@ def decode_object(what: str, payload: bytes) -> dict[str, Any]:
     return decode(what, payload, dict[str, Any])
 
 
-def _refused(what: str, error: Exception) -> DecodeError:
-    return DecodeError(f"{what}: {escaped(str(error), _ERROR_CHARS_MAX)}, expected what docs/mqtt.md says")
+def _no_constant(name: str) -> None:
+    raise ValueError(f"found {name}, which JSON does not have")
 
 
 def _check(value: Any) -> None:
@@ -72,8 +121,8 @@ def _check(value: Any) -> None:
                     below += one.values()
                 case list():
                     below += one
-                case str() if len(one) > CHARS_MAX:
-                    raise ValueError(f"found a text of {len(one)} characters, at most {CHARS_MAX} are taken")
+                case str():
+                    _check_text(one)
                 case int() if abs(one) > _INTEGER_MAX:
                     raise ValueError("found an integer of more than 64 bits")
                 case float() if not math.isfinite(one):
@@ -85,3 +134,151 @@ def _check(value: Any) -> None:
             return
         level = below
     raise ValueError(f"found more than {DEPTH_MAX} levels")
+
+
+def _check_text(text: str) -> None:
+    if len(text) > CHARS_MAX:
+        raise ValueError(f"found a text of {len(text)} characters, at most {CHARS_MAX} are taken")
+    if not text.isascii() and _SURROGATE.search(text):
+        raise ValueError("found half of a character (a lone surrogate)")
+
+
+# -- from a type to what reads it, once for each type -----------------------------------------------------------------
+
+
+@cache
+def _reader(kind: Any) -> _Reader:
+    """What turns a value of `json` into a `kind`, or raises _Mismatch."""
+    origin, arguments = get_origin(kind), get_args(kind)
+    if kind is Any:
+        return lambda value: value
+    if origin is Annotated:
+        return _bounded(_reader(arguments[0]), arguments[1])
+    if origin is Literal:
+        return _literal(arguments)
+    if origin in (Union, UnionType):
+        (other,) = (one for one in arguments if one is not NoneType)
+        return _or_none(_reader(other))
+    if origin is tuple:
+        return _tuple(arguments)
+    if origin is dict:
+        return _dict(_reader(arguments[0]), _reader(arguments[1]))
+    if kind is float:
+        return _float
+    return _dataclass(kind) if dataclasses.is_dataclass(kind) else _plain(kind)
+
+
+def _float(value: Any) -> float:
+    if type(value) not in (float, int):
+        raise _not("a number", value)
+    return float(value)
+
+
+def _plain(kind: type) -> _Reader:
+    expected = {int: "an integer", str: "a text", bool: "true or false"}[kind]
+
+    def read(value: Any) -> Any:
+        if type(value) is not kind:
+            raise _not(expected, value)
+        return value
+
+    return read
+
+
+def _literal(values: tuple[Any, ...]) -> _Reader:
+    def read(value: Any) -> Any:
+        if type(value) is not str or value not in values:
+            raise _not(f"one of {', '.join(values)}", value)
+        return value
+
+    return read
+
+
+def _or_none(reader: _Reader) -> _Reader:
+    return lambda value: None if value is None else reader(value)
+
+
+def _bounded(reader: _Reader, bounds: Bounds) -> _Reader:
+    least, most = bounds.least, bounds.most
+    pattern = re.compile(bounds.pattern) if bounds.pattern is not None else None
+
+    def read(value: Any) -> Any:
+        found = reader(value)
+        if pattern is not None:
+            if pattern.fullmatch(found) is None:
+                raise _not(f"a text of the pattern {bounds.pattern}", value)
+        elif not least <= (found if isinstance(found, int | float) else len(found)) <= most:
+            subject = "" if isinstance(found, int | float) else "of length "
+            raise _not(f"{subject}{_range(least, most)}", value)
+        return found
+
+    return read
+
+
+def _range(least: float, most: float) -> str:
+    if math.isinf(most):
+        return f"{least:.15g} or more"
+    return f"{most:.15g} or less" if math.isinf(least) else f"{least:.15g} to {most:.15g}"
+
+
+def _tuple(kinds: tuple[Any, ...]) -> _Reader:
+    readers = [_reader(one) for one in kinds if one is not ...]
+    any_length = kinds[-1] is ...
+
+    def read(value: Any) -> Any:
+        if type(value) is not list:
+            raise _not("an array", value)
+        if not any_length and len(value) != len(readers):
+            raise _not(f"of length {len(readers)}", value)
+        found = []
+        for at, one in enumerate(value):
+            try:
+                found.append(readers[0 if any_length else at](one))
+            except _Mismatch as error:
+                error.place = f"[{at}]{error.place}"
+                raise
+        return tuple(found)
+
+    return read
+
+
+def _dict(key_reader: _Reader, reader: _Reader) -> _Reader:
+    def read(value: Any) -> Any:
+        if type(value) is not dict:
+            raise _not("an object", value)
+        found = {}
+        for key, one in value.items():
+            try:
+                found[key_reader(key)] = reader(one)
+            except _Mismatch as error:
+                error.place = f".{escaped(key, _KEY_CHARS_MAX)}{error.place}"
+                raise
+        return found
+
+    return read
+
+
+def _dataclass(kind: Any) -> _Reader:
+    hints = get_type_hints(kind, include_extras=True)
+    missing = dataclasses.MISSING
+    fields = [
+        (field.name, _reader(hints[field.name]), field.default is missing and field.default_factory is missing)
+        for field in dataclasses.fields(kind)
+    ]
+
+    def read(value: Any) -> Any:
+        if type(value) is not dict:
+            raise _not("an object", value)
+        found = {}
+        for name, reader, required in fields:
+            if name in value:
+                try:
+                    found[name] = reader(value[name])
+                except _Mismatch as error:
+                    error.place = f".{name}{error.place}"
+                    raise
+            elif required:
+                raise _Mismatch(f"lacks the key {name}")
+        return kind(**found)
+
+    return read

@@ -4,7 +4,7 @@
 
     TACSHADE_SCREENSHOTS=docs/images .venv/bin/python -m pytest tests/dashboard/
 
-also writes the pictures of docs/dashboard.md.
+also writes the pictures of docs/how-to/dashboard.md.
 """
 
 from __future__ import annotations

@@ -7,11 +7,11 @@ import math
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 
 import pytest
-from msgspec import structs
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
 
@@ -138,7 +138,7 @@ def test_what_is_held_is_drawn_as_one_body_that_moves(page: Chrome, hand: tuple[
     corners = {"thumb": (-80.0, 0.0, 0.0), "index": (0.0, 0.0, 60.0), "ring": (80.0, 0.0, 0.0)}
 
     def drawn(motion: dict[str, object] | None, at_mm: float) -> list[list[float]]:
-        touched = {n: structs.replace(TOUCHED, centroid_mm=p) for n, p in corners.items()}
+        touched = {n: replace(TOUCHED, centroid_mm=p) for n, p in corners.items()}
         fingers = {n: Finger(state="contact", t_ns=1, age_ms=3.0, seq=7, objects=(o,)) for n, o in touched.items()}
         whole.tell(None, **fingers, motion=motion)
         points = str(js(page, "document.querySelector('#whole-plane .body')?.getAttribute('points') ?? ''"))

@@ -33,7 +33,7 @@ def test_the_public_ci_runs_the_pythons_that_are_supported() -> None:
     workflow = (ROOT / ".github/workflows/check.yml").read_text(encoding="utf-8")
     assert f'python: ["3.{min(supported)}", "3.{max(supported)}"]' in workflow
     steps = re.findall(r"- run: make (\w+)$", workflow, re.MULTILINE)
-    assert steps == ["check", "test"]
+    assert steps == ["check", "docs", "test"]
     assert all(re.search(rf"^{step}:", MAKEFILE, re.MULTILINE) for step in steps)
 
 

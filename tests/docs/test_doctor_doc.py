@@ -1,4 +1,4 @@
-"""docs/doctor.md names every check that there is, and no other."""
+"""docs/how-to/doctor.md names every check that there is, and no other."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import tacshade_edge.doctor
 
 ROOT = Path(__file__).resolve().parents[2]
-TEXT = (ROOT / "docs" / "doctor.md").read_text()
+TEXT = (ROOT / "docs/how-to/doctor.md").read_text()
 
 
 def test_every_check_has_its_row() -> None:

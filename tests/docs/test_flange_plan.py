@@ -5,7 +5,7 @@ from pathlib import Path
 
 from tools.testbed.flange_plan import TURNS_DEG
 
-PAGE = Path(__file__).parents[2] / "docs/stitching.md"
+PAGE = Path(__file__).parents[2] / "docs/how-to/stitching.md"
 
 
 def test_the_table_has_the_turns_of_the_plan() -> None:

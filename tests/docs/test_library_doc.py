@@ -1,4 +1,4 @@
-"""docs/library.md: its examples run as they are written, with the simulated sensor and a real broker."""
+"""docs/reference/library.md: its examples run as they are written, with the simulated sensor and a real broker."""
 
 from __future__ import annotations
 
@@ -19,9 +19,11 @@ from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.calibrated_sensor import FULL, calibrated, pressed, unloaded
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from tools.testbed.patience import patience
+from tools.testbed.recorded_hand import record_hand
 
-TEXT = (Path(__file__).parents[2] / "docs" / "library.md").read_text()
-REPLAY = (Path(__file__).parents[2] / "docs" / "replay.md").read_text()
+TEXT = (Path(__file__).parents[2] / "docs/reference/library.md").read_text()
+README = (Path(__file__).parents[2] / "README.md").read_text()
+REPLAY = (Path(__file__).parents[2] / "docs/how-to/replay.md").read_text()
 EXAMPLES = dict(re.findall(r"^## ([^\n]+)\n[^#]*?```python\n(.*?)```", TEXT, re.DOTALL | re.MULTILINE))
 
 pytestmark = pytest.mark.slow
@@ -64,6 +66,7 @@ def test_every_example_is_one_of_these() -> None:
         "A camera",
         "A running sensor",
         "A recording",
+        "A hand",
         "Messages and files, decoded",
         "From a cell to millimetres",
     ]
@@ -89,6 +92,17 @@ def test_a_recording(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     depth_mm = run("A recording", made, monkeypatch)["depth_mm"]
     assert depth_mm[0] == 0
     assert depth_mm[1] > 1
+
+
+def test_a_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    for recording in record_hand(tmp_path):
+        recording.rename(tmp_path / "grasp")
+        (finger := tmp_path / "rec" / recording.name).mkdir(parents=True)
+        (tmp_path / "grasp").rename(finger / "grasp")
+    run("A hand", tmp_path, monkeypatch)
+    printed = capsys.readouterr().out.splitlines()
+    assert printed
+    assert all(re.fullmatch(r"\d+ \(.*\) \(.*\)", line) for line in printed)
 
 
 def test_messages_and_files(made: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -123,6 +137,23 @@ def test_the_marked_keys_are_those_that_the_command_writes(made: Path, tmp_path:
         assert sorted(re.findall(r"`(\w+)`", " ".join(rows))) == sorted(written.files)
 
 
+class PrintedError(Exception):
+    """Ends the README's loop, which has no end of its own."""
+
+
+def first_line_of_the_readme(address: str) -> tuple[Any, ...]:
+    """What the README's three lines print first."""
+    (code,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    assert code.count('"localhost:1883", "tacshade"') == 1
+
+    def shown(*values: Any) -> None:
+        raise PrintedError(*values)
+
+    with pytest.raises(PrintedError) as printed:
+        exec(code.replace('"localhost:1883", "tacshade"', f'"{address}", "left-index"'), {"print": shown})
+    return printed.value.args
+
+
 @pytest.mark.broker
 @pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
 def test_a_running_sensor(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -135,8 +166,11 @@ def test_a_running_sensor(made: Path, tmp_path: Path, monkeypatch: pytest.Monkey
             with Subscriber(broker.port) as seen:
                 seen.wait_for("tacshade/left-index/contact", 1, 30)
             names = run("A running sensor", made, monkeypatch, **address)
+            first = first_line_of_the_readme(address["localhost:1883"])
         finally:
             daemon.send_signal(signal.SIGTERM)
             daemon.wait(patience(10))
+    assert first[0] >= 0
+    assert first[1] >= 0
     assert names["r"].points_mm.shape[0] > 10
     assert names["r"].geometry.skin_radius_mm == FULL.skin_radius_mm

@@ -1,4 +1,4 @@
-"""docs/mistakes.md: every mistake is made here, and gets the line and the exit code that the page has for it."""
+"""docs/how-to/mistakes.md: every mistake is made here, and gets the line and the exit code that the page has for it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tools.testbed.mqtt_rig import free_port
 from tools.testbed.patience import patience, wait_until
 
 pytestmark = pytest.mark.slow  # a calibration set is drawn, and calibrated
-PAGE = Path(__file__).parents[2] / "docs" / "mistakes.md"
+PAGE = Path(__file__).parents[2] / "docs/how-to/mistakes.md"
 ROWS = re.findall(r"^\| ([^|`]+) \| `([^`|]+)` \| `([^|]+)` \| ([^|]+) \|$", PAGE.read_text(), re.MULTILINE)
 GOES_ON = "goes on"
 

@@ -1,7 +1,8 @@
-"""docs/mqtt.md: its decoders run, its vector is one of ours, its table is the header."""
+"""docs/reference/mqtt/: its decoders run, its vector is one of ours, its table is the header."""
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import json
 import re
@@ -14,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import tacshade_client
 from paho.mqtt.client import topic_matches_sub
 
 from tacshade_edge.core.stitching.surface_map import Raster
@@ -25,7 +27,8 @@ from tacshade_edge.types import HeightMap, ObjectCloud, Pose, Reconstruction
 from tools.testbed.patience import patience
 
 ROOT = Path(__file__).parents[2]
-TEXT = (ROOT / "docs" / "mqtt.md").read_text()
+PAGES = ROOT / "docs/reference/mqtt"
+WIRE_JS = ROOT / "tacshade_edge" / "dashboard" / "static" / "wire.js"
 VECTORS = json.loads((ROOT / "tests" / "protocol" / "vectors" / "wire.json").read_text())
 HAND_VECTORS = json.loads((ROOT / "tests" / "protocol" / "vectors" / "hand.json").read_text())
 TOUCH_VECTORS = json.loads((ROOT / "tests" / "protocol" / "vectors" / "touch.json").read_text())
@@ -44,24 +47,36 @@ for (const line of require("fs").readFileSync(0, "latin1").trimEnd().split("\\n"
 """
 
 
-def code(language: str, section: str = "Height, cloud, shear and sigma") -> str:
-    (text,) = re.findall(rf"(?ms)^## {section}$.*?(?=^## |\Z)", TEXT)
-    found = re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
-    assert len(found) == 1
-    return str(found[0])
+def code(language: str, page: str = "frames") -> str:
+    (found,) = re.findall(rf"```{language}\n(.*?)```", (PAGES / f"{page}.md").read_text(), re.DOTALL)
+    return str(found)
+
+
+def javascript(page: str, name: str) -> str:
+    """The dashboard's decoders, which the page names, as a script."""
+    text = (PAGES / f"{page}.md").read_text()
+    assert f"](../../../{WIRE_JS.relative_to(ROOT)})" in text
+    assert f"`{name}`" in text or page == "frames"
+    script, exported = WIRE_JS.read_text().split("\nexport ")
+    assert name in re.findall(r"\w+", exported)
+    return script
 
 
 def by_python(payloads: list[bytes]) -> list[dict[str, Any]]:
-    names: dict[str, Any] = {}
-    exec(code("python"), names)
-    answers = []
+    """The client's answers, in the words of the other decoder."""
+    assert "](../client.md)" in (PAGES / "frames.md").read_text()
+    answers: list[dict[str, Any]] = []
     for payload in payloads:
         try:
-            message = names["decode"](payload)
-        except Exception as error:  # noqa: BLE001 - the reader's ten lines may fail as they like, but must not pass
+            message = tacshade_client.decode(payload)
+        except tacshade_client.DecodeError as error:
             answers.append({"error": str(error)})
-        else:
-            answers.append({k: v.ravel() if isinstance(v, np.ndarray) else v for k, v in message.items()})
+            continue
+        fields = {name: getattr(message, name) for name in message.__dataclass_fields__}
+        flags = sum(bit for bit, name in enumerate_flags() if fields[name])
+        pose = message.pose and dataclasses.astuple(message.pose)[1:]
+        raveled = {name: value.ravel() for name, value in fields.items() if isinstance(value, np.ndarray)}
+        answers.append(fields | raveled | {"flags": flags, "pose": pose})
     return answers
 
 
@@ -69,7 +84,7 @@ def by_javascript(payloads: list[bytes]) -> list[dict[str, Any]]:
     assert NODE is not None
     lines = "".join(f"x{p.hex()}\n" for p in payloads)
     done = subprocess.run(
-        [NODE, "-e", code("javascript") + HARNESS],
+        [NODE, "-e", javascript("frames", "decode") + HARNESS],
         input=lines,
         capture_output=True,
         text=True,
@@ -158,28 +173,10 @@ def test_decoder_understands_what_the_encoder_writes_now(decode: Decoder) -> Non
     np.testing.assert_array_equal(decoded[1]["labels"], cloud.labels)
 
 
-def test_the_dashboard_decodes_with_the_same_lines() -> None:
-    page = (ROOT / "tacshade_edge" / "dashboard" / "static" / "wire.js").read_text()
-    hand = f"// A hand's objects.\n{code('javascript', 'A hand')}"
-    assert page == f"{code('javascript')}\n{hand}\nexport {{ decode, decodeHand }};\n"
-
-
-def hand_by_python(payloads: list[bytes]) -> list[Any]:
-    names: dict[str, Any] = {}
-    exec(code("python", "A hand"), names)
-    answers: list[Any] = []
-    for payload in payloads:
-        try:
-            answers.append(names["decode_hand"](payload))
-        except (ValueError, KeyError, TypeError, AttributeError):
-            answers.append(None)
-    return answers
-
-
 def hand_by_javascript(payloads: list[bytes]) -> list[Any]:
     assert NODE is not None
     harness = (
-        code("javascript", "A hand")
+        javascript("hand", "decodeHand")
         + """
 for (const line of require("fs").readFileSync(0, "latin1").trimEnd().split("\\n")) {
   let answer = null;
@@ -194,18 +191,10 @@ for (const line of require("fs").readFileSync(0, "latin1").trimEnd().split("\\n"
     return [json.loads(line) for line in done.stdout.splitlines()]
 
 
-@pytest.mark.parametrize(
-    "decode_all",
-    [
-        hand_by_python,
-        pytest.param(
-            hand_by_javascript,
-            marks=[pytest.mark.node, pytest.mark.skipif(NODE is None, reason="Node.js is not installed")],
-        ),
-    ],
-)
-def test_the_decoders_of_a_hand_understand_and_refuse_every_vector(decode_all: Callable[[list[bytes]], Any]) -> None:
-    answers = decode_all([v["payload"].encode() for v in HAND_VECTORS])
+@pytest.mark.node
+@pytest.mark.skipif(NODE is None, reason="Node.js is not installed")
+def test_the_decoder_of_a_hand_understands_and_refuses_every_vector() -> None:
+    answers = hand_by_javascript([v["payload"].encode() for v in HAND_VECTORS])
     assert [v["name"] for v, a in zip(HAND_VECTORS, answers, strict=True) if (a is None) != ("error" in v)] == []
     for vector, answer in zip(HAND_VECTORS, answers, strict=True):
         if "expect" in vector:
@@ -220,7 +209,7 @@ def test_what_is_told_of_a_map_is_what_the_text_shows() -> None:
     revision = MapRevision("pad-1", 5, 4, 4, 1, "/s/pad-1", lambda: Raster(z, 120.0, -3.5, 0.25))
     told: dict[str, bytes] = {}
     MapPublisher(told.__setitem__).publish(revision)
-    assert json.loads(told["map/final"]) == json.loads(code("json", "Maps"))
+    assert json.loads(told["map/final"]) == json.loads(code("json", "map"))
     vector = next(v["expect"] for v in VECTORS if v["name"] == "map cloud")
     cloud = wire.decode(told["map/cloud"])
     assert isinstance(cloud, wire.CloudMessage)
@@ -229,7 +218,7 @@ def test_what_is_told_of_a_map_is_what_the_text_shows() -> None:
 
 
 def test_the_touch_in_the_text_is_the_first_of_its_vectors() -> None:
-    assert json.loads(code("json", "Touch")) == json.loads(TOUCH_VECTORS[0]["payload"])
+    assert json.loads(code("json")) == json.loads(TOUCH_VECTORS[0]["payload"])
 
 
 def test_vector_in_the_text_is_one_of_the_file() -> None:
@@ -238,8 +227,7 @@ def test_vector_in_the_text_is_one_of_the_file() -> None:
 
 def test_every_reason_has_its_row() -> None:
     """Each code of the enumeration once, and no other."""
-    section = TEXT.partition("\n## Reasons\n")[2].partition("\n## ")[0]
-    rows = re.findall(r"^\| `([a-z_]+)` \|", section, re.MULTILINE)
+    rows = re.findall(r"^- `([a-z_]+)`", (PAGES / "reasons.md").read_text(), re.MULTILINE)
     codes = [code.value for code in ReasonCode]
     assert sorted(set(codes) - set(rows)) == [], "reasons without a row"
     assert sorted(rows) == sorted(codes)
@@ -248,7 +236,7 @@ def test_every_reason_has_its_row() -> None:
 def test_header_table_is_without_a_gap() -> None:
     """Every byte of the header is in the table once; N and the size share theirs."""
     sizes = {"4 bytes": 4, "u8": 1, "u32": 4, "u64": 8, "u16, u16": 4, "f32": 4, "3 × f32": 12, "7 × f32": 28}
-    rows = re.findall(r"^\| (\d+) \| ([^|]+) \|", TEXT, re.MULTILINE)
+    rows = re.findall(r"^\| (\d+) \| ([^|]+) \|", (PAGES / "frames.md").read_text(), re.MULTILINE)
     position = 0
     for offset, kind in rows:
         if (offset, kind) == ("32", "u32"):
@@ -259,7 +247,7 @@ def test_header_table_is_without_a_gap() -> None:
 
 
 @pytest.mark.parametrize(
-    "path", [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))], ids=lambda path: path.name
+    "path", [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))], ids=lambda path: path.name
 )
 def test_an_example_does_not_flood_a_terminal(path: Path) -> None:
     """Where `mosquitto_sub` gets a stream, it ends after a count, and it prints nothing binary."""

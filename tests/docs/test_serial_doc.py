@@ -1,4 +1,4 @@
-"""docs/serial.md: what it says by hand is said, its C and Python run, its vectors are ours."""
+"""docs/reference/serial.md: what is typed is answered so, the C and Python that it names run, its vectors are ours."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ import threading
 import time
 import tty
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -24,11 +23,13 @@ from tacshade_edge.protocol.serial.counts import LinkCounts
 from tacshade_edge.protocol.serial.link import SerialLink
 from tacshade_edge.protocol.serial.verbs import USAGE
 from tacshade_edge.types import QUANTITIES
+from tools.examples.serial.host import Daemon
 from tools.testbed.patience import patience
 
 ROOT = Path(__file__).parents[2]
-TEXT = (ROOT / "docs" / "serial.md").read_text()
+TEXT = (ROOT / "docs/reference/serial.md").read_text()
 VECTORS = json.loads((ROOT / "tests" / "protocol" / "vectors" / "serial.json").read_text())
+ROBOT_H = ROOT / "tools/examples/serial/robot.h"
 GCC = shutil.which("gcc")
 
 # Reads a word and its text a line, and prints what the functions make of it.
@@ -85,8 +86,7 @@ def test_every_verb_and_every_counter_has_its_row() -> None:
 def test_the_microcontrollers_code_makes_the_vectors(tmp_path: Path) -> None:
     assert GCC is not None
     source, program = tmp_path / "robot.c", tmp_path / "robot"
-    (code,) = blocks("c")
-    source.write_text(code + HARNESS)
+    source.write_text(ROBOT_H.read_text() + HARNESS)
     flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O1", "-fsanitize=undefined"]
     subprocess.run([GCC, *flags, "-o", program, source], check=True, timeout=patience(60))
     asked, expected = [], []
@@ -141,14 +141,12 @@ class Wire:
 
 
 def test_the_hosts_code_talks_to_the_daemon() -> None:
-    names: dict[str, Any] = {}
-    exec(blocks("python")[0], names)
     wire = Wire()
     state = {"source": "streaming", "health": {"delivered_fps": 30.0}}
     robot = Robot(SerialPort(wire.name, 115200), lambda _: None, lambda: state, lambda _: None, lambda: None)
     robot.start()
     try:
-        host = names["Daemon"](wire, "a1")
+        host = Daemon(wire, "a1")
         pause = threading.Event()
         for _ in range(3):
             host.sync()

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 
@@ -76,10 +76,10 @@ def test_the_first_vector_is_what_three_fingers_tell(make_result: Callable[..., 
         "ring": away(Reason(ReasonCode.LOST, "gone")),
     }
     first, second = fingers["thumb"].objects
-    held = (msgspec.structs.replace(first, motion=MOVED), second)
-    fingers["thumb"] = msgspec.structs.replace(fingers["thumb"], objects=held)
+    held = (replace(first, motion=MOVED), second)
+    fingers["thumb"] = replace(fingers["thumb"], objects=held)
     aged = dict(zip(fingers, (1.999, 1.0, None), strict=True))
-    fingers = {name: msgspec.structs.replace(finger, age_ms=aged[name]) for name, finger in fingers.items()}
+    fingers = {name: replace(finger, age_ms=aged[name]) for name, finger in fingers.items()}
     message = HandObjects(t_ns=2_000_000, wall_ns=1_700_000_000_000_000_000, seq=7, fingers=fingers)
     assert encode_hand(message).decode() == SOUND[0]["payload"]
 
@@ -99,7 +99,7 @@ def test_every_sound_vector_is_understood(vector: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("vector", [v for v in VECTORS if "error" in v], ids=named)
 def test_every_damaged_vector_is_refused(vector: dict[str, Any]) -> None:
-    with pytest.raises(DecodeError, match=r"^objects: .*, expected what docs/mqtt\.md says$"):
+    with pytest.raises(DecodeError, match=r"^objects: .*, expected what docs/reference/mqtt\.md says$"):
         decode_hand(vector["payload"].encode())
 
 
@@ -123,8 +123,6 @@ def test_a_fingers_margin_is_the_least_of_its_objects(make_result: Callable[...,
 
     assert (margin(0.75, 0.12345, 1.0), margin(None), margin()) == (0.1235, None, None)
     assert finger_of(make_result(contact=False), TURNED).margin is None
-    with pytest.raises(DecodeError, match="margin"):
-        decode_finger(b'{"state": "contact", "margin": 1.5}')
 
 
 def test_a_finger_tells_of_its_greatest_objects_only(make_result: Callable[..., Reconstruction]) -> None:

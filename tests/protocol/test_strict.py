@@ -30,7 +30,9 @@ HUGE = b"1" + b"0" * 400
         (b'{"' + b"x" * 5000 + b'":0}', "5000 characters"),
         (b"\xff", "expected what"),
         (b"", "expected what"),
-        (b"[]", "Expected `object`"),
+        (b'{"a":"\\ud800"}', "half of a character"),
+        (b"\xef\xbb\xbf{}", "expected what"),
+        (b"[]", "is an array, not an object"),
     ],
 )
 def test_what_is_out_of_bounds_is_one_line(payload: bytes, found: str) -> None:

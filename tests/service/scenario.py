@@ -121,7 +121,7 @@ def reloads() -> dict[str, Any]:
 
 
 def hangs() -> dict[str, Any]:
-    """The thread `reconstruct` alone, in whatever it does: the last that a start makes (docs/architecture.md)."""
+    """The thread `reconstruct` alone, in whatever it does: the last that a start makes (architecture.md)."""
     fresh(GOOD)
     before = show()
     last = threads(before["MainPID"])[-1]

@@ -44,7 +44,7 @@ def main(given: Path) -> None:
             f"source: {{kind: v4l2, device: {NODE}, width_px: 640, height_px: 480, fps: {FPS}, fourcc: YUYV}}\n"
             f"mqtt: {{host: 127.0.0.1, port: {broker.port}}}\n"
         )
-        # As docs/install.md has it; what an image tells besides is said by hand, for the guest has its files alone.
+        # As docs/tutorials/install.md has it; what an image states besides is given here: the guest has only files.
         options = [
             *("--network", "host", "--device", NODE, "--group-add", str(Path(NODE).stat().st_gid), "--read-only"),
             *("--cap-drop", "all", "--security-opt", "no-new-privileges", "--memory", "150m"),

@@ -86,7 +86,7 @@ def test_every_pitch_is_borne(profile: str, pitch_px: float) -> None:
     pitch=st.floats(0.05, 1.0),
     size=st.tuples(st.integers(1, 130), st.integers(1, 130)),
 )
-@settings(max_examples=150)
+@settings(max_examples=75)
 def test_every_sensor_that_may_be_stated_is_borne(
     profile: str,
     skin_radius_mm: float,

@@ -1,4 +1,4 @@
-"""Where the paper's method breaks, and why: the claims of docs/numerics.md, each by its own plain code and a figure."""
+"""Where the paper's method breaks, and why: the claims of numerics.md, each by its own plain code and a figure."""
 
 from __future__ import annotations
 

@@ -4,7 +4,7 @@
 
     .venv/bin/python -m tools.benchmarks.first_hour
 
-It takes the commands from README.md ("Get it") and docs/calibration.md ("Practise without a sensor"), runs them in a
+It takes the commands from README.md ("Get it") and calibration.md ("Practise without a sensor"), runs them in a
 temporary folder with this clone in the place of the repository's address, answers `capture` as the page says, presses
 eight times, and prints how long each step took. A command that fails ends it.
 """
@@ -45,7 +45,7 @@ def practise(begin: str, press: str, python: Path, folder: Path) -> str:
     """`capture` with a file as the hand; the command that it ends with."""
     *files, capture = begin.strip().splitlines()
     shell("\n".join(files), folder)
-    answers = re.search(r"`(\S+)`, `(\S+)`, `(\S+)`, `(\S+)`", (ROOT / "docs/calibration.md").read_text())
+    answers = re.search(r"`(\S+)`, `(\S+)`, `(\S+)`, `(\S+)`", (ROOT / "docs/how-to/calibration.md").read_text())
     assert answers
     with person(*capture.split()[2:], python=str(python), folder=folder) as one:
         questions = ("Radius of", "Half angle", "How far", "Does a press")
@@ -82,7 +82,7 @@ def main() -> None:
         programs = folder / "tacshade-edge" / "env" / "bin"
         os.environ["PATH"] = f"{programs}:{os.environ['PATH']}"
         say("cloned and installed")
-        begin, press, at_once = blocks("docs/calibration.md", "Practise without a sensor")
+        begin, press, at_once = blocks("docs/how-to/calibration.md", "Practise without a sensor")
         following = practise(begin, press, programs / "python", empty)
         say(f"references and {len(PRESSES)} presses taken")
         shell(following, empty)

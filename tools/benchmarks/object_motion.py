@@ -15,7 +15,7 @@ import math
 import time
 from collections.abc import Sequence
 
-from tacshade_edge.daemon.hand.aggregator import HandAggregator
+from tacshade_edge.hand.aggregator import HandAggregator
 from tacshade_edge.protocol.hand import Finger, HandObject, encode_hand
 from tacshade_edge.studies.tables import markdown
 

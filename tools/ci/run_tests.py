@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Every stage of the tests, one after the other, and at the end what each ran, skipped (why) and took.
+"""Every stage of the tests, in two lanes, and at the end what each ran, skipped (why) and took.
 
 ::
 
@@ -29,10 +29,10 @@ QUICK = "not guest and not broker and not slow and not browser"
 SLOW = "(slow or broker or browser) and not guest and not container"
 ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
 """Tests are compiled once, not by each worker of each stage: 11 s of a core."""
-LINT = "lint"
-"""Runs beside the stage after it, whose tests wait now and then."""
+BESIDE = ("lint", "guest")
+"""Run one after the other beside the rest, whose tests wait now and then; each shows its output when it is over."""
 STAGES: dict[str, tuple[str, ...]] = {
-    LINT: ("make", "--no-print-directory", "lint"),
+    "lint": ("make", "--no-print-directory", "lint"),
     "quick": (*PYTEST, "-n", WORKERS, "--dist", "worksteal", "-m", QUICK),
     "slow": (*PYTEST, "-n", WORKERS, "--dist", "loadfile", "-m", SLOW),
     "guest": (*PYTEST, "-m", "guest"),
@@ -52,34 +52,34 @@ class Stage:
 
 
 def run(name: str) -> Stage:
-    """Run a stage, its output as it comes; that of `LINT` when it is over."""
+    """Run a stage, its output as it comes; of those `BESIDE` when it is over."""
     print(f"--- {name}", flush=True)
     began_s = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
         results = Path(folder, "results.xml")
-        if name == LINT:
-            done = subprocess.run(STAGES[name], cwd=TREE, env=ENVIRONMENT, text=True, capture_output=True, check=False)
+        words = STAGES[name]
+        if words[: len(PYTEST)] == PYTEST:
+            words = (*words, f"--junitxml={results}")
+        beside = name in BESIDE
+        done = subprocess.run(words, cwd=TREE, env=ENVIRONMENT, text=True, capture_output=beside, check=False)
+        if beside:
             print(f"--- {name} ended\n{done.stdout}{done.stderr}", flush=True)
-            code = done.returncode
-        else:
-            words = (*STAGES[name], f"--junitxml={results}")
-            code = subprocess.run(words, cwd=TREE, env=ENVIRONMENT, check=False).returncode
         cases = list(ElementTree.parse(results).iter("testcase")) if results.exists() else []
     bad = sum(case.find("failure") is not None or case.find("error") is not None for case in cases)
     skips = [found for case in cases if (found := case.find("skipped")) is not None]
     skipped = Counter(found.get("message", "") for found in skips if found.get("type") != "pytest.xfail")
     passed = len(cases) - bad - len(skips)
-    return Stage(name, time.monotonic() - began_s, code == 0, passed, bad, skipped)
+    return Stage(name, time.monotonic() - began_s, done.returncode == 0, passed, bad, skipped)
 
 
 def main() -> int:
     """Run the stages that are named, or all."""
     began_s = time.monotonic()
     names = sys.argv[1:] or list(STAGES)
-    with ThreadPoolExecutor() as pool:
-        lint = [pool.submit(run, name) for name in names if name == LINT]
-        stages = [run(name) for name in names if name != LINT]
-        stages = [future.result() for future in lint] + stages
+    with ThreadPoolExecutor(max_workers=1) as pool:
+        beside = [pool.submit(run, name) for name in names if name in BESIDE]
+        stages = [run(name) for name in names if name not in BESIDE]
+        stages += [future.result() for future in beside]
     print("\nstage       s   passed  failed  skipped")
     for stage in stages:
         counts = f"{stage.passed:8} {stage.failed:7} {stage.skipped.total():8}"

@@ -11,7 +11,7 @@
     .venv/bin/python -m tools.faults soak-hand [--seconds 7200]
 
 Each prints a table and what is a problem, and exits with 1 where something is. An input, request, line or kill is made
-of the seed and its number alone: ``--first N --count 1`` makes it again. `docs/reliability.md` says what is promised.
+of the seed and its number alone: ``--first N --count 1`` makes it again. `reliability.md` says what is promised.
 """
 
 from __future__ import annotations

@@ -104,7 +104,7 @@ def licence(metadata: Message) -> str:
         return str(expression)
     classifiers = [value for value in metadata.get_all("Classifier", []) if value.startswith("License ::")]
     said = [metadata["License"] or "", *classifiers]
-    known = [SPDX[text] for text in said if text in SPDX]
+    known = [SPDX.get(text, text) for text in said if text in SPDX or text in SPDX.values()]
     if not known:
         raise KeyError(f"{metadata['Name']}: the licence {said}")
     return known[0]

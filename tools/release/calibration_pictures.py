@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The pictures of docs/calibration.md: the simulated sensor's, and the page of a capture of it, in a headless browser.
+"""The pictures of calibration.md: the simulated sensor's, and the page of a capture of it, in a headless browser.
 
 ::
 
@@ -103,7 +103,7 @@ def show_page(path: Path) -> None:
 
 def main() -> None:
     """Draw all of them."""
-    parser = argparse.ArgumentParser(description="The pictures of docs/calibration.md.")
+    parser = argparse.ArgumentParser(description="The pictures of calibration.md.")
     folder = Path(__file__).resolve().parents[2] / "docs/images"
     parser.add_argument("folder", type=Path, nargs="?", default=folder, metavar="DIR", help="docs/images")
     folder = parser.parse_args().folder

@@ -2,7 +2,7 @@
 
 ::
 
-    python -m tools.release.lock            # systemd/requirements.lock, then docs/bill.cdx.json
+    python -m tools.release.lock            # systemd/requirements.lock, then docs/reference/bill.cdx.json
     python -m tools.release.lock --bill     # the list alone, of the lock as it is
 
 Needs uv, which resolves for all machines at once and installs for others than this one.
@@ -20,7 +20,7 @@ from tools.release.bill import bill
 
 ROOT = Path(__file__).resolve().parents[2]
 LOCK = ROOT / "systemd/requirements.lock"
-BILL = ROOT / "docs/bill.cdx.json"
+BILL = ROOT / "docs/reference/bill.cdx.json"
 MACHINES = ("x86_64", "aarch64")
 PYTHONS = ("3.11", "3.13")
 HEADER = """\

@@ -75,14 +75,22 @@ def main() -> int:
         (wheel,) = Path(folder).glob("*.whl")
         for machine in args.machine:
             for python in args.python:
-                # A development version lies below its release, as in Python.
-                told = f"{version().replace('.dev', '~dev')}+deb{RELEASES[python]}"
-                made = args.out / f"tacshade-edge_{told}_{ARCHITECTURES[machine]}.deb"
+                made = args.out / file_name(version(), python, machine)
                 with tempfile.TemporaryDirectory(dir=args.out) as root:
-                    stage(Path(root), wheel, machine, python, told)
+                    stage(Path(root), wheel, machine, python, debian_version(version(), python))
                     pack(Path(root), made, args.level)
                 print(f"{made}: {made.stat().st_size / 1e6:.0f} MB")
     return 0
+
+
+def debian_version(told: str, python: str) -> str:
+    """The package's version: a development version lies below its release, as in Python."""
+    return f"{told.replace('.dev', '~dev')}+deb{RELEASES[python]}"
+
+
+def file_name(told: str, python: str, machine: str) -> str:
+    """The package's file, of a program of version `told`."""
+    return f"tacshade-edge_{debian_version(told, python)}_{ARCHITECTURES[machine]}.deb"
 
 
 def stage(root: Path, wheel: Path, machine: str, python: str, told: str) -> None:
@@ -99,7 +107,7 @@ def stage(root: Path, wheel: Path, machine: str, python: str, told: str) -> None
     about = root / "usr/share/doc/tacshade-edge"
     about.mkdir(parents=True)
     (about / "copyright").write_text(COPYRIGHT + (TREE / "LICENSE").read_text())
-    for name in ("docs/bill.cdx.json", "CHANGELOG.md"):
+    for name in ("docs/reference/bill.cdx.json", "CHANGELOG.md"):
         shutil.copy(TREE / name, about)
     check_machine(root, machine)
     # Before anything in DEBIAN, which is not installed.

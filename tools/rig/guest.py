@@ -34,6 +34,7 @@ HERE = Path(__file__).resolve().parent
 TREE = HERE.parents[1]
 CACHE = TREE / ".rig"
 BOOT_MODULES = ("virtio_pci", "9pnet_virtio", "9p", "overlay", "virtio_console")
+NETWORK_MODULES = ("virtio_net", "af_packet")
 PROGRAMS = {  # what we call: the Debian package it is in
     "qemu-system-x86_64": "qemu-system-x86",
     "busybox": "busybox-static",
@@ -89,21 +90,24 @@ def kernel() -> tuple[Path, str]:
     return final, version
 
 
-def initramfs(out: Path, root: Path, version: str, systemd: bool) -> None:
-    """Write ``out/.initrd``: busybox and the modules that reach the 9p root."""
+def initramfs(out: Path, root: Path, version: str, systemd: bool, network: bool) -> None:
+    """Write ``out/.initrd``: busybox and the modules that reach the 9p root, and the network if there is one."""
     with tempfile.TemporaryDirectory() as scratch:
         top = Path(scratch)
         for name in ("bin", "dev", "proc", "sys", "ro", "rw", "new", "modules"):
             (top / name).mkdir()
         shutil.copy(shutil.which("busybox") or "", top / "bin/busybox")
-        for number, module in enumerate(_modules(root, version)):
+        for number, module in enumerate(_modules(root, version, network)):
             content = module.read_bytes()
             if module.suffix == ".xz":
                 content = lzma.decompress(content)
             (top / "modules" / f"{number:02}-{module.name.removesuffix('.xz')}").write_bytes(content)
         text = (HERE / "init.sh").read_text()
         text = text.replace("@MODULES@", f"{root}/lib/modules/{version}")
-        (top / "init").write_text(text.replace("@SYSTEMD@", str(HERE) if systemd else ""))
+        text = text.replace("@NETWORK@", "yes" if network else "")
+        if systemd:
+            shutil.copy(HERE / "systemd_root.sh", top)
+        (top / "init").write_text(text.replace("@SYSTEMD@", "yes" if systemd else ""))
         (top / "init").chmod(0o755)
         names = "\n".join(str(path.relative_to(top)) for path in sorted(top.rglob("*")))
         with (out / ".initrd").open("wb") as archive:
@@ -112,27 +116,32 @@ def initramfs(out: Path, root: Path, version: str, systemd: bool) -> None:
             )
 
 
-def _modules(root: Path, version: str) -> list[Path]:
+def _modules(root: Path, version: str, network: bool) -> list[Path]:
     """Files of the boot modules and of all they depend on, in loading order."""
     files: dict[Path, None] = {}
-    for module in BOOT_MODULES:
+    for module in (*BOOT_MODULES, *(NETWORK_MODULES if network else ())):
         for line in _output("modprobe", "-d", str(root), "-S", version, "--show-depends", module).splitlines():
             if line.startswith("insmod "):
                 files[Path(line.split()[1])] = None
     return list(files)
 
 
-def run(command: list[str], out: Path, silent_s: float, systemd: bool) -> int:
-    """Boot, run the command, return its exit status."""
+def run(command: list[str], out: Path, silent_s: float, systemd: bool, fresh: Path | None = None) -> int:
+    """Boot, run the command, return its exit status.
+
+    With `fresh`, the root of another system, the guest has that in place of this machine's files, a network, and more
+    memory, since what it installs lies there.
+    """
     root, version = kernel()
-    initramfs(out, root, version, systemd)
-    (out / ".command").write_text(f"cd {shlex.quote(str(TREE))} && exec {shlex.join(command)}\n")
+    initramfs(out, root, version, systemd, fresh is not None)
+    where = TREE if fresh is None else Path("/")
+    (out / ".command").write_text(f"cd {shlex.quote(str(where))} && exec {shlex.join(command)}\n")
     status = out / ".status"
     status.unlink(missing_ok=True)
     alive, began_s = (out / ".alive", out / ".console"), time.time()
     for sign in alive:
         sign.unlink(missing_ok=True)
-    with subprocess.Popen(_qemu(root, version, out, systemd), stdin=subprocess.DEVNULL) as emulator:
+    with subprocess.Popen(_qemu(root, version, out, systemd, fresh), stdin=subprocess.DEVNULL) as emulator:
         while emulator.poll() is None:
             latest_s = max([began_s, *(sign.stat().st_mtime for sign in alive if sign.exists())])
             if time.time() - latest_s > silent_s:
@@ -148,20 +157,28 @@ def run(command: list[str], out: Path, silent_s: float, systemd: bool) -> int:
     return int(status.read_text())
 
 
-def _qemu(root: Path, version: str, out: Path, systemd: bool) -> list[str]:
+def _qemu(root: Path, version: str, out: Path, systemd: bool, fresh: Path | None) -> list[str]:
     """Software emulation only: hardware virtualisation is not everywhere, and its timing would differ."""
     more = " systemd.unit=scenario.target systemd.show_status=0" if systemd else ""
     share = "security_model=none,multidevs=remap"
+    network = ("-nic", "user,model=virtio-net-pci") if fresh else ("-nic", "none")
+    memory_mib, more = ("6144", f"{more} net.ifnames=0") if fresh else ("1536", more)
     return [
         *("qemu-system-x86_64", "-M", "q35,usb=off", "-accel", "tcg,thread=multi"),
         *("-cpu", "max,-avx,-avx2,-fma"),  # whose emulation takes ten times as long
-        *("-smp", "2", "-m", "1536", "-nodefaults", "-no-user-config", "-display", "none", "-no-reboot"),
+        *("-smp", "2", "-m", memory_mib, "-nodefaults", "-no-user-config", "-display", "none", "-no-reboot"),
         *("-kernel", f"{root}/boot/vmlinuz-{version}", "-initrd", f"{out}/.initrd"),
         *("-append", f"console=ttyS0 quiet panic=-1 mitigations=off nokaslr audit=0 {_clock()}" + more),
         *("-chardev", f"file,id=console,path={out}/.console", "-serial", "chardev:console"),
         *("-device", "virtio-serial-pci", "-chardev", "stdio,id=out,signal=off"),
         *("-device", "virtconsole,chardev=out", "-device", "virtio-rng-pci"),
-        *("-fsdev", f"local,id=root,path=/,readonly=on,{share}", "-device", "virtio-9p-pci,fsdev=root,mount_tag=root"),
+        *network,
+        *(
+            "-fsdev",
+            f"local,id=root,path={fresh or '/'},readonly=on,{share}",
+            "-device",
+            "virtio-9p-pci,fsdev=root,mount_tag=root",
+        ),
         *("-fsdev", f"local,id=out,path={out},{share}", "-device", "virtio-9p-pci,fsdev=out,mount_tag=out"),
     ]
 
@@ -196,6 +213,12 @@ def main() -> int:
         "--silent", type=float, default=120.0, metavar="SECONDS", help="give up after no sign of life for so long (120)"
     )
     parser.add_argument("--systemd", action="store_true", help="boot systemd and udev first")
+    parser.add_argument(
+        "--fresh",
+        type=Path,
+        metavar="ROOT",
+        help="the root of another system in place of this machine's, with a network",
+    )
     parser.add_argument("--check", action="store_true", help="only say whether a guest can be run here")
     parser.add_argument("command", nargs=argparse.REMAINDER, metavar="COMMAND", help="with its arguments")
     args = parser.parse_args()
@@ -210,7 +233,7 @@ def main() -> int:
             args.out = Path(tempfile.mkdtemp(prefix="guest-out."))
             print(f"guest: /out is {args.out}", file=sys.stderr)
         args.out.mkdir(parents=True, exist_ok=True)
-        return run(args.command, args.out.resolve(), args.silent, args.systemd)
+        return run(args.command, args.out.resolve(), args.silent, args.systemd, args.fresh)
     except CannotRunError as error:
         print(f"guest: {error}", file=sys.stderr)
         return EXIT_CANNOT

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""What `calibrate` finds wrong, and what it finds wrong in good sets: docs/calibration-checks.md has the tables.
+"""What `calibrate` finds wrong, and what it finds wrong in good sets: calibration-checks.md has the tables.
 
 ::
 

@@ -3,10 +3,10 @@
 
 ::
 
-    .venv/bin/python -m tools.studies.flange [--trials 20] [--start 10 10] [--profile accurate] [--keep DIR]
+    .venv/bin/python -m tools.studies.flange [--trials 20] [--start 10 10] [--profile accurate] [--final] [--keep DIR]
 
 Each trial has a surface, a sensor that was calibrated on 40 ball presses, a true place on the flange, a delay, and a
-start that is 10 mm and 10 degrees off. A robot that believes the start goes through the plan of docs/stitching.md: it
+start that is 10 mm and 10 degrees off. A robot that believes the start goes through the plan of stitching.md: it
 turns and goes where the plan says, then down until the sensor is so deep in the surface. Every fifth press has frames
 of the motion down and up. Every image is drawn and reconstructed. What the robot reports is off by Gaussian noise,
 once for each press. `--start 0.5 0.5` is for who goes through the plan once more, with what was found. --keep stores
@@ -42,6 +42,8 @@ from tools.testbed import flange_plan
 from tools.testbed.simulator.families import sensor_name
 
 SENSORS = ("default", "5", "11", "other:1", "two-scales:3")
+FINAL = ("9018", "9019", "9020", "other:9018", "two-scales:9018")
+"""Kept for final figures."""
 PADS = ("relief:1", "relief:2", "relief:3", "touchpad:0")
 NOISES = ((0.1, 0.1), (0.2, 0.2), (0.3, 0.3))
 """Standard deviations of the reported poses: in every axis in mm, about a random axis through the apex in degrees."""
@@ -64,16 +66,17 @@ class Task:
     keep: Path | None
     start: tuple[float, float] = START
     constant: bool = False
+    sensors: tuple[str, ...] = SENSORS
 
     @property
     def sensor(self) -> str:
         """Its name."""
-        return SENSORS[self.trial % len(SENSORS)]
+        return self.sensors[self.trial % len(self.sensors)]
 
     @property
     def pad(self) -> str:
         """KIND:SEED."""
-        return PADS[self.trial // len(SENSORS) % len(PADS)]
+        return PADS[self.trial // len(self.sensors) % len(PADS)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,7 +103,7 @@ def _calibration(sensor: str) -> Calibration:
     return calibrated(sensor_name(sensor), 8, 40).calibration
 
 
-def _lowered(pose: Rigid, radius_mm: float, surface: pads.Surface, depth_mm: float) -> Rigid:
+def lowered(pose: Rigid, radius_mm: float, surface: pads.Surface, depth_mm: float) -> Rigid:
     """Along the base's z until the undeformed skin is so deep in the surface."""
     dx, dy = np.meshgrid(*(np.linspace(-0.8, 0.8, 81) * radius_mm,) * 2)
     dome = np.sqrt(np.maximum(radius_mm**2 - dx**2 - dy**2, 0))
@@ -128,7 +131,7 @@ def taken(task: Task) -> Taken:
     out = Taken([], [], [], [], radius_mm)
     for k, pose in enumerate(believed):
         true = pose @ start_of(task.trial, task.start).inverse() @ TRUE
-        true = _lowered(true, radius_mm, surface, _DEPTH_MM + float(rng.uniform(-_VARIED_MM, _VARIED_MM)))
+        true = lowered(true, radius_mm, surface, _DEPTH_MM + float(rng.uniform(-_VARIED_MM, _VARIED_MM)))
         moving = _MOVING_MM if k % 5 == k // 5 % 5 else ()
         for above_mm in (0.0, *moving):
             at, seq = shift(0, 0, abs(above_mm)) @ true, len(out.press)
@@ -196,6 +199,7 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=20)
     parser.add_argument("--start", type=float, nargs=2, default=START, metavar=("MM", "DEG"), help="how far off it is")
     parser.add_argument("--profile", choices=PROFILES, default="accurate")
+    parser.add_argument("--final", dest="sensors", action="store_const", const=FINAL, default=SENSORS)
     parser.add_argument("--keep", type=Path, metavar="DIR")
     args = parser.parse_args()
     cv2.setNumThreads(1)
@@ -203,7 +207,7 @@ def main() -> None:
     found: dict[tuple[float, float], list[tuple[F64, F64]]] = {noise: [] for noise in NOISES}
     rows = []
     for trial in range(args.trials):
-        task = Task(trial, args.profile, args.keep, off_by)
+        task = Task(trial, args.profile, args.keep, off_by, sensors=args.sensors)
         got = taken(task)
         delay_ms = float(np.random.default_rng((trial, 33)).uniform(*_DELAY_MS))
         for noise in NOISES:
@@ -216,7 +220,7 @@ def main() -> None:
     columns = ("noise of the poses", *limits, f"within {WITHIN_SIGMAS} standard deviations", "RMS in those")
     print(markdown(columns, [row(noise, here) for noise, here in found.items()]), end="\n\n")
     print(markdown(("surface", "sensor", "noise", *ORDER), rows), end="\n\n")
-    got = taken(Task(0, args.profile, args.keep, off_by, constant=True))
+    got = taken(Task(0, args.profile, args.keep, off_by, constant=True, sensors=args.sensors))
     frames = frames_of(got, NOISES[1], 0.0, 0)
     print(
         "one orientation:", unseen(frames, start_of(0, off_by), find_flange(frames, start_of(0, off_by), got.radius_mm))

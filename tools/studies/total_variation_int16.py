@@ -1,6 +1,6 @@
 """The iteration of `core.image.total_variation` in int16: half the memory to move, twice the pixels at a time.
 
-Not the same bits, but the same iteration: docs/numerics.md has how far from float64 it is after equally many.
+Not the same bits, but the same iteration: numerics.md has how far from float64 it is after equally many.
 
 Formats, in grey levels (an image of 0 to 1 has 255 of them), with f fraction bits (`fraction_bits`) and W = 255 weight,
 which no p is longer than:

@@ -1,4 +1,4 @@
-"""The plan of docs/stitching.md for `stitch --find-flange`: where a robot presses, turns, moves."""
+"""The plan of docs/how-to/stitching.md for `stitch --find-flange`: where a robot presses, turns, moves."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """A float network as a graph of 8-bit codes without weights, which rounds those that it is joined to.
 
-docs/numerics.md says what the codes are, and which layers are not of integers.
+docs/explanation/numerics.md says what the codes are, and which layers are not of integers.
 """
 
 from __future__ import annotations

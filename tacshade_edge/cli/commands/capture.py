@@ -88,7 +88,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--printer",
         metavar="PORT",
-        help="the presses of --plan by a 3-D printer on this serial port, as DIR/PRINTER.yaml says (docs/printer.md)",
+        help="the presses of --plan by a 3-D printer on this serial port, as DIR/PRINTER.yaml says (printer.md)",
     )
 
 

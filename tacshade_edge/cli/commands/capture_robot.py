@@ -17,7 +17,7 @@ _MISSING = Reason(ReasonCode.NOT_CALIBRATED, "not calibrated: tacshade-edge capt
 
 @contextlib.contextmanager
 def robot_poses(serial: Serial | None) -> Iterator[PoseAt | None]:
-    """Serve the line of the settings as the daemon does (docs/serial.md); None where there is no robot."""
+    """Serve the line of the settings as the daemon does (docs/reference/serial.md); None where there is no robot."""
     if serial is None or (port := ports.make_serial_port(serial)) is None:
         yield None
         return

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final
@@ -16,11 +15,10 @@ from tacshade_edge.daemon.recording.replay import Progress, replay
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import calibrations
 from tacshade_edge.inference.network import make_reconstructor
-from tacshade_edge.settings import load
 from tacshade_edge.storage.exports import Export
 from tacshade_edge.storage.recording.mcap import is_mcap, require_mcap
 from tacshade_edge.storage.recording.recording import Recording
-from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME, SETTINGS_NAME, content_of
+from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME, content_of
 from tacshade_edge.types import Calibration
 
 SENSOR_ID = "replay"
@@ -33,17 +31,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--calibration", type=Path, metavar="CAL.npz", help="from `calibrate` (the recording's own)")
     add_profile(parser)
     add("--out", type=Path, metavar="PATH", help="a new file, of ply and lerobot a new folder (beside the recording)")
-    add("input", type=Path, metavar="RECORDING", help="what `replay` reads")
+    text = "what `replay` reads; several are of a hand's fingers, and their hand is exported (csv, mcap)"
+    add("input", type=Path, nargs="+", metavar="RECORDING", help=text)
 
 
 def run(args: argparse.Namespace) -> int:
     """Export; 1 where images could not be read."""
-    recording = Recording(args.input)
+    if len(args.input) > 1:
+        return _export_hand(args)
+    (path,) = args.input
+    recording = Recording(path)
     for line in (recording.damage, "the recording was cut off: what is whole is exported" if recording.cut_off else ""):
         if line:
-            _report(f"{args.input}: {line}")
-    content = content_of(args.input)
-    calibration, out = _calibration(args), args.out or _beside(args.input, args.to)
+            _report(f"{path}: {line}")
+    content = content_of(path)
+    calibration, out = _calibration(path, args.calibration), args.out or _beside(path, args.to)
     _, begin = FORMATS[args.to]
     export = begin(out, calibration, args.profile, content)
     reconstructor = make_reconstructor(calibration, PROFILES[args.profile])
@@ -56,6 +58,29 @@ def run(args: argparse.Namespace) -> int:
     left_out = f", {progress.undecodable} unreadable" if progress.undecodable else ""
     print(f"{out}: {progress.frames} frames, {progress.contacts} in contact, {progress.invalid} invalid{left_out}")
     return 1 if progress.undecodable else 0
+
+
+def _export_hand(args: argparse.Namespace) -> int:
+    """Export what the recorded fingers' hand would have published; the log reports images that cannot be read."""
+    if args.to not in ("csv", "mcap"):
+        raise ConfigError(f"--to: found {args.to} with {len(args.input)} recordings, expected csv or mcap")
+    if args.calibration is not None:
+        raise ConfigError("--calibration: found it with several recordings, expected none: each has its own")
+    if args.out is None:
+        raise ConfigError("--out: found nothing with several recordings, expected a new file")
+    if args.to == "mcap":
+        require_mcap()
+    from tacshade_edge.factories.hand_recordings import read_hand
+    from tacshade_edge.storage.exports.hand_export import write_csv, write_mcap
+
+    hand = read_hand(args.input, args.profile)
+    if args.to == "csv":
+        count = write_csv(args.out, hand.fingers, hand.messages)
+    else:
+        count = write_mcap(args.out, hand.hand_id, hand.messages)
+    left_out = f", {len(hand.unread)} images unreadable" if hand.unread else ""
+    print(f"{args.out}: {count} messages of {len(hand.fingers)} fingers{left_out}")
+    return 1 if hand.unread else 0
 
 
 # Each is imported on demand: it needs packages of its own.
@@ -106,26 +131,24 @@ def _beside(recording: Path, to: str) -> Path:
     return recording.with_name(name + FORMATS[to][0])
 
 
-def _calibration(args: argparse.Namespace) -> Calibration:
+def _calibration(recording: Path, given: Path | None) -> Calibration:
     """The one that is given, or the recording's own."""
-    if args.calibration is not None:
-        return calibrations.load(args.calibration)
-    if (own := calibrations.of_recording(args.input)) is None:
-        raise ConfigError(f"{args.input}: found no {CALIBRATION_NAME} in it, expected --calibration CAL.npz")
+    if given is not None:
+        return calibrations.load(given)
+    if (own := calibrations.of_recording(recording)) is None:
+        raise ConfigError(f"{recording}: found no {CALIBRATION_NAME} in it, expected --calibration CAL.npz")
     return own
 
 
 def _sensor_id(content: dict[str, bytes]) -> str:
     """Of the settings that the recording was made with."""
-    if SETTINGS_NAME not in content:
+    from tacshade_edge.factories.hand_recordings import recorded_settings
+
+    try:
+        settings = recorded_settings(content)
+    except ConfigError:  # of another version of this program
         return SENSOR_ID
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / SETTINGS_NAME
-        path.write_bytes(content[SETTINGS_NAME])
-        try:
-            return load(path).settings.sensor_id
-        except ConfigError:  # of another version of this program
-            return SENSOR_ID
+    return SENSOR_ID if settings is None else settings.sensor_id
 
 
 def _report(line: str) -> None:

@@ -11,12 +11,14 @@ from typing import Any
 from tacshade_edge.cli.shared import study
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.doctor.board_facts import board_facts, heat
+from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator.objects import PAPER_OBJECTS
 from tacshade_edge.studies.parallel import usable_cores
-from tacshade_edge.studies.tradeoff import budget, picture, report
+from tacshade_edge.studies.tradeoff import board_report, budget, picture, report
 from tacshade_edge.studies.tradeoff.cases import SensorCases, simulated
-from tacshade_edge.studies.tradeoff.grid import grid
+from tacshade_edge.studies.tradeoff.grid import Setting, grid
 from tacshade_edge.studies.tradeoff.summary import Point
 from tacshade_edge.studies.tradeoff.work import tradeoff
 
@@ -38,11 +40,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="MS",
         help="print the settings of the most accurate profile that takes no longer for 99 of 100 frames in contact",
     )
+    parser.add_argument(
+        "--report",
+        action="store_true",
+        help="time the shipped profiles alone and print this board's figures as a block to send in; it names no host",
+    )
     study.add_simulated(parser, SENSORS, "the paper's five")
 
 
 def run(args: argparse.Namespace) -> int:
     """Measure; print the tables and the settings, write the files."""
+    if args.report:
+        return _report(args)
     mistakes: list[str] = []
     if study.is_own(args, ("sensors", "objects")):
         calibration, cases, mistakes = study.own_images(args)
@@ -69,6 +78,24 @@ def run(args: argparse.Namespace) -> int:
         study.write(args.out / "tradeoff.png", picture.draw(found, args.budget_ms))
     kept = args.budget_ms is None or _print_settings(found, args.budget_ms, aside=args.json)
     return 0 if kept and not mistakes else 1
+
+
+def _report(args: argparse.Namespace) -> int:
+    """The same measurement on every board, of what a user can choose by name."""
+    for name in ("profile", "out", "calibration", "images", "budget_ms", "sensors", "objects"):
+        if getattr(args, name) is not None:
+            args.usage_error(f"--report measures the same on every board: expected no --{name.replace('_', '-')}")
+    if args.json:
+        args.usage_error("--report prints Markdown: expected no --json")
+    machine, progress = Machine(), Progress()
+    facts, before = board_facts(machine), heat(machine)
+    images = simulated(study.sensors("default"), tuple(PAPER_OBJECTS), usable_cores(), progress)
+    settings = [Setting(PROFILES[name]) for name in board_report.PROFILES]
+    found, busy = tradeoff(settings, images, usable_cores(), progress)
+    if before:
+        facts |= {"before": before, "after": heat(machine)}
+    print(board_report.block(facts, found, busy), end="")
+    return 0
 
 
 def _print_settings(found: Sequence[Point], budget_ms: float, *, aside: bool) -> bool:

@@ -18,7 +18,7 @@ from tacshade_edge.storage.stitching.flange_file import FLANGE, write_flange
 PRESSES_MIN = 12
 START_MM, START_DEG = 15.0, 15.0
 """Found farther from the start than it may be off: no place on the flange, a false one."""
-_PLAN = "(docs/stitching.md has a plan)"
+_PLAN = "(docs/how-to/stitching.md has a plan)"
 
 
 def run(

@@ -15,7 +15,7 @@ Grade = Literal["good", "fair", "poor", "uncalibrated"]
 GRADED_PROFILE = "accurate"
 """The profile whose error grades a calibration."""
 # On the nominal skin: its mean depth error, and how well the presses agree with each other. What good presses give, and
-# presses stated 0.3 and 0.6 mm off, `tools/studies/calibration.py` measures (docs/calibration-checks.md has its table).
+# presses stated 0.3 and 0.6 mm off, `tools/studies/calibration.py` measures (calibration-checks.md has its table).
 _DEPTH_GOOD_MM, _DEPTH_FAIR_MM = 0.30, 0.50
 _AGREEMENT_GOOD_MM, AGREEMENT_FAIR_MM = 0.25, 0.45
 _TO_REPEAT = 3
@@ -33,7 +33,7 @@ class Quality:
 UNCALIBRATED = Quality(
     "uncalibrated",
     "depth is what sensors of this kind give on average: no --presses to measure how good that is for this one",
-    ("take 20 to 40 presses and pass --presses PRESSES.csv (docs/calibration.md)",),
+    ("take 20 to 40 presses and pass --presses PRESSES.csv (docs/how-to/calibration.md)",),
 )
 """Without presses."""
 

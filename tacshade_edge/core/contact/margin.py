@@ -3,7 +3,8 @@
 On skin that gives way like springs side by side (Winkler's foundation), the load across a contact goes with its depth
 and the load along it with its shear: by Coulomb's law it slides at some ratio of the two, friction times the springs'
 stiffnesses. This limit differs from skin to skin and from object to object. It is learned where the contact slides, and
-taken as `LIMIT` before; what was borne for a while without a slide shows that it is higher.
+taken as `LIMIT` before. What was borne without a slide shows that it is higher: a load that was borne for a while, or
+that went back, as what slides keeps its ratio.
 
 That the sticking part of a contact shrinks before all of it slides (Cattaneo 1938; Mindlin 1949) does not help: the
 strain of the shear that networks find is the same part of it from a half that sticks to nothing.
@@ -19,7 +20,7 @@ from tacshade_edge.types import Slip
 
 ALARM = 0.25
 """A contact of so little margin is about to slip."""
-LIMIT = 0.7
+LIMIT = 0.65
 """Mean shear over greatest depth at which a contact slides, before it is known: of simulated skins a low one."""
 LEAST_LIMIT, LEAST_DEPTH_MM = 0.1, 0.2
 """What is learned and divided by is at least this: less is noise."""
@@ -28,8 +29,10 @@ FILTER_NS = 80_000_000
 SLIDE_NS = 60_000_000
 """A slide counts from so long on: what is shaken seems to slide for a frame or two."""
 
+WENT_BACK = 0.85
+"""A ratio that falls below this part of its peak without a slide: the peak was borne."""
 BORNE_NS, BEYOND = 2_000_000_000, 1.5
-"""A ratio without a slide since so long was borne; before any slide the limit is taken to be so much beyond it."""
+"""A ratio without a slide since so long was borne, too; before any slide the limit is taken to be so much beyond it."""
 
 
 @dataclass(slots=True)
@@ -49,6 +52,8 @@ class Grip:
     """When the slide began."""
     _slides: bool = False
     _beyond: float = BEYOND
+    _peak: float = 0.0
+    """Greatest ratio since one went back."""
     _lately: deque[tuple[int, float]] = field(default_factory=deque)
     """Times and ratios of the last `BORNE_NS`."""
 
@@ -86,8 +91,13 @@ class Grip:
             self.limit = max(self._ratio, self.limit if slid else LEAST_LIMIT)
             self._beyond = 1.0
             self._lately.clear()
+            self._peak = 0.0
             return 0.0
         self._lately.append((t_ns, self._ratio))
+        self._peak = max(self._peak, self._ratio)
+        if self._ratio < WENT_BACK * self._peak:
+            self.limit = max(self.limit, self._beyond * self._peak)
+            self._peak = self._ratio
         while t_ns - self._lately[0][0] >= BORNE_NS:
             self.limit = max(self.limit, self._beyond * self._lately.popleft()[1])
         return max(0.0, 1 - self._ratio / self.limit)

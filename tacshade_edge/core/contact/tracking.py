@@ -4,6 +4,10 @@ Skin that an object holds stays under it: the mean of where the touched skin was
 in the material, stands still whatever the object does. When the object slides, its imprint moves over the material, and
 that mean moves with the speed of the slip. Friction drags the skin the way that the object slides: what moves over skin
 that is not dragged, or against the way it is dragged, is a contact that grows or shrinks on one side.
+
+By Coulomb's law a contact that slides bears its limit, which goes with its depth: skin that goes back faster than the
+depth lets it is skin whose load is taken off. Networks find the place of an object too little moved with its drag, so
+an object that is shaken would else slip whenever it swings back.
 """
 
 from __future__ import annotations
@@ -15,7 +19,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from tacshade_edge.core.contact.margin import Grip
+from tacshade_edge.core.contact.margin import LEAST_DEPTH_MM, Grip
 from tacshade_edge.types import Reconstruction, Slip
 
 SPANS_NS = (70_000_000, 150_000_000, 250_000_000)
@@ -99,14 +103,14 @@ def follow(tracker: ContactTracker, result: Reconstruction) -> Reconstruction:
     )
 
 
-_Seen = deque[tuple[int, float, float, float, float]]
+_Seen = deque[tuple[int, float, float, float, float, float]]
 
 
 @dataclass(slots=True)
 class _Track:
     number: int
     seen: _Seen = field(default_factory=deque)
-    """Time, the imprint's place in the material, and its place."""
+    """Time, the imprint's place in the material, its place, and its depth."""
     noise_mm2: float = FIRST_NOISE_MM**2
     at_mm: tuple[float, float] = (0.0, 0.0)
     slip: Slip = Slip.STICK
@@ -149,7 +153,7 @@ def _followed(track: _Track, t_ns: int, contact: Contact) -> Tracked:
     held = contact.x_mm - contact.shear_mm[0], contact.y_mm - contact.shear_mm[1]
     if track.seen and t_ns <= track.seen[-1][0]:
         track.seen.clear()  # another stream
-    track.seen.append((t_ns, *held, *track.at_mm))
+    track.seen.append((t_ns, *held, *track.at_mm, contact.depth_max_mm))
     while len(track.seen) > LEAST_FRAMES and track.seen[-1][0] - track.seen[0][0] > SPANS_NS[-1]:
         track.seen.popleft()
     track.noise_mm2 += (_noise_mm2(track.seen, track.noise_mm2) - track.noise_mm2) / NOISE_FRAMES
@@ -190,9 +194,11 @@ def _slide(seen: _Seen, noise_mm2: float, shear_mm: tuple[float, float]) -> tupl
         spread = float(t @ t)
         if spread <= 0:
             return False, None
-        held, moved = np.array([t @ place[first:] for place in places]).reshape(2, 2) / spread
+        *rates, deeper = np.array([t @ place[first:] for place in places]) / spread
+        held, moved = np.reshape(rates, (2, 2))
         speed = math.hypot(*held)
-        slid = float(held @ way)
+        loosened = size * max(0.0, -float(deeper)) / max(places[-1][-1], LEAST_DEPTH_MM)
+        slid = min(float(held @ way), float(moved @ way) + loosened)
         least = max(SLIP_MM_S, NOISE_SPREADS * math.sqrt(noise_mm2 / spread), FULL_PART * float(moved @ way))
         if slid >= least:
             return True, speed

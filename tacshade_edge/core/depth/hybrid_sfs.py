@@ -2,7 +2,7 @@
 
 A fidelity reference, not a good method: for the camera's overhead direction L = (0, 0, -1) the derivative of
 eq. 12 is zero wherever p = -q, and every flat is such a place. The iteration then divides by the machine
-epsilon, and its result is a scaled copy of the grey image (docs/numerics.md has the figures).
+epsilon, and its result is a scaled copy of the grey image (docs/explanation/numerics.md has the figures).
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ from tacshade_edge.core.depth.base import Depth, Features, Mark, Network
 from tacshade_edge.core.depth.network_maps import fold, known_maps, scale_mm, unfold
 from tacshade_edge.core.depth.shear import LearnedShear
 from tacshade_edge.core.geometry import disc_map
-from tacshade_edge.core.geometry.disc import rays_in_image
+from tacshade_edge.core.geometry.sensor_rays import rays_in_image
 from tacshade_edge.core.image.integral_image import CellMeans
 from tacshade_edge.core.image.preprocess import Preprocessed, Preprocessor
 from tacshade_edge.types import F32, Bool, Geometry, freeze

@@ -27,7 +27,7 @@ _LEAST_POINTS, _LEAST_PART = 20, 0.2
 # besides (a deep press alone looks like 1 px of them), are worth a word.
 SHIFTED_PART = 0.02
 SHIFT_PART, RIM_PART = 0.0035, 0.012
-# Light that is compensated, its unevenness and a blur that are not seen in good presses (docs/calibration-checks.md).
+# Light that is compensated, its unevenness and a blur that are not seen in good presses (calibration-checks.md).
 LIGHT_LOW, LIGHT_HIGH, UNEVEN, CONTRAST = 0.8, 1.25, 0.08, 0.8
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tacshade_edge.core.geometry.disc import DiscRays, Grid
-from tacshade_edge.types import F32, Bool, Geometry
+from ...types import F32, Bool, Geometry
+from .disc import DiscRays, Grid
 
 
 def skin_points(height_mm: F32, rays: DiscRays, geometry: Geometry) -> F32:

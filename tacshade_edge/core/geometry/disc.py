@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from tacshade_edge.types import F32, Bool, Calibration, Disc, Geometry, freeze
+from ...types import F32, Bool, Disc, Geometry, freeze
 
 Value = TypeVar("Value", bound=np.generic)
 
@@ -133,10 +133,3 @@ def disc_rays(grid: Grid, geometry: Geometry) -> DiscRays:
     u = np.broadcast_to((cols * per_px).astype(np.float32), shape)
     v = np.broadcast_to((rows * per_px).astype(np.float32), shape)
     return DiscRays(inside=inside, u=np.ascontiguousarray(u), v=np.ascontiguousarray(v))
-
-
-def rays_in_image(grid: Grid, calibration: Calibration) -> DiscRays:
-    """`disc_rays`; what the image cuts off the disc is outside."""
-    rays = disc_rays(grid, calibration.geometry)
-    in_image = cells_in_image(grid, calibration.image_height_px, calibration.image_width_px)
-    return DiscRays(inside=rays.inside & in_image, u=rays.u, v=rays.v)

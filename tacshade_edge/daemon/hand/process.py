@@ -12,13 +12,13 @@ import time
 from collections import Counter
 from typing import Final
 
-from tacshade_edge.daemon.hand.aggregator import HandAggregator
 from tacshade_edge.daemon.hand.lines import HandLine, Lines
 from tacshade_edge.daemon.pipeline.pipeline import Crash, crashes_to
 from tacshade_edge.daemon.systemd import STOP_USEC, notify
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.factories import links
 from tacshade_edge.free_memory import share_free_memory
+from tacshade_edge.hand.aggregator import HandAggregator
 from tacshade_edge.protocol import json_payload, replies
 from tacshade_edge.protocol.hand import encode_hand
 from tacshade_edge.protocol.requests import Request

@@ -1,4 +1,4 @@
-// Where a pixel's skin point is, from info.geometry (docs/mqtt.md).
+// Where a pixel's skin point is, from info.geometry (docs/reference/mqtt.md).
 
 /**
  * Point of the deformed skin that a pixel's ray meets, in mm in the sensor frame, into out[at .. at + 2].

@@ -22,7 +22,7 @@ import { decode } from "./wire.js";
 
 const INVALID = 2, SATURATED = 4, DEGRADED = 8;
 const FULL_SLIP = 2;
-const DEAREST = "paper", COST = "200 times slower, less exact"; // docs/speed.md, docs/accuracy.md
+const DEAREST = "paper", COST = "200 times slower, less exact"; // docs/explanation/speed.md, docs/explanation/accuracy.md
 const WHOLE = "#hand/"; // of an address, with the hand's id
 const MAP_MS = 60000; // a board takes seconds for the final map of a thousand presses
 const STREAMS = ["height", "cloud", "shear", "sigma", "contact", "health", "preview", "status/+", "res/+", "map/+"];

@@ -82,7 +82,7 @@ LinkEvent = PortOpened | PosesMissing | SyncChanged | TouchSeen
 
 
 def result_text(result: SerialResult) -> str:
-    """What follows ``OK seq``: docs/serial.md has each."""
+    """What follows ``OK seq``: docs/reference/serial.md has each."""
     match result:
         case ClockRead():
             return f"{result.t2_ns} {result.t3_ns}"

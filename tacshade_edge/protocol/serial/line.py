@@ -1,7 +1,7 @@
 """One line of the robot's serial channel: bytes to a value and back.
 
 A line is ``[#seq] VERB args[*CCCC]`` in printable ASCII, at most 256 bytes with its LF; CCCC is CRC-16/XMODEM of
-all before the ``*``. docs/serial.md has the whole grammar.
+all before the ``*``. docs/reference/serial.md has the whole grammar.
 """
 
 from __future__ import annotations

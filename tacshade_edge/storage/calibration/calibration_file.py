@@ -20,8 +20,8 @@ _log = logging.getLogger(__name__)
 
 VERSION = 8
 """Also of the networks: factors are fitted to the weights shipped then (tests/inference/test_network.py)."""
-OTHER_NETWORKS = (6, 7)
-"""Versions before, whose content is the same but for factors of other networks: they are read without them."""
+OLDEST = 6
+"""Versions from here on differ only in the networks that their factors are of: older factors are left out."""
 REFERENCE_ARRAYS = ("reference_white", "reference_grey")
 
 
@@ -132,7 +132,7 @@ def save(path: str | os.PathLike[str], calibration: Calibration, inputs: Inputs 
 
 
 def load(path: str | os.PathLike[str]) -> Calibration:
-    """Read a calibration. One of `OTHER_NETWORKS` has no factors and no fit, which the log says.
+    """Read a calibration. One of an older version has no factors and no fit, which the log says.
 
     Raises
     ------
@@ -197,7 +197,7 @@ def touch_in(path: str | os.PathLike[str]) -> dict[str, TouchModel]:
 
 def _from_content(name: str, content: Content) -> Calibration:
     meta, arrays = content.meta, content.arrays
-    if meta.get("version") not in (VERSION, *OTHER_NETWORKS):
+    if meta.get("version") not in range(OLDEST, VERSION + 1):
         found = shown(meta.get("version"), 20)
         raise ConfigError(f"{name}: calibration version {found}, expected {VERSION}: calibrate again")
     fitted = fitted_networks.unpack(meta.get("fitted", {}), arrays)
@@ -209,7 +209,7 @@ def _from_content(name: str, content: Content) -> Calibration:
         raise ConfigError(f"{name}: not a calibration; expected a file written by `tacshade-edge calibrate`")
     calibration_content.check(content, REFERENCE_ARRAYS)
     height, width = arrays["reference_white"].shape
-    if meta["version"] in OTHER_NETWORKS and meta["factors"]:
+    if meta["version"] != VERSION and meta["factors"]:
         _log.warning("%s: fitted to presses with older networks: read without that fit; calibrate again", name)
         meta = {**meta, "factors": {}, "fit": {}, "error_scales": {}}
     calibration = Calibration(

@@ -33,7 +33,7 @@ _DATA, _EPISODES = "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/f
 
 
 class LeRobotExport:
-    """A folder that LeRobot's loader takes; see docs/recordings.md for the features. Needs the extra ``lerobot``.
+    """A folder that LeRobot's loader takes; see recordings.md for the features. Needs the extra ``lerobot``.
 
     Parameters
     ----------

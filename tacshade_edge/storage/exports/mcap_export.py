@@ -21,7 +21,7 @@ from tacshade_edge.version import installed_version
 
 
 class McapExport:
-    """One file: see docs/recordings.md for its topics.
+    """One file: see docs/how-to/recordings.md for its topics.
 
     Parameters
     ----------

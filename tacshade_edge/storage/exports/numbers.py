@@ -15,7 +15,7 @@ POSE_COLUMNS: Final = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
 
 
 def contact_numbers(recorded: RecordedFrame, result: Reconstruction) -> dict[str, Any]:
-    """As ``contact`` of docs/mqtt.md, without ``fps``, which only a daemon has."""
+    """As ``contact`` of docs/reference/mqtt/frames.md, without ``fps``, which only a daemon has."""
     numbers: dict[str, Any] = json.loads(encode_contact(result, fps=0.0))
     del numbers["fps"]
     numbers["wall_ns"] = recorded.wall_ns  # results of a recording have none, so that equal ones give equal bytes

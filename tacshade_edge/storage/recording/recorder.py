@@ -20,7 +20,7 @@ from tacshade_edge.storage.tables.frame_table import HEADER, MORE, TABLE_NAME
 from tacshade_edge.storage.tables.tables import line_crc32
 from tacshade_edge.types import U8, Calibration, Frame
 
-# Lossless. Of grey images, 2.5 times as fast as zlib's level 1 and no larger (docs/replay.md).
+# Lossless. Of grey images, 2.5 times as fast as zlib's level 1 and no larger (docs/how-to/replay.md).
 PNG_OPTIONS = (
     *(cv2.IMWRITE_PNG_COMPRESSION, 1),
     *(cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY),

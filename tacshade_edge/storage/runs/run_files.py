@@ -1,4 +1,4 @@
-"""What a replay leaves in its folder, frame by frame; docs/replay.md is the format.
+"""What a replay leaves in its folder, frame by frame; docs/how-to/replay.md is the format.
 
 ``heights.bin`` and ``clouds.bin`` are the wire payloads one after another (each header holds its length);
 ``summary.json`` has a record for each frame, is renamed last, and so marks a whole run; ``timings.json`` alone

@@ -19,6 +19,7 @@ from tacshade_edge.core.touch.answer import PLAIN
 from tacshade_edge.storage.recording.recorder import Recorder, png_of
 from tacshade_edge.types import Frame, Pose
 from tools.testbed.painted_sensor import BLACK, FREE, TOUCHED, painted_calibration, touched_depth_mm
+from tools.testbed.recorded_hand import record_hand
 
 IMAGES = [FREE, TOUCHED, TOUCHED, BLACK, FREE]
 PERIOD_NS, T_NS, WALL_NS = 33_333_333, 500, 1_790_000_000_000_000_000
@@ -229,3 +230,48 @@ def test_a_missing_extra_is_named(
         monkeypatch.setitem(sys.modules, "foxglove_schemas_protobuf", None)
     assert export(recording, to) == 78
     assert f"expected: pip install '.[{to}]' in the clone" in capsys.readouterr().err
+
+
+def test_recordings_of_a_hands_fingers_are_its_messages(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fingers = [str(path) for path in record_hand(tmp_path)]
+    assert main(["export", *fingers, "--to", "csv", "--out", str(tmp_path / "hand.csv")]) == 0
+    rows = list(csv.DictReader(io.StringIO((tmp_path / "hand.csv").read_text())))
+    assert capsys.readouterr().out == f"{tmp_path / 'hand.csv'}: {len(rows)} messages of 2 fingers\n"
+    (touching, *_) = (row for row in rows if row["left-thumb_state"] == row["left-index_state"] == "contact")
+    assert float(touching["left-index_depth_max_mm"]) == pytest.approx(touched_depth_mm(), abs=1e-3)
+    assert float(touching["translation_x_mm"]) == pytest.approx(0, abs=0.01)
+    assert float(touching["sigma_rotation_x_deg"]) > 0
+    assert rows[-1]["motion_since_ns"] == rows[-1]["left-thumb_margin"] == ""
+    mcap = pytest.importorskip("mcap.reader")
+    assert main(["export", *fingers, "--to", "mcap", "--out", str(tmp_path / "hand.mcap")]) == 0
+    with (tmp_path / "hand.mcap").open("rb") as stream:
+        found = [(channel.topic, json.loads(m.data)) for _, channel, m in mcap.make_reader(stream).iter_messages()]
+    assert {topic for topic, _ in found} == {"/tacshade/hand/left/objects"}
+    assert [message["seq"] for _, message in found] == [int(row["seq"]) for row in rows]
+
+
+def test_an_image_of_a_hand_that_cannot_be_read_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    thumb, index = record_hand(tmp_path)
+    next(index.glob("*.png")).write_bytes(b"no image")
+    assert main(["export", str(thumb), str(index), "--to", "csv", "--out", str(tmp_path / "hand.csv")]) == 1
+    assert capsys.readouterr().out.endswith(" messages of 2 fingers, 1 images unreadable\n")
+
+
+@pytest.mark.parametrize(
+    ("more", "line"),
+    [
+        (("--to", "ply", "--out", "x"), "--to: found ply with 2 recordings, expected csv or mcap"),
+        (("--to", "csv"), "--out: found nothing with several recordings, expected a new file"),
+        (("--to", "csv", "--calibration", "c.npz"), "--calibration: found it with several recordings, expected none"),
+    ],
+)
+def test_what_does_not_go_with_a_hand(more: tuple[str, ...], line: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["export", "a", "b", *more]) == 78
+    assert line in capsys.readouterr().err
+
+
+def test_a_fingers_recording_has_its_own_name(tmp_path: Path) -> None:
+    pytest.importorskip("mcap")
+    thumb, _ = record_hand(tmp_path)
+    assert export(thumb, "mcap") == 0
+    assert b"/tacshade/left-thumb/camera" in (tmp_path / "left-thumb.mcap").read_bytes()

@@ -1,6 +1,8 @@
 import csv
 import json
+import socket
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -13,6 +15,8 @@ from tacshade_edge.cli import main
 from tacshade_edge.cli.commands import tradeoff
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.studies.tradeoff.budget import settings_block
+from tacshade_edge.studies.tradeoff.grid import Setting
+from tacshade_edge.studies.tradeoff.summary import Point
 from tools.testbed.painted_sensor import FREE, HEIGHT, TOUCHED, WIDTH, painted_calibration
 
 
@@ -72,6 +76,24 @@ def test_a_budget_that_none_keeps_and_a_missing_truth_exit_1(
     assert json.loads(printed.out) == json.loads((own / "out" / "tradeoff.json").read_text())
 
 
+def test_the_report_of_a_board_is_of_the_shipped_profiles(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+
+    def measured(settings: Sequence[Setting], *_: object) -> tuple[tuple[Point, ...], float]:
+        asked.extend(map(str, settings))
+        return tuple(point(setting.profile, 0.2, 1.0) for setting in settings), 1.0
+
+    monkeypatch.setattr(tradeoff, "simulated", lambda *_: ())
+    monkeypatch.setattr(tradeoff, "tradeoff", measured)
+    assert main(["tradeoff", "--report"]) == 0
+    assert asked == ["fast", "balanced", "accurate"]
+    printed = capsys.readouterr().out
+    assert "| 1.00 / 2.00 | 1.00 / 2.00 | 1.00 / 2.00 | 0.30 to 0.30 | 12 | 1.0 |" in printed
+    assert socket.gethostname() not in printed
+
+
 def test_the_settings_are_those_of_a_settings_file(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
     block = settings_block([point("fast", 0.2, 1.0), point("accurate", 0.1, 3.0)], 6.0)
     config = own / "config.yaml"
@@ -90,6 +112,8 @@ def test_the_settings_are_those_of_a_settings_file(own: Path, capsys: pytest.Cap
         (["--objects", "teapot"], "'teapot' is not known"),
         (["--images", "x"], "belong together"),
         (["--calibration", "x", "--images", "x", "--objects", "ball"], "--objects is for simulated sensors"),
+        (["--report", "--budget-ms", "3"], "--report measures the same on every board: expected no --budget-ms"),
+        (["--report", "--json"], "--report prints Markdown"),
     ],
 )
 def test_usage_mistakes_exit_2(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:

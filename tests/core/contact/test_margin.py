@@ -79,6 +79,19 @@ def test_another_stream_begins_anew() -> None:
     assert step(grip, 0, 0.0) == 1
 
 
+def test_a_load_that_went_back_was_borne() -> None:
+    grip = Grip()
+    margins = [step(grip, k, 1.0 + 0.3 * np.sin(k / 5)) for k in range(240)]
+    assert grip.limit == pytest.approx(1.5 * 0.62, abs=0.01)
+    assert margins[8] < ALARM < min(margins[40:])
+
+
+def test_a_load_that_grows_is_not_borne_yet() -> None:
+    grip = Grip()
+    assert min(step(grip, k, 0.02 * k) for k in range(60)) < ALARM
+    assert grip.limit == LIMIT
+
+
 @pytest.mark.parametrize(("slid", "limit"), [(False, 0.9), (True, 0.6)])
 def test_what_was_borne_shows_that_the_limit_is_higher(slid: bool, limit: float) -> None:
     grip = Grip()

@@ -10,8 +10,10 @@ from tacshade_edge.types import Slip
 FRAME_NS = 16_666_667
 
 
-def contact(x_mm: float, y_mm: float = 0.0, dragged_mm: float = 0.0, strain_mm: float = 0.0) -> Contact:
-    return Contact(x_mm, y_mm, (dragged_mm, 0.0), strain_mm, 2.0)
+def contact(
+    x_mm: float, y_mm: float = 0.0, dragged_mm: float = 0.0, strain_mm: float = 0.0, depth_mm: float = 2.0
+) -> Contact:
+    return Contact(x_mm, y_mm, (dragged_mm, 0.0), strain_mm, depth_mm)
 
 
 def followed(tracker: ContactTracker, *objects: Contact, frame: int = 0) -> tuple[Tracked, ...]:
@@ -88,6 +90,17 @@ def test_a_contact_that_grows_on_one_side_does_not_slip(dragged_mm: float) -> No
         (found,) = followed(tracker, contact(0.2 * k, dragged_mm=dragged_mm), frame=k)
     assert found.slip is not Slip.FULL
     assert found.slip_mm_s == pytest.approx(12.0, abs=0.01)
+
+
+@pytest.mark.parametrize(("loosened", "slip"), [(0.0, Slip.STICK), (1.0, Slip.FULL)])
+def test_skin_that_goes_back_slips_only_under_a_grip_that_is_loosened(loosened: float, slip: Slip) -> None:
+    """By Coulomb's law a contact that slides bears its limit, which goes with its depth."""
+    tracker = ContactTracker()
+    for k in range(15):
+        left = 1 - 0.05 * k
+        (found,) = followed(tracker, contact(2.0, dragged_mm=2 * left, depth_mm=2 * left**loosened), frame=k)
+    assert found.slip is slip
+    assert found.slip_mm_s == pytest.approx(6.0, abs=0.01)
 
 
 def test_a_contact_that_slides_in_a_part_only_does_not_slip_as_a_whole() -> None:

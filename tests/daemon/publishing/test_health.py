@@ -20,7 +20,7 @@ from tacshade_edge.protocol.json_payload import encode_json
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Frame, HeightMap, ObjectCloud, Reconstruction
 
-DOCUMENT = Path(__file__).parents[3] / "docs" / "mqtt.md"
+DOCUMENT = Path(__file__).parents[3] / "docs/reference/mqtt/health.md"
 
 
 def test_rates_are_between_two_snapshots() -> None:
@@ -54,7 +54,7 @@ def test_the_reason_of_the_newest_frame_stays_while_contacts_without_depth_follo
 
 
 def test_every_key_is_documented() -> None:
-    section = DOCUMENT.read_text(encoding="utf-8").partition("## Health and status")[2].partition("\n## ")[0]
+    section = DOCUMENT.read_text(encoding="utf-8").partition("## Health\n")[2].partition("\n## ")[0]
     documented = {
         name for row in re.findall(r"^\| (`.*?) \|", section, re.MULTILINE) for name in re.findall("`(.+?)`", row)
     }

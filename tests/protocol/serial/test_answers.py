@@ -1,4 +1,4 @@
-"""The texts of answers and events: the words of docs/serial.md, each from its value."""
+"""The texts of answers and events: the words of docs/reference/serial.md, each from its value."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_what_follows_ok(result: SerialResult, text: str) -> None:
 
 
 def test_every_word_of_the_documents_has_a_code() -> None:
-    serial, stitching = ((DOCS / name).read_text() for name in ("serial.md", "stitching.md"))
+    serial, stitching = ((DOCS / name).read_text() for name in ("reference/serial.md", "how-to/stitching.md"))
     answers = stitching[stitching.index("| answer | when |") :]
     words = {word for row in re.findall(r"^\| (`[A-Z].*?) \|", answers, re.MULTILINE) for word in row.split("`")[1::2]}
     words |= set(re.findall(r"ERR seq ([A-Z]+)", serial)) - {"REFUSED"}

@@ -1,4 +1,4 @@
-"""Lines and binary poses against the literal vectors, which docs/serial.md quotes."""
+"""Lines and binary poses against the literal vectors, which docs/reference/serial.md quotes."""
 
 from __future__ import annotations
 

@@ -159,7 +159,7 @@ def test_another_version_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         calibration_file.load(tmp_path / "new.npz")
 
 
-@pytest.mark.parametrize("version", calibration_file.OTHER_NETWORKS)
+@pytest.mark.parametrize("version", range(calibration_file.OLDEST, calibration_file.VERSION))
 def test_one_fitted_to_the_networks_before_is_read_without_its_fit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, version: int
 ) -> None:

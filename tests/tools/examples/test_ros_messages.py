@@ -6,11 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tacshade_client import CloudMessage, HeightMessage, TouchNumbers, decode
 
 from tacshade_edge.core.calibration.indenters.indenter import Indenter, place
 from tacshade_edge.protocol import wire
-from tacshade_edge.protocol.received import TouchNumbers
-from tacshade_edge.protocol.wire import CloudMessage, HeightMessage
 from tacshade_edge.rigid import from_seven
 from tacshade_edge.types import U8
 from tools.examples.ros2 import ros_messages
@@ -38,7 +37,7 @@ def there_and_back(message: Any) -> Any:
 
 
 def test_an_image() -> None:
-    height = wire.decode(wire.encode_height(PRESS, calibration_crc32=CRC))
+    height = decode(wire.encode_height(PRESS, calibration_crc32=CRC))
     assert isinstance(height, HeightMessage)
     image = there_and_back(ros_messages.image(Ros(), height, "left-index"))
     assert (image.encoding, image.height, image.width, image.step, image.is_bigendian) == ("32FC1", 120, 160, 640, 0)
@@ -48,7 +47,7 @@ def test_an_image() -> None:
 
 
 def test_a_cloud() -> None:
-    message = wire.decode(wire.encode_cloud(PRESS, calibration_crc32=CRC))
+    message = decode(wire.encode_cloud(PRESS, calibration_crc32=CRC))
     assert isinstance(message, CloudMessage)
     cloud = there_and_back(ros_messages.cloud(Ros(), message, "left-index"))
     assert cloud.height * cloud.width * cloud.point_step == cloud.row_step == len(cloud.data)

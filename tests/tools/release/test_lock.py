@@ -21,7 +21,7 @@ from support.locked_wheels import LOCK, fetch
 from tools.release.bill import BUNDLED
 
 ROOT = Path(__file__).parents[3]
-BILL = json.loads((ROOT / "docs/bill.cdx.json").read_text())
+BILL = json.loads((ROOT / "docs/reference/bill.cdx.json").read_text())
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 # None asks more of who passes the wheels on than to name it and its source; the exception is for what GCC compiled.
 LICENCES = {
@@ -88,7 +88,7 @@ def test_every_licence_was_looked_at() -> None:
 
 
 def test_the_document_lists_what_wheels_bring() -> None:
-    text = (ROOT / "docs/dependencies.md").read_text()
+    text = (ROOT / "docs/reference/dependencies.md").read_text()
     brought = {part["group"] for package in BILL["components"] for part in package.get("components", [])}
     assert brought == {whose for whose, _ in BUNDLED.values()}
     assert [whose for whose in brought if f"| {whose} |" not in text] == []

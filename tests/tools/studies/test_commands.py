@@ -98,18 +98,6 @@ def test_one_writes_its_table_and_plot(
     assert (tmp_path / f"{name}.png").stat().st_size > 10_000
 
 
-@pytest.mark.slow
-def test_slip_writes_its_tables(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    slip = program("slip")
-    small = partial(slip.Plan, objects=("ball",), speeds_mm_s=(20.0,), held_s=0.2, released_s=3.0)
-    monkeypatch.setattr(slip, "Plan", small)
-    slip.main(["--sensors", "5", "--profile", "fast", "--out", str(tmp_path)])
-    assert capsys.readouterr().out == (tmp_path / "slip.md").read_text(encoding="utf-8")
-    assert [len(table(tmp_path / f"slip_{kind}.csv")) for kind in ("slides", "held", "releases")] == [2, 1, 1]
-
-
 @pytest.mark.parametrize(
     ("name", "words", "message"),
     [

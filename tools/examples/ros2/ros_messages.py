@@ -10,10 +10,8 @@ from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
-
-from tacshade_edge.protocol.received import TouchNumbers
-from tacshade_edge.protocol.wire import CloudMessage, HeightMessage
-from tacshade_edge.rigid import shift, turn
+from tacshade_client import CloudMessage, HeightMessage, TouchNumbers
+from tacshade_client.rigid import shift, turn
 
 M_PER_MM = 0.001
 FLOAT32, UINT16 = 7, 4  # of sensor_msgs/PointField

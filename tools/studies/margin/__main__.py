@@ -2,7 +2,7 @@
 
 ::
 
-    .venv/bin/python -m tools.studies.margin [--profile NAME] [--held SECONDS] [--out DIR]
+    .venv/bin/python -m tools.studies.margin [--profile NAME] [--held SECONDS] [--final] [--out DIR]
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from tacshade_edge.studies.parallel import usable_cores
 from tacshade_edge.studies.tables import csv_text
 from tools.studies import command
 from tools.studies.margin.summary import text
-from tools.studies.margin.work import HeldRow, LoadRow, Plan, study
+from tools.studies.margin.work import FINAL_GROUPS, GROUPS, HeldRow, LoadRow, Plan, study
 
 
 def main(words: Sequence[str] | None = None) -> None:
@@ -24,11 +24,12 @@ def main(words: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description="The margin before a slip.")
     parser.add_argument("--profile", choices=command.NETWORKS, default="balanced", metavar="NAME")
     parser.add_argument("--held", type=float, default=600.0, metavar="SECONDS", help="over all held in a group (600)")
+    parser.add_argument("--final", action="store_true", help="the sensors kept for final figures")
     parser.add_argument("--out", type=Path, metavar="DIR", help="write the table, and its rows as CSV")
     parser.set_defaults(json=False)
     args = parser.parse_args(words)
     with command.folder_for(parser, args.out):
-        rows = study(Plan(args.profile, held_s=args.held), usable_cores(), Progress())
+        rows = study(Plan(args.profile, FINAL_GROUPS if args.final else GROUPS, args.held), usable_cores(), Progress())
         kinds = {"_loads": LoadRow, "_held": HeldRow}
         files = {name: csv_text(kind, [row for row in rows if isinstance(row, kind)]) for name, kind in kinds.items()}
         command.publish(args, "margin", text(rows), files)

@@ -3,7 +3,7 @@
 ::
 
     .venv/bin/python -m tools.studies.object_motion [--trials 20] [--rest-s 600] [--csv FILE]
-    .venv/bin/python -m tools.studies.object_motion --drawn 3 [--csv FILE]
+    .venv/bin/python -m tools.studies.object_motion --drawn 3 [--final] [--csv FILE]
 
 The first draws the errors of patches as they were measured; the second has a simulated hand hold an object, draws what
 each of five fingers sees, and reconstructs that: a minute of a core for each trial.
@@ -29,10 +29,11 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--trials", type=int, default=20, metavar="N", help="of each object, event, skin and grasp")
     parser.add_argument("--rest-s", type=float, default=600.0, metavar="S")
     parser.add_argument("--drawn", type=int, metavar="N", help="pictures instead, so many of each object and family")
+    parser.add_argument("--final", action="store_true", help="with --drawn: the sensors kept for final figures")
     parser.add_argument("--csv", type=Path, metavar="FILE", help="write a row for each trial")
     args = parser.parse_args(words)
     if args.drawn:
-        rows = drawn.rows(args.drawn, Progress())
+        rows = drawn.rows(args.drawn, Progress(), drawn.FINAL_FAMILIES if args.final else drawn.FAMILIES)
     else:
         rows = [score(trial) for trial in trials(Plan(args.trials, rest_s=args.rest_s))]
     print(text(rows))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final, cast
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from tacshade_edge.core.contact.tracking import ContactTracker
 from tacshade_edge.core.reconstruct import step_and_track
-from tacshade_edge.daemon.hand.held_object import patches_of
+from tacshade_edge.hand.held_object import patches_of
 from tacshade_edge.protocol.hand import finger_of
 from tacshade_edge.rigid import Rigid
 from tacshade_edge.simulator.hand.bodies import box, cylinder, sphere
@@ -39,6 +39,7 @@ BODIES: Final[dict[str, Shape]] = {
 }
 ALONG_MM: Final = {"box": 40.0, "cylinder": 40.0, "ball": 16.0}
 FAMILIES: Final = ("5", "other:31", "two-scales:3")
+FINAL_FAMILIES: Final = ("9018", "other:9018", "two-scales:9018")
 _HOME: Final = Rigid(np.eye(3), np.zeros(3))
 
 
@@ -51,14 +52,15 @@ class Drawing:
     seed: int
 
 
-def drawings(trials: int) -> list[Drawing]:
+def drawings(trials: int, families: Sequence[str] = FAMILIES) -> list[Drawing]:
     """So many of each object and family."""
-    return [Drawing(body, family, k) for k in range(trials) for body in BODIES for family in FAMILIES]
+    return [Drawing(body, family, k) for k in range(trials) for body in BODIES for family in families]
 
 
 def trial(drawing: Drawing) -> Trial:
     """Draw five fingers that hold an object which is moved, and reconstruct what they see."""
-    rng = np.random.default_rng((list(BODIES).index(drawing.body), FAMILIES.index(drawing.family), drawing.seed))
+    families = FAMILIES + FINAL_FAMILIES
+    rng = np.random.default_rng((list(BODIES).index(drawing.body), families.index(drawing.family), drawing.seed))
     name = sensor_name(drawing.family)
     calibration = calibrated(name, 8, 20).calibration
     sensors = [cast(DrawnSensor, name.make()) for _ in range(5)]
@@ -91,9 +93,9 @@ def trial(drawing: Drawing) -> Trial:
     return Trial(drawing.body, drawing.family, "drawn", 5, np.vstack((middle_mm, points_mm)), moments())
 
 
-def rows(trials: int, report: Report) -> list[MotionRow]:
+def rows(trials: int, report: Report, families: Sequence[str] = FAMILIES) -> list[MotionRow]:
     """Draw and score so many trials of each object and family, on all cores."""
-    return list(reported_map(_row, drawings(trials), usable_cores(), report, "hands"))
+    return list(reported_map(_row, drawings(trials, families), usable_cores(), report, "hands"))
 
 
 def _row(drawing: Drawing) -> MotionRow:

@@ -27,7 +27,7 @@ EVENTS: Final = ("moves", "a finger leaves", "a finger joins", "a finger slips")
 LEAN_DEG: Final = 25.0
 """A contact is at most so far off its finger's tip."""
 SLIP_SEEN_S: Final = (0.07, 0.15)
-"""A slip is reported so long after it began (docs/shear.md)."""
+"""A slip is reported so long after it began (docs/how-to/shear.md)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -160,7 +160,7 @@ def place(
     tilt_x_deg: float = 0.0,
     tilt_y_deg: float = 0.0,
 ) -> PlacedIndenter:
-    """Where an indenter is by the row of PRESSES.csv (docs/calibration-files.md).
+    """Where an indenter is by the row of PRESSES.csv (docs/reference/calibration-files.md).
 
     It is turned by yaw about z (from x towards y), then tilted about x, then about y, all through its origin, which is
     put over (x, y); its lowest point, as it is then, lies `depth_mm` under the undeformed skin at (x, y).

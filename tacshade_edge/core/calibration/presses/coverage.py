@@ -10,7 +10,7 @@ import numpy as np
 
 from tacshade_edge.types import F64, Geometry
 
-# As docs/calibration.md advises.
+# As docs/how-to/calibration.md advises.
 _FEW_PRESSES = 16
 # Of the visible circle's radius: how far presses should reach, their least RMS distance from their middle, and how far
 # one must lie on each side.

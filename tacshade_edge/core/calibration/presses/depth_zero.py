@@ -1,4 +1,4 @@
-"""Is the zero of the stated depths the one that docs/calibration-files.md asks for?
+"""Is the zero of the stated depths the one that docs/reference/calibration-files.md asks for?
 
 A network that never saw this sensor is off by a nearly constant factor (`gain`), so its depths over the true ones lie
 on a line through 0. Where the stated ones lie on another line, their zero is off. Depths stated as travel from first
@@ -35,7 +35,7 @@ _HUBER, _ITERATIONS = 1.5, 25
 _LEAST_PRESSES, _LEAST_SURE = 12, 16
 TRAVEL_ADVICE = (
     "--depth-from-touch takes it so; else expected the undeformed skin's z at (x, y) less the z of the indenter's "
-    "lowest point (docs/calibration-files.md)"
+    "lowest point (docs/reference/calibration-files.md)"
 )
 
 

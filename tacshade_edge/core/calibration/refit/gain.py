@@ -69,7 +69,7 @@ class PressRows:
 
 
 def stated_ball(geometry: Geometry, x_mm: float, y_mm: float, depth_mm: float, radius_mm: float) -> Ball:
-    """Place a ball that was pressed along -z (docs/calibration-files.md says what its depth is)."""
+    """Place a ball that was pressed along -z (docs/reference/calibration-files.md says what its depth is)."""
     beside = max(geometry.skin_radius_mm**2 - x_mm**2 - y_mm**2, 0.0)
     return Ball(x_mm, y_mm, math.sqrt(beside) - depth_mm + radius_mm, radius_mm)
 

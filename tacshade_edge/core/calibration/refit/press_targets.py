@@ -22,7 +22,7 @@ from tacshade_edge.core.depth.learned import Inverse, LearnedSolver, untrusted_c
 from tacshade_edge.core.depth.network_maps import fold, known_maps, scale_mm, unfold
 from tacshade_edge.core.frame_check.untrusted import UNTRUSTED_UNLEARNT, untrusted_part
 from tacshade_edge.core.geometry import disc_map
-from tacshade_edge.core.geometry.disc import rays_in_image
+from tacshade_edge.core.geometry.sensor_rays import rays_in_image
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import Profile
 from tacshade_edge.types import F32, Bool, Calibration, Geometry, freeze

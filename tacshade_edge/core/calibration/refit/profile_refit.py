@@ -14,7 +14,7 @@ from tacshade_edge.core.calibration.refit.error_scale import error_scale, errors
 from tacshade_edge.core.depth import Network, SigmaModel
 from tacshade_edge.core.depth.learned import Inverse, LearnedSolver, untrusted_cells
 from tacshade_edge.core.frame_check.untrusted import UNTRUSTED_UNLEARNT, untrusted_part
-from tacshade_edge.core.geometry.disc import rays_in_image
+from tacshade_edge.core.geometry.sensor_rays import rays_in_image
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import Profile
 from tacshade_edge.types import F64, Bool, Calibration, Geometry, ProfileFit

@@ -32,6 +32,7 @@ _SCHEMAS: Final[dict[str, dict[str, Any]]] = {
     "contact": dict.fromkeys(_CONTACT_KEYS, _NUMBER)
     | {key: {"type": "string"} for key in ("reason_code", "degraded_code")},
     "touch": TOUCH_SCHEMA["properties"],
+    "objects": dict.fromkeys(("t_ns", "wall_ns", "seq"), _NUMBER) | {"fingers": {"type": "object"}},
 }
 
 

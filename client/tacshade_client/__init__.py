@@ -1,0 +1,79 @@
+"""What TacShade sensors publish over MQTT, as NumPy arrays: the decoders, and `listen`.
+
+What is listed here is public, and `rigid`.
+"""
+
+from .errors import ConfigError, DecodeError, DeviceError, TacshadeError
+from .listener import Listener, listen
+from .messages import Message, decode_message, skin_mm
+from .protocol.hand_messages import Finger, HandObject, HandObjects, Motion, Unobservable, decode_hand
+from .protocol.received import (
+    Contact,
+    HandHealth,
+    Health,
+    Info,
+    InfoGeometry,
+    SlipEvent,
+    Status,
+    StitchedMap,
+    TouchNumbers,
+    decode_contact,
+    decode_hand_health,
+    decode_health,
+    decode_info,
+    decode_map,
+    decode_slip,
+    decode_state,
+    decode_status,
+    decode_touch,
+)
+from .protocol.strict import decode_object
+from .protocol.wire_decoder import CloudMessage, HeightMessage, ShearMessage, SigmaMessage, decode
+from .rigid import Rigid, from_seven
+from .types import Geometry, Pose
+
+__all__ = [
+    "CloudMessage",
+    "ConfigError",
+    "Contact",
+    "DecodeError",
+    "DeviceError",
+    "Finger",
+    "Geometry",
+    "HandHealth",
+    "HandObject",
+    "HandObjects",
+    "Health",
+    "HeightMessage",
+    "Info",
+    "InfoGeometry",
+    "Listener",
+    "Message",
+    "Motion",
+    "Pose",
+    "Rigid",
+    "ShearMessage",
+    "SigmaMessage",
+    "SlipEvent",
+    "Status",
+    "StitchedMap",
+    "TacshadeError",
+    "TouchNumbers",
+    "Unobservable",
+    "decode",
+    "decode_contact",
+    "decode_hand",
+    "decode_hand_health",
+    "decode_health",
+    "decode_info",
+    "decode_map",
+    "decode_message",
+    "decode_object",
+    "decode_slip",
+    "decode_state",
+    "decode_status",
+    "decode_touch",
+    "from_seven",
+    "listen",
+    "skin_mm",
+]

@@ -1,0 +1,1 @@
+"""Where a pixel looks, and where the skin is there."""

@@ -1,0 +1,1 @@
+../../../../tacshade_edge/core/geometry/back_projection.py

@@ -1,0 +1,306 @@
+"""Messages of sensors and hands as they come, from a broker that may go away and come back."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import os
+import secrets
+import ssl
+import sys
+import threading
+import time
+from collections.abc import Collection, Iterator
+from types import TracebackType
+from typing import Any, Final, Self
+
+from paho.mqtt.client import Client, MQTTMessage
+from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
+from paho.mqtt.reasoncodes import ReasonCode as MqttCode
+
+from .errors import ConfigError, DecodeError, DeviceError
+from .messages import Message, decode_message
+from .quoting import quoted
+from .reasons import ReasonCode
+
+_log = logging.getLogger(__name__)
+
+NEWEST_WINS: Final = frozenset(
+    (
+        "height",
+        "cloud",
+        "shear",
+        "sigma",
+        "map/cloud",
+        "map/revision",
+        "contact",
+        "touch",
+        "health",
+        "preview",
+        "objects",
+    )
+)
+"""Of these one message waits for each topic, of all others every one, in order."""
+WAITING_MAX: Final = 256
+"""Then the oldest makes room."""
+_FIRST_S: Final = 5.0
+_CONNECT_S: Final = 3.0
+_RECONNECT_S: Final = 1
+_KEEPALIVE_S: Final = 10
+_BYTES_MAX: Final = 1 << 26
+_LOG_PERIOD_S: Final = 10.0
+_BROKER: Final = "HOST or HOST:PORT, such as localhost:1883"
+_NAME: Final = "a sensor such as left-index, hand/left of a hand, or + for all sensors"
+
+
+def listen(
+    broker: str,
+    name: str,
+    topics: Collection[str] = ("height",),
+    *,
+    username: str | None = None,
+    password: str | None = None,
+    ca_file: str | os.PathLike[str] | None = None,
+) -> Listener:
+    """Listen to what sensors or hands publish (docs/reference/mqtt.md), from any number of them.
+
+    Of a topic with frames, contacts, touches or health only the newest message waits, so a slow reader skips some
+    (`Listener.passed_over`). All others (``state``, ``status/...``, ``event/slip``, ``info``) wait in order; of more
+    than 256 waiting messages the oldest is dropped (`Listener.dropped`). It reconnects by itself, with a line in the
+    log (``logging``); what is published meanwhile is missed.
+
+    Parameters
+    ----------
+    broker : str
+        ``HOST`` or ``HOST:PORT``; the port is 1883 without one.
+    name : str
+        A sensor's id, ``hand/`` and a hand's id, or ``+`` or ``hand/+`` for all.
+    topics : collection of str
+        Below the name: ``height``, ``contact``, ``status/+``. A sensor does not compute what nobody listens to.
+    username, password : str, optional
+        For a broker that asks who listens.
+    ca_file : path, optional
+        TLS is used when given: the authority that signed the broker's certificate.
+
+    Raises
+    ------
+    ConfigError
+        Arguments that can never work.
+    DeviceError
+        The broker cannot be reached, does not answer, or does not let us in or listen.
+    """
+    host, port = host_and_port(broker)
+    if not name.removeprefix("hand/") or set(name.removeprefix("hand/")) & set("/#\0"):
+        raise ConfigError(f"name: found {quoted(name)}, expected {_NAME}")
+    if password is not None and username is None:
+        raise ConfigError("password: found one without a username, expected both")
+    client = Client(
+        CallbackAPIVersion.VERSION2,
+        client_id=f"tacshade-client-{secrets.token_hex(6)}",
+        protocol=MQTTProtocolVersion.MQTTv5,
+    )
+    client.reconnect_delay_set(_RECONNECT_S, _RECONNECT_S)
+    client.connect_timeout = _CONNECT_S
+    if username is not None:
+        client.username_pw_set(username, password)
+    if ca_file is not None:
+        try:
+            client.tls_set(ca_certs=os.fspath(ca_file))
+        except (OSError, ssl.SSLError) as error:
+            found = f"{os.fspath(ca_file)}: {error.strerror or error}"
+            raise ConfigError(f"{found}, expected a PEM file of certificates") from error
+    listener = Listener(client, host, port, name, topics)
+    try:
+        listener._wait_for_subscription()
+    except BaseException:
+        listener.close()
+        raise
+    return listener
+
+
+def host_and_port(broker: str) -> tuple[str, int]:
+    """Of ``HOST`` or ``HOST:PORT``. Raises ConfigError."""
+    host, colon, port = broker.rpartition(":")
+    if not colon:
+        host, port = broker, "1883"
+    sound = port.isascii() and port.isdecimal() and len(port) <= 5 and 0 < int(port) < 65536
+    try:
+        sound = sound and bool(host) and bool(host.encode("idna"))
+    except UnicodeError:
+        sound = False
+    if not sound:
+        raise ConfigError(f"broker: found {quoted(broker)}, expected {_BROKER}")
+    return host.strip("[]"), int(port)
+
+
+class Listener(Iterator[Message]):
+    """Messages one after the other; made by `listen`, to be closed by ``with`` or `close`.
+
+    Iterating waits for the next message, for as long as it takes; `get` waits for a time. paho's thread receives,
+    the caller's decodes.
+
+    Attributes
+    ----------
+    passed_over : int
+        Messages that a newer one of their topic replaced before they were read.
+    dropped : int
+        Messages that were the oldest of too many.
+    refused : int
+        Messages that no daemon publishes (the log has the first, and one every 10 s).
+    """
+
+    def __init__(self, client: Client, host: str, port: int, name: str, topics: Collection[str]) -> None:
+        self.passed_over = self.dropped = self.refused = 0
+        self._client, self._where, self._base = client, f"{host}:{port}", f"tacshade/{name}"
+        self._came = threading.Condition()
+        self._waiting: dict[str | int, tuple[str, bytes, bool]] = {}
+        self._numbers = itertools.count()
+        self._topics = self._full(topics)
+        self._connected = self._subscribed = self._closed = False
+        self._failure: tuple[str, ReasonCode] | None = None
+        self._next_line_s = 0.0
+        client.on_connect, client.on_connect_fail = self._on_connect, self._on_connect_fail
+        client.on_disconnect, client.on_subscribe = self._on_disconnect, self._on_subscribe
+        client.on_message = self._on_message
+        limits = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
+        limits.MaximumPacketSize = _BYTES_MAX
+        client.connect_async(host, port, _KEEPALIVE_S, clean_start=True, properties=limits)
+        client.loop_start()
+
+    def __next__(self) -> Message:
+        if (message := self.get()) is None:
+            raise StopIteration
+        return message
+
+    def get(self, timeout_s: float | None = None) -> Message | None:
+        """The next message; None where none came in time, or it is closed.
+
+        Parameters
+        ----------
+        timeout_s : float, optional
+            To wait for it; without one, until it comes.
+        """
+        end_s = None if timeout_s is None else time.monotonic() + timeout_s
+        while True:
+            with self._came:
+                left_s = None if end_s is None else end_s - time.monotonic()
+                self._came.wait_for(lambda: self._waiting or self._closed, left_s)
+                if self._closed or not self._waiting:
+                    return None
+                topic, payload, retained = self._waiting.pop(next(iter(self._waiting)))
+            try:
+                return decode_message(topic, payload, retained=retained)
+            except DecodeError as error:
+                self.refused += 1
+                self._log_refused(error)
+
+    def follow(self, topics: Collection[str]) -> None:
+        """Listen to these topics and no others from now on; callable from any thread. Raises ConfigError."""
+        wanted = self._full(topics)
+        with self._came:
+            new, old, self._topics = wanted - self._topics, self._topics - wanted, wanted
+            if self._connected:  # else the next connection subscribes to all of them
+                self._subscribe(new)
+                if old:
+                    self._client.unsubscribe(sorted(old))
+
+    def close(self) -> None:
+        """Disconnect; safe to call twice. Whoever waits is given None."""
+        with self._came:
+            if self._closed:
+                return
+            self._closed = True
+            self._came.notify_all()
+        self._client.disconnect()
+        self._client.loop_stop()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _full(self, topics: Collection[str]) -> frozenset[str]:
+        if isinstance(topics, str) or not all(
+            topic.strip("/") == topic != "" and "\0" not in topic for topic in topics
+        ):
+            raise ConfigError(f"topics: found {topics!r}, expected several such as ['height', 'contact', 'status/+']")
+        return frozenset(f"{self._base}/{topic}" for topic in topics)
+
+    def _wait_for_subscription(self) -> None:
+        with self._came:
+            self._came.wait_for(lambda: self._subscribed or self._failure, _FIRST_S)
+            if not self._subscribed:
+                text, code = self._failure or ("no answer", ReasonCode.NO_ANSWER)
+                raise DeviceError(f"{self._where}: {text}; expected a broker with {self._base}", code=code)
+
+    def _subscribe(self, topics: Collection[str]) -> None:
+        # With QoS 1 a broker drops what is more than its queue has room for: of many retained messages the most.
+        if topics:
+            self._client.subscribe([(topic, 0) for topic in sorted(topics)])
+        else:
+            self._subscribed = True
+
+    def _log_refused(self, error: DecodeError) -> None:
+        now_s = time.monotonic()
+        if now_s >= self._next_line_s:
+            self._next_line_s = now_s + _LOG_PERIOD_S
+            _log.warning("%s: %s (%d refused so far)", self._where, error, self.refused)
+
+    def _fail(self, text: str, code: ReasonCode) -> None:
+        """Of the first connection it is raised, later it is logged, once until something changes."""
+        with self._came:
+            if self._failure != (text, code):
+                self._failure = text, code
+                if self._subscribed and not self._closed:
+                    _log.warning("%s: %s; trying again", self._where, text)
+            self._came.notify_all()
+
+    # -- called by paho, in its thread ----------------------------------------------------------------------------
+
+    def _on_connect(self, _client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
+        if code.is_failure:
+            self._fail(f"refused: {code}", ReasonCode.REFUSED)
+            return
+        with self._came:
+            self._connected = True
+            self._subscribe(self._topics)
+            self._came.notify_all()
+
+    def _on_connect_fail(self, _client: Client, _userdata: Any) -> None:
+        error = sys.exception()  # paho calls this while it handles the error, and does not pass it on
+        text = str(getattr(error, "strerror", None) or error or "no connection")
+        self._fail(text, ReasonCode.UNREACHABLE)
+
+    def _on_disconnect(self, _client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
+        with self._came:
+            was, self._connected = self._connected, False
+        if was:
+            self._fail(f"connection lost ({code})", ReasonCode.LOST)
+
+    def _on_subscribe(self, _client: Client, _userdata: Any, _mid: int, codes: list[MqttCode], _p: Any) -> None:
+        if refused := next((code for code in codes if code.is_failure), None):
+            self._fail(f"subscription refused: {refused}", ReasonCode.REFUSED)
+            return
+        with self._came:
+            if self._subscribed and self._failure is not None:
+                _log.info("%s: connected again", self._where)
+            self._subscribed, self._failure = True, None
+            self._came.notify_all()
+
+    def _on_message(self, _client: Client, _userdata: Any, message: MQTTMessage) -> None:
+        topic = message.topic
+        part = topic.split("/", 3 if topic.startswith("tacshade/hand/") else 2)[-1]
+        with self._came:
+            key: str | int = topic if part in NEWEST_WINS else next(self._numbers)
+            if key in self._waiting:
+                self.passed_over += 1
+            elif len(self._waiting) >= WAITING_MAX:
+                del self._waiting[next(iter(self._waiting))]
+                self.dropped += 1
+            self._waiting[key] = topic, bytes(message.payload), bool(message.retain)
+            self._came.notify()

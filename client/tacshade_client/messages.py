@@ -1,0 +1,145 @@
+"""From a topic and its payload to a value, and from a height map to points in mm."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+from .core.geometry.back_projection import skin_points
+from .core.geometry.disc import Grid, disc_rays
+from .errors import DecodeError
+from .protocol.hand_messages import decode_hand
+from .protocol.received import (
+    InfoGeometry,
+    decode_contact,
+    decode_hand_health,
+    decode_health,
+    decode_info,
+    decode_map,
+    decode_slip,
+    decode_state,
+    decode_status,
+    decode_touch,
+)
+from .protocol.strict import decode_object
+from .protocol.wire_decoder import CloudMessage, HeightMessage, ShearMessage, SigmaMessage, decode
+from .quoting import shown
+from .types import F32
+
+_PREVIEW_BYTES_MAX: Final = 1 << 20
+_JPEG: Final = b"\xff\xd8"
+_TOPIC: Final = re.compile(r"tacshade/((?!hand/)[A-Za-z0-9_-]{1,64}|hand/[A-Za-z0-9_-]{1,64})/(.+)")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Message:
+    """One message, decoded.
+
+    Attributes
+    ----------
+    name : str
+        Of the sensor, or ``hand/`` and that of the hand.
+    part : str
+        The topic below that: ``height``, ``status/camera``.
+    value : object
+        A `HeightMessage`, `CloudMessage`, `ShearMessage`, `SigmaMessage`, `Contact`, `TouchNumbers`, `SlipEvent`,
+        `Health`, `Info`, `Status`, `StitchedMap`, `HandObjects` or `HandHealth`; of ``state`` a text, of ``preview``
+        a JPEG's bytes, of other JSON a dict.
+    retained : bool
+        The broker had kept it: it was published before this subscription.
+    """
+
+    name: str
+    part: str
+    value: Any
+    retained: bool = False
+
+
+def decode_message(topic: str, payload: bytes, *, retained: bool = False) -> Message:
+    """Decode a payload by its topic, such as ``tacshade/left-index/height``.
+
+    Raises
+    ------
+    DecodeError
+        It is no topic of a sensor or hand, or the payload is none that a daemon publishes there.
+    """
+    found = _TOPIC.fullmatch(topic)
+    if found is None:
+        raise DecodeError(f"topic {shown(topic)}: expected tacshade/SENSOR/... or tacshade/hand/HAND/...")
+    name, part = found.groups()
+    parts = _OF_HANDS if name.startswith("hand/") else _OF_SENSORS
+    decoder = parts.get(part) or parts.get(f"{part.partition('/')[0]}/")
+    if decoder is None:
+        raise DecodeError(f"topic {shown(topic)}: expected one that docs/reference/mqtt.md has")
+    return Message(name, part, decoder(part, payload), retained)
+
+
+def skin_mm(height: HeightMessage, geometry: InfoGeometry) -> F32:
+    """Where each cell's skin is (the paper's eq. 2, for a pinhole too).
+
+    Parameters
+    ----------
+    height : HeightMessage
+    geometry : InfoGeometry
+        Of the same sensor's ``info``.
+
+    Returns
+    -------
+    float32 (rows, cols, 3)
+        x, y, z in the sensor frame in mm; NaN outside the disc.
+
+    Raises
+    ------
+    DecodeError
+        The height is of another calibration than the geometry: wait for the next ``info``.
+    """
+    if height.calibration_crc32 != geometry.calibration_crc32:
+        found = f"{height.calibration_crc32:08x}, expected {geometry.calibration_crc32:08x} as in info"
+        raise DecodeError(f"height: calibration {found}")
+    rows, cols = height.height_mm.shape
+    grid = Grid(rows, cols, height.row0, height.col0, height.step_px)
+    return skin_points(height.height_mm, disc_rays(grid, geometry.geometry), geometry.geometry)
+
+
+def _binary(kind: type) -> Callable[[str, bytes], Any]:
+    def read(part: str, payload: bytes) -> Any:
+        message = decode(payload)
+        if not isinstance(message, kind):
+            raise DecodeError(f"{part}: found a {type(message).__name__}, expected a {kind.__name__}")
+        return message
+
+    return read
+
+
+def _json(decoder: Callable[[bytes], Any]) -> Callable[[str, bytes], Any]:
+    return lambda _part, payload: decoder(payload)
+
+
+def _preview(_part: str, payload: bytes) -> bytes:
+    if len(payload) > _PREVIEW_BYTES_MAX or not payload.startswith(_JPEG):
+        raise DecodeError(f"preview: {len(payload)} bytes, expected a JPEG of at most {_PREVIEW_BYTES_MAX}")
+    return payload
+
+
+_OF_BOTH: Final = {"state": _json(decode_state), "instance": decode_object}
+_OF_SENSORS: Final = {
+    **_OF_BOTH,
+    "height": _binary(HeightMessage),
+    "cloud": _binary(CloudMessage),
+    "shear": _binary(ShearMessage),
+    "sigma": _binary(SigmaMessage),
+    "map/cloud": _binary(CloudMessage),
+    "contact": _json(decode_contact),
+    "touch": _json(decode_touch),
+    "event/slip": _json(decode_slip),
+    "health": _json(decode_health),
+    "info": _json(decode_info),
+    "map/revision": _json(decode_map),
+    "map/final": _json(decode_map),
+    "preview": _preview,
+    "status/": decode_status,
+    "res/": decode_object,
+}
+_OF_HANDS: Final = {**_OF_BOTH, "objects": _json(decode_hand), "health": _json(decode_hand_health)}

@@ -1,0 +1,21 @@
+"""Those of the daemon's values that its messages are made of."""
+
+from .arrays import F32, F64, I32, I64, U8, U16, Bool, freeze
+from .frame import IDENTITY_POSE, Frame, Pose
+from .geometry import Disc, Geometry
+
+__all__ = [
+    "F32",
+    "F64",
+    "I32",
+    "I64",
+    "IDENTITY_POSE",
+    "U8",
+    "U16",
+    "Bool",
+    "Disc",
+    "Frame",
+    "Geometry",
+    "Pose",
+    "freeze",
+]

@@ -1,0 +1,126 @@
+"""Recordings of the fingers of one hand, reconstructed to the messages that the hand would have published."""
+
+from __future__ import annotations
+
+import logging
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from tacshade_edge.core.contact.tracking import ContactTracker
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.reconstruct import Reconstructor, step_and_track
+from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.factories import calibrations
+from tacshade_edge.hand.replay import messages
+from tacshade_edge.inference.network import make_reconstructor
+from tacshade_edge.protocol.hand import Finger, HandObjects, finger_of
+from tacshade_edge.rigid import Rigid, from_seven
+from tacshade_edge.settings import Settings, json_schema
+from tacshade_edge.settings.load import read_struct
+from tacshade_edge.settings.placed import wrong_with
+from tacshade_edge.storage.recording.recording import Recording
+from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME, SETTINGS_NAME, content_of
+
+_log = logging.getLogger(__name__)
+
+
+def recorded_settings(content: dict[str, bytes]) -> Settings | None:
+    """The settings that a recording was made with, of one sensor; None without them.
+
+    Raises
+    ------
+    ConfigError
+        They are of another version of this program.
+    """
+    if SETTINGS_NAME not in content:
+        return None
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / SETTINGS_NAME
+        path.write_bytes(content[SETTINGS_NAME])
+        # Not `load`, which refuses a hand's finger without its hand.
+        return read_struct(path, Settings, json_schema())[0]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HandRecording:
+    """What several recordings of a hand give.
+
+    Attributes
+    ----------
+    hand_id : str
+    fingers : tuple of str
+        In the order of the recordings.
+    messages : iterator of HandObjects
+        Each is made when it is asked for.
+    unread : list of str
+        Grows by each image that cannot be read, as the log does.
+    """
+
+    hand_id: str
+    fingers: tuple[str, ...]
+    messages: Iterator[HandObjects]
+    unread: list[str]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Recorded:
+    recording: Recording
+    reconstructor: Reconstructor
+    hand_T_sensor: Rigid
+    unread: list[str]
+
+    def reports(self) -> Iterator[tuple[int, int, Finger]]:
+        tracker = ContactTracker()
+        while True:
+            try:
+                recorded = self.recording.read()
+            except DecodeError as error:
+                _log.warning("%s", error)
+                self.unread.append(str(error))
+                continue
+            if recorded is None:
+                return
+            result = step_and_track(self.reconstructor, tracker, recorded.frame)
+            assert result is not None  # all of it is needed
+            yield result.t_ns, recorded.wall_ns, finger_of(result, self.hand_T_sensor)
+
+
+def read_hand(paths: Sequence[Path], profile: str) -> HandRecording:
+    """Read recordings of several fingers, made at the same time on one board.
+
+    Each has its own calibration, and the settings of a hand's finger. The log reports what is damaged or was cut off.
+
+    Raises
+    ------
+    ConfigError
+        A recording without these, two of one sensor, or of several hands.
+    """
+    fingers: dict[str, _Recorded] = {}
+    hands, unread = set[str](), list[str]()
+    for path in paths:
+        settings = recorded_settings(content_of(path))
+        if settings is None or settings.hand_id is None or settings.hand_T_sensor is None:
+            raise ConfigError(
+                f"{path}: found no hand_T_sensor in its {SETTINGS_NAME}, expected a recording of a hand's finger"
+            )
+        if problem := wrong_with(settings.hand_T_sensor):
+            raise ConfigError(f"{path}: {SETTINGS_NAME}: hand_T_sensor: {problem}")
+        hands.add(settings.hand_id)
+        if len(hands) > 1:
+            raise ConfigError(f"{path}: found the hands {', '.join(sorted(hands))}, expected recordings of one")
+        if settings.sensor_id in fingers:
+            raise ConfigError(f"{path}: found {settings.sensor_id} twice, expected one recording of each finger")
+        if (calibration := calibrations.of_recording(path)) is None:
+            raise ConfigError(f"{path}: found no {CALIBRATION_NAME} in it, expected one")
+        recording = Recording(path)
+        cut_off = "the recording was cut off, what is whole is read" if recording.cut_off else ""
+        for line in filter(None, (recording.damage, cut_off)):
+            _log.warning("%s: %s", path, line)
+        fingers[settings.sensor_id] = _Recorded(
+            recording, make_reconstructor(calibration, PROFILES[profile]), from_seven(settings.hand_T_sensor), unread
+        )
+    (hand_id,) = hands
+    made = messages({name: finger.reports() for name, finger in fingers.items()})
+    return HandRecording(hand_id, tuple(fingers), made, unread)

@@ -1,0 +1,116 @@
+#!/usr/bin/env python3
+"""From a bare Debian to a published height map, by ``apt install`` and by ``pip install``, in a fresh guest.
+
+::
+
+    sudo .venv/bin/python -m tools.ci.first_map apt pip [--number 1.0.0]
+
+The guest (tools/rig) boots a new Debian 12 with systemd and Python, and nothing else. What would be released of the
+last commit lies in an apt repository and a package index that this machine serves; everything else apt fetches from
+Debian. Then, as a person would: install, simulate a calibration set, calibrate, start, listen. The seconds are printed;
+the processor is emulated, some twenty times slower than this machine. Needs root, debootstrap and GnuPG.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+from tools.release import apt_repository, index, rehearsal
+from tools.release.package_debian import TREE
+from tools.rig import guest
+
+SUITE, PYTHON = "bookworm", "3.11"
+BASE = ("systemd-sysv", "udev", "dbus", "ca-certificates", "python3-venv")
+KEY = "first-map@localhost"
+HOST = "http://10.0.2.2"
+"""This machine's loopback, in the guest."""
+SILENT_S = 120.0
+SCRIPT = Path(__file__).with_name("first_map.sh")
+WAYS = ("apt", "pip")
+
+
+def base() -> Path:
+    """The root of a bare Debian, made once."""
+    made = guest.CACHE / f"bare-{SUITE}"
+    if not made.exists():
+        guest.CACHE.mkdir(exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=guest.CACHE) as folder:
+            root = Path(folder, "root")
+            command = ("debootstrap", "--variant=minbase", f"--include={','.join(BASE)}", SUITE, str(root))
+            subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+            root.rename(made)
+    return made
+
+
+def serve(folder: Path) -> ThreadingHTTPServer:
+    """Serve a folder's files on a free port of the loopback."""
+
+    class Quiet(SimpleHTTPRequestHandler):
+        def log_message(self, *_: object) -> None:
+            """Say nothing."""
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(folder)))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    return server
+
+
+def fill(folder: Path, ways: list[str], number: str) -> None:
+    """What would be released, as `number`: a package index and an apt repository with a key of the moment."""
+    if "pip" in ways:
+        rehearsal.rehearse(TREE, number, folder / "files")
+        index.fetch_locked(folder / "files", PYTHON)
+        index.lay_out(sorted((folder / "files").iterdir()), folder)
+    if "apt" in ways:
+        debs, home = folder / "debs", folder / "gnupg"
+        home.mkdir(mode=0o700)
+        os.environ["GNUPGHOME"] = str(home)
+        words = ("-m", "tools.release.package_debian", "--machine", "x86_64", "--python", PYTHON, "--level", "1")
+        told = os.environ | {"TACSHADE_EDGE_VERSION": number}
+        subprocess.run((sys.executable, *words, "--out", str(debs)), cwd=TREE, env=told, check=True)
+        words = ("--batch", "--passphrase", "", "--quick-generate-key", KEY, "ed25519", "sign", "never")
+        subprocess.run(("gpg", *words), check=True, capture_output=True)
+        apt_repository.lay_out(sorted(debs.glob("*.deb")), folder / "apt", KEY)
+        shutil.rmtree(debs)
+        shutil.rmtree(home)
+
+
+def main() -> int:
+    """Try each way in a guest of its own."""
+    parser = argparse.ArgumentParser(prog="first_map.py", description="From a bare guest to a published height map.")
+    parser.add_argument("ways", nargs="+", choices=WAYS)
+    parser.add_argument("--number", default="1.0.0", help="the version that is rehearsed (1.0.0)")
+    parser.add_argument("--out", type=Path, help="folder that keeps the guests' consoles and reports")
+    args = parser.parse_args()
+    try:
+        guest.check(True)
+    except guest.CannotRunError as error:
+        print(f"first_map: {error}", file=sys.stderr)
+        return guest.EXIT_CANNOT
+    with tempfile.TemporaryDirectory(prefix="first-map-") as scratch:
+        served = Path(scratch, "served")
+        served.mkdir()
+        fill(served, args.ways, args.number)
+        server = serve(served)
+        for way in args.ways:
+            out = (args.out or Path(scratch)) / way
+            out.mkdir(parents=True, exist_ok=True)
+            shutil.copy(SCRIPT, out)
+            print(f"--- {way} install, in a bare {SUITE}", flush=True)
+            words = ["bash", f"/out/{SCRIPT.name}", way, f"{HOST}:{server.server_port}", SUITE, args.number]
+            if code := guest.run(words, out.resolve(), SILENT_S, True, base()):
+                return code
+        server.shutdown()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
