@@ -59,7 +59,6 @@ def run(args: argparse.Namespace) -> int:
     settings = grid(names)
     own = study.is_own(args, ("sensors", "objects"))
     study.make_folder(args.out)
-    drawn = study.will_draw(args, "tradeoff.png")
     with workers(args.cluster) as pool:
         if own:
             calibration, cases, mistakes = study.own_images(args)
@@ -73,6 +72,7 @@ def run(args: argparse.Namespace) -> int:
             objects = args.objects or tuple(PAPER_OBJECTS)
             data = {"sensors": [str(name) for name in sensors], "objects": list(objects)}
             images = simulated(sensors, objects, pool, Progress())
+        drawn = study.will_draw(args, "tradeoff.png")
         rows = score_settings(settings, images, pool, Progress())
     found, busy = weigh_and_time(settings, images, rows, Progress())
     if busy > BUSY:
