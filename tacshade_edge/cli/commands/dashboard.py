@@ -46,6 +46,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the token that opens the page, and makes it read-only; made where it is not there",
     )
     parser.add_argument("--allow-control", action="store_true", help="who has the token may command the sensors too")
+    parser.add_argument(
+        "--recordings",
+        type=Path,
+        metavar="DIR",
+        help="list the recordings in this folder of this machine, to play, download and delete",
+    )
     parser.add_argument("--certificate", type=Path, metavar="FILE", help="PEM file: serve the page over TLS")
     parser.add_argument("--key", type=Path, metavar="FILE", help="PEM file of its key (default: in the same file)")
     parser.add_argument("--ca-file", type=Path, metavar="FILE", help="PEM file of the broker's CA: use TLS to it")
@@ -71,6 +77,8 @@ def run(args: argparse.Namespace) -> int:
     start_logging(args.log_level)
     host, port = args.broker
     broker = Broker(host, port, _tls(args.ca_file) if args.ca_file else None)
+    if args.recordings is not None and not args.recordings.is_dir():
+        raise ConfigError(f"--recordings {args.recordings}: found no folder, expected that of the recordings")
     tls = server_tls(args.certificate, args.key)
     is_opened = not is_loopback(args.host)
     token = read_token(args.token_file) if args.token_file else None
@@ -106,6 +114,7 @@ def run(args: argparse.Namespace) -> int:
             tls=tls,
             token=token,
             read_only=read_only,
+            recordings=args.recordings,
         )
 
     asyncio.run(serve())
