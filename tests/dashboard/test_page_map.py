@@ -76,6 +76,7 @@ def test_the_map_grows_with_its_revisions(page: Chrome, tmp_path: Path) -> None:
 
         # The pointer, on the bar that stands alone: mm from the canvas's frame and what is drawn in it.
         canvas = page.find_element(By.ID, "stitched-cells")
+        page.execute_script("arguments[0].scrollIntoView({block: 'center'})", canvas)
         width_mm, length_mm = js(page, "[tacshade.stitched.width_mm, tacshade.stitched.length_mm]")
         px_per_mm = min(canvas.rect["width"] / width_mm, canvas.rect["height"] / length_mm)
         right = (x + 60.0 - corner[0] - width_mm / 2) * px_per_mm

@@ -10,6 +10,8 @@ export class Recordings {
   /** There is a list at all: the server has been given a folder. readOnly: nothing may be played or deleted. played(sensor): a recording is, as this sensor. */
   constructor({ listed, readOnly, played }) {
     Object.assign(this, { listed, readOnly, played, playing: null });
+    // A page that is left may be kept with its connections, for who comes back.
+    addEventListener("pagehide", () => this.playing?.socket.close());
     this.refresh();
   }
 
