@@ -9,13 +9,14 @@
 # make test    everything, with the real broker and a guest with a real kernel's video devices
 # make test-arm  a board's processor, emulated: both Pythons, a minute of the daemon, instructions a frame; over an hour, root
 # make test-container  the image, built on a base of Debian's packages, run on a virtual camera; 5 minutes, root
+# make first-map  apt install and pip install in a bare Debian, each to a published height map; minutes, root
 # make faults  the table of docs/explanation/reliability.md; 9 minutes
 PYTHON ?= python3
 PY := .venv/bin/python
 # A version for processors alone: what else calls itself PyTorch brings 3 GB for GPUs. `--retries 0`: the index may be out of reach.
 CPU_TORCH := --extra-index-url https://download.pytorch.org/whl/cpu 'torch==2.13.0+cpu'
 
-.PHONY: demo lint check docs test test-arm test-container dist deb apt image lock faults format clean
+.PHONY: demo lint check docs test test-arm test-container first-map dist deb apt image lock faults format clean
 .DELETE_ON_ERROR:
 
 # Three stamps: the demo installs only what a user needs, and 110 MB for the site only who builds it.
@@ -59,6 +60,10 @@ test-arm: .venv/dev.stamp
 test-container: .venv/dev.stamp
 	tools/ci/install_debian.sh mmdebstrap podman
 	$(PY) -m pytest -m container -rs -s
+
+first-map: .venv/dev.stamp
+	tools/ci/install_debian.sh debootstrap gpg
+	$(PY) -m tools.ci.first_map apt pip --native
 
 deb: .venv/dev.stamp
 	$(PY) -m tools.release.package_debian

@@ -412,6 +412,16 @@ board was measured.""",
         ("tools.ci.run_arm",),
         (*DAEMON, "systemd/requirements.lock", "tools/ci/arm_frames.py", "tools/rig/arm64.py"),
     ),
+    "arm-frame": Page(
+        "Instructions of a frame on a board's processor, emulated",
+        """\
+QEMU's model of a Pi 5's processor, Debian's Python 3.11, 640x480, a contact that covers a fifth of the disc. `gate` is
+all up to the contact gate (without contact: of a skin that was judged before), `depth` has objects and cloud,
+`encode` all payloads, `publish` the broker's client. Instructions are counted exactly; the times are an estimate from
+them, right to a factor of two, as on [the other page](arm.md).""",
+        ("tools.ci.run_arm", "--count-only"),
+        (*DAEMON, "systemd/requirements.lock", "tools/ci/arm_frames.py", "tools/ci/run_arm.py", "tools/rig/arm64.py"),
+    ),
     "faults": Page(
         "Faults in real parts",
         """\

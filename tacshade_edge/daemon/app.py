@@ -45,7 +45,7 @@ from tacshade_edge.devices.fixes import with_fix
 from tacshade_edge.devices.mqtt.topic_slot import PayloadOutcome
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import links, sources
-from tacshade_edge.free_memory import share_free_memory
+from tacshade_edge.free_memory import return_free_memory, share_free_memory
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.protocol import json_payload, messages, replies
 from tacshade_edge.protocol.requests import Request
@@ -169,6 +169,7 @@ class App:
         # OpenCV's other threads spin between a frame's small images: a third of what it costs, for no time won.
         cv2.setNumThreads(1)
         share_free_memory()
+        return_free_memory()
         with crashes_to(self._events.put):
             self._changed()
             self._publish_camera()
@@ -319,6 +320,7 @@ class App:
             self._publish_info()
         else:
             self._active.use(calibration)
+            return_free_memory()
             self._changed()
 
     def _on_record(self, request: Request, reconstructor: Reconstructor) -> None:

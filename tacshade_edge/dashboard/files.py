@@ -20,7 +20,6 @@ _TYPES: Final = {
     ".txt": "text/plain; charset=utf-8",
 }
 _HTML: Final = b'<html lang="en">'
-_HTML_READ_ONLY: Final = b'<html lang="en" data-read-only>'
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,18 +39,20 @@ class File:
     etag: str
 
 
-def load(*, read_only: bool = False) -> dict[str, File]:
+def load(*, read_only: bool = False, recordings: bool = False) -> dict[str, File]:
     """Every file of the page by its path in the URL; ``/`` is ``/index.html``, ``/login`` is ``/login.html``.
 
     Parameters
     ----------
     read_only : bool
         The page learns that it may request nothing.
+    recordings : bool
+        The page learns that there is a list of recordings.
     """
     found = dict(_walk(resources.files(__package__) / "static", ""))
     index = found["/index.html"]
-    if read_only:
-        index = found["/index.html"] = _file(index.body.replace(_HTML, _HTML_READ_ONLY, 1), index.content_type)
+    learns = b" data-read-only" * read_only + b" data-recordings" * recordings
+    index = found["/index.html"] = _file(index.body.replace(_HTML, _HTML[:-1] + learns + b">", 1), index.content_type)
     return {"/": index, "/login": found["/login.html"], **found}
 
 

@@ -1,4 +1,4 @@
-"""One port: the page's files over HTTP, and ``/mqtt`` over WebSocket."""
+"""One port: the page's files over HTTP, ``/mqtt`` and ``/recordings`` over WebSocket."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import ssl
 import time
 from collections.abc import Callable, Collection, Mapping
 from http import HTTPStatus
+from pathlib import Path
 from typing import Final
 
 from websockets.asyncio.server import ServerConnection, serve
@@ -22,13 +23,14 @@ from tacshade_edge.dashboard import access, files, login
 from tacshade_edge.dashboard.bounds import Bounds, bounded, report_device_errors
 from tacshade_edge.dashboard.bridge import FROM_PAGE_BYTES_MAX, Bridge, Broker
 from tacshade_edge.dashboard.login import Login
+from tacshade_edge.dashboard.recording_commands import RecordingCommands
 from tacshade_edge.devices.listener import Listener
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.quoting import escaped
 
 _log = logging.getLogger(__name__)
 
-_WEBSOCKET: Final = "/mqtt"
+_WEBSOCKETS: Final = ("/mqtt", "/recordings")
 _METHODS: Final = ("GET", "HEAD")
 _INDEX: Final = ("/", "/index.html")
 _LOGIN: Final = "/login"
@@ -53,14 +55,21 @@ class Pages:
     bounds : Bounds
     tokens : Login or None
         Without it everybody may see the page who reaches it.
-    read_only : bool
+    read_only, recordings : bool
+        See `files.load`.
     """
 
     def __init__(
-        self, allowed_origins: Collection[str], bounds: Bounds, tokens: Login | None, *, read_only: bool
+        self,
+        allowed_origins: Collection[str],
+        bounds: Bounds,
+        tokens: Login | None,
+        *,
+        read_only: bool,
+        recordings: bool,
     ) -> None:
         self._tokens = tokens
-        self._files = files.load(read_only=read_only)
+        self._files = files.load(read_only=read_only, recordings=recordings)
         self._headers = files.security_headers(self._files)
         self._allowed_origins = allowed_origins
         self._bounds = bounds
@@ -82,7 +91,7 @@ class Pages:
             response = self._log_in(self._tokens, page, path, request.headers)
             if response is not None:
                 return response
-        if path == _WEBSOCKET:
+        if path in _WEBSOCKETS:
             return self._check(page, request)
         file = self._files.get(path)
         if file is None:
@@ -111,7 +120,7 @@ class Pages:
 
     def _check(self, page: ServerConnection, request: Request) -> Response | None:
         if request.headers.get("Upgrade", "").lower() != "websocket":
-            return self._text(HTTPStatus.UPGRADE_REQUIRED, "MQTT over WebSocket, for the page")
+            return self._text(HTTPStatus.UPGRADE_REQUIRED, "a WebSocket, for the page")
         try:
             refused = access.refusal(request.headers.get("Origin"), request.headers.get("Host"), self._allowed_origins)
         except LookupError:  # a header twice
@@ -146,6 +155,7 @@ async def run(
     tls: ssl.SSLContext | None = None,
     token: str | None = None,
     read_only: bool = False,
+    recordings: Path | None = None,
 ) -> None:
     """Serve until `stop` is set; less than a second later every connection is closed.
 
@@ -164,6 +174,8 @@ async def run(
         Nothing is shown without it.
     read_only : bool
         No requests of a page are passed on.
+    recordings : Path, optional
+        Folder whose recordings pages list, download and, unless read-only, play and delete.
 
     Raises
     ------
@@ -179,17 +191,26 @@ async def run(
         listener = Listener(host, port, bounds.admit)
         tokens = Login(token, f"tacshade-{listener.getsockname()[1]}", secure=tls is not None) if token else None
         # Compression would cost the board more than it saves: docs/how-to/dashboard.md has the figures.
+        bridge = Bridge(broker, read_only=read_only)
+        commands = RecordingCommands(recordings, broker, read_only=read_only)
+
+        async def serve_page(page: ServerConnection) -> None:
+            assert page.request is not None
+            await (commands.serve(page) if page.request.path.startswith("/recordings") else bridge.carry(page))
+
         server = await serve(
-            Bridge(broker, read_only=read_only).carry,
+            serve_page,
             sock=listener,
             ssl=tls,
             ssl_handshake_timeout=_SPEAK_S if tls else None,
             ssl_shutdown_timeout=_CLOSE_S if tls else None,
-            process_request=Pages(allowed_origins, bounds, tokens, read_only=read_only).answer,
+            process_request=Pages(
+                allowed_origins, bounds, tokens, read_only=read_only, recordings=recordings is not None
+            ).answer,
             create_connection=bounded(bounds),
             open_timeout=_SPEAK_S,
             max_queue=_FRAMES_WAITING_MAX,
-            subprotocols=[Subprotocol("mqtt")],
+            subprotocols=[Subprotocol("mqtt"), Subprotocol("tacshade-recordings")],
             compression=None,
             max_size=FROM_PAGE_BYTES_MAX,
             server_header=None,

@@ -19,7 +19,7 @@ from tacshade_edge.simulator.hand.held import Finger, Placement, follow
 from tacshade_edge.simulator.hand.script import HandScript
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.scene import SimulatedSensor
-from tacshade_edge.studies.parallel import ordered_map, usable_cores
+from tacshade_edge.studies.parallel import workers
 
 HAND_ID: Final = "demo"
 FPS: Final = 10
@@ -148,9 +148,10 @@ def play(folder: Path) -> Generator[None, None, None]:
         _show(folder, drawn, step, shown)
         yield
     whole = list[list[Path]]()
-    for pictures in ordered_map(_draw, [(folder, name, _STEPS) for name in FINGERS], usable_cores()):
-        whole.append(pictures)
-        yield
+    with workers() as pool:
+        for pictures in pool.map(_draw, [(folder, name, _STEPS) for name in FINGERS]):
+            whole.append(pictures)
+            yield
     begin_s = time.monotonic() - _GRASPED * STEP_S
     while True:
         _show(folder, whole, int((time.monotonic() - begin_s) / STEP_S) % _STEPS, shown)

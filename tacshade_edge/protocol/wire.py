@@ -121,7 +121,7 @@ def _steps(values_mm: F32, height: HeightMap) -> tuple[tuple[int, ...], tuple[fl
     steps = np.clip(values_mm, -limit_mm, limit_mm)  # before the product, which could overflow
     np.multiply(steps, np.float32(1.0 / SCALE_MM), out=steps)
     np.rint(steps, out=steps)
-    steps[np.isnan(steps)] = OUTSIDE
+    np.fmax(steps, np.float32(OUTSIDE), out=steps)  # it takes the number where the other is NaN
     return (rows, cols), (height.row0, height.col0, height.step_px), steps.astype("<i2").tobytes()
 
 

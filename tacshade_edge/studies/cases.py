@@ -9,7 +9,7 @@ from tacshade_edge.core.calibration.calibrate import CalibrationResult
 from tacshade_edge.studies.evaluate.scenes import Scene, null_images
 from tacshade_edge.studies.evaluate.score import NOTHING, KnownTruth, Label
 from tacshade_edge.studies.evaluate.sensors import PressedSensor, SensorName, calibrated
-from tacshade_edge.studies.parallel import Report, reported_map
+from tacshade_edge.studies.parallel import Report, Workers, reported_map
 from tacshade_edge.types import U8
 
 
@@ -28,11 +28,11 @@ class Case:
 
 
 def calibrate_sensors(
-    sensors: Sequence[SensorName], references: int, presses: int, cores: int, report: Report
+    sensors: Sequence[SensorName], references: int, presses: int, workers: Workers, report: Report
 ) -> list[CalibrationResult]:
     """Calibrate every sensor. Raises ConfigError (one cannot be calibrated) and DeviceError (a worker was killed)."""
     tasks = [(name, references, presses) for name in sensors]
-    return list(reported_map(_calibrated, tasks, cores, report, "sensors calibrated"))
+    return list(reported_map(_calibrated, tasks, workers, report, "sensors calibrated"))
 
 
 def _calibrated(task: tuple[SensorName, int, int]) -> CalibrationResult:

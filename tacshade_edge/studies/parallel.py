@@ -1,16 +1,17 @@
-"""Independent jobs over the machine's cores, in the order of their tasks."""
+"""Executors for independent jobs: this machine's cores, or a Dask cluster's; results in the order of their tasks."""
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import wait
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 import cv2
 
@@ -27,32 +28,72 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
-def ordered_map(
-    function: Callable[[Task], Result], tasks: Sequence[Task], cores: int, *, fresh: bool = False
-) -> Iterator[Result]:
-    """Yield ``function(task)`` for every task, in order, from up to `cores` processes; with one, in this one.
+class Workers(Protocol):
+    """What runs jobs: an executor of ``concurrent.futures``, of which nothing but its ``map`` is used."""
+
+    def map(self, fn: Callable[[Task], Result], tasks: Iterable[Task], /) -> Iterator[Result]:
+        """Yield ``fn(task)`` of every task, in their order."""
+
+
+class ThisProcess:
+    """Runs each job when its result is asked for, in this process."""
+
+    def map(self, fn: Callable[[Task], Result], tasks: Iterable[Task], /) -> Iterator[Result]:
+        """Yield ``fn(task)`` of every task."""
+        return map(fn, tasks)
+
+
+@contextlib.contextmanager
+def workers(cluster: str | None = None) -> Iterator[Workers]:
+    """Start what runs jobs: a process for each core, or, with an address, the workers of a Dask cluster.
+
+    Jobs are functions of a module, so that another process finds them; ``map`` yields results in the order of the
+    tasks, whatever ran them. They are the same bit by bit on processors of the same kind.
 
     Parameters
     ----------
-    function : callable
-        Of a module, so that another process finds it.
+    cluster : str or None
+        The scheduler's address, ``tcp://scheduler:8786``.
+
+    Raises
+    ------
+    ConfigError
+        The extra `cluster` is not installed, or the cluster runs other versions.
+    DeviceError
+        A process was killed; the cluster cannot be reached, has no workers, or lost those that ran a job.
+    """
+    if cluster is not None:
+        from tacshade_edge.studies.cluster import connected
+
+        with connected(cluster) as found:
+            yield found
+    elif usable_cores() == 1:
+        yield ThisProcess()
+    else:
+        with processes() as found:
+            yield found
+
+
+@contextlib.contextmanager
+def processes(*, fresh: bool = False) -> Iterator[Workers]:
+    """Start a process for each usable core of this machine.
+
+    Parameters
+    ----------
     fresh : bool
-        Each task in a new process, also with one core.
+        Each job in a new process.
 
     Raises
     ------
     DeviceError
         A process was killed.
     """
-    cores = min(cores, len(tasks))
-    if cores < 2 and not fresh:
-        yield from map(function, tasks)
-        return
     context = multiprocessing.get_context("spawn")  # fork would copy OpenCV's threads' locks
-    pool = ProcessPoolExecutor(cores, mp_context=context, initializer=_start, max_tasks_per_child=1 if fresh else None)
+    reuse = 1 if fresh else None
+    pool = ProcessPoolExecutor(usable_cores(), mp_context=context, initializer=_start, max_tasks_per_child=reuse)
     before, complete = multiprocessing.active_children(), False
     try:
-        yield from pool.map(function, tasks)
+        yield pool
         complete = True
     except BrokenProcessPool:
         raise DeviceError("a worker process was ended from outside (not enough memory?)") from None
@@ -66,18 +107,12 @@ def ordered_map(
 
 
 def reported_map(
-    function: Callable[[Task], Result],
-    tasks: Sequence[Task],
-    cores: int,
-    report: Report,
-    what: str,
-    *,
-    fresh: bool = False,
+    function: Callable[[Task], Result], tasks: Sequence[Task], workers: Workers, report: Report, what: str
 ) -> Iterator[Result]:
-    """`ordered_map` that reports how far it is."""
+    """``workers.map`` that reports how far it is."""
     report(what, 0, len(tasks))
-    for k, result in enumerate(ordered_map(function, tasks, cores, fresh=fresh)):
-        report(what, k + 1, len(tasks))
+    for k, result in enumerate(workers.map(function, tasks), 1):
+        report(what, k, len(tasks))
         yield result
 
 

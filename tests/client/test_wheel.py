@@ -74,6 +74,16 @@ def test_it_is_small_and_owns_no_file_of_the_daemons_wheel(tmp_path: Path) -> No
     assert [re.split("[<>]", need)[0] for need in about.get_all("Requires-Dist", [])] == ["numpy", "paho-mqtt"]
 
 
+def test_the_camera_for_lerobot_has_the_name_that_lerobot_looks_for(tmp_path: Path) -> None:
+    wheel = built(ROOT / "client_lerobot", tmp_path / "made")
+    with zipfile.ZipFile(wheel) as archive:
+        names = archive.namelist()
+        about = message_from_bytes(archive.read(next(name for name in names if name.endswith("/METADATA"))))
+    assert (about["Name"], about["License-Expression"]) == ("lerobot_camera_tacshade", "MIT")
+    assert about.get_all("Requires-Dist") == ["tacshade-client"]
+    assert {name.partition("/")[0].partition("-")[0] for name in names} == {"lerobot_camera_tacshade"}
+
+
 def test_alone_it_listens_to_a_daemon(tmp_path: Path) -> None:
     wheel = built(ROOT / "client", tmp_path / "client")
     python = environment(tmp_path / "environment", wheel)

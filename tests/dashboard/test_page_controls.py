@@ -131,6 +131,7 @@ def test_a_page_that_may_only_look_records_nothing(page: Chrome, tmp_path: Path)
         PublishedSensor(broker.port) as sensor,
     ):
         page.get(told)
+        wait_until(lambda: "login" not in page.current_url, 15, "logged in")
         shows(page, "link", "Connected")
         sensor.tell("status/recorder", messages.encode_status("idle"), retain=True)
         wait_until(lambda: page.find_element(By.ID, "recording").is_displayed(), 15, "it tells its recorder")

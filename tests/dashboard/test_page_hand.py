@@ -108,8 +108,8 @@ def test_every_finger_is_shown_and_what_it_touches_in_the_hands_frame(
     assert len(peaks) == 5
     assert max(peaks[1:3]) < 80, "fingers that touch nothing are drawn flat"
     captions = [figure.text for figure in page.find_elements(By.CSS_SELECTOR, "#whole-maps figcaption")]
-    assert captions[0] == "thumb contact, 2.60 mm"
-    assert captions[3] == "ring away: lost"
+    assert captions[0] == "thumb\n2.60 mm\nslips in part"
+    assert captions[3] == "ring\naway: lost"
     assert text(page, "whole-state") == "left: online"
     shows(page, "whole-objects", "thumb -79.0, -3.5, 34.3 0.60, 0.00, 0.80 2.60 50 0.50 slips in part")
     assert text(page, "whole-axes").startswith("x to the right, z upwards")

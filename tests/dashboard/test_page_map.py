@@ -56,7 +56,7 @@ def test_the_map_grows_with_its_revisions(page: Chrome, tmp_path: Path) -> None:
         until_mapped(page, "pad-1", 3)
         assert frame_of(page) == before  # nothing moves while it grows
         low, high = 0.0, 1.5
-        assert text(page, "stitched-ticks").split() == ["0", "0.375", "0.75", "1.125", "1.5", "mm"]
+        assert text(page, "stitched-ticks").split() == ["0", "0.5", "1", "1.5", "mm"]
         for at in [(20.1, 32.1), (20.1, 21.1), (61.6, 20.0), (53.6, 14.0), (60.0, 54.1), (80.1, 28.1)]:
             # Flat around each: points are thinned and cells lie beside them by up to half a spacing.
             truth = float(PAD.height_mm(*(np.array([v]) for v in at))[0])
@@ -76,6 +76,7 @@ def test_the_map_grows_with_its_revisions(page: Chrome, tmp_path: Path) -> None:
 
         # The pointer, on the bar that stands alone: mm from the canvas's frame and what is drawn in it.
         canvas = page.find_element(By.ID, "stitched-cells")
+        page.execute_script("arguments[0].scrollIntoView({block: 'center'})", canvas)
         width_mm, length_mm = js(page, "[tacshade.stitched.width_mm, tacshade.stitched.length_mm]")
         px_per_mm = min(canvas.rect["width"] / width_mm, canvas.rect["height"] / length_mm)
         right = (x + 60.0 - corner[0] - width_mm / 2) * px_per_mm

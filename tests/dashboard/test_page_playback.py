@@ -56,7 +56,7 @@ def test_a_recording_is_paused_stepped_wound_and_played_again(page: Chrome, tmp_
         )
         try:
             opened(page, address, "run-a")
-            wait_until(lambda: len(Select(page.find_element(By.ID, "against")).options) == 2, 15, "there is another")
+            wait_until(lambda: len(Select(page.find_element(By.ID, "against")).options) == 3, 15, "there is another")
             Select(page.find_element(By.ID, "against")).select_by_value("run-b")
             shows(page, "compare-numbers", "profile balanced fast")
             shows(page, "playback", " of 9.87 s")
@@ -78,7 +78,7 @@ def test_a_recording_is_paused_stepped_wound_and_played_again(page: Chrome, tmp_
             wait_until(lambda: js(page, "window.tacshade && tacshade.seq") == 91, 15, "the picture of the paused run")
             Select(page.find_element(By.ID, "against")).select_by_value("run-b")
             wait_until(lambda: js(page, "tacshade.compared") is not None and is_in_step(), 15, "and of the other")
-            assert "Heights are" in text(page, "compare-words")
+            assert "heights are" in text(page, "compare-words")
             wind(1.0)
             wait_until(lambda: js(page, "tacshade.seq") == 31, 15, "an earlier frame")
             shows(page, "playback", "1.02 s of 9.87 s, frame 31")

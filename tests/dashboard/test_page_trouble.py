@@ -18,7 +18,18 @@ from tools.testbed.dashboard_process import dashboard
 from tools.testbed.mqtt_rig import Broker, Subscriber, free_port
 from tools.testbed.patience import wait_until
 from tools.testbed.published_sensor import PublishedSensor, bump
-from tools.testbed.shown_page import NEEDS_A_BROWSER, daemon, drawn, js, opened, picture, shows, text, until_shown
+from tools.testbed.shown_page import (
+    NEEDS_A_BROWSER,
+    daemon,
+    drawn,
+    js,
+    opened,
+    picture,
+    shows,
+    text,
+    unfold_health,
+    until_shown,
+)
 
 pytestmark = NEEDS_A_BROWSER
 
@@ -86,6 +97,7 @@ def test_strange_messages_are_counted_and_shown_as_text(page: Chrome, tmp_path: 
     ):
         opened(page, address)
         until_shown(page, sensor, lambda: bump(1, 1.5, 200, 300, step_px=4), 1)
+        unfold_health(page)
         assert js(page, "tacshade.undecodable") == 0
         sound = wire.encode_height(bump(2, 2.0, 200, 300, step_px=4), calibration_crc32=1)
         for count, damaged in enumerate([b"", sound[:50], sound[:-1], sound[:200] + b"!" + sound[201:]], 1):
@@ -114,6 +126,7 @@ def test_long_text_is_cut_and_hostile_binary_is_counted(page: Chrome, tmp_path: 
     ):
         opened(page, address)
         until_shown(page, sensor, lambda: bump(1, 1.5, 200, 300, step_px=4), 1)
+        unfold_health(page)
         sensor.tell("status/camera", json.dumps({"state": "away", "reason": long, "device": long}).encode())
         sensor.tell("health", json.dumps({"invalid_reason": long, **{f"k{k}": k for k in range(20_000)}}).encode())
         shows(page, "state", "(200000 characters)")

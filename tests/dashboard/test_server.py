@@ -6,7 +6,7 @@ import asyncio
 import hashlib
 import re
 import ssl
-from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -14,47 +14,21 @@ from typing import Any
 import pytest
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion
+from support.page_server import TOKEN, run, running
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from tacshade_edge.dashboard import bridge, files, server
+from tacshade_edge.dashboard import bridge, files
 from tacshade_edge.dashboard.access import refusal
 from tacshade_edge.dashboard.bounds import CONNECTIONS_MAX, PAGES_MAX
-from tacshade_edge.dashboard.bridge import Broker as Address
 from tacshade_edge.dashboard.login import WRONG_MAX
 from tools.testbed.certificate import certificate
 from tools.testbed.dashboard_process import dashboard
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
-from tools.testbed.patience import patience, wait_until
+from tools.testbed.patience import wait_until
 
-TOKEN = "a-token-of-this-test"
 STATIC = Path(files.__file__).parent / "static"
 Serve = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
-
-
-def run(test: Coroutine[Any, Any, None]) -> None:
-    async def limited() -> None:
-        async with asyncio.timeout(patience(30)):
-            await test
-
-    asyncio.run(limited())
-
-
-@asynccontextmanager
-async def running(
-    broker_port: int = 1, origins: frozenset[str] = frozenset(), host: str = "127.0.0.1", **access: Any
-) -> AsyncIterator[int]:
-    """The server in this process; its port."""
-    port: asyncio.Future[int] = asyncio.get_running_loop().create_future()
-    stop = asyncio.Event()
-    serving = asyncio.create_task(
-        server.run(
-            Address(host, broker_port), "127.0.0.1", 0, origins, lambda _host, p: port.set_result(p), stop, **access
-        )
-    )
-    yield await port
-    stop.set()
-    await serving
 
 
 @asynccontextmanager

@@ -417,6 +417,26 @@ def hand() -> Claims:
     yield f"Five sensors take {together} MB where five services would take {apart}"
 
 
+def flange() -> Claims:
+    page, noise = Page("flange"), "0.3 mm, 0.3°"
+    ((mm, _, mm_in), (deg, _, deg_in), (ms, _, ms_in)) = (
+        re.split("[,;] ", page.cells(column, noise)[0])
+        for column in ("mm: median, worst; within 0.5", "degrees; within 0.7", "ms; within 5")
+    )
+    assert ms_in == "20 of 20"
+    yield f"the medians were {mm} mm, {deg}° and {ms} ms"
+    yield f"{int(mm_in.split()[0])} were within 0.5 mm, {int(deg_in.split()[0])} within 0.7°, all within 5 ms"
+
+
+def object_motion() -> Claims:
+    page = Page("object-motion")
+    held = [int(cell) for cell in page.cells("in the 90 % ellipsoid %", "all")]
+    yield f"the ellipsoid holds {min(held)} to {max(held)} %"
+    within = [int(cell) for cell in page.cells("within 0.4 mm and 3° %", "all", "5")[:4]]
+    yield f"within 0.4 mm and 3° in {min(within)} to {max(within)} % of 30 trials"
+    yield f"no jump is over {max(page.cells('jump mm: greatest', 'all'))} mm"
+
+
 def faults() -> Claims:
     page = Page("faults")
     back = max(page.number("recovered s", fault) for fault in ("broker killed, and back", "connection reset"))
@@ -478,6 +498,8 @@ CLAIMS = (
     pytest.param("docs/explanation/accuracy.md", other_objects, id="other_objects"),
     pytest.param("docs/explanation/accuracy.md", limits, id="limits"),
     pytest.param("docs/how-to/shear.md", shear_under_drag, id="shear_under_drag"),
+    pytest.param("docs/how-to/hand.md", object_motion, id="object_motion"),
+    pytest.param("docs/how-to/stitching.md", flange, id="flange"),
     pytest.param("docs/how-to/touch.md", servo, id="servo"),
     pytest.param("docs/reference/sigma.md", sigma, id="sigma"),
     pytest.param("docs/explanation/speed.md", stages, id="stages"),

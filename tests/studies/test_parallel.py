@@ -3,11 +3,12 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 
 import pytest
 
 from tacshade_edge.errors import ConfigError, DeviceError
-from tacshade_edge.studies.parallel import ordered_map, usable_cores
+from tacshade_edge.studies.parallel import processes, usable_cores, workers
 from tools.testbed.patience import patience, wait_until
 
 
@@ -27,37 +28,47 @@ def die(task: int) -> int:
     return task
 
 
+@pytest.fixture
+def one_core() -> Iterator[None]:
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(cores)})
+    yield
+    os.sched_setaffinity(0, cores)
+
+
+@pytest.mark.usefixtures("one_core")
 def test_one_core_works_in_this_process() -> None:
-    assert list(ordered_map(slow_first, [1, 2, 3], 1)) == [(k, os.getpid()) for k in (1, 2, 3)]
-    assert list(ordered_map(slow_first, [], 4)) == []
-    assert usable_cores() >= 1
+    with workers() as pool:
+        assert list(pool.map(slow_first, [1, 2, 3])) == [(k, os.getpid()) for k in (1, 2, 3)]
+        assert list(pool.map(slow_first, [])) == []
 
 
 @pytest.mark.slow  # it starts interpreters, as do the next ones
 def test_results_keep_the_order_of_their_tasks_over_processes() -> None:
-    found = list(ordered_map(slow_first, list(range(6)), 2))
+    with processes() as pool:
+        found = list(pool.map(slow_first, list(range(6))))
     assert [task for task, _ in found] == list(range(6))
     assert os.getpid() not in {pid for _, pid in found}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("cores", [1, 2])
-def test_fresh_is_a_process_for_each_task(cores: int) -> None:
-    found = list(ordered_map(slow_first, [1, 2, 3], cores, fresh=True))
+def test_fresh_is_a_process_for_each_task() -> None:
+    with processes(fresh=True) as pool:
+        found = list(pool.map(slow_first, [1, 2, 3]))
     assert [task for task, _ in found] == [1, 2, 3]
     assert len({os.getpid(), *(pid for _, pid in found)}) == 4
 
 
 @pytest.mark.slow
 def test_a_mistake_in_a_process_is_the_callers() -> None:
-    with pytest.raises(ConfigError, match="sensor 1: no"):
-        list(ordered_map(refuse, [0, 1, 2], 2))
+    with pytest.raises(ConfigError, match="sensor 1: no"), processes() as pool:
+        list(pool.map(refuse, [0, 1, 2]))
 
 
 @pytest.mark.slow
 def test_a_killed_process_is_one_line() -> None:
-    with pytest.raises(DeviceError, match="ended from outside"):
-        list(ordered_map(die, [0, 1], 2))
+    with pytest.raises(DeviceError, match="ended from outside"), processes() as pool:
+        list(pool.map(die, [0, 1]))
 
 
 def alive(pid: int) -> bool:
@@ -71,14 +82,15 @@ def alive(pid: int) -> bool:
 
 SCRIPT = """
 import os, time
-from tacshade_edge.studies.parallel import ordered_map
+from tacshade_edge.studies.parallel import processes, usable_cores
 
 def work(task):
     os.write(1, f"{os.getpid()}\\n".encode())  # at once: the other worker writes too
     time.sleep(600)
 
 if __name__ == "__main__":
-    list(ordered_map(work, [0, 1], 2))
+    with processes() as pool:
+        list(pool.map(work, range(usable_cores())))
 """
 
 
@@ -90,17 +102,17 @@ def test_no_process_outlives_the_command(number: signal.Signals, tmp_path: os.Pa
         file.write(SCRIPT)
     with subprocess.Popen([sys.executable, path], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as made:
         assert made.stdout is not None
-        workers = [int(made.stdout.readline()) for _ in range(2)]
+        workers = [int(made.stdout.readline()) for _ in range(usable_cores())]
         made.send_signal(number)
         made.wait(timeout=patience(20))
-        wait_until(lambda: not any(map(alive, workers)), timeout_s=20, what="both workers are gone")
+        wait_until(lambda: not any(map(alive, workers)), timeout_s=20, what="all workers are gone")
 
 
 ENDS = """
 import sys, time
 from tacshade_edge.cli import entry
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.studies.parallel import ordered_map
+from tacshade_edge.studies.parallel import processes
 
 def work(task):
     if task == 0 or sys.argv[1] == "all":
@@ -111,9 +123,10 @@ def work(task):
 
 def main():
     try:
-        for result in ordered_map(work, [0, 1, 2], 2):
-            if sys.argv[1] == "interrupt":
-                raise KeyboardInterrupt
+        with processes() as pool:
+            for result in pool.map(work, [0, 1, 2]):
+                if sys.argv[1] == "interrupt":
+                    raise KeyboardInterrupt
     except (ConfigError, KeyboardInterrupt):
         return 1
     return 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -22,3 +23,17 @@ def write_recording(folder: Path, images: Sequence[U8], period_ns: int = 10_000_
         lines.append(f"{k:06d}.png,{start_ns + k * period_ns},{pose}\n")
     (folder / "frames.csv").write_text(HEADER + "".join(lines))
     return folder
+
+
+LONG_AGO_S = 1_700_000_000
+
+
+def recorded(folder: Path, name: str, wall_ns: int = LONG_AGO_S * 10**9, **about: object) -> Path:
+    """What a recorder leaves."""
+    path = folder / name
+    path.mkdir(parents=True)
+    (path / "000000.png").write_bytes(b"a picture of 600 bytes".ljust(600, b"."))
+    (path / "frames.csv").write_text("image,t_ns\n")
+    told = {"frames": 1, "bytes": 600, "first_wall_ns": wall_ns, **about}
+    (path / "recording.json").write_text(json.dumps(told))
+    return path

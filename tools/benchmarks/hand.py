@@ -122,7 +122,7 @@ def measure(row: str, folder: Path, port: int, names: list[str], args: argparse.
         used_s, since_s = sum(map(cpu_s, pids)), time.monotonic()
         pause.wait(began_s + args.seconds - since_s)
         cpu = (sum(map(cpu_s, pids)) - used_s) / (time.monotonic() - since_s)
-        memory = sum(map(pss_mb, pids))
+        memory = sum(pss_mb(pid) for worker in workers for pid in family(worker.pid))  # some may have been forked since
         for worker in workers:
             worker.send_signal(signal.SIGTERM)
         codes = [worker.wait(30) for worker in workers]

@@ -3,12 +3,13 @@
 
 ::
 
-    sudo .venv/bin/python -m tools.ci.first_map apt pip [--number 1.0.0]
+    sudo .venv/bin/python -m tools.ci.first_map apt pip [--number 1.0.0] [--native]
 
 The guest (tools/rig) boots a new Debian 12 with systemd and Python, and nothing else. What would be released of the
 last commit lies in an apt repository and a package index that this machine serves; everything else apt fetches from
 Debian. Then, as a person would: install, simulate a calibration set, calibrate, start, listen. The seconds are printed;
-the processor is emulated, some twenty times slower than this machine. Needs root, debootstrap and GnuPG.
+the processor is emulated, some twenty times slower than this machine. With --native it is this machine's, in a
+container that boots systemd on this machine's network, where port 1883 must be free. Needs root, debootstrap, GnuPG.
 """
 
 from __future__ import annotations
@@ -31,8 +32,9 @@ from tools.rig import guest
 SUITE, PYTHON = "bookworm", "3.11"
 BASE = ("systemd-sysv", "udev", "dbus", "ca-certificates", "python3-venv")
 KEY = "first-map@localhost"
-HOST = "http://10.0.2.2"
-"""This machine's loopback, in the guest."""
+HOST, NATIVE_HOST = "10.0.2.2", "127.0.0.1"
+"""This machine's loopback, in a guest and in a container."""
+NATIVE_S = 900
 SILENT_S = 120.0
 SCRIPT = Path(__file__).with_name("first_map.sh")
 WAYS = ("apt", "pip")
@@ -83,11 +85,24 @@ def fill(folder: Path, ways: list[str], number: str) -> None:
         shutil.rmtree(home)
 
 
+def boot(way: str, port: int, number: str, out: Path, native: bool) -> int:
+    """Run the script in a fresh guest or container; return its exit status."""
+    shutil.copy(SCRIPT, out)
+    words = [way, f"http://{NATIVE_HOST if native else HOST}:{port}", SUITE, number]
+    if not native:
+        return guest.run(["bash", f"/out/{SCRIPT.name}", *words], out.resolve(), SILENT_S, True, base())
+    (out / "scenario").write_text(f"#!/bin/bash\nexec bash /payload/{SCRIPT.name} {' '.join(words)}\n")
+    (out / "scenario").chmod(0o755)
+    told = os.environ | {"FRESH": str(base()), "LIMIT_S": str(NATIVE_S)}
+    return subprocess.run((TREE / "tools/rig/boot_systemd.sh", out.resolve()), env=told, check=False).returncode
+
+
 def main() -> int:
     """Try each way in a guest of its own."""
     parser = argparse.ArgumentParser(prog="first_map.py", description="From a bare guest to a published height map.")
     parser.add_argument("ways", nargs="+", choices=WAYS)
     parser.add_argument("--number", default="1.0.0", help="the version that is rehearsed (1.0.0)")
+    parser.add_argument("--native", action="store_true", help="a container at this machine's speed, no guest")
     parser.add_argument("--out", type=Path, help="folder that keeps the guests' consoles and reports")
     args = parser.parse_args()
     try:
@@ -103,10 +118,8 @@ def main() -> int:
         for way in args.ways:
             out = (args.out or Path(scratch)) / way
             out.mkdir(parents=True, exist_ok=True)
-            shutil.copy(SCRIPT, out)
             print(f"--- {way} install, in a bare {SUITE}", flush=True)
-            words = ["bash", f"/out/{SCRIPT.name}", way, f"{HOST}:{server.server_port}", SUITE, args.number]
-            if code := guest.run(words, out.resolve(), SILENT_S, True, base()):
+            if code := boot(way, server.server_port, args.number, out, args.native):
                 return code
         server.shutdown()
     return 0

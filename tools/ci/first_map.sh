@@ -3,8 +3,10 @@
 # Prints the minutes since the installation began at each step; ends with 0 when a map came.
 set -euo pipefail
 way=$1 address=$2 suite=$3 version=$4
+host=${address#http://} host=${host%:*}
 export DEBIAN_FRONTEND=noninteractive LC_ALL=C.UTF-8
 apt=(apt-get -qq -o Acquire::Languages=none -o Dpkg::Use-Pty=0)
+[ -s /etc/hosts ] || echo "127.0.0.1 localhost" >/etc/hosts # an installer's work, which debootstrap leaves out
 began=$SECONDS
 step() { echo "$((SECONDS - began)) s: $1"; }
 calibrated() {
@@ -55,7 +57,7 @@ else
   step "Debian's mosquitto"
   python3 -m venv /root/env
   export PATH=/root/env/bin:$PATH
-  pip install --quiet --disable-pip-version-check --index-url "$address/simple/" --trusted-host 10.0.2.2 \
+  pip install --quiet --disable-pip-version-check --index-url "$address/simple/" --trusted-host "$host" \
     'tacshade-edge[dashboard]'
   step "pip install: $(tacshade-edge --version)"
   [[ $(tacshade-edge --version) == "tacshade-edge $version" ]]

@@ -3,7 +3,7 @@
 
 ::
 
-    .venv/bin/python -m tools.studies.calibration [--sensors 30] [--detect 30] [--first 8100] [--height 480] [--jobs 1]
+    .venv/bin/python -m tools.studies.calibration [--sensors 30] [--detect 30] [--first 8100] [--height 480]
 
 Every sensor is drawn at random, with 5 references and 24 ball presses. A good set must pass without a warning; then one
 thing at a time is made wrong in it, and the right warnings (or refusals) are counted. What is wrong at one press is
@@ -14,13 +14,12 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from functools import partial
 
 import cv2
 import numpy as np
 
+from tacshade_edge.cli.shared import study
 from tacshade_edge.core.calibration.calibrate import CalibrationResult, calibrate
 from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
 from tacshade_edge.core.calibration.observation.press_observation import (
@@ -47,7 +46,9 @@ from tacshade_edge.simulator.model import SensorModel, random_model
 from tacshade_edge.simulator.objects import ball
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedSensor
+from tacshade_edge.studies.parallel import workers
 from tacshade_edge.types import U8
+from tools.studies import command
 from tools.testbed.simulator import camera_faults
 
 REFERENCES, PRESSES = 5, 24
@@ -259,9 +260,9 @@ class Measured:
     drifts: list[registration.Drift]
 
 
-def measure(seed: int, detect: bool, height_px: int) -> Measured:
-    """One sensor: as a good set, and, with `detect`, with everything that can be wrong."""
-    cv2.setNumThreads(1)
+def measure(task: tuple[int, bool, int]) -> Measured:
+    """One sensor of a seed and image height: as a good set, and, with `detect`, with everything that can be wrong."""
+    seed, detect, height_px = task
     rng = np.random.default_rng(seed)
     given = good_set(seed, height_px)
     try:
@@ -337,12 +338,11 @@ def main() -> None:
     parser.add_argument("--detect", type=int, default=30, help="so many of them are also made wrong (30)")
     parser.add_argument("--first", type=int, default=8100, help="seed of the first sensor")
     parser.add_argument("--height", type=int, default=480, help="of the images, px")
-    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    study.add_cluster(parser)
     args = parser.parse_args()
-    with ProcessPoolExecutor(args.jobs) as pool:
-        wanted = [k < args.detect for k in range(args.sensors)]
-        seeds = range(args.first, args.first + args.sensors)
-        print(report(list(pool.map(partial(measure, height_px=args.height), seeds, wanted))))
+    tasks = [(args.first + k, k < args.detect, args.height) for k in range(args.sensors)]
+    with command.folder_for(parser, None), workers(args.cluster) as pool:
+        print(report(list(pool.map(measure, tasks))))
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ NETWORKS = tuple(name for name in PROFILES if name != "paper")
 
 
 def options(what: str, sensors: str, final: tuple[SensorName, ...] = FINAL_SENSORS) -> argparse.ArgumentParser:
-    """Take profiles, sensors and a folder for the files.
+    """Take profiles, sensors, a folder for the files, and a cluster.
 
     Parameters
     ----------
@@ -41,6 +41,7 @@ def options(what: str, sensors: str, final: tuple[SensorName, ...] = FINAL_SENSO
     )
     kept = "the sensors kept for the figures of a release: not to be looked at while working"
     which.add_argument("--final", dest="sensors", action="store_const", const=final, help=kept)
+    study.add_cluster(parser)
     parser.set_defaults(json=False)
     return parser
 

@@ -22,6 +22,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from tacshade_edge.cli.shared import study
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.stitching.press_points import PressPoints, press_points
 from tacshade_edge.core.stitching.stitcher import Stitcher
@@ -30,13 +31,13 @@ from tacshade_edge.rigid import Rigid, from_seven
 from tacshade_edge.simulator import pad as pads
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.studies.evaluate.sensors import PressedSensor, calibrated, reconstructor
-from tacshade_edge.studies.parallel import ordered_map, usable_cores
+from tacshade_edge.studies.parallel import workers
 from tacshade_edge.studies.stitch.average import radius_average
 from tacshade_edge.studies.stitch.score import at_cells_of
 from tacshade_edge.studies.stitch.work import AVERAGED_POINTS
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import F32, Calibration, Frame
-from tools.studies import drawn_pads
+from tools.studies import command, drawn_pads
 from tools.testbed.simulator.families import sensor_name
 
 PADS = ("shapes:1", "shapes:2", "sparse:1", "relief:1", "relief:2")
@@ -174,11 +175,13 @@ def main() -> None:
     parser.add_argument("--sensors", nargs="+", default=SENSORS, metavar="NAME")
     parser.add_argument("--profile", choices=PROFILES, default="accurate")
     parser.add_argument("--keep", type=Path, metavar="DIR")
-    parser.add_argument("--cores", type=int, default=usable_cores())
+    study.add_cluster(parser)
     args = parser.parse_args()
     tasks = [Task(pad, sensor, args.profile, args.keep) for sensor in args.sensors for pad in args.pads]
     found, rows = [], []
-    for task, lines in zip(tasks, ordered_map(lines_of, tasks, args.cores), strict=True):
+    with command.folder_for(parser, args.keep), workers(args.cluster) as pool:
+        made = list(pool.map(lines_of, tasks))
+    for task, lines in zip(tasks, made, strict=True):
         found += lines
         for x in lines:
             figures = (f"{v:.3f}" for v in (x.refined_mm, x.reported_mm, x.average_mm))

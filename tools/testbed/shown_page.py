@@ -77,6 +77,10 @@ def opened(page: Chrome, address: str, sensor_id: str = "") -> None:
     shows(page, "link", "Connected")
 
 
+def unfold_health(page: Chrome) -> None:
+    page.execute_script("document.getElementById('health').open = true")
+
+
 def until_shown(page: Chrome, sensor: PublishedSensor, result: Callable[[], Any], seq: int) -> None:
     """Publish until it is on the screen: QoS 0, and the page may still be subscribing."""
 

@@ -3,7 +3,7 @@
 
 ::
 
-    .venv/bin/python -m tools.training.fit_sigma [--workers 2]       # about ten minutes of one core
+    .venv/bin/python -m tools.training.fit_sigma [--cluster tcp://HOST:8786]  # about ten minutes of one core
 
 The weights are of some objects, pressed and dragged; how scales follow from presses is of others on the same sensors:
 on objects that the weights were not fitted to, errors are larger. The page docs/results/sigma.md is of objects and
@@ -15,14 +15,13 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
-import multiprocessing
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 from scipy.optimize import minimize
 
+from tacshade_edge.cli.shared import study
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
 from tacshade_edge.core.calibration.refit.profile_refit import refit_profile
@@ -36,7 +35,9 @@ from tacshade_edge.core.reconstruct import no_mark
 from tacshade_edge.inference.network import WEIGHTS, load_networks
 from tacshade_edge.simulator.calibration_set import ball_presses
 from tacshade_edge.studies.evaluate.sensors import PRESS_NOISE, PRESSES, REFERENCE_NOISE, REFERENCES, SensorName
+from tacshade_edge.studies.parallel import workers
 from tacshade_edge.types import F32, F64, Calibration, Geometry
+from tools.studies import command
 from tools.studies.sigma.work import NOISE, presses, true_height_mm
 from tools.testbed.simulator.families import sensor_name
 
@@ -189,10 +190,10 @@ def _press_q(network: str, model: SigmaModel, sensor: Measured) -> float:
 def main() -> None:
     """Fit and write."""
     parser = argparse.ArgumentParser(description="Fit how far off the shipped networks are.")
-    parser.add_argument("--workers", type=int, default=1)
+    study.add_cluster(parser)
     args = parser.parse_args()
-    with multiprocessing.get_context("spawn").Pool(args.workers, cv2.setNumThreads, (1,)) as pool:
-        sensors = pool.map(measure, SENSORS, chunksize=1)
+    with command.folder_for(parser, None), workers(args.cluster) as pool:
+        sensors = list(pool.map(measure, SENSORS))
     networks = {}
     for network in LADDER:
         model = fit(network, sensors)

@@ -3,7 +3,8 @@
 
 ::
 
-    .venv-train/bin/python -m tools.training.make_data --out DATA --sensors 2400 [--frames 12] [--workers 2]
+    .venv-train/bin/python -m tools.training.make_data --out DATA --sensors 2400 [--frames 12]
+        [--cluster tcp://HOST:8786]
 
 Shard k holds the sensors of seeds FIRST_SEED + 24 k and following: the same command, the same data. Shards from 5000 on
 (`--first-shard 5000`) hold sensors that are uneven, from 10000 on more so, from 25000 on those of `outside`
@@ -13,13 +14,17 @@ Shard k holds the sensors of seeds FIRST_SEED + 24 k and following: the same com
 from __future__ import annotations
 
 import argparse
-import multiprocessing
+import io
 import os
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from tacshade_edge.cli.shared import study
+from tacshade_edge.studies.parallel import workers
+from tools.studies import command
 from tools.training.outside import VIEWS
 from tools.training.samples import OUTSIDE_FROM, sensor_samples
 
@@ -27,46 +32,44 @@ FIRST_SEED = 100_000
 SENSORS_PER_SHARD = 24
 
 
-def make_shard(job: tuple[Path, int, int]) -> str:
-    """Simulate one shard, whole or not at all."""
-    path, first_seed, frames = job
-    if path.exists():
-        return ""
+def make_shard(job: tuple[int, int]) -> tuple[bytes, str]:
+    """Simulate one shard, as a file's content, and what it cost."""
+    first_seed, frames = job
     start = time.perf_counter()
     seeds = range(first_seed, first_seed + SENSORS_PER_SHARD, VIEWS if first_seed >= OUTSIDE_FROM else 1)
     made = [samples for seed in seeds for samples in sensor_samples(seed, frames)]
-    part = path.with_suffix(".part")
-    with part.open("wb") as file:
-        np.savez_compressed(
-            file,
-            reference=np.stack([s.reference for s in made]),
-            known=np.stack([s.known for s in made]).astype(np.float16),
-            frame=np.stack([s.frame for s in made]),
-            height=np.stack([s.height for s in made]),
-            contact=np.packbits(np.stack([s.contact for s in made]), axis=-1),
-            shear=np.stack([s.shear for s in made]),
-        )
-    os.replace(part, path)
+    file = io.BytesIO()
+    np.savez_compressed(
+        file,
+        reference=np.stack([s.reference for s in made]),
+        known=np.stack([s.known for s in made]).astype(np.float16),
+        frame=np.stack([s.frame for s in made]),
+        height=np.stack([s.height for s in made]),
+        contact=np.packbits(np.stack([s.contact for s in made]), axis=-1),
+        shear=np.stack([s.shear for s in made]),
+    )
     seconds = time.perf_counter() - start
-    return f"{path.name}: {len(made)} sensors, {1e3 * seconds / (len(made) * frames):.0f} ms a frame"
+    return file.getvalue(), f"{len(made)} sensors, {1e3 * seconds / (len(made) * frames):.0f} ms a frame"
 
 
-def main() -> None:
+def main(words: Sequence[str] | None = None) -> None:
     """Simulate what is not there yet."""
     parser = argparse.ArgumentParser(description="Simulated training data.")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--sensors", type=int, default=2400)
     parser.add_argument("--frames", type=int, default=12, help="of each sensor")
-    parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--first-shard", type=int, default=0)
-    args = parser.parse_args()
-    args.out.mkdir(parents=True, exist_ok=True)
+    study.add_cluster(parser)
+    args = parser.parse_args(words)
     numbers = range(args.first_shard, args.first_shard - (-args.sensors // SENSORS_PER_SHARD))
-    jobs = [(args.out / f"shard_{k:05d}.npz", FIRST_SEED + k * SENSORS_PER_SHARD, args.frames) for k in numbers]
-    with multiprocessing.get_context("spawn").Pool(args.workers) as pool:
-        for line in pool.imap(make_shard, jobs):
-            if line:
-                print(line, flush=True)
+    paths = {k: args.out / f"shard_{k:05d}.npz" for k in numbers}
+    jobs = {path: (FIRST_SEED + k * SENSORS_PER_SHARD, args.frames) for k, path in paths.items() if not path.exists()}
+    with command.folder_for(parser, args.out), workers(args.cluster) as pool:
+        for path, (content, line) in zip(jobs, pool.map(make_shard, jobs.values()), strict=True):
+            part = path.with_suffix(".part")
+            part.write_bytes(content)
+            os.replace(part, path)
+            print(f"{path.name}: {line}", flush=True)
 
 
 if __name__ == "__main__":

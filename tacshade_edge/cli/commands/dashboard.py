@@ -48,6 +48,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--allow-control", action="store_true", help="let whoever has the token send commands to the sensors too"
     )
+    parser.add_argument(
+        "--recordings",
+        type=Path,
+        metavar="DIR",
+        help="list the recordings in this folder of this machine, to play, download and delete",
+    )
     parser.add_argument("--certificate", type=Path, metavar="FILE", help="PEM file: serve the page over TLS")
     parser.add_argument(
         "--key", type=Path, metavar="FILE", help="PEM file of the certificate's key (default: in the same file)"
@@ -77,6 +83,8 @@ def run(args: argparse.Namespace) -> int:
     start_logging(args.log_level)
     host, port = args.broker
     broker = Broker(host, port, _tls(args.ca_file) if args.ca_file else None)
+    if args.recordings is not None and not args.recordings.is_dir():
+        raise ConfigError(f"--recordings {args.recordings}: found no folder, expected the one with the recordings")
     tls = server_tls(args.certificate, args.key)
     is_opened = not is_loopback(args.host)
     token = read_token(args.token_file) if args.token_file else None
@@ -112,6 +120,7 @@ def run(args: argparse.Namespace) -> int:
             tls=tls,
             token=token,
             read_only=read_only,
+            recordings=args.recordings,
         )
 
     asyncio.run(serve())

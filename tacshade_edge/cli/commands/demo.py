@@ -100,7 +100,9 @@ def run(args: argparse.Namespace) -> int:
 
         mqtt = free_port()
         broker = start("broker", broker_command(folder, mqtt))
+        (folder / "recordings").mkdir()
         page = [*me, "dashboard", "--broker", f"127.0.0.1:{mqtt}", "--http", str(http), "--host", host]
+        page += ["--recordings", str(folder / "recordings")]
         login = ""
         if not is_loopback(host):
             # The sensor is simulated: whoever has the address may play with it.

@@ -23,11 +23,11 @@ from tacshade_edge.studies.evaluate.score import Row
 from tacshade_edge.studies.evaluate.sensors import PRESSES, REFERENCES
 from tacshade_edge.studies.evaluate.summary import figures
 from tacshade_edge.studies.evaluate.work import Evaluation, Plan, Timing, evaluate, time_profiles
-from tacshade_edge.studies.parallel import usable_cores
+from tacshade_edge.studies.parallel import workers
 from tacshade_edge.studies.tables import csv_text
 
 WORKING_SENSORS = "default,5,11,21"
-SIMULATED = ("sensors", "objects", "presses", "references")
+SIMULATED = ("sensors", "objects", "presses", "references", "cluster")
 """Options that mean nothing to a user's own images."""
 
 
@@ -53,6 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="IMG",
         help="with --sensor: images of the unloaded skin (default: the least loaded frame)",
     )
+    study.add_cluster(parser)
     simulated = study.add_simulated(parser, WORKING_SENSORS, "all")
     simulated.add_argument("--presses", type=_count, metavar="N", help="ball presses in each calibration; 0: none (40)")
     simulated.add_argument("--references", type=_count, metavar="N", help="reference images in each calibration (8)")
@@ -96,7 +97,8 @@ def _simulated(args: argparse.Namespace) -> int:
     )
     study.make_folder(args.out)
     drawn = study.will_draw(args, "figure6.png", picture.PACKAGES)
-    found = evaluate(plan, usable_cores(), Progress())
+    with workers(args.cluster) as pool:
+        found = evaluate(plan, pool, Progress())
     timings = time_profiles(plan, found.calibrations[0].calibration, Progress())
     _publish(args, found.rows, timings, _settings(plan, found))
     if drawn:

@@ -19,7 +19,7 @@ from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.storage.tables.poses_table import HEADER
-from tacshade_edge.studies.parallel import ordered_map, usable_cores
+from tacshade_edge.studies.parallel import reported_map, workers
 
 TRUTH_STEP_MM = 0.25
 # Of the poses in POSES_NOISY.csv: Gaussian, in every axis and about a random axis through the skin's apex.
@@ -59,9 +59,9 @@ def write_pad(
     folder.mkdir(parents=True, exist_ok=True)
     names = [f"press_{k:04d}.png" for k in range(len(poses))]
     tasks = [_Task(model, pose.seven(), noise_seed + k) for k, pose in enumerate(poses)]
-    for k, data in enumerate(ordered_map(_image, tasks, usable_cores())):
-        (folder / names[k]).write_bytes(data)
-        report("presses", k + 1, len(tasks))
+    with workers() as pool:
+        for name, data in zip(names, reported_map(_image, tasks, pool, report, "presses"), strict=True):
+            (folder / name).write_bytes(data)
     noisy = pads.disturbed(poses, radius_mm, NOISE_MM, NOISE_DEG, seed)
     for name, stated in (("POSES.csv", poses), ("POSES_NOISY.csv", noisy)):
         _write_poses(folder / name, names, stated)

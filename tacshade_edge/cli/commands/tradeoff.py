@@ -15,12 +15,13 @@ from tacshade_edge.doctor.board_facts import board_facts, heat
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator.objects import PAPER_OBJECTS
-from tacshade_edge.studies.parallel import usable_cores
+from tacshade_edge.studies.parallel import workers
 from tacshade_edge.studies.tradeoff import board_report, budget, picture, report
+from tacshade_edge.studies.tradeoff.accuracy import score_settings
 from tacshade_edge.studies.tradeoff.cases import SensorCases, simulated
 from tacshade_edge.studies.tradeoff.grid import Setting, grid
 from tacshade_edge.studies.tradeoff.summary import Point
-from tacshade_edge.studies.tradeoff.work import tradeoff
+from tacshade_edge.studies.tradeoff.work import weigh_and_time
 
 SENSORS = "default,5"
 BUSY = 1.1
@@ -40,6 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="MS",
         help="print the settings of the most accurate profile that keeps to this time for 99 of 100 frames in contact",
     )
+    study.add_cluster(parser)
     parser.add_argument(
         "--report",
         action="store_true",
@@ -53,22 +55,26 @@ def run(args: argparse.Namespace) -> int:
     if args.report:
         return _report(args)
     mistakes: list[str] = []
-    if study.is_own(args, ("sensors", "objects")):
-        calibration, cases, mistakes = study.own_images(args)
-        images: tuple[SensorCases, ...] = (SensorCases(calibration, tuple(cases)),)
-        if not any(case.touched for case in images[0].cases):
-            expected = "found no image of a contact that can be scored, expected one with its truth"
-            raise ConfigError(f"{args.images}: {expected}")
-        data: dict[str, Any] = {"calibration": str(args.calibration), "images": str(args.images)}
-    else:
-        study.make_folder(args.out)
-        sensors = args.sensors or study.sensors(SENSORS)
-        objects = args.objects or tuple(PAPER_OBJECTS)
-        data = {"sensors": [str(name) for name in sensors], "objects": list(objects)}
-        images = simulated(sensors, objects, usable_cores(), Progress())
-    drawn = study.will_draw(args, "tradeoff.png")
     names = tuple(dict.fromkeys(args.profile or PROFILES))
-    found, busy = tradeoff(grid(names), images, usable_cores(), Progress())
+    settings = grid(names)
+    own = study.is_own(args, ("sensors", "objects"))
+    study.make_folder(args.out)
+    with workers(args.cluster) as pool:
+        if own:
+            calibration, cases, mistakes = study.own_images(args)
+            images: tuple[SensorCases, ...] = (SensorCases(calibration, tuple(cases)),)
+            if not any(case.touched for case in images[0].cases):
+                expected = "found no image of a contact that can be scored, expected one with its truth"
+                raise ConfigError(f"{args.images}: {expected}")
+            data: dict[str, Any] = {"calibration": str(args.calibration), "images": str(args.images)}
+        else:
+            sensors = args.sensors or study.sensors(SENSORS)
+            objects = args.objects or tuple(PAPER_OBJECTS)
+            data = {"sensors": [str(name) for name in sensors], "objects": list(objects)}
+            images = simulated(sensors, objects, pool, Progress())
+        drawn = study.will_draw(args, "tradeoff.png")
+        rows = score_settings(settings, images, pool, Progress())
+    found, busy = weigh_and_time(settings, images, rows, Progress())
     if busy > BUSY:
         words = f"the machine was busy: frames took {busy:.1f} times as long as the processor time that is shown"
         print(f"tacshade-edge: {words}", file=sys.stderr)
@@ -82,16 +88,18 @@ def run(args: argparse.Namespace) -> int:
 
 def _report(args: argparse.Namespace) -> int:
     """The same measurement on every board, of what a user can choose by name."""
-    for name in ("profile", "out", "calibration", "images", "budget_ms", "sensors", "objects"):
+    for name in ("profile", "out", "calibration", "images", "budget_ms", "cluster", "sensors", "objects"):
         if getattr(args, name) is not None:
             args.usage_error(f"--report measures the same on every board: expected no --{name.replace('_', '-')}")
     if args.json:
         args.usage_error("--report prints Markdown: expected no --json")
     machine, progress = Machine(), Progress()
     facts, before = board_facts(machine), heat(machine)
-    images = simulated(study.sensors("default"), tuple(PAPER_OBJECTS), usable_cores(), progress)
     settings = [Setting(PROFILES[name]) for name in board_report.PROFILES]
-    found, busy = tradeoff(settings, images, usable_cores(), progress)
+    with workers() as pool:
+        images = simulated(study.sensors("default"), tuple(PAPER_OBJECTS), pool, progress)
+        rows = score_settings(settings, images, pool, progress)
+    found, busy = weigh_and_time(settings, images, rows, progress)
     if before:
         facts |= {"before": before, "after": heat(machine)}
     print(board_report.block(facts, found, busy), end="")

@@ -58,6 +58,12 @@ def add_arguments(parser: argparse.ArgumentParser, profiles: str, files: str) ->
     parser.set_defaults(usage_error=parser.error)
 
 
+def add_cluster(parser: argparse.ArgumentParser) -> None:
+    """Take the workers of another machine, or of many."""
+    words = "a Dask scheduler whose workers run the jobs, in place of this machine's cores (needs the extra cluster)"
+    parser.add_argument("--cluster", metavar="tcp://HOST:8786", help=words)
+
+
 def add_simulated(parser: argparse.ArgumentParser, sensor_names: str, object_names: str) -> argparse._ArgumentGroup:
     """Take simulated sensors and objects by name."""
     group = parser.add_argument_group("simulated sensors")

@@ -22,6 +22,7 @@ from tacshade_edge.core.frame_check.blocks import (
 )
 from tacshade_edge.core.frame_check.torn import TearCheck, tear_check, torn_reason
 from tacshade_edge.core.geometry.disc import disc_mask
+from tacshade_edge.core.image.median import percentile
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import U8, Bool, Calibration, Disc, freeze
 
@@ -223,7 +224,7 @@ def _bright_part(sample: U8, sampled: U8) -> float:
 
 def _bright(sample: U8, sampled: U8, part: float) -> float:
     """Grey level that a part of the disc exceeds."""
-    return float(np.percentile(sample[sampled > 0], 100 * (1 - part))) if sampled.any() else 0.0
+    return percentile(sample[sampled > 0], 100 * (1 - part)) if sampled.any() else 0.0
 
 
 def _compared_reason(grey: U8, disc: U8, blocks: BlockCheck, check: FrameCheck) -> Reason | None:

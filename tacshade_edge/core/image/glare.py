@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from tacshade_edge.core.image.binarise import padded
+from tacshade_edge.core.image.median import percentile
 from tacshade_edge.types import U8, freeze
 
 # Every box of so many pitches holds a piece of a black pin, in contact too (measured: at most 0.9); under glare it
@@ -113,8 +114,8 @@ def _lift(reference_grey: U8, mask: U8) -> int:
     inside = reference_grey[mask > 0]
     if not inside.size:
         return GLARE_LIFT
-    dark, bright = np.percentile(inside, (1, 99))
-    return max(GLARE_LIFT, round(GLARE_PART * float(bright - dark)))
+    dark, bright = (percentile(inside, percent) for percent in (1, 99))
+    return max(GLARE_LIFT, round(GLARE_PART * (bright - dark)))
 
 
 def _around(size_px: float, block_px: int) -> U8:

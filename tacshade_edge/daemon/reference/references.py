@@ -13,6 +13,7 @@ from tacshade_edge.daemon.pipeline.observer import STITCHED_S, FrameObserver, Fr
 from tacshade_edge.daemon.reference.origin import Origin, requested, restored
 from tacshade_edge.daemon.reference.untouched import UntouchedFrames
 from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.free_memory import return_free_memory
 from tacshade_edge.protocol.results import ReferenceTaken
 from tacshade_edge.reasons import Reason, ReasonCode, code_of, reason_fields
 from tacshade_edge.storage.calibration.calibration_file import with_crc
@@ -130,6 +131,7 @@ class References(FrameObserver):
         if isinstance(taken, Reason):
             return self._change_state("stopped", taken)
         followed = following.follow(self._origin.calibration, calibration, taken)
+        return_free_memory()  # the heap kept 7 MB of it
         self._distance = followed.distance
         changed = self._change_state("stopped" if followed.reason else "following", followed.reason)
         # Another reference amid a contact would be a step in its heights; the next frames at rest give it again.

@@ -1,7 +1,9 @@
 // Greatest depth over the last minute, and when something slipped.
 
+import { roundTicks } from "./scale.js";
 import uPlot from "./vendor/uPlot.esm.js";
 
+const ENDS_MM = [0.5, 1, 2, 3, 4, 5, 6, 8, 10, 15, 20, 40];
 const SPAN_S = 60, PERIOD_MS = 150, GAP_S = 1;
 
 export class DepthChart {
@@ -57,10 +59,10 @@ export class DepthChart {
       height: Math.max(this.host.clientHeight, 100),
       legend: { show: false },
       cursor: { show: false },
-      scales: { x: { time: false }, y: { range: (_plot, _low, high) => [0, Math.max(0.5, (high ?? 0) * 1.1)] } },
+      scales: { x: { time: false }, y: { range: (_plot, _low, high) => [0, ENDS_MM.find((end) => end >= (high ?? 0)) ?? high] } },
       axes: [
-        { ...axis, size: 28, values: (_plot, ticks) => ticks.map((tick) => (tick === 0 ? "now" : `${tick} s`)) },
-        { ...axis, size: 44 },
+        { ...axis, size: 28, splits: () => [-60, -45, -30, -15, 0], values: (_plot, ticks) => ticks.map((tick) => (tick === 0 ? "now" : `−${-tick} s`)) },
+        { ...axis, size: 40, splits: (_plot, _axis, low, high) => roundTicks(low, high) },
       ],
       series: [
         {},

@@ -1,4 +1,4 @@
-// Another sensor beside the chosen one, such as the same recording with another profile: both maps and their difference.
+// Another sensor beside the chosen one, or a moment of its own that is held: both maps on one scale, and their difference.
 
 import { DIFFERENCES, PIXELS, STEPS, stepOf } from "./colours.js";
 import { heightAt } from "./geometry.js";
@@ -10,6 +10,7 @@ import { drawBar, drawTicks } from "./scale.js";
 
 const STREAMS = ["height", "contact", "status/replay", "res/replay"];
 const NICE_MM = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 40];
+const MOMENT = "#moment"; // no sensor is named so
 const SAME_PX = 2, SAME_MM = 0.1;
 const $ = (id) => document.getElementById(id);
 
@@ -21,10 +22,13 @@ export class Compare {
     this.decoded = decoded;
     this.changed = changed;
     this.sensor = null;
+    this.held = null; // a moment: name, info and state
     this.seen = null; // what the difference that is shown says
+    drawBar($("compare-bar"));
     drawBar($("difference-bar"), DIFFERENCES);
     $("against").addEventListener("change", () => {
-      this.choose($("against").value || null);
+      if ($("against").value === MOMENT) this.hold();
+      else this.choose($("against").value || null);
       changed();
     });
   }
@@ -32,21 +36,36 @@ export class Compare {
   /** The sensors that there are to compare with. */
   offer(names) {
     if (this.sensor !== null && !names.includes(this.sensor)) this.choose(null);
-    $("against").replaceChildren(new Option("nothing", ""), ...names.map((name) => new Option(name, name)));
-    $("against").value = this.sensor ?? "";
-    $("compare-with").hidden = names.length === 0;
+    const key = names.join();
+    if (key !== this.offered) $("against").replaceChildren(new Option("nothing", ""), new Option("this moment", MOMENT), ...names.map((name) => new Option(name, name)));
+    this.offered = key;
+    $("against").value = this.held ? MOMENT : this.sensor ?? "";
+  }
+
+  /** Keep what is shown of the chosen sensor now, to compare what comes with it. */
+  hold() {
+    const { name, view, info } = this.first ?? {};
+    this.choose(null);
+    if (!view?.map) return void ($("against").value = "");
+    const numbers = contactOfMap(view);
+    this.held = { name: `${name}, ${new Date().toLocaleTimeString()}`, info, state: "online" };
+    this.view = { ...emptyView(), map: view.map, contact: numbers, contacts: new Map(numbers ? [[view.map.seq, numbers]] : []), drawnFor: info?.geometry ?? null };
+    this.drawn = null;
+    $("compare").hidden = false;
+    $("against").value = MOMENT;
   }
 
   choose(sensor) {
-    if (sensor === this.sensor) return;
+    if (sensor === this.sensor && !this.held) return;
     const topics = (name) => STREAMS.map((stream) => `tacshade/${name}/${stream}`);
     if (this.sensor !== null) this.link().unsubscribe(...topics(this.sensor));
     this.sensor = sensor;
-    this.view = { height: null, contact: null, contacts: new Map(), numbers: null, map: null, height_ms: 0, shown_ms: 0, drawnFor: null, parts: new Map() };
+    this.held = null;
+    this.view = emptyView();
     this.seen = this.drawn = null;
     $("compare").hidden = sensor === null;
     $("compare-maps").hidden = true;
-    $("compare-words").textContent = "Nothing was heard of it yet.";
+    $("compare-words").textContent = "nothing was heard of it yet";
     $("compare-numbers").replaceChildren();
     if (sensor !== null) this.link().subscribe(...topics(sensor));
   }
@@ -76,11 +95,12 @@ export class Compare {
     });
   }
 
-  /** first: name, view and info of the chosen sensor; other: info and state. heights: the view of the chosen sensor's map. */
-  draw(first, other, heights) {
-    if (this.sensor === null) return;
-    const { view } = this, geometry = other.info?.geometry ?? null;
-    const map = nextMap(view, geometry, this.decoded);
+  /** first: name, view and info of the chosen sensor; sensor: info and state of the other. heights: the view of the chosen sensor's map. */
+  draw(first, sensor, heights) {
+    this.first = first;
+    if (this.sensor === null && !this.held) return;
+    const { view } = this, other = this.held ?? { name: this.sensor, ...sensor }, geometry = other.info?.geometry ?? null;
+    const map = this.held ? null : nextMap(view, geometry, this.decoded);
     if (map) {
       view.map = map;
       view.shown_ms = performance.now();
@@ -92,41 +112,41 @@ export class Compare {
     $("compare-maps").hidden = !isSame(first.info?.geometry, geometry);
     if ($("compare-maps").hidden) {
       this.seen = null;
-      $("compare-words").textContent = `${this.sensor} has another camera or skin, so its cells are not those of ${first.name}.`;
+      $("compare-words").textContent = `${other.name} has another camera or skin, so its cells are not those of ${first.name}`;
     } else this.paint(first.view.map, heights);
     $("first-name").textContent = first.name;
-    $("other-name").textContent = ["online", "degraded"].includes(other.state) ? this.sensor : `${this.sensor} (${other.state ?? "unknown"})`;
-    $("difference-name").textContent = `${this.sensor} less ${first.name}`;
+    $("other-name").textContent = ["online", "degraded"].includes(other.state) ? other.name : `${other.name} (${other.state ?? "unknown"})`;
+    $("difference-name").textContent = `${other.name} less ${first.name}`;
     this.showNumbers(first, other);
   }
 
   /** Both maps in the cells of the first, and what the other has more. */
   paint(map, { crop, scale_mm }) {
-    const { top, left, rows, cols } = crop, count = rows * cols, difference = new Float32Array(count);
+    const { top, left, rows, cols, source, clip } = crop, count = rows * cols, difference = new Float32Array(count);
     const pictures = ["first", "other", "difference"].map((name) => {
       const canvas = $(`${name}-cells`);
       if (canvas.width !== cols) canvas.width = cols;
       if (canvas.height !== rows) canvas.height = rows;
+      canvas.style.clipPath = clip;
       const context = canvas.getContext("2d"), image = context.createImageData(cols, rows);
       return { context, image, pixels: new Uint32Array(image.data.buffer) };
     });
     const [first, other, apart] = pictures;
     let cells = 0, sum_mm = 0, worst_mm = 0, worst_at = 0;
-    for (let i = 0, at = 0; i < rows; i++) {
-      for (let j = 0; j < cols; j++, at++) {
-        const a = map.height_mm[(top + i) * map.cols + left + j];
-        difference[at] = NaN;
-        if (a !== a) continue;
-        const b = heightAt(this.view.map, map.row0 + (top + i) * map.step_px, map.col0 + (left + j) * map.step_px);
-        first.pixels[at] = PIXELS[stepOf(a, scale_mm)];
-        other.pixels[at] = PIXELS[stepOf(b, scale_mm)];
-        difference[at] = b - a;
-        cells++;
-        sum_mm += Math.abs(b - a);
-        if (Math.abs(b - a) > Math.abs(worst_mm)) {
-          worst_mm = b - a;
-          worst_at = at;
-        }
+    for (let at = 0; at < count; at++) {
+      const a = map.height_mm[source[at]], i = Math.floor(source[at] / map.cols), j = source[at] % map.cols;
+      difference[at] = NaN;
+      if (a !== a) continue;
+      const b = heightAt(this.view.map, map.row0 + i * map.step_px, map.col0 + j * map.step_px);
+      first.pixels[at] = PIXELS[stepOf(a, scale_mm)];
+      other.pixels[at] = PIXELS[stepOf(b, scale_mm)];
+      difference[at] = b - a;
+      if (i - top !== Math.floor(at / cols) || j - left !== at % cols) continue; // of the rim: the cell beside it counts
+      cells++;
+      sum_mm += Math.abs(b - a);
+      if (Math.abs(b - a) > Math.abs(worst_mm)) {
+        worst_mm = b - a;
+        worst_at = source[at];
       }
     }
     const end_mm = NICE_MM.find((nice) => nice >= Math.abs(worst_mm)) ?? NICE_MM.at(-1);
@@ -134,24 +154,25 @@ export class Compare {
       if (difference[at] === difference[at]) apart.pixels[at] = DIFFERENCES[stepOf(difference[at] + end_mm, 2 * end_mm)];
     }
     for (const { context, image } of pictures) context.putImageData(image, 0, 0);
+    drawTicks($("compare-ticks"), 0, scale_mm);
     drawTicks($("difference-ticks"), -end_mm, end_mm);
-    const row = map.row0 + (top + Math.floor(worst_at / cols)) * map.step_px, col = map.col0 + (left + (worst_at % cols)) * map.step_px;
+    const row = map.row0 + Math.floor(worst_at / map.cols) * map.step_px, col = map.col0 + (worst_at % map.cols) * map.step_px;
     this.seen = { mean_mm: sum_mm / Math.max(cells, 1), worst_mm, row, col };
-    const sign = worst_mm > 0 ? "+" : "";
-    $("compare-words").textContent = `Heights are ${number(this.seen.mean_mm, 3)} mm apart in the mean, ${sign}${number(worst_mm, 3)} mm at worst, at row ${number(row)}, col ${number(col)} px.`;
+    $("compare-words").textContent = `heights are ${number(this.seen.mean_mm, 3)} mm apart in the mean, ${signed(worst_mm, 3)} mm at worst, at row ${number(row)}, col ${number(col)} px`;
   }
 
   showNumbers(first, other) {
     const a = contactOfMap(first.view), b = contactOfMap(this.view);
     const numbers = [["greatest depth, mm", "depth_max_mm", 2], ["area, mm²", "area_mm2", 1], ["volume, mm³", "volume_mm3", 1], ["objects", "objects", 0]];
-    const rows = numbers.map(([name, key, digits]) => {
-      const more = a && b ? b[key] - a[key] : NaN;
-      return [name, number(a?.[key], digits), number(b?.[key], digits), `${more > 0 ? "+" : ""}${number(more, digits)}`];
-    });
-    rows.unshift(["profile", first.info?.profile ?? "–", other.info?.profile ?? "–", ""], ["frame", number(a?.seq ?? first.view.map.seq), number(b?.seq ?? this.view.map.seq), ""]);
-    $("compare-numbers").replaceChildren(table("", rows, ["", first.name, this.sensor, "more"]));
+    const rows = numbers.map(([name, key, digits]) => [name, number(a?.[key], digits), number(b?.[key], digits), a && b ? signed(b[key] - a[key], digits) : ""]);
+    rows.unshift(["profile", first.info?.profile ?? "", other.info?.profile ?? "", ""], ["frame", number(a?.seq ?? first.view.map.seq), number(b?.seq ?? this.view.map.seq), ""]);
+    $("compare-numbers").replaceChildren(table("", rows, ["", first.name, this.held ? "then" : this.sensor, "more"]) ?? "");
   }
 }
+
+const signed = (value, digits) => `${value > 0 ? "+" : ""}${number(value, digits)}`;
+
+const emptyView = () => ({ height: null, contact: null, contacts: new Map(), numbers: null, map: null, height_ms: 0, shown_ms: 0, drawnFor: null, parts: new Map() });
 
 /** Whether two sensors see the same skin through the same camera, but for what two calibrations of it differ by. */
 function isSame(a, b) {

@@ -1,6 +1,7 @@
 // A hand of several sensors: every finger's map beside each other, and what they touch in the hand's frame.
 
 import { PIXELS, objectColour, stepOf } from "./colours.js";
+import { fitDisc } from "./disc.js";
 import { zeroMap } from "./geometry.js";
 import { FINGERS_MAX, SENSORS_MAX, checkHand, cut } from "./bounds.js";
 import { CONTACT, VALUES } from "./newest.js";
@@ -121,18 +122,23 @@ export class Whole {
     $("whole-state").dataset.level = works ? levelOf(state) : "bad";
     $("whole-state").textContent = !works ? `This hand is ${state ?? "unknown"}: what is shown is old.` : stale ? "Nothing is heard of this hand: what is shown is old." : `${this.shown}: ${state}`;
     for (const [name, { caption, figure }] of this.fingers) {
-      const finger = this.message.fingers[name];
-      const depth = finger?.objects.length ? `, ${number(finger.objects[0].depth_max_mm, 2)} mm` : "";
-      figure.classList.toggle("is-away", finger?.state !== "contact" && finger?.state !== "free");
-      caption.replaceChildren(element("b", { textContent: name }), ` ${finger ? finger.state : "away"}${finger?.reason_code ? `: ${finger.reason_code}` : ""}${depth}`);
+      const { state = "away", reason_code = "", objects = [], margin } = this.message.fingers[name] ?? {}, [greatest] = objects;
+      const depth = greatest ? `${number(greatest.depth_max_mm, 2)} mm` : `${state}${reason_code ? `: ${reason_code}` : ""}`;
+      const lines = [depth, SLIPS[Math.max(...objects.map(({ slip }) => slip ?? -1))] ?? "", number(margin, 2) && `margin ${number(margin, 2)}`], key = lines.join();
+      figure.classList.toggle("is-away", state !== "contact" && state !== "free");
+      if (caption.dataset.key !== key) caption.replaceChildren(element("b", { textContent: name }), ...lines.map((line) => element("span", { textContent: line })));
+      caption.dataset.key = key;
     }
   }
 
   drawObjects() {
     const objects = Object.entries(this.message.fingers).flatMap(([name, { objects }]) => objects.map((touched) => ({ name, ...touched })));
     const place = (v) => v.map((value) => number(value, 1)).join(", ");
-    const rows = objects.map((o) => [o.name, place(o.centroid_mm), o.normal.map((value) => number(value, 2)).join(", "), number(o.depth_max_mm, 2), number(o.area_mm2, 0), o.shear_mm ? number(Math.hypot(...o.shear_mm), 2) : "–", SLIPS[o.slip] ?? "–"]);
-    $("whole-objects").replaceChildren(table("", rows, ["finger", "x, y, z mm", "normal", "depth mm", "area mm²", "shear mm", ""]));
+    const columns = [
+      ["x, y, z mm", (o) => place(o.centroid_mm)], ["normal", (o) => o.normal.map((value) => number(value, 2)).join(", ")],
+      ["depth mm", (o) => number(o.depth_max_mm, 2)], ["area mm²", (o) => number(o.area_mm2)], ["shear mm", (o) => (o.shear_mm ? number(Math.hypot(...o.shear_mm), 2) : "")], ["slip", (o) => SLIPS[o.slip] ?? ""],
+    ].filter(([, of]) => objects.some((o) => of(o) !== ""));
+    $("whole-objects").replaceChildren(table("", objects.map((o) => [o.name, ...columns.map(([, of]) => of(o))]), ["finger", ...columns.map(([head]) => head)]) ?? element("small", { textContent: "nothing is touched" }));
     this.drawPlane(objects);
   }
 
@@ -207,19 +213,18 @@ function cross([ax, ay], [bx, by], [cx, cy]) {
   return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax);
 }
 
-/** A finger's map on its canvas, cropped to the visible disc. */
-function paint({ canvas }, map, geometry, scale_mm) {
-  const end = (centre, first, count) => [Math.max(0, Math.floor((centre - geometry.radius_px - first) / map.step_px)), Math.min(count, Math.ceil((centre + geometry.radius_px - first) / map.step_px) + 1)];
-  const [top, bottom] = geometry ? end(geometry.row_c, map.row0, map.rows) : [0, map.rows], [left, right] = geometry ? end(geometry.col_c, map.col0, map.cols) : [0, map.cols];
-  if (bottom <= top || right <= left) return;
-  if (canvas.width !== right - left) canvas.width = right - left;
-  if (canvas.height !== bottom - top) canvas.height = bottom - top;
-  const context = canvas.getContext("2d", { willReadFrequently: true }), image = context.createImageData(right - left, bottom - top), pixels = new Uint32Array(image.data.buffer);
-  for (let i = top, to = 0; i < bottom; i++) {
-    for (let j = left; j < right; j++, to++) {
-      const h = map.height_mm[i * map.cols + j];
-      pixels[to] = h !== h ? 0 : PIXELS[stepOf(h, scale_mm)];
-    }
+/** A finger's map on its canvas, cut to the visible disc. */
+function paint(finger, map, geometry, scale_mm) {
+  const { canvas } = finger, grid = [map.rows, map.cols, map.row0, map.col0, map.step_px, geometry?.calibration_crc32, geometry?.radius_px].join();
+  if (grid !== finger.grid) {
+    Object.assign(finger, { grid, disc: fitDisc(map, geometry) });
+    [canvas.width, canvas.height] = [finger.disc.cols, finger.disc.rows];
+    canvas.style.clipPath = finger.disc.clip;
+  }
+  const { rows, cols, source } = finger.disc, context = canvas.getContext("2d", { willReadFrequently: true }), image = context.createImageData(cols, rows), pixels = new Uint32Array(image.data.buffer);
+  for (let at = 0; at < source.length; at++) {
+    const h = map.height_mm[source[at]];
+    pixels[at] = h !== h ? 0 : PIXELS[stepOf(h, scale_mm)];
   }
   context.putImageData(image, 0, 0);
 }

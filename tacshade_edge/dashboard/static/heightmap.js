@@ -1,7 +1,9 @@
-// The height map on its canvas: one canvas pixel per cell, cropped to the visible disc.
+// The height map on its canvas: one canvas pixel per cell, cut to the visible disc.
 
 import { PIXELS, STEPS, depthOf } from "./colours.js";
+import { fitDisc } from "./disc.js";
 import { skinPoint } from "./geometry.js";
+import { drawDoubts } from "./marks.js";
 import { AutoScale, drawBar, drawTicks } from "./scale.js";
 
 export class HeightView {
@@ -10,6 +12,7 @@ export class HeightView {
     this.context = this.canvas.getContext("2d", { willReadFrequently: true });
     this.overlay = document.getElementById("overlay");
     this.disc = document.getElementById("disc");
+    this.doubts = document.getElementById("doubts");
     this.readout = document.getElementById("cursor");
     this.ticks = document.getElementById("ticks");
     this.range = document.getElementById("range");
@@ -27,6 +30,7 @@ export class HeightView {
       if (event.pointerType === "mouse") this.cell = null;
       this.read();
     });
+    this.canvas.addEventListener("keydown", (event) => this.walk(event));
   }
 
   /** Forget another sensor's map. */
@@ -35,6 +39,7 @@ export class HeightView {
     this.auto = new AutoScale();
     this.context.clearRect(0, 0, this.canvas.width, this.canvas.height);
     this.disc.setAttribute("r", 0);
+    drawDoubts(this.doubts, null, null, null);
     this.read();
   }
 
@@ -43,23 +48,18 @@ export class HeightView {
     this.map = map;
     this.geometry = geometry;
     this.fit();
-    const { top, left, rows, cols } = this.crop, { height_mm } = map, stride = map.cols;
+    const { source } = this.crop, { height_mm } = map, count = source.length;
     let peak_mm = 0;
-    for (let i = top; i < top + rows; i++) {
-      for (let j = left; j < left + cols; j++) {
-        const h = height_mm[i * stride + j];
-        if (h > peak_mm) peak_mm = h;
-      }
+    for (let at = 0; at < count; at++) {
+      const h = height_mm[source[at]];
+      if (h > peak_mm) peak_mm = h;
     }
     this.choose(peak_mm);
     const factor = (STEPS - 1) / this.scale_mm, pixels = this.pixels;
-    for (let i = 0, at = 0; i < rows; i++) {
-      let from = (top + i) * stride + left;
-      for (let j = 0; j < cols; j++, at++, from++) {
-        const h = height_mm[from];
-        // NaN, outside the disc, is transparent.
-        pixels[at] = h !== h ? 0 : h <= 0 ? PIXELS[0] : PIXELS[Math.min(STEPS - 1, Math.round(h * factor))];
-      }
+    for (let at = 0; at < count; at++) {
+      const h = height_mm[source[at]];
+      // NaN, outside the disc, is transparent.
+      pixels[at] = h !== h ? 0 : h <= 0 ? PIXELS[0] : PIXELS[Math.min(STEPS - 1, Math.round(h * factor))];
     }
     this.context.putImageData(this.image, 0, 0);
     this.read();
@@ -71,15 +71,9 @@ export class HeightView {
     const key = [map.rows, map.cols, map.row0, map.col0, map.step_px, geometry?.calibration_crc32, geometry?.radius_px].join();
     if (key === this.key && this.canvas.width === this.crop.cols) return;
     this.key = key;
-    const within = (centre, radius, first, count) => {
-      if (!geometry) return [0, count];
-      const from = Math.max(0, Math.floor((centre - radius - first) / map.step_px));
-      const to = Math.min(count, Math.ceil((centre + radius - first) / map.step_px) + 1);
-      return to > from ? [from, to - from] : [0, count];
-    };
-    const [top, rows] = within(geometry?.row_c, geometry?.radius_px, map.row0, map.rows);
-    const [left, cols] = within(geometry?.col_c, geometry?.radius_px, map.col0, map.cols);
-    this.crop = { top, left, rows, cols };
+    this.crop = fitDisc(map, geometry);
+    const { top, left, rows, cols, clip } = this.crop;
+    this.canvas.style.clipPath = clip;
     this.canvas.width = cols;
     this.canvas.height = rows;
     this.image = this.context.createImageData(cols, rows);
@@ -109,9 +103,20 @@ export class HeightView {
     this.read();
   }
 
-  /** Take a decoded `sigma`; null where it was damaged. */
+  /** Arrow keys read the map cell by cell, from the middle of the disc. */
+  walk(event) {
+    const step = { ArrowUp: [-1, 0], ArrowDown: [1, 0], ArrowLeft: [0, -1], ArrowRight: [0, 1] }[event.key];
+    if (!step || !this.map) return;
+    event.preventDefault();
+    const { top, left, rows, cols } = this.crop, [i, j] = this.cell ?? [top + Math.floor(rows / 2), left + Math.floor(cols / 2)];
+    this.cell = [Math.min(Math.max(i + step[0], top), top + rows - 1), Math.min(Math.max(j + step[1], left), left + cols - 1)];
+    this.read();
+  }
+
+  /** Take the decoded `sigma` of this map; null where it has none. */
   setSigma(sigma) {
     this.sigma = sigma;
+    drawDoubts(this.doubts, this.map, sigma, this.geometry);
     this.read();
   }
 
@@ -141,8 +146,8 @@ export class HeightView {
 
   /** Depth in mm that the canvas shows for an image pixel, from its colour; NaN where it shows none. */
   depthAt(row, col) {
-    const { map, crop } = this;
-    if (!map) return NaN;
+    const { map, crop, geometry } = this;
+    if (!map || (geometry && Math.hypot(row - geometry.row_c, col - geometry.col_c) > geometry.radius_px)) return NaN;
     const i = Math.round((row - map.row0) / map.step_px) - crop.top, j = Math.round((col - map.col0) / map.step_px) - crop.left;
     if (i < 0 || j < 0 || i >= crop.rows || j >= crop.cols) return NaN;
     const [red, green, blue, alpha] = this.context.getImageData(j, i, 1, 1).data;

@@ -1,21 +1,24 @@
 // The page: sensors, what is known of the chosen one, and when it is drawn.
 
-import { drawArrows } from "./arrows.js";
 import { PARTS_MAX, SENSORS_MAX, checkContact, checkDecoded, checkInfo, checkPart, checkTouch, cut, read } from "./bounds.js";
 import { DepthChart } from "./chart.js";
 import { objectColour } from "./colours.js";
 import { Compare } from "./compare.js";
 import { freshness } from "./freshness.js";
 import { HeightView } from "./heightmap.js";
+import { showHealth, showParts } from "./health.js";
 import { Link } from "./link.js";
 import { MapView } from "./mapview.js";
+import { drawArrows } from "./marks.js";
 import { CONTACT, contactOfMap, keep, keepContact, nextMap, partOfMap, touchOfMap } from "./newest.js";
-import { element, levelOf, number, showContact, showHealth, showParts, showRates, showState } from "./panels.js";
+import { element, levelOf, number, showState } from "./panels.js";
 import { SkinView } from "./skin3d.js";
 import { commandPlayback, isPaused, isPlayed, showAgain, updatePlayback } from "./playback.js";
 import { commandRecordings, updateRecording } from "./record.js";
+import { Recordings } from "./recordings.js";
 import { isRemoved, remove, restore } from "./retired.js";
 import { Rezero } from "./rezero.js";
+import { showContact, showRates } from "./tiles.js";
 import { TouchPanel } from "./touch.js";
 import { Whole } from "./hand_view.js";
 import { decode } from "./wire.js";
@@ -44,6 +47,13 @@ const rezero = new Rezero({
     if (rezero.waiting && !rezero.taking) updateAnswer("wait", "Re-zero waits until nothing touches …");
     if (words) updateAnswer("off", words);
     updateControls();
+  },
+});
+const recordings = new Recordings({
+  listed: "recordings" in document.documentElement.dataset, readOnly: READ_ONLY,
+  played: (sensor) => {
+    if (location.hash !== `#${sensor}`) location.hash = sensor;
+    else follow();
   },
 });
 link = new Link({ reported: updateLink, refused: askLogin, message: take });
@@ -105,6 +115,7 @@ function takeChosen(what, payload, retained) {
   } else if (what.startsWith("status/")) {
     json(payload, (part) => {
       if (!view.parts.has(what.slice(7)) && view.parts.size >= PARTS_MAX) return void undecodable++;
+      if (what === "status/recorder" && view.parts.get("recorder")?.state !== part.state) recordings.refresh();
       view.parts.set(cut(what.slice(7), 64), part);
       if (!READ_ONLY) showAgain(link, chosen, view).catch((error) => updateAnswer("bad", error.message));
       showParts(view.parts);
@@ -230,15 +241,15 @@ function choose(sensor) {
 
 function showTabs() {
   const tabs = [...sensors].filter(([sensor]) => !isRemoved(sensor)).sort(([a], [b]) => a.localeCompare(b)).map(([sensor, known]) => {
-    const tab = element("button", { type: "button", role: "tab", title: link?.connected ? known.state ?? "unknown" : "not connected", onclick: () => { location.hash = encodeURIComponent(sensor); choose(sensor); } }, sensor);
+    const tab = element("button", { type: "button", title: link?.connected ? known.state ?? "unknown" : "not connected", onclick: () => { location.hash = encodeURIComponent(sensor); choose(sensor); } }, sensor);
     tab.dataset.level = link?.connected ? levelOf(known.state) : "off";
-    tab.setAttribute("aria-selected", sensor === chosen);
+    if (sensor === chosen) tab.ariaCurrent = "page";
     return tab;
   });
   const whole_tabs = [...whole.states].sort().map(([id, state]) => {
-    const tab = element("button", { type: "button", role: "tab", title: "all its fingers", onclick: () => { location.hash = `${WHOLE}${encodeURIComponent(id)}`; } }, `hand ${id}`);
+    const tab = element("button", { type: "button", title: "all its fingers", onclick: () => { location.hash = `${WHOLE}${encodeURIComponent(id)}`; } }, `hand ${id}`);
     tab.dataset.level = link?.connected ? levelOf(state) : "off";
-    tab.setAttribute("aria-selected", id === whole.shown);
+    if (id === whole.shown) tab.ariaCurrent = "page";
     return tab;
   });
   $("sensors").replaceChildren(...whole_tabs, ...tabs);
@@ -286,6 +297,7 @@ function draw() {
     updateFlags(map.flags);
     if (!(map.flags & CONTACT)) {
       updateObjects(null);
+      heights.setSigma(null);
       arrows = drawArrows($("arrows"), null, null);
     }
   }
@@ -300,7 +312,9 @@ function draw() {
   drawStitched();
   compare.draw({ name: chosen, view, info: sensors.get(chosen)?.info }, sensors.get(compare.sensor) ?? {}, heights);
   if (redraw) skin.render();
-  showContact(contactOfMap(view));
+  const numbers = contactOfMap(view);
+  showContact(numbers);
+  $("arrows").classList.toggle("slides", numbers?.slip === FULL_SLIP);
   if (view.map) touch.draw(touchOfMap(view));
   updateStale();
 }
@@ -367,7 +381,7 @@ function updateHealth() {
   updateState();
   showHealth(view.health, [
     ["maps drawn", drawn], ["maps replaced by a newer one before", superseded], ["maps drawn per second", number(drawnPerSecond(), 1)],
-    ["camera to screen, if both clocks agree", view.age_ms === null ? "–" : `${number(view.age_ms)} ms`],
+    ["camera to screen, if both clocks agree", view.age_ms === null ? "" : `${number(view.age_ms)} ms`],
     ["messages not understood", undecodable],
   ]);
   updateStale();
@@ -503,6 +517,7 @@ $("session").elements.abort.addEventListener("click", () => {
   ask("stitch", { action: "abort" }, "Ending …", (result) => `Session ${result.name} is gone.`);
 });
 
+$("health").addEventListener("toggle", () => updateHealth());
 $("read-only").hidden = !READ_ONLY;
 $("range").value = localStorage.getItem("tacshade-range") ?? "auto";
 if ($("range").value === "") $("range").value = "auto";

@@ -5,6 +5,7 @@ import { PIXELS, STEPS } from "./colours.js";
 const AUTO_LEAST_MM = 0.5;
 const NICE_MM = [0.5, 1, 1.5, 2, 3, 4, 5, 6, 8, 10, 15, 20, 40];
 const AUTO_KEEPS_MS = 8000;
+const TICKS_MOST = 6;
 
 /** The least round number that holds the deepest of the last seconds. */
 export class AutoScale {
@@ -29,12 +30,24 @@ export function drawBar(canvas, pixels = PIXELS) {
   context.putImageData(image, 0, 0);
 }
 
-/** Five numbers from one end to the other. */
+/** The numbers between two ends, apart by 1, 2 or 5 times a power of ten. */
+export function roundTicks(low, high) {
+  const least = (high - low) / (TICKS_MOST - 1), power = 10 ** Math.floor(Math.log10(least) + 1e-9);
+  const step = [1, 2, 5, 10].map((n) => n * power).find((apart) => apart >= least * (1 - 1e-9));
+  const first = Math.ceil(low / step - 1e-9), count = Math.floor(high / step + 1e-9) - first + 1;
+  return Array.from({ length: count }, (_, k) => +((first + k) * step).toPrecision(12));
+}
+
+/** Round numbers where they lie on the bar; the last one has the unit. */
 export function drawTicks(list, low_mm, high_mm) {
-  const parts = [0, 1, 2, 3, 4].map((k) => {
+  const key = `${low_mm} ${high_mm}`;
+  if (list.dataset.key === key) return;
+  list.dataset.key = key;
+  const ticks = roundTicks(low_mm, high_mm);
+  list.replaceChildren(...ticks.map((mm, k) => {
     const tick = document.createElement("li");
-    tick.textContent = `${+(low_mm + ((high_mm - low_mm) * k) / 4).toFixed(3)}${k === 4 ? " mm" : ""}`;
+    tick.style.left = `${(100 * (mm - low_mm)) / (high_mm - low_mm)}%`;
+    tick.textContent = `${mm}${k === ticks.length - 1 ? " mm" : ""}`.replace("-", "−");
     return tick;
-  });
-  list.replaceChildren(...parts);
+  }));
 }

@@ -135,7 +135,7 @@ export class SkinView {
     if (!this.geometry) return;
     this.untouched = true;
     const r = this.geometry.skin_radius_mm, theta = (this.geometry.visible_half_angle_deg * Math.PI) / 180;
-    const foot = r * Math.cos(theta), rim = r * Math.sin(theta), far = (3.8 * rim) / Math.min(1, this.camera.aspect);
+    const foot = r * Math.cos(theta), rim = r * Math.sin(theta), far = (3.1 * rim) / Math.min(1, this.camera.aspect);
     this.controls.target.set(0, -0.12 * rim, foot);
     this.camera.position.set(0.2 * far, -0.7 * far, foot + 0.68 * far);
     this.controls.update();

@@ -31,7 +31,7 @@ export class TouchPanel {
     this.rows = new Map(); // name -> what `makeRow` gives
     this.drawn = null;
     $("touch-numbers").replaceChildren();
-    $("touch-words").textContent = "nothing has touched yet";
+    $("touch").classList.add("is-empty");
   }
 
   follow() {
@@ -48,12 +48,14 @@ export class TouchPanel {
     this.drawn = message;
     const { touch, touch_sigma, reason } = message ?? {};
     const words = reason || (message && !touch ? FREE : "");
+    $("touch-numbers").classList.toggle("is-free", !touch);
     $("touch-words").textContent = words;
     const names = Object.keys(touch ?? {});
     if (touch && (names.length !== this.rows.size || !names.every((name) => this.rows.has(name)))) {
       this.rows = new Map(names.map((name) => [name, makeRow(name)]));
       $("touch-numbers").replaceChildren(...[...this.rows.values()].map(({ row }) => row));
     }
+    $("touch").classList.toggle("is-empty", this.rows.size === 0 && !reason);
     for (const [name, row] of this.rows) showRow(row, touch?.[name] ?? null, touch_sigma?.[name] ?? 0, words || "not known");
   }
 }
@@ -68,8 +70,8 @@ function makeRow(name) {
 /** The bar's middle is 0 and its ends are the least 1, 2 or 5 times a power of ten that has held everything so far. */
 function showRow(shown, value, sigma, why) {
   const { row, digits, symbol } = shown, known = value !== null;
-  shown.value.textContent = number(value, digits);
-  shown.more.textContent = known ? ` ± ${number(sigma, digits)} ${symbol}` : ` ${symbol}`;
+  shown.value.textContent = known ? number(value, digits) : "";
+  shown.more.textContent = known ? ` ± ${number(sigma, digits)} ${symbol}` : "not known";
   shown.interval.hidden = !known;
   shown.end = Math.max(shown.end, known ? roundUp(Math.abs(value) + sigma) : 0);
   row.title = known ? `One standard deviation; the bar is from −${shown.end} to ${shown.end} ${symbol}` : why;

@@ -14,7 +14,7 @@ from tacshade_edge.studies.cases import calibrate_sensors, null_cases, press_cas
 from tacshade_edge.studies.evaluate.scenes import DEPTHS_MM, NULL_FRAMES, scenes
 from tacshade_edge.studies.evaluate.score import Row, score
 from tacshade_edge.studies.evaluate.sensors import PRESSES, REFERENCES, SensorName, reconstructor
-from tacshade_edge.studies.parallel import Report, reported_map
+from tacshade_edge.studies.parallel import Report, Workers, reported_map
 from tacshade_edge.studies.stage_times import one_thread
 from tacshade_edge.types import Calibration, Frame
 
@@ -63,7 +63,7 @@ class Timing:
     steps: int
 
 
-def evaluate(plan: Plan, cores: int, report: Report) -> Evaluation:
+def evaluate(plan: Plan, workers: Workers, report: Report) -> Evaluation:
     """Run a plan.
 
     Raises
@@ -73,10 +73,10 @@ def evaluate(plan: Plan, cores: int, report: Report) -> Evaluation:
     DeviceError
         A worker process was killed.
     """
-    found = tuple(calibrate_sensors(plan.sensors, plan.references, plan.presses, cores, report))
+    found = tuple(calibrate_sensors(plan.sensors, plan.references, plan.presses, workers, report))
     known = [(plan, name, made.calibration) for name, made in zip(plan.sensors, found, strict=True)]
     tasks = [(*each, what) for each in known for what in (*plan.objects, None)]
-    rows = chain.from_iterable(reported_map(_rows, tasks, cores, report, "objects pressed"))
+    rows = chain.from_iterable(reported_map(_rows, tasks, workers, report, "objects pressed"))
     return Evaluation(tuple(rows), found)
 
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from tacshade_edge.studies.evaluate.score import Row, score
-from tacshade_edge.studies.parallel import Report, reported_map
+from tacshade_edge.studies.parallel import Report, Workers, reported_map
 from tacshade_edge.studies.tradeoff.cases import SensorCases
 from tacshade_edge.studies.tradeoff.grid import Setting, make
 from tacshade_edge.types import Frame
 
 
 def score_settings(
-    settings: Sequence[Setting], sensors: Sequence[SensorCases], cores: int, report: Report
+    settings: Sequence[Setting], sensors: Sequence[SensorCases], workers: Workers, report: Report
 ) -> list[list[list[Row]]]:
     """A row of each setting, sensor and image, in that order of nesting.
 
@@ -22,7 +22,7 @@ def score_settings(
         A worker process was killed.
     """
     tasks = [(setting, each) for setting in settings for each in sensors]
-    rows = list(reported_map(_rows, tasks, cores, report, "settings scored"))
+    rows = list(reported_map(_rows, tasks, workers, report, "settings scored"))
     count = len(sensors)
     return [rows[k * count : (k + 1) * count] for k in range(len(settings))]
 

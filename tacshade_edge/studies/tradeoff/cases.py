@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from tacshade_edge.studies.cases import Case, calibrate_sensors, null_cases, press_cases
 from tacshade_edge.studies.evaluate.scenes import DEPTHS_MM, RINGS, scenes
 from tacshade_edge.studies.evaluate.sensors import PRESSES, REFERENCES, SensorName
-from tacshade_edge.studies.parallel import Report, reported_map
+from tacshade_edge.studies.parallel import Report, Workers, reported_map
 from tacshade_edge.types import Calibration
 
 NULL_FRAMES = 10
@@ -24,7 +24,7 @@ class SensorCases:
 
 
 def simulated(
-    sensors: Sequence[SensorName], objects: Sequence[str], cores: int, report: Report
+    sensors: Sequence[SensorName], objects: Sequence[str], workers: Workers, report: Report
 ) -> tuple[SensorCases, ...]:
     """Every object at one place of each sensor (the next object at the next place) and three depths, rendered once.
 
@@ -35,9 +35,9 @@ def simulated(
     DeviceError
         A worker process was killed.
     """
-    calibrations = calibrate_sensors(sensors, REFERENCES, PRESSES, cores, report)
+    calibrations = calibrate_sensors(sensors, REFERENCES, PRESSES, workers, report)
     tasks = [(name, what, k) for name in sensors for k, what in enumerate((*objects, None))]
-    found = list(reported_map(_cases, tasks, cores, report, "objects pressed"))
+    found = list(reported_map(_cases, tasks, workers, report, "objects pressed"))
     count = len(objects) + 1
     return tuple(
         SensorCases(made.calibration, tuple(case for some in found[k * count : (k + 1) * count] for case in some))

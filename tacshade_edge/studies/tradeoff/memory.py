@@ -7,13 +7,13 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from tacshade_edge.studies.parallel import Report, reported_map
+from tacshade_edge.studies.parallel import Report, processes, reported_map
 from tacshade_edge.studies.tradeoff.grid import Setting, make
 from tacshade_edge.types import U8, Calibration, Frame
 
 
 def peak_memory(
-    settings: Sequence[Setting], calibration: Calibration, images: Sequence[U8], cores: int, report: Report
+    settings: Sequence[Setting], calibration: Calibration, images: Sequence[U8], report: Report
 ) -> list[float]:
     """Greatest resident memory of each setting while it reconstructs the images, beyond what the process had, in MiB.
 
@@ -26,7 +26,8 @@ def peak_memory(
         A worker process was killed.
     """
     tasks = [(setting, calibration, images) for setting in settings]
-    return list(reported_map(_peak_mib, tasks, cores, report, "settings weighed", fresh=True))
+    with processes(fresh=True) as workers:
+        return list(reported_map(_peak_mib, tasks, workers, report, "settings weighed"))
 
 
 def _peak_mib(task: tuple[Setting, Calibration, Sequence[U8]]) -> float:

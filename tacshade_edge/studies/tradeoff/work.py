@@ -1,11 +1,11 @@
-"""The study: score all settings in parallel, weigh them, then time them one at a time."""
+"""What a setting costs on this machine: weigh all in parallel, then time them one at a time."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+from tacshade_edge.studies.evaluate.score import Row
 from tacshade_edge.studies.parallel import Report
-from tacshade_edge.studies.tradeoff.accuracy import score_settings
 from tacshade_edge.studies.tradeoff.cases import SensorCases
 from tacshade_edge.studies.tradeoff.grid import Setting
 from tacshade_edge.studies.tradeoff.memory import peak_memory
@@ -15,10 +15,15 @@ from tacshade_edge.studies.tradeoff.timing import time_settings
 WEIGHED_IMAGES = 3
 
 
-def tradeoff(
-    settings: Sequence[Setting], sensors: Sequence[SensorCases], cores: int, report: Report
+def weigh_and_time(
+    settings: Sequence[Setting], sensors: Sequence[SensorCases], rows: Sequence[Sequence[Sequence[Row]]], report: Report
 ) -> tuple[tuple[Point, ...], float]:
-    """Measure every setting on every image; memory and time on the first sensor's.
+    """Add memory and time on the first sensor's images, on this machine, to each setting's scores.
+
+    Parameters
+    ----------
+    rows : sequence
+        Of each setting, sensor and image (`score_settings`).
 
     Returns
     -------
@@ -30,10 +35,9 @@ def tradeoff(
     DeviceError
         A worker process was killed.
     """
-    rows = score_settings(settings, sensors, cores, report)
     first = sensors[0]
     images = [case.image for case in first.cases if case.touched][:WEIGHED_IMAGES]
-    peaks = peak_memory(settings, first.calibration, images, cores, report)
+    peaks = peak_memory(settings, first.calibration, images, report)
     contact = [
         [case.image for case, row in zip(first.cases, some[0], strict=True) if row.contact and case.touched]
         for some in rows

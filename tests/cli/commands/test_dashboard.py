@@ -51,6 +51,13 @@ def test_a_port_in_use_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     )
 
 
+def test_a_folder_of_recordings_that_is_not_there_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["dashboard", "--http", "0", "--recordings", str(tmp_path / "none")]) == 78
+    assert "none: found no folder, expected the one with the recordings" in capsys.readouterr().err
+
+
 def test_an_address_of_another_machine_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["dashboard", "--http", "0", "--host", "192.0.2.1"]) == 1
     assert "port 0 of 192.0.2.1: Cannot assign requested address" in capsys.readouterr().err

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from tacshade_edge.cli.commands import simulate_pad
 from tacshade_edge.rigid import from_seven
 from tacshade_edge.simulator.pad import Bar, Pad
 from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.studies.parallel import ThisProcess
 from tools.testbed.calibrated_sensor import HALF, calibrated, unloaded
 
 pytestmark = pytest.mark.slow
@@ -27,7 +29,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("pad")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("tacshade_edge.simulator.pad.touchpad", lambda: SMALL)
-        patch.setattr(simulate_pad, "usable_cores", lambda: 1)
+        patch.setattr(simulate_pad, "workers", lambda: nullcontext(ThisProcess()))
         simulate_pad.write_pad(
             HALF, folder, step_mm=5.0, depth_mm=2.5, varied=False, seed=0, noise_seed=0, report=lambda *_: None
         )

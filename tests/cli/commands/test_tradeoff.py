@@ -86,7 +86,8 @@ def test_the_report_of_a_board_is_of_the_shipped_profiles(
         return tuple(point(setting.profile, 0.2, 1.0) for setting in settings), 1.0
 
     monkeypatch.setattr(tradeoff, "simulated", lambda *_: ())
-    monkeypatch.setattr(tradeoff, "tradeoff", measured)
+    monkeypatch.setattr(tradeoff, "score_settings", lambda *_: ())
+    monkeypatch.setattr(tradeoff, "weigh_and_time", measured)
     assert main(["tradeoff", "--report"]) == 0
     assert asked == ["fast", "balanced", "accurate"]
     printed = capsys.readouterr().out

@@ -11,6 +11,7 @@ from tacshade_edge.studies.evaluate.score import KnownTruth, Row
 from tacshade_edge.studies.evaluate.sensors import reconstructor
 from tacshade_edge.studies.evaluate.work import Evaluation, Plan, evaluate, time_profiles
 from tacshade_edge.studies.metrics import contact_iou, score_cloud
+from tacshade_edge.studies.parallel import ThisProcess
 from tacshade_edge.studies.tables import csv_text
 from tacshade_edge.types import Frame
 
@@ -32,7 +33,7 @@ def family() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def found() -> Evaluation:
-    return evaluate(PLAN, 1, quiet)
+    return evaluate(PLAN, ThisProcess(), quiet)
 
 
 def test_a_row_for_every_press_and_frame_without_contact(found: Evaluation) -> None:
@@ -47,7 +48,7 @@ def test_a_row_for_every_press_and_frame_without_contact(found: Evaluation) -> N
 
 
 def test_the_same_plan_gives_the_same_bytes(found: Evaluation) -> None:
-    assert csv_text(Row, evaluate(PLAN, 1, quiet).rows) == csv_text(Row, found.rows)
+    assert csv_text(Row, evaluate(PLAN, ThisProcess(), quiet).rows) == csv_text(Row, found.rows)
 
 
 def test_a_row_is_what_the_metrics_say_of_that_press(found: Evaluation) -> None:
@@ -69,7 +70,7 @@ def test_a_row_is_what_the_metrics_say_of_that_press(found: Evaluation) -> None:
 
 def test_references_alone(found: Evaluation) -> None:
     one = replace(PLAN, objects=("ball",), references=1, presses=0, null_frames=0)
-    made = evaluate(one, 1, quiet)
+    made = evaluate(one, ThisProcess(), quiet)
     assert made.calibrations[0].calibration.fit is None
     assert "1 reference" in made.calibrations[0].warnings[0]
     assert [r.depth_error_pct for r in made.rows] != [r.depth_error_pct for r in found.rows[:3]]

@@ -1,4 +1,3 @@
-import os
 from dataclasses import replace
 
 import pytest
@@ -13,9 +12,7 @@ from tools.testbed.painted_sensor import TOUCHED, enlarged, enlarged_calibration
 def test_what_needs_more_weighs_more_and_what_was_there_nothing() -> None:
     paper = PROFILES["paper"]
     settings = [Setting(paper), Setting(replace(paper, stride_px=8)), Setting(PROFILES["fast"])]
-    found = peak_memory(
-        settings, enlarged_calibration(), [enlarged(TOUCHED)], len(os.sched_getaffinity(0)), lambda *_: None
-    )
+    found = peak_memory(settings, enlarged_calibration(), [enlarged(TOUCHED)], lambda *_: None)
     fine, coarse, fast = found
     assert fine > coarse + 10  # a dozen complex maps of 440 x 440
     assert all(0 < mib < 300 for mib in (coarse, fast))

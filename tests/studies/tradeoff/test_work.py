@@ -10,11 +10,12 @@ from support.half_family import HALF_SENSOR, half_family
 
 from tacshade_edge.studies.evaluate.own_images import read_images
 from tacshade_edge.studies.evaluate.scenes import DEPTHS_MM
+from tacshade_edge.studies.parallel import ThisProcess
 from tacshade_edge.studies.tradeoff import cases
 from tacshade_edge.studies.tradeoff.accuracy import score_settings
 from tacshade_edge.studies.tradeoff.cases import SensorCases
 from tacshade_edge.studies.tradeoff.grid import grid
-from tacshade_edge.studies.tradeoff.work import tradeoff
+from tacshade_edge.studies.tradeoff.work import weigh_and_time
 
 pytestmark = pytest.mark.slow  # it calibrates, renders and starts interpreters
 
@@ -26,7 +27,7 @@ def quiet(what: str, done: int, total: int) -> None:
 @pytest.fixture(scope="module")
 def sensor() -> Iterator[SensorCases]:
     with half_family():
-        (found,) = cases.simulated((HALF_SENSOR,), ("ball", "cube"), 1, quiet)
+        (found,) = cases.simulated((HALF_SENSOR,), ("ball", "cube"), ThisProcess(), quiet)
         yield found
 
 
@@ -41,7 +42,8 @@ def test_each_object_has_a_place_of_its_own_and_every_depth(sensor: SensorCases)
 
 def test_all_of_it(sensor: SensorCases) -> None:
     settings = grid(("fast",))
-    points, busy = tradeoff(settings, (sensor,), 1, quiet)
+    rows = score_settings(settings, (sensor,), ThisProcess(), quiet)
+    points, busy = weigh_and_time(settings, (sensor,), rows, quiet)
     assert [p.setting for p in points] == list(settings)
     assert busy > 0.9
     for point in points:
@@ -56,7 +58,7 @@ def test_all_of_it(sensor: SensorCases) -> None:
 def test_the_same_images_give_the_same_rows_and_those_of_a_user_too(sensor: SensorCases, tmp_path: Path) -> None:
     """Written to files as a user has them, read again."""
     settings = grid(("fast",))[:1]
-    ((first,),), ((again,),) = (score_settings(settings, (sensor,), 1, quiet) for _ in range(2))
+    ((first,),), ((again,),) = (score_settings(settings, (sensor,), ThisProcess(), quiet) for _ in range(2))
     assert first == again
     for k, case in enumerate(sensor.cases[:3]):
         cv2.imwrite(str(tmp_path / f"{k}.png"), case.image)
@@ -66,5 +68,5 @@ def test_the_same_images_give_the_same_rows_and_those_of_a_user_too(sensor: Sens
         )
     images = sorted(tmp_path.glob("*.png"))
     own = tuple(read_images(sensor.calibration, "mine", images, quiet, lambda text: pytest.fail(text)))
-    ((read,),) = score_settings(settings, (SensorCases(sensor.calibration, own),), 1, quiet)
+    ((read,),) = score_settings(settings, (SensorCases(sensor.calibration, own),), ThisProcess(), quiet)
     assert [(r.me_mm, r.iou) for r in read] == [(r.me_mm, r.iou) for r in first[:3]]

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.studies.parallel import usable_cores
+from tacshade_edge.studies.parallel import workers
 from tacshade_edge.studies.tables import csv_text
 from tools.studies import command
 from tools.studies.ablation.work import AblationRow, Plan, ablate, object_rows, text
@@ -25,8 +25,8 @@ def main(words: Sequence[str] | None = None) -> None:
     profile, *more = args.profile
     if more or PROFILES[profile].network is None:
         parser.error(f"--profile: found {' '.join((profile, *more))}, expected one that runs a network")
-    with command.folder_for(parser, args.out):
-        found = ablate(Plan(args.sensors, profile), usable_cores(), Progress())
+    with command.folder_for(parser, args.out), workers(args.cluster) as pool:
+        found = ablate(Plan(args.sensors, profile), pool, Progress())
         command.publish(args, "ablation", text(found), {"": csv_text(AblationRow, object_rows(found))})
 
 

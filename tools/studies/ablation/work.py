@@ -23,7 +23,7 @@ from tacshade_edge.studies.evaluate.scenes import DEPTHS_MM, scenes
 from tacshade_edge.studies.evaluate.score import KnownTruth, Label, Row, score
 from tacshade_edge.studies.evaluate.sensors import PRESSES, REFERENCES, PressedSensor, SensorName, calibrated
 from tacshade_edge.studies.evaluate.summary import by_object, figures, worst
-from tacshade_edge.studies.parallel import Report, reported_map
+from tacshade_edge.studies.parallel import Report, Workers, reported_map
 from tacshade_edge.types import F32, Bool, Calibration, Frame, Geometry
 from tools.studies.ablation.perfected import PerfectedNetwork, true_answer
 from tools.testbed.simulator.families import sensor_name
@@ -112,10 +112,10 @@ class _Pressed:
     truth: KnownTruth
 
 
-def ablate(plan: Plan, cores: int, report: Report) -> tuple[tuple[str, Row], ...]:
+def ablate(plan: Plan, workers: Workers, report: Report) -> tuple[tuple[str, Row], ...]:
     """Run a plan: rows with the variant of each. Raises ConfigError (a sensor cannot be calibrated) and DeviceError."""
     jobs = [(plan, name) for name in plan.sensors]
-    return tuple(chain.from_iterable(reported_map(_sensor, jobs, cores, report, "sensors taken apart")))
+    return tuple(chain.from_iterable(reported_map(_sensor, jobs, workers, report, "sensors taken apart")))
 
 
 def _sensor(task: tuple[Plan, SensorName]) -> list[tuple[str, Row]]:

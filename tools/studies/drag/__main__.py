@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from tacshade_edge.cli.shared.progress import Progress
-from tacshade_edge.studies.parallel import usable_cores
+from tacshade_edge.studies.parallel import workers
 from tacshade_edge.studies.tables import csv_text
 from tools.studies import command
 from tools.studies.drag.picture import draw
@@ -30,8 +30,8 @@ def main(words: Sequence[str] | None = None) -> None:
     args = parser.parse_args(words)
     command.check_presses(parser, args.presses)
     plan = Plan(args.sensors, tuple(args.profile), args.objects, args.references, args.presses)
-    with command.folder_for(parser, args.out):
-        rows = study(plan, usable_cores(), Progress())
+    with command.folder_for(parser, args.out), workers(args.cluster) as pool:
+        rows = study(plan, pool, Progress())
         command.publish(args, "drag", text(rows), {"": csv_text(DragRow, rows)}, lambda: {"drag.png": draw(rows)})
 
 

@@ -19,7 +19,7 @@ from tacshade_edge.simulator.truth import Truth
 from tacshade_edge.studies.cases import calibrate_sensors
 from tacshade_edge.studies.evaluate.score import KnownTruth, Label, score
 from tacshade_edge.studies.evaluate.sensors import PRESSES, REFERENCES, SensorName, reconstructor
-from tacshade_edge.studies.parallel import Report, reported_map
+from tacshade_edge.studies.parallel import Report, Workers, reported_map
 from tacshade_edge.types import Calibration, Frame, Reconstruction
 
 SENSORS = "default,5,other:31,other:32"
@@ -110,12 +110,12 @@ class DragRow:
     found_twist_deg: float
 
 
-def study(plan: Plan, cores: int, report: Report) -> tuple[DragRow, ...]:
+def study(plan: Plan, workers: Workers, report: Report) -> tuple[DragRow, ...]:
     """Run a plan. Raises ConfigError (a sensor cannot be calibrated) and DeviceError (a worker was killed)."""
-    found = calibrate_sensors(plan.sensors, plan.references, plan.presses, cores, report)
+    found = calibrate_sensors(plan.sensors, plan.references, plan.presses, workers, report)
     known = [(plan, name, made.calibration) for name, made in zip(plan.sensors, found, strict=True)]
     tasks = [(*each, what) for each in known for what in plan.objects]
-    return tuple(chain.from_iterable(reported_map(_rows, tasks, cores, report, "objects dragged")))
+    return tuple(chain.from_iterable(reported_map(_rows, tasks, workers, report, "objects dragged")))
 
 
 def presses(model: SensorModel, seed: int | None, object_name: str) -> Iterator[tuple[Condition, float, Press]]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from tacshade_edge.cli.shared.progress import Progress
-from tacshade_edge.studies.parallel import usable_cores
+from tacshade_edge.studies.parallel import workers
 from tacshade_edge.studies.tables import csv_text
 from tools.studies import command
 from tools.studies.limits import picture
@@ -23,8 +23,8 @@ def main(words: Sequence[str] | None = None) -> None:
     parser = command.options("Where the method ends.", "default,5,11")
     args = parser.parse_args(words)
     plan = Plan(args.sensors, tuple(args.profile))
-    with command.folder_for(parser, args.out):
-        found = limits(plan, usable_cores(), Progress())
+    with command.folder_for(parser, args.out), workers(args.cluster) as pool:
+        found = limits(plan, pool, Progress())
         rows = {f"_{kind}": csv_text(type(some[0]), some) for kind, some in found.tables()}
         command.publish(args, "limits", text(found, plan), rows, lambda: picture.draw(found))
 

@@ -26,7 +26,7 @@ from tacshade_edge.studies.evaluate.sensors import (
     calibrated_sensor,
     reconstructor,
 )
-from tacshade_edge.studies.parallel import Report, reported_map
+from tacshade_edge.studies.parallel import Report, Workers, reported_map
 from tacshade_edge.types import U8, Calibration, Frame, Reconstruction
 from tools.studies.limits.across import across, dip_mm, found_heights, top_mm
 from tools.studies.limits.disturbances import BEYOND, CHANGES, UNDISTURBED, WITHOUT_CONTACT, without_contact
@@ -98,16 +98,16 @@ class Limits:
         return [(field.name, getattr(self, field.name)) for field in fields(self)]
 
 
-def limits(plan: Plan, cores: int, report: Report) -> Limits:
+def limits(plan: Plan, workers: Workers, report: Report) -> Limits:
     """Run a plan. Raises ConfigError (a sensor cannot be calibrated) and DeviceError (a worker was killed)."""
-    calibrations = calibrate_sensors(plan.sensors, plan.references, plan.presses, cores, report)
+    calibrations = calibrate_sensors(plan.sensors, plan.references, plan.presses, workers, report)
     known = [(plan, name, made.calibration) for name, made in zip(plan.sensors, calibrations, strict=True)]
     # The longest first, so that no core waits at the end.
     jobs: list[_Job] = [
         *((_fine, (plan, pitch)) for pitch in plan.pitches_mm),
         *((job, task) for job in (_deep, _faint, _nulls, _disturbed) for task in known),
     ]
-    rows = list(chain.from_iterable(reported_map(_run, jobs, cores, report, "parts of the study")))
+    rows = list(chain.from_iterable(reported_map(_run, jobs, workers, report, "parts of the study")))
     return Limits(
         tuple(r for r in rows if isinstance(r, NullRow)),
         tuple(r for r in rows if isinstance(r, DepthRow) and r.faint),

@@ -12,7 +12,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tacshade_edge.cli.shared.progress import Progress
-from tacshade_edge.studies.parallel import usable_cores
+from tacshade_edge.cli.shared.study import add_cluster
+from tacshade_edge.studies.parallel import workers
 from tacshade_edge.studies.tables import csv_text
 from tools.studies import command
 from tools.studies.margin.summary import text
@@ -27,9 +28,11 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--final", action="store_true", help="the sensors kept for final figures")
     parser.add_argument("--out", type=Path, metavar="DIR", help="write the table, and its rows as CSV")
     parser.set_defaults(json=False)
+    add_cluster(parser)
     args = parser.parse_args(words)
-    with command.folder_for(parser, args.out):
-        rows = study(Plan(args.profile, FINAL_GROUPS if args.final else GROUPS, args.held), usable_cores(), Progress())
+    plan = Plan(args.profile, FINAL_GROUPS if args.final else GROUPS, args.held)
+    with command.folder_for(parser, args.out), workers(args.cluster) as pool:
+        rows = study(plan, pool, Progress())
         kinds = {"_loads": LoadRow, "_held": HeldRow}
         files = {name: csv_text(kind, [row for row in rows if isinstance(row, kind)]) for name, kind in kinds.items()}
         command.publish(args, "margin", text(rows), files)

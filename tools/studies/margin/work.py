@@ -22,7 +22,7 @@ from tacshade_edge.simulator.scene import SimulatedFrame, skin_under
 from tacshade_edge.simulator.skin import Skin
 from tacshade_edge.studies.cases import calibrate_sensors
 from tacshade_edge.studies.evaluate.sensors import PRESSES, REFERENCES, SensorName, reconstructor
-from tacshade_edge.studies.parallel import Report, reported_map
+from tacshade_edge.studies.parallel import Report, Workers, reported_map
 from tacshade_edge.types import F64, U8, Calibration, Frame
 from tools.testbed.simulator.families import other
 from tools.testbed.simulator.motion import Motion, pressed
@@ -137,17 +137,17 @@ Row = LoadRow | HeldRow
 _Task = tuple[Plan, Group, SensorName, float | None, Calibration, str]
 
 
-def study(plan: Plan, cores: int, report: Report) -> tuple[Row, ...]:
+def study(plan: Plan, workers: Workers, report: Report) -> tuple[Row, ...]:
     """Run a plan. Raises ConfigError (a sensor cannot be calibrated) and DeviceError (a worker was killed)."""
     names = list(dict.fromkeys(name for group in plan.groups for name, _ in group.sensors))
-    found = dict(zip(names, calibrate_sensors(names, REFERENCES, PRESSES, cores, report), strict=True))
+    found = dict(zip(names, calibrate_sensors(names, REFERENCES, PRESSES, workers, report), strict=True))
     tasks: list[_Task] = [
         (plan, group, name, coulomb, found[name].calibration, what)
         for group in plan.groups
         for name, coulomb in group.sensors
         for what in group.objects
     ]
-    return tuple(chain.from_iterable(reported_map(_rows, tasks, cores, report, "objects that are loaded and held")))
+    return tuple(chain.from_iterable(reported_map(_rows, tasks, workers, report, "objects that are loaded and held")))
 
 
 class _Drawn:

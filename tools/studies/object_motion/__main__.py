@@ -3,7 +3,7 @@
 ::
 
     .venv/bin/python -m tools.studies.object_motion [--trials 20] [--rest-s 600] [--csv FILE]
-    .venv/bin/python -m tools.studies.object_motion --drawn 3 [--final] [--csv FILE]
+    .venv/bin/python -m tools.studies.object_motion --drawn 3 [--final] [--csv FILE] [--cluster tcp://HOST:8786]
 
 The first draws the errors of patches as they were measured; the second has a simulated hand hold an object, draws what
 each of five fingers sees, and reconstructs that: a minute of a core for each trial.
@@ -15,8 +15,11 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
+from tacshade_edge.cli.shared import study
 from tacshade_edge.cli.shared.progress import Progress
+from tacshade_edge.studies.parallel import workers
 from tacshade_edge.studies.tables import csv_text
+from tools.studies import command
 from tools.studies.object_motion import drawn
 from tools.studies.object_motion.grasps import Plan, trials
 from tools.studies.object_motion.score import MotionRow, score
@@ -31,9 +34,12 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--drawn", type=int, metavar="N", help="pictures instead, so many of each object and family")
     parser.add_argument("--final", action="store_true", help="with --drawn: the sensors kept for final figures")
     parser.add_argument("--csv", type=Path, metavar="FILE", help="write a row for each trial")
+    study.add_cluster(parser)
     args = parser.parse_args(words)
     if args.drawn:
-        rows = drawn.rows(args.drawn, Progress(), drawn.FINAL_FAMILIES if args.final else drawn.FAMILIES)
+        families = drawn.FINAL_FAMILIES if args.final else drawn.FAMILIES
+        with command.folder_for(parser, None), workers(args.cluster) as pool:
+            rows = drawn.rows(args.drawn, pool, Progress(), families)
     else:
         rows = [score(trial) for trial in trials(Plan(args.trials, rest_s=args.rest_s))]
     print(text(rows))

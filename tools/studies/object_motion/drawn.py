@@ -19,7 +19,7 @@ from tacshade_edge.simulator.hand.held import Placement
 from tacshade_edge.simulator.hand.script import HandScript
 from tacshade_edge.simulator.objects import Shape
 from tacshade_edge.studies.evaluate.sensors import calibrated, reconstructor
-from tacshade_edge.studies.parallel import Report, reported_map, usable_cores
+from tacshade_edge.studies.parallel import Report, Workers, reported_map
 from tacshade_edge.types import F64, Frame
 from tools.studies.object_motion.score import MotionRow, score
 from tools.studies.object_motion.trial import Moment, Trial
@@ -93,9 +93,9 @@ def trial(drawing: Drawing) -> Trial:
     return Trial(drawing.body, drawing.family, "drawn", 5, np.vstack((middle_mm, points_mm)), moments())
 
 
-def rows(trials: int, report: Report, families: Sequence[str] = FAMILIES) -> list[MotionRow]:
-    """Draw and score so many trials of each object and family, on all cores."""
-    return list(reported_map(_row, drawings(trials, families), usable_cores(), report, "hands"))
+def rows(trials: int, workers: Workers, report: Report, families: Sequence[str] = FAMILIES) -> list[MotionRow]:
+    """Draw and score so many trials of each object and family."""
+    return list(reported_map(_row, drawings(trials, families), workers, report, "hands"))
 
 
 def _row(drawing: Drawing) -> MotionRow:

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from tacshade_edge.cli.shared.progress import Progress
-from tacshade_edge.studies.parallel import usable_cores
+from tacshade_edge.studies.parallel import workers
 from tacshade_edge.studies.tables import csv_text
 from tools.studies import command
 from tools.studies.drag.work import SENSORS
@@ -29,8 +29,8 @@ def main(words: Sequence[str] | None = None) -> None:
     if "paper" in args.profile:
         parser.error("--profile: found paper, which gives no errors")
     plan = Plan(args.sensors, tuple(args.profile), args.objects, args.references, args.presses)
-    with command.folder_for(parser, args.out):
-        found = study(plan, usable_cores(), Progress())
+    with command.folder_for(parser, args.out), workers(args.cluster) as pool:
+        found = study(plan, pool, Progress())
         rows = {"": csv_text(SigmaRow, [each.row for each in found])}
         command.publish(args, "sigma", text(found), rows, lambda: {"sigma.png": draw(found)})
 

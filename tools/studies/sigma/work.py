@@ -16,7 +16,7 @@ from tacshade_edge.simulator.scene import SimulatedFrame
 from tacshade_edge.simulator.truth import skin_points
 from tacshade_edge.studies.cases import calibrate_sensors
 from tacshade_edge.studies.evaluate.sensors import PRESSES, REFERENCES, SensorName, reconstructor
-from tacshade_edge.studies.parallel import Report, reported_map
+from tacshade_edge.studies.parallel import Report, Workers, reported_map
 from tacshade_edge.types import F32, F64, Bool, Calibration, Frame, freeze
 from tools.studies.drag.work import CONDITIONS
 from tools.studies.drag.work import presses as drag_presses
@@ -77,12 +77,12 @@ class Found:
         freeze(self, "error_mm", "sigma_mm")
 
 
-def study(plan: Plan, cores: int, report: Report) -> tuple[Found, ...]:
+def study(plan: Plan, workers: Workers, report: Report) -> tuple[Found, ...]:
     """Run a plan. Raises ConfigError (a sensor cannot be calibrated) and DeviceError (a worker was killed)."""
-    made = calibrate_sensors(plan.sensors, plan.references, plan.presses, cores, report)
+    made = calibrate_sensors(plan.sensors, plan.references, plan.presses, workers, report)
     known = [(plan, name, each.calibration) for name, each in zip(plan.sensors, made, strict=True)]
     tasks = [(*each, what) for each in known for what in plan.objects]
-    return tuple(each for some in reported_map(_found, tasks, cores, report, "objects pressed") for each in some)
+    return tuple(each for some in reported_map(_found, tasks, workers, report, "objects pressed") for each in some)
 
 
 def presses(model: SensorModel, seed: int | None, object_name: str) -> Iterator[tuple[float, Press]]:

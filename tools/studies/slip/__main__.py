@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from tacshade_edge.cli.shared.progress import Progress
-from tacshade_edge.studies.parallel import usable_cores
+from tacshade_edge.studies.parallel import workers
 from tacshade_edge.studies.tables import csv_text
 from tools.studies import command
 from tools.studies.slip.summary import text
@@ -26,8 +26,8 @@ def main(words: Sequence[str] | None = None) -> None:
     args = parser.parse_args(words)
     if any(sensor.family != "tacshade" for sensor in args.sensors):
         parser.error("--sensors: only the family tacshade moves in time")
-    with command.folder_for(parser, args.out):
-        rows = study(Plan(args.sensors, tuple(args.profile)), usable_cores(), Progress())
+    with command.folder_for(parser, args.out), workers(args.cluster) as pool:
+        rows = study(Plan(args.sensors, tuple(args.profile)), pool, Progress())
         files = {name: csv_text(kind, [row for row in rows if isinstance(row, kind)]) for name, kind in KINDS.items()}
         command.publish(args, "slip", text(rows), files)
 

@@ -16,7 +16,7 @@ from tacshade_edge.simulator.objects import OBJECTS
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.studies.cases import calibrate_sensors
 from tacshade_edge.studies.evaluate.sensors import PRESSES, REFERENCES, SensorName, reconstructor
-from tacshade_edge.studies.parallel import Report, reported_map
+from tacshade_edge.studies.parallel import Report, Workers, reported_map
 from tacshade_edge.types import Calibration, Frame, Need, Slip
 from tools.testbed.simulator.motion import Motion, pressed
 from tools.testbed.simulator.moving_scene import MovingScene
@@ -119,13 +119,13 @@ class ReleaseRow:
 Row = SlideRow | HeldRow | ReleaseRow
 
 
-def study(plan: Plan, cores: int, report: Report) -> tuple[Row, ...]:
+def study(plan: Plan, workers: Workers, report: Report) -> tuple[Row, ...]:
     """Run a plan. Raises ConfigError (a sensor cannot be calibrated) and DeviceError (a worker was killed)."""
-    found = calibrate_sensors(plan.sensors, REFERENCES, PRESSES, cores, report)
+    found = calibrate_sensors(plan.sensors, REFERENCES, PRESSES, workers, report)
     known = [(plan, name, made.calibration) for name, made in zip(plan.sensors, found, strict=True)]
     tasks = [(*each, what, speed) for each in known for what in plan.objects for speed in (*plan.speeds_mm_s, 0.0)]
     tasks.sort(key=lambda task: task[-1])  # those that are held, the longest, first
-    return tuple(chain.from_iterable(reported_map(_rows, tasks, cores, report, "objects that slide or are held")))
+    return tuple(chain.from_iterable(reported_map(_rows, tasks, workers, report, "objects that slide or are held")))
 
 
 def _rows(task: tuple[Plan, SensorName, Calibration, str, float]) -> list[Row]:

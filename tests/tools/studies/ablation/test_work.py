@@ -12,6 +12,7 @@ from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.scene import SimulatedSensor
 from tacshade_edge.studies.evaluate.score import Row
 from tacshade_edge.studies.evaluate.summary import figures
+from tacshade_edge.studies.parallel import ThisProcess
 from tacshade_edge.studies.tables import csv_text
 from tools.studies.ablation.perfected import PerfectedNetwork, true_answer
 from tools.studies.ablation.work import VARIANTS, AblationRow, Plan, ablate, object_rows, text
@@ -23,7 +24,7 @@ PLAN = Plan((HALF_SENSOR,), objects=("ball", "cube"), references=3, presses=10, 
 @pytest.fixture(scope="module")
 def found() -> Iterator[tuple[tuple[str, Row], ...]]:
     with half_family():
-        yield ablate(PLAN, 1, lambda what, done, total: None)
+        yield ablate(PLAN, ThisProcess(), lambda what, done, total: None)
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ import pytest
 from support.half_family import HALF_SENSOR, half_family
 
 from tacshade_edge.simulator.skin import press_skin
+from tacshade_edge.studies.parallel import ThisProcess
 from tacshade_edge.studies.tables import csv_text
 from tools.studies.limits import picture
 from tools.studies.limits.summary import text
@@ -43,7 +44,7 @@ def test_a_press_reaches_the_wanted_greatest_height(place: tuple[float, float], 
 @pytest.fixture(scope="module")
 def found() -> Iterator[Limits]:
     with half_family():
-        yield limits(PLAN, 1, lambda what, done, total: None)
+        yield limits(PLAN, ThisProcess(), lambda what, done, total: None)
 
 
 @pytest.mark.slow
@@ -75,5 +76,5 @@ def test_the_text_and_the_plots_show_every_profile(found: Limits) -> None:
 @pytest.mark.slow
 def test_the_same_plan_gives_the_same_rows(found: Limits) -> None:
     with half_family():
-        again = limits(PLAN, 1, lambda what, done, total: None)
+        again = limits(PLAN, ThisProcess(), lambda what, done, total: None)
     assert [rows for _, rows in again.tables()] == [rows for _, rows in found.tables()]

@@ -1,6 +1,7 @@
-// How the skin moved, as arrows over the height map: from where it was to where it is.
+// What is drawn over the height map: how the skin moved, from where it was to where it is, and which cells deserve less trust.
 
 const LEAST_MM = 0.1, ACROSS = 15, HEAD = 0.35;
+const STROKES_ACROSS = 56, NINETY_PERCENT = 1.645; // standard deviations
 
 /** Draw a decoded `shear` into an SVG path, in image pixels; nothing where nothing moved, or without both. */
 export function drawArrows(path, shear, geometry) {
@@ -15,6 +16,24 @@ export function drawArrows(path, shear, geometry) {
         const dx = x_mm / geometry.mm_per_px, dy = y_mm / geometry.mm_per_px, hx = HEAD * dx, hy = HEAD * dy;
         const point = (px, py) => `${px.toFixed(1)} ${py.toFixed(1)}`;
         parts.push(`M${point(x - dx, y - dy)}L${point(x, y)}M${point(x - hx - hy / 2, y - hy + hx / 2)}L${point(x, y)}L${point(x - hx + hy / 2, y - hy - hx / 2)}`);
+      }
+    }
+  }
+  path.setAttribute("d", parts.join(""));
+  return parts.length;
+}
+
+/** Strokes over the touched cells whose 90 % interval holds no depth at all; nothing without both maps of one grid. */
+export function drawDoubts(path, map, sigma, geometry) {
+  const parts = [];
+  if (map && geometry && sigma?.rows === map.rows && sigma.cols === map.cols) {
+    const every = Math.max(1, Math.round((2 * geometry.radius_px) / map.step_px / STROKES_ACROSS)), half = (every * map.step_px) / 3;
+    for (let i = 0; i < map.rows; i += every) {
+      for (let j = 0; j < map.cols; j += every) {
+        const at = i * map.cols + j;
+        if (!(NINETY_PERCENT * sigma.sigma_mm[at] >= map.height_mm[at])) continue;
+        const x = map.col0 + j * map.step_px, y = map.row0 + i * map.step_px;
+        parts.push(`M${(x - half).toFixed(1)} ${(y + half).toFixed(1)}l${(2 * half).toFixed(1)} ${(-2 * half).toFixed(1)}`);
       }
     }
   }

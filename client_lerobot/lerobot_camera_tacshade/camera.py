@@ -1,0 +1,174 @@
+"""The camera that LeRobot makes of a `TacShadeCameraConfig`."""
+
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+from typing import Any, Final
+
+from lerobot.cameras.camera import Camera
+from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
+from tacshade_client import DecodeError, DeviceError, Info, Listener, listen
+
+from .colours import U8
+from .config import SIZE_PX, TacShadeCameraConfig
+from .pictures import TOPICS, Pictures
+
+_CONNECT_S: Final = 5.0
+_POLL_S: Final = 0.2
+_FIND_S: Final = 1.0
+
+
+class TacShadeCamera(Camera):
+    """A sensor's height and shear as RGB (`colours.to_rgb`), received in a thread of its own.
+
+    A touched sensor has a picture for each frame. An untouched one publishes only ten times a second, and its picture
+    does not change, so `async_read` does not wait for it.
+    """
+
+    def __init__(self, config: TacShadeCameraConfig) -> None:
+        super().__init__(config)
+        self.config = config
+        self._came = threading.Condition()
+        self._listener: Listener | None = None
+        self._thread: threading.Thread | None = None
+        self._latest: U8 | None = None
+        self._latest_s = 0.0
+        self._fresh = self._touched = False
+
+    def __str__(self) -> str:
+        return f"TacShadeCamera({self.config.broker}, {self.config.sensor})"
+
+    @property
+    def is_connected(self) -> bool:
+        """Between `connect` and `disconnect`, also while the broker is away."""
+        return self._listener is not None
+
+    @staticmethod
+    def find_cameras() -> list[dict[str, Any]]:
+        """Sensors of the broker on this machine."""
+        found: list[dict[str, Any]] = []
+        try:
+            with listen("localhost", "+", ["info"]) as messages:
+                end_s = time.monotonic() + _FIND_S
+                while (message := messages.get(end_s - time.monotonic())) is not None:
+                    if isinstance(message.value, Info):
+                        size = {"width": SIZE_PX, "height": SIZE_PX}
+                        found.append({"type": "tacshade", "id": message.name, "default_stream_profile": size})
+        except DeviceError:
+            pass
+        return found
+
+    def connect(self, warmup: bool = True) -> None:
+        """Begin to listen, and wait for the first picture if asked for.
+
+        Raises
+        ------
+        DeviceAlreadyConnectedError
+        ConnectionError
+            No broker, it does not let us in, or no sensor publishes a picture within 5 s.
+        """
+        if self.is_connected:
+            raise DeviceAlreadyConnectedError(f"{self} is connected already")
+        config = self.config
+        password = None
+        if config.password_file is not None:
+            password = Path(config.password_file).read_text(encoding="utf-8").partition("\n")[0]
+        try:
+            self._listener = listen(
+                config.broker,
+                config.sensor,
+                TOPICS,
+                username=config.username,
+                password=password,
+                ca_file=config.ca_file,
+            )
+        except DeviceError as error:
+            raise ConnectionError(f"{self}: {error}") from error
+        self._latest, self._fresh = None, False
+        self._thread = threading.Thread(target=self._receive, args=(self._listener,), name="tacshade", daemon=True)
+        self._thread.start()
+        if warmup:
+            try:
+                self.async_read(timeout_ms=1000 * _CONNECT_S)
+            except TimeoutError as error:
+                self.disconnect()
+                raise ConnectionError(f"{error}; expected a calibrated sensor of that name") from None
+
+    def read(self) -> U8:
+        """The next picture; waits at most a second. Raises TimeoutError, DeviceNotConnectedError."""
+        return self.async_read(timeout_ms=1000)
+
+    def async_read(self, timeout_ms: float = 200) -> U8:
+        """The newest picture that was not read yet; of an untouched sensor the newest at once.
+
+        Returns
+        -------
+        uint8 (height, width, 3)
+            RGB, read-only.
+
+        Raises
+        ------
+        TimeoutError
+            None came in time.
+        DeviceNotConnectedError
+        """
+        self._check()
+        with self._came:
+            self._came.wait_for(self._readable, timeout_ms / 1000)
+            if not self._readable() or self._latest is None:
+                raise TimeoutError(f"{self}: no picture within {timeout_ms:.0f} ms")
+            self._fresh = False
+            return self._latest
+
+    def read_latest(self, max_age_ms: int = 500) -> U8:
+        """The newest picture, read or not.
+
+        Raises
+        ------
+        TimeoutError
+            It is older.
+        RuntimeError
+            None has come yet.
+        DeviceNotConnectedError
+        """
+        self._check()
+        with self._came:
+            if self._latest is None:
+                raise RuntimeError(f"{self}: no picture has come yet")
+            if (age_ms := 1000 * (time.monotonic() - self._latest_s)) > max_age_ms:
+                raise TimeoutError(f"{self}: the newest picture is {age_ms:.0f} ms old, more than {max_age_ms}")
+            return self._latest
+
+    def disconnect(self) -> None:
+        """Listen no more. Raises DeviceNotConnectedError."""
+        self._check()
+        listener, self._listener = self._listener, None
+        if listener is not None:
+            listener.close()
+        if self._thread is not None:
+            self._thread.join()
+
+    def _check(self) -> None:
+        if not self.is_connected:
+            raise DeviceNotConnectedError(f"{self} is not connected")
+
+    def _readable(self) -> bool:
+        """With the lock."""
+        recent = time.monotonic() - self._latest_s < 2 * _POLL_S
+        return self._latest is not None and (self._fresh or (not self._touched and recent))
+
+    def _receive(self, listener: Listener) -> None:
+        pictures = Pictures(self.width or SIZE_PX)
+        for message in listener:
+            try:
+                picture = pictures.add(message)
+            except DecodeError:
+                continue  # what belongs together does not fit: no picture
+            if picture is not None:
+                picture.setflags(write=False)
+                with self._came:
+                    self._latest, self._latest_s, self._fresh = picture, time.monotonic(), True
+                    self._touched = bool(message.value.contact)
+                    self._came.notify_all()

@@ -1,0 +1,59 @@
+"""Height and shear as a picture that an image encoder learns from, and back. Pure."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+F32 = npt.NDArray[np.float32]
+U8 = npt.NDArray[np.uint8]
+
+STEP_MM: Final = 0.025
+"""Of one grey level, in all channels."""
+_HEIGHT_ZERO, _SHEAR_ZERO = 1, 128
+
+
+def to_rgb(height_mm: F32, shear_mm: F32 | None) -> U8:
+    """Colours of a height map and its shear.
+
+    Parameters
+    ----------
+    height_mm : float32 (rows, cols)
+        NaN outside the visible circle; 0 to 6.35 mm, clipped to that.
+    shear_mm : float32 (rows, cols, 2) or None
+        Along x and y, within ±3.175 mm, clipped to that; None is no shear.
+
+    Returns
+    -------
+    uint8 (rows, cols, 3)
+        Red 1 + h / `STEP_MM`, green and blue 128 + shear / `STEP_MM`, rounded, at least 1; 0 outside the circle.
+    """
+    picture = np.full((*height_mm.shape, 3), float(_SHEAR_ZERO), np.float32)
+    picture[..., 0] = _HEIGHT_ZERO + height_mm / STEP_MM
+    if shear_mm is not None:
+        picture[..., 1:] += np.nan_to_num(shear_mm, nan=0.0, posinf=None, neginf=None) / STEP_MM
+    np.clip(np.rint(picture, out=picture), 1, 255, out=picture)
+    picture[np.isnan(height_mm)] = 0
+    return picture.astype(np.uint8)
+
+
+def to_mm(picture: U8) -> tuple[F32, F32]:
+    """The inverse of `to_rgb`, to half of `STEP_MM` within its ranges.
+
+    Parameters
+    ----------
+    picture : uint8 (rows, cols, 3)
+
+    Returns
+    -------
+    height_mm : float32 (rows, cols)
+    shear_mm : float32 (rows, cols, 2)
+        Both NaN outside the circle.
+    """
+    outside = (picture == 0).any(axis=-1)
+    zero = np.array((_HEIGHT_ZERO, _SHEAR_ZERO, _SHEAR_ZERO), np.float32)
+    values = (picture.astype(np.float32) - zero) * np.float32(STEP_MM)
+    values[outside] = np.nan
+    return values[..., 0], values[..., 1:]

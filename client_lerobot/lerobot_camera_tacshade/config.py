@@ -1,0 +1,41 @@
+"""What LeRobot's command line and files say of such a camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lerobot.cameras.configs import CameraConfig
+
+SIZE_PX = 112
+
+
+@CameraConfig.register_subclass("tacshade")
+@dataclass(kw_only=True)
+class TacShadeCameraConfig(CameraConfig):
+    """A sensor on a broker.
+
+    Attributes
+    ----------
+    sensor : str
+        Its ``sensor_id``.
+    broker : str
+        ``HOST`` or ``HOST:PORT``.
+    username, password_file : str or None
+        For a broker that asks; the password is the file's first line.
+    ca_file : str or None
+        TLS is used when given: the authority that signed the broker's certificate.
+    width, height : int
+        Of the picture; equal, since the visible circle fills it.
+    """
+
+    sensor: str
+    broker: str = "localhost:1883"
+    username: str | None = None
+    password_file: str | None = None
+    ca_file: str | None = None
+    width: int | None = SIZE_PX
+    height: int | None = SIZE_PX
+
+    def __post_init__(self) -> None:
+        if self.width != self.height or not self.width or not 8 <= self.width <= 1024:
+            raise ValueError(f"found a size of {self.width} x {self.height}, expected a square of 8 to 1024")

@@ -1,0 +1,133 @@
+// The recordings in a folder of the page's own machine: each command is a WebSocket of its own to the page's server.
+
+import { cut } from "./bounds.js";
+import { element, number } from "./panels.js";
+
+const FOLD_BYTES = 1 << 24; // pieces that are put together leave the page's memory
+const $ = (id) => document.getElementById(id);
+
+export class Recordings {
+  /** There is a list at all: the server has been given a folder. readOnly: nothing may be played or deleted. played(sensor): a recording is, as this sensor. */
+  constructor({ listed, readOnly, played }) {
+    Object.assign(this, { listed, readOnly, played, playing: null });
+    // A page that is left may be kept with its connections, for who comes back.
+    addEventListener("pagehide", () => this.playing?.socket.close());
+    this.refresh();
+  }
+
+  async refresh() {
+    if (!this.listed) return;
+    try {
+      const { recordings } = await command({ action: "list" }).answered;
+      this.show(recordings);
+    } catch (error) {
+      this.say("bad", error.message);
+    }
+  }
+
+  show(recordings) {
+    $("recordings").hidden = recordings.length === 0;
+    $("recordings-list").replaceChildren(...recordings.map((recording) => this.row(recording)));
+  }
+
+  row({ name, frames, size_bytes, began_ns, is_growing }) {
+    const facts = [new Date(began_ns / 1e6).toLocaleString(), frames === null ? "" : `${frames} frames`, size_bytes === null ? "" : `${number(size_bytes / 1e6, 1)} MB`, is_growing ? "being written" : frames === null ? "not ended" : ""];
+    const button = (words, act, disabled) => element("button", { type: "button", textContent: words, ariaLabel: `${words} ${name}`, disabled, onclick: act });
+    const may = !is_growing && !this.readOnly, is_played = this.playing?.name === name;
+    const buttons = [
+      is_played ? button("End", () => this.playing.socket.close(), false) : button("Play", () => this.play(name), !may || this.playing !== null),
+      button("Download", (event) => this.download(name, event.target), is_growing),
+      button("Delete", () => this.remove(name), !may || is_played),
+    ];
+    return element("li", {}, element("b", { textContent: name }), element("small", { textContent: facts.filter(Boolean).join(" · ") }), element("span", {}, ...buttons.flatMap((one) => [one, " "])));
+  }
+
+  /** It plays for as long as this page holds the connection. */
+  async play(name) {
+    this.say("wait", `starting ${name} …`);
+    const { socket, answered, closed } = command({ action: "play", name });
+    this.playing = { name, socket };
+    try {
+      const { sensor } = await answered;
+      this.say("good", `${name} plays as the sensor “${sensor}” while this page is open`);
+      this.refresh();
+      this.played(sensor);
+      const error = await closed;
+      this.say(error ? "bad" : "off", error || `${name} is no longer played`);
+    } catch (error) {
+      this.say("bad", error.message);
+    }
+    this.playing = null;
+    this.refresh();
+  }
+
+  async download(name, button) {
+    button.disabled = true;
+    try {
+      const whole = await fetchTar(name, (share) => this.say("wait", `${name}: ${number(100 * share)} %`));
+      const link = element("a", { href: URL.createObjectURL(whole), download: `${name.replaceAll("/", "-")}.tar` });
+      link.click();
+      setTimeout(() => URL.revokeObjectURL(link.href), 60000);
+      this.say("good", `${name} is downloaded, ${number(whole.size / 1e6, 1)} MB`);
+    } catch (error) {
+      this.say("bad", error.message);
+    }
+    button.disabled = false;
+  }
+
+  async remove(name) {
+    if (!confirm(`Delete the recording ${name}? It cannot be brought back.`)) return;
+    try {
+      await command({ action: "delete", name }).answered;
+      this.say("good", `${name} is deleted`);
+    } catch (error) {
+      this.say("bad", error.message);
+    }
+    this.refresh();
+  }
+
+  say(level, words) {
+    $("recordings").hidden = false;
+    $("recordings-words").dataset.level = level;
+    $("recordings-words").textContent = cut(words);
+  }
+}
+
+/** answered: the first answer; rejects with what failed. closed: why the connection ended later; empty where it simply did. piece(data): what comes in between. */
+function command(asked, piece = () => {}) {
+  const url = new URL("recordings", location.href);
+  url.protocol = url.protocol === "https:" ? "wss:" : "ws:";
+  url.search = url.hash = "";
+  const socket = new WebSocket(url, "tacshade-recordings"), answered = Promise.withResolvers(), closed = Promise.withResolvers();
+  let error = "";
+  socket.addEventListener("open", () => socket.send(JSON.stringify(asked)));
+  socket.addEventListener("message", ({ data }) => {
+    if (typeof data !== "string") return piece(data);
+    const answer = JSON.parse(data);
+    if (answer.ok) return answered.resolve(answer);
+    error = answer.error;
+    answered.reject(new Error(error));
+  });
+  socket.addEventListener("close", () => {
+    answered.reject(new Error("the dashboard’s server does not answer"));
+    closed.resolve(error);
+  });
+  return { socket, answered: answered.promise, closed: closed.promise };
+}
+
+async function fetchTar(name, progress) {
+  let parts = [], fresh = 0, whole = 0, expected = 0;
+  const { answered, closed } = command({ action: "download", name }, (data) => {
+    parts.push(data);
+    whole += data.size;
+    fresh += data.size;
+    if (fresh < FOLD_BYTES) return;
+    [parts, fresh] = [[new Blob(parts)], 0];
+    progress(whole / expected);
+  });
+  expected = (await answered).bytes;
+  progress(0);
+  const error = await closed;
+  if (error || whole !== expected) throw new Error(error || `${name}: the connection ended after ${number(whole / 1e6, 1)} of ${number(expected / 1e6, 1)} MB`);
+  return new Blob(parts, { type: "application/x-tar" });
+}

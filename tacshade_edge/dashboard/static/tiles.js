@@ -1,0 +1,30 @@
+// The numbers of a contact and of the sensor's pace, in tiles that keep their width. What is not known has an empty tile's place.
+
+import { number } from "./panels.js";
+
+const SLIPS = [["sticks", "good"], ["in part", "warn"], ["slides", "bad"]];
+
+export function showContact(contact) {
+  const free = contact?.contact === 0, { objects, slip } = contact ?? {};
+  put("n-contact", !contact ? "" : free ? "none" : objects === 1 ? "1 object" : `${number(objects)} objects`, contact && !free ? "good" : undefined);
+  const [words, level] = free ? ["none"] : SLIPS[slip] ?? [""];
+  put("n-slip", words, level);
+  put("n-depth", number(contact?.depth_max_mm, 2));
+  put("n-area", number(contact?.area_mm2, 1));
+  put("n-volume", number(contact?.volume_mm3, 1));
+  put("n-place", free ? "nowhere" : Number.isFinite(contact?.x_mm) ? `${number(contact.x_mm, 1)}, ${number(contact.y_mm, 1)} mm` : "");
+}
+
+export function showRates(health) {
+  put("n-fps", number(health?.delivered_fps, 1));
+  put("n-latency", number(health?.latency_ms?.p50));
+  put("n-latency-99", number(health?.latency_ms?.p99));
+}
+
+function put(id, text, level) {
+  const output = document.getElementById(id);
+  if (output.value !== text) output.value = text;
+  if (level) output.dataset.level = level;
+  else delete output.dataset.level;
+  output.closest("div").classList.toggle("is-unknown", text === "");
+}

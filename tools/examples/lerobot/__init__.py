@@ -1,0 +1,1 @@
+"""A data set of LeRobot from a running sensor, as a camera of its own kind."""

@@ -1,0 +1,99 @@
+#!/usr/bin/env python3
+"""Record a sensor as a camera of LeRobot, open the data set with LeRobot's loader, compare every pixel.
+
+::
+
+    python tools/examples/lerobot/record.py localhost:1883 left-index [--seconds 20] [--root touch]
+
+For the Python that has LeRobot, tacshade-client and lerobot_camera_tacshade, and not this package.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from lerobot.cameras.configs import CameraConfig
+from lerobot.cameras.utils import make_cameras_from_configs
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
+from lerobot.utils.import_utils import register_third_party_plugins
+
+KEY = "observation.images.touch"
+FPS, WAIT_S = 20, 20
+
+
+def main() -> int:
+    """Record, read back, print what was found as JSON."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("broker")
+    parser.add_argument("sensor")
+    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--root", type=Path, default=Path("touch"), help="a folder that is not there yet")
+    args = parser.parse_args()
+    register_third_party_plugins()
+    # As LeRobot's command line makes it of --robot.cameras='{touch: {type: tacshade, ...}}'.
+    config = CameraConfig.get_choice_class("tacshade")(broker=args.broker, sensor=args.sensor)
+    camera = make_cameras_from_configs({"touch": config})["touch"]
+    shape = (camera.height, camera.width, 3)
+    features = {
+        KEY: {"dtype": "image", "shape": shape, "names": ["height", "width", "channels"]},
+        "observation.state": {"dtype": "float32", "shape": (1,), "names": ["time_s"]},
+    }
+    name = f"tacshade/{args.sensor}"
+    dataset = LeRobotDataset.create(name, FPS, features, root=args.root, use_videos=False)
+    seen, late = [], 0
+    camera.connect()
+    began_s = time.monotonic()
+    for k in range(round(args.seconds * FPS)):
+        picture = camera.async_read(timeout_ms=1000 * WAIT_S)
+        seen.append(picture)
+        state = np.array([k / FPS], np.float32)
+        dataset.add_frame({KEY: picture, "observation.state": state, "task": "be touched"})
+        left_s = began_s + (k + 1) / FPS - time.monotonic()
+        late += left_s < 0
+        time.sleep(max(0.0, left_s))
+    took_s = time.monotonic() - began_s
+    camera.disconnect()
+    dataset.save_episode()
+    dataset.finalize()
+    print(json.dumps(compared(name, args.root, seen) | {"seconds": round(took_s, 1), "late": late}))
+    return 0
+
+
+def compared(name: str, root: Path, seen: list[np.ndarray]) -> dict[str, object]:
+    """What LeRobot's loader gives, against what was recorded."""
+    from lerobot_camera_tacshade import to_mm
+
+    opened = LeRobotDataset(name, root=root)
+    grey_max, equal, error_mm, depth_mm, shear_mm, touched = 0, 0, 0.0, 0.0, 0.0, 0
+    for k, expected in enumerate(seen):
+        loaded = np.asarray(opened[k][KEY])  # float32 (3, rows, cols), 0 to 1
+        found = np.rint(np.moveaxis(loaded, 0, -1) * 255).astype(np.uint8)
+        off = np.abs(found.astype(int) - expected)
+        grey_max, equal = max(grey_max, int(off.max())), equal + int(not off.any())
+        (height, _), (true_height, true_shear) = to_mm(found), to_mm(expected)
+        inside = ~np.isnan(true_height)
+        error_mm = max(error_mm, float(np.nanmax(np.abs(height - true_height)[inside])))
+        depth_mm = max(depth_mm, float(np.nanmax(true_height)))
+        shear_mm = max(shear_mm, float(np.nanmax(np.abs(true_shear))))
+        touched += bool(np.nanmax(true_height) > 0)
+    return {
+        "frames": len(opened),
+        "recorded": len(seen),
+        "shape": list(loaded.shape),
+        "frames_equal": equal,
+        "greatest_difference_grey": grey_max,
+        "greatest_height_difference_mm": round(error_mm, 4),
+        "deepest_mm": round(depth_mm, 3),
+        "greatest_shear_mm": round(shear_mm, 3),
+        "frames_touched": touched,
+        "bytes": sum(path.stat().st_size for path in root.rglob("*") if path.is_file()),
+    }
+
+
+if __name__ == "__main__":
+    sys.exit(main())

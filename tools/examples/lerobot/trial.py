@@ -1,0 +1,56 @@
+#!/usr/bin/env python3
+"""`record` against a daemon on the simulated sensor, through mosquitto.
+
+::
+
+    .venv/bin/python -m tools.examples.lerobot.trial --python ENV/bin/python [--seconds 20]
+
+ENV is LeRobot's own environment, with `pip install ./client ./client_lerobot`: it pins another OpenCV than ours.
+"""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from tacshade_edge.demo.sensor import make_calibration
+from tacshade_edge.storage.calibration import calibration_file
+from tools.testbed.daemon_rig import broker
+
+RECORD = Path(__file__).parent / "record.py"
+SENSOR_ID = "left-index"
+SETTINGS = """\
+sensor_id: {sensor_id}
+calibration: cal.npz
+source: {{kind: simulated, fps: 15}}
+mqtt: {{host: 127.0.0.1, port: {port}}}
+"""
+
+
+def main() -> int:
+    """Calibrate the simulated sensor, run its daemon, record."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--python", type=Path, required=True, help="that has LeRobot and the plugin")
+    parser.add_argument("--seconds", type=float, default=20.0)
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name, broker(Path(name)) as port:
+        folder = Path(name)
+        calibration_file.save(folder / "cal.npz", make_calibration())
+        (folder / "config.yaml").write_text(SETTINGS.format(sensor_id=SENSOR_ID, port=port))
+        command = [sys.executable, "-m", "tacshade_edge", "run", "--config", str(folder / "config.yaml")]
+        daemon = subprocess.Popen(command)
+        try:
+            words = [str(args.python), str(RECORD), f"127.0.0.1:{port}", SENSOR_ID, "--root", str(folder / "touch")]
+            words += ["--seconds", str(args.seconds)]
+            return subprocess.run(words, check=False).returncode
+        finally:
+            daemon.send_signal(signal.SIGTERM)
+            daemon.wait()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
