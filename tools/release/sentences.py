@@ -135,7 +135,7 @@ def _of_parser(parser: argparse.ArgumentParser) -> Iterator[Sentence]:
                 yield from _of_parser(child)
         elif action.help and action.help != argparse.SUPPRESS:
             name = action.option_strings[-1] if action.option_strings else action.metavar or action.dest
-            yield Sentence(f"{parser.prog} {name}", action.help)
+            yield Sentence(f"{parser.prog} {name}", action.help.replace("%(default)s", str(action.default)))
 
 
 def _of_messages() -> Iterator[Sentence]:

@@ -30,7 +30,7 @@ def test_columns_in_any_order_as_a_spreadsheet_writes_them(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", r"labels.csv:1: found the header nothing, expected image"),
+        ("", r"labels.csv:1: found no header, expected image"),
         ("image,depth\na,1\n", r"labels.csv:1: depth: found an unknown column, expected image, group and any of"),
         ("image,group\na,1\n", r"labels.csv:1: found no quantity, expected some of depth_mm"),
         (HEADER, "found no image, expected a row for each"),

@@ -82,7 +82,7 @@ def test_a_header_alone_has_no_press(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", r"PRESSES\.csv:1: found the header nothing, expected image,indenter"),
+        ("", r"PRESSES\.csv:1: found no header, expected image,indenter"),
         (GOOD, r":1: found the header a\.png"),
         (HEADER.replace("y_mm", "x_mm") + GOOD, ":1: found the header .*, expected image,.*: y_mm missing"),
         (HEADER.strip() + ",x_mm\n" + GOOD, ":1: x_mm: found 2 such columns, expected one"),
