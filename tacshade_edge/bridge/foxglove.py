@@ -151,7 +151,7 @@ class _Sensor:
     def _height(self, payload: bytes) -> None:
         message = wire.decode(payload)
         if not isinstance(message, HeightMessage):
-            raise DecodeError("height: found another kind of payload")
+            raise DecodeError("height: found a different kind of payload")
         known = self._info.geometry
         if known is not None and (message.height_mm > known.skin_radius_mm).any():
             raise DecodeError(f"height: found more than the skin's radius of {known.skin_radius_mm:g} mm")
@@ -168,7 +168,7 @@ class _Sensor:
     def _cloud(self, payload: bytes) -> CloudMessage:
         message = wire.decode(payload)
         if not isinstance(message, CloudMessage):
-            raise DecodeError("cloud: found another kind of payload")
+            raise DecodeError("cloud: found a different kind of payload")
         return message
 
     def _pose(self, message: HeightMessage | CloudMessage) -> None:
@@ -191,7 +191,7 @@ class _Sensor:
         one = message()
         payload: bytes = one if isinstance(one, bytes) else one.encode()
         if len(payload) > MESSAGE_BYTES_MAX:
-            raise DecodeError(f"{name}: {len(payload)} bytes for a viewer, at most {MESSAGE_BYTES_MAX} are shown")
+            raise DecodeError(f"{name}: {len(payload)} bytes, expected at most {MESSAGE_BYTES_MAX} for a viewer")
         self._viewers.send(channel, payload, slot)
 
 
@@ -307,7 +307,11 @@ class FoxgloveBridge:
         for sensor_id, known in self._roster:
             if known.shown is not None and sensor_id not in best:
                 known.close()
-                _log.warning("%s gives way: %d sensors are shown, and others have shown more", sensor_id, SENSORS_MAX)
+                _log.warning(
+                    "%s is no longer shown: the limit is %d sensors, and others have more to show",
+                    sensor_id,
+                    SENSORS_MAX,
+                )
         for sensor_id, known in self._roster:
             if known.shown is None and sensor_id in best and known.info is not None:
                 known.shown = _Sensor(sensor_id, self._viewers)

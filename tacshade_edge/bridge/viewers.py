@@ -264,8 +264,8 @@ class Viewers:
                 viewer.wake.set()
                 self._viewers.append(viewer)
         if full:
-            _log.warning("a viewer was turned away: %d look, which is the most", VIEWERS_MAX)
-            await socket.close(_TRY_AGAIN, f"{VIEWERS_MAX} viewers look, which is the most")
+            _log.warning("a viewer was turned away: %d are connected, the maximum", VIEWERS_MAX)
+            await socket.close(_TRY_AGAIN, f"{VIEWERS_MAX} viewers are connected, the maximum")
             return
         sending = asyncio.ensure_future(self._send_all(viewer))
         try:
@@ -279,7 +279,7 @@ class Viewers:
                 self.passed_over += viewer.passed_over
             sending.cancel()
             if viewer.passed_over:
-                _log.info("the viewer that left was too slow for %d messages", viewer.passed_over)
+                _log.info("a viewer has left that was too slow for %d messages", viewer.passed_over)
             self._on_change()
 
     async def _send_all(self, viewer: _Viewer) -> None:

@@ -145,11 +145,11 @@ class Live:
             if self._terminal.line() is not None:
                 return None
             if time.monotonic() - began_s > limit_s:
-                raise DeviceError(f"the picture did not stand still within {limit_s:.0f} s")
+                raise DeviceError(f"the picture did not settle within {limit_s:.0f} s")
             if not hinted and motion is not None and time.monotonic() - began_s > _HINT_S:
                 hinted = True
                 figures = f"{motion:.1f} grey levels, {self.rest_grey:.1f} at rest"
-                self._terminal.say(f"  the picture still moves ({figures}): clamp what presses; Enter gives up")
+                self._terminal.say(f"  the picture still moves ({figures}): clamp the indenter; Enter cancels")
 
     def frames(self, count: int, seconds: float) -> list[Frame]:
         """So many frames, spread over a time at least."""
@@ -183,7 +183,7 @@ class Live:
     def _take(self, frame: Frame) -> None:
         grey, now_s = to_grey(frame.image), time.monotonic()
         if self._past and self._past[-1].blocks.shape != (grey.shape[0] // 8, grey.shape[1] // 8):
-            raise DeviceError(f"the camera gives pictures of another size: {grey.shape[1]}x{grey.shape[0]} px")
+            raise DeviceError(f"the size of the camera's pictures has changed: {grey.shape[1]}x{grey.shape[0]} px")
         self._past.append(_Past(frame.seq, frame.t_ns, block_means(grey)))
         if self._page.chosen:
             self._choose_circle(self._page.chosen.popleft().circle)

@@ -155,7 +155,7 @@ class Session:
         warning = f"; {judged.changed} since the references" if judged.changed else ""
         self._terminal.say(f"  {added.image}: {press}{warning}")
         if asked := check.question(known_press(added.image, image, press, self._names)):
-            self._terminal.say(f"  {asked} (undo takes it back)")
+            self._terminal.say(f"  {asked} (undo removes it)")
         return ""
 
     def _check(self, unloaded: Calibration) -> PressCheck:
@@ -167,7 +167,7 @@ class Session:
         except ConfigError as error:
             self._terminal.say(f"the references of this folder cannot be used: {error}")
             return None
-        self._terminal.say(f"{len(images)} references and {len(self._taken)} presses are here already")
+        self._terminal.say(f"{len(images)} references and {len(self._taken)} presses are already here")
         return unloaded
 
     def _take_references(self) -> Calibration:
@@ -183,7 +183,7 @@ class Session:
             except ConfigError as error:
                 self._terminal.say(f"  refused: {error}")
                 if not self._live.has_circle:
-                    self._terminal.say("  on the page three clicks on the dome's rim state the circle")
+                    self._terminal.say("  to set the circle, click three points on the dome's rim in the page")
                 continue
             self._folder.write_references(images)
             self._terminal.say(f"  {REFERENCES} references, noise {unloaded.noise_grey:.2f} grey levels")
@@ -194,7 +194,7 @@ class Session:
         rest_grey = motion_grey([block_means(to_grey(image)) for image in images])
         if rest_grey > REST_MOST_GREY:
             found = f"found {rest_grey:.1f} grey levels of change, expected {REST_MOST_GREY:g} at most"
-            raise ConfigError(f"the picture moves, or its noise is great: {found}")
+            raise ConfigError(f"the picture moves, or is too noisy: {found}")
         self._circle = self._live.circle
         result = calibrate(replace(self._sensor, visible_circle=self._circle), images)
         for warning in result.warnings:
@@ -210,7 +210,7 @@ class Session:
         if name := self._at_robot():
             return f"{number} [{' '.join(name).strip()}, where the robot holds it]:"
         if self._plan:
-            return f"all planned presses are taken; {number}, or done:"
+            return f"all planned presses have been taken; {number}, or done:"
         return f"{number} (ball RADIUS_MM DEPTH_MM X_MM Y_MM, undo, done, help):"
 
     def _left(self) -> list[Stated]:
@@ -233,7 +233,7 @@ class Session:
     def _skip(self) -> None:
         offer = self._offer()
         if offer is None:
-            self._terminal.say("  nothing is offered")
+            self._terminal.say("  no press is suggested")
             return
         if offer.is_planned:
             self._plan.remove(offer.press)
@@ -249,7 +249,7 @@ class Session:
         self._taken = [one for one in self._taken if one is not chosen[0]]
         # A robot may have gone on meanwhile: its pose is asked for anew.
         self._taken_back = None if self._at_robot() else chosen[0].stated
-        self._terminal.say(f"  {chosen[0].image} is taken back")
+        self._terminal.say(f"  removed {chosen[0].image}")
 
     def _press(self, words: Sequence[str], check: PressCheck) -> None:
         try:
@@ -259,7 +259,7 @@ class Session:
             return
         frame = self._live.still_frame()
         if frame is None:
-            self._terminal.say("  given up: nothing was taken")
+            self._terminal.say("  cancelled: nothing was taken")
             return
         try:
             press = asked if isinstance(asked, Stated) else self._stated_by_robot(asked, frame)
@@ -306,14 +306,12 @@ class Session:
                 return offer.press
             if name := self._at_robot():
                 return name
-            raise ConfigError("found nothing, expected what presses")
+            raise ConfigError("found nothing, expected an indenter")
         indenter, radius_mm, rest = self._indenter(words)
         if not rest and self._robot:
             if self._robot.known((indenter, radius_mm)):
                 return indenter, radius_mm
-            raise ConfigError(
-                f"no press of {indenter} with depth, x and y was typed since the start, expected one first"
-            )
+            raise ConfigError(f"found no press of {indenter} with depth, x and y since the start, expected one first")
         if len(rest) not in (1, 3):
             raise ConfigError(f"found {len(rest)} numbers after the indenter, expected depth, or depth, x, y in mm")
         depth_mm, x_mm, y_mm = rest if len(rest) == 3 else (rest[0], "", "")

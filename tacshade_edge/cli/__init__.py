@@ -19,21 +19,21 @@ EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_CONFIG = 0, 1, 2, 78
 # name -> (module with add_arguments(parser) and run(args) -> exit code, one line of help)
 COMMANDS: dict[str, tuple[str, str]] = {
     "run": ("run", "run the daemon: camera to height maps over MQTT"),
-    "demo": ("demo", "a simulated hand, live in a browser; needs nothing else"),
+    "demo": ("demo", "show a simulated hand live in a browser; needs no sensor"),
     "check-config": ("check_config", "check a settings file, or export its JSON Schema"),
     "doctor": ("doctor", "diagnose the camera, broker, serial ports and clock, and suggest fixes"),
-    "capture": ("capture", "take a sensor's references and presses, step by step; the first thing with a new one"),
-    "calibrate": ("calibrate", "references and ball presses to a calibration file"),
-    "reconstruct": ("reconstruct", "images to height maps, clouds and a summary"),
-    "record": ("record", "ask the running daemon for a recording that `replay` reads"),
-    "replay": ("replay", "a recording through the reconstructor, to files or a broker; compare two runs"),
-    "export": ("export", "a recording as MCAP, LeRobot data set, CSV or PLY, for other people's tools"),
-    "dashboard": ("dashboard", "a live page for the browser: height maps, 3-D view, health; works offline"),
-    "bridge": ("bridge", "live data for other tools: Foxglove and Lichtblick, Prometheus"),
+    "capture": ("capture", "take a sensor's references and presses, step by step; start here with a new sensor"),
+    "calibrate": ("calibrate", "turn references and ball presses into a calibration file"),
+    "reconstruct": ("reconstruct", "turn images into height maps, point clouds and a summary"),
+    "record": ("record", "ask the running daemon to make a recording, which `replay` can read"),
+    "replay": ("replay", "reconstruct a recording again, to files or a broker; compare two runs"),
+    "export": ("export", "convert a recording to MCAP, a LeRobot data set, CSV or PLY for other tools"),
+    "dashboard": ("dashboard", "serve a live page for the browser: height maps, 3-D view, health; works offline"),
+    "bridge": ("bridge", "serve live data to other tools: Foxglove, Lichtblick and Prometheus"),
     "evaluate": ("evaluate", "score profiles against ground truth: the paper's Experiment 1, or your own images"),
-    "tradeoff": ("tradeoff", "speed against accuracy on this machine: which profile for a budget of milliseconds"),
-    "stitch": ("stitch", "images and the robot's poses to one large map; score it against a known surface"),
-    "completion": ("completion", "what a shell needs to complete commands and options at TAB"),
+    "tradeoff": ("tradeoff", "measure speed against accuracy on this machine and choose a profile for a time budget"),
+    "stitch": ("stitch", "combine images and the robot's poses into one large map; score it against a known surface"),
+    "completion": ("completion", "print a shell script that completes commands and options"),
     "simulate": ("simulate", "write simulated images with ground truth, a calibration set, or a scanned touchpad"),
 }
 
@@ -53,7 +53,7 @@ def command_line(is_wanted: Callable[[str], bool]) -> tuple[argparse.ArgumentPar
         description="Metric shape from touch for TacShade sensors.",
         epilog="tacshade-edge COMMAND --help lists a command's options.",
     )
-    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and end")
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     modules = {}
     for name, (module_name, summary) in COMMANDS.items():

@@ -85,7 +85,7 @@ class App:
     document : Document
     source : FrameSource
     calibration : Calibration or Reason
-        Or why there is none yet: the camera's picture is all that is served until `reload` finds one.
+        Or why there is none yet: only the camera's picture is served until `reload` finds one.
     siblings : Siblings
         Lines to the other processes of the same daemon.
 
@@ -228,7 +228,7 @@ class App:
         try:
             new = reload(self._document, calibrated=self._missing() is None)
         except ConfigError as error:
-            note: Reason | None = Reason(error.code, f"reload refused, the running settings stay: {error}")
+            note: Reason | None = Reason(error.code, f"reload rejected, the running settings stay in use: {error}")
             _log.warning("%s", note)
             if self._missing():
                 self._active.use(Reason(ReasonCode.NOT_CALIBRATED, f"not calibrated: {error}"))
@@ -285,7 +285,7 @@ class App:
         """Those that are still on their way then."""
         given_up = self.ledger.close(timeout_s)
         if given_up:
-            _log.warning("%d frames could not be sent before the stop", given_up)
+            _log.warning("%d frames could not be sent before the daemon stopped", given_up)
 
     # What other threads call: count or enqueue, nothing else.
 

@@ -75,7 +75,7 @@ class Requests(FrameObserver):
         if request.verb == "status":
             self._reply(request, self._status())
         elif request.verb == "replay":  # of `replay --play` only
-            self._refuse(request, Reason(ReasonCode.UNAVAILABLE, "no recording is played here"))
+            self._refuse(request, Reason(ReasonCode.UNAVAILABLE, "found no recording being played here"))
         elif isinstance(reconstructor, Reason):
             self._refuse(request, reconstructor)
         elif request.verb == "record":

@@ -228,7 +228,7 @@ class Supervisor:
             documents = load_all(self._path)
             hand = load_hand(self._path)
         except ConfigError as error:
-            self._note = f"reload refused, the running settings stay: {error}"
+            self._note = f"reload rejected, the running settings stay in use: {error}"
         else:
             of_file: list[Document | Hand] = [*documents, *([hand] if hand else [])]
             now = {name_of(of): of for of in of_file}
@@ -249,7 +249,7 @@ class Supervisor:
             if part.aborted_s is not None and now_s > part.aborted_s + ABORT_S:
                 _signal(part, signal.SIGKILL)
             elif part.aborted_s is None and part.heard_s is not None and now_s > part.heard_s + WATCHDOG_S:
-                _log.error("%s: hangs for %.0f s, ended", part.name, WATCHDOG_S)
+                _log.error("%s: has not responded for %.0f s; ending it", part.name, WATCHDOG_S)
                 part.aborted_s = now_s
                 _signal(part, signal.SIGABRT)
         if self._stopping_s is not None and now_s > self._stopping_s + STOP_USEC / 1e6:

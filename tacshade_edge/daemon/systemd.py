@@ -99,4 +99,4 @@ def notify(*lines: str) -> None:
             sender.settimeout(_SEND_S)
             sender.sendto(message, f"\0{address[1:]}" if address.startswith("@") else address)
     except OSError as error:
-        _log.warning("the service manager does not hear: %s", error.strerror or error)
+        _log.warning("cannot notify the service manager: %s", error.strerror or error)

@@ -26,7 +26,7 @@ OF_FRAMES = {
     ReasonCode.CAMERA_SHIFT: (
         "fix the camera where it was, take a new reference (calibrate --rezero), or calibrate again"
     ),
-    ReasonCode.SURROUND: "the camera or its light moved: fix it where it was, or calibrate again",
+    ReasonCode.SURROUND: "the camera or its light moved: fasten it where it was, or calibrate again",
     ReasonCode.TORN: "frames are damaged on their way: another USB port, a shorter cable, a lower rate",
 }
 OF_USB_CAMERAS = {
@@ -51,7 +51,7 @@ _NOT_AUTHORISED = (0x86, 0x87)  # bad user name or password, not authorised
 _BAD_VERSION = 0x84
 # X509_V_ERR_* of OpenSSL: not yet valid, expired; another host name, another address.
 _OUT_OF_TIME, _OTHER_NAME = (9, 10), (62, 64)
-BROKERS_LOG = "its log says more: sudo journalctl -u mosquitto"
+BROKERS_LOG = "see the broker's log: sudo journalctl -u mosquitto"
 
 
 def with_fix(reason: Reason, fix: str | None) -> str:
@@ -63,35 +63,35 @@ def connect_fix(error: BaseException | None, host: str, port: int, tls_ca: str |
     """What to do about a broker that could not be reached."""
     match error:
         case socket.gaierror():
-            return "is mqtt.host spelt right, and does the network work? Try: getent hosts " + host
+            return "is mqtt.host spelled correctly, and is the network up? Try: getent hosts " + host
         case ssl.SSLCertVerificationError():
             return certificate_fix(error, host)
         case ssl.SSLError():
-            return "is mqtt.port the broker's TLS port (often 8883)? Without TLS leave mqtt.ca_file out"
+            return "is mqtt.port the broker's TLS port (often 8883)? To connect without TLS, leave mqtt.ca_file out"
         case ConnectionRefusedError() if host in ("localhost", "127.0.0.1", "::1"):
             return "start it: sudo systemctl enable --now mosquitto (install it first: sudo apt install mosquitto)"
         case ConnectionRefusedError():
             return (
-                "is the broker running there, on that port, and for other machines (mosquitto needs a `listener` line)?"
+                "is the broker running there on that port, and for other machines (mosquitto needs a `listener` line)?"
             )
         case TimeoutError():
-            asked = f"is the address right, the machine on, its firewall open for port {port}?"
+            asked = f"is the address right, is the machine on, and is its firewall open for port {port}?"
             return f"{asked} Is it the TLS port?" if tls_ca else asked
-    return "does the network work? Is mqtt.host right?"
+    return "is the network up, and is mqtt.host right?"
 
 
 def certificate_fix(error: ssl.SSLCertVerificationError, host: str) -> str:
     """What to do about a certificate that was refused."""
     if error.verify_code in _OUT_OF_TIME:
-        return "renew the broker's certificate; is this machine's clock right?"
+        return "check this machine's clock, or renew the broker's certificate"
     if error.verify_code in _OTHER_NAME:
-        return f"set mqtt.host to a name in the certificate, or make one for {host} (subjectAltName)"
+        return f"set mqtt.host to a name in the certificate, or issue a certificate for {host} (subjectAltName)"
     return "set mqtt.ca_file to the PEM file of the authority that signed the broker's certificate"
 
 
 def no_answer_fix(tls_ca: str | None) -> str:
     """What to do about something that takes connections and does not answer as a broker."""
-    asked = "is mqtt.port that of an MQTT broker (1883)?"
+    asked = "is mqtt.port the port of an MQTT broker (1883)?"
     return asked if tls_ca else f"{asked} If it is a TLS port (8883), set mqtt.ca_file"
 
 
@@ -108,9 +108,7 @@ def is_other_version(code: int) -> bool:
 def refusal_fix(code: int, username: str | None) -> str:
     """What to do about a broker that answers CONNECT with this reason code."""
     if is_not_authorised(code) and username is None:
-        return "it wants a user: set mqtt.username and mqtt.password_file"
+        return "the broker requires a user: set mqtt.username and mqtt.password_file"
     if is_not_authorised(code):
-        return (
-            f"is the password file right? Set it anew: sudo mosquitto_passwd /etc/mosquitto/tacshade.passwd {username}"
-        )
+        return f"is the password right? To reset it: sudo mosquitto_passwd /etc/mosquitto/tacshade.passwd {username}"
     return "use mosquitto 1.6 or newer" if is_other_version(code) else BROKERS_LOG

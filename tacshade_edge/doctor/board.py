@@ -28,10 +28,10 @@ def _power(machine: Machine) -> tuple[Finding, ...]:
         (_CAPPED | _SLOWED | _HOT, "slowed down", "cool it: heat sink, fan, open case; and check its power supply"),
     ):
         if flags & bits:
-            found.append(warning("board", f"{what} now, frames will be late or lost", fix))
+            found.append(warning("board", f"{what} now; frames will be late or lost", fix))
         elif flags >> 16 & bits:
-            found.append(warning("board", f"{what} since the start, not now", fix))
-    return tuple(found) or (ok("board", "power and temperature are fine, and were since the start"),)
+            found.append(warning("board", f"{what} since the start, but not now", fix))
+    return tuple(found) or (ok("board", "power and temperature are fine, and have been since the start"),)
 
 
 def _governor(machine: Machine) -> tuple[Finding, ...]:

@@ -58,7 +58,7 @@ class DaemonState:
     state: str = ""
     reason: str = ""
     fps: float = 0.0
-    place: str = "which does not say where"
+    place: str = "at an unknown place"
     rival: str = ""
     published: dict[str, bytes] = field(default_factory=dict, compare=False)
 
@@ -102,7 +102,7 @@ def check_broker(broker: BrokerAddress, sensor_id: str) -> tuple[tuple[Finding, 
     trouble = _connect(client, host, port, tls_ca) or _greet(client, session, where, username, tls_ca)
     if trouble is None:
         took_ms = 1e3 * (time.monotonic() - began_s)
-        found = f"{where}: accepts us{' over TLS' if tls_ca else ''}, in {took_ms:.0f} ms"
+        found = f"{where}: accepts the connection{' over TLS' if tls_ca else ''}, in {took_ms:.0f} ms"
         first = ok("broker", found)
         second = _round_trip(client, session, base, username)
         client.disconnect()
@@ -114,20 +114,20 @@ def check_broker(broker: BrokerAddress, sensor_id: str) -> tuple[tuple[Finding, 
 def judge_daemon(daemon: DaemonState, process: Process | None, sensor_id: str) -> Finding:
     """Is a daemon running, and is it this machine's?"""
     if daemon.alive and daemon.rival:
-        found = f"{sensor_id} is held by a daemon {daemon.place}; another waits for it, {daemon.rival}"
+        found = f"{sensor_id} is in use by a daemon {daemon.place}; another daemon waits for it, {daemon.rival}"
         return warning("daemon", found, "stop one of the two, or give its sensor another sensor_id")
     if daemon.alive and process is None:
         fix = "stop that other daemon, or give this sensor another sensor_id"
-        return warning("daemon", f"none runs here, yet {sensor_id} is {daemon.state} on this broker", fix)
+        return warning("daemon", f"no daemon runs here, yet {sensor_id} is {daemon.state} on this broker", fix)
     if process is None:
         return ok("daemon", "not running")
     if daemon.state == "online":
         return ok("daemon", f"running, {process}: {daemon}")
-    fix = "journalctl -u tacshade-edge says more"
+    fix = "see journalctl -u tacshade-edge"
     if daemon.state == "degraded":
         return warning("daemon", f"running, {process}: {daemon}", fix)
     fix = f"was it started with these settings? {fix}"
-    return warning("daemon", f"{process} runs, but the broker knows no {sensor_id} online", fix)
+    return warning("daemon", f"{process} runs, but {sensor_id} is not online at the broker", fix)
 
 
 def _listen(client: Client, topic: str) -> _Session:
@@ -171,13 +171,13 @@ def _unreached(error: OSError, host: str, port: int) -> str:
     where = f"{host}:{port}"
     match error:
         case socket.gaierror():
-            return f"{host}: the name has no address ({error.strerror})"
+            return f"{host}: the name does not resolve ({error.strerror})"
         case ssl.SSLCertVerificationError():
-            return f"{where}: its certificate is refused: {error.verify_message}"
+            return f"{where}: its certificate is rejected: {error.verify_message}"
         case ssl.SSLError():
-            return f"{where}: does not answer in TLS ({error.reason or error})"
+            return f"{where}: does not answer over TLS ({error.reason or error})"
         case ConnectionRefusedError():
-            return f"{where}: refused, nothing listens there"
+            return f"{where}: connection refused, nothing listens there"
         case TimeoutError():
             return f"{where}: no answer within {_CONNECT_S:g} s"
     return f"{where}: {error.strerror or error}"
@@ -198,15 +198,15 @@ def _greet(client: Client, session: _Session, where: str, username: str | None, 
     code = session.greeting
     if code is None:
         doing = "says nothing" if open_still else "hangs up"
-        found = f"{where}: takes connections but {doing}: not an MQTT broker"
+        found = f"{where}: accepts connections but {doing}: not an MQTT broker"
         return fault("broker", found, no_answer_fix(tls_ca))
     if not code.is_failure:
         return None
     if is_not_authorised(code.value):
-        whom = "us without a user name" if username is None else f"the user {username} or the password"
-        found = f"refuses {whom} ({code})"
+        whom = "a connection without a user name" if username is None else f"the user {username} or the password"
+        found = f"rejects {whom} ({code})"
     else:
-        found = "does not speak MQTT 5" if is_other_version(code.value) else f"refuses us: {code}"
+        found = "does not speak MQTT 5" if is_other_version(code.value) else f"rejects the connection: {code}"
     return fault("broker", f"{where}: {found}", refusal_fix(code.value, username))
 
 
@@ -217,10 +217,10 @@ def _round_trip(client: Client, session: _Session, base: str, username: str | No
     client.subscribe([(f"{base}/{name}", SubscribeOptions(1)) for name in ("doctor", *_REPORTED)])
     _pump(client, lambda: session.subscribed)
     if not session.subscribed or any(code.is_failure for code in session.subscribed):
-        return fault("broker round trip", f"may not subscribe under {base}/", acl)
+        return fault("broker round trip", f"the broker does not let us subscribe under {base}/", acl)
     most = session.packet_bytes_max
     if most is not None and most < _MESSAGE_BYTES + _HEADER_BYTES:
-        found = f"it takes packets of at most {most} bytes; larger height maps and clouds are not sent"
+        found = f"the broker accepts packets of at most {most} bytes; larger height maps and clouds are not sent"
         return warning("broker round trip", found, f"max_packet_size in its configuration: {_PACKET_BYTES} or more")
     took_ms = []
     for _ in range(_ROUNDS):
@@ -229,10 +229,12 @@ def _round_trip(client: Client, session: _Session, base: str, username: str | No
         client.publish(topic, bytes(_MESSAGE_BYTES), qos=1)
         _pump(client, lambda: session.echoed or session.is_refused)
         if session.is_refused:
-            return fault("broker round trip", f"may not publish under {base}/ ({session.published})", acl)
+            return fault(
+                "broker round trip", f"the broker does not let us publish under {base}/ ({session.published})", acl
+            )
         if not session.echoed:
             found = f"a message to {topic} did not come back within {_ANSWER_S:g} s"
-            return fault("broker round trip", found, f"may we read it? {acl}; or the network is too slow")
+            return fault("broker round trip", found, f"allow the user to read it: {acl}; or the network is too slow")
         took_ms.append(1e3 * (time.monotonic() - began_s))
     return judge_round_trip(statistics.median(took_ms[1:]))
 
@@ -241,7 +243,7 @@ def judge_round_trip(middle_ms: float) -> Finding:
     """Whether messages of 38 KB are quick enough."""
     found = f"{_MESSAGE_BYTES // 1000} KB there and back in {middle_ms:.1f} ms"
     if middle_ms > _SLOW_MS:
-        fix = "set_tcp_nodelay true in the broker's configuration (systemd/mosquitto-tacshade.conf); a cable, not Wi-Fi"
+        fix = "set_tcp_nodelay true in the broker's configuration (systemd/mosquitto-tacshade.conf), or use a cable"
         return warning("broker round trip", found, fix)
     return ok("broker round trip", found)
 

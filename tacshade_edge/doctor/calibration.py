@@ -24,11 +24,11 @@ from tacshade_edge.types import U8, Calibration, Frame
 _NOISIER, _NOISE_LEVELS = 2.0, 2.0
 _DAY_S = 86400
 _REZERO = (
-    "with nothing touching the skin, publish {} to tacshade/SENSOR/req/reference while the daemon runs; if that does "
+    "while nothing touches the skin, publish {} to tacshade/SENSOR/req/reference while the daemon runs; if that does "
     "not last, calibrate again (docs/how-to/calibration.md)"
 )
 _AGED = (
-    "bring light, exposure and focus back to what they were, or take a new reference: tacshade-edge calibrate --rezero "
+    "restore the light, exposure and focus, or take a new reference: tacshade-edge calibrate --rezero "
     "CAL.npz --reference ref_*.png --out NEW.npz"
 )
 
@@ -44,7 +44,7 @@ def load(document: Document) -> tuple[Calibration | None, tuple[Finding, ...]]:
             fix = f"run this with sudo, or as the service does: {AS_SERVICE}"
         return None, (fault("calibration", str(error), fix),)
     if isinstance(calibration, Reason):
-        found = f"{document.where('calibration')}: found no file {path}: the camera's picture is all that is served"
+        found = f"{document.where('calibration')}: found no file {path}: only the camera's picture is served"
         return None, (warning("calibration", found, calibrations.how_to_calibrate(document)),)
     days = (time.time() - os.stat(path).st_mtime) / _DAY_S
     found = f"{path}: {calibration.crc32:08x}, {max(days, 0):.0f} days old"
@@ -83,7 +83,7 @@ def check_images(calibration: Calibration, images: Sequence[U8], live: bool) -> 
     place = _check_place(calibration, found_drift)
     if not live:
         found = f"contact of {result.depth_max_mm:.1f} mm" if result.contact else "no contact"
-        return (*place, ok("sensor", f"looks as calibrated, {found}"))
+        return (*place, ok("sensor", f"matches the calibration, {found}"))
     if result.contact:
         found = f"the skin seems pressed by {result.depth_max_mm:.1f} mm; if nothing touches it, it has changed"
         return (*place, warning("sensor", found, _REZERO))
@@ -92,7 +92,7 @@ def check_images(calibration: Calibration, images: Sequence[U8], live: bool) -> 
     if registration.shifted_too_far(found_drift, calibration.geometry.disc):
         return place
     if change := registration.light_drift_reason(found_drift):
-        return (*place, warning("sensor", f"{change} since it was calibrated", _AGED))
+        return (*place, warning("sensor", f"{change} since the calibration", _AGED))
     return (*place, _check_noise(calibration, images))
 
 
@@ -107,7 +107,7 @@ def _check_place(calibration: Calibration, found: registration.Drift) -> tuple[F
         return ()
     place = f"visible circle {found.shift_px:.1f} px from where it was calibrated, size {100 * (found.zoom - 1):+.1f} %"
     if registration.shifted_too_far(found, calibration.geometry.disc):
-        fix = "the camera moved in the sensor: fix it where it was, or calibrate again (docs/how-to/calibration.md)"
+        fix = "the camera moved in the sensor: fasten it where it was, or calibrate again (docs/how-to/calibration.md)"
         return (warning("camera place", place, fix),)
     return (ok("camera place", place),)
 
@@ -120,9 +120,9 @@ def _check_noise(calibration: Calibration, images: Sequence[U8]) -> Finding:
         return warning("sensor", str(error), "lift the sensor off what it touches; " + _REZERO)
     noise = f"noise {renewed.noise_grey:.2f} grey levels, {calibration.noise_grey:.2f} when calibrated"
     if len(images) >= 3 and renewed.noise_grey > max(_NOISE_LEVELS, _NOISIER * calibration.noise_grey):
-        fix = "steady its light (a lamp at mains frequency flickers) and whatever shakes it, then calibrate again"
+        fix = "use light that does not flicker (mains lamps do), stop whatever shakes the sensor, then calibrate again"
         return warning("sensor", noise, fix)
-    return ok("sensor", f"looks as calibrated, no contact, {noise if len(images) >= 3 else 'one image'}")
+    return ok("sensor", f"matches the calibration, no contact, {noise if len(images) >= 3 else 'one image'}")
 
 
 def _fix(reason: Reason) -> str:

@@ -53,7 +53,7 @@ def list_cameras(machine: Machine) -> Finding:
         return ok("camera", f"found {', '.join(cameras)}")
     if has_csi_receiver(machine):
         return warning("camera", "found a CSI receiver and no USB camera", CSI_MEND)
-    return warning("camera", "found none on this machine", "plug one in; lsusb shows whether USB sees it")
+    return warning("camera", "found no camera on this machine", "plug one in; lsusb lists it if USB detects it")
 
 
 def check_device(source: V4l2, machine: Machine) -> tuple[Finding, ...]:
@@ -74,7 +74,7 @@ def check_device(source: V4l2, machine: Machine) -> tuple[Finding, ...]:
     stable = stable_name(device, machine)
     if stable and not device.startswith(("/dev/v4l/", "/dev/tacshade/")):
         fix = f"set source.device: {stable}"
-        findings.append(warning("camera name", f"{device} may be another camera after the next plugging", fix))
+        findings.append(warning("camera name", f"{device} may be a different camera after it is plugged in again", fix))
     return (*findings, *_check_offer(source, str(path)))
 
 
@@ -102,14 +102,16 @@ def _check_offer(source: V4l2, node: str) -> tuple[Finding, ...]:
     if source.fourcc not in formats:
         usable = [code for code in _FOURCCS if code in formats]
         fix = f"set source.fourcc: {' or '.join(usable)}" if usable else "use another camera"
-        return (fault("camera format", f"it has no {source.fourcc}, it has {', '.join(formats) or 'none'}", fix),)
+        return (
+            fault("camera format", f"the camera has no {source.fourcc}, it has {', '.join(formats) or 'none'}", fix),
+        )
     if sizes and not any(each.holds(source.width_px, source.height_px) for each in sizes):
         shown = ", ".join(map(str, sizes[:_SIZES_SHOWN])) + (", ..." if len(sizes) > _SIZES_SHOWN else "")
         fix = f"set source.width_px and height_px to one of {shown}; then calibrate at that size"
-        return (fault("camera format", f"it has no {source.fourcc} of {size} px", fix),)
+        return (fault("camera format", f"the camera has no {source.fourcc} of {size} px", fix),)
     listed = ", ".join(f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}" for low, high in rates)
     if rates and not any(low * (1 - _RATE_OFF) <= source.fps <= high * (1 + _RATE_OFF) for low, high in rates):
-        found = f"{source.fourcc} {size} does not come at {source.fps} frames/s"
+        found = f"{source.fourcc} {size} is not available at {source.fps} frames/s"
         return (warning("camera format", found, f"set source.fps to one of {listed}"),)
     return (ok("camera format", f"{source.fourcc} {size}" + (f" at {listed} frames/s" if listed else "")),)
 
@@ -142,10 +144,10 @@ def check_frames(source: V4l2 | Rpicam, captured: Captured, machine: Machine, da
 def check_other_source(captured: Captured, fps: float) -> tuple[Finding, ...]:
     """What a source that is no camera delivered: files, or the simulated sensor."""
     if captured.error:
-        return (fault("source", str(captured.error), "fix source.path, or what is there"),)
+        return (fault("source", str(captured.error), "fix source.path, or the files there"),)
     what = captured.described.get("path", captured.described.get("device", "source"))
     if not captured.images:
-        return (fault("source", f"{what}: gave no image", "choose another source.path"),)
+        return (fault("source", f"{what}: delivered no image", "choose another source.path"),)
     if len(captured.t_ns) < 10:
         return (ok("source", f"{what}: {len(captured.t_ns)} frames"), check_picture(captured.images[-1]))
     return (_check_rate(fps, captured, check="source", what=f"{what}: "), check_picture(captured.images[-1]))
@@ -170,7 +172,7 @@ def _busy(source: V4l2 | Rpicam, error: Reason, machine: Machine, daemon_state: 
         if error.code is not ReasonCode.IN_USE:
             return None
         if daemon_state:
-            return warning("camera frames", f"the running daemon holds the camera; it says: {daemon_state}", _STOP)
+            return warning("camera frames", f"the running daemon holds the camera; it reports: {daemon_state}", _STOP)
         return fault(
             "camera frames", "another program holds the camera", f"end it: pgrep -a {PROGRAM.partition('-')[0]}"
         )
@@ -180,9 +182,9 @@ def _busy(source: V4l2 | Rpicam, error: Reason, machine: Machine, daemon_state: 
             return None
         daemon, holders = machine.daemon(), machine.holders(device)
         if daemon_state and (daemon in holders or not holders):
-            return warning("camera frames", f"the running daemon holds the camera; it says: {daemon_state}", _STOP)
+            return warning("camera frames", f"the running daemon holds the camera; it reports: {daemon_state}", _STOP)
         if not holders:
-            fix = "run this with sudo to see which, and end it"
+            fix = "run this with sudo to see which program, and end it"
             return fault("camera frames", "another program holds the camera", fix)
         who = holders[0]
         return fault("camera frames", f"{who} holds the camera", f"end that program: kill {who.pid}")
@@ -194,13 +196,13 @@ def _check_rate(set_fps: float, captured: Captured, check: str = "camera frames"
     found = f"{what}{captured.fps:.1f} frames/s, {set_fps:g} asked{lost}"
     if captured.fps < _RATE_PART * set_fps:
         fix = (
-            "shorten source.exposure below the frame's period, choose a rate that the camera has, or a smaller size"
+            "shorten source.exposure below the frame's period, choose a rate that the camera offers, or a smaller size"
             if check == "camera frames"
-            else "lower source.fps, or end what else keeps this machine busy"
+            else "lower source.fps, or stop whatever else keeps this machine busy"
         )
         return warning(check, found, fix)
     if captured.dropped > _LOST_PART * len(captured.t_ns) and check == "camera frames":
-        return warning(check, found, "use fourcc MJPG, a USB port of its own, a shorter cable")
+        return warning(check, found, "use fourcc MJPG, a separate USB port or a shorter cable")
     return ok(check, found)
 
 
@@ -208,12 +210,12 @@ def _check_stamps(captured: Captured) -> Finding:
     age_s = max(arrived - taken for taken, arrived in zip(captured.t_ns, captured.arrived_ns, strict=True)) / 1e9
     found = f"time stamps {captured.described.get('time_stamps', 'on arrival')}, frames up to {1e3 * age_s:.0f} ms old"
     if any(later <= earlier for earlier, later in pairwise(captured.t_ns)):
-        return warning("camera time", f"{found}, not in order", "update the kernel, or use another camera")
+        return warning("camera time", f"{found}, out of order", "update the kernel, or use another camera")
     if captured.described.get("time_stamps") not in ("kernel", "sensor"):
-        fix = "poses will match less well; a camera of the driver uvcvideo gives the kernel's time stamps"
+        fix = "poses will match less well; cameras with the driver uvcvideo provide the kernel's time stamps"
         return warning("camera time", found, fix)
     if age_s > _AGE_MAX_S:
-        return warning("camera time", found, "end what else keeps this machine busy, or lower source.fps")
+        return warning("camera time", found, "stop whatever else keeps this machine busy, or lower source.fps")
     return ok("camera time", found)
 
 

@@ -35,7 +35,7 @@ def judge(now_s: float, installed_s: float, synced: bool | None, resolution_s: f
         found = f"it is set to {today}, but this program was installed on {since}: times and file names will be wrong"
         wall = fault("clock", found, f"{keep}; a board without a battery clock forgets the time when switched off")
     elif synced is False:
-        found = f"{today}, not synchronised: times in messages and recordings may be off, measurements are not"
+        found = f"{today}, not synchronised: times in messages and recordings may be off; measurements are not affected"
         wall = warning("clock", found, keep)
     else:
         wall = ok("clock", f"{today}, {'synchronised' if synced else 'the kernel does not say whether synchronised'}")

@@ -34,8 +34,8 @@ Findings = tuple[Finding, ...]
 
 MACHINE_S, NODE_S, CSI_S, CAPTURE_S, JUDGE_S = 7.0, 2.0, 3.0, 7.0, 3.0
 _STATE_FOLDER = Path("/var/lib/tacshade-edge")
-_REPLUG = "unplug the camera and plug it in again; if it stays so, reboot"
-_AGAIN = "run it again; if it stays so, reboot; then report it with this line"
+_REPLUG = "unplug the camera and plug it in again; if nothing changes, reboot"
+_AGAIN = "run it again; if nothing changes, reboot; then report it with this line"
 
 
 def diagnose(
@@ -124,7 +124,7 @@ def _ask_broker(document: Document, machine: Machine) -> tuple[Findings, DaemonS
 
 
 def _no_broker(why: str) -> tuple[Findings, DaemonState]:
-    fix = "is mqtt.host right, does the network work, and is the name server reachable?"
+    fix = "is mqtt.host right, is the network up, and is the name server reachable?"
     return (fault("broker", why, fix),), DaemonState()
 
 

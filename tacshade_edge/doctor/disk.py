@@ -23,7 +23,7 @@ def check_disk(folder: Path, machine: Machine) -> tuple[Finding, ...]:
 def judge(folder: Path, free_bytes: int, read_only: bool) -> tuple[Finding, ...]:
     """Findings on what statvfs(2) reports."""
     if read_only:
-        fix = "mount it writable; if it became read-only by itself the card may be failing: sudo dmesg says"
+        fix = "mount it writable; if it became read-only by itself, the card may be failing: see sudo dmesg"
         return (fault("disk", f"{folder} is on a read-only file system", fix),)
     free = f"{folder}: {free_bytes / 1e9:.1f} GB free"
     clear = "delete old recordings and logs (sudo journalctl --vacuum-size=100M; sudo apt clean)"

@@ -89,7 +89,7 @@ def permission_fix(path: Path, usual_group: str) -> str:
     except KeyError:
         group = usual_group
     if group == "root":  # no group to join: udev's rules are missing
-        return "install udev's rules (systemd/install.sh does), then plug it in again"
+        return "install the udev rules (systemd/install.sh does so), then plug the device in again"
     if user in grp.getgrnam(group).gr_mem:
-        return f"{user} is in the group {group} since the last login: log out and in again"
+        return f"{user} joined the group {group} after logging in: log out and in again"
     return f"sudo usermod -aG {group} {user}, then log out and in again"

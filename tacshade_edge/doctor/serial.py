@@ -19,15 +19,15 @@ def check_serial(machine: Machine, device: str = "") -> tuple[Finding, ...]:
     found = _check_ports(machine)
     if not device.startswith("/dev/") or machine.at(device).exists():
         return found
-    fix = "plug the robot in; the names that there are: ls /dev/serial/by-id /dev/tty[AU]*"
-    return (fault("serial", f"{device}: no such device, and serial.device names it", fix), *found)
+    fix = "plug the robot in, and see which names exist: ls /dev/serial/by-id /dev/tty[AU]*"
+    return (fault("serial", f"{device}: no such device, although serial.device names it", fix), *found)
 
 
 def _check_ports(machine: Machine) -> tuple[Finding, ...]:
     ports = [path.name for path in machine.names("/sys/class/tty", "tty*") if _PORT.fullmatch(path.name)]
     ports = [port for port in ports if machine.read(f"/sys/class/tty/{port}/type") != _NO_UART]
     if not ports:
-        return (ok("serial", "no serial port found; none is needed without a robot's poses"),)
+        return (ok("serial", "no serial port found; only a robot's poses need one"),)
     return tuple(finding for port in ports for finding in _check_port(port, machine))
 
 
@@ -37,7 +37,7 @@ def _check_port(port: str, machine: Machine) -> tuple[Finding, ...]:
     names = [device, *_stable_names(device, machine)]
     label = device if len(names) == 1 else f"{device}, best called {names[1]}"
     if not path.exists():
-        return (warning("serial", f"{device}: the kernel has this port, /dev does not", "sudo udevadm trigger"),)
+        return (warning("serial", f"{device}: the kernel lists this port, but /dev does not", "sudo udevadm trigger"),)
     wrong = []
     if not may_use(path):
         wrong.append(warning("serial", f"{label}: no permission", permission_fix(path, "dialout")))
@@ -46,7 +46,7 @@ def _check_port(port: str, machine: Machine) -> tuple[Finding, ...]:
             f"sudo systemctl disable --now serial-getty@{port}; on a Raspberry Pi also: sudo raspi-config, Interface "
             "Options, Serial Port, no login shell, then reboot. Leave it if no robot is on this port"
         )
-        wrong.append(warning("serial", f"{label}: the system's console is on it and would talk to a robot", fix))
+        wrong.append(warning("serial", f"{label}: the system's console uses it and would send text to a robot", fix))
     wrong += [
         warning("serial", f"{label}: in use by {process}", f"end it, if a robot is on this port: kill {process.pid}")
         for process in machine.holders(device)

@@ -13,7 +13,7 @@ from tacshade_edge.settings import Document, load
 
 SETTINGS = "settings"
 AS_SERVICE = "sudo -u tacshade-edge /opt/tacshade-edge/bin/tacshade-edge doctor"
-_UNTIL = "until then {} not checked"
+_UNTIL = "until then, {} not checked"
 
 
 def check_settings(config: Path, sensor_id: str | None = None) -> tuple[Finding, Document | None, bool]:
@@ -47,6 +47,6 @@ def _fix(config: Path) -> str:
     except PermissionError:
         return f"run this with sudo, or as the service does: {AS_SERVICE}"
     except OSError:
-        by_capture = "tacshade-edge capture DIR writes some for this camera: give --config DIR/config.yaml"
+        by_capture = "tacshade-edge capture DIR writes settings for this camera: pass --config DIR/config.yaml"
         return f"{by_capture}; or copy config/default.yaml there"
     return "fix that line (config/default.yaml explains every key)"

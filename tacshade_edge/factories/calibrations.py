@@ -49,7 +49,9 @@ def load(path: str | os.PathLike[str], *, store: bool = True) -> Calibration:
         return _running(path, calibration_file.load(path))
     from tacshade_edge.core.calibration.recalibration import make_again  # once in an update's life
 
-    _log.warning("%s: of version %s: making it again for version %d", path, version, calibration_file.VERSION)
+    _log.warning(
+        "%s: has version %s; calibrating again from its images, for version %d", path, version, calibration_file.VERSION
+    )
     try:
         made = replace(
             make_again(inputs, load_networks()),
@@ -57,7 +59,9 @@ def load(path: str | os.PathLike[str], *, store: bool = True) -> Calibration:
             touch=calibration_file.touch_in(path),
         )
     except ConfigError as error:
-        raise ConfigError(f"{path}: cannot be made again by this version: {error}; calibrate again") from None
+        raise ConfigError(
+            f"{path}: this version cannot calibrate again from its images: {error}; calibrate again"
+        ) from None
     return _running(path, _stored(Path(path), made, inputs, version) if store else calibration_file.with_crc(made))
 
 
@@ -83,7 +87,11 @@ def _running(path: str | os.PathLike[str], calibration: Calibration) -> Calibrat
     if len(can_run) == len(calibration.fitted):
         return calibration
     renew = ", ".join(sorted(set(calibration.fitted) - set(can_run)))
-    _log.warning("%s: the networks have changed since %s was fitted: as shipped; calibrate --fit again", path, renew)
+    _log.warning(
+        "%s: the networks have changed since %s was fitted; using the shipped networks; run calibrate --fit again",
+        path,
+        renew,
+    )
     return calibration_file.with_crc(replace(calibration, fitted=can_run))
 
 
@@ -98,9 +106,9 @@ def _stored(path: Path, made: Calibration, inputs: Inputs, version: int) -> Cali
         write_whole(kept, path.read_bytes())
         stored = calibration_file.save(path, made, inputs)
     except (OSError, DeviceError) as error:
-        _log.warning("%s: made again each time, it cannot be stored: %s", path, error)
+        _log.warning("%s: calibrated again at each start, because the file cannot be stored: %s", path, error)
         return calibration_file.with_crc(made)
-    _log.warning("%s: made again; the old file is %s", path, kept)
+    _log.warning("%s: calibrated again from its images; the old file is now %s", path, kept)
     return stored
 
 

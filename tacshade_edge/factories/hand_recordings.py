@@ -103,13 +103,13 @@ def read_hand(paths: Sequence[Path], profile: str) -> HandRecording:
         settings = recorded_settings(content_of(path))
         if settings is None or settings.hand_id is None or settings.hand_T_sensor is None:
             raise ConfigError(
-                f"{path}: found no hand_T_sensor in its {SETTINGS_NAME}, expected a recording of a hand's finger"
+                f"{path}: found no hand_T_sensor in its {SETTINGS_NAME}, expected a recording of a finger of a hand"
             )
         if problem := wrong_with(settings.hand_T_sensor):
             raise ConfigError(f"{path}: {SETTINGS_NAME}: hand_T_sensor: {problem}")
         hands.add(settings.hand_id)
         if len(hands) > 1:
-            raise ConfigError(f"{path}: found the hands {', '.join(sorted(hands))}, expected recordings of one")
+            raise ConfigError(f"{path}: found the hands {', '.join(sorted(hands))}, expected recordings of one hand")
         if settings.sensor_id in fingers:
             raise ConfigError(f"{path}: found {settings.sensor_id} twice, expected one recording of each finger")
         if (calibration := calibrations.of_recording(path)) is None:

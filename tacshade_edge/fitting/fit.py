@@ -98,7 +98,7 @@ def fit(calibration: Calibration, presses: Sequence[KnownPress], say: Say) -> Fi
     train, judge = held_out(presses)
     runs = [_Run(calibration, name, train, judge) for name in ORDER if name in calibration.factors]
     if not runs:
-        raise ConfigError("--fit: the networks see a contact where the indenter is in too few presses")
+        raise ConfigError("--fit: the networks find the contact at the indenter in too few presses")
     fitted, reports = {}, []
     for number, run in enumerate(runs):
         _train(run, runs[number + 1 :], f"fit of {run.name} ({number + 1} of {len(runs)})", say)
@@ -124,7 +124,7 @@ class _Run:
         self._judge = press_targets(calibration, profile, self._shipped, judge)
         trained = press_targets(calibration, profile, self._shipped, train)
         if not trained.presses or not self._judge.presses:
-            raise ConfigError(f"--fit: {name} sees a contact where the indenter is in too few presses")
+            raise ConfigError(f"--fit: {name} finds the contact at the indenter in too few presses")
         frame, self._once = network_files(self._weights)
         self._network = TorchNetwork(frame, trained.sensors, self._factor)
         self.training = training.Training(self._network, self._shipped.fold, self._factor, trained, self._judge)

@@ -59,7 +59,9 @@ def open(source: str | os.PathLike[str], sensor: Sensor | None = None) -> Result
         if sensor is None:
             if settings.profile == AUTO:
                 where = document.where("profile")
-                raise ConfigError(f"{where}: found {AUTO}, which the daemon alone has, expected a profile or a sensor")
+                raise ConfigError(
+                    f"{where}: found {AUTO}, which only the daemon offers, expected a profile or a sensor"
+                )
             sensor = Sensor(calibrations.load_calibration(document), settings.profile)
     elif path.is_relative_to("/dev"):
         sensor = sensor or load(Settings().calibration)

@@ -17,7 +17,7 @@ Transaction = Annotated[str, msgspec.Meta(max_length=128)] | Annotated[int, msgs
 REQUEST_BYTES_MAX: Final = 4096
 RECORD_S_MAX: Final = 3600  # 40 GB of grey 640x480 at 60 per second
 RECORD_NAME: Final = r"\A[A-Za-z0-9_-][A-Za-z0-9._-]{0,63}\Z"
-RECORD_NAME_RULE: Final = "up to 64 letters, digits, '.', '_' and '-', not a dot first"
+RECORD_NAME_RULE: Final = "up to 64 letters, digits, '.', '_' and '-', not starting with '.'"
 _ERROR_CHARS_MAX: Final = 200
 
 

@@ -225,6 +225,6 @@ def _check_grid(row0: float, col0: float, step_px: float, scale_mm: float) -> No
 def _check_pose(pose: tuple[float, ...]) -> None:
     *place, qw, qx, qy, qz = pose
     if not all(abs(mm) <= _MM_MAX for mm in place):
-        raise DecodeError(f"height/cloud payload, byte 56: found a place that is not within {_MM_MAX:g} mm")
+        raise DecodeError(f"height/cloud payload, byte 56: found a position that is not within {_MM_MAX:g} mm")
     if not abs(math.hypot(qw, qx, qy, qz) - 1) <= _UNIT_OFF_MAX:
         raise DecodeError("height/cloud payload, byte 68: found no unit quaternion")

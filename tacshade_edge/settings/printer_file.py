@@ -43,7 +43,9 @@ def read_printer(path: Path) -> PrinterFile:
     for (key, (least, most)), start in zip(limits.items(), given.start_mm, strict=True):
         if not least < most:
             line = found[key,].line
-            raise ConfigError(f"{path}:{line}: {key}: found {least:g} to {most:g}, expected the least before the most")
+            raise ConfigError(
+                f"{path}:{line}: {key}: found {least:g} to {most:g}, expected the minimum before the maximum"
+            )
         if not least <= start <= most:
             line = found["start_mm",].line
             problem = f"found {key[0]} {start:g}, expected it within {key} ({least:g} to {most:g})"

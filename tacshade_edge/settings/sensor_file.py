@@ -118,4 +118,6 @@ def with_visible_circle(text: str, circle: Disc | None) -> str:
             return changed
     except yaml.YAMLError:
         pass
-    raise ConfigError(f"SENSOR.yaml cannot be changed as it is written; {key} in it should be {stated or 'left out'}")
+    raise ConfigError(
+        f"SENSOR.yaml cannot be edited in its present form; in it, {key} should be {stated or 'left out'}"
+    )

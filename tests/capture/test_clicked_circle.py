@@ -95,7 +95,7 @@ def test_three_clicks_state_the_circle_and_a_button_takes_it_back(tmp_path: Path
         assert (out / "SENSOR.yaml").read_text().startswith(SENSOR)
         wait_until(lambda: yellow_part(page, clicked) > 0.9, 20, "the circle that was clicked is drawn")
         one.types("look")
-        one.hears("10 references and 0 presses are here already")  # judged again, with this circle
+        one.hears("10 references and 0 presses are already here")  # judged again, with this circle
         one.hears(f"disc {stated.radius_px:.0f} px")
 
         page.find_element(By.ID, "back").click()
@@ -126,7 +126,7 @@ def test_where_no_circle_is_found_three_clicks_state_one(tmp_path: Path) -> None
         one.hears("Enter takes 10 references.")
         one.types("")
         one.hears("refused: no ")
-        one.hears("on the page three clicks on the dome's rim state the circle")
+        one.hears("to set the circle, click three points on the dome's rim in the page")
         shows(page, "text", "no disc: ")
         wait_until(lambda: js(page, "picture.naturalWidth") > 0, 10, "a picture")
         wanted = Disc(240.0, 320.0, 150.0)

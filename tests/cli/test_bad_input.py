@@ -92,7 +92,7 @@ KEYS = "expected one of sensor_id, calibration, profile"
     [
         (
             {"source": CAMERA + ", device: /dev/null"},
-            f"s.yaml:2: source.device: camera /dev/null: is a device but not a video device, {VIDEO_DEVICE}",
+            f"s.yaml:2: source.device: camera /dev/null: not a video device, {VIDEO_DEVICE}",
         ),
         (
             {"source": CAMERA + ", device: /dev/shm"},
@@ -166,14 +166,18 @@ GOOD = "images/good.png"
         ([*RECONSTRUCT, "flipped.npz", GOOD], 78, "flipped.npz: "),
         ([*RECONSTRUCT, "text.png", GOOD], 78, f"text.png: not a calibration, or damaged; {WRITTEN_BY}"),
         ([*RECONSTRUCT, "good.npz", GOOD, "cut.png"], 1, "cut.png: cut short after 1000 bytes, expected a whole image"),
-        ([*RECONSTRUCT, "good.npz", "text.png", GOOD], 1, "text.png: found 9 bytes that are no image, expected a "),
+        ([*RECONSTRUCT, "good.npz", "text.png", GOOD], 1, "text.png: found 9 bytes that are not an image, expected a "),
         ([*RECONSTRUCT, "good.npz", "none.png", GOOD], 1, "none.png: No such file or directory, expected an image"),
         (
             [*RECONSTRUCT, "good.npz", "large/large.png", GOOD],
             1,
             "large/large.png: invalid: size: 320x240 px, calibrated for 160x120",
         ),
-        (["simulate", "--out", "o", "--objects", "teapot"], 78, "--objects: 'teapot' is not known, expected some of "),
+        (
+            ["simulate", "--out", "o", "--objects", "teapot"],
+            78,
+            "--objects: 'teapot' is unknown, expected one or more of ",
+        ),
         (["simulate", "--out", "SENSOR.yaml"], 1, "SENSOR.yaml: cannot be written: File exists"),
     ],
 )

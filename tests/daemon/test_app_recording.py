@@ -70,7 +70,7 @@ def test_a_recording_goes_on_while_the_camera_is_lost_and_ends_with_its_referenc
         crc = ask(seen, "reference")["result"]["calibration_crc32"]
         wait_until(lambda: last(seen, "status/recorder")["state"] == "stopped", 10, "stopped")
         status = last(seen, "status/recorder")
-        assert status["reason"] == status["ending"] == "another reference or calibration came into use"
+        assert status["reason"] == status["ending"] == "the reference or calibration changed"
         assert status["reason_code"] == status["ending_code"] == "calibration_changed"
         told = {"written": status["frames"], "dropped": 0, "waiting": 0}
         wait_until(lambda: last(seen, "health")["recorder"] == told, 5, f"health tells {told}")

@@ -165,7 +165,7 @@ def test_the_live_map_is_that_of_the_recording(cell: Cell, tmp_path: Path) -> No
         **{"state": "idle", "reason": "", "reason_code": "", "name": "", "presses": 0},
         **{"points": 0, "revision": 0, "missed": 0, "folder": ""},
     }
-    assert cell.ask("stitch", action="add") == "NOSESSION: no session is open, begin one first"
+    assert cell.ask("stitch", action="add") == "NOSESSION: no session is open; begin one first"
     folder = Path(cell.ask("record", action="start", seconds=600, name="r")["folder"])
     cell.frames.set()
     cell.until(lambda: cell.last("contact"), "a frame")
@@ -220,7 +220,7 @@ def test_a_session_outlives_the_cable_and_the_daemon(cell: Cell, tmp_path: Path)
     cell.go(second)
     missed = cell.status()["missed"]
     cell.robot.unplug()
-    cell.until(lambda: cell.status()["reason"] == "the robot's pose is not known: nothing can be added", "the gap")
+    cell.until(lambda: cell.status()["reason"] == "the robot's pose is not known, so nothing can be added", "the gap")
     cell.shown = image
     cell.until(lambda: cell.status()["missed"] > missed, "a press without a pose")
     cell.shown = unloaded()

@@ -185,7 +185,7 @@ def test_a_bad_reload_keeps_what_runs(
         warnings = [record.getMessage() for record in caplog.records if "reload" in record.getMessage()]
         assert len(warnings) == 1
         assert problem in warnings[0]
-        wait_until(lambda told=told: manager.has("frames/s; reload refused", told))
+        wait_until(lambda told=told: manager.has("frames/s; reload rejected", told))
         wait_until(lambda fed=fed: manager.watchdogs() > fed)
     assert app._active.reconstructor is before
     settings.write_text(good)
@@ -284,4 +284,4 @@ def test_a_manager_that_is_gone_is_told_and_no_end(
 ) -> None:
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "gone"))
     Service(None).ready()  # type: ignore[arg-type]
-    assert [r.getMessage() for r in caplog.records] == ["the service manager does not hear: No such file or directory"]
+    assert [r.getMessage() for r in caplog.records] == ["cannot notify the service manager: No such file or directory"]

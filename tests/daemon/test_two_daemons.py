@@ -99,7 +99,7 @@ def test_two_daemons(tmp_path: Path, devices: list[str], same_id: bool, same_fol
         folder, device = "one" if same_folder else "two", devices[0 if same_port else 1]
         second = stack.enter_context(Daemon(tmp_path, "second", broker.port, second_id, folder, device))
         holder = f"process {first.process.pid}"
-        wait_until(lambda: second.said(f"c.reference.npz: found it in use by 'sensor left, {holder}'"), 30, "reference")
+        wait_until(lambda: second.said(f"c.reference.npz: in use by 'sensor left, {holder}'"), 30, "reference")
         if same_id:
             place = f"on {socket.gethostname()}, {holder}"
             wait_until(lambda: second.said(f"tacshade/left is held by another daemon, {place}; waiting"), 30, "id")
@@ -107,11 +107,11 @@ def test_two_daemons(tmp_path: Path, devices: list[str], same_id: bool, same_fol
             _, found = check_broker(address, "left")
             finding = judge_daemon(found, Process(first.process.pid, ("tacshade-edge", "run")), "left")
             waiting = f"on {socket.gethostname()}, process {second.process.pid}"
-            assert finding.found == f"left is held by a daemon {place}; another waits for it, {waiting}"
+            assert finding.found == f"left is in use by a daemon {place}; another daemon waits for it, {waiting}"
         else:
             wait_until(lambda: health("right")["frames"]["captured"] > 10, 30, "the second works too")
         if same_folder:
-            wait_until(lambda: second.said(f"/one: found it in use by 'sensor left, {holder}'"), 30, "folder")
+            wait_until(lambda: second.said(f"/one: in use by 'sensor left, {holder}'"), 30, "folder")
         if same_port:
             wait_until(lambda: second.said(f"serial {device}: in use by another program"), 30, "port")
         captured = health("left")["frames"]["captured"]

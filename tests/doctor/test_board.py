@@ -17,10 +17,10 @@ def test_nothing_to_say_of_a_machine_that_tells_nothing(machine: Any) -> None:
 @pytest.mark.parametrize(
     ("flags", "found"),
     [
-        ("0", ["power and temperature are fine, and were since the start"]),
-        ("50000", ["under-voltage since the start, not now", "slowed down since the start, not now"]),
-        ("50001", ["under-voltage now, frames will be late or lost", "slowed down since the start, not now"]),
-        ("80008", ["slowed down now, frames will be late or lost"]),
+        ("0", ["power and temperature are fine, and have been since the start"]),
+        ("50000", ["under-voltage since the start, but not now", "slowed down since the start, but not now"]),
+        ("50001", ["under-voltage now; frames will be late or lost", "slowed down since the start, but not now"]),
+        ("80008", ["slowed down now; frames will be late or lost"]),
     ],
 )
 def test_a_raspberry_pis_power(machine: Any, flags: str, found: list[str]) -> None:

@@ -47,21 +47,21 @@ def listener() -> Iterator[socket.socket]:
 def test_nothing_listens() -> None:
     port = free_port()
     finding = trouble(port)
-    assert finding.found == f"127.0.0.1:{port}: refused, nothing listens there"
+    assert finding.found == f"127.0.0.1:{port}: connection refused, nothing listens there"
     assert "sudo systemctl enable --now mosquitto" in finding.fix
     assert "`listener` line" in trouble(port, host="127.0.0.2").fix, "another machine's broker is started there"
 
 
 def test_a_name_without_an_address() -> None:
     finding = trouble(1883, host="no-such-broker.invalid")
-    assert finding.found.startswith("no-such-broker.invalid: the name has no address")
+    assert finding.found.startswith("no-such-broker.invalid: the name does not resolve")
     assert finding.fix.endswith("getent hosts no-such-broker.invalid")
 
 
 @broker_test  # for its seconds of waiting
 def test_a_port_that_says_nothing(listener: socket.socket) -> None:
     finding = trouble(listener.getsockname()[1])
-    assert finding.found.endswith("takes connections but says nothing: not an MQTT broker")
+    assert finding.found.endswith("accepts connections but says nothing: not an MQTT broker")
 
 
 @broker_test
@@ -121,14 +121,14 @@ def test_users_and_access_rules(tmp_path: Path) -> None:
     with broker:
         assert ask(broker.port, username="hand", password="right")[0]["broker round trip"].state == "ok"
         wrong = trouble(broker.port, username="hand", password="wrong")
-        assert "refuses the user hand or the password" in wrong.found
+        assert "rejects the user hand or the password" in wrong.found
         assert wrong.fix.endswith("/etc/mosquitto/tacshade.passwd hand")
         nobody = trouble(broker.port)
         assert "without a user name" in nobody.found
         assert "mqtt.username" in nobody.fix
         denied = ask(broker.port, username="guest", password="right")[0]["broker round trip"]
         assert denied.state == "fault"
-        assert denied.found.startswith(f"may not publish under {BASE}/")
+        assert denied.found.startswith(f"the broker does not let us publish under {BASE}/")
         assert "user guest, then: topic readwrite" in denied.fix
 
 
@@ -141,7 +141,7 @@ def test_the_rules_as_shipped_and_another_name_than_the_sensors(tmp_path: Path) 
     with Broker(tmp_path, users={"hand": "right"}, more=(f"acl_file {rules}",)) as broker:
         denied = ask(broker.port, username="hand", password="right")[0]["broker round trip"]
     assert denied.state == "fault"
-    assert denied.found == f"may not publish under {BASE}/ (Not authorized)"
+    assert denied.found == f"the broker does not let us publish under {BASE}/ (Not authorized)"
 
 
 @broker_test
@@ -150,7 +150,7 @@ def test_a_broker_that_takes_small_packets_only(tmp_path: Path) -> None:
     with Broker(tmp_path, more=("max_packet_size 20000",)) as broker:
         small = ask(broker.port)[0]["broker round trip"]
     assert small.state == "warning"
-    assert small.found.startswith("it takes packets of at most 20000 bytes; larger height maps")
+    assert small.found.startswith("the broker accepts packets of at most 20000 bytes; larger height maps")
 
 
 @broker_test
@@ -176,16 +176,16 @@ def test_tls(tmp_path: Path) -> None:
     other = Broker(tmp_path / "theirs", tls=True)
     with Broker(tmp_path / "ours", tls=True) as broker:
         good, _ = ask(broker.port, tls_ca=str(broker.ca))
-        assert "accepts us over TLS" in good["broker"].found
+        assert "accepts the connection over TLS" in good["broker"].found
         wrong = trouble(broker.port, tls_ca=str(other.ca))
-        assert "its certificate is refused: self-signed certificate" in wrong.found
+        assert "its certificate is rejected: self-signed certificate" in wrong.found
         assert wrong.fix.startswith("set mqtt.ca_file")
         assert good["broker round trip"].state != "fault"
         named = trouble(broker.port, tls_ca=str(broker.ca), host="127.1")
         assert "is not valid for '127.1'" in named.found
         assert "for 127.1 (subjectAltName)" in named.fix
         plain = trouble(broker.port)
-        assert plain.found.endswith("takes connections but hangs up: not an MQTT broker")
+        assert plain.found.endswith("accepts connections but hangs up: not an MQTT broker")
         assert "If it is a TLS port (8883), set mqtt.ca_file" in plain.fix
     with Broker(tmp_path / "theirs") as broker:
         finding = trouble(broker.port, tls_ca=str(tmp_path / "ours/cert.pem"))
@@ -208,9 +208,9 @@ def test_a_broker_that_hangs(tmp_path: Path) -> None:
         (DaemonState("stopped"), False, "ok", "not running"),
         (DaemonState("online", fps=29.9), True, "ok", "process 5 (tacshade-edge run): online, 29.9 frames/s"),
         (DaemonState("degraded", "no device", 0.0), True, "warning", "degraded, 0.0 frames/s, no device"),
-        (DaemonState("online"), False, "warning", "none runs here, yet left is online on this broker"),
-        (DaemonState("online", place="on a", rival="on b"), True, "warning", "on a; another waits for it, on b"),
-        (DaemonState("offline"), True, "warning", "the broker knows no left online"),
+        (DaemonState("online"), False, "warning", "no daemon runs here, yet left is online on this broker"),
+        (DaemonState("online", place="on a", rival="on b"), True, "warning", "on a; another daemon waits for it, on b"),
+        (DaemonState("offline"), True, "warning", "left is not online at the broker"),
     ],
 )
 def test_the_daemon(daemon: DaemonState, running: bool, state: str, found: str) -> None:

@@ -32,7 +32,7 @@ def free(count: int = 5) -> list[U8]:
 def test_a_sensor_as_it_was_calibrated() -> None:
     findings = judged(free())
     assert [finding.state for finding in findings.values()] == ["ok", "ok"]
-    assert findings["sensor"].found.startswith("looks as calibrated, no contact, noise ")
+    assert findings["sensor"].found.startswith("matches the calibration, no contact, noise ")
 
 
 @pytest.mark.slow
@@ -54,13 +54,13 @@ def test_a_camera_that_came_closer() -> None:
     ]
     assert place.state == "warning"
     assert place.found.startswith("visible circle ")
-    assert "fix it where it was" in place.fix
+    assert "fasten it where it was" in place.fix
 
 
 def test_a_sensor_that_aged() -> None:
     sensor = judged([nuisance.gain(image, 0.7) for image in free()])["sensor"]
     assert sensor.state == "warning"
-    assert sensor.found.endswith("times the light since it was calibrated")
+    assert sensor.found.endswith("times the light since the calibration")
     assert "--rezero" in sensor.fix
 
 

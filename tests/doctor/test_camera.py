@@ -53,7 +53,7 @@ def test_a_good_camera(machine: Any) -> None:
         (frames(fps=15), "camera frames", "15.0 frames/s, 30 asked"),
         (frames(dropped=4), "camera frames", "30.0 frames/s, 30 asked, 4 lost"),
         (frames(described=LOCKED | {"time_stamps": "on arrival"}), "camera time", "time stamps on arrival"),
-        (frames(t_ns=(1_000_000_000,) * 30), "camera time", "not in order"),
+        (frames(t_ns=(1_000_000_000,) * 30), "camera time", "out of order"),
         (frames(arrived_ns=(4_000_000_000,) * 30), "camera time", "frames up to 3000 ms old"),
         (
             frames(described=LOCKED | {"exposure": "automatic, not locked (157)", "exposure_lock": "automatic"}),
@@ -62,7 +62,9 @@ def test_a_good_camera(machine: Any) -> None:
         ),
         (frames(images=(BLACK,)), "picture", "black: mean grey 0"),
         (
-            Captured(error=Reason(ReasonCode.STALLED, "camera /dev/video0: no frame after 2.0 s, the camera stalls")),
+            Captured(
+                error=Reason(ReasonCode.STALLED, "camera /dev/video0: no frame after 2.0 s, the camera has stalled")
+            ),
             "camera frames",
             "no frame after",
         ),

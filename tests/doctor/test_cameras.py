@@ -79,7 +79,7 @@ def test_csi_cameras_are_listed_by_the_boards_program(
 def test_a_csi_camera_that_is_held(machine: Any) -> None:
     held = Captured(error=Reason(ReasonCode.IN_USE, "camera 0 of rpicam-vid: failed to acquire camera"))
     (finding,) = check_frames(Rpicam(), held, machine, "streaming")
-    assert (finding.state, finding.found) == ("warning", "the running daemon holds the camera; it says: streaming")
+    assert (finding.state, finding.found) == ("warning", "the running daemon holds the camera; it reports: streaming")
     assert check_frames(Rpicam(), held, machine, "")[0].state == "fault"
 
 

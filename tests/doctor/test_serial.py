@@ -63,7 +63,7 @@ def test_another_program_and_a_console(machine: Any) -> None:
     assert findings["/dev/ttyACM0"].found == "/dev/ttyACM0: in use by process 30 (ModemManager)"
     assert "kill 30" in findings["/dev/ttyACM0"].fix
     for port in ("ttyS0", "ttyAMA0"):
-        assert "the system's console is on it" in findings[f"/dev/{port}"].found
+        assert "the system's console uses it" in findings[f"/dev/{port}"].found
         assert f"serial-getty@{port}" in findings[f"/dev/{port}"].fix
     assert findings["/dev/ttyAMA10"].state == "ok"
 
@@ -98,7 +98,7 @@ def test_the_robots_port_must_be_there(machine: Any) -> None:
     plug(machine, "ttyUSB0")
     missing, other = check_serial(machine, "/dev/ttyACM0")
     assert (missing.state, other.state) == ("fault", "ok")
-    assert missing.found == "/dev/ttyACM0: no such device, and serial.device names it"
+    assert missing.found == "/dev/ttyACM0: no such device, although serial.device names it"
     for there in ("/dev/ttyUSB0", "socket://robot:7000"):
         assert [f.state for f in check_serial(machine, there)] == ["ok"]
 

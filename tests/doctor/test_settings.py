@@ -31,7 +31,7 @@ def test_bad_settings(tmp_path: Path, text: str, usable: bool, said: str) -> Non
 
 def test_no_file(tmp_path: Path) -> None:
     finding, document, _ = check_settings(tmp_path / "none.yaml")
-    assert finding.fix.startswith("tacshade-edge capture DIR writes some for this camera")
+    assert finding.fix.startswith("tacshade-edge capture DIR writes settings for this camera")
     assert document is None
 
 

@@ -76,7 +76,7 @@ def test_the_offer_is_the_drivers() -> None:
         assert (f"Discrete {size}" in listed.stdout) is (size in by_size.fix)
     by_rate = check_device(asked(fps=120), MACHINE)[-1]
     assert by_rate.state == "warning"
-    assert "does not come at 120 frames/s" in by_rate.found
+    assert "is not available at 120 frames/s" in by_rate.found
     assert "25" in by_rate.fix
 
 
@@ -136,7 +136,7 @@ def test_held_by_the_daemon(tmp_path: Path) -> None:
         assert found.pid == daemon.pid
         _, (finding,) = frames(GOOD, "online, 25.0 frames/s")
         assert finding.state == "warning"
-        assert finding.found == "the running daemon holds the camera; it says: online, 25.0 frames/s"
+        assert finding.found == "the running daemon holds the camera; it reports: online, 25.0 frames/s"
         daemon.kill()
 
 
@@ -166,5 +166,5 @@ def test_the_command(tmp_path: Path) -> None:
     found = {each["check"]: each for each in json.loads(done.stdout)}
     assert found["camera"]["found"] == f"{NODE}: no such device"
     assert found["camera"]["fix"].startswith("plug the camera in")
-    assert found["serial"]["found"].startswith("/dev/ttyS0: the system's console is on it"), "this guest's own"
+    assert found["serial"]["found"].startswith("/dev/ttyS0: the system's console uses it"), "this guest's own"
     assert (found["broker"]["state"], found["calibration"]["state"]) == ("fault", "warning")

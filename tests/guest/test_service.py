@@ -156,7 +156,7 @@ def memory_is_counted_and_bounded() -> None:
 def a_stalled_camera_is_left_alone() -> None:
     before = show()
     control("percentage_of_dropped_buffers=100")
-    in_status("the camera stalls", 20)
+    in_status("the camera has stalled", 20)
     time.sleep(1.2 * WATCHDOG_S)  # only feeding the watchdog keeps it
     now = show()
     assert (now["MainPID"], now["NRestarts"]) == (before["MainPID"], before["NRestarts"])
@@ -168,7 +168,7 @@ def a_bad_file_changes_nothing() -> None:
     before = show()
     CONFIG.write_text("profile: slow\n" + GOOD)
     os.kill(int(before["MainPID"]), signal.SIGHUP)
-    in_status("reload refused", 20)
+    in_status("reload rejected", 20)
     CONFIG.write_text(GOOD)
     now = in_status("streaming, ", 20)
     assert now["MainPID"] == before["MainPID"]

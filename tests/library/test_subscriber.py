@@ -84,7 +84,7 @@ def test_silence_says_what_is_known(tmp_path: Path, monkeypatch: pytest.MonkeyPa
                 next(results)
         with (
             ts.listen(f"127.0.0.1:{broker.port}", "nobody") as results,
-            pytest.raises(ts.DeviceError, match="nobody has published its state"),
+            pytest.raises(ts.DeviceError, match="no daemon has published its state"),
         ):
             next(results)
 

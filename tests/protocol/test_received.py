@@ -63,7 +63,7 @@ def test_rays_of_the_extremes_that_are_taken_are_numbers(extreme: int) -> None:
 def test_a_touch_is_understood_or_refused(vector: dict[str, Any]) -> None:
     payload = vector["payload"].encode()
     if "error" in vector:
-        with pytest.raises(DecodeError, match=r"^touch: .*, expected what docs/reference/mqtt.md says"):
+        with pytest.raises(DecodeError, match=r"^touch: .*, expected the format in docs/reference/mqtt.md"):
             received.decode_touch(payload)
         return
     touch = received.decode_touch(payload)

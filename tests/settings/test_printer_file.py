@@ -25,7 +25,7 @@ def test_what_is_stated_of_a_printer(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("[0, 220]", "[220, 0]", ":1: x_mm: found 220 to 0, expected the least before the most"),
+        ("[0, 220]", "[220, 0]", ":1: x_mm: found 220 to 0, expected the minimum before the maximum"),
         (
             "[0, 220]",
             "[0]",

@@ -83,7 +83,7 @@ def killed_by_hand(cell: Cell) -> Seen:
     for after_s in AFTER_S:
         since_s = time.monotonic()
         with person(*words) as one:
-            one.hears(f"10 references and {acknowledged} presses are here already")
+            one.hears(f"10 references and {acknowledged} presses are already here")
             one.hears("planned are left")
             slowest_s = max(slowest_s, time.monotonic() - since_s)
             one.types("")

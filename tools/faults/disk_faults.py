@@ -144,7 +144,7 @@ def flipped_in_mcap(cell: Cell) -> Seen:
     left.write_bytes(flipped(content, chunks[len(chunks) // 2] + 3, 2))
     began_s = cell.mark()
     cell.start()
-    detected_s = cell.told("its writer died; ended after its last whole record", began_s)
+    detected_s = cell.told("its writer died; closed after the last whole record", began_s)
     read, told = _frames_of(path)
     each = -(-whole // len(chunks))
     assert 2 <= len(told) <= 4, told  # a chunk may end amid a frame, which is told too
@@ -184,7 +184,7 @@ def flipped_bit(cell: Cell) -> Seen:
     path.write_bytes(data)
     began_s = time.monotonic()
     cell.start()
-    detected_s = cell.told("are no whole press", began_s)
+    detected_s = cell.told("are damaged or cut short", began_s)
     found = cell.presses(1)
     assert found >= count - 1, (found, count)
     assert path.with_name(f"{PRESSES}.damaged-1").read_bytes() == data
@@ -199,7 +199,7 @@ def cut_description(cell: Cell) -> Seen:
     path.write_bytes(path.read_bytes()[:40])
     began_s = time.monotonic()
     cell.start()
-    detected_s = cell.told("session passed over", began_s)
+    detected_s = cell.told("skipping a session", began_s)
     assert cell.ask("stitch", action="begin", name="two")["ok"]
     assert (cell.folder / "maps/one" / PRESSES).stat().st_size > 0
     return Seen(detected_s, time.monotonic() - began_s, "the session is not resumed; its presses stay", "log")

@@ -43,7 +43,7 @@ def reboots(cell: Cell) -> Seen:
     boots = robot.told.boots
     cell.until(lambda: robot.told.boots > boots, 20, "a reboot")
     since_s = time.monotonic()
-    detected_s = cell.told("the robot greeted", since_s)
+    detected_s = cell.told("the robot sent a greeting", since_s)
     recovered_s = cell.told("sync two-way", since_s)
     return Seen(detected_s, recovered_s, "poses until the clocks agree again", "log, `status/serial`")
 

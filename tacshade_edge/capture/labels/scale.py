@@ -68,7 +68,7 @@ class Scale:
             raise DeviceError(f"scale {self._port.device}: found {READINGS_MAX} readings, expected fewer in one start")
         if time.monotonic() - self._heard_s > _SILENT_S:
             found = repr(self._unread.decode("ascii", "replace")) if self._unread else "nothing"
-            expected = f"expected lines with a number and its unit ({UNITS}); is {self._port.baud} its baud?"
+            expected = f"expected lines with a number and a unit ({UNITS}); is {self._port.baud} its baud?"
             raise DeviceError(f"scale {self._port.device}: found {found} for {_SILENT_S:.0f} s, {expected}")
 
     def readings(self) -> tuple[F64, F64]:

@@ -73,7 +73,7 @@ class LabelSession:
             What was taken until then is in the folder.
         """
         if self._rows:
-            self._terminal.say(f"{len(self._rows)} labelled pictures are here already")
+            self._terminal.say(f"{len(self._rows)} labelled pictures are already here")
         self._take_rest()
         while True:
             group = str(max((int(row.group) for row in self._rows if row.group.isdecimal()), default=0) + 1)
@@ -101,7 +101,7 @@ class LabelSession:
             rest_grey = motion_grey(blocks)
             if rest_grey > REST_MOST_GREY:
                 found = f"found {rest_grey:.1f} grey levels of change, expected {REST_MOST_GREY:g} at most"
-                self._terminal.say(f"  refused: the picture moves, or its noise is great: {found}")
+                self._terminal.say(f"  refused: the picture moves, or is too noisy: {found}")
                 continue
             self._live.rest_grey = rest_grey
             self._rest = np.mean(blocks, axis=0)
@@ -113,7 +113,7 @@ class LabelSession:
         scale.check()
         tare_n, spread_n = scale.median_n(since_s)
         if math.isnan(tare_n):
-            self._terminal.say("  refused: the scale has written nothing meanwhile")
+            self._terminal.say("  refused: the scale has sent nothing since")
             return False
         self._tare_n = tare_n
         self._terminal.say(f"  tare: the scale reads {tare_n:.4f} N, spread {spread_n:.4f} N")
@@ -132,7 +132,7 @@ class LabelSession:
             return
         frame = self._live.still_frame()
         if frame is None:
-            self._terminal.say("  given up: nothing was taken")
+            self._terminal.say("  cancelled: nothing was taken")
             return
         known = {**self._robot_labels(frame), **known}
         self._keep([LabelRow(self._folder.add_image(np.array(frame.image)), known, group, frame.t_ns)])
@@ -142,7 +142,7 @@ class LabelSession:
             expected = "touch first" if self._robot else "NAME=VALUE ..., for there is no scale and no robot"
             self._terminal.say(f"  found nothing, expected {expected} (help says how)")
             return
-        self._terminal.say("  press, and lift again; Enter ends it")
+        self._terminal.say("  press, then lift; Enter ends the press")
         seen: list[tuple[float, float]] = []
         rows: list[LabelRow] = []
         posed: list[dict[str, float]] = []
@@ -161,7 +161,7 @@ class LabelSession:
                 posed.append(self._robot_labels(held.popleft()))
         posed += map(self._robot_labels, held)
         if not rows:
-            self._terminal.say("  not taken: nothing touched the skin in the picture")
+            self._terminal.say("  not taken: the picture shows no contact")
             return
         t_s, changes = np.array(seen).T
         self._presses[group] = Press(t_s, changes)
@@ -196,7 +196,7 @@ class LabelSession:
         self._rows = [row for row in self._rows if row.group != group]
         self._presses.pop(group, None)
         self._folder.write(self._with_force(), removed)
-        self._terminal.say(f"  press {group} is taken back: {len(removed)} pictures")
+        self._terminal.say(f"  removed press {group}: {len(removed)} pictures")
 
     def _keep(self, rows: Sequence[LabelRow]) -> None:
         self._rows += rows
@@ -205,7 +205,7 @@ class LabelSession:
         names = ", ".join(sorted({name for row in written[-len(rows) :] for name in row.known}, key=QUANTITIES.index))
         self._terminal.say(f"  press {rows[0].group}: {len(rows)} pictures with {names or 'no quantity yet'}")
         if self._unposed:
-            self._terminal.say(f"  some without the robot's labels: {self._unposed}")
+            self._terminal.say(f"  some have no labels from the robot: {self._unposed}")
             self._unposed = ""
 
     def _with_force(self) -> list[LabelRow]:
@@ -243,13 +243,13 @@ class LabelSession:
         self._scale.check()
         after_n, spread_n = self._scale.median_n(since_s)
         drift = "not measured" if math.isnan(after_n) else f"{after_n - self._tare_n:+.4f} N, spread {spread_n:.4f} N"
-        self._terminal.say(f"scale: tare before {self._tare_n:.4f} N, which is taken out; drift after {drift}")
+        self._terminal.say(f"scale: tare before {self._tare_n:.4f} N, subtracted; drift after {drift}")
         offset = self._offset()
         self._folder.write(self._with_force())
         if offset is None:
             raise DeviceError(
-                f"scale: the offset of its clock was not found: {self._unaligned}; "
-                f"the presses of this start have no {_FORCE}"
+                f"scale: its clock could not be matched: {self._unaligned}; "
+                f"the presses since this start have no {_FORCE}"
             )
         self._terminal.say(
             f"scale: its readings come {1e3 * offset.offset_s:.0f} ms after the pictures, "

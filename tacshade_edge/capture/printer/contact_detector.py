@@ -68,7 +68,7 @@ class ContactDetector:
                 return
             if time.monotonic() > end_s:
                 raise SafetyStop(
-                    "the picture shows contact, or does not come to rest, though the indenter is above the skin"
+                    "the picture shows contact or does not settle, although the indenter is above the skin"
                 )
             before = now
 
@@ -100,7 +100,7 @@ class ContactDetector:
         frames = self._frames()
         blocks = [block_means(to_grey(frame.image)) for frame in frames]
         if all(np.array_equal(frames[0].image, frame.image) for frame in frames[1:]):
-            raise SafetyStop("the camera gives the same picture again and again")
+            raise SafetyStop("the camera keeps delivering the same picture")
         judged = self._check.judge(np.array(frames[-1].image))
         if judged.unusable:
             raise SafetyStop(f"the picture cannot be used: {judged.unusable}")

@@ -109,7 +109,7 @@ class Head:
         for part in segments(self._place_mm, np.round(to_mm, 3), feed_mm_s * _LONGEST_S):
             self._keypress.check()
             if not self.is_certain:
-                raise SafetyStop("it is not certain where the head is")
+                raise SafetyStop("the position of the head is not certain")
             self.is_certain, self.was_moved = False, True
             x, y, z = part.tolist()
             self._line.do(commands.straight(x, y, z, feed_mm_s))
@@ -123,7 +123,7 @@ class Head:
         if float(np.abs(found_mm - self._place_mm).max()) > _POSITION_MM:
             self.is_certain = False
             found, expected = (", ".join(f"{v:.2f}" for v in place.tolist()) for place in (found_mm, self._place_mm))
-            raise SafetyStop(f"the printer says that it is at {found}, expected {expected} mm")
+            raise SafetyStop(f"the printer reports that it is at {found}, expected {expected} mm")
 
     def _reported_mm(self) -> F64:
         place = self._line.position()

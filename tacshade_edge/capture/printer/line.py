@@ -86,13 +86,13 @@ class PrinterLine:
         """Where the printer says that its head was sent to. Raises as `do`."""
         self.do(commands.POSITION)
         if self._exchange.position is None:
-            raise SafetyStop(f"the printer reported no position to {commands.POSITION}")
+            raise SafetyStop(f"the printer reported no position in answer to {commands.POSITION}")
         return self._exchange.position
 
     def listen(self) -> None:
         """Take what came while nothing was asked: a reset, an error. Raises as `do`."""
         if again := self._exchange.receive(self._port.read()):
-            raise SafetyStop(f"the printer asked again for what it had answered: {again!r}")
+            raise SafetyStop(f"the printer asked for a line again that it had answered: {again!r}")
         self._check_failure("rest")
 
     def emergency_stop(self) -> str:
@@ -149,4 +149,4 @@ class PrinterLine:
 
     def _write(self, data: bytes) -> None:
         if not self._port.write(data):
-            raise SafetyStop("the printer takes nothing from the line")
+            raise SafetyStop("the printer accepts no data on the serial line")

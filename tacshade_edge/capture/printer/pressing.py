@@ -94,7 +94,7 @@ class Pressing:
 
     def _run(self) -> None:
         if not self._left:
-            self._terminal.say("all planned presses are taken")
+            self._terminal.say("all planned presses have been taken")
             return
         self._home()
         self._live.ask(
@@ -183,7 +183,7 @@ class Pressing:
         """Move over a place; heights at first touch and at full depth. Raises SafetyStop for another circle."""
         if self._session.circle_changed:
             raise SafetyStop(
-                "another visible circle was stated, and the sensor was found with the old one; start again"
+                "the visible circle was changed after the sensor was located with the old one; start again"
             )
         x, y, yaw_deg = press.x_mm, press.y_mm, self._stand.indenter_yaw_deg
         first_mm = first_touch_mm(press.indenter, self._sensor.skin_radius_mm, x, y, yaw_deg)

@@ -76,7 +76,7 @@ class Touch:
             least_z_mm = self.head.z_mm - _AGAIN_MM
             self.head.to(self.head.z_mm + step_mm + _OFF_MM)
             if self.detector.look():
-                raise SafetyStop("the picture still shows contact, lifted off what it had touched")
+                raise SafetyStop("the picture still shows contact after the head was raised")
         return self.head.z_mm + _SEEN_LATE_MM
 
     def _search(self, least_z_mm: float, step_mm: float) -> None:
@@ -84,6 +84,4 @@ class Touch:
             self.head.to(z_mm)
             if self.detector.look():
                 return
-        raise SafetyStop(
-            f"no touch was seen down to z {self.head.z_mm:.2f} mm, where it was looked for to {least_z_mm:.2f} mm"
-        )
+        raise SafetyStop(f"found no touch down to z {self.head.z_mm:.2f} mm (searched to {least_z_mm:.2f} mm)")

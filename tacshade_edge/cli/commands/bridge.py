@@ -25,8 +25,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's options."""
     kinds = parser.add_subparsers(dest="kind", metavar="KIND", required=True)
     for name, port, text in (
-        ("foxglove", 8765, "live data for Foxglove and Lichtblick: their WebSocket protocol"),
-        ("prometheus", 9469, "every sensor's health as metrics, on /metrics"),
+        ("foxglove", 8765, "serve live data to Foxglove and Lichtblick over their WebSocket protocol"),
+        ("prometheus", 9469, "serve every sensor's health as metrics on /metrics"),
     ):
         kind = kinds.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
         kind.add_argument(
@@ -44,9 +44,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             metavar="HOST[:PORT]",
             help=f"address to listen on; port 0: any free one (default: 127.0.0.1:{port}, this machine only)",
         )
-        kind.add_argument("--username", metavar="NAME", help="user name at the broker")
-        kind.add_argument("--password-file", metavar="FILE", help="file whose first line is the password")
-        kind.add_argument("--ca-file", metavar="FILE", help="PEM file of the broker's CA: use TLS to it")
+        kind.add_argument("--username", metavar="NAME", help="user name for the broker")
+        kind.add_argument("--password-file", metavar="FILE", help="file with the password in its first line")
+        kind.add_argument(
+            "--ca-file", metavar="FILE", help="PEM file of the broker's CA: connect to the broker over TLS"
+        )
         add_verbosity(kind)
 
 
@@ -134,7 +136,7 @@ def _announce(args: argparse.Namespace, url: str) -> None:
     host, port = args.broker
     print(f"{args.kind}: {url} for the broker {host}:{port}; Ctrl-C ends", flush=True)
     if not is_loopback(args.listen[0]):
-        print(f"{args.kind}: unencrypted, without a password: all of the network may read", file=sys.stderr)
+        print(f"{args.kind}: unencrypted and without a password: anyone on the network can read it", file=sys.stderr)
 
 
 def _missing(error: ModuleNotFoundError, extra: str, package: str) -> Exception:

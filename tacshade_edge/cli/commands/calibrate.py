@@ -40,31 +40,38 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     kind = parser.add_mutually_exclusive_group(required=True)
-    kind.add_argument("--sensor", type=Path, metavar="SENSOR.yaml", help="what is known of the sensor")
+    kind.add_argument("--sensor", type=Path, metavar="SENSOR.yaml", help="the sensor's dimensions and camera")
     kind.add_argument(
-        "--rezero", type=Path, metavar="CAL.npz", help="only take a new reference, and keep all else of this file"
+        "--rezero", type=Path, metavar="CAL.npz", help="replace only the reference of this calibration file"
     )
     parser.add_argument(
         "--reference", type=Path, required=True, nargs="+", metavar="IMG", help="images of the unloaded skin, 5 or more"
     )
     parser.add_argument("--presses", type=Path, metavar="PRESSES.csv", help="known presses, for metric depth")
     parser.add_argument(
-        "--indenters", type=Path, metavar="INDENTERS.yaml", help="the shapes that PRESSES.csv names besides ball"
+        "--indenters", type=Path, metavar="INDENTERS.yaml", help="the shapes, other than ball, that PRESSES.csv names"
     )
     parser.add_argument(
-        "--depth-from-touch", action="store_true", help="depth_mm of PRESSES.csv is travel from first touch"
+        "--depth-from-touch", action="store_true", help="depth_mm in PRESSES.csv is the travel from first touch"
     )
     parser.add_argument(
-        "--fit", action="store_true", help="train the networks on with the presses, some minutes; needs the extra fit"
+        "--fit",
+        action="store_true",
+        help="train the networks further on the presses, which takes minutes; needs the extra fit",
     )
     parser.add_argument(
-        "--labels", type=Path, metavar="LABELS.csv", help="labelled frames: depth, tilt, shear, forces ... as numbers"
+        "--labels",
+        type=Path,
+        metavar="LABELS.csv",
+        help="labelled frames: depth, tilt, shear, forces and the like, as numbers",
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="CAL.npz", help="the calibration to write")
+    parser.add_argument("--out", type=Path, required=True, metavar="CAL.npz", help="calibration file to write")
     parser.add_argument(
-        "--allow-loaded-reference", action="store_true", help="warn only when the reference seems taken under load"
+        "--allow-loaded-reference",
+        action="store_true",
+        help="only warn if something seems to press the skin in the reference",
     )
-    parser.add_argument("--json", action="store_true", help="print what was fitted as JSON")
+    parser.add_argument("--json", action="store_true", help="print the fitted values as JSON")
     parser.set_defaults(usage_error=parser.error)
 
 
@@ -73,21 +80,21 @@ def run(args: argparse.Namespace) -> int:
     if args.rezero is not None:
         if args.presses or args.indenters:
             given = "--presses" if args.presses else "--indenters"
-            args.usage_error(f"{given} has no meaning with --rezero, which keeps what was fitted to presses")
+            args.usage_error(f"{given} has no effect with --rezero, which keeps the fit to the presses")
         if args.labels:
-            args.usage_error("--labels has no meaning with --rezero, which keeps what was learnt from labels")
+            args.usage_error("--labels has no effect with --rezero, which keeps the touch model")
         if args.fit:
-            args.usage_error("--fit has no meaning with --rezero, which keeps what was fitted to presses")
+            args.usage_error("--fit has no effect with --rezero, which keeps the fit to the presses")
         return _rezero(args)
     if args.depth_from_touch and not args.presses:
-        args.usage_error("--depth-from-touch has no meaning without --presses")
+        args.usage_error("--depth-from-touch has no effect without --presses")
     if args.fit and not args.presses:
-        args.usage_error("--fit has no meaning without --presses")
+        args.usage_error("--fit has no effect without --presses")
     fit = _fit() if args.fit else None
     sensor = read_sensor(args.sensor)
     references = _read_references(args.reference)
     if args.indenters and not args.presses:
-        args.usage_error("--indenters has no meaning without --presses, which name them")
+        args.usage_error("--indenters has no effect without --presses, which name them")
     labelled = read_labels(args.labels, args.labels.parent) if args.labels else []
     indenters = read_indenters(args.indenters) if args.indenters else {}
     presses, notes = read_presses(args.presses, indenters) if args.presses else ([], ())

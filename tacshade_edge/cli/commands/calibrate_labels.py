@@ -25,7 +25,7 @@ def learn_from_labels(calibration: Calibration, table: Path, labelled: Sequence[
     counts = {name: sum(name in row.known for row in labelled) for name in QUANTITIES}
     if max(counts.values()) < LEAST_ROWS:
         found = ", ".join(f"{count} of {name}" for name, count in counts.items() if count)
-        raise ConfigError(f"{table}: found {found}, expected {LEAST_ROWS} or more rows of a quantity")
+        raise ConfigError(f"{table}: found {found}, expected {LEAST_ROWS} or more rows for at least one quantity")
     size = (calibration.image_height_px, calibration.image_width_px)
     results = []
     progress = Progress()
@@ -36,7 +36,7 @@ def learn_from_labels(calibration: Calibration, table: Path, labelled: Sequence[
     progress.end()
     if not any(one.learnt.reports for one in results):
         why = "; ".join(touch_warnings(results[:1]))
-        raise ConfigError(f"{table}: no quantity can be learnt: {why}")
+        raise ConfigError(f"{table}: no quantity can be learned: {why}")
     return results
 
 

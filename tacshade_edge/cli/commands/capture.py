@@ -61,34 +61,34 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         nargs="?",
         metavar="DIR",
-        help="where everything is written; an earlier one goes on where it stopped",
+        help="folder to write to; an interrupted capture continues where it stopped",
     )
     what.add_argument(
         "--indenters",
         type=Path,
         metavar="DIR",
-        help="write indenters to print (STL), INDENTERS.yaml and a PLAN.csv of presses, and end",
+        help="write indenters to print (STL), INDENTERS.yaml and a PLAN.csv of presses, and exit",
     )
     what.add_argument(
         "--labels",
         type=Path,
         metavar="DIR",
-        help="take labelled frames into DIR/LABELS.csv: readings that are typed, a robot's poses, a scale",
+        help="add labelled frames to DIR/LABELS.csv: typed readings, a robot's poses or a scale's readings",
     )
     parser.add_argument(
         "--scale",
         metavar="DEVICE[:BAUD]",
-        help=f"with --labels: a scale that writes numbers with their unit on this serial port ({BAUD} baud)",
+        help=f"with --labels: read a scale that sends numbers with a unit on this serial port ({BAUD} baud)",
     )
     camera = parser.add_mutually_exclusive_group()
-    camera.add_argument("--camera", metavar="DEVICE", help="the camera, where the machine has several")
-    camera.add_argument("--config", type=Path, metavar="FILE", help="settings whose source is the camera")
+    camera.add_argument("--camera", metavar="DEVICE", help="the camera to use, if the machine has several")
+    camera.add_argument("--config", type=Path, metavar="FILE", help="settings file whose source is the camera")
     add_sensor(parser)
-    parser.add_argument("--plan", type=Path, metavar="PLAN.csv", help="presses to offer: a table like PRESSES.csv")
+    parser.add_argument("--plan", type=Path, metavar="PLAN.csv", help="presses to suggest: a table like PRESSES.csv")
     parser.add_argument(
         "--printer",
         metavar="PORT",
-        help="the presses of --plan by a 3-D printer on this serial port, as DIR/PRINTER.yaml says (printer.md)",
+        help="make the presses of --plan with the 3-D printer on this serial port (DIR/PRINTER.yaml, printer.md)",
     )
 
 
@@ -99,7 +99,7 @@ def run(args: argparse.Namespace) -> int:
             print(path)
         return 0
     if args.scale is not None and args.labels is None:
-        raise ConfigError("--scale: expected --labels DIR with it")
+        raise ConfigError("--scale: found no --labels DIR, expected both")
     if args.labels is not None and (args.plan or args.printer):
         raise ConfigError("--labels: found --plan or --printer, expected neither")
     if args.printer is not None and args.plan is None:
@@ -143,10 +143,10 @@ def run(args: argparse.Namespace) -> int:
         terminal.say("")
         option = "--labels " if args.labels else ""
         words = f"tacshade-edge capture {option}{shlex.quote(str(folder.path))}"
-        terminal.say(f"what was taken is kept; go on with: {words}")
+        terminal.say(f"everything taken so far is kept; to continue, run: {words}")
         raise
     except DeviceError as error:
-        raise DeviceError(f"{error}; the same command goes on in {folder.path}", code=error.code) from None
+        raise DeviceError(f"{error}; run the same command to continue in {folder.path}", code=error.code) from None
     (_say_next_of_labels if args.labels else _say_next)(folder, terminal)
     return 0
 
@@ -281,14 +281,14 @@ def _say_next_of_labels(folder: CaptureFolder, terminal: Terminal) -> None:
     words = f"tacshade-edge calibrate --sensor {shown}/{folder.sensor.name} --reference {shown}/{REFERENCES}"
     terminal.say(f"next:\n  {words} --labels {shown}/{LABELS} --out {shown}/{_CALIBRATION}")
     if not list(folder.path.glob(REFERENCES)):
-        terminal.say(f"no reference is there yet: tacshade-edge capture {shown} takes some")
+        terminal.say(f"no references yet; to take them, run: tacshade-edge capture {shown}")
 
 
 def _say_next(folder: CaptureFolder, terminal: Terminal) -> None:
     """The commands that come next, to be copied."""
     taken, shown = folder.taken(), shlex.quote(str(folder.path))
     if not list(folder.path.glob(REFERENCES)):
-        terminal.say(f"no reference was taken; go on with: tacshade-edge capture {shown}")
+        terminal.say(f"no reference was taken; to continue, run: tacshade-edge capture {shown}")
         return
     words = f"tacshade-edge calibrate --sensor {shown}/{folder.sensor.name} --reference {shown}/{REFERENCES}"
     if len(taken) >= MIN_PRESSES:
@@ -296,6 +296,8 @@ def _say_next(folder: CaptureFolder, terminal: Terminal) -> None:
         if any(one.stated.columns[0] != BALL for one in taken):
             words += f" --indenters {shown}/{folder.indenters.name}"
     else:
-        terminal.say(f"{len(taken)} presses: a fit needs {MIN_PRESSES}, 20 to 40 are better; the same command goes on")
+        terminal.say(
+            f"{len(taken)} presses: a fit needs {MIN_PRESSES}, 20 to 40 are better; run the same command to take more"
+        )
     terminal.say(f"next:\n  {words} --out {shown}/{_CALIBRATION}")
     terminal.say(f"  tacshade-edge run --config {shown}/{folder.settings.name}")

@@ -17,7 +17,7 @@ DEFAULT_CONFIG = Path("/etc/tacshade-edge/config.yaml")
 
 def add_sensor(parser: argparse.ArgumentParser) -> None:
     """Declare ``--sensor``."""
-    parser.add_argument("--sensor", metavar="ID", help="which, where the settings have several")
+    parser.add_argument("--sensor", metavar="ID", help="the sensor to check, if the settings have several")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -37,15 +37,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--host",
         default="127.0.0.1",
         metavar="ADDRESS",
-        help="address to listen on (default: this machine only); another one wants a token, and is read-only",
+        help="address to listen on (default: this machine only); any other needs a token and makes the page read-only",
     )
     parser.add_argument(
         "--token-file",
         type=Path,
         metavar="FILE",
-        help="the token that opens the page, and makes it read-only; made where it is not there",
+        help="file with the token that opens the page read-only; created if missing",
     )
-    parser.add_argument("--allow-control", action="store_true", help="who has the token may command the sensors too")
+    parser.add_argument(
+        "--allow-control", action="store_true", help="let whoever has the token send commands to the sensors too"
+    )
     parser.add_argument(
         "--recordings",
         type=Path,
@@ -53,15 +55,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="list the recordings in this folder of this machine, to play, download and delete",
     )
     parser.add_argument("--certificate", type=Path, metavar="FILE", help="PEM file: serve the page over TLS")
-    parser.add_argument("--key", type=Path, metavar="FILE", help="PEM file of its key (default: in the same file)")
-    parser.add_argument("--ca-file", type=Path, metavar="FILE", help="PEM file of the broker's CA: use TLS to it")
+    parser.add_argument(
+        "--key", type=Path, metavar="FILE", help="PEM file of the certificate's key (default: in the same file)"
+    )
+    parser.add_argument(
+        "--ca-file", type=Path, metavar="FILE", help="PEM file of the broker's CA: connect to the broker over TLS"
+    )
     parser.add_argument(
         "--origin",
         type=_origin,
         action="append",
         default=[],
         metavar="URL",
-        help="where the page is opened when a proxy stands in front, such as https://hand.example.org",
+        help="the page's public address behind a proxy, such as https://hand.example.org",
     )
 
 
@@ -78,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
     host, port = args.broker
     broker = Broker(host, port, _tls(args.ca_file) if args.ca_file else None)
     if args.recordings is not None and not args.recordings.is_dir():
-        raise ConfigError(f"--recordings {args.recordings}: found no folder, expected that of the recordings")
+        raise ConfigError(f"--recordings {args.recordings}: found no folder, expected the one with the recordings")
     tls = server_tls(args.certificate, args.key)
     is_opened = not is_loopback(args.host)
     token = read_token(args.token_file) if args.token_file else None

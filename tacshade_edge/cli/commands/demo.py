@@ -55,12 +55,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--listen",
         default="127.0.0.1",
         metavar="ADDRESS",
-        help="where the page listens, such as 0.0.0.0 (this machine only)",
+        help="address to listen on, such as 0.0.0.0 (default: this machine only)",
     )
     add(
-        "--hand", action="store_true", help="a hand of five fingers that hold a bottle, in place of the two single ones"
+        "--hand",
+        action="store_true",
+        help="show a hand of five fingers holding a bottle instead of two separate sensors",
     )
-    add("--seconds", type=float, default=math.inf, metavar="N", help="end by itself after N seconds")
+    add("--seconds", type=float, default=math.inf, metavar="N", help="stop after N seconds")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -130,8 +132,8 @@ def run(args: argparse.Namespace) -> int:
         )
         print(f"{what}: open {shown}", flush=True)
         if login:
-            print("Unencrypted: others on the network may read the address and what is shown.", flush=True)
-        print("Ctrl-C ends.", flush=True)
+            print("Unencrypted: others on the network can read the address and the page.", flush=True)
+        print("Press Ctrl-C to stop.", flush=True)
         other: Generator[None, None, None]
         if args.hand:
             other = demo_hand.play(folder)

@@ -28,10 +28,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--config", type=Path, default=DEFAULT_CONFIG, metavar="FILE", help="settings (default: %(default)s)"
     )
     add_sensor(parser)
-    parser.add_argument("--bundle", type=Path, metavar="FILE", help="write what somebody needs who is to help, a zip")
-    parser.add_argument("--with-frame", action="store_true", help="the camera's picture is in the bundle too")
+    parser.add_argument(
+        "--bundle", type=Path, metavar="FILE", help="write a zip file with everything somebody needs to help you"
+    )
+    parser.add_argument("--with-frame", action="store_true", help="add a picture from the camera to the bundle")
     parser.set_defaults(refuse=parser.error)
-    parser.add_argument("--json", action="store_true", help="print a list of {check, state, found, fix}")
+    parser.add_argument(
+        "--json", action="store_true", help="print the findings as JSON: a list of {check, state, found, fix}"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -50,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         print(_summary(findings))
         if args.bundle is not None:
-            print(f"{args.bundle} is written; look at it before you give it away")
+            print(f"wrote {args.bundle}; look through it before you share it")
     faults = {finding.check for finding in findings if finding.state == "fault"}
     if SETTINGS in faults:
         return EXIT_CONFIG

@@ -35,16 +35,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     study.add_arguments(
         parser,
-        profiles="all but paper, which takes a second for each frame",
+        profiles="default: all but paper, which takes a second per frame",
         files="evaluation.md, evaluation.csv, evaluation.json, figure6.png",
     )
     labelled = parser.add_argument_group("your own frames with labels, in place of surfaces (--images, --labels)")
-    labelled.add_argument("--labels", type=Path, metavar="CSV", help=f"image and any of {', '.join(COLUMNS)}")
+    labelled.add_argument("--labels", type=Path, metavar="CSV", help=f"table of image and any of {', '.join(COLUMNS)}")
     labelled.add_argument(
-        "--sensor", type=Path, metavar="SENSOR.yaml", help="what is known of the sensor, in place of --calibration"
+        "--sensor",
+        type=Path,
+        metavar="SENSOR.yaml",
+        help="the sensor's dimensions and camera, instead of --calibration",
     )
     labelled.add_argument(
-        "--reference", type=Path, nargs="+", metavar="IMG", help="with --sensor: unloaded (the least loaded frame)"
+        "--reference",
+        type=Path,
+        nargs="+",
+        metavar="IMG",
+        help="with --sensor: images of the unloaded skin (default: the least loaded frame)",
     )
     study.add_cluster(parser)
     simulated = study.add_simulated(parser, WORKING_SENSORS, "all")
@@ -63,13 +70,13 @@ def _labels_checked(args: argparse.Namespace) -> argparse.Namespace:
     """Refuse what does not go with labels."""
     given = [name for name in SIMULATED if getattr(args, name) is not None]
     if given:
-        args.usage_error(f"--{given[0]} does not go with --labels")
+        args.usage_error(f"--{given[0]} cannot be used with --labels")
     if args.images is None or args.labels is None:
-        args.usage_error("--images DIR and --labels CSV belong together")
+        args.usage_error("--images DIR and --labels CSV must be given together")
     if (args.calibration is None) == (args.sensor is None):
         args.usage_error("--labels needs one of --calibration CAL.npz and --sensor SENSOR.yaml")
     if args.reference is not None and args.sensor is None:
-        args.usage_error("--reference goes with --sensor")
+        args.usage_error("--reference requires --sensor")
     return args
 
 

@@ -61,7 +61,7 @@ def _calibration(args: argparse.Namespace, labelled: Sequence[LabelledImage]) ->
         return calibrations.load(args.calibration, store=False)
     paths = args.reference or [min(labelled, key=_load).path]
     if not args.reference:
-        print(f"tacshade-edge: {paths[0]} is taken as reference: the least loaded frame", file=sys.stderr)
+        print(f"tacshade-edge: using {paths[0]}, the least loaded frame, as the reference", file=sys.stderr)
     try:
         references = [read_image(path) for path in paths]
     except DecodeError as error:

@@ -27,11 +27,21 @@ SENSOR_ID = "replay"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add = parser.add_argument
-    add("--to", choices=tuple(FORMATS), required=True, help="the format; mcap and lerobot need the extra of that name")
-    add("--calibration", type=Path, metavar="CAL.npz", help="from `calibrate` (the recording's own)")
+    add(
+        "--to",
+        choices=tuple(FORMATS),
+        required=True,
+        help="output format; mcap and lerobot need the extra of the same name",
+    )
+    add("--calibration", type=Path, metavar="CAL.npz", help="calibration file (default: the recording's own)")
     add_profile(parser)
-    add("--out", type=Path, metavar="PATH", help="a new file, of ply and lerobot a new folder (beside the recording)")
-    text = "what `replay` reads; several are of a hand's fingers, and their hand is exported (csv, mcap)"
+    add(
+        "--out",
+        type=Path,
+        metavar="PATH",
+        help="new file, or for ply and lerobot a new folder (default: beside the recording)",
+    )
+    text = "a recording that `replay` can read; several, one per finger, export their hand (csv, mcap)"
     add("input", type=Path, nargs="+", metavar="RECORDING", help=text)
 
 
@@ -65,9 +75,9 @@ def _export_hand(args: argparse.Namespace) -> int:
     if args.to not in ("csv", "mcap"):
         raise ConfigError(f"--to: found {args.to} with {len(args.input)} recordings, expected csv or mcap")
     if args.calibration is not None:
-        raise ConfigError("--calibration: found it with several recordings, expected none: each has its own")
+        raise ConfigError("--calibration: found with several recordings, expected none: each recording has its own")
     if args.out is None:
-        raise ConfigError("--out: found nothing with several recordings, expected a new file")
+        raise ConfigError("--out: missing, expected a new file for several recordings")
     if args.to == "mcap":
         require_mcap()
     from tacshade_edge.factories.hand_recordings import read_hand

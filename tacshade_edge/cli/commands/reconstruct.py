@@ -28,7 +28,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--calibration", type=Path, required=True, metavar="CAL.npz", help="from `calibrate`")
     add_profile(parser)
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="a .npz per image and summary.json")
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="write a .npz file per image, and summary.json"
+    )
     parser.add_argument("--plot", action="store_true", help="also write a picture per image")
     parser.add_argument("--json", action="store_true", help="print the summary")
     parser.add_argument("images", type=Path, nargs="+", metavar="IMG")

@@ -29,9 +29,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--config", type=Path, default=DEFAULT_CONFIG, metavar="FILE", help="the daemon's settings (%(default)s)")
     add_sensor(parser)
-    add("--name", type=_name, metavar="NAME", help=f"of its folder: {RECORD_NAME_RULE} (date and time)")
-    add("--format", choices=("folder", "mcap"), default="folder", help="of the frames (%(default)s)")
-    add("--seconds", type=_seconds, required=True, metavar="N", help="how long; Ctrl-C ends it earlier")
+    add("--name", type=_name, metavar="NAME", help=f"name of its folder: {RECORD_NAME_RULE} (date and time)")
+    add("--format", choices=("folder", "mcap"), default="folder", help="format of the frames (%(default)s)")
+    add("--seconds", type=_seconds, required=True, metavar="N", help="how long to record; Ctrl-C ends it earlier")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -58,9 +58,9 @@ def run(args: argparse.Namespace) -> int:
     dropped = f", {ended['dropped']} dropped" if ended["dropped"] else ""
     print(f"{folder}: {ended['frames']} frames, {ended['bytes'] / 1e6:.1f} MB{dropped} ({ended['ending']})")
     if reason := ended.get("reason"):  # as `status/recorder` has it
-        raise DeviceError(f"{folder}: stopped: {reason}; what is there stays")
+        raise DeviceError(f"{folder}: stopped: {reason}; the frames written so far are kept")
     if ended["frames"] == 0:
-        raise DeviceError(f"{folder}: no frame came")
+        raise DeviceError(f"{folder}: received no frame")
     return 0
 
 
@@ -108,7 +108,9 @@ def _last_words(caller: MqttCaller, folder: str) -> dict[str, Any]:
     if caller.wait_for(lambda: _over(_status(caller, folder)), ANSWER_S):
         return _status(caller, folder)
     state = caller.latest("state").decode() or "silent"
-    raise DeviceError(f"{folder}: the daemon is {state} and did not say how it ended; what it wrote is there")
+    raise DeviceError(
+        f"{folder}: the daemon is {state} and did not report how the recording ended; frames so far are kept"
+    )
 
 
 def _over(status: dict[str, Any]) -> bool:

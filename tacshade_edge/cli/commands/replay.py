@@ -31,22 +31,33 @@ from tacshade_edge.storage.runs.run_files import RunWriter
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add = parser.add_argument
-    add("--calibration", type=Path, metavar="CAL.npz", help="from `calibrate` (the recording's own)")
+    add("--calibration", type=Path, metavar="CAL.npz", help="calibration file (default: the recording's own)")
     add_profile(parser)
     add("--out", type=Path, metavar="DIR", help="write heights.bin, clouds.bin and summary.json")
-    add("--against", type=Path, metavar="DIR", help="compare --out with this earlier run; exit 1 when they differ")
-    add("--fps", type=positive, metavar="N", help="times of a recording without a table beside it (30)")
-    add("--speed", type=positive, metavar="FACTOR", help="times the recording's pace (as fast as possible)")
+    add("--against", type=Path, metavar="DIR", help="compare --out with this earlier run; exit 1 if they differ")
+    add("--fps", type=positive, metavar="N", help="frame rate of a recording that has no table of times (30)")
+    add(
+        "--speed",
+        type=positive,
+        metavar="FACTOR",
+        help="playback speed as a multiple of the recording's (default: as fast as possible)",
+    )
     add(
         "--play",
         action="store_true",
-        help="to be paused, stepped and wound from the page, until Ctrl-C",
+        help="let the page pause, step and seek, until Ctrl-C",
     )
-    add("--loop", type=_count, default=1, metavar="TIMES", help="go through it TIMES times, 0 until stopped (1)")
+    add("--loop", type=_count, default=1, metavar="TIMES", help="play it TIMES times; 0: until stopped (1)")
     add("--mqtt", type=address(), metavar="HOST:PORT", help="publish as `run` does")
     add("--config", type=Path, metavar="FILE", help="publish as `run` does, to the broker of these settings")
-    add("--sensor-id", type=_sensor_id, default="replay", metavar="ID", help="publish on tacshade/ID (replay)")
-    add("input", type=Path, nargs="?", metavar="INPUT", help="folder of images or video; none: compare two runs only")
+    add("--sensor-id", type=_sensor_id, default="replay", metavar="ID", help="publish under tacshade/ID (replay)")
+    add(
+        "input",
+        type=Path,
+        nargs="?",
+        metavar="INPUT",
+        help="folder of images, or a video; without it, only compare two runs",
+    )
     parser.set_defaults(refuse=parser.error)
 
 
@@ -179,7 +190,7 @@ def positive(text: str) -> float:
     """A finite number over 0, for argparse."""
     value = float(text)
     if not (math.isfinite(value) and 0 < value <= 1e6):
-        raise argparse.ArgumentTypeError(f"found {text}, expected a number over 0, up to a million")
+        raise argparse.ArgumentTypeError(f"found {text}, expected a number above 0 and at most a million")
     return value
 
 
@@ -191,5 +202,5 @@ def _count(text: str) -> int:
 
 def _sensor_id(text: str) -> str:
     if not re.fullmatch(r"(?!hand$)[A-Za-z0-9_-]{1,64}", text):
-        raise argparse.ArgumentTypeError(f"found {text}, expected letters, digits, - and _, not hand")
+        raise argparse.ArgumentTypeError(f"found {text}, expected letters, digits, - and _, but not the word hand")
     return text

@@ -40,7 +40,7 @@ _PAD_SEED = 500_000
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write images, ground truth (.npz) and scenes.csv here")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for images, ground truth (.npz) and scenes.csv")
     parser.add_argument(
         "--objects",
         default=",".join(PAPER_OBJECTS),
@@ -49,10 +49,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--depth", type=_number, nargs="+", default=[3.0], metavar="MM", help="pressed depths (3)")
     parser.add_argument(
-        "--position", type=_number, nargs=2, action="append", metavar=("X", "Y"), help="mm; may be repeated (0 0)"
+        "--position",
+        type=_number,
+        nargs=2,
+        action="append",
+        metavar=("X", "Y"),
+        help="position of the object in mm; may be repeated (0 0)",
     )
-    parser.add_argument("--rotation", type=_number, nargs="+", default=[0.0], metavar="DEG", help="about z (0)")
-    for name, what in (("drag", "mm along the skin, after it touched"), ("tilt", "degrees about x, then y")):
+    parser.add_argument(
+        "--rotation", type=_number, nargs="+", default=[0.0], metavar="DEG", help="rotation about z (0)"
+    )
+    for name, what in (
+        ("drag", "mm to drag along the skin after contact"),
+        ("tilt", "tilt in degrees about x, then y"),
+    ):
         parser.add_argument(
             f"--{name}",
             type=_number,
@@ -61,17 +71,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             metavar=("X", "Y"),
             help=f"{what}; may be repeated (0 0)",
         )
-    parser.add_argument("--twist", type=_number, nargs="+", default=[0.0], metavar="DEG", help="about z, dragging (0)")
-    parser.add_argument("--calibration-set", type=Path, metavar="DIR", help="write references and ball presses here")
+    parser.add_argument(
+        "--twist", type=_number, nargs="+", default=[0.0], metavar="DEG", help="twist about z while dragging (0)"
+    )
+    parser.add_argument("--calibration-set", type=Path, metavar="DIR", help="folder for references and ball presses")
     parser.add_argument("--presses", type=_count, default=40, metavar="N", help="ball presses in the set (40)")
     parser.add_argument(
-        "--pad", type=Path, metavar="DIR", help="write presses all over a touchpad, poses and truth here"
+        "--pad", type=Path, metavar="DIR", help="folder for presses all over a touchpad, with poses and ground truth"
     )
-    parser.add_argument("--pad-step", type=_number, default=4.0, metavar="MM", help="between presses on the pad (4)")
-    parser.add_argument("--pad-depth", type=_number, default=2.7, metavar="MM", help="below the bulges' tops (2.7)")
-    parser.add_argument("--pad-varied", action="store_true", help="each press of another depth and tilt")
-    parser.add_argument("--seed", type=_count, default=0, metavar="N", help="of the noise and the presses (0)")
-    parser.add_argument("--sensor-seed", type=_count, metavar="N", help="another sensor of the family, drawn at random")
+    parser.add_argument(
+        "--pad-step", type=_number, default=4.0, metavar="MM", help="distance between presses on the pad (4)"
+    )
+    parser.add_argument(
+        "--pad-depth", type=_number, default=2.7, metavar="MM", help="press depth below the tops of the bulges (2.7)"
+    )
+    parser.add_argument("--pad-varied", action="store_true", help="vary the depth and tilt of the presses")
+    parser.add_argument("--seed", type=_count, default=0, metavar="N", help="seed of the noise and the presses (0)")
+    parser.add_argument(
+        "--sensor-seed",
+        type=_count,
+        metavar="N",
+        help="simulate another sensor of the family, drawn at random with this seed",
+    )
     parser.set_defaults(usage_error=parser.error)
 
 
@@ -146,7 +167,7 @@ def _write_scenes(sensor: SimulatedSensor, args: argparse.Namespace) -> None:
     names = [name.strip() for name in args.objects.split(",")]
     for name in names:
         if name not in OBJECTS and name != "none":
-            raise ConfigError(f"--objects: {name!r} is not known, expected some of {', '.join(OBJECTS)}, none")
+            raise ConfigError(f"--objects: {name!r} is unknown, expected one or more of {', '.join(OBJECTS)}, none")
     nowhere = [(0.0, 0.0)]
     ways = itertools.product(
         args.depth, args.position or nowhere, args.rotation, args.tilt or nowhere, args.drag or nowhere, args.twist

@@ -36,21 +36,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--calibration", type=Path, required=True, metavar="CAL.npz", help="from `calibrate`")
     source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument("--poses", type=Path, metavar="POSES.csv", help="images and base_T_flange")
+    source.add_argument("--poses", type=Path, metavar="POSES.csv", help="table of images and base_T_flange")
     source.add_argument(
-        "--recording", type=Path, metavar="INPUT", help="as `replay` reads; each settled contact counts"
+        "--recording",
+        type=Path,
+        metavar="INPUT",
+        help="a recording that `replay` can read; each settled contact is a press",
     )
     add_profile(parser, default="accurate")  # no one waits for a map
     parser.add_argument(
         "--out", type=Path, required=True, metavar="DIR", help="map.npz, .ply, .png, .json, preview.png"
     )
     parser.add_argument(
-        "--truth", type=Path, metavar="PAD.npz", help="score the map against this known surface, and picture both"
+        "--truth", type=Path, metavar="PAD.npz", help="score the map against this known surface, and draw both"
     )
     parser.add_argument(
         "--find-flange",
         action="store_true",
-        help="no map, but flange.json: flange_T_sensor and the delay of the frames, from overlapping presses",
+        help="instead of a map, write flange.json: flange_T_sensor and the frames' delay, from overlapping presses",
     )
     parser.add_argument("--json", action="store_true", help="print map.json, or flange.json")
 
@@ -58,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Stitch; a press that cannot be used is named in map.json, an image that cannot be read here too."""
     if args.find_flange and args.truth is not None:
-        raise ConfigError("--truth: found with --find-flange, which makes no map; expected one of them")
+        raise ConfigError("--truth: found with --find-flange, which makes no map; expected only one of the two")
     calibration = calibrations.load(args.calibration)
     profile, known = PROFILES[args.profile], None if args.truth is None else read_known(args.truth)
     if args.recording is None:

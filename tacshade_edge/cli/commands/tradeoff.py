@@ -32,20 +32,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     study.add_arguments(
         parser,
-        profiles="all, each with what differs from it",
+        profiles="default: all, and variants of each",
         files="tradeoff.md, tradeoff.csv, tradeoff.json, tradeoff.png",
     )
     parser.add_argument(
         "--budget-ms",
         type=_milliseconds,
         metavar="MS",
-        help="print the settings of the most accurate profile that takes no longer for 99 of 100 frames in contact",
+        help="print the settings of the most accurate profile that keeps to this time for 99 of 100 frames in contact",
     )
     study.add_cluster(parser)
     parser.add_argument(
         "--report",
         action="store_true",
-        help="time the shipped profiles alone and print this board's figures as a block to send in; it names no host",
+        help="time only the shipped profiles and print this board's figures to send in, without the host's name",
     )
     study.add_simulated(parser, SENSORS, "the paper's five")
 

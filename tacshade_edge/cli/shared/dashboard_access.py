@@ -70,6 +70,10 @@ def server_tls(certificate: Path | None, key: Path | None) -> ssl.SSLContext | N
         # Asked for a password, OpenSSL would wait at the terminal.
         context.load_cert_chain(certificate, key, password=lambda: "")
     except (OSError, ssl.SSLError) as error:
-        reason = error.strerror if type(error) is not ssl.SSLError and error.strerror else "not usable together"
-        raise ConfigError(f"{shown}: {reason}, expected PEM files of a certificate and its key, no password") from None
+        reason = (
+            error.strerror if type(error) is not ssl.SSLError and error.strerror else "the two do not belong together"
+        )
+        raise ConfigError(
+            f"{shown}: {reason}, expected PEM files of a certificate and its key, without a password"
+        ) from None
     return context

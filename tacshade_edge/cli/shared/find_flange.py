@@ -43,8 +43,8 @@ def run(
     moved_mm, turned_deg = correction(start, found.flange_T_sensor, np.zeros(3))
     if moved_mm > START_MM or turned_deg > START_DEG:
         raise ConfigError(
-            f"{where}: the presses agree only {moved_mm:.0f} mm and {turned_deg:.0f} degrees from flange_T_sensor of "
-            "the calibration, expected one that is right within 10 mm and 10 degrees, and base_T_flange in mm"
+            f"{where}: the presses agree, but {moved_mm:.0f} mm and {turned_deg:.0f} degrees from flange_T_sensor of "
+            "the calibration, expected it within 10 mm and 10 degrees of the truth, and base_T_flange in mm"
         )
     seen = delay_seen(found)
     write_flange(out, found, delay_seen=seen, presses=presses, frames=len(frames))

@@ -29,7 +29,7 @@ def add_verbosity(parser: argparse.ArgumentParser) -> None:
     """Declare ``-v`` and ``-q``."""
     how = parser.add_mutually_exclusive_group()
     for short, name, level, text in (
-        ("-v", "--verbose", logging.DEBUG, "log more, for the search of a fault"),
+        ("-v", "--verbose", logging.DEBUG, "log more detail, to help find a fault"),
         ("-q", "--quiet", logging.WARNING, "log warnings and errors only"),
     ):
         how.add_argument(

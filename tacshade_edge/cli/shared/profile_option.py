@@ -14,7 +14,7 @@ def add_profile(parser: argparse.ArgumentParser, default: str = DEFAULT) -> None
         type=_fixed,
         choices=sorted(PROFILES),
         default=default,
-        help=f"speed against accuracy ({default})",
+        help=f"profile: a trade of speed against accuracy ({default})",
     )
 
 

@@ -35,7 +35,7 @@ def objects(text: str) -> tuple[str, ...]:
     names = tuple(dict.fromkeys(word.strip() for word in text.split(",")))
     unknown = [name for name in names if name not in OBJECTS]
     if unknown:
-        raise argparse.ArgumentTypeError(f"{unknown[0]!r} is not known, expected some of {', '.join(OBJECTS)}")
+        raise argparse.ArgumentTypeError(f"{unknown[0]!r} is unknown, expected one or more of {', '.join(OBJECTS)}")
     return names
 
 
@@ -49,10 +49,12 @@ def add_arguments(parser: argparse.ArgumentParser, profiles: str, files: str) ->
         help=f"some of {', '.join(PROFILES)} ({profiles})",
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help=f"write {files}")
-    parser.add_argument("--json", action="store_true", help="print the JSON file in place of the tables")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of the tables")
     own = parser.add_argument_group("your own images")
     own.add_argument("--calibration", type=Path, metavar="CAL.npz", help="from `calibrate`")
-    own.add_argument("--images", type=Path, metavar="DIR", help="images, each with its truth as STEM.npz beside it")
+    own.add_argument(
+        "--images", type=Path, metavar="DIR", help="images, each with its ground truth beside it as STEM.npz"
+    )
     parser.set_defaults(usage_error=parser.error)
 
 
@@ -66,7 +68,9 @@ def add_simulated(parser: argparse.ArgumentParser, sensor_names: str, object_nam
     """Take simulated sensors and objects by name."""
     group = parser.add_argument_group("simulated sensors")
     group.add_argument("--sensors", type=sensors, metavar="SEED,...", help=f"SEED or default ({sensor_names})")
-    group.add_argument("--objects", type=objects, metavar="NAME,...", help=f"of {', '.join(OBJECTS)} ({object_names})")
+    group.add_argument(
+        "--objects", type=objects, metavar="NAME,...", help=f"some of {', '.join(OBJECTS)} ({object_names})"
+    )
     return group
 
 
@@ -79,7 +83,7 @@ def is_own(args: argparse.Namespace, simulated: tuple[str, ...]) -> bool:
         Options that mean nothing to a user's own images.
     """
     if (args.calibration is None) != (args.images is None):
-        args.usage_error("--calibration CAL.npz and --images DIR belong together")
+        args.usage_error("--calibration CAL.npz and --images DIR must be given together")
     if args.images is None:
         return False
     given = [name for name in simulated if getattr(args, name) is not None]

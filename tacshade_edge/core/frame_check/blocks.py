@@ -166,7 +166,7 @@ def _lost_reason(variance: F32, check: BlockCheck, slack: float) -> Reason | Non
     rows = empty * BLOCK_PX * check.camera_px
     if empty < LOST_ROWS:
         return None
-    return Reason(ReasonCode.TORN, f"torn: {rows} rows across the disc show no marker")
+    return Reason(ReasonCode.TORN, f"torn: {rows} rows across the disc show no markers")
 
 
 def _bright_reason(level: F32, check: BlockCheck, slack: float) -> Reason | None:

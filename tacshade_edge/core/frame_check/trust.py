@@ -33,8 +33,8 @@ def degraded_reason(unseen: float, drift_grey: float) -> Reason | None:
 
 
 def _glare(unseen: float) -> Reason:
-    return Reason(ReasonCode.GLARE, f"glare: {100 * unseen:.0f} % of the disc unseen")
+    return Reason(ReasonCode.GLARE, f"glare: {100 * unseen:.0f} % of the disc hidden")
 
 
 def _light_drift(drift_grey: float) -> Reason:
-    return Reason(ReasonCode.LIGHT_DRIFT, f"light or focus: g moved by {drift_grey:.0f} levels everywhere")
+    return Reason(ReasonCode.LIGHT_DRIFT, f"light or focus: g changed by {drift_grey:.0f} levels everywhere")

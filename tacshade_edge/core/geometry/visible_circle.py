@@ -56,7 +56,7 @@ def circle_through(points_px: Sequence[tuple[float, float]], shape: tuple[int, .
     r1, c1, r2, c2 = row1 - row0, col1 - col0, row2 - row0, col2 - col0
     twice_area = r1 * c2 - c1 * r2
     if abs(twice_area) <= _LINE * max(r1 * r1 + c1 * c1, r2 * r2 + c2 * c2):
-        raise ConfigError("three points: found them on a line, expected them on the dome's rim, far from each other")
+        raise ConfigError("three points: found on a line, expected on the dome's rim and far apart")
     square1, square2 = r1 * r1 + c1 * c1, r2 * r2 + c2 * c2
     row = (square1 * c2 - square2 * c1) / (2 * twice_area)
     col = (square2 * r1 - square1 * r2) / (2 * twice_area)
@@ -65,7 +65,7 @@ def circle_through(points_px: Sequence[tuple[float, float]], shape: tuple[int, .
     if apart_px < LEAST_APART * disc.radius_px:
         raise ConfigError(
             f"three points: found two {apart_px:.0f} px apart on a circle of {disc.radius_px:.0f} px, "
-            f"expected {LEAST_APART:g} radii or more between each two"
+            f"expected {LEAST_APART:g} radii or more between any two"
         )
     if disc.radius_px < LEAST_RADIUS_PX:
         raise ConfigError(

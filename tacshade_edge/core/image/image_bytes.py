@@ -51,7 +51,7 @@ def decode_image(data: bytes, flags: int) -> U8:
             raise DecodeError(f"cut short after {len(data)} bytes, expected a whole image")
     size_px = _size_px(data)
     if size_px is None or 0 in size_px:
-        raise DecodeError(f"found {len(data)} bytes that are no image, expected a whole image")
+        raise DecodeError(f"found {len(data)} bytes that are not an image, expected a whole image")
     width, height = size_px
     if max(size_px) > SIDE_MAX_PX or width * height > PIXELS_MAX:
         expected = f"expected at most {SIDE_MAX_PX} px a side and {PIXELS_MAX >> 20} Mi px in all"
@@ -61,7 +61,7 @@ def decode_image(data: bytes, flags: int) -> U8:
     except cv2.error:
         image = None
     if image is None or image.shape[:2] != (height, width):
-        raise DecodeError(f"found {len(data)} bytes that are damaged or no image, expected a whole image")
+        raise DecodeError(f"found {len(data)} bytes that are damaged or not an image, expected a whole image")
     return np.asarray(image, np.uint8)
 
 

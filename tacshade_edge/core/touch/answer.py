@@ -27,7 +27,7 @@ def touch_by_model(model: TouchModel, features: F32, imprint: F32) -> Touch:
     alike = found.alike and belongs(model, found.values, imprint)
     if not alike:
         unknown = dict.fromkeys(model.names)
-        text = "its imprint is another object's" if found.alike else "unlike every frame of the labels"
+        text = "its imprint is unlike the labelled object's" if found.alike else "unlike every labelled frame"
         return Touch(unknown, unknown, Reason(ReasonCode.TOUCH_UNLIKE, text))
     values, sigma = found.values.tolist(), found.sigma.tolist()
     margin = MARGIN * found.sigma

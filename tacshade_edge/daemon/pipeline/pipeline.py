@@ -79,7 +79,7 @@ class Pipeline:
         reconstruct.join(max(0.0, deadline - time.monotonic()))
         left = [thread.name for thread in self._threads if thread.is_alive()]
         if left:
-            _log.warning("stopping without waiting for %s, not done after %.1f s", " and ".join(left), timeout_s)
+            _log.warning("stopping without %s, which did not finish within %.1f s", " and ".join(left), timeout_s)
         return not left
 
 

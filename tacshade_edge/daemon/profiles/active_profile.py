@@ -162,7 +162,10 @@ class ActiveProfile(FrameObserver):
             self._late_logged = True
             profile = self._chooser.profile
             _log.warning(
-                "%s, the fastest, does not keep %g ms: 90 %% took up to %.1f ms", profile, budget_ms, within_ms
+                "%s, the fastest profile, misses the budget of %g ms: 90 %% of frames took up to %.1f ms",
+                profile,
+                budget_ms,
+                within_ms,
             )
 
     def _install(self, choice: str, calibration: Calibration, ready: dict[str, Reconstructor]) -> None:
@@ -180,7 +183,7 @@ class ActiveProfile(FrameObserver):
         self._chooser = chooser
         costs = ", ".join(f"{name} {ms:.1f} ms" for name, ms in costs_ms.items())
         _log.info(
-            "profile %s: begins with %s for a budget of %g ms; a step here: %s",
+            "profile %s: starts with %s for a budget of %g ms; the profiles take %s here",
             *(AUTO, chooser.profile, self.budget_ms, costs),
         )
 

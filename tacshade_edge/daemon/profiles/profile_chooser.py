@@ -141,7 +141,9 @@ class ProfileChooser:
         expected_ms = self._expected_ms(self._ladder[at - 1], within_ms)
         if expected_ms > MARGIN * self.budget_ms:
             return None
-        text = f"90 % of {frames} frames took up to {within_ms:.1f} ms, expected now {expected_ms:.1f} ms"
+        text = (
+            f"90 % of {frames} frames took up to {within_ms:.1f} ms; the next profile should take {expected_ms:.1f} ms"
+        )
         return self._step(self._ladder[at - 1], now_s, Reason(ReasonCode.WITHIN_BUDGET, text))
 
     def _expected_ms(self, better: str, within_ms: float) -> float:

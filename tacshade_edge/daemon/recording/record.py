@@ -270,7 +270,7 @@ class LiveRecorder:
             One goes on (``BUSY``); the folder cannot be made; the disk is down to the floor.
         """
         if (now := self.now()) is not None:
-            doing = "the latest is still being written to" if now.ending else "recording to"
+            doing = "the latest recording is still being written to" if now.ending else "recording to"
             raise DeviceError(f"busy: {doing} {now.folder}", code=ReasonCode.BUSY)
         recorder = make(folder, free_floor_bytes=FREE_FLOOR_BYTES)
         job = self._job or _Job(0, self._posed)
@@ -314,7 +314,7 @@ class LiveRecorder:
         if job.asked is None and other:
             job.forget()
         elif job.asked and calibration_crc32 != job.asked.calibration.crc32:
-            text = "another reference or calibration came into use"
+            text = "the reference or calibration changed"
             self.end(Reason(ReasonCode.CALIBRATION_CHANGED, text))
 
     def poll(self) -> Recorded | None:

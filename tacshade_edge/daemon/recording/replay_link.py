@@ -132,5 +132,7 @@ class ReplayLink:
             status = self._playback.command(request.playback)
             self._link.reply(request, replies.encode_result(request.transaction, status))
             return
-        refusal = Reason(ReasonCode.UNAVAILABLE, "a replay takes no such requests (replay --play takes req/replay)")
+        refusal = Reason(
+            ReasonCode.UNAVAILABLE, "a replay does not accept this request (replay --play accepts req/replay)"
+        )
         self._link.reply(request, replies.encode_error(request.transaction, refusal))

@@ -33,7 +33,7 @@ class ReferenceCollector:
             self._finish(Reason(ReasonCode.FRAME_INVALID, text))
         elif result.contact:
             found = f"frame {frame.seq} shows contact {result.depth_max_mm:.2f} mm deep"
-            self._finish(Reason(ReasonCode.FRAME_IN_CONTACT, f"{found}, expected nothing to touch the sensor"))
+            self._finish(Reason(ReasonCode.FRAME_IN_CONTACT, f"{found}, expected a sensor that nothing touches"))
         else:
             self._images.append(frame.image)
             if len(self._images) == REFERENCE_FRAMES:

@@ -63,7 +63,7 @@ def restored(calibrated: Calibration, path: Path, unowned: Reason | None = None)
     try:
         stored = reference_file.load(path, calibrated)
     except ConfigError as error:
-        _log.warning("%s; the calibration's own reference is used", error)
+        _log.warning("%s; using the calibration's own reference", error)
         if error.code is ReasonCode.CALIBRATION_CHANGED and unowned is None:
             with contextlib.suppress(OSError):
                 path.unlink()
@@ -71,7 +71,7 @@ def restored(calibrated: Calibration, path: Path, unowned: Reason | None = None)
     if stored is None:
         return Origin(calibrated, calibrated, reason=unowned)
     taken = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime(stored.wall_ns / 1e9))
-    _log.info("reference of %s from %s", taken, path)
+    _log.info("using the reference taken %s, from %s", taken, path)
     return Origin(calibrated, stored.calibration, "request", stored.wall_ns, unowned)
 
 
@@ -91,6 +91,6 @@ def requested(calibrated: Calibration, images: Sequence[U8], path: Path, unowned
         except DeviceError as error:
             reason = error.reason
     if reason is not None:
-        reason = Reason(reason.code, f"{reason}; the reference lasts until the next start or reload")
+        reason = Reason(reason.code, f"{reason}; this reference is in use only until the next start or reload")
     _log.info("new reference from %d frames%s", len(images), f": {reason}" if reason else "")
     return Origin(calibrated, taken.calibration, "request", taken.wall_ns, reason)

@@ -25,7 +25,7 @@ class RobotMotion:
     def restart(self) -> None:
         """The robot greeted: its clock is another."""
         with self._lock:
-            self._sync.restart(Reason(ReasonCode.ROBOT_RESTARTED, "the robot began anew"))
+            self._sync.restart(Reason(ReasonCode.ROBOT_RESTARTED, "the robot restarted"))
             self._forget_old()
 
     def sync_received(self, t1_ns: int, t2_ns: int, t4_ns: int | None) -> None:

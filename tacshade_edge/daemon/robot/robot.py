@@ -103,7 +103,7 @@ class Robot(FrameObserver):
             state, reason = "silent" if silent else "connected", sync.reason
             details = {**port.details, "mode": self._channel.mode, "sync": sync.mode}
             if silent:
-                reason = Reason(ReasonCode.STALLED, f"nothing for more than {SILENT_NS / 1e9:.0f} s")
+                reason = Reason(ReasonCode.STALLED, f"received nothing for more than {SILENT_NS / 1e9:.0f} s")
             elif reason is None and (latency_ms := int(port.details.get("latency_ms", 0))) > LATENCY_MAX_MS:
                 text = f"the port's chip holds bytes back for {latency_ms} ms; doctor says how to fix it"
                 reason = Reason(ReasonCode.PORT_LATENCY, text)

@@ -125,7 +125,7 @@ class SerialChannel:
                 self._missing += received.missing
                 self._motion.add(received)
             elif isinstance(received, Greeted):
-                _log.info("the robot greeted%s", f", boot {received.boot}" if received.boot else "")
+                _log.info("the robot sent a greeting%s", f", boot {received.boot}" if received.boot else "")
                 self._motion.restart()
                 self._commands.touch.switch(None)
             else:
@@ -141,7 +141,7 @@ class SerialChannel:
             self._link.notify(PosesMissing(self._missing))
             if now_ns - self._gap_logged_ns >= GAP_LOG_PERIOD_NS:
                 self._gap_logged_ns = now_ns
-                _log.info("%d poses are missing by their numbers so far", self._link.counts.poses_lost)
+                _log.info("%d poses are missing so far, by their sequence numbers", self._link.counts.poses_lost)
             self._missing, self._gap_sent_ns = 0, now_ns
         sync = self._motion.state()
         if sync.mode != self._sent_sync:

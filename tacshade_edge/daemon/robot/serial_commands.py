@@ -111,7 +111,7 @@ class SerialCommands:
                 self._requests.append((request, command))
             self._on_request(request)
         elif self.sessions is None:
-            link.answer(command, Reason(ReasonCode.UNAVAILABLE, "this daemon does not stitch yet"))
+            link.answer(command, Reason(ReasonCode.UNAVAILABLE, "this daemon is not ready to stitch"))
         else:
             action, *name = command.args
             self.sessions.submit(action, name[0] if name else "", lambda outcome: self._answer(command, outcome))

@@ -181,7 +181,7 @@ class SessionWorker:
         # The same frame twice would be the same press twice.
         self._jobs.put(_Add(points, replace(frame, image=_NO_IMAGE), flange_T_sensor, replies[0]))
         for reply in replies[1:]:
-            reply(Reason(ReasonCode.BUSY, f"frame {result.seq} is being added already"))
+            reply(Reason(ReasonCode.BUSY, f"frame {result.seq} is already being added"))
 
     def poll(self) -> None:
         """Refuse what waits for a frame in vain; called now and then."""
@@ -264,7 +264,7 @@ class SessionWorker:
         self._state = self._current_state()
         if session.presses:
             self._publish(session.map_revision())
-        _log.info("session %s goes on with %d presses", session.name, session.presses)
+        _log.info("session %s continues with %d presses", session.name, session.presses)
 
     def _own_folder(self) -> None:
         if self._folder_lock is None:
@@ -277,12 +277,12 @@ class SessionWorker:
         if command.action == "STATUS":
             return NoSession() if session is None else session.status(self._missed)
         if session is None:
-            raise RefusedError(ReasonCode.NO_SESSION, "no session is open, begin one first")
+            raise RefusedError(ReasonCode.NO_SESSION, "no session is open; begin one first")
         if command.action == "END":
             return self._end(session)
         if command.action == "ABORT":
             return self._abort(session)
-        raise RefusedError(ReasonCode.NO_SESSION, "the session has just begun, add again")
+        raise RefusedError(ReasonCode.NO_SESSION, "the session has just started; add again")
 
     def _begin(self, name: str) -> SessionResult:
         if self._folder_lock is None:
@@ -293,16 +293,16 @@ class SessionWorker:
             self._session.close()
             self._clear_session()
         if self._session is not None:
-            text = f"session {self._session.name} is open, end or abort it first"
+            text = f"session {self._session.name} is open; end or abort it first"
             raise RefusedError(ReasonCode.BUSY, text)
         if self._calibration is None:
-            raise RefusedError(ReasonCode.NO_FRAME, "no frame was reconstructed yet")
+            raise RefusedError(ReasonCode.NO_FRAME, "no frame has been reconstructed yet")
         session = Session.begin(self._folder, name, self._calibration, self._sensor_id)
         self._session, self._rest = session, RestDetector()
         with self._lock:
             self._missed, self._missed_reason = 0, None
         self._state = self._current_state()
-        _log.info("stitching session %s begins", session.name)
+        _log.info("stitching session %s started", session.name)
         return session.begun()
 
     def _add(self, add: _Add) -> PressAdded:
@@ -310,7 +310,7 @@ class SessionWorker:
         if session is None:
             raise RefusedError(ReasonCode.NO_SESSION, "the session has ended")
         if len(add.points.points_mm) == 0:
-            raise RefusedError(ReasonCode.NO_CONTACT, f"frame {seq}: nothing touches")
+            raise RefusedError(ReasonCode.NO_CONTACT, f"frame {seq}: nothing touches the sensor")
         if (pose := self._with_pose(add.frame).pose) is None:
             raise RefusedError(ReasonCode.NO_POSE, f"frame {seq}: the robot's pose is not known at its time")
         added = session.add(add.points, of_pose(pose) @ add.flange_T_sensor, seq)
@@ -353,5 +353,5 @@ def _refusal(result: Reconstruction) -> Reason | None:
     if not result.valid:
         return Reason(ReasonCode.FRAME_INVALID, f"frame {result.seq}: {result.reason}")
     if not result.contact:
-        return Reason(ReasonCode.NO_CONTACT, f"frame {result.seq}: nothing touches")
+        return Reason(ReasonCode.NO_CONTACT, f"frame {result.seq}: nothing touches the sensor")
     return None

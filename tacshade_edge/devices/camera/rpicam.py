@@ -151,7 +151,7 @@ class RpicamSource:
             if not (in_step and was_in_step):
                 raise stream.other_size()
             raise DeviceError(
-                f"{self._name}: asked an exposure of {self._exposure_us} us and a gain of {self._gain:g}, "
+                f"{self._name}: asked for an exposure of {self._exposure_us} us and a gain of {self._gain:g}, "
                 f"got {exposure_us:g} us and {gain:g}",
                 code=ReasonCode.NOT_OFFERED,
             )
@@ -215,7 +215,7 @@ class _Stream:
         except OSError as error:
             os.close(records)
             missing = isinstance(error, FileNotFoundError)
-            why = "no such program, expected it from apt's rpicam-apps-lite" if missing else error.strerror
+            why = "no such program, expected the one in apt's rpicam-apps-lite" if missing else error.strerror
             raise DeviceError(f"{name}: {why}", code=ReasonCode.ABSENT if missing else ReasonCode.PERMISSION) from None
         finally:
             os.close(write_end)
@@ -296,13 +296,13 @@ class _Stream:
         return DeviceError(f"{self._name}: the program ended with {status}: {why!r}", code=code)
 
     def _stalled(self) -> DeviceError:
-        return DeviceError(f"{self._name}: no frame comes, it stalls", code=ReasonCode.STALLED)
+        return DeviceError(f"{self._name}: no frame arrives: the camera has stalled", code=ReasonCode.STALLED)
 
     def other_size(self) -> DeviceError:
         """The program's frames are not as large as ours."""
         height_px, width_px = self._shape
         return DeviceError(
-            f"{self._name}: found other frames than of {self._bytes} bytes, {width_px}x{height_px} YUV 4:2:0",
+            f"{self._name}: found frames that are not of {self._bytes} bytes, {width_px}x{height_px} YUV 4:2:0",
             code=ReasonCode.NOT_OFFERED,
         )
 

@@ -219,7 +219,7 @@ class V4l2Source:
             waited_s = (time.monotonic_ns() - began_ns) / 1e9
             # A read of a device that is gone fails at once, though OpenCV goes on calling it open.
             gone = waited_s < 0.5 * _STALL_S
-            why = "the device is gone or its driver stopped" if gone else "the camera stalls"
+            why = "the device is gone, or its driver has stopped" if gone else "the camera has stalled"
             raise DeviceError(
                 f"camera {self._device}: no frame after {waited_s:.1f} s, {why}",
                 code=ReasonCode.LOST if gone else ReasonCode.STALLED,
@@ -241,7 +241,7 @@ class V4l2Source:
             size = raw.size if ok else 0
             self._dropped += 1
         raise DeviceError(
-            f"camera {self._device}: {_UNDECODABLE_MAX} frames in a row were no {self._fourcc} of"
+            f"camera {self._device}: {_UNDECODABLE_MAX} frames in a row were not {self._fourcc} of"
             f" {self._shape[1]}x{self._shape[0]} (the last had {size} bytes)",
             code=ReasonCode.DECODE,
         )

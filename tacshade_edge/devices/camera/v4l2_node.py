@@ -47,9 +47,7 @@ def check_kind(device: str) -> None:
     subsystem = Path("/sys/dev/char", number, "subsystem")
     # A node without an entry there is one that is being plugged or unplugged: opening it shows which.
     if subsystem.exists() and subsystem.resolve().name != "video4linux":
-        raise ConfigError(
-            f"camera {device}: is a device but not a video device, {_EXPECTED}", code=ReasonCode.WRONG_KIND
-        )
+        raise ConfigError(f"camera {device}: not a video device, {_EXPECTED}", code=ReasonCode.WRONG_KIND)
 
 
 def check_node(device: str) -> str:

@@ -79,7 +79,7 @@ class MqttCaller:
         answered = self.wait_for(lambda: transaction in self._replies or self._denied is not None, timeout_s)
         if (denied := self._denied) is not None:
             found = f"{self._where}: may not publish {self._base}/req/{self._verb}: {denied}"
-            raise DeviceError(f"{found}, expected access rules (ACL) that let this user", code=ReasonCode.REFUSED)
+            raise DeviceError(f"{found}, expected access rules (ACL) that allow it", code=ReasonCode.REFUSED)
         if not answered:
             found = f"{self._where}: no answer from sensor {self._sensor_id} within {timeout_s:.0f} s"
             raise DeviceError(f"{found}, expected a running daemon", code=ReasonCode.NO_ANSWER)

@@ -180,4 +180,4 @@ def decode_instance(payload: bytes) -> dict[str, Any]:
 def place_of(instance: dict[str, Any]) -> str:
     """Where it runs, for a person."""
     host, process = instance.get("host"), instance.get("process")
-    return f"on {shown(host, 64)}, process {shown(process, 20)}" if host else "which does not say where"
+    return f"on {shown(host, 64)}, process {shown(process, 20)}" if host else "at an unknown place"

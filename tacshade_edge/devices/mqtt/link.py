@@ -158,7 +158,7 @@ class MqttLink(Outgoing):
             try:
                 sock.shutdown(socket.SHUT_RDWR)  # type: ignore[attr-defined]
             except OSError:
-                _log.debug("the socket was closed already")
+                _log.debug("the socket was already closed")
         if self._thread is not None:
             self._thread.join(max(0.0, deadline - time.monotonic()))
 
@@ -174,7 +174,7 @@ class MqttLink(Outgoing):
 
     def _report_holder(self, reason: Reason) -> None:
         if reason != self._reason:
-            _log.warning("%s; waiting until it is gone", reason)
+            _log.warning("%s; waiting for it to stop", reason)
         with self._lock:
             self._reason = reason
 

@@ -23,7 +23,7 @@ class Refusals:
     def refused(self, topic: str, why: str) -> None:
         """A message to a topic, or a subscription to it, was refused; the first one is logged."""
         if not self._topics:
-            _log.warning("%s: refuses %s: %s; this is not reported again of other topics", self._where, topic, why)
+            _log.warning("%s: rejects %s: %s; rejections of other topics are not reported", self._where, topic, why)
         self._topics.add(topic)
 
     def taken(self, topic: str) -> None:
@@ -31,4 +31,4 @@ class Refusals:
         if topic in self._topics:
             self._topics.remove(topic)
             if not self._topics:
-                _log.info("%s: refuses nothing any more", self._where)
+                _log.info("%s: no longer rejects any topic", self._where)

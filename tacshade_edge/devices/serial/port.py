@@ -70,7 +70,7 @@ class SerialPort:
             port.exclusive = True
             port.open()
         except ValueError as error:  # of pyserial: a rate that this port does not know
-            raise ConfigError(f"serial {self.device}: {error}, expected a rate that the port can have") from None
+            raise ConfigError(f"serial {self.device}: {error}, expected a rate that the port supports") from None
         except (OSError, termios.error) as error:
             raise self._failed(error) from error
         self._port, self._proven = port, True

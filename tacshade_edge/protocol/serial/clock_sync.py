@@ -77,7 +77,7 @@ class SyncCounts:
     exchanges: int = 0
     exchanges_refused: int = 0  # their times contradict themselves
     outliers: int = 0  # one exchange against those before and after
-    restarts: int = 0  # the clock jumped, went back, or the robot began anew
+    restarts: int = 0  # the clock jumped, went back, or the robot restarted
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +123,7 @@ class ClockSync:
 
     def __init__(self) -> None:
         self.counts = SyncCounts()
-        self._reason_none = Reason(ReasonCode.NOTHING_RECEIVED, "nothing has come from the robot")
+        self._reason_none = Reason(ReasonCode.NOTHING_RECEIVED, "the robot has sent nothing")
         self._open: tuple[int, int, int] | None = None  # t1, t2, t3 of the latest SYNC, whose t4 comes with the next
         self._exchanges: deque[_Exchange] = deque(maxlen=EXCHANGES_KEPT)
         self._suspect: _Exchange | None = None
@@ -219,7 +219,7 @@ class ClockSync:
         newest_ns = self._newest_ns
         if newest_ns is not None and newest_ns - robot_ns > BACKWARDS_NS:
             exchange = self._open
-            self.restart(Reason(ReasonCode.CLOCK_WENT_BACK, "the robot's clock went back"))
+            self.restart(Reason(ReasonCode.CLOCK_WENT_BACK, "the robot's clock went backwards"))
             self._open = exchange if exchange and exchange[0] == robot_ns else None
             newest_ns = None
         self._newest_ns = robot_ns if newest_ns is None else max(robot_ns, newest_ns)

@@ -73,7 +73,7 @@ def parse_line(raw: bytes) -> Line | Reason:
         return Reason(ReasonCode.BAD_CHECKSUM, f"found {digits.upper()}, expected {crc:04X}")
     head = _HEAD.fullmatch(text.strip(" "))
     if head is None or (head[1] is None and head[2].startswith("#")):
-        return Reason(ReasonCode.BAD_SYNTAX, "expected [#seq] VERB args, and a star with the CRC where wanted")
+        return Reason(ReasonCode.BAD_SYNTAX, "expected [#seq] VERB args, and optionally a star with the CRC")
     seq = head[1]
     if seq is not None and not (re.fullmatch(r"\d{1,5}", seq) and int(seq) < SEQ_MODULO):
         return Reason(ReasonCode.BAD_SYNTAX, f"found #{seq[:16]}, expected # and 0 to {SEQ_MODULO - 1}")

@@ -44,7 +44,7 @@ class ReplyCache:
         known = self._entries.get(seq)
         if known is not None:
             if known.text != text:
-                return Reason(ReasonCode.NUMBER_REUSED, "another line had this number, expected a new one")
+                return Reason(ReasonCode.NUMBER_REUSED, "found a number that another line had, expected a new one")
             return Repeat(known.reply)
         behind = 0 if self._newest is None else (self._newest - seq) % SEQ_MODULO
         if REPLIES_KEPT <= behind < SEQ_MODULO // 2:  # its reply may be forgotten: to do it could be a second time

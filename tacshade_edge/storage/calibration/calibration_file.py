@@ -123,7 +123,7 @@ def save(path: str | os.PathLike[str], calibration: Calibration, inputs: Inputs 
         if kept := calibration_inputs.pack(inputs):
             content = Content({**content.meta, "inputs": kept[0]}, {**content.arrays, **kept[1]})
         else:
-            _log.warning("%s: its images are too large to be kept: calibrate again after an update", path)
+            _log.warning("%s: its images are too large to keep; calibrate again after an update", path)
     try:
         write_whole(Path(path), content.packed())
     except OSError as error:
@@ -172,7 +172,9 @@ def inputs_in(path: str | os.PathLike[str]) -> Inputs | None:
             raise ValueError("expected an image in reference_grey")
         return calibration_inputs.unpack(content.meta["inputs"], content.arrays, shape)
     except (ValueError, KeyError) as error:
-        raise ConfigError(f"{name}: what it was made of cannot be read: {shown(error)}: calibrate again") from None
+        raise ConfigError(
+            f"{name}: the images it was made from cannot be read: {shown(error)}: calibrate again"
+        ) from None
 
 
 def fitted_in(path: str | os.PathLike[str]) -> dict[str, FittedNetwork]:
@@ -210,7 +212,7 @@ def _from_content(name: str, content: Content) -> Calibration:
     calibration_content.check(content, REFERENCE_ARRAYS)
     height, width = arrays["reference_white"].shape
     if meta["version"] != VERSION and meta["factors"]:
-        _log.warning("%s: fitted to presses with older networks: read without that fit; calibrate again", name)
+        _log.warning("%s: fitted to presses with older networks; using it without that fit; calibrate again", name)
         meta = {**meta, "factors": {}, "fit": {}, "error_scales": {}}
     calibration = Calibration(
         geometry=Geometry(

@@ -89,7 +89,9 @@ class LeRobotExport:
             raise ConfigError(f"{name}: found {image.shape[1]}x{image.shape[0]} px, expected the size of the first")
         if (STATE in self._features) != (STATE in row):
             found, expected = ("a pose", "none") if STATE in row else ("no pose", "one")
-            raise ConfigError(f"{name}: found {found}, expected {expected}, as of the first: LeRobot has all or none")
+            raise ConfigError(
+                f"{name}: found {found}, expected {expected}, like the first: LeRobot needs poses for all or none"
+            )
         for key, value in row.items():
             self._stats.setdefault(key, _Spread()).add(value[None])
         self._stats.setdefault(IMAGE, _Spread()).add(image[:, :, ::-1].reshape(-1, 3) / 255.0)

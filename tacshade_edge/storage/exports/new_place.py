@@ -29,7 +29,7 @@ class NewPlace:
 
     def __init__(self, path: Path) -> None:
         if path.exists():
-            found = f"{path}: found it there already, expected a new name (--out)"
+            found = f"{path}: already exists, expected a new name (--out)"
             raise ConfigError(found, code=ReasonCode.NAME_TAKEN)
         self.path, self.partial = path, part(path)
         with self.writing():

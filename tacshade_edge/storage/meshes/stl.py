@@ -50,7 +50,7 @@ def read_stl(path: Path) -> F64:
     elif data.lstrip()[:5].lower() == b"solid":
         corners = _ascii(path, data)
     else:
-        raise DecodeError(f"{path}: found {len(data)} bytes that are no STL file, ascii or binary")
+        raise DecodeError(f"{path}: found {len(data)} bytes that are neither an ASCII nor a binary STL file")
     if not 0 < len(corners) <= MAX_TRIANGLES:
         raise DecodeError(f"{path}: found {len(corners)} triangles, expected 1 to {MAX_TRIANGLES}")
     if not np.isfinite(corners).all():
@@ -88,5 +88,5 @@ def _ascii(path: Path, data: bytes) -> F64:
                 raise DecodeError(f"{path}:{number}: found a facet of {in_facet} corners, expected 3")
             in_facet = 0
     if in_facet:
-        raise DecodeError(f"{path}: found its end within a facet, expected endfacet")
+        raise DecodeError(f"{path}: found the end of the file within a facet, expected endfacet")
     return np.array(corners, dtype=np.float64).reshape(-1, 3, 3)

@@ -68,7 +68,7 @@ class Recorder:
                 folder.mkdir()
             except FileExistsError:
                 raise ConfigError(
-                    f"{folder}: found it there already, expected the name of a new folder", code=ReasonCode.NAME_TAKEN
+                    f"{folder}: already exists, expected the name of a new folder", code=ReasonCode.NAME_TAKEN
                 ) from None
 
     def begin(self, settings_yaml: str, calibration: Calibration) -> None:

@@ -89,7 +89,7 @@ class Recording:
         if self._mcap is not None:
             self.damage = self._mcap.damage
         if fps is not None and self._table is not None:
-            raise ConfigError(f"--fps: found {fps:g}, expected none: {self._table} has the time stamps")
+            raise ConfigError(f"--fps: found {fps:g}, expected no --fps: {self._table} has the time stamps")
         one_pass = 0
         if self._rows is not None:
             one_pass = len(self._rows)

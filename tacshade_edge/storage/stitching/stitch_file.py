@@ -132,8 +132,8 @@ class StitchFile:
                 write_whole(path, b"".join(data[start:end] for _, _, start, end in found))
                 sync(folder)
                 _log.warning(
-                    "%s: %d bytes are no whole press (damage, or a write that was cut); "
-                    "%d presses are whole and go on; kept as %s",
+                    "%s: %d bytes are damaged or cut short; "
+                    "continuing with %d whole presses; the old file is kept as %s",
                     *(path, lost, len(found), beside.name),
                 )
         return file, [(points, pose) for points, pose, _, _ in found]
@@ -208,7 +208,7 @@ def open_session(folder: Path, sensor_id: str) -> Path | None:
         try:
             info = read_info(path.parent)
         except DecodeError as error:
-            _log.warning("session passed over: %s", error)
+            _log.warning("skipping a session: %s", error)
             continue
         if info.state != "open":
             continue

@@ -125,7 +125,7 @@ def read_table(path: Path, *, cut_off: bool = False) -> FrameTable:
         last_ns = row.t_ns
     if not rows:
         damage = f" ({rows.damage})" if rows.damage else ""
-        raise ConfigError(f"{path}: found no row, expected one for each frame{damage}")
+        raise ConfigError(f"{path}: found no rows, expected one per frame{damage}")
     return rows
 
 

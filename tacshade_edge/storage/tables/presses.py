@@ -86,7 +86,7 @@ def _press(path: Path, where: str, row: dict[str, str], indenters: Mapping[str, 
     if (place[0] == "") != (place[1] == ""):
         raise ConfigError(f"{where}: x_mm, y_mm: found one of them, expected both or none")
     if isinstance(indenter, Indenter) and not place[0]:
-        raise ConfigError(f"{where}: x_mm, y_mm: found nothing, expected both: only a ball is located, {name} is none")
+        raise ConfigError(f"{where}: x_mm, y_mm: found nothing, expected both: they are optional only for a ball")
     try:
         image = read_image(path.parent / row["image"])
     except DecodeError as error:

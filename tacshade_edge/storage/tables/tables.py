@@ -86,8 +86,8 @@ def iter_rows(
         else:
             line0, first = next(lines, (1, []))
             if tuple(first) not in headers:
-                found = shown(",".join(first), 80) if first else "nothing"
-                raise ConfigError(f"{path}:{line0}: found the header {found}, expected {','.join(header + more)}")
+                found = f"the header {shown(','.join(first), 80)}" if first else "no header"
+                raise ConfigError(f"{path}:{line0}: found {found}, expected {','.join(header + more)}")
             kept.checked = checked = first[-1] == CRC_COLUMN
         for line, row in lines:
             if len(row) != len(first):
@@ -172,7 +172,7 @@ def read_columns(path: Path, required: tuple[str, ...], optional: tuple[str, ...
         ]
     header = [name.strip() for name in lines[0][1]] if lines else []
     if missing := [name for name in required if name not in header]:
-        found = f"the header {shown(delimiter.join(header), 80)}" if header else "the header nothing"
+        found = f"the header {shown(delimiter.join(header), 80)}" if header else "no header"
         raise ConfigError(f"{path}:1: found {found}, expected {','.join(required)}: {', '.join(missing)} missing")
     line0, known = lines[0][0], (*required, *optional)
     if twice := [name for name in known if header.count(name) > 1]:

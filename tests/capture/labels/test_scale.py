@@ -76,7 +76,7 @@ def test_a_scale_that_says_nothing_of_use(line: tuple[int, str], monkeypatch: py
     scale = Scale(scale_port(f"{name}:4800"))
     scale.open()
     try:
-        with pytest.raises(DeviceError, match=r"found nothing for 0 s, expected lines with a number and its unit \(g"):
+        with pytest.raises(DeviceError, match=r"found nothing for 0 s, expected lines with a number and a unit \(g"):
             scale.check()
         os.write(master, b"12.5\n")
         wait_until(lambda: scale._unread, 10, "the line")

@@ -125,7 +125,7 @@ def test_a_printer_that_goes_elsewhere_and_does_not_say_so(tmp_path: Path) -> No
         one.start()
         one.printer.faults.highest_mm = 90.5
         with pytest.raises(
-            SafetyStop, match=r"says that it is at 110.00, 100.00, 90.50, expected 110.00, 100.00, 91.00 mm"
+            SafetyStop, match=r"reports that it is at 110.00, 100.00, 90.50, expected 110.00, 100.00, 91.00 mm"
         ):
             one.head.to(91.0)
         assert not one.head.is_certain
@@ -161,6 +161,6 @@ def test_a_halted_printer_and_a_pulled_cable(tmp_path: Path) -> None:
     with rig(tmp_path) as one:
         one.start()
         one.printer.pull_the_cable()
-        with pytest.raises(DeviceError, match=r"unplugged|takes nothing from the line"):
+        with pytest.raises(DeviceError, match=r"unplugged|accepts no data on the serial line"):
             one.head.to(89)
         assert "switch the printer off" in one.line.emergency_stop()

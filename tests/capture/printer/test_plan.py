@@ -32,7 +32,7 @@ def test_a_press_is_recognised_whatever_its_yaw_was() -> None:
         (("ball", "6", "2.5", "", ""), "found no x_mm, y_mm"),
         (("square", "", "2", "0", "5", "30", "", "", "", ""), "expected no yaw, tilt or shear"),
         (("ball", "6", "9", "0", "0"), "found 9.0 mm of travel from first touch, expected more than 0 and at most 6.7"),
-        (("ball", "6", "2", "15", "6"), "found 16.2 mm beside the axis, expected 15.3 mm, as is seen"),
+        (("ball", "6", "2", "15", "6"), "found 16.2 mm from the axis, expected at most the 15.3 mm"),
     ],
 )
 def test_what_a_printer_cannot_take_is_refused_before_it_moves(columns: tuple[str, ...], said: str) -> None:
@@ -43,10 +43,10 @@ def test_what_a_printer_cannot_take_is_refused_before_it_moves(columns: tuple[st
 
 def test_the_limits_hold_every_place_however_the_sensor_is_turned() -> None:
     near_the_edge = PrinterFile(x_mm=[0, 220], y_mm=[0, 118], z_mm=[40, 200], start_mm=[110, 110, 90], feed_mm_s=50)
-    with pytest.raises(ConfigError, match=r"found 3.2 mm beside the skin's axis, expected 3.0 mm at most by y_mm"):
+    with pytest.raises(ConfigError, match=r"found 3.2 mm from the skin's axis, expected 3.0 mm at most, from y_mm"):
         planned_presses((BALL,), NAMES, SENSOR, near_the_edge)
 
 
 def test_a_ball_is_needed() -> None:
-    with pytest.raises(ConfigError, match="found no ball"):
+    with pytest.raises(ConfigError, match="found no press with a ball"):
         planned_presses((Stated(("square", "", "2", "0", "5")),), NAMES, SENSOR, LIMITS)

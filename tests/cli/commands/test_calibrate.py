@@ -291,7 +291,7 @@ def test_a_fit_without_pytorch_names_the_extra(
 def test_a_fit_is_of_presses(tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str) -> None:
     with pytest.raises(SystemExit):
         main(["calibrate", kind, "x", "--reference", "r.png", "--fit", "--out", str(tmp_path / "cal.npz")])
-    assert "--fit has no meaning with" in capsys.readouterr().err
+    assert "--fit has no effect with" in capsys.readouterr().err
 
 
 @pytest.mark.fit

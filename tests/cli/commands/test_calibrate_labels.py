@@ -119,10 +119,13 @@ def others(calibration: Calibration, folder: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("image,depth_mm\n0.png,1\n", "LABELS.csv: found 1 of depth_mm, expected 40 or more rows of a quantity"),
+        (
+            "image,depth_mm\n0.png,1\n",
+            "LABELS.csv: found 1 of depth_mm, expected 40 or more rows for at least one quantity",
+        ),
         ("image,depth_mm\n" + 40 * "gone.png,1\n", "LABELS.csv:2: image: "),
         ("image,depth_mm\n" + 40 * "small.png,1\n", "small.png: found 32x24 px, expected 320x240 px"),
-        ("image,depth_mm\n" + 40 * "free.png,1\n", "no quantity can be learnt: fast: 40 labelled frames left out: "),
+        ("image,depth_mm\n" + 40 * "free.png,1\n", "no quantity can be learned: fast: 40 labelled frames left out: "),
         (
             "image,depth_mm,group\n" + "".join(f"{k}.png,{k},1\n" for k in range(45)),
             "depth_mm: found 45 usable rows of 1 groups, expected 40 of 5 or more; left out",

@@ -88,7 +88,7 @@ def presses(one: Person, folder: Path, scale: PtyScale, numbers: range) -> Itera
     for number in numbers:
         one.hears(f"press {number} (Enter")
         one.types("")
-        one.hears("press, and lift again")
+        one.hears("press, then lift")
         pause.wait(0.5)
         press(folder, "ball,6,2.5,1,-3")
         scale.put(WEIGHT_KG)
@@ -120,7 +120,7 @@ def test_readings_that_are_typed(tmp_path: Path, config: Path) -> None:
         one.types("force_z_n=2")
         one.hears("press 2: 1 pictures with force_z_n")
         one.types("undo")
-        one.hears("press 2 is taken back: 1 pictures")
+        one.hears("removed press 2: 1 pictures")
         one.types("done")
         assert one.ends() == 0
         assert f"--labels {out}/LABELS.csv --out {out}/calibration.npz" in one.heard
@@ -132,7 +132,7 @@ def test_readings_that_are_typed(tmp_path: Path, config: Path) -> None:
     )
     assert sorted(path.name for path in out.glob("*.png")) == ["label_00001.png"]
     with person("--labels", str(out)) as one:  # goes on, with the same camera
-        one.hears("1 labelled pictures are here already")
+        one.hears("1 labelled pictures are already here")
         rested(one)
         one.types("twist_deg=-3")
         one.hears("press 2: 1 pictures with twist_deg")
@@ -154,7 +154,7 @@ def test_a_scale_is_lined_up_with_the_pictures(tmp_path: Path, config: Path) -> 
         scale.put(0.001)
         threading.Event().wait(LATE_S + 0.1)
         one.types("")
-        one.hears("scale: tare before 0.1177 N, which is taken out; drift after +0.0098 N, spread")
+        one.hears("scale: tare before 0.1177 N, subtracted; drift after +0.0098 N, spread")
         one.hears("scale: its readings come ")
         one.hears(" presses")
         late_ms, error_ms = float(one.before.split()[0]), float(one.before.split("standard error ")[1].split()[0])
@@ -184,7 +184,7 @@ def test_a_scale_that_cannot_be_lined_up_gives_no_force(tmp_path: Path, config: 
         one.hears("Enter measures the drift.")
         one.types("")
         assert one.ends() == 1
-        assert "the offset of its clock was not found: found 2 of 2 presses" in one.heard
+        assert "its clock could not be matched: found 2 of 2 presses" in one.heard
     rows = labelled(out)
     assert [row.known for row in rows if row.known] == [{"depth_mm": 1.0}]
     assert {row.group for row in rows} == {"1", "2", "3"}
@@ -208,7 +208,7 @@ def test_a_robots_poses_label_a_press(tmp_path: Path, config: Path) -> None:
         one.types("touch")
         one.hears("first touch is here")
         one.types("")
-        one.hears("press, and lift again")
+        one.hears("press, then lift")
         place = (first @ shift(0.5, -0.25, 1.5)).seven()
         pause = threading.Event()
         pause.wait(0.5)
@@ -238,7 +238,7 @@ def test_a_robots_poses_label_a_press(tmp_path: Path, config: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "why"),
     [
-        (["DIR", "--scale", "/dev/ttyUSB0"], "--scale: expected --labels DIR with it"),
+        (["DIR", "--scale", "/dev/ttyUSB0"], "--scale: found no --labels DIR, expected both"),
         (["--labels", "DIR", "--plan", "PLAN.csv"], "--labels: found --plan or --printer, expected neither"),
     ],
 )

@@ -71,7 +71,7 @@ def test_presses_as_a_hand_would_take_them(words: list[str], printer: FakePrinte
     printer.mount(Mounted())
     with person(*words, printer.port) as one:
         assert one.ends() == 0
-        assert "all planned presses are taken" in one.heard
+        assert "all planned presses have been taken" in one.heard
 
 
 @pytest.mark.slow
@@ -92,7 +92,7 @@ def test_a_hand_stops_it_while_it_presses(words: list[str], printer: FakePrinter
     else:
         assert code == 1
         assert "stopped: " in one.heard
-        # Amid a command it is not certain where the head is.
+        # Amid a command the position of the head is not certain.
         assert printer.halted or printer.moves[-1][2] >= printer.sensor.tip_z_mm + 4
         assert printer.halted == ("M112 was sent" in one.heard)
 
@@ -120,7 +120,7 @@ def test_another_circle_ends_what_was_found_with_the_old_one(words: list[str], p
     ("name", "text", "said"),
     [
         ("PRINTER.yaml", "x_mm: [0, 220]\n", "PRINTER.yaml: y_mm: found nothing, expected a list"),
-        ("SENSOR.yaml", SENSOR.replace("20", "10"), "found 8.0 mm beside the axis, expected 7.7 mm, as is seen"),
+        ("SENSOR.yaml", SENSOR.replace("20", "10"), "found 8.0 mm from the axis, expected at most the 7.7 mm"),
     ],
 )
 def test_what_cannot_work_is_told_before_the_port_is_opened(

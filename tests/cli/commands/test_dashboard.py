@@ -55,7 +55,7 @@ def test_a_folder_of_recordings_that_is_not_there_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main(["dashboard", "--http", "0", "--recordings", str(tmp_path / "none")]) == 78
-    assert "none: found no folder, expected that of the recordings" in capsys.readouterr().err
+    assert "none: found no folder, expected the one with the recordings" in capsys.readouterr().err
 
 
 def test_an_address_of_another_machine_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:

@@ -51,7 +51,7 @@ def demo(command: list[str], folder: Path) -> Iterator[tuple[subprocess.Popen[st
         line = process.stdout.readline()
         found = ADDRESS.search(line)
         assert found, (line, process.poll(), process.stderr and process.poll() and process.stderr.read())
-        assert process.stdout.readline() == "Ctrl-C ends.\n"
+        assert process.stdout.readline() == "Press Ctrl-C to stop.\n"
         yield process, int(found[1])
     finally:
         process.kill()

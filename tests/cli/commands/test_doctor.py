@@ -72,7 +72,7 @@ def test_how_a_finding_is_shown() -> None:
 def test_a_bundle_for_somebody_who_helps(tmp_path: Path, capsys: Any) -> None:
     config = write(tmp_path, free_port())
     assert main(["doctor", "--config", config, "--bundle", str(tmp_path / "b.zip"), "--with-frame"]) == EXIT_FAILED
-    assert capsys.readouterr().out.splitlines()[-1].startswith(f"{tmp_path / 'b.zip'} is written; look at it")
+    assert capsys.readouterr().out.splitlines()[-1].startswith(f"wrote {tmp_path / 'b.zip'}; look through it")
     with zipfile.ZipFile(tmp_path / "b.zip") as bundle:
         assert {"findings.json", "frame.png", "settings.yaml"} <= set(bundle.namelist())
         assert json.loads(bundle.read("findings.json"))[0]["check"] == "settings"

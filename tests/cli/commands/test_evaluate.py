@@ -123,13 +123,13 @@ def test_an_image_without_truth_is_one_line_and_exit_1(own: Path, capsys: pytest
     [
         (["--sensors", "teapot:1"], "no sensor family is called 'teapot', expected one of tacshade"),
         (["--sensors", "5,"], "found '', expected a seed"),
-        (["--objects", "ball,teapot"], "'teapot' is not known, expected some of cube"),
+        (["--objects", "ball,teapot"], "'teapot' is unknown, expected one or more of cube"),
         (["--presses", "5"], "--presses: found 5, expected 0, or 8 or more"),
         (["--presses", "-1"], "invalid whole number value"),
         (["--references", "0"], "--references: found 0, expected 1 or more"),
         (["--profile", "best"], "invalid choice: 'best'"),
-        (["--images", "x"], "belong together"),
-        (["--calibration", "x"], "belong together"),
+        (["--images", "x"], "must be given together"),
+        (["--calibration", "x"], "must be given together"),
         (["--calibration", "x", "--images", "x", "--presses", "8"], "--presses is for simulated sensors"),
     ],
 )

@@ -202,7 +202,7 @@ def test_a_format_is_its_entry_alone(recording: Path, monkeypatch: pytest.Monkey
 def test_what_is_there_is_not_overwritten(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
     recording.with_name("rec.csv").write_text("mine")
     assert export(recording, "csv") == 78
-    assert "found it there already, expected a new name (--out)" in capsys.readouterr().err
+    assert "already exists, expected a new name (--out)" in capsys.readouterr().err
     assert recording.with_name("rec.csv").read_text() == "mine"
 
 
@@ -261,8 +261,8 @@ def test_an_image_of_a_hand_that_cannot_be_read_is_told(tmp_path: Path, capsys: 
     ("more", "line"),
     [
         (("--to", "ply", "--out", "x"), "--to: found ply with 2 recordings, expected csv or mcap"),
-        (("--to", "csv"), "--out: found nothing with several recordings, expected a new file"),
-        (("--to", "csv", "--calibration", "c.npz"), "--calibration: found it with several recordings, expected none"),
+        (("--to", "csv"), "--out: missing, expected a new file for several recordings"),
+        (("--to", "csv", "--calibration", "c.npz"), "--calibration: found with several recordings, expected none"),
     ],
 )
 def test_what_does_not_go_with_a_hand(more: tuple[str, ...], line: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -132,7 +132,7 @@ def test_a_replay_of_the_recording_gives_what_the_daemon_published(
     assert kept.calibration == str(rec / "calibration.npz")
     assert (kept.source, kept.mqtt, kept.recorder) == (settings.source, settings.mqtt, settings.recorder)
 
-    for name, said in (("a", "a: found it there already"),):
+    for name, said in (("a", "a: already exists"),):
         assert record(tmp_path, "1", "--name", name) == 1
         err = capsys.readouterr().err
         assert said in err
@@ -149,9 +149,8 @@ def test_a_killed_daemon_leaves_what_it_wrote(tmp_path: Path, start: Start, seen
     said, errors = client.communicate(timeout=patience(30))
     assert (client.returncode, said) == (1, "")
     rec = tmp_path / "recs" / "a"
-    assert (
-        errors == f"tacshade-edge: {rec}: the daemon is offline and did not say how it ended; what it wrote is there\n"
-    )
+    why = "the daemon is offline and did not report how the recording ended; frames so far are kept"
+    assert errors == f"tacshade-edge: {rec}: {why}\n"
     assert Recording(rec).cut_off
     images = len(list(rec.glob("*.png")))
     frames = len(replayed(rec, tmp_path / "run"))
@@ -206,8 +205,8 @@ def test_a_reload_is_an_event_and_another_calibration_ends_it(tmp_path: Path, st
     daemon.send_signal(signal.SIGHUP)
     said, errors = client.communicate(timeout=patience(30))
     assert client.returncode == 1
-    assert said.endswith("(another reference or calibration came into use)\n")
-    assert errors.endswith("stopped: another reference or calibration came into use; what is there stays\n")
+    assert said.endswith("(the reference or calibration changed)\n")
+    assert errors.endswith("stopped: the reference or calibration changed; the frames written so far are kept\n")
     assert calibration_file.load(tmp_path / "recs" / "a" / "calibration.npz").crc32 == painted_calibration().crc32
 
 
@@ -241,7 +240,10 @@ def signals() -> Iterator[None]:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--name", "../a"], "found '../a', expected up to 64 letters, digits, '.', '_' and '-', not a dot first"),
+        (
+            ["--name", "../a"],
+            "found '../a', expected up to 64 letters, digits, '.', '_' and '-', not starting with '.'",
+        ),
         (["--name", "a b"], "found 'a b', expected up to 64 letters"),
         (["--name", "a" * 65], "expected up to 64 letters"),
         (["--seconds", "4000"], "found 4000, expected at most 3600"),

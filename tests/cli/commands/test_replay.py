@@ -135,7 +135,7 @@ def test_an_unreadable_image_does_not_stop_the_others(folder: Path, capsys: pyte
     assert main(words(folder, "--out", str(folder / "out"))) == 1
     err = capsys.readouterr().err
     assert err.count("\n") == 1
-    assert "000001.png: found 4 bytes that are no image" in err
+    assert "000001.png: found 4 bytes that are not an image" in err
     assert [r["seq"] for r in summary(folder / "out")] == [0, 2, 3, 4]
 
 
@@ -146,8 +146,8 @@ def test_an_unreadable_image_does_not_stop_the_others(folder: Path, capsys: pyte
         (["--mqtt", "h:1", "--config", "c"], "--mqtt and --config both name a broker"),
         (["--out", "o", "--loop", "0"], "--loop 0 never ends"),
         (["--out", "o", "--loop", "-1"], "found -1, expected a whole number from 0"),
-        (["--out", "o", "--speed", "0"], "found 0, expected a number over 0"),
-        (["--out", "o", "--fps", "nan"], "found nan, expected a number over 0"),
+        (["--out", "o", "--speed", "0"], "found 0, expected a number above 0"),
+        (["--out", "o", "--fps", "nan"], "found nan, expected a number above 0"),
         (["--mqtt", "localhost"], "found 'localhost', expected HOST:PORT"),
         (["--mqtt", "h:1", "--sensor-id", "a/b"], "found a/b, expected letters"),
         (["--against", "o"], "--against compares --out DIR, which is missing"),

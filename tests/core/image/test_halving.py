@@ -163,5 +163,5 @@ def test_lost_rows_are_told_in_the_cameras_rows() -> None:
     for profile in ("balanced", "accurate"):
         made = make_reconstructor(calibration, PROFILES[profile])
         reason = made.step(Frame(0, 0, 0, empty)).reason.text
-        assert reason.endswith("rows across the disc show no marker"), profile
+        assert reason.endswith("rows across the disc show no markers"), profile
         assert int(reason.split()[1]) == pytest.approx(128, abs=32), profile

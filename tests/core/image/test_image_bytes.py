@@ -87,7 +87,7 @@ def test_what_is_none_of_these_forms_is_not_decoded(monkeypatch: pytest.MonkeyPa
     monkeypatch.delattr(cv2, "imdecode")
     long = changed(".png", 33, b"\xff")  # a chunk of 4 GB, which OpenCV would make room for
     for data in (b"", b"hello", b"P7\n", b"\xff\xd8\xff\xd9", b"GIF89a", tiles, wide, png(0, 5), long):
-        with pytest.raises(DecodeError, match=rf"found {len(data)} bytes that are no image"):
+        with pytest.raises(DecodeError, match=rf"found {len(data)} bytes that are not an image"):
             decode_image(data, FLAGS)
 
 

@@ -56,7 +56,7 @@ def test_a_step_is_wanted_in_the_one_thread_and_done_in_the_other(
     caplog.set_level(logging.INFO)
     daemon = Daemon(calibration)
     assert (daemon.profile, daemon.active.choice) == (BEST, AUTO)
-    assert f"profile auto: begins with {BEST} for a budget of 10000 ms; a step here: {BEST} " in caplog.text
+    assert f"profile auto: starts with {BEST} for a budget of 10000 ms; the profiles take {BEST} " in caplog.text
     assert daemon.active.health() == {
         "latency_budget_ms": BUDGET_MS,
         "profile": BEST,
@@ -146,7 +146,11 @@ def test_a_budget_that_the_fastest_does_not_keep_is_told_once(
 
     assert warnings() == []
     daemon.frames(20, 2 * BUDGET_MS)
-    assert warnings() == warnings() == [f"{CHEAPEST}, the fastest, does not keep 10000 ms: 90 % took up to 20000.0 ms"]
+    assert (
+        warnings()
+        == warnings()
+        == [f"{CHEAPEST}, the fastest profile, misses the budget of 10000 ms: 90 % of frames took up to 20000.0 ms"]
+    )
     daemon.frames(WINDOW_FRAMES, 0.9 * BUDGET_MS)
     for _ in range(CALM_S - 1):
         assert len(warnings()) == 1

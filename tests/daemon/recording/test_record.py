@@ -146,7 +146,7 @@ def test_another_reference_ends_it_another_profile_does_not(live: Live, calibrat
     live.give(*frames(2, 4))
     recorded = live.ended()
     assert (recorded.frames, recorded.failed) == (4, True)
-    assert str(recorded.ending) == "another reference or calibration came into use"
+    assert str(recorded.ending) == "the reference or calibration changed"
     events = [json.loads(line) for line in (live.folder / "events.jsonl").read_text().splitlines()]
     assert [event["data"]["calibration_crc32"] for event in events] == [calibration.crc32, 77]
 
@@ -157,7 +157,7 @@ def test_one_at_a_time_and_no_folder_twice(live: Live) -> None:
         live.start(name="two")
     live.recorder.end(STOPPED)
     live.ended()
-    with pytest.raises(ConfigError, match=r"one: found it there already, expected the name of a new folder"):
+    with pytest.raises(ConfigError, match=r"one: already exists, expected the name of a new folder"):
         live.start()
     live.start(name="two")
     live.recorder.end(STOPPED)

@@ -37,7 +37,7 @@ def test_exactly_the_next_frames_are_taken_once(calibration: Calibration, pictur
         (
             "touched",
             ReasonCode.FRAME_IN_CONTACT,
-            "frame 4 shows contact {depth_mm:.2f} mm deep, expected nothing to touch the sensor",
+            "frame 4 shows contact {depth_mm:.2f} mm deep, expected a sensor that nothing touches",
         ),
         (
             "black",

@@ -64,7 +64,7 @@ def test_another_calibration_makes_it_void_and_says_so_once(
     assert restored(newer, path).reason is None
     (warning,) = caplog.records
     assert warning.getMessage().endswith(
-        "belongs to another calibration; take it again; the calibration's own reference is used"
+        "belongs to another calibration; take it again; using the calibration's own reference"
     )
     assert not path.exists()
 
@@ -87,7 +87,7 @@ def test_a_folder_that_cannot_be_written_is_told(calibration: Calibration, pictu
     assert taken.calibration.crc32 != 0
     assert taken.reason is not None
     assert taken.reason.code is ReasonCode.DISK
-    assert taken.reason.text.endswith("the reference lasts until the next start or reload")
+    assert taken.reason.text.endswith("this reference is in use only until the next start or reload")
 
 
 def test_images_that_cannot_be_used_store_nothing(calibration: Calibration, pictures: Any, path: Path) -> None:

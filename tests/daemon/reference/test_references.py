@@ -105,7 +105,7 @@ def test_it_stays_while_it_is_held_and_amid_a_contact(resting: Resting, pictures
 
 @pytest.mark.slow
 def test_a_doubt_or_a_spot_stops_it_with_its_reason(resting: Resting, calibration: Calibration, pictures: Any) -> None:
-    doubt = Reason(ReasonCode.GLARE, "glare: 3 % of the disc unseen")
+    doubt = Reason(ReasonCode.GLARE, "glare: 3 % of the disc hidden")
     assert resting.look(pictures.free, doubt=doubt)
     assert (resting.health["state"], resting.health["reason"]) == ("stopped", doubt.text)
     assert resting.health["looks"] == 1
@@ -139,13 +139,13 @@ def test_the_stored_reference_has_one_owner(
     taken = resting.references.take([pictures.free] * 10)
     stored = (tmp_path / "c.reference.npz").read_bytes()
     other = References(calibration, tmp_path / "c.reference.npz", "right")
-    assert "c.reference.npz: found it in use by 'sensor left, process" in caplog.text
+    assert "c.reference.npz: in use by 'sensor left, process" in caplog.text
     assert (other.info() or {})["reason_code"] == "in_use"
     assert other.calibration.crc32 == taken.calibration_crc32, "it may be read"
     unstored = other.take([nuisance.gain(pictures.free, 0.7)] * 10).unstored
     assert unstored is not None
     assert unstored.code is ReasonCode.IN_USE
-    assert "the reference lasts until the next start or reload" in unstored.text
+    assert "this reference is in use only until the next start or reload" in unstored.text
     newer = with_crc(replace(calibration, reference_grey=calibration.reference_grey // 2))
     other.reload(newer, tmp_path / "c.reference.npz")
     assert (tmp_path / "c.reference.npz").read_bytes() == stored, "nor deleted"

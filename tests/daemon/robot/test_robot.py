@@ -244,7 +244,7 @@ def test_a_port_that_is_away_and_one_that_is_taken(link: Path, monkeypatch: pyte
         side.until("away", reason=f"serial {link}: no such device")
         robot = PtyRobot(link, rate_hz=0)
         robot.plug()
-        side.until("silent", state="silent", reason="nothing for more than 0 s")
+        side.until("silent", state="silent", reason="received nothing for more than 0 s")
         other = Side(link)
         with other:
             other.until("taken", reason=f"serial {link}: in use by another program")

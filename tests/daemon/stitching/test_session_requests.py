@@ -98,7 +98,7 @@ def test_what_was_not_added_is_counted_and_told(daemon: Daemon, monkeypatch: pyt
     ball = step("fast", pressed("ball", 3.0).image)
     refused = daemon.ask(ADD)
     assert (refused["error"], refused["reason_code"]) == (
-        "NOSESSION: no session is open, begin one first",
+        "NOSESSION: no session is open; begin one first",
         "no_session",
     )
     daemon.show(step("fast", unloaded()))

@@ -204,7 +204,7 @@ def test_a_killed_session_goes_on(tmp_path: Path, ball: Reconstruction) -> None:
 
 
 def test_what_cannot_be_added(robot: Robot, ball: Reconstruction, nothing: Reconstruction) -> None:
-    assert robot.ask("ADD") == Reason(ReasonCode.NO_SESSION, "no session is open, begin one first")
+    assert robot.ask("ADD") == Reason(ReasonCode.NO_SESSION, "no session is open; begin one first")
     assert code(robot.ask("BEGIN")) == ReasonCode.NO_FRAME
     robot.show(nothing)
     robot.ask("BEGIN")

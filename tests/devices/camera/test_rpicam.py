@@ -118,11 +118,11 @@ def test_a_program_that_ends_is_quoted(
 @pytest.mark.parametrize(
     ("does", "said"),
     [
-        ({"exposure": 0.5}, "asked an exposure of 4000 us and a gain of 2, got 2000 us and 2"),
-        ({"extra_bytes": 512}, "found other frames than of 4608 bytes, 64x48 YUV 4:2:0"),
-        ({"extra_bytes": -512}, "found other frames than of 4608 bytes, 64x48 YUV 4:2:0"),
+        ({"exposure": 0.5}, "asked for an exposure of 4000 us and a gain of 2, got 2000 us and 2"),
+        ({"extra_bytes": 512}, "found frames that are not of 4608 bytes, 64x48 YUV 4:2:0"),
+        ({"extra_bytes": -512}, "found frames that are not of 4608 bytes, 64x48 YUV 4:2:0"),
         # Nine of its frames are eight of ours, read before it tells of the ninth.
-        ({"extra_bytes": -512, "behind": 9}, "found other frames than of 4608 bytes, 64x48 YUV 4:2:0"),
+        ({"extra_bytes": -512, "behind": 9}, "found frames that are not of 4608 bytes, 64x48 YUV 4:2:0"),
     ],
 )
 def test_what_a_camera_does_not_offer_is_a_mistake_until_it_once_worked(
@@ -154,7 +154,7 @@ def test_a_stall_is_told_and_ended(
 
 def test_no_program(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(DeviceError, match=r"no such program, expected it from apt's rpicam-apps-lite") as caught:
+    with pytest.raises(DeviceError, match=r"no such program, expected the one in apt's rpicam-apps-lite") as caught:
         source().open()
     assert caught.value.code is ReasonCode.ABSENT
 

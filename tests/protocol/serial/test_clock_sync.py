@@ -13,7 +13,7 @@ from tools.studies import clock_sync
 
 S = 10**9
 MS = 10**6
-REBOOT = Reason(ReasonCode.ROBOT_RESTARTED, "the robot began anew")
+REBOOT = Reason(ReasonCode.ROBOT_RESTARTED, "the robot restarted")
 
 
 @pytest.mark.parametrize(("line", "rms_ms"), [("usb", 0.15), ("loaded", 0.3), ("ftdi", 2.0)])

@@ -136,7 +136,7 @@ def test_a_repeated_line_gets_its_reply_again_and_is_not_done_again() -> None:
     for line in (b"#7 CAPTURE\n", b"#7 CAPTURE\n", seal("#7 CAPTURE")):
         assert desk.send(line) == ["OK 7 name=done-1"]
     assert desk.verbs() == [(7, "CAPTURE")]
-    assert desk.send(b"#7 REFERENCE\n") == ["ERR 7 REUSED another line had this number, expected a new one"]
+    assert desk.send(b"#7 REFERENCE\n") == ["ERR 7 REUSED found a number that another line had, expected a new one"]
     assert desk.link.counts.repeats == 2
 
 
@@ -192,7 +192,7 @@ def test_the_answer_to_a_session_that_is_over_is_not_given() -> None:
 def test_checksums_once_required() -> None:
     desk = Desk()
     desk.send(seal("#1 HELLO 1 crc=req"))
-    assert desk.send(b"#2 CAPTURE\n") == ["ERR - CRC found none, expected one since HELLO asked for it"]
+    assert desk.send(b"#2 CAPTURE\n") == ["ERR - CRC found no checksum, expected one because HELLO asked for it"]
     assert desk.send(b"POSE 1 0 0 0 1 0 0 0\n")[0].startswith("ERR - CRC")
     assert (desk.done, desk.poses) == ([], [])
     assert desk.send(seal("#2 CAPTURE")) == ["OK 2 name=done-1"]

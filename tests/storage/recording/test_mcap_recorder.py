@@ -137,7 +137,7 @@ def test_fixing_keeps_what_stands_behind_damage(tmp_path: Path) -> None:
     frames, refused = every(tmp_path / "rec" / "000.mcap")
     assert frames == [1, 2, 3, 5, 6, 7, 9, 10, 11]
     assert len(refused) == 3
-    assert all("damaged and passed over" in line for line in refused)
+    assert all("damaged; skipping" in line for line in refused)
 
 
 def test_a_standard_reader_needs_no_first_chunk(tmp_path: Path) -> None:
@@ -170,7 +170,7 @@ def test_a_kill_between_two_files_leaves_the_first(tmp_path: Path, monkeypatch: 
     (tmp_path / "rec" / "001.mcap.part").write_bytes(b"")  # before its first byte reached the disk
     assert fix_recordings(tmp_path) == []
     recording = Recording(tmp_path / "rec")
-    assert "001.mcap.part: found no MCAP file" in recording.damage
+    assert "001.mcap.part: not an MCAP file" in recording.damage
     assert every(tmp_path / "rec")[0] == [0, 1, 2, 3]
 
 

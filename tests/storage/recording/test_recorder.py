@@ -94,7 +94,7 @@ def test_after_a_crash_whole_frames_are_read(tmp_path: Path, lost: int) -> None:
 
 def test_before_the_first_frame_there_is_nothing_to_replay(tmp_path: Path) -> None:
     begun(tmp_path / "rec").close()
-    with pytest.raises(ConfigError, match=r"frames\.csv\.part: found no row"):
+    with pytest.raises(ConfigError, match=r"frames\.csv\.part: found no rows"):
         Recording(tmp_path / "rec")
 
 
@@ -111,7 +111,7 @@ def test_a_disk_at_its_floor_takes_no_frame(tmp_path: Path) -> None:
 
 def test_a_folder_that_cannot_be_taken(tmp_path: Path) -> None:
     (tmp_path / "used").mkdir()
-    with pytest.raises(ConfigError, match=r"used: found it there already, expected the name of a new folder"):
+    with pytest.raises(ConfigError, match=r"used: already exists, expected the name of a new folder"):
         Recorder(tmp_path / "used", free_floor_bytes=0)
     (tmp_path / "used" / "a").touch()
     with pytest.raises(DeviceError, match=r"a: cannot be written: (File exists|Not a directory)"):

@@ -102,7 +102,7 @@ def test_an_image_that_cannot_be_read_leaves_a_gap(folder: Path) -> None:
     (folder / "000001.png").write_bytes(b"no image")
     recording = Recording(folder)
     assert recording.read() is not None
-    with pytest.raises(DecodeError, match=r"000001\.png: found 8 bytes that are no image"):
+    with pytest.raises(DecodeError, match=r"000001\.png: found 8 bytes that are not an image"):
         recording.read()
     third = recording.read()
     assert third is not None
@@ -118,5 +118,5 @@ def test_nothing_to_replay(tmp_path: Path, folder: Path) -> None:
         Recording(tmp_path / "empty")
     with pytest.raises(ConfigError, match="found no video that OpenCV can read"):
         Recording(folder / "frames.csv")
-    with pytest.raises(ConfigError, match=r"^--fps: found 20, expected none: .*frames\.csv has the time stamps"):
+    with pytest.raises(ConfigError, match=r"^--fps: found 20, expected no --fps: .*frames\.csv has the time stamps"):
         Recording(folder, fps=20)

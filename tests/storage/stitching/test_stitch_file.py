@@ -85,8 +85,8 @@ def test_a_flipped_bit_costs_one_press(
         file, found = StitchFile.resume(tmp_path / "one")
     expected = [pose.translation_mm.tolist() for k, pose in enumerate(POSES) if k != press]
     assert [pose.translation_mm.tolist() for _, pose in found] == expected
-    assert f"{one_press} bytes are no whole press" in caplog.text
-    assert f"2 presses are whole and go on; kept as {PRESSES}.damaged-1" in caplog.text
+    assert f"{one_press} bytes are damaged or cut short" in caplog.text
+    assert f"continuing with 2 whole presses; the old file is kept as {PRESSES}.damaged-1" in caplog.text
     assert (tmp_path / "one" / f"{PRESSES}.damaged-1").read_bytes() == data
     file.append(POINTS[press], POSES[press])
     file.close()
@@ -182,7 +182,7 @@ def test_only_an_open_session_is_found(tmp_path: Path, caplog: pytest.LogCapture
     (tmp_path / "other" / SESSION).write_text("{")
     with caplog.at_level("WARNING"):
         assert open_session(tmp_path, "left") == tmp_path / "new"
-    assert f"session passed over: {tmp_path / 'other' / SESSION}" in caplog.text
+    assert f"skipping a session: {tmp_path / 'other' / SESSION}" in caplog.text
     newer.end()
     assert read_info(tmp_path / "new").state == "ended"
     assert open_session(tmp_path, "left") == tmp_path / "old"

@@ -15,7 +15,7 @@ from tacshade_edge.types import Pose
 @pytest.mark.parametrize(
     ("row", "said"),
     [
-        ("", r"frames\.csv: found no row, expected one for each frame"),
+        ("", r"frames\.csv: found no rows, expected one per frame"),
         ("a.png,1\n", r"frames\.csv:2: found 2 columns, expected 9"),
         (",1,,,,,,,\n", ":2: image: found nothing, expected a file's name"),
         ("a.png,,,,,,,,\n", ":2: t_ns: found '', expected a whole number from 0 to"),
@@ -139,9 +139,7 @@ def test_where_and_how_many_lines_were_left_out(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=":5: x_mm: found 'x'"):
         read_table(path)
     path.write_bytes(lines[0] + lines[2])
-    with pytest.raises(
-        ConfigError, match=r"found no row, expected one for each frame \(.*:2: a damaged line is left out"
-    ):
+    with pytest.raises(ConfigError, match=r"found no rows, expected one per frame \(.*:2: a damaged line is left out"):
         read_table(path)
 
 

@@ -56,9 +56,9 @@ def test_every_shape(tmp_path: Path) -> None:
         ("a: {shape: mesh}\n", ":1: a.file: found nothing, expected it for shape mesh"),
         ("a: {shape: ball, radius_mm: -3}\n", ":1: a.radius_mm: found -3, expected a number above 0"),
         ("a: {shape: cone, angle_deg: 180}\n", ":1: a.angle_deg: found 180, expected a number above 0 to 175"),
-        ("ball: {shape: ball, radius_mm: 3}\n", ":1: ball: found the name of what needs no entry"),
+        ("ball: {shape: ball, radius_mm: 3}\n", ":1: ball: found a name that needs no entry"),
         ("a: {shape: mesh, file: none.stl}\n", r":1: a.file: .*none.stl: No such file"),
-        ("a: {shape: mesh, file: INDENTERS.yaml}\n", ":1: a.file: .* no STL file"),
+        ("a: {shape: mesh, file: INDENTERS.yaml}\n", ":1: a.file: .* neither an ASCII nor a binary STL file"),
     ],
 )
 def test_a_wrong_file_is_told_by_line_and_key(tmp_path: Path, text: str, said: str) -> None:
@@ -70,7 +70,7 @@ def test_a_wrong_file_is_told_by_line_and_key(tmp_path: Path, text: str, said: s
 def test_a_mesh_in_metres_is_refused(tmp_path: Path) -> None:
     path = written(tmp_path, "own: {shape: mesh, file: own.stl}\n")
     (tmp_path / "own.stl").write_text(STL.replace("4", "0.004").replace("3", "0.003").replace("5", "0.005"))
-    with pytest.raises(ConfigError, match=r":1: own\.file: .*a greatest size of 0.004, expected 0.5 to 500 mm"):
+    with pytest.raises(ConfigError, match=r":1: own\.file: .*a largest dimension of 0.004, expected 0.5 to 500 mm"):
         read_indenters(path)
 
 
@@ -81,5 +81,5 @@ def test_those_to_print_come_with_their_table_and_replace_none(tmp_path: Path) -
     assert [f"{name}.stl" for name in known] == [path.name for path in solids]
     assert known["ball_6"] == 6.0
     assert len(read_plan(plan, tuple(known), 20.0)) == 5 * len(known)
-    with pytest.raises(ConfigError, match=r"INDENTERS.yaml: found one, expected none"):
+    with pytest.raises(ConfigError, match=r"INDENTERS.yaml: already exists, expected none"):
         write_printables(tmp_path / "print")

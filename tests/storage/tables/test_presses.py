@@ -64,7 +64,7 @@ def test_a_named_indenter(tmp_path: Path) -> None:
     assert (small.indenter, small.radius_mm, small.x_mm) == (None, 3.0, None)
     for row, said in {
         "a.png,flat,4,2,1.5,-3,0,0,0,0,0": "radius_mm: found '4', expected nothing: INDENTERS.yaml has its size",
-        "a.png,flat,,2,,,0,0,0,0,0": "x_mm, y_mm: found nothing, expected both: only a ball is located, flat is none",
+        "a.png,flat,,2,,,0,0,0,0,0": "x_mm, y_mm: found nothing, expected both: they are optional only for a ball",
         "a.png,cube,,2,0,0,0,0,0,0,0": "indenter: found 'cube', expected ball or one of INDENTERS.yaml: flat, small",
         "a.png,flat,,2,0,0,0,61,0,0,0": "tilt_x_deg: found '61', expected a number from -60 to 60",
         "a.png,flat,,2,0,0,x,0,0,0,0": "yaw_deg: found 'x', expected a number",
@@ -82,7 +82,7 @@ def test_a_header_alone_has_no_press(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", r"PRESSES\.csv:1: found the header nothing, expected image,indenter"),
+        ("", r"PRESSES\.csv:1: found no header, expected image,indenter"),
         (GOOD, r":1: found the header a\.png"),
         (HEADER.replace("y_mm", "x_mm") + GOOD, ":1: found the header .*, expected image,.*: y_mm missing"),
         (HEADER.strip() + ",x_mm\n" + GOOD, ":1: x_mm: found 2 such columns, expected one"),
@@ -95,7 +95,7 @@ def test_a_header_alone_has_no_press(tmp_path: Path) -> None:
         (HEADER + "a.png,ball,4.5,inf,,\n", ":2: depth_mm: found 'inf', expected a number"),
         (HEADER + "a.png,ball,4.5,2,1,\n", ":2: x_mm, y_mm: found one of them, expected both or none"),
         (HEADER + "none.png,ball,4.5,2,,\n", r":2: image: .*none\.png: No such file"),
-        (HEADER + "PRESSES.csv,ball,4.5,2,,\n", ":2: image: .*no image"),
+        (HEADER + "PRESSES.csv,ball,4.5,2,,\n", ":2: image: .*not an image"),
         (HEADER + ",ball,4.5,2,,\n", ":2: image: "),
         (HEADER.encode() + b"\xff\xfe\n", "not a CSV file"),
         (HEADER + '"a.png,ball\n', "not a CSV file"),

@@ -18,7 +18,7 @@ def test_rows_know_their_line(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("text", "said"),
-    [("", ":1: found the header nothing, expected a,b"), ("a,b\n1\n", ":2: found 1 columns, expected 2")],
+    [("", ":1: found no header, expected a,b"), ("a,b\n1\n", ":2: found 1 columns, expected 2")],
 )
 def test_another_form_is_told(tmp_path: Path, text: str, said: str) -> None:
     (tmp_path / "t.csv").write_text(text)

@@ -165,7 +165,7 @@ def test_what_cannot_be_scored_is_told_and_the_others_go_on(tmp_path: Path) -> N
     assert [line.removeprefix(f"{tmp_path}/") for line in lines] == [
         "alone.npz: found no such file, expected the image's truth: points_mm, or height_mm and contact",
         "large.png: found 320x240 px, expected 160x120 px, the size of the calibration's images",
-        "text.png: found 8 bytes that are no image, expected a whole image",
+        "text.png: found 8 bytes that are not an image, expected a whole image",
     ]
 
 

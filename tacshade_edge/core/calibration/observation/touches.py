@@ -54,7 +54,7 @@ def skin_centre(touches_mm: F64, skin_radius_mm: float, ball_radius_mm: float) -
     rms_mm = float(np.sqrt(np.mean((np.linalg.norm(balls_mm - centre, axis=1) - reach_mm) ** 2)))
     if not rms_mm <= _MOST_RMS * skin_radius_mm:
         expected = f"expected a skin of {skin_radius_mm:g} mm touched by a ball of {ball_radius_mm:g} mm, upright"
-        raise ConfigError(f"found touches that lie {rms_mm:.2f} mm beside one sphere (RMS), {expected}")
+        raise ConfigError(f"found touches {rms_mm:.2f} mm (RMS) off any one sphere, {expected}")
     return centre, rms_mm
 
 
@@ -81,14 +81,14 @@ def yaw_of(places_mm: F64, pictured_mm: F64) -> float:
     shown, put = pictured_mm @ (1, 1j), places_mm @ (1, 1j)
     turned, mirrored = (float(abs(np.vdot(s, put))) for s in (shown, shown.conj()))
     if mirrored > 2 * turned:
-        raise ConfigError("the pictures show the places mirrored: x or y of the machine runs the other way")
+        raise ConfigError("the pictures show the places mirrored: the machine's x or y runs the other way")
     yaw = float(np.angle(np.vdot(shown, put)))
     size = float(np.sqrt(np.mean(np.abs(put) ** 2)))
     scale = float(np.vdot(shown, put * np.exp(-1j * yaw)).real / max(np.vdot(shown, shown).real, 1e-9))
     seen = shown * np.exp(1j * yaw)
     rms, unscaled_rms = (float(np.sqrt(np.mean(np.abs(each - put) ** 2))) for each in (scale * seen, seen))
     if not (rms <= _MOST_PICTURED_RMS * size and _PICTURED_SCALE[0] <= scale <= _PICTURED_SCALE[1]):
-        found = f"found the ball {unscaled_rms:.1f} mm (RMS) beside where it was put in the pictures"
+        found = f"found the ball {unscaled_rms:.1f} mm (RMS) from its stated places in the pictures"
         raise ConfigError(f"{found}, expected {_MOST_PICTURED_RMS * size:.1f} mm at most")
     return yaw
 

@@ -121,11 +121,11 @@ def beyond(distance: Distance, disc: Disc) -> Reason | None:
     """What bound a reference is beyond; None within all of them."""
     drift = distance.drift
     if drift.still_part == 0:
-        return Reason(ReasonCode.REFERENCE_INVALID, "the pattern is not that of the reference")
+        return Reason(ReasonCode.REFERENCE_INVALID, "the marker pattern is not the reference's")
     if reason := registration.shift_reason(drift, disc) or registration.light_drift_reason(drift):
         return reason
     if abs(distance.common_grey) > COMMON_GREY:
-        text = f"light or focus: g moved by {distance.common_grey:.0f} levels everywhere"
+        text = f"light or focus: g changed by {distance.common_grey:.0f} levels everywhere"
         return Reason(ReasonCode.LIGHT_DRIFT, text)
     if distance.patch_grey > PATCH_GREY:
         text = f"a patch of the skin changed by {distance.patch_grey:.1f} levels: a resting load, dirt or damage"

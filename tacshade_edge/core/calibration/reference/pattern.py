@@ -255,7 +255,7 @@ def _end_of_pattern(grey: U8, disc: Disc, low: float, high: float) -> _Rim:
     mean = np.convolve(profile, np.ones(n) / n, "valid")  # mean[i] covers i .. i+n-1
     inner, outer = mean[:-n], mean[n:]
     if inner.size == 0 or not inner.max() > 0:
-        raise ConfigError("no visible circle found in the reference: the pattern has no end")
+        raise ConfigError("no visible circle found in the reference: the pattern fills the image")
     # A fall to nothing counts more than the larger fall from one row of markers to the next.
     fall = inner * (inner - outer) / (outer + 0.05 * inner.max())
     best = int(np.argmax(fall))

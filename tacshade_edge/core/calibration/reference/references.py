@@ -103,7 +103,7 @@ def check_references(
         shift = registration.shift_reason(drift, disc)
         if registration.shifted_too_far(drift, disc):
             raise ConfigError(
-                f"reference {name}: {shift} since reference {names[0]}; fix the camera and take them all again"
+                f"reference {name}: {shift} since reference {names[0]}; fasten the camera and take all references again"
             )
         if change := shift or registration.light_drift_reason(drift):
             warnings.append(f"reference {name}: {change} against reference {names[0]}")
@@ -157,7 +157,7 @@ def rezero(
         drift = registration.drift(old, grey)
         if registration.shifted_too_far(drift, disc):
             shift = registration.shift_reason(drift, disc)
-            raise ConfigError(f"{lead}{shift}; fix the camera where it was, or calibrate again")
+            raise ConfigError(f"{lead}{shift}; fasten the camera where it was, or calibrate again")
         if drift.contrast < _WORN_CONTRAST:
             raise ConfigError(
                 f"{lead}{drift.contrast:.2f} times the contrast, expected {_WORN_CONTRAST} or more: "

@@ -83,7 +83,7 @@ class McapFrames:
         self._unusable = 0
         for count, found in enumerate(self._messages()):
             if self._unusable > _UNUSABLE_MAX:
-                unusable = f"found {self._unusable} messages that cannot be used: the rest is passed over"
+                unusable = f"found {self._unusable} messages that cannot be used; skipping the rest"
                 error = DecodeError(f"{shown(self.topic)}: {unusable}")
                 yield Row(str(count), max(last_ns, 0), None), self._refusal(error), 0
                 return
@@ -95,7 +95,9 @@ class McapFrames:
             try:
                 row = self._row(count, message, about)
                 if row.t_ns <= last_ns:
-                    raise DecodeError(f"found the time {row.t_ns}, expected more than {last_ns} ns of the one before")
+                    raise DecodeError(
+                        f"found the time {row.t_ns}, expected one after the previous frame's {last_ns} ns"
+                    )
             except DecodeError as error:
                 yield Row(str(count), max(last_ns, 0), None), self._refusal(DecodeError(f"{where}: {error}")), 0
                 continue
@@ -151,13 +153,13 @@ class McapFrames:
                     schema = schemas.get(channel.schema_id)
                     yield path, schema.name if schema else "", channel.encoding, record, about
         if unknown:
-            found = f"{unknown} messages of channels that it does not describe"
-            yield Damage(DecodeError(f"{shown(path)}: found {found}, which are passed over"))
+            found = f"{unknown} messages of channels that the file does not describe"
+            yield Damage(DecodeError(f"{shown(path)}: found {found}; skipping them"))
         counts = file.summary.counts if file.summary else {}
         expected = sum(counts.get(channel.id, 0) for channel in channels.values() if channel.topic == self.topic)
         if expected - images > damaged:
-            found = f"{images} messages of {shown(self.topic)}, expected {expected} by the file's own count"
-            yield Damage(DecodeError(f"{shown(path)}: found {found}: the others are lost"))
+            found = f"{images} messages of {shown(self.topic)}, expected {expected} from the file's own count"
+            yield Damage(DecodeError(f"{shown(path)}: found {found}; the others are lost"))
 
     def _row(self, count: int, message: Message, about: dict[str, Any]) -> Row:
         """By what our channel of frames says of this one; of others by the time of the message. Raises DecodeError."""
@@ -166,7 +168,7 @@ class McapFrames:
                 raise DecodeError(f"found the time {message.log_ns}, expected at most 2^62 ns")
             return Row(str(count), message.log_ns, None)
         if about.get("seq") != message.sequence:
-            raise DecodeError("found nothing before it that states its time, expected a message of the channel frame")
+            raise DecodeError("found no time for it, expected a message before it on the channel frame")
         name, t_ns = about.get("image"), _whole(about, "t_ns", T_NS_MAX)
         if not isinstance(name, str) or len(name) > _NAME_CHARS_MAX:
             raise DecodeError(f"image: found {_short(name)}, expected at most {_NAME_CHARS_MAX} characters")

@@ -72,7 +72,7 @@ class McapFile:
         self.cut_off = not (ends and self._file.size >= 2 * len(MAGIC))
         if self.cut_off and self._file.at(0, len(MAGIC)) != MAGIC:
             self._stream.close()
-            raise ConfigError(f"{self._name}: found no MCAP file, expected one")
+            raise ConfigError(f"{self._name}: not an MCAP file")
         self.summary, why = read_summary(self._file)
         self.damage = f"{self._name}: {why}" if why else ""
         self._unpacked = 0
@@ -98,10 +98,10 @@ class McapFile:
                 yield from self._records_at(place)
             except _DAMAGED as error:
                 what = "chunk" if place.kind == Kind.CHUNK else "record"
-                found = f"{self._name}: the {what} at byte {place.body - HEAD.size} is damaged and passed over: {error}"
+                found = f"{self._name}: the {what} at byte {place.body - HEAD.size} is damaged; skipping it: {error}"
                 yield Damage(DecodeError(found))
             if self._unpacked > self._unpacked_max:
-                found = f"{self._name}: what follows byte {place.end} is passed over: found more than "
+                found = f"{self._name}: skipping everything after byte {place.end}: found more than "
                 expected = f"{self._unpacked_max} bytes in it, expected at most {UNPACKED_MAX} times the file's size"
                 yield Damage(DecodeError(found + expected))
                 return

@@ -55,9 +55,9 @@ def test_the_yaw_is_that_of_the_pictures(yaw_rad: float, scale: float) -> None:
 def test_mirrored_and_other_pictures_are_refused() -> None:
     with pytest.raises(ConfigError, match="mirrored"):
         yaw_of(8 * RING, 8 * RING * (1, -1))
-    with pytest.raises(ConfigError, match="beside where it was put"):
+    with pytest.raises(ConfigError, match="from its stated places"):
         yaw_of(8 * RING, 8 * RING[[0, 3, 1, 4, 2, 5]])
-    with pytest.raises(ConfigError, match="beside where it was put"):
+    with pytest.raises(ConfigError, match="from its stated places"):
         yaw_of(8 * RING, 0 * RING)
 
 

@@ -116,8 +116,8 @@ def test_a_damaged_chunk_is_told_and_passed_over(tmp_path: Path) -> None:
     frames, refused = every(path)
     assert 25 <= len(frames) < 40
     assert len(refused) == 2
-    assert "is damaged and passed over" in refused[0]
-    assert f"found {len(frames)} messages of /tacshade/left/camera, expected 40 by the file's own count" in refused[1]
+    assert "is damaged; skipping it" in refused[0]
+    assert f"found {len(frames)} messages of /tacshade/left/camera, expected 40 from the file's own count" in refused[1]
 
 
 @pytest.mark.slow
@@ -150,7 +150,7 @@ def test_without_an_index_a_flipped_bit_in_any_head_costs_a_chunk_at_most(tmp_pa
             # The last chunk is torn, as in a recording that still goes on.
             assert len(frames) == len(chunks) - 2
             assert len(refused) == 1
-            assert "damaged and passed over" in refused[0]
+            assert "damaged; skipping" in refused[0]
 
 
 @pytest.mark.parametrize("number", ["1" + "0" * 400, "1e308", "-2e6", "Infinity", "NaN", "true", "{}", "[]", "null"])
@@ -184,14 +184,14 @@ def test_a_picture_of_ours_whose_times_are_lost_is_told(tmp_path: Path) -> None:
     frames, refused = every(_written(tmp_path, stream.getvalue()))
     assert [recorded.frame.t_ns for recorded in frames] == [frame(1).t_ns]
     assert len(refused) == 1
-    assert "expected a message of the channel frame" in refused[0]
+    assert "expected a message before it on the channel frame" in refused[0]
 
 
 def test_a_file_of_several_that_is_none_is_told_and_the_others_are_read(tmp_path: Path) -> None:
     (tmp_path / "000.mcap").write_bytes(ours(3))
     (tmp_path / "001.mcap.part").write_bytes(b"")
     recording = Recording(tmp_path)
-    assert "001.mcap.part: found no MCAP file, expected one; its frames are left out" in recording.damage
+    assert "001.mcap.part: not an MCAP file; its frames are left out" in recording.damage
     assert len(every(tmp_path)[0]) == 3
 
 
@@ -280,7 +280,7 @@ def test_what_has_no_one_topic_of_images_is_refused(tmp_path: Path) -> None:
         assert found in str(error.value)
     for content in (b"", b"\x89PNG\r\n\x1a\n"):
         path.write_bytes(content)
-        with pytest.raises(ConfigError, match="found no MCAP file"):
+        with pytest.raises(ConfigError, match="not an MCAP file"):
             Recording(path)
     with pytest.raises(ConfigError, match="No such file"):
         Recording(tmp_path / "none.mcap")
@@ -292,7 +292,7 @@ def test_what_is_told_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     read, refused = every(_written(tmp_path, file_of(inside)))
     assert read == []
     assert len(refused) == 12
-    assert refused[-1] == "/cam: found 11 messages that cannot be used: the rest is passed over"
+    assert refused[-1] == "/cam: found 11 messages that cannot be used; skipping the rest"
 
 
 @pytest.mark.parametrize(
