@@ -152,7 +152,7 @@ class Session:
             return reason
         added = self._folder.add(self._taken, image, press)
         self._taken = [*self._taken, added]
-        warning = f"; {judged.changed} since the references" if judged.changed else ""
+        warning = f"; {judged.changed} since the references were taken" if judged.changed else ""
         self._terminal.say(f"  {added.image}: {press}{warning}")
         if asked := check.question(known_press(added.image, image, press, self._names)):
             self._terminal.say(f"  {asked} (undo removes it)")
@@ -335,5 +335,5 @@ def _refusal(judged: Judgement) -> str:
     if judged.unusable:
         return f"the picture cannot be used: {judged.unusable}"
     if judged.moved:
-        return f"{judged.moved} since the references: fix the camera and take the references again"
+        return f"{judged.moved} since the references were taken: fix the camera and take the references again"
     return "" if judged.in_contact else "nothing touches the skin in the picture"

@@ -108,7 +108,7 @@ def _check_offer(source: V4l2, node: str) -> tuple[Finding, ...]:
     if sizes and not any(each.holds(source.width_px, source.height_px) for each in sizes):
         shown = ", ".join(map(str, sizes[:_SIZES_SHOWN])) + (", ..." if len(sizes) > _SIZES_SHOWN else "")
         fix = f"set source.width_px and height_px to one of {shown}; then calibrate at that size"
-        return (fault("camera format", f"the camera has no {source.fourcc} of {size} px", fix),)
+        return (fault("camera format", f"the camera has no {source.fourcc} mode of {size} px", fix),)
     listed = ", ".join(f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}" for low, high in rates)
     if rates and not any(low * (1 - _RATE_OFF) <= source.fps <= high * (1 + _RATE_OFF) for low, high in rates):
         found = f"{source.fourcc} {size} is not available at {source.fps} frames/s"

@@ -105,7 +105,7 @@ class ContactDetector:
         if judged.unusable:
             raise SafetyStop(f"the picture cannot be used: {judged.unusable}")
         if judged.moved:
-            raise SafetyStop(f"{judged.moved} since the references")
+            raise SafetyStop(f"{judged.moved} since the references were taken")
         return np.mean(blocks, axis=0, dtype=np.float32), judged
 
     def _frames(self) -> list[Frame]:

@@ -39,7 +39,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         files="evaluation.md, evaluation.csv, evaluation.json, figure6.png",
     )
     labelled = parser.add_argument_group("your own frames with labels, in place of surfaces (--images, --labels)")
-    labelled.add_argument("--labels", type=Path, metavar="CSV", help=f"table of image and any of {', '.join(COLUMNS)}")
+    labelled.add_argument(
+        "--labels", type=Path, metavar="CSV", help=f"table with a column image and any of {', '.join(COLUMNS)}"
+    )
     labelled.add_argument(
         "--sensor",
         type=Path,

@@ -67,7 +67,12 @@ def add_cluster(parser: argparse.ArgumentParser) -> None:
 def add_simulated(parser: argparse.ArgumentParser, sensor_names: str, object_names: str) -> argparse._ArgumentGroup:
     """Take simulated sensors and objects by name."""
     group = parser.add_argument_group("simulated sensors")
-    group.add_argument("--sensors", type=sensors, metavar="SEED,...", help=f"SEED or default ({sensor_names})")
+    group.add_argument(
+        "--sensors",
+        type=sensors,
+        metavar="SEED,...",
+        help=f"sensors to evaluate: seed numbers or the word default (default: {sensor_names})",
+    )
     group.add_argument(
         "--objects", type=objects, metavar="NAME,...", help=f"some of {', '.join(OBJECTS)} ({object_names})"
     )

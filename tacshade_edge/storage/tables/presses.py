@@ -80,7 +80,7 @@ def _press(path: Path, where: str, row: dict[str, str], indenters: Mapping[str, 
     indenter = None if name == BALL else indenters[name]
     if indenter is not None and row["radius_mm"].strip():
         raise ConfigError(
-            f"{where}: radius_mm: found {quoted(row['radius_mm'])}, expected nothing: INDENTERS.yaml has its size"
+            f"{where}: radius_mm: found {quoted(row['radius_mm'])}, expected an empty cell: INDENTERS.yaml has its size"
         )
     place = [row[column].strip() for column in ("x_mm", "y_mm")]
     if (place[0] == "") != (place[1] == ""):

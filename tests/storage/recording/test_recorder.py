@@ -99,7 +99,7 @@ def test_before_the_first_frame_there_is_nothing_to_replay(tmp_path: Path) -> No
 
 
 def test_a_disk_at_its_floor_takes_no_frame(tmp_path: Path) -> None:
-    with pytest.raises(DeviceError, match=r"found \d+ MiB free on the disk, expected \d+ at least"):
+    with pytest.raises(DeviceError, match=r"found \d+ MiB free on the disk, expected at least \d+"):
         Recorder(tmp_path / "rec", free_floor_bytes=2**62)
     recorder = begun(tmp_path / "rec")
     recorder._floor = 2**62

@@ -69,7 +69,7 @@ def select_presses(unloaded: Calibration, presses: Sequence[KnownPress], network
         if judged.unusable:
             raise ConfigError(f"{press.name}: not usable: {judged.unusable}")
         if judged.moved:
-            left_out.append(f"{press.name}: {judged.moved} since the references")
+            left_out.append(f"{press.name}: {judged.moved} since the references were taken")
             continue
         view = viewer.view(press) if viewer else None
         if not (judged.in_contact or view):
@@ -78,7 +78,7 @@ def select_presses(unloaded: Calibration, presses: Sequence[KnownPress], network
             pressed.append(press)
             views.append(view)
             if judged.changed:
-                warnings.append(f"{press.name}: {judged.changed} since the references")
+                warnings.append(f"{press.name}: {judged.changed} since the references were taken")
     observations = [observe_press(preprocessor, mapper, press) for press in pressed]
     if len(observations) >= MIN_PRESSES and (hint := _polarity_mistake(unloaded, pressed, observations)):
         raise ConfigError(hint)

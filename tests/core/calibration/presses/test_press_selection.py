@@ -140,11 +140,11 @@ def test_a_wrong_unit_is_named_without_a_network() -> None:
 
 def test_a_camera_that_moved_at_a_press_or_for_all_of_them() -> None:
     one = [replace(presses()[0], image=shifted(presses()[0].image, 1)), *presses()[1:]]
-    assert fitted(one).warnings == ("press 0: the image moved by 1.0 px since the references",)
+    assert fitted(one).warnings == ("press 0: the image moved by 1.0 px since the references were taken",)
     far = [replace(presses()[0], image=shifted(presses()[0].image, 5)), *presses()[1:]]
     (warning,) = fitted(far).warnings
     assert warning.startswith("press 0: the image moved by 5.0 px")
-    assert warning.endswith("since the references; left out")
+    assert warning.endswith("since the references were taken; left out")
     with pytest.raises(ConfigError, match=r"20 of 20 presses cannot be used; press 0: the image moved by"):
         fitted([replace(press, image=shifted(press.image, 5)) for press in presses()])
 
@@ -153,7 +153,7 @@ def test_other_light_at_a_press_is_a_warning() -> None:
     dim = [replace(presses()[0], image=nuisance.gain(presses()[0].image, 0.7)), *presses()[1:]]
     (warning,) = fitted(dim).warnings
     assert warning.startswith("press 0: 0.7")
-    assert warning.endswith("times the light since the references")
+    assert warning.endswith("times the light since the references were taken")
 
 
 def test_presses_that_show_no_contact_are_refused() -> None:
