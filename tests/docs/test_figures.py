@@ -392,6 +392,31 @@ def arm() -> Claims:
     )
 
 
+MARGINS = (
+    ("usual (ball, cube)", "usual"),
+    ("other friction", "other friction"),
+    ("other objects (cylinder, cone)", "other objects"),
+    ("the other family, with other mechanics", "other mechanics"),
+)
+
+
+def margin() -> Claims:
+    page = Page("margin")
+    slips = announced = 0.0
+    for title, group in MARGINS:
+        count, share, lead_ms, alarms, minutes = (
+            page.number(column, group)
+            for column in ("slips", "announced %", "median lead ms", "false alarms", "minutes held")
+        )
+        yield (
+            f"| {title} | {count:.0f} | {share:.0f} % | {rounded(lead_ms / 1000, 2)} s | "
+            f"{alarms:.0f} in {minutes:.0f} minutes |"
+        )
+        slips, announced = slips + count, announced + count * share / 100
+    assert 0.4 < announced / slips < 0.6
+    yield "it announces half of the first slips"
+
+
 def arm_frame() -> Claims:
     page, row = Page("arm-frame"), ("balanced", "contact")
     boards = [page.cell(f"{board}, ms", *row) for board in ("Pi 5 (Cortex-A76, 2.4 GHz)", "Pi 4 (Cortex-A72, 1.8 GHz)")]
@@ -509,6 +534,7 @@ CLAIMS = (
     pytest.param("docs/how-to/shear.md", shear_under_drag, id="shear_under_drag"),
     pytest.param("docs/how-to/hand.md", object_motion, id="object_motion"),
     pytest.param("docs/how-to/stitching.md", flange, id="flange"),
+    pytest.param("docs/how-to/shear.md", margin, id="margin"),
     pytest.param("docs/how-to/touch.md", servo, id="servo"),
     pytest.param("docs/reference/sigma.md", sigma, id="sigma"),
     pytest.param("docs/explanation/speed.md", stages, id="stages"),
