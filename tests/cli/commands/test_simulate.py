@@ -78,7 +78,7 @@ def test_calibration_set_is_complete_and_repeatable(tmp_path: Path, capsys: pyte
 @pytest.mark.parametrize(
     ("words", "code", "message"),
     [
-        (["--out", "OUT", "--objects", "teapot"], 78, "'teapot' is not known"),
+        (["--out", "OUT", "--objects", "teapot"], 78, "'teapot' is unknown"),
         (["--out", "OUT", "--objects", "ball", "--position", "30", "0"], 78, "not over the skin"),
         (["--out", "OUT", "--objects", "ball", "--depth", "19.5"], 78, "reaches the middle"),
         (["--out", "FILE/x", "--objects", "none"], 1, "cannot be written"),
