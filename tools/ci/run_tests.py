@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Every stage of the tests, in two lanes, and at the end what each ran, skipped (why) and took.
+"""Every stage of the tests, one after the other, and at the end what each ran, skipped (why) and took.
 
 ::
 
@@ -29,8 +29,9 @@ QUICK = "not guest and not broker and not slow and not browser"
 SLOW = "(slow or broker or browser) and not guest and not container"
 ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
 """Tests are compiled once, not by each worker of each stage: 11 s of a core."""
-BESIDE = ("lint", "guest")
-"""Run one after the other beside the rest, whose tests wait now and then; each shows its output when it is over."""
+BESIDE = ("lint",)
+"""Run beside the rest, whose tests wait now and then; each shows its output when it is over. The guests beside the slow
+stage gain nothing: both need all of two cores."""
 STAGES: dict[str, tuple[str, ...]] = {
     "lint": ("make", "--no-print-directory", "lint"),
     "quick": (*PYTEST, "-n", WORKERS, "--dist", "worksteal", "-m", QUICK),
