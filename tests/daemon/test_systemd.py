@@ -181,7 +181,7 @@ def test_a_bad_reload_keeps_what_runs(
         told, fed = len(manager.heard), manager.watchdogs()
         caplog.clear()
         app.reload()
-        wait_until(lambda told=told: manager.has("READY=1\nSTATUS=reload refused", told))
+        wait_until(lambda told=told: manager.has("READY=1\nSTATUS=reload rejected", told))
         warnings = [record.getMessage() for record in caplog.records if "reload" in record.getMessage()]
         assert len(warnings) == 1
         assert problem in warnings[0]
@@ -193,7 +193,7 @@ def test_a_bad_reload_keeps_what_runs(
     wait_until(lambda: manager.has("READY=1\nSTATUS=reloaded"))
     told = len(manager.heard)
     wait_until(lambda: manager.has("STATUS=streaming", told))
-    assert not manager.has("refused", told)
+    assert not manager.has("rejected", told)
 
 
 def test_a_new_source_or_broker_waits_for_a_restart_and_says_so(

@@ -65,7 +65,7 @@ def test_it_opens_as_it_was_stored(path: Path) -> None:
 def test_a_version_with_other_networks_recalibrates_by_itself(path: Path, caplog: pytest.LogCaptureFixture) -> None:
     kept = path.with_name(f"hand.v{VERSION}.npz")
     first_mm = depth_mm(path)
-    assert f"of version {VERSION}" in caplog.messages[0]
+    assert f"has version {VERSION}" in caplog.messages[0]
     assert str(kept) in caplog.messages[1]
     assert kept.read_bytes() == STORED.read_bytes()
     # The networks answer less now, and the factors make up for it.

@@ -109,7 +109,7 @@ def test_another_circle_ends_what_was_found_with_the_old_one(words: list[str], p
         asked = Request(f"{address.rstrip('/')}/circle", json.dumps(rim).encode(), headers)
         with urlopen(asked) as answer:
             assert answer.read() == b"the three points are taken"
-        one.hears("another visible circle was stated")
+        one.hears("the visible circle was changed")
         assert one.ends() == 1
     assert not printer.halted
     assert printer.moves[-1][2] >= printer.sensor.tip_z_mm + 4
