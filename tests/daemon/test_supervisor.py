@@ -221,7 +221,7 @@ def test_one_that_hangs_says_where_and_is_started_again(
             assert "has not responded for 10 s; ending it" in running.log.read_text()
         finally:
             running.close()
-        wait_until(lambda: seen.of("tacshade/thumb/state")[-1:] == [b"offline"], 20, "they end with their supervisor")
+        wait_until(lambda: seen.of("tacshade/index/state")[-1:] == [b"stopped"], 20, "they end with their supervisor")
 
 
 @needs_broker
