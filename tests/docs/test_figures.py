@@ -112,11 +112,11 @@ def readme() -> Claims:
     trained, other = (Page("objects", family) for family in FAMILIES.values())
     mean = ("mean", "balanced")
     error, elsewhere = (rounded(page.cell("ME mm", *mean), 2) for page in (trained, other))
-    yield f"**{error} mm** from the true surface ({elsewhere} mm on another family)"
+    yield f"**{error} mm** mean distance from the true surface ({elsewhere} mm on another family)"
     depth = ("balanced", "depth")
     real = Page("real-raw")
     order, off = real.cell("rank correlation", *depth), real.cell("mean error", *depth)
-    yield f"**{order}** rank correlation of depth, {off} mm off after a linear fit | {real.cell('frames', *depth)} real"
+    yield f"**{order}** rank correlation of depth, {off} mm off after a linear fit | {real.cell('frames', *depth)} presses of a real"
     latency = Page("daemon")
     yield f"**{latency.cell('p50 ms', 'contact')} ms** latency, 99 % within {latency.cell('p99 ms', 'contact')} ms"
     frame_ms = Page("arm").cell("Pi 5 (Cortex-A76, 2.4 GHz), ms", "balanced", "contact").split(" to ")
