@@ -148,15 +148,15 @@ def drag() -> Claims:
 
 def shear_under_drag() -> Claims:
     trained, other = (Page("drag", family) for family in FAMILIES.values())
-    for page, begin, unit in ((trained, "is off by ", " mm in the median"), (other, "too small: off by ", " mm")):
+    for page, begin in ((trained, "median error of a contact's mean shear is "), (other, "too small, with a median error of ")):
         one, two, three = (page.cell("shear off mm: median", what, "accurate") for what in DRAGS[1:4])
-        yield f"{begin}{one}, {two} and {three}{unit}"
+        yield f"{begin}{one}, {two} and {three} mm."
     one, two, three = (trained.cell("within 0.35 mm or a tenth %", what, "accurate") for what in DRAGS[1:4])
-    yield f"within 0.35 mm or a tenth of it in {one}, {two} and {three} % (`accurate`'s contacts)"
+    yield f"within 0.35 mm or a tenth of the shear in {one}, {two} and {three} % of `accurate`'s contacts."
     direction = max(trained.number("direction off °: 95 %", what, "accurate") for what in DRAGS[1:4])
     twist = max(trained.number("twist off °: 95 %", what, "accurate") for what in DRAGS[1:4])
-    yield f"its direction within {direction:.0f}° and twist within {math.ceil(twist)}° in 95 %"
-    yield f"tilted by 15°, twist within {trained.cell('twist off °: 95 %', DRAGS[4], 'accurate')}°"
+    yield f"In 95 % of them, the direction is within {direction:.0f}° and the twist within {math.ceil(twist)}°"
+    yield f"tilted by 15°, the twist is within {trained.cell('twist off °: 95 %', DRAGS[4], 'accurate')}°"
 
 
 def no_presses() -> Claims:
