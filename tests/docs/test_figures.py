@@ -92,7 +92,7 @@ def objects() -> Claims:
     assert set(seen.values()) == {"4 of 5"}, "the sentence on the objects of Table I has to be written anew"
     yield "better in both on four of the five objects"
     (count,) = {other.cell("beats Table I in ME and SD", profile)[0] for profile in PROFILES}
-    yield f"On the other family they are better on {WORDS[int(count)]}."
+    yield f"On the other family they are also better on {WORDS[int(count)]}."
     frames = sum(int(page.cell("frames without contact", "accurate")) for page in of.values())
     assert all(page.cell("phantoms", profile) == "0" for page in of.values() for profile in PROFILES)
     yield f"0 of {frames} frames without contact gave a false contact"
@@ -100,10 +100,10 @@ def objects() -> Claims:
     for page, prefix in ((trained, ""), (other, "other:")):
         single = [page.number("ME mm", f"{prefix}{sensor}", "accurate") for sensor in (9018, 9019, 9020)]
         spans.append(f"{rounded(min(single), 2)} to {rounded(max(single), 2)} mm")
-    yield f"`accurate` has {spans[0]} on the three as trained on, {spans[1]} on the others."
+    yield f"of `accurate` on single sensors is {spans[0]} as trained on and {spans[1]} on the other family."
     table = ("mean", "Table I (real sensor)")
     yield f"has a mean ME of {trained.cell('ME mm', *table)} mm and an SD of {trained.cell('SD %', *table)} %"
-    yield f"the ball, whose SD is {trained.cell('SD %', 'ball', 'Table I (real sensor)')} % there"
+    yield f"the ball, which has an SD of {trained.cell('SD %', 'ball', 'Table I (real sensor)')} % in Table I"
 
 
 def readme() -> Claims:
@@ -132,18 +132,18 @@ def drag() -> Claims:
     me = {profile: [rounded(trained.cell("ME mm", what, profile), 2) for what in DRAGS] for profile in PROFILES}
     still, _, two, three, turned = me["accurate"]
     yield (
-        f"As trained on `accurate` has an ME of {still} mm undragged, {two} dragged by 2 mm, {three} by 3 mm and "
-        f"{turned} also twisted by 10° and tilted by 15°"
+        f"On the trained family, `accurate` has an ME of {still} mm undragged, {two} dragged by 2 mm, {three} by 3 mm and "
+        f"{turned} if also twisted by 10° and tilted by 15°"
     )
     for profile in ("balanced", "fast"):
         still, _, two, three, turned = me[profile]
-        yield f"`{profile}` {still}, {two}, {three} and {turned}"
+        yield f"`{profile}` has {still}, {two}, {three} and {turned}"
     still, _, two, three, turned = (rounded(other.cell("ME mm", what, "accurate"), 2) for what in DRAGS)
     yield f"`accurate` has {still}, {two}, {three} and {turned}."
     frames, refused = (
         sum(int(trained.cell(column, "all", profile)) for profile in PROFILES) for column in ("frames", "refused")
     )
-    yield f"Of {frames} frames as trained on {refused} were refused."
+    yield f"Of {frames} frames on the trained family, {refused} were refused."
 
 
 def shear_under_drag() -> Claims:
@@ -172,7 +172,7 @@ def other_objects() -> Claims:
     trained, other = (Page("other-objects", family) for family in FAMILIES.values())
     yield f"the tip of a cone by {trained.cell('depth off %', 'cone', 'accurate')} % with `accurate`"
     cones = [int(other.cell("depth off %", "cone", profile)) for profile in PROFILES]
-    yield f"on another family by {min(cones)} to {max(cones)} %"
+    yield f"on the other family by {min(cones)} to {max(cones)} %"
     plates = [page.cell("missed", "plate", profile).split("/") for page in (trained, other) for profile in PROFILES]
     yield f"up to {max(int(missed) for missed, _ in plates)} of {plates[0][1]} presses"
 
@@ -365,7 +365,7 @@ def memory() -> Claims:
 
 def shear() -> Claims:
     one, two, three = (Page("shear").cell("accurate", f"{mm} mm").split()[0] for mm in (1, 2, 3))
-    yield f"are {one}, {two} and {three} mm off with `accurate`"
+    yield f"error under 1, 2 and 3 mm of drag is {one}, {two} and {three} mm with `accurate`"
 
 
 def runtime() -> Claims:
