@@ -277,7 +277,7 @@ def paper_in_the_settings() -> Claims:
 def iterations() -> Claims:
     slow, quick = (Page("iterations").number("ms of processor time (p50)", name) for name in ("paper", "paper_0"))
     assert round(7 * (1 - quick / slow)) == 6
-    yield "Of `paper` six sevenths are eq. 11"
+    yield "takes six sevenths of `paper`"
 
 
 def cost() -> Claims:
@@ -296,7 +296,7 @@ def tradeoff() -> Claims:
     for profile in ("fast", "balanced"):
         quick, slow = (float(page.cells("p50 ms", profile, what)[0].split()[0]) for what in (shipped, whole))
         assert round(4 * (1 - quick / slow)) == 1
-    yield "halving the image takes a quarter off `fast` and `balanced`"
+    yield "Halving the image takes a quarter off `fast` and `balanced`"
     near, far = (float(page.cell("ME mm", "fast", what).split()[0]) for what in (whole, shipped))
     yield f"and costs `fast` {rounded(far - near, 2)} mm"
 
@@ -421,8 +421,8 @@ def arm_frame() -> Claims:
     page, row = Page("arm-frame"), ("balanced", "contact")
     boards = [page.cell(f"{board}, ms", *row) for board in ("Pi 5 (Cortex-A76, 2.4 GHz)", "Pi 4 (Cortex-A72, 1.8 GHz)")]
     yield (
-        f"takes {page.cell('all', *row)} million a frame in contact: {boards[0]} ms there, {boards[1]} ms on a Pi 4, "
-        f"right to a factor of two. Shear is {page.cell('shear', *row)} million of them."
+        f"takes {page.cell('all', *row)} million instructions for a frame in contact, of which shear takes "
+        f"{page.cell('shear', *row)} million. The estimate is {boards[0]} ms on a Pi 5 and {boards[1]} ms on a Pi 4"
     )
 
 
