@@ -459,10 +459,10 @@ def flange() -> Claims:
 def object_motion() -> Claims:
     page = Page("object-motion")
     held = [int(cell) for cell in page.cells("in the 90 % ellipsoid %", "all")]
-    yield f"the ellipsoid holds {min(held)} to {max(held)} %"
+    yield f"90 % ellipsoid contains {min(held)} to {max(held)} %"
     within = [int(cell) for cell in page.cells("within 0.4 mm and 3° %", "all", "5")[:4]]
     yield f"within 0.4 mm and 3° in {min(within)} to {max(within)} % of 30 trials"
-    yield f"no jump is over {max(page.cells('jump mm: greatest', 'all'))} mm"
+    yield f"never jumps by more than {max(page.cells('jump mm: greatest', 'all'))} mm"
 
 
 def faults() -> Claims:
@@ -482,11 +482,11 @@ def faults() -> Claims:
 
 
 def faults_of_thousands() -> Claims:
-    yield f"# {int(Page('faults-damaged').cell('fed', 'all')):,} damaged inputs".replace(",", " ")
+    yield f"[{int(Page('faults-damaged').cell('fed', 'all')):,} damaged inputs]".replace(",", " ")
     words = Page("faults-words")
     assert sum(int(words.cell("count", what)) for what in ("in process", "serial lines")) == 1_000_000
-    yield "# a million requests and serial lines"
-    yield f"# kill -9, {Page('faults-kills').cell('kills', 'all')} times"
+    yield "[a million requests and serial lines]"
+    yield f"[kill -9, {Page('faults-kills').cell('kills', 'all')} times]"
 
 
 SERVO = (
