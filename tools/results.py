@@ -576,16 +576,16 @@ def write(name: str, page: Page, *, busy: bool) -> str:
 
 def index() -> None:
     """Write the list of the pages that are there, of those that other commands write, and of those that are missing."""
-    rows = [f"| [{PAGES[name].title}]({name}.md) | `{name}` | `{shown(PAGES[name].command)}` |" for name in written()]
+    rows = [f"| [{PAGES[name].title}]({name}.md) | `{name}` |" for name in written()]
     others = sorted(path.stem for path in FOLDER.glob("*.md") if path.stem not in {*PAGES, "README"})
     for name in others:
         title = (FOLDER / f"{name}.md").read_text(encoding="utf-8").partition("\n")[0].removeprefix("# ")
-        rows.append(f"| [{title}]({name}.md) | | stands on the page |")
+        rows.append(f"| [{title}]({name}.md) | |")
     missing = [
         f"- `{name}`, {page.title}: `{shown(page.command)}`" for name, page in PAGES.items() if not is_there(name)
     ]
-    head = "# Results\n\n`tools/results.py` writes these pages. Each names its commit and machine at the top."
-    lines = [head, "", "| page | name | command |", "|---|---|---|", *rows]
+    head = "# Results\n\n`python -m tools.results NAME` writes such a page with its command, commit and machine."
+    lines = [head, "", "| page | name |", "|---|---|", *rows]
     if missing:
         lines += [
             "",
