@@ -22,6 +22,7 @@ from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 
 from .errors import ConfigError, DecodeError, DeviceError
 from .messages import Message, decode_message
+from .protocol.broker_address import host_and_port
 from .quoting import quoted
 from .reasons import ReasonCode
 
@@ -51,7 +52,6 @@ _RECONNECT_S: Final = 1
 _KEEPALIVE_S: Final = 10
 _BYTES_MAX: Final = 1 << 26
 _LOG_PERIOD_S: Final = 10.0
-_BROKER: Final = "HOST or HOST:PORT, such as localhost:1883"
 _NAME: Final = "a sensor such as left-index, hand/left of a hand, or + for all sensors"
 
 
@@ -118,21 +118,6 @@ def listen(
         listener.close()
         raise
     return listener
-
-
-def host_and_port(broker: str) -> tuple[str, int]:
-    """Of ``HOST`` or ``HOST:PORT``. Raises ConfigError."""
-    host, colon, port = broker.rpartition(":")
-    if not colon:
-        host, port = broker, "1883"
-    sound = port.isascii() and port.isdecimal() and len(port) <= 5 and 0 < int(port) < 65536
-    try:
-        sound = sound and bool(host) and bool(host.encode("idna"))
-    except UnicodeError:
-        sound = False
-    if not sound:
-        raise ConfigError(f"broker: found {quoted(broker)}, expected {_BROKER}")
-    return host.strip("[]"), int(port)
 
 
 class Listener(Iterator[Message]):

@@ -26,6 +26,8 @@ class TacShadeCameraConfig(CameraConfig):
         TLS is used when given: the authority that signed the broker's certificate.
     width, height : int
         Of the picture; equal, since the visible circle fills it.
+    fps : int
+        LeRobot requires it of a robot's camera and copies it; the daemon decides how often there is a picture.
     """
 
     sensor: str
@@ -35,6 +37,7 @@ class TacShadeCameraConfig(CameraConfig):
     ca_file: str | None = None
     width: int | None = SIZE_PX
     height: int | None = SIZE_PX
+    fps: int | None = 30
 
     def __post_init__(self) -> None:
         if self.width != self.height or not self.width or not 8 <= self.width <= 1024:

@@ -18,6 +18,7 @@ from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.library.arguments import path_of, text_of, wrong
 from tacshade_edge.library.frame_assembler import TOPICS, FrameAssembler
 from tacshade_edge.library.result import Result, Results
+from tacshade_edge.protocol.broker_address import BROKER, host_and_port
 from tacshade_edge.quoting import escaped, shown
 from tacshade_edge.reasons import ReasonCode
 
@@ -27,8 +28,7 @@ _KEEPALIVE_S: Final = 60
 _POLL_S: Final = 0.1
 _BYTES_MAX: Final = 1 << 26
 _REASON_CHARS_MAX: Final = 500
-_HOST_CHARS_MAX, _ID_CHARS_MAX = 253, 255
-_BROKER: Final = "HOST or HOST:PORT, such as localhost:1883"
+_ID_CHARS_MAX: Final = 255
 _SENSOR_ID: Final = "the sensor_id of a daemon's settings, such as left-index"
 
 
@@ -64,7 +64,7 @@ def listen(
         No broker, or it does not let us in. Later, from ``next``: nothing that gives a result came for 5 s, or the
         connection was lost; the next call connects again.
     """
-    host, port = _host_and_port(text_of("broker", broker, _BROKER))
+    host, port = host_and_port(text_of("broker", broker, BROKER))
     if not 0 < len(text_of("sensor_id", sensor_id, _SENSOR_ID)) <= _ID_CHARS_MAX or set(sensor_id) & set("/+#"):
         raise wrong("sensor_id", sensor_id, _SENSOR_ID)
     if password is not None and username is None:
@@ -79,16 +79,6 @@ def listen(
     ident = f"tacshade-listen-{secrets.token_hex(6)}"
     client = make_client(address, base_topic=f"tacshade/{sensor_id}", client_id=ident)
     return _Heard(client, host, port, sensor_id)
-
-
-def _host_and_port(broker: str) -> tuple[str, int]:
-    host, colon, port = broker.rpartition(":")
-    if not colon:
-        host, port = broker, "1883"
-    sound = port.isascii() and port.isdecimal() and len(port) <= 5 and 0 < int(port) < 65536
-    if not (sound and 0 < len(host) <= _HOST_CHARS_MAX):
-        raise wrong("broker", broker, _BROKER)
-    return host.strip("[]"), int(port)
 
 
 class _Heard(Results):

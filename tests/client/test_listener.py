@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import tacshade_client as tc
-from tacshade_client.listener import WAITING_MAX, host_and_port
+from tacshade_client.listener import WAITING_MAX
 
 from tacshade_edge.protocol import messages, wire
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
@@ -151,8 +151,3 @@ def test_arguments_that_cannot_work(
 ) -> None:
     with pytest.raises(tc.ConfigError, match=found):
         tc.listen(broker_text, name, topics, **other)
-
-
-def test_a_broker_is_a_host_and_a_port() -> None:
-    assert host_and_port("board") == ("board", 1883)
-    assert host_and_port("[::1]:99") == ("::1", 99)

@@ -16,7 +16,7 @@ from tools.testbed.browser import errors
 from tools.testbed.dashboard_process import dashboard
 from tools.testbed.mqtt_rig import Broker, Subscriber
 from tools.testbed.patience import wait_until
-from tools.testbed.published_sensor import PublishedSensor, bump
+from tools.testbed.published_sensor import DISC, PublishedSensor, bump
 from tools.testbed.shown_page import NEEDS_A_BROWSER, js, opened, shows, text, until_shown
 
 pytestmark = NEEDS_A_BROWSER
@@ -106,4 +106,79 @@ def test_a_run_that_is_paused_is_asked_for_its_picture_and_its_answer_is_heard(p
         refusal = {"transaction": asked["transaction"], "ok": False, "error": "the recording is gone"}
         other.tell("res/replay", json.dumps(refusal).encode())
         shows(page, "compare-words", "run-b is paused: the recording is gone")
+        assert errors(page) == []
+
+
+def test_both_pictures_have_one_scale_which_holds_the_deeper_one(page: Chrome, tmp_path: Path) -> None:
+    def drawn_mm(name: str, scale_mm: float) -> float:
+        """What the colour of this picture's deepest cell says on a scale."""
+        cell = [int(at // 4 - (centre - DISC.radius_px) // 4) for at, centre in ((COL, DISC.col_c), (ROW, DISC.row_c))]
+        read = (
+            "const [name, x, y, scale_mm, done] = arguments;"
+            "const copy = new OffscreenCanvas(1, 1).getContext('2d', { willReadFrequently: true });"
+            "copy.drawImage(document.getElementById(`${name}-cells`), x, y, 1, 1, 0, 0, 1, 1);"
+            "const at = copy.getImageData(0, 0, 1, 1).data;"
+            "import('./colours.js').then(({ depthOf }) => done(depthOf(at[0], at[1], at[2], scale_mm)));"
+        )
+        return float(page.execute_async_script(read, name, *cell, scale_mm))
+
+    def ends_at(ticks: str) -> bool:
+        return text(page, "compare-ticks").replace("\n", " ").endswith(ticks)
+
+    with (
+        Broker(tmp_path) as broker,
+        dashboard(f"127.0.0.1:{broker.port}") as address,
+        PublishedSensor(broker.port, "run-a") as first,
+        PublishedSensor(broker.port, "run-b") as other,
+    ):
+        opened(page, address, "run-a")
+        wait_until(lambda: len(Select(page.find_element(By.ID, "against")).options) == 3, 15, "there is another")
+        Select(page.find_element(By.ID, "against")).select_by_value("run-b")
+        until_shown(page, first, lambda: bump(7, 1.0, ROW, COL, 4), 7)
+
+        def compared() -> bool:
+            other.show(bump(8, 3.6, ROW, COL, 4))
+            return js(page, "tacshade.compared") is not None
+
+        wait_until(compared, 15, "both are there")
+        assert ends_at(" 4 mm")
+        assert drawn_mm("first", 4.0) == pytest.approx(1.0, abs=0.01)
+        assert drawn_mm("other", 4.0) == pytest.approx(3.6, abs=0.01)
+        assert js(page, "tacshade.scale_mm") == 1.0  # the map above shows the first alone
+        Select(page.find_element(By.ID, "range")).select_by_value("2")  # a person's choice, though one is deeper
+        wait_until(lambda: ends_at(" 2 mm"), 15, "the chosen scale")
+        assert drawn_mm("first", 2.0) == pytest.approx(1.0, abs=0.01)
+        assert drawn_mm("other", 2.0) == 2.0
+        Select(page.find_element(By.ID, "range")).select_by_value("auto")
+        wait_until(lambda: ends_at(" 4 mm"), 15, "both again")
+        assert errors(page) == []
+
+
+def test_this_moment_is_held_and_compared_with_what_comes_after(page: Chrome, tmp_path: Path) -> None:
+    with (
+        Broker(tmp_path) as broker,
+        dashboard(f"127.0.0.1:{broker.port}") as address,
+        PublishedSensor(broker.port, "run-a") as sensor,
+    ):
+        opened(page, address, "run-a")
+        against = Select(page.find_element(By.ID, "against"))
+        wait_until(lambda: len(against.options) == 2, 15, "only the moment can be compared with")
+        against.select_by_visible_text("this moment")  # nothing is on the screen that could be held
+        assert not page.find_element(By.ID, "compare").is_displayed()
+        assert against.first_selected_option.text == "nothing"
+        until_shown(page, sensor, lambda: bump(7, 2.0, ROW, COL, 4), 7)
+        wait_until(lambda: text(page, "n-depth") == "2.00", 15, "the numbers of the moment")
+        against.select_by_visible_text("this moment")
+        shows(page, "compare-words", "0.000 mm at worst")
+        until_shown(page, sensor, lambda: bump(8, 1.5, ROW, COL, 4), 8)
+        shows(page, "compare-words", "+0.500 mm at worst, at row 236, col 300 px")
+        shows(page, "compare-numbers", "run-a then more")
+        shows(page, "compare-numbers", "frame 8 7")
+        shows(page, "compare-numbers", "greatest depth, mm 1.50 2.00 +0.50")
+        assert text(page, "other-name").startswith("run-a, ")
+        assert text(page, "difference-name").endswith(" less run-a")
+        assert against.first_selected_option.text == "this moment"
+        against.select_by_visible_text("nothing")
+        assert not page.find_element(By.ID, "compare").is_displayed()
+        assert js(page, "tacshade.compared") is None
         assert errors(page) == []

@@ -33,13 +33,17 @@ from tools.release.distributions import TREE, UV, projects
 
 MACHINES = {"x86_64": "x86-64", "aarch64": "arm64"}
 PYTHON = (3, 13)
-NOT_FOR_USERS = ("dev",)
+NOT_FOR_USERS = ("dev", "docs")
 NVIDIA = "NVIDIA's own"
 STATED = {
-    "filelock": "MIT", "fsspec": "BSD-3-Clause", "jinja2": "BSD-3-Clause", "markupsafe": "BSD-3-Clause",
-    "matplotlib": "matplotlib's own (like PSF-2.0)", "mpmath": "BSD-3-Clause", "networkx": "BSD-3-Clause",
-    "pyarrow": "Apache-2.0", "setuptools": "MIT", "sympy": "BSD-3-Clause", "torch": "BSD-3-Clause", "triton": "MIT",
-    "typing-extensions": "PSF-2.0",
+    "cloudpickle": "BSD-3-Clause", "dask": "BSD-3-Clause", "distributed": "BSD-3-Clause", "filelock": "MIT",
+    "fsspec": "BSD-3-Clause", "importlib-metadata": "Apache-2.0", "jinja2": "BSD-3-Clause",
+    "lazy-importer": "Apache-2.0", "locket": "BSD-2-Clause", "markupsafe": "BSD-3-Clause",
+    "matplotlib": "matplotlib's own (like PSF-2.0)", "mpmath": "BSD-3-Clause", "msgpack": "Apache-2.0",
+    "networkx": "BSD-3-Clause", "partd": "BSD-3-Clause", "psutil": "BSD-3-Clause", "pyarrow": "Apache-2.0",
+    "setuptools": "MIT", "sortedcontainers": "Apache-2.0", "sympy": "BSD-3-Clause", "tblib": "BSD-2-Clause",
+    "toolz": "BSD-3-Clause", "torch": "BSD-3-Clause", "tornado": "Apache-2.0", "triton": "MIT",
+    "typing-extensions": "PSF-2.0", "zict": "BSD-3-Clause", "zipp": "MIT",
 }  # fmt: skip
 """Licences of packages that `make check` does not need, and of one whose metadata hold its whole text."""
 
@@ -61,9 +65,20 @@ def lock(tree: Path, project: Path) -> list[Locked]:
         clone = Path(folder, "clone")
         subprocess.run(("git", "clone", "--quiet", "--depth", "1", f"file://{tree}", str(clone)), check=True)
         there = clone / project.relative_to(tree)
+        # No index has the others of this repository before they are published.
+        others = {name: clone / path.relative_to(tree) for name, path in ours(tree).items() if path != project}
+        sources = (f'{name} = {{ path = "{path}" }}' for name, path in others.items())
+        with (there / "pyproject.toml").open("a", encoding="utf-8") as about:
+            about.write("\n".join(("\n[tool.uv.sources]", *sources, "")))
         told = os.environ | {"TACSHADE_EDGE_VERSION": "1.0.0"}
         subprocess.run((*UV, "lock", "--quiet", "--project", str(there)), check=True, env=told)
         return parse(tomllib.loads((there / "uv.lock").read_text(encoding="utf-8")))
+
+
+def ours(tree: Path) -> dict[str, Path]:
+    """The distributions of a tree by their names."""
+    abouts = {project: tomllib.loads((project / "pyproject.toml").read_text("utf-8")) for project in projects(tree)}
+    return {str(canonicalize_name(about["project"]["name"])): project for project, about in abouts.items()}
 
 
 def parse(document: Mapping[str, Any]) -> list[Locked]:
@@ -144,17 +159,18 @@ def stated(name: str) -> str:
 
 
 def report(tree: Path) -> str:
-    """The table, one line for each distribution and extra."""
-    lines = []
-    for project in projects(tree):
+    """The table, one line for each distribution and extra; what is ours has no wheel there yet, and is not counted."""
+    lines, own = [], ours(tree)
+    for name, project in own.items():
         about = tomllib.loads((project / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-        name, packages = str(canonicalize_name(about["name"])), lock(tree, project)
+        packages = lock(tree, project)
         extras = [extra for extra in about.get("optional-dependencies", {}) if extra not in NOT_FOR_USERS]
         for extra in ("", *extras):
             added = {}
             for machine in MACHINES:
                 plain = needed(packages, name, (), machine)
-                added[machine] = needed(packages, name, (extra,), machine) - plain if extra else plain
+                brought = needed(packages, name, (extra,), machine) - plain if extra else plain
+                added[machine] = {package for package in brought if package.name not in own}
             names = sorted({package.name for some in added.values() for package in some})
             sizes = [f"{size_mb(some, machine):.1f}" for machine, some in added.items()]
             what = f"{about['name']}[{extra}]" if extra else about["name"]

@@ -6,7 +6,7 @@ import { checkContact, checkPart } from "./bounds.js";
 import { contactOfMap, keepContact, nextMap } from "./newest.js";
 import { number, table } from "./panels.js";
 import { isPaused, isPlayed, justBefore, showAgain } from "./playback.js";
-import { drawBar, drawTicks } from "./scale.js";
+import { AutoScale, drawBar, drawTicks } from "./scale.js";
 
 const STREAMS = ["height", "contact", "status/replay", "res/replay"];
 const NICE_MM = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 40];
@@ -50,6 +50,7 @@ export class Compare {
     const numbers = contactOfMap(view);
     this.held = { name: `${name}, ${new Date().toLocaleTimeString()}`, info, state: "online" };
     this.view = { ...emptyView(), map: view.map, contact: numbers, contacts: new Map(numbers ? [[view.map.seq, numbers]] : []), drawnFor: info?.geometry ?? null };
+    this.scale = new AutoScale();
     this.drawn = null;
     $("compare").hidden = false;
     $("against").value = MOMENT;
@@ -62,6 +63,7 @@ export class Compare {
     this.sensor = sensor;
     this.held = null;
     this.view = emptyView();
+    this.scale = new AutoScale();
     this.seen = this.drawn = null;
     $("compare").hidden = sensor === null;
     $("compare-maps").hidden = true;
@@ -106,23 +108,23 @@ export class Compare {
       view.shown_ms = performance.now();
       view.drawnFor = geometry;
     }
-    const key = [first.view.map, view.map, contactOfMap(first.view), contactOfMap(view), heights.scale_mm];
+    const key = [first.view.map, view.map, contactOfMap(first.view), contactOfMap(view), heights.fixed_mm];
     if (!first.view.map || !view.map || (this.drawn && key.every((part, k) => part === this.drawn[k]))) return;
     this.drawn = key;
     $("compare-maps").hidden = !isSame(first.info?.geometry, geometry);
     if ($("compare-maps").hidden) {
       this.seen = null;
       $("compare-words").textContent = `${other.name} has another camera or skin, so its cells are not those of ${first.name}`;
-    } else this.paint(first.view.map, heights);
+    } else this.paint(first.view.map, heights.crop, heights.fixed_mm);
     $("first-name").textContent = first.name;
     $("other-name").textContent = ["online", "degraded"].includes(other.state) ? other.name : `${other.name} (${other.state ?? "unknown"})`;
     $("difference-name").textContent = `${other.name} less ${first.name}`;
     this.showNumbers(first, other);
   }
 
-  /** Both maps in the cells of the first, and what the other has more. */
-  paint(map, { crop, scale_mm }) {
-    const { top, left, rows, cols, source, clip } = crop, count = rows * cols, difference = new Float32Array(count);
+  /** Both maps in the cells of the first, on one scale that holds the deeper one unless it is fixed, and what the other has more. */
+  paint(map, { top, left, rows, cols, source, clip }, fixed_mm) {
+    const count = rows * cols, others = new Float32Array(count);
     const pictures = ["first", "other", "difference"].map((name) => {
       const canvas = $(`${name}-cells`);
       if (canvas.width !== cols) canvas.width = cols;
@@ -132,15 +134,12 @@ export class Compare {
       return { context, image, pixels: new Uint32Array(image.data.buffer) };
     });
     const [first, other, apart] = pictures;
-    let cells = 0, sum_mm = 0, worst_mm = 0, worst_at = 0;
+    let cells = 0, sum_mm = 0, worst_mm = 0, worst_at = 0, peak_mm = 0;
     for (let at = 0; at < count; at++) {
       const a = map.height_mm[source[at]], i = Math.floor(source[at] / map.cols), j = source[at] % map.cols;
-      difference[at] = NaN;
       if (a !== a) continue;
-      const b = heightAt(this.view.map, map.row0 + i * map.step_px, map.col0 + j * map.step_px);
-      first.pixels[at] = PIXELS[stepOf(a, scale_mm)];
-      other.pixels[at] = PIXELS[stepOf(b, scale_mm)];
-      difference[at] = b - a;
+      const b = others[at] = heightAt(this.view.map, map.row0 + i * map.step_px, map.col0 + j * map.step_px);
+      for (const h of [a, b]) if (h > peak_mm) peak_mm = h;
       if (i - top !== Math.floor(at / cols) || j - left !== at % cols) continue; // of the rim: the cell beside it counts
       cells++;
       sum_mm += Math.abs(b - a);
@@ -149,9 +148,14 @@ export class Compare {
         worst_at = source[at];
       }
     }
+    const scale_mm = fixed_mm ?? this.scale.choose(peak_mm);
     const end_mm = NICE_MM.find((nice) => nice >= Math.abs(worst_mm)) ?? NICE_MM.at(-1);
     for (let at = 0; at < count; at++) {
-      if (difference[at] === difference[at]) apart.pixels[at] = DIFFERENCES[stepOf(difference[at] + end_mm, 2 * end_mm)];
+      const a = map.height_mm[source[at]];
+      if (a !== a) continue;
+      first.pixels[at] = PIXELS[stepOf(a, scale_mm)];
+      other.pixels[at] = PIXELS[stepOf(others[at], scale_mm)];
+      apart.pixels[at] = DIFFERENCES[stepOf(others[at] - a + end_mm, 2 * end_mm)];
     }
     for (const { context, image } of pictures) context.putImageData(image, 0, 0);
     drawTicks($("compare-ticks"), 0, scale_mm);

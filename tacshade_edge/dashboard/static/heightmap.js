@@ -86,9 +86,14 @@ export class HeightView {
     this.disc.setAttribute("r", geometry?.radius_px ?? 0);
   }
 
+  /** What the user set as the scale; null where it follows the maps. */
+  get fixed_mm() {
+    return this.range.value === "auto" ? null : Number(this.range.value);
+  }
+
   /** The scale: what the user set, or the least round number that holds the deepest of the last seconds. */
   choose(peak_mm) {
-    const scale_mm = this.range.value === "auto" ? this.auto.choose(peak_mm) : Number(this.range.value);
+    const scale_mm = this.fixed_mm ?? this.auto.choose(peak_mm);
     if (scale_mm === this.scale_mm) return;
     this.scale_mm = scale_mm;
     drawTicks(this.ticks, 0, this.scale_mm);

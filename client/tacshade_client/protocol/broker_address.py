@@ -1,0 +1,1 @@
+../../../tacshade_edge/protocol/broker_address.py

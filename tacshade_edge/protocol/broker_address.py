@@ -1,0 +1,33 @@
+"""Where a broker is, as people write it."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from ..errors import ConfigError
+from ..quoting import quoted
+
+BROKER: Final = "HOST or HOST:PORT, such as localhost:1883"
+_PORT: Final = "1883"
+_HOST_CHARS_MAX: Final = 253
+
+
+def host_and_port(broker: str) -> tuple[str, int]:
+    """Host and port of ``HOST`` or ``HOST:PORT``, an IPv6 address in brackets; the port is 1883 without one.
+
+    Raises
+    ------
+    ConfigError
+        No host can have that name, or it is not a port.
+    """
+    host, colon, port = broker.rpartition(":")
+    if not colon:
+        host, port = broker, _PORT
+    sound = port.isascii() and port.isdecimal() and len(port) <= 5 and 0 < int(port) < 65536
+    try:
+        sound = sound and 0 < len(host) <= _HOST_CHARS_MAX and bool(host.encode("idna"))
+    except UnicodeError:
+        sound = False
+    if not sound:
+        raise ConfigError(f"broker: found {quoted(broker)}, expected {BROKER}")
+    return host.strip("[]"), int(port)

@@ -1,0 +1,180 @@
+"""Who may open the page and its WebSocket, and what it may do there; real sockets."""
+
+from __future__ import annotations
+
+import asyncio
+import ssl
+from pathlib import Path
+
+import pytest
+from support.page_server import TOKEN, answer, client_through, echo, get, run, running, tcp, websocket
+from websockets.asyncio.client import connect
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+
+from tacshade_edge.dashboard import files
+from tacshade_edge.dashboard.access import refusal
+from tacshade_edge.dashboard.login import WRONG_MAX
+from tools.testbed.certificate import certificate
+from tools.testbed.dashboard_process import dashboard
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from tools.testbed.patience import wait_until
+
+NEEDS_MOSQUITTO = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
+
+
+@pytest.mark.parametrize(
+    ("origin", "host", "passes"),
+    [
+        ("http://127.0.0.1:8080", "127.0.0.1:8080", True),
+        ("http://localhost:8080", "localhost:8080", True),
+        ("http://[::1]:8080", "[::1]:8080", True),
+        ("http://192.168.1.7:8080", "192.168.1.7:8080", True),
+        ("https://hand.example", "hand.example", True),  # given with --origin
+        ("https://hand.example", "127.0.0.1:8080", True),  # as many proxies ask
+        (None, "127.0.0.1:8080", True),  # no browser
+        ("http://evil.example", "127.0.0.1:8080", False),
+        ("http://127.0.0.1:9999", "127.0.0.1:8080", False),  # another server on this machine
+        ("http://evil.example:8080", "evil.example:8080", False),  # its name, our address
+        ("http://localhost.evil.example", "localhost.evil.example", False),
+        ("null", "127.0.0.1:8080", False),  # a file, a sandboxed frame
+        ("http://127.0.0.1:8080", None, False),
+        ("", "", False),
+    ],
+)
+def test_who_may_open_the_websocket(origin: str | None, host: str | None, passes: bool) -> None:
+    assert (refusal(origin, host, {"https://hand.example"}) == "") is passes
+
+
+def test_another_page_is_refused_before_any_byte_reaches_the_broker(caplog: pytest.LogCaptureFixture) -> None:
+    connected = []
+
+    async def count(_reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        connected.append(1)
+        writer.close()
+
+    async def test() -> None:
+        async with tcp(count) as broker, running(broker) as port:
+            with pytest.raises(InvalidStatus) as refused:
+                await websocket(port, origin="http://evil.example").__aenter__()
+            assert refused.value.response.status_code == 403
+            assert b"not from here" in (refused.value.response.body or b"")
+            with pytest.raises(InvalidStatus):
+                await websocket(port, origin="http://evil.example").__aenter__()
+            assert (await get(port, "/mqtt"))[0] == 426
+            assert connected == []
+            async with websocket(port, origin=f"http://127.0.0.1:{port}") as page:
+                with pytest.raises(ConnectionClosed):
+                    await page.recv()
+            assert connected == [1]
+
+    run(test())
+    assert [r.getMessage().count("--origin http://evil.example") for r in caplog.records] == [1]  # told once
+
+
+def test_without_the_token_there_is_a_login_and_nothing_else() -> None:
+    async def test() -> None:
+        async with tcp(echo) as broker, running(broker, token=TOKEN) as port:
+            for path in sorted(files.load()):
+                status, headers, body = await get(port, path)
+                if path in ("/", "/index.html"):
+                    assert (status, headers["location"], body) == (303, "login", b"")
+                elif path in ("/login", "/login.js", "/style.css", "/favicon.svg"):
+                    assert status == 200
+                else:
+                    assert (status, b"token" in body) == (401, True), path
+            with pytest.raises(InvalidStatus) as refused:
+                await websocket(port).__aenter__()
+            assert refused.value.response.status_code == 401
+
+            status, headers, _ = await get(port, "/login", f"Authorization: Bearer {TOKEN}")
+            assert status == 204
+            cookie, *flags = headers["set-cookie"].split("; ")
+            assert {"HttpOnly", "SameSite=Strict", "Path=/"} < set(flags)
+            assert "Secure" not in flags
+            assert (await get(port, "/", f"Cookie: other=1; {cookie}"))[0] == 200
+            assert (await get(port, "/main.js", f"Authorization: bearer {TOKEN}"))[0] == 200
+            assert (await get(port, "/", f"Cookie: {cookie}", f"Cookie: {cookie}"))[0] == 400
+            # a proxy's own login
+            assert (await get(port, "/", f"Cookie: {cookie}", "Authorization: Basic dTpw"))[0] == 200
+            async with websocket(port, additional_headers={"Cookie": cookie}) as page:
+                await page.send(b"hello")
+                assert await page.recv() == b"hello"
+
+    run(test())
+
+
+def test_wrong_tokens_are_counted_and_then_refused_unseen(caplog: pytest.LogCaptureFixture) -> None:
+    async def test() -> None:
+        async with running(token=TOKEN) as port:
+            for k in range(WRONG_MAX):
+                assert (await get(port, "/login", f"Authorization: Bearer wrong{k}"))[0] == 401
+            assert (await get(port, "/login", f"Authorization: Bearer {TOKEN}"))[0] == 429
+            assert (await get(port, "/login"))[0] == 200
+
+    run(test())
+    told = [record.getMessage() for record in caplog.records]
+    assert told == [f"a wrong token from 127.0.0.1, the {k}. so far" for k in range(1, WRONG_MAX + 1)]
+
+
+def test_over_tls_the_cookie_is_sent_over_nothing_else(tmp_path: Path) -> None:
+    cert, key = certificate(tmp_path)
+    offered = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    offered.load_cert_chain(cert, key)
+    trusted = ssl.create_default_context(cafile=cert)
+
+    async def test() -> None:
+        async with tcp(echo) as broker, running(broker, token=TOKEN, tls=offered) as port:
+            reader, writer = await asyncio.open_connection("127.0.0.1", port, ssl=trusted)
+            writer.write(f"GET /login HTTP/1.1\r\nHost: a\r\nAuthorization: Bearer {TOKEN}\r\n\r\n".encode())
+            said = await reader.read()
+            writer.close()
+            assert said.startswith(b"HTTP/1.1 204 ")
+            assert b"; Secure\r\n" in said
+            assert await answer(port, b"GET / HTTP/1.1\r\nHost: a\r\n\r\n") == b""  # without TLS
+            address = f"wss://127.0.0.1:{port}/mqtt"
+            words = {"Authorization": f"Bearer {TOKEN}"}
+            async with connect(address, ssl=trusted, subprotocols=["mqtt"], additional_headers=words) as page:
+                await page.send(b"hello")
+                assert await page.recv() == b"hello"
+
+    run(test())
+
+
+@pytest.mark.broker
+@NEEDS_MOSQUITTO
+def test_a_page_that_may_only_look_asks_for_nothing(tmp_path: Path) -> None:
+    """The page's own client goes on seeing; what it publishes reaches nobody, and ends its connection."""
+    with (
+        Broker(tmp_path) as broker,
+        dashboard(f"127.0.0.1:{broker.port}", "--token-file", str(tmp_path / "token")) as address,
+        Subscriber(broker.port) as seen,
+    ):
+        assert (tmp_path / "token").stat().st_mode & 0o777 == 0o600
+        token = address.partition("#")[2]
+        assert (tmp_path / "token").read_text() == f"{token}\n"
+        viewer = client_through(address.partition("login#")[0])
+        viewer.ws_set_options(path="/mqtt", headers=lambda defaults: {**without_origin(defaults), **bearer(token)})
+        received: list[bytes] = []
+        ended: list[int] = []
+        viewer.on_connect = lambda client, *_: client.subscribe("tacshade/#", qos=1)
+        viewer.on_subscribe = lambda *_: seen.publish("tacshade/a/state", b"online")
+        viewer.on_message = lambda _client, _data, message: received.append(message.payload)
+        viewer.on_disconnect = lambda *_: ended.append(1)
+        viewer.loop_start()
+        wait_until(lambda: received == [b"online"], 10, "the state")
+        assert ended == []
+        viewer.publish("tacshade/a/req/reference", b"{}", qos=1)
+        wait_until(lambda: bool(ended), 10, "closed")
+        viewer.loop_stop()
+        seen.publish("tacshade/a/state", b"last")
+        wait_until(lambda: b"last" in seen.of("tacshade/a/state"), 10, "the last message")
+        assert {message.topic for message in seen.messages} == {"tacshade/a/state"}
+
+
+def without_origin(headers: dict[str, str]) -> dict[str, str]:
+    """Paho tells an https origin whatever it connects to."""
+    return {name: value for name, value in headers.items() if name != "Origin"}
+
+
+def bearer(token: str) -> dict[str, str]:
+    return {"Authorization": f"Bearer {token}"}

@@ -1,0 +1,208 @@
+"""The bytes between a page and the broker, through the server; real sockets."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import pytest
+from paho.mqtt.client import Client
+from paho.mqtt.enums import CallbackAPIVersion
+from support.page_server import client_through, echo, get, run, running, tcp, websocket
+from websockets.asyncio.client import ClientConnection
+from websockets.exceptions import ConnectionClosed
+
+from tacshade_edge.dashboard import bridge
+from tools.testbed.dashboard_process import dashboard
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker
+from tools.testbed.patience import wait_until
+
+NEEDS_MOSQUITTO = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
+
+
+def test_bytes_pass_both_ways_unchanged() -> None:
+    sent = [bytes([n]) * (1 + n * 997) for n in range(60)]
+
+    async def receive(page: ClientConnection, size: int) -> bytes:
+        received = b""
+        while len(received) < size:
+            message = await page.recv()
+            assert isinstance(message, bytes)
+            received += message
+        return received
+
+    async def test() -> None:
+        async with tcp(echo) as broker, running(broker) as port, websocket(port) as page:
+            assert page.subprotocol == "mqtt"
+            receiving = asyncio.create_task(receive(page, sum(map(len, sent))))
+            for message in sent:
+                await page.send(message)
+            assert await receiving == b"".join(sent)
+
+    run(test())
+
+
+@pytest.mark.parametrize(("message", "code"), [("text", 1003), (b"x" * (1 << 17), 1009)])
+def test_what_is_no_mqtt_is_refused(message: str | bytes, code: int) -> None:
+    async def test() -> None:
+        async with tcp(echo) as broker, running(broker) as port, websocket(port) as page:
+            await page.send(message)
+            with pytest.raises(ConnectionClosed) as closed:
+                await page.recv()
+            assert closed.value.rcvd is not None
+            assert closed.value.rcvd.code == code
+
+    run(test())
+
+
+def test_a_broker_that_is_away_is_told_and_tried_again() -> None:
+    async def reason(port: int) -> str:
+        async with websocket(port) as page:
+            with pytest.raises(ConnectionClosed) as closed:
+                await page.recv()
+            assert closed.value.rcvd is not None
+            assert closed.value.rcvd.code == 1013
+            return closed.value.rcvd.reason
+
+    async def hang_up(_reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.close()
+
+    async def test() -> None:
+        async with tcp(echo) as broker:
+            pass
+        async with running(broker) as port:
+            assert await reason(port) == f"broker 127.0.0.1:{broker}: connection refused"
+            listener = await asyncio.start_server(hang_up, "127.0.0.1", broker)
+            async with listener:
+                assert await reason(port) == f"broker 127.0.0.1:{broker} closed the connection"
+            assert (await get(port, "/"))[0] == 200
+
+    run(test())
+
+
+@pytest.mark.parametrize("host", ["localhost", "127.0.0.1", "::1"])
+def test_a_closed_port_is_told_in_two_words(host: str) -> None:
+    """A name of several addresses fails in another way than one address."""
+
+    async def refused(_reader: asyncio.StreamReader, _writer: asyncio.StreamWriter) -> None:
+        raise AssertionError("nobody may come here")
+
+    async def test() -> None:
+        async with tcp(refused) as broker:
+            pass
+        async with running(broker, host=host) as port, websocket(port) as page:
+            with pytest.raises(ConnectionClosed) as closed:
+                await page.recv()
+            assert closed.value.rcvd is not None
+            assert closed.value.rcvd.reason.endswith(f":{broker}: connection refused")
+
+    run(test())
+
+
+def test_a_page_that_goes_away_leaves_no_connection_at_the_broker() -> None:
+    ended = asyncio.Event()
+
+    async def until_end(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await reader.read()
+        ended.set()
+        writer.close()
+
+    async def test() -> None:
+        async with tcp(until_end) as broker, running(broker) as port:
+            async with websocket(port) as page:
+                await page.send(b"hello")
+                page.transport.abort()  # no closing frame: a tab that crashed
+            await ended.wait()
+
+    run(test())
+
+
+def test_a_page_that_does_not_read_makes_the_broker_wait() -> None:
+    """The server holds some hundred KB, the kernel some MB; the broker notices, and drops by its own rules."""
+    written = 0
+
+    async def flood(_reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        nonlocal written
+        try:
+            while True:
+                writer.write(bytes(65536))
+                await writer.drain()
+                written += 65536
+        except ConnectionError:
+            pass
+
+    async def test() -> None:
+        async with tcp(flood) as broker, running(broker) as port, websocket(port, max_queue=1) as page:
+            await page.recv()
+            before = -1
+            while written != before:
+                before = written
+                await asyncio.sleep(0.1)
+            assert 0 < written < 64 << 20
+            page.transport.abort()
+
+    run(test())
+
+
+def test_a_page_that_reads_nothing_is_closed_at_the_broker_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bridge, "STALL_S", 0.3)
+    ended = asyncio.Event()
+
+    async def flood(_reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        try:
+            while True:
+                writer.write(bytes(65536))
+                await writer.drain()
+        except ConnectionError:
+            ended.set()
+
+    async def test() -> None:
+        async with tcp(flood) as broker, running(broker) as port:
+            page = await websocket(port, max_queue=1).__aenter__()
+            await ended.wait()
+            page.transport.abort()
+
+    run(test())
+
+
+@pytest.mark.broker
+@NEEDS_MOSQUITTO
+@pytest.mark.parametrize("tls", [False, True])
+def test_height_maps_of_full_size_come_through_mosquitto(tmp_path: Path, tls: bool) -> None:
+    payload = bytes(range(256)) * 2400  # 614 KB, as 640x480 cells
+    received: list[bytes] = []
+    with Broker(tmp_path, tls=tls) as broker:
+        words = ["--ca-file", str(broker.ca)] if tls else []
+        with dashboard(f"127.0.0.1:{broker.port}", *words) as address:
+            reader, writer = client_through(address), Client(CallbackAPIVersion.VERSION2)
+            reader.on_connect = lambda client, *_: client.subscribe("height")
+            reader.on_subscribe = lambda *_: writer.loop_start()
+            reader.on_message = lambda _client, _data, message: received.append(message.payload)
+            writer.on_connect = lambda client, *_: [client.publish("height", payload) for _ in range(10)]
+            if tls:
+                writer.tls_set(ca_certs=str(broker.ca))
+            writer.connect_async("127.0.0.1", broker.port)
+            reader.loop_start()
+            wait_until(lambda: len(received) == 10, 20, "ten maps")
+            for client in (reader, writer):
+                client.disconnect()
+                client.loop_stop()
+    assert set(received) == {payload}
+
+
+@pytest.mark.broker
+@NEEDS_MOSQUITTO
+def test_the_brokers_users_are_the_pages_users(tmp_path: Path) -> None:
+    answers: list[bool] = []
+    with Broker(tmp_path, users={"eve": "right"}) as broker, dashboard(f"127.0.0.1:{broker.port}") as address:
+        for password in ("wrong", "right"):
+            client = client_through(address)
+            client.username_pw_set("eve", password)
+            client.on_connect = lambda _client, _data, _flags, code, _properties: answers.append(not code.is_failure)
+            client.loop_start()
+            before = len(answers)
+            wait_until(lambda before=before: len(answers) > before, 10, "an answer")  # type: ignore[misc]
+            client.disconnect()
+            client.loop_stop()
+    assert answers[0] is False
+    assert answers[-1] is True
