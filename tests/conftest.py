@@ -1,6 +1,7 @@
 """Hypothesis, for all tests: no time limit per example (machines are shared), and a failure can be repeated.
 
-Where CI is set, the examples are the same in every run: one there judges the change, one at the desk looks for news.
+Where CI is set, the examples are few and the same in every run: one there judges the change, one at the desk looks for
+news.
 """
 
 import logging
@@ -9,11 +10,18 @@ from collections.abc import Iterator
 
 import pytest
 from hypothesis import settings
+from support.examples import AT_DESK, at_most
 
 from tacshade_edge.cli.shared.logs import OneLineHandler
 from tools.testbed import shared
 
-settings.register_profile("tacshade", deadline=None, print_blob=True, derandomize="CI" in os.environ)
+settings.register_profile(
+    "tacshade",
+    deadline=None,
+    print_blob=True,
+    derandomize="CI" in os.environ,
+    max_examples=at_most(AT_DESK),
+)
 settings.load_profile("tacshade")
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from tacshade_edge.types import F32
 
 _SOLVE_TOLERANCE_MM = 1e-4
+_AROUND = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))
 
 
 def solve(obstacle: F32, mass: F32) -> F32:
@@ -35,21 +36,18 @@ def solve(obstacle: F32, mass: F32) -> F32:
     gain = omega / (4 + mass)
     keep = np.float32(1) - omega
     rows, cols = height.shape
+    # Nodes of even and odd rows and columns lie apart: a node's neighbours are then without gaps.
+    apart = [[np.ascontiguousarray(height[i::2, j::2]) for j in (0, 1)] for i in (0, 1)]
     planes = []
     for i, j in ((1, 1), (2, 2), (1, 2), (2, 1)):
         r, c = slice(i, rows - 1, 2), slice(j, cols - 1, 2)
-        up, down = slice(i - 1, rows - 2, 2), slice(i + 1, rows, 2)
-        left, right = slice(j - 1, cols - 2, 2), slice(j + 1, cols, 2)
-        centre = height[r, c]
-        planes.append(
-            (centre, height[up, c], height[down, c], height[r, left], height[r, right],
-             np.ascontiguousarray(gain[r, c]), np.ascontiguousarray(obstacle[r, c]), np.empty_like(centre, order="C"))
-        )  # fmt: skip
+        around = [_part(apart, i + di, j + dj, height[r, c].shape) for di, dj in _AROUND]
+        planes.append((*around, np.ascontiguousarray(gain[r, c]), np.ascontiguousarray(obstacle[r, c])))
     for sweep in range(600):
         check = sweep % 8 == 7
         change = 0.0
-        for centre, north, south, west, east, g, floor, new in planes:
-            np.add(north, south, out=new)
+        for centre, north, south, west, east, g, floor in planes:
+            new = north + south
             new += west
             new += east
             new *= g
@@ -60,4 +58,12 @@ def solve(obstacle: F32, mass: F32) -> F32:
             centre[...] = new
         if check and change < _SOLVE_TOLERANCE_MM * (2 - omega):
             break
+    for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        height[i::2, j::2] = apart[i][j]
     return height
+
+
+def _part(apart: list[list[F32]], row: int, col: int, shape: tuple[int, int]) -> F32:
+    """Every other node from (row, col) on."""
+    there = apart[row % 2][col % 2]
+    return there[row // 2 : row // 2 + shape[0], col // 2 : col // 2 + shape[1]]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -22,12 +23,16 @@ from tacshade_edge.types import Calibration
 from tools.testbed.calibrated_sensor import HALF, calibrated, presses, references, sensor_of, unloaded
 from tools.testbed.fitted import fitted_network, fitted_with
 
-INPUTS = inputs_of(sensor_of(HALF), references(), presses())
 OLDER = calibration_file.VERSION - 1
 
 
+@cache
+def inputs() -> Inputs:
+    return inputs_of(sensor_of(HALF), references(), presses())
+
+
 def made() -> Calibration:
-    return calibrate(INPUTS.sensor, references(), presses(), networks=load_networks()).calibration
+    return calibrate(inputs().sensor, references(), presses(), networks=load_networks()).calibration
 
 
 def stored(path: Path, monkeypatch: pytest.MonkeyPatch, inputs: Inputs | None, version: int = OLDER) -> None:
@@ -53,7 +58,7 @@ def path(tmp_path: Path) -> Path:
 def test_one_of_another_version_is_made_again_and_the_old_file_kept(
     path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    stored(path, monkeypatch, INPUTS)
+    stored(path, monkeypatch, inputs())
     before, expected = path.read_bytes(), calibration_file.with_crc(made())
     with caplog.at_level(logging.INFO):
         found = calibrations.load(path)
@@ -74,14 +79,14 @@ def test_one_of_another_version_is_made_again_and_the_old_file_kept(
 @pytest.mark.slow
 def test_a_new_reference_is_made_again_too(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     images = [unloaded(noise_seed=seed) // 8 * 7 for seed in range(900, 905)]
-    stored(path, monkeypatch, with_new_reference(INPUTS, images))
+    stored(path, monkeypatch, with_new_reference(inputs(), images))
     found, expected = calibrations.load(path, store=False), rezero(made(), images)
     np.testing.assert_array_equal(found.reference_grey, expected.reference_grey)
     assert found.factors == expected.factors
 
 
 def test_nothing_is_written_where_that_is_not_wanted(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    stored(path, monkeypatch, Inputs(INPUTS.sensor, INPUTS.references))
+    stored(path, monkeypatch, Inputs(inputs().sensor, inputs().references))
     before = path.read_bytes()
     assert calibrations.load(path, store=False).factors == {}
     assert path.read_bytes() == before
@@ -91,7 +96,7 @@ def test_nothing_is_written_where_that_is_not_wanted(path: Path, monkeypatch: py
 def test_it_is_used_where_it_cannot_be_stored(
     path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    stored(path, monkeypatch, Inputs(INPUTS.sensor, INPUTS.references))
+    stored(path, monkeypatch, Inputs(inputs().sensor, inputs().references))
     before = path.read_bytes()
     path.with_name(f"hand.v{OLDER}.npz.part").mkdir()
     assert calibrations.load(path).crc32
@@ -108,13 +113,13 @@ def test_one_without_what_it_was_made_of_is_read_as_ever(path: Path, monkeypatch
 
 
 def test_what_can_no_longer_be_used_says_so(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    black = tuple(image * 0 for image in INPUTS.references)
-    stored(path, monkeypatch, Inputs(INPUTS.sensor, black))
+    black = tuple(image * 0 for image in inputs().references)
+    stored(path, monkeypatch, Inputs(inputs().sensor, black))
     with pytest.raises(
         ConfigError, match=f"{path}: this version cannot calibrate again from its images: .*; calibrate again"
     ):
         calibrations.load(path)
-    stored(path, monkeypatch, Inputs(INPUTS.sensor, (black[0][:-2],)))
+    stored(path, monkeypatch, Inputs(inputs().sensor, (black[0][:-2],)))
     with pytest.raises(
         ConfigError, match="the images it was made from cannot be read: found 320x238 px, expected a grey PNG"
     ):
@@ -123,7 +128,7 @@ def test_what_can_no_longer_be_used_says_so(path: Path, monkeypatch: pytest.Monk
 
 @pytest.mark.slow
 def test_fitted_weights_stay_when_it_is_made_again(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    saved(path, monkeypatch, fitted_with("fast", calibrated()), INPUTS, OLDER)
+    saved(path, monkeypatch, fitted_with("fast", calibrated()), inputs(), OLDER)
     found = calibrations.load(path)
     assert found.factors == made().factors
     np.testing.assert_array_equal(found.fitted["fast"].weights, fitted_network("fast").weights)
@@ -136,7 +141,7 @@ def test_fitted_weights_stay_when_it_is_made_again(path: Path, monkeypatch: pyte
 def test_those_of_another_layout_do_not_run_and_a_new_fit_is_asked_for(
     path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, version: int
 ) -> None:
-    saved(path, monkeypatch, fitted_with("fast", calibrated(), layout="another"), INPUTS, version)
+    saved(path, monkeypatch, fitted_with("fast", calibrated(), layout="another"), inputs(), version)
     for _ in range(2):
         caplog.clear()
         found = calibrations.load(path)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -13,16 +15,26 @@ from tacshade_edge.inference.network import make_reconstructor, shipped_layout
 from tacshade_edge.types import Calibration, Frame
 from tools.testbed.calibrated_sensor import calibrated, presses
 
-pytest.importorskip("torch", reason="PyTorch (the extra fit) is not installed")
-pytestmark = pytest.mark.fit
+if TYPE_CHECKING:
+    from tacshade_edge.fitting.fit import FitResult
 
-from tacshade_edge.fitting import training  # noqa: E402
-from tacshade_edge.fitting.fit import fit  # noqa: E402
+# Found, not imported: that takes whoever only collects this two seconds.
+pytestmark = [
+    pytest.mark.fit,
+    pytest.mark.skipif(find_spec("torch") is None, reason="PyTorch (the extra fit) is not installed"),
+]
+STEPS = "tacshade_edge.fitting.training.STEPS"
+
+
+def fit(*given: Any) -> FitResult:
+    from tacshade_edge.fitting.fit import fit as wanted
+
+    return wanted(*given)
 
 
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(training, "STEPS", 40)
+    monkeypatch.setattr(STEPS, 40)
 
 
 def only(*profiles: str) -> Calibration:
@@ -58,8 +70,8 @@ def test_what_is_better_on_presses_that_were_held_out_is_kept_and_runs() -> None
 
 @pytest.mark.slow
 def test_what_is_no_better_is_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(training, "STEPS", 4)
-    monkeypatch.setattr(training, "RATE", 1e-12)
+    monkeypatch.setattr(STEPS, 4)
+    monkeypatch.setattr("tacshade_edge.fitting.training.RATE", 1e-12)
     result = fit(only("fast"), presses(), lambda _: None)
     assert result.calibration.fitted == {}
     assert "the shipped network stays" in result.profiles[0].line
@@ -74,7 +86,7 @@ def test_it_is_the_same_every_time() -> None:
 
 @pytest.mark.slow
 def test_the_default_profile_is_the_first_and_its_time_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(training, "STEPS", 4)
+    monkeypatch.setattr(STEPS, 4)
     monkeypatch.setattr("tacshade_edge.fitting.fit._SAY_S", 0.0)
     said: list[str] = []
     result = fit(only("fast", DEFAULT), presses(), said.append)

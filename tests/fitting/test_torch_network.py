@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +12,17 @@ from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.inference.network import network_files
 from tacshade_edge.inference.onnx_weights import values_of
 
-torch = pytest.importorskip("torch", reason="PyTorch (the extra fit) is not installed")
-pytestmark = pytest.mark.fit
+# Found, not imported: that takes whoever only collects this two seconds.
+pytestmark = [
+    pytest.mark.fit,
+    pytest.mark.skipif(find_spec("torch") is None, reason="PyTorch (the extra fit) is not installed"),
+]
 
 
 @pytest.mark.parametrize("name", ["fast", "balanced", "accurate"])
 def test_it_computes_what_onnx_runtime_does(name: str, tmp_path: Path) -> None:
+    import torch
+
     from tacshade_edge.fitting.torch_network import TorchNetwork
 
     shipped, (frame, _) = float_network(name, tmp_path), network_files(name)
@@ -35,6 +41,8 @@ def test_it_computes_what_onnx_runtime_does(name: str, tmp_path: Path) -> None:
 
 
 def test_what_was_copied_comes_back() -> None:
+    import torch
+
     from tacshade_edge.fitting.torch_network import TorchNetwork
 
     network = TorchNetwork(network_files("fast")[0], [np.zeros((32, 14, 14), np.float32)], 1.0)

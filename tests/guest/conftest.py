@@ -153,7 +153,7 @@ def _start(session: pytest.Session) -> dict[str, Future[_Reports]]:
     kinds: dict[str, list[pytest.Item]] = {}
     for item in filter(_is_ours, session.items):
         kinds.setdefault(_kind(item), []).append(item)
-    command = [sys.executable, "-m", "support.handed_in"]
+    command = [sys.executable, "-m", "support.make_handed_in"]
     made = subprocess.run(command, cwd=TREE / "tests", stdout=subprocess.DEVNULL, check=False)
     assert made.returncode == 0, "what the guests are handed could not be made"
     pool = ThreadPoolExecutor(len(kinds) if slowness_of_all_cores() < CROWDED else 1)
@@ -198,7 +198,7 @@ def _boot(kind: str, out: Path, chosen: list[pytest.Item]) -> _Boot:
     check = subprocess.run([*guest, "--check"], text=True, capture_output=True, check=False)
     if check.returncode:
         return _Boot(check.returncode, check.stderr, {}, {}, "")
-    stops = os.environ.get("TACSHADE_STOPS", "2")
+    stops = os.environ.get("TACSHADE_STOPS", "1")
     inside = [
         "env",
         f"{_INSIDE}=/out",
@@ -210,6 +210,9 @@ def _boot(kind: str, out: Path, chosen: list[pytest.Item]) -> _Boot:
         "no:cacheprovider",
         "-p",
         "no:faulthandler",
+        "-p",
+        "no:hypothesispytest",
+        f"--confcutdir={Path(__file__).parent}",  # without hypothesis, whose import takes half a minute there
     ]
     command = [*guest, *inside, *(item.nodeid for item in chosen)]
     done = subprocess.run(command, cwd=TREE, text=True, capture_output=True, check=False)

@@ -14,12 +14,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-from support.handed_in import PAINTED, facts
-from support.vivid import FPS, NODE, WEBCAM, control, kept_fps, load_driver, unload_driver
+from support.handed_in import PAINTED
+from support.vivid import NODE, WEBCAM, control, kept_fps, load_driver, unload_driver
 
-from tacshade_edge.protocol import wire
 from tools.testbed.mqtt_rig import Broker, Subscriber
 from tools.testbed.patience import patience, stretched, wait_until
 
@@ -29,7 +27,7 @@ START_S = 10
 
 
 @contextmanager
-def running(folder: Path, fps: int = FPS) -> Iterator[tuple[subprocess.Popen[str], Subscriber]]:
+def running(folder: Path, fps: int) -> Iterator[tuple[subprocess.Popen[str], Subscriber]]:
     """`tacshade-edge run` on the camera, until SIGTERM ends it well."""
     config = folder / "settings.yaml"
     with Broker(folder) as broker, Subscriber(broker.port) as seen:
@@ -89,22 +87,3 @@ def test_replugged_camera_streams_within_two_seconds(tmp_path: Path) -> None:
         print(f"streaming {took_s:.2f} s after the node was back")
         assert took_s < stretched(2)
         assert child.poll() is None, "the same process"
-
-
-def test_sensor_images_through_the_device_to_a_subscriber(tmp_path: Path) -> None:
-    """A subscriber decodes the depth that the core finds in the very image that was played."""
-    command = [sys.executable, str(TREE / "tools/rig/feed_video.py"), str(PAINTED / "images.npy")]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as feeder:
-        assert feeder.stdout is not None
-        assert feeder.stdout.readline() == "playing\n"
-        with running(tmp_path) as (_, seen):
-            wait_until(lambda: min(deepest := depths(seen), default=1) == 0 and len(deepest) >= 8, 20, "a release")
-            deepest = depths(seen)
-        feeder.terminate()
-    assert max(deepest) == pytest.approx(facts(PAINTED)["depth_mm"], abs=0.001)
-
-
-def depths(seen: Subscriber) -> list[float]:
-    """Greatest depth of each height map so far."""
-    decoded = [wire.decode(payload) for payload in seen.of(f"{BASE}/height")]
-    return [float(np.nanmax(message.height_mm)) for message in decoded if isinstance(message, wire.HeightMessage)]

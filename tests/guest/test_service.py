@@ -38,7 +38,7 @@ GOOD = f"source: {{kind: v4l2, device: {CAMERA}, width_px: 640, height_px: 480, 
 WATCHDOG_S, MEMORY_MAX = 10.0, 150 * 2**20
 START_S = 10
 STOP_S = 2.0
-STOPS = int(os.environ.get("TACSHADE_STOPS", "2"))
+STOPS = int(os.environ.get("TACSHADE_STOPS", "1"))
 # What the emulation needs and no machine: time to start, and the tests' own Python in the place of Debian's. How long a
 # stop may take is as shipped: the daemon asks for more where it needs it.
 DROP_IN = "[Service]\nTimeoutStartSec={start_s:.0f}\nEnvironment=LD_LIBRARY_PATH=/opt/python/lib\n"

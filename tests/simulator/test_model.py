@@ -1,8 +1,9 @@
 from dataclasses import replace
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from support.examples import examples
 
 from tacshade_edge.simulator.model import SensorModel, random_model
 
@@ -38,7 +39,7 @@ def test_geometry_is_the_models() -> None:
 
 
 @given(st.integers(0, 2**32))
-@settings(max_examples=50)
+@examples(50)
 def test_random_models_are_valid_inside_the_image_and_repeatable(seed: int) -> None:
     model = random_model(seed)
     assert model == random_model(seed)

@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from support.built_sensor import built_calibration, marked
+from support.examples import examples
 from support.extreme_images import EXTREME_IMAGES, noise
 from support.soundness import sound_step
 
@@ -86,7 +87,7 @@ def test_every_pitch_is_borne(profile: str, pitch_px: float) -> None:
     pitch=st.floats(0.05, 1.0),
     size=st.tuples(st.integers(1, 130), st.integers(1, 130)),
 )
-@settings(max_examples=75)
+@examples(75)
 def test_every_sensor_that_may_be_stated_is_borne(
     profile: str,
     skin_radius_mm: float,

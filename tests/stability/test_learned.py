@@ -9,9 +9,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from support.examples import examples
 from support.extreme_images import EXTREME_IMAGES
 from support.float_network import float_network
 
@@ -94,7 +95,7 @@ def test_every_extreme_white_has_a_shear() -> None:
     patch=arrays(np.float32, (8, 8), elements=st.floats(0, 1, width=32)),
     where=st.tuples(st.floats(0, 1), st.floats(0, 1)),
 )
-@settings(max_examples=100)
+@examples(100)
 def test_any_sensor_and_white_gives_an_answer(
     name: str,
     radius_mm: float,

@@ -6,9 +6,10 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from support.examples import examples
 from support.toy_network import ALL_TRUSTED
 
 from tacshade_edge.core.calibration.refit import gain
@@ -23,7 +24,7 @@ BALL = gain.Ball(0.0, 0.0, 23.0, 5.0)
 
 @pytest.mark.slow
 @given(found=clouds, true=clouds, h_max_mm=st.floats(1e-3, 200))
-@settings(max_examples=200)
+@examples(200)
 def test_any_clouds_have_finite_scores(found: F32, true: F32, h_max_mm: float) -> None:
     score = score_cloud(found, true, h_max_mm)
     assert all(map(math.isfinite, (score.me_mm, score.sd, score.sd_sum, score.forward_mm, score.backward_mm)))

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from support.examples import examples
 from support.extreme_maps import EXTREME_MAPS
 
 from tacshade_edge.core.contact.objects import BINS, find_objects, two_means_split
@@ -25,7 +26,7 @@ def within(values: F32, threshold: float) -> float:
 
 @pytest.mark.slow
 @given(values=arrays(np.float32, st.integers(1, 200), elements=finite))
-@settings(max_examples=300)
+@examples(300)
 def test_any_finite_values_are_split_as_well_as_bins_allow(values: F32) -> None:
     threshold = two_means_split(values)
     assert two_means_split(values) == threshold
@@ -64,7 +65,7 @@ def test_every_extreme_map_is_split(name: str, scale: float) -> None:
     distance_mm=st.none() | st.floats(0, 1000, exclude_min=True),
     radius_px=st.floats(1, 1000),
 )
-@settings(max_examples=150)
+@examples(150)
 def test_any_heights_are_described(
     height: F32, touched: np.ndarray, distance_mm: float | None, radius_px: float
 ) -> None:

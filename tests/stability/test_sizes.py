@@ -21,8 +21,10 @@ from tacshade_edge.types import U8, Calibration, Disc
 
 SMALL = [(1, 1), (2, 3), (8, 8), (9, 8), (17, 300), (64, 64)]
 LARGE = [(120, 160), (479, 641), (480, 640), (1200, 1600), (3072, 4096)]
-# `paper`, with its iterations over every pixel, takes a minute and a half for the largest.
-LARGE_CASES = [(*size, profile) for size in LARGE for profile in PROFILES if (profile, size) != ("paper", LARGE[-1])]
+# `paper`, with its iterations over every pixel, takes ten seconds for the last but one and 90 for the last.
+LARGE_CASES = [
+    (*size, profile) for size in LARGE for profile in PROFILES if profile != "paper" or size not in LARGE[-2:]
+]
 
 
 def sensor_image(rows: int, cols: int) -> U8:

@@ -6,9 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from support.examples import examples
 from support.extreme_maps import BEYOND, EXTREME_MAPS, any_maps, shapes
 
 from tacshade_edge.core.depth import Depth, hybrid_sfs
@@ -75,7 +76,7 @@ def test_a_value_that_no_grey_has_is_borne_in_both_maps(solver: str, beyond: str
 @pytest.mark.slow
 @pytest.mark.parametrize("solver", METHODS)
 @given(data=st.data(), shape=shapes, alpha_mm=st.floats(0, 1e300))
-@settings(max_examples=300)
+@examples(300)
 def test_any_maps_are_borne(solver: str, data: st.DataObject, shape: tuple[int, int], alpha_mm: float) -> None:
     g_d, g0 = data.draw(any_maps(shape)), data.draw(any_maps(shape))
     inside = data.draw(st.one_of(arrays(bool, shape), st.just(np.ones(shape, bool))))

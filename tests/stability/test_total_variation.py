@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from skimage.restoration import denoise_tv_chambolle
+from support.examples import examples
 from support.extreme_maps import EXTREME_MAPS
 
 from tacshade_edge.core.image import total_variation
@@ -64,7 +65,7 @@ def test_a_whole_image_is_borne(weight: float) -> None:
     image=arrays(np.float32, st.tuples(st.integers(1, 24), st.integers(1, 24)), elements=st.floats(-1, 2, width=32)),
     weight=st.sampled_from(WEIGHTS),
 )
-@settings(max_examples=300)
+@examples(300)
 def test_any_map_is_borne(image: F32, weight: float) -> None:
     """Subnormals too."""
     sound(image, weight)
@@ -124,7 +125,7 @@ def test_int16_bears_every_extreme_map(weight: float) -> None:
     image=arrays(np.float32, st.tuples(st.integers(1, 24), st.integers(1, 24)), elements=st.floats(0, 1, width=32)),
     weight=st.sampled_from(INT16_WEIGHTS),
 )
-@settings(max_examples=100, deadline=None)
+@examples(100)
 def test_int16_bears_any_map(image: F32, weight: float) -> None:
     """Subnormals too."""
     assert int16_sound(image, weight) <= INT16_BOUND_LSB

@@ -6,9 +6,10 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from support.built_sensor import built_calibration
+from support.examples import examples
 from support.extreme_images import EXTREME_IMAGES, checkerboard, makers
 
 from tacshade_edge.core.geometry import disc_map
@@ -67,7 +68,7 @@ def test_every_period_has_its_ratio(side_px: int, radius_px: float) -> None:
 
 @pytest.mark.slow
 @given(maker=makers(), method=st.sampled_from(get_args(Binarisation)), pitch_px=st.floats(0.3, 300))
-@settings(max_examples=100)
+@examples(100)
 def test_any_image_is_black_and_white_inside_the_disc_and_black_outside(
     maker: object, method: Binarisation, pitch_px: float
 ) -> None:

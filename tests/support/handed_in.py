@@ -1,87 +1,25 @@
-"""What the guests are handed: simulated, calibrated, rendered and reconstructed outside, where that takes seconds.
+"""What the tests in the guests are handed, which only arithmetic can give: `make_handed_in` makes it.
 
-The guest sees the files at the same place. conftest.py runs this before the guests boot.
+This module is imported where everything is emulated and an import of the program costs ten seconds.
 """
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
-
-import numpy as np
-
-from tacshade_edge.cli import main
-from tacshade_edge.core.image.greyscale import to_grey
-from tacshade_edge.core.profiles import DEFAULT, PROFILES
-from tacshade_edge.inference.network import make_reconstructor
-from tacshade_edge.simulator.objects import OBJECTS, ball
-from tacshade_edge.simulator.press import Press
-from tacshade_edge.simulator.scene import SimulatedSensor
-from tacshade_edge.storage.calibration import calibration_file
-from tacshade_edge.types import Frame
-from tools.testbed.painted_sensor import FREE, TOUCHED, enlarged, enlarged_calibration
 
 GIVEN = Path(__file__).resolve().parents[2] / ".rig/given"
 PAINTED, PRESSED = GIVEN / "painted", GIVEN / "pressed"
-"""Each with calibration.npz, images.npy (N, 480, 640) and facts.json."""
+"""Each with calibration.npz and images.npy (N, 480, 640); of the pressed ones facts.json, of what `PROFILE` finds."""
+PROFILE = "fast"
 CAPTURED = GIVEN / "captured.npy"
 """(2, 480, 640): the simulated sensor free, and under the press `CAPTURED_PRESS`, for a person to take."""
 CAPTURED_PRESS = "ball 6 2.5 1 -3"
-
-PRESSES = {"ball": (-2.5, 0.0, 3.0), "cube": (2.5, 0.0, 3.0)}
-IMAGES_A_PRESS, IMAGES_FREE = 10, 6
+IMAGES_A_PRESS = 10
 
 
-def facts(folder: Path) -> dict[str, Any]:
-    """What is known of the images in a folder."""
-    known: dict[str, Any] = json.loads((folder / "facts.json").read_text())
+def pressed_facts() -> dict[str, Any]:
+    """Of each press x_mm, depth_mm (the truth) and found_mm (by the core, of the same image)."""
+    known: dict[str, Any] = json.loads((PRESSED / "facts.json").read_text())
     return known
-
-
-def make_painted() -> None:
-    """The painted sensor: its free and its touched image, and the depth that the core finds in the touched one."""
-    calibration = enlarged_calibration()
-    calibration_file.save(PAINTED / "calibration.npz", calibration)
-    free, touched = enlarged(FREE), enlarged(TOUCHED)
-    np.save(PAINTED / "images.npy", np.stack([free] * 10 + [touched] * 20))
-    found = make_reconstructor(calibration, PROFILES[DEFAULT]).step(Frame(0, 0, 0, touched))
-    assert found.contact
-    depth_mm = float(np.nanmax(found.height.height_mm))
-    (PAINTED / "facts.json").write_text(json.dumps({"depth_mm": depth_mm}))
-
-
-def make_pressed() -> None:
-    """A simulated sensor, calibrated by the command line on 20 ball presses; then a ball and a cube, pressed."""
-    with TemporaryDirectory() as folder:
-        made = Path(folder)
-        assert main(["simulate", "--calibration-set", str(made), "--presses", "20", "--seed", "3"]) == 0
-        words = ["calibrate", "--sensor", made / "SENSOR.yaml", "--presses", made / "PRESSES.csv"]
-        words += ["--out", PRESSED / "calibration.npz", "--reference", *sorted(made.glob("reference_*.png"))]
-        assert main([str(word) for word in words]) == 0
-    sensor = SimulatedSensor()
-    images = [to_grey(sensor.frame((), noise_seed=60).image)] * IMAGES_FREE
-    truth = {}
-    for k, (name, place) in enumerate(PRESSES.items()):
-        frame = sensor.frame([Press(OBJECTS[name](), *place)], noise_seed=70 + k)
-        images += [to_grey(frame.image)] * IMAGES_A_PRESS + images[:IMAGES_FREE]
-        truth[name] = {"x_mm": place[0], "depth_mm": float(frame.skin.height_mm.max())}
-    np.save(PRESSED / "images.npy", np.stack(images))
-    (PRESSED / "facts.json").write_text(json.dumps(truth))
-
-
-def make_captured() -> None:
-    """What a camera shows while a person captures."""
-    _, radius_mm, depth_mm, x_mm, y_mm = CAPTURED_PRESS.split()
-    sensor, press = SimulatedSensor(), Press(ball(float(radius_mm)), float(x_mm), float(y_mm), float(depth_mm))
-    shown = [sensor.frame(touching, noise_seed=80).image for touching in ((), (press,))]
-    np.save(CAPTURED, np.stack([to_grey(image) for image in shown]))
-
-
-if __name__ == "__main__":
-    for folder in (PAINTED, PRESSED):
-        folder.mkdir(parents=True, exist_ok=True)
-    make_painted()
-    make_pressed()
-    make_captured()

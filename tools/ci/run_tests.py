@@ -29,6 +29,9 @@ QUICK = "not guest and not broker and not slow and not browser"
 SLOW = "(slow or broker or browser) and not guest and not container"
 ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
 """Tests are compiled once, not by each worker of each stage: 11 s of a core."""
+ENVIRONMENT |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+"""As the program sets it for itself. Threads of several workers wait for each other at full speed: to learn from labels
+took 24 s of processor time with them and takes 8 s without."""
 BESIDE = ("lint",)
 """Run beside the rest, whose tests wait now and then; each shows its output when it is over. The guests beside the slow
 stage gain nothing: both need all of two cores."""

@@ -236,14 +236,10 @@ def test_a_port_in_use_is_one_line(tmp_path: Path) -> None:
 
 @pytest.mark.browser
 @pytest.mark.skipif(not (CHROMIUM and DRIVER), reason="Chromium or its driver is not installed")
-@pytest.mark.parametrize("broker", list(COMMANDS))
-def test_the_page_draws_the_presses(broker: str, tmp_path: Path) -> None:
-    if broker == "mosquitto" and MOSQUITTO is None:
-        pytest.skip("mosquitto is not installed")
-    if broker == "embedded":
-        pytest.importorskip("iotcore")
+@pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
+def test_the_page_draws_the_presses(tmp_path: Path) -> None:
     profile = tmp_path / "chromium"
-    with demo(COMMANDS[broker], tmp_path) as (_, port), browser(profile) as page:
+    with demo(COMMANDS["mosquitto"], tmp_path) as (_, port), browser(profile) as page:
         page.get(f"http://127.0.0.1:{port}/")
         peaks: set[float] = set()
 
@@ -252,11 +248,10 @@ def test_the_page_draws_the_presses(broker: str, tmp_path: Path) -> None:
             return 0 in peaks and len(peaks) > 5 and 1.0 < max(peaks) < 8.0
 
         wait_until(moves, 60, "depths that change on the canvas")
-        if broker == "mosquitto":
-            wait_until(lambda: page.execute_script("return tacshade.arrows > 0"), 60, "the skin is dragged")
-            pad = "return [...document.querySelectorAll('#sensors button')].find((t) => t.textContent === 'demo-map')"
-            wait_until(lambda: page.execute_script(pad), 60, "the other sensor")
-            page.execute_script(f"{pad}.click()")  # at once: tabs are drawn anew as hands come
-            presses = "return tacshade.stitched?.presses ?? 0"
-            wait_until(lambda: page.execute_script(presses) >= 4, 60, "a map grows on the page")
+        wait_until(lambda: page.execute_script("return tacshade.arrows > 0"), 60, "the skin is dragged")
+        pad = "return [...document.querySelectorAll('#sensors button')].find((t) => t.textContent === 'demo-map')"
+        wait_until(lambda: page.execute_script(pad), 60, "the other sensor")
+        page.execute_script(f"{pad}.click()")  # at once: tabs are drawn anew as hands come
+        presses = "return tacshade.stitched?.presses ?? 0"
+        wait_until(lambda: page.execute_script(presses) >= 4, 60, "a map grows on the page")
         assert errors(page) == []

@@ -73,7 +73,7 @@ def test_without_matplotlib_all_but_the_picture(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    assert main([*SMALL, "--sensors", "half:default", "--out", str(tmp_path), "--json"]) == 0
+    assert main([*SMALL, "--profile", "fast", "--sensors", "half:default", "--out", str(tmp_path), "--json"]) == 0
     printed = capsys.readouterr()
     assert printed.err.startswith("tacshade-edge: figure6.png will be missing without matplotlib: pip install")
     assert json.loads(printed.out) == json.loads((tmp_path / "evaluation.json").read_text())
@@ -82,7 +82,7 @@ def test_without_matplotlib_all_but_the_picture(
 
 @pytest.mark.slow
 def test_one_core_or_all_the_same_bytes(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "tacshade_edge", *SMALL, "--sensors", "default"]
+    command = [sys.executable, "-m", "tacshade_edge", *SMALL, "--profile", "fast", "--sensors", "default"]
     one = ["taskset", "-c", str(min(os.sched_getaffinity(0)))]
     for words, name in (([*one, *command], "one"), (command, "all")):
         done = subprocess.run(

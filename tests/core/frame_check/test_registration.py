@@ -107,6 +107,6 @@ def test_good_presses_of_other_sensors_did_not_move_or_age() -> None:
         model = random_model(seed)
         calibration = calibrated(model, 0)
         old = look(calibration.reference_grey, calibration.geometry.disc, calibration.pitch_px)
-        for press in presses(model):
+        for press in presses(model, 10):
             found = drift(old, to_grey(press.image))
             assert shift_reason(found, calibration.geometry.disc) is light_drift_reason(found) is None

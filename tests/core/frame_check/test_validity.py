@@ -6,8 +6,9 @@ from itertools import pairwise
 import cv2
 import numpy as np
 import pytest
-from hypothesis import assume, example, given, settings
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
+from support.examples import examples
 from support.plain_blocks import plain_blocks
 
 from tacshade_edge.core.frame_check import blocks, torn, validity
@@ -110,9 +111,9 @@ def test_no_contact_raises_a_false_alarm() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("model", [FULL, TACTIP, *map(random_sensor, range(6))])
+@pytest.mark.parametrize("model", [FULL, TACTIP, *map(random_sensor, range(4))])
 def test_no_contact_raises_a_false_alarm_on_other_sensors(model: SensorModel) -> None:
-    assert false_alarms(model, sorted(OBJECTS), (1.0, 3.0, 5.0)) == []
+    assert false_alarms(model, sorted(OBJECTS), (1.0, 5.0)) == []
 
 
 @pytest.mark.parametrize(("percent", "said"), [(24, False), (26, True)])
@@ -267,7 +268,7 @@ PLACES = st.sampled_from(
 )
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(touched=st.booleans(), changes=DISTURBED, place=PLACES)
 def test_the_fast_check_says_what_the_plain_one_says(touched: bool, changes: list, place: tuple[slice, slice]) -> None:
     """Of whole images, and of parts whose border cuts the disc."""

@@ -2,8 +2,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from support.examples import examples
 
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.disc import Grid, Window
@@ -24,7 +25,7 @@ def slow_box(values: U8, window: int, grid: Grid) -> F64:
     return sums
 
 
-@settings(max_examples=40, deadline=None)
+@examples(40)
 @given(
     st.integers(1, 40), st.integers(1, 40), st.integers(0, 30), st.integers(1, 5), st.sampled_from([1, 255]),
     st.integers(0, 2**32 - 1),
@@ -41,7 +42,7 @@ def test_box_sums_are_exact(height: int, width: int, half: int, step: int, top: 
     np.testing.assert_array_equal(found, slow_box(values, 2 * half + 1, grid))
 
 
-@settings(max_examples=40, deadline=None)
+@examples(40)
 @given(
     st.integers(1, 30), st.integers(1, 30), st.floats(-20, 40), st.floats(-20, 40), st.floats(0.3, 9),
     st.integers(0, 2**32 - 1),

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from skimage.restoration import denoise_tv_chambolle
+from support.examples import examples
 
 from tacshade_edge.core.image.total_variation import chambolle
 from tacshade_edge.types import F32
@@ -40,7 +41,7 @@ def test_it_is_scikit_images_solver(shape: tuple[int, int], weight: float) -> No
 
 
 @given(image=images, weight=st.sampled_from([0.01, 0.05, 0.1, 1.0]))
-@settings(max_examples=50)
+@examples(50)
 def test_it_is_scikit_images_solver_on_anything(image: F32, weight: float) -> None:
     assert np.array_equal(chambolle(image, weight), denoise_tv_chambolle(image, weight=weight))
 

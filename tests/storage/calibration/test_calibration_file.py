@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from support.examples import at_most
 
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.storage.calibration import calibration_file
@@ -93,7 +94,7 @@ def refused_or_same(path: Path, original: Calibration) -> None:
     assert_same(loaded, original)
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=at_most(150), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_a_flipped_bit_is_found(stored: tuple[Path, Calibration, bytes], data: st.DataObject) -> None:
     path, calibration, content = stored

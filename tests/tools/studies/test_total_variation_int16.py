@@ -6,9 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from support.examples import examples
 
 from tacshade_edge.core.image import total_variation
 from tacshade_edge.core.image.total_variation import chambolle
@@ -87,7 +88,7 @@ def test_a_weight_that_leaves_no_bits_is_refused() -> None:
 
 
 @given(image=images, weight=st.sampled_from(WEIGHTS))
-@settings(max_examples=60)
+@examples(60)
 def test_it_is_near_float64_after_equally_many_iterations(image: F32, weight: float) -> None:
     assert lsb_off(image, weight, 30) <= LSB_AFTER_30
 

@@ -141,13 +141,15 @@ def _middle(height_mm: F32, geometry: Geometry) -> F64:
 
 def _misfits(inverse: Inverse, geometry: Geometry, along: F64, press: KnownPress) -> list[float]:
     """Of each radius tried the part of the heights in the contact, in squares, that its surface does not explain."""
+    rays = disc_rays(disc_map.map_grid(geometry.disc, len(inverse.height_mm)), geometry)
     use = _contact(inverse)
-    found = inverse.height_mm[use].astype(np.float64)
+    found, inside = inverse.height_mm[use].astype(np.float64), rays.inside[use]
+    u, v = rays.u[use].astype(np.float64), rays.v[use].astype(np.float64)
     misfits = []
     for part in _TRIED:
         ball = gain.ball_along(geometry, along, press.depth_mm, part * press.radius_mm)
-        known = np.nan_to_num(gain.ball_height(geometry, ball, len(inverse.height_mm)))[use].astype(np.float64)
-        np.maximum(known, 0, out=known)
+        height = gain.ball_height_along(geometry, ball, u, v)
+        known = np.where(inside & (height > 0), height, 0).astype(np.float32).astype(np.float64)
         likeness = float(found @ known) ** 2 / max(float(found @ found) * float(known @ known), np.finfo(float).tiny)
         misfits.append(1 - likeness)
     return misfits

@@ -5,8 +5,9 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from support.examples import examples
 
 from tacshade_edge.core.calibration.indenters import indenter as shapes
 from tacshade_edge.core.calibration.indenters.indenter import Indenter, place
@@ -137,7 +138,7 @@ def test_a_fine_mesh_of_a_ball_is_the_ball() -> None:
 angles = st.floats(-60, 60)
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(
     st.sampled_from(["cylinder", "box", "bar", "cone", "mesh"]),
     st.floats(1e-3, 500), st.floats(1e-3, 175), st.floats(1, 200), st.floats(-300, 300), st.floats(-300, 300),

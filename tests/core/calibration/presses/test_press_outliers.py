@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import binom
 from support.observed_presses import PRESSES, SEEDS, observed
 
 from tacshade_edge.core.calibration.observation.press_observation import PressObservation
@@ -21,6 +20,8 @@ Change = Callable[[PressObservation, float], PressObservation]
 
 def most(trials: int, rate: float) -> int:
     """The most of a count that chance gives 999 times in 1000."""
+    from scipy.stats import binom  # takes a second, which whoever only collects this need not spend
+
     return int(binom.ppf(0.999, trials, rate))
 
 

@@ -118,7 +118,7 @@ def test_a_true_table_is_not_refused() -> None:
     assert calibrate(sensor_of(TACTIP), references(TACTIP), presses(TACTIP)).calibration.fit is not None
 
 
-@pytest.mark.parametrize("name", ["5", "11", "21", "other:31", "other:32"])
+@pytest.mark.parametrize("name", ["5", "21", "other:31"])
 def test_true_tables_of_other_sensors_are_not_refused(name: str) -> None:
     """And diameters are, on each."""
     sensor = sensor_name(name).make()

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import theilslopes
 
 from tacshade_edge.core.calibration.presses.stated_sizes import ShownSizes, size_mistake, theil_sen_slope
 from tacshade_edge.types import Disc, Geometry
@@ -16,6 +15,8 @@ GEOMETRY = Geometry(20.0, 14.0, 50.0, Disc(100, 100, 80))
 
 @given(st.integers(0, 2**32 - 1), st.integers(5, 40))
 def test_the_slope_is_scipys(seed: int, count: int) -> None:
+    from scipy.stats import theilslopes  # takes a second, which whoever only collects this need not spend
+
     rng = np.random.default_rng(seed)
     x = rng.uniform(0, 5, count)
     y = 0.3 + 1.1 * x + 0.2 * rng.standard_normal(count)

@@ -64,7 +64,7 @@ LOOKS = st.lists(
 
 
 @pytest.mark.slow
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(base=st.sampled_from(BASES), looks=LOOKS, polarity=st.sampled_from(["bright", "dark"]))
 def test_a_reference_is_never_refused_against_itself(base: U8, looks: list, polarity: str) -> None:
     """By any check of any profile, whatever picture is taken as one."""
