@@ -31,7 +31,7 @@ def test_what_is_no_hand_is_refused(tmp_path: Path) -> None:
     for paths, expected in (
         ((thumb, alone), r"alone: found no hand_T_sensor in its settings\.yaml, expected a recording of a finger"),
         ((thumb, other), "other: found the hands left, right, expected recordings of one hand"),
-        ((thumb, thumb), "found left-thumb twice, expected one recording of each finger"),
+        ((thumb, thumb), "found left-thumb twice, expected one recording per finger"),
         ((long,), r"long: settings\.yaml: hand_T_sensor: found a quaternion of length 2, expected 1"),
         (str(index), "recordings: found .*, expected a list of paths"),
         ((), "recordings: found .*, expected a list of paths"),

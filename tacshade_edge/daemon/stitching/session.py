@@ -64,12 +64,12 @@ class Session:
         """
         name = name or time.strftime("%Y%m%d-%H%M%S", time.gmtime())
         if len(name) > _NAME_MAX or name.startswith(".") or not all(map(_is_name_character, name)):
-            text = f"found {quoted(name)}, expected letters, digits, . _ -, at most {_NAME_MAX}"
+            text = f"found {quoted(name)}, expected at most {_NAME_MAX} letters, digits, . _ -"
             raise RefusedError(ReasonCode.BAD_NAME, text)
         with disk_errors(folder):
             exists = (folder / name).exists()
         if exists:
-            raise RefusedError(ReasonCode.NAME_TAKEN, f"{folder / name} is there already")
+            raise RefusedError(ReasonCode.NAME_TAKEN, f"{folder / name} already exists")
         info = SessionInfo(name, time.time_ns(), calibration.crc32, calibration.geometry.skin_radius_mm, sensor_id)
         return cls(StitchFile.create(folder / name, info), Stitcher(info.skin_radius_mm))
 

@@ -128,7 +128,7 @@ def test_what_is_not_there_is_one_line_before_the_work(own: Path, capsys: pytest
     for path in (own / "images").glob("coin.*"):
         path.unlink()
     assert main(of_own(own)) == 78
-    assert "found no image of a contact that can be scored" in capsys.readouterr().err
+    assert "found no image of a contact to score" in capsys.readouterr().err
     assert main(["tradeoff", "--out", str(own / "cal.npz")]) == 1
     error = capsys.readouterr().err
     assert error.count("\n") == 1
