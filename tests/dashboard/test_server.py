@@ -175,7 +175,7 @@ def test_another_page_is_refused_before_any_byte_reaches_the_broker(caplog: pyte
             with pytest.raises(InvalidStatus) as refused:
                 await websocket(port, origin="http://evil.example").__aenter__()
             assert refused.value.response.status_code == 403
-            assert b"not from here" in (refused.value.response.body or b"")
+            assert b"expected one from here" in (refused.value.response.body or b"")
             with pytest.raises(InvalidStatus):
                 await websocket(port, origin="http://evil.example").__aenter__()
             assert (await get(port, "/mqtt"))[0] == 426
@@ -366,7 +366,7 @@ def test_so_many_pages_and_no_more(caplog: pytest.LogCaptureFixture) -> None:
 
     run(test())
     told = [record.getMessage() for record in caplog.records]
-    assert told == ["turned away, the 1. so far: 16 pages are open, which is the most"]
+    assert told == ["turned a connection away (1 so far): 16 pages are already open, the limit"]
 
 
 def test_so_many_connections_and_no_more(caplog: pytest.LogCaptureFixture) -> None:
@@ -380,7 +380,10 @@ def test_so_many_connections_and_no_more(caplog: pytest.LogCaptureFixture) -> No
                 await asyncio.sleep(0.01)
 
     run(test())
-    assert caplog.records[0].getMessage() == "turned away, the 1. so far: 48 connections are open"
+    assert (
+        caplog.records[0].getMessage()
+        == "turned a connection away (1 so far): 48 connections are already open, the limit"
+    )
 
 
 def test_a_page_that_reads_nothing_is_closed_at_the_broker_too(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -471,7 +474,7 @@ def test_wrong_tokens_are_counted_and_then_refused_unseen(caplog: pytest.LogCapt
 
     run(test())
     told = [record.getMessage() for record in caplog.records]
-    assert told == [f"a wrong token from 127.0.0.1, the {k}. so far" for k in range(1, WRONG_MAX + 1)]
+    assert told == [f"rejected a wrong token from 127.0.0.1 ({k} so far)" for k in range(1, WRONG_MAX + 1)]
 
 
 def test_over_tls_the_cookie_is_sent_over_nothing_else(tmp_path: Path) -> None:
@@ -524,7 +527,10 @@ def test_handshakes_count_as_connections(tmp_path: Path, caplog: pytest.LogCaptu
                 await asyncio.sleep(0.01)
 
     run(test())
-    assert caplog.records[0].getMessage() == "turned away, the 1. so far: 48 connections are open"
+    assert (
+        caplog.records[0].getMessage()
+        == "turned a connection away (1 so far): 48 connections are already open, the limit"
+    )
 
 
 def test_the_page_is_told_when_it_may_only_look() -> None:
