@@ -245,7 +245,7 @@ def judge_round_trip(middle_ms: float) -> Finding:
     """Whether messages of 38 KB are quick enough."""
     found = f"{_MESSAGE_BYTES // 1000} KB there and back in {middle_ms:.1f} ms"
     if middle_ms > _SLOW_MS:
-        fix = "set set_tcp_nodelay true in the broker's configuration (systemd/mosquitto-tacshade.conf), or use a cable"
+        fix = "add set_tcp_nodelay true to the broker's configuration (systemd/mosquitto-tacshade.conf), or use a cable"
         return warning("broker round trip", found, fix)
     return ok("broker round trip", found)
 

@@ -212,9 +212,7 @@ def _check_stamps(captured: Captured) -> Finding:
     if any(later <= earlier for earlier, later in pairwise(captured.t_ns)):
         return warning("camera time", f"{found}, out of order", "update the kernel, or use another camera")
     if captured.described.get("time_stamps") not in ("kernel", "sensor"):
-        fix = (
-            "expect poses to match less well, or use a camera with the driver uvcvideo: it has the kernel's time stamps"
-        )
+        fix = "use a camera with the driver uvcvideo, which has kernel time stamps; without them poses match less well"
         return warning("camera time", found, fix)
     if age_s > _AGE_MAX_S:
         return warning("camera time", found, "stop whatever else keeps this machine busy, or lower source.fps")

@@ -171,7 +171,7 @@ def decode(data: bytes | bytearray | memoryview) -> HeightMessage | CloudMessage
         n = rows | cols << 16
         points = np.frombuffer(data, "<f4", 3 * n, HEADER_BYTES).astype(np.float32, copy=False)
         if not (np.abs(points) <= _MM_MAX).all():  # nor is it NaN
-            raise DecodeError(f"height/cloud payload: found a point beyond {_MM_MAX:g} mm, expected all within it")
+            raise DecodeError(f"height/cloud payload: found a point out of range, expected all within {_MM_MAX:g} mm")
         labels = np.frombuffer(data, "<u2", n, HEADER_BYTES + _POINT_BYTES * n).astype(np.uint16, copy=False)
         return CloudMessage(*common, points.reshape(n, 3), labels)
     steps = np.frombuffer(data, "<i2", rows * cols * _VALUES[kind], HEADER_BYTES)
@@ -230,7 +230,7 @@ def _check_pose(pose: tuple[float, ...]) -> None:
     *place, qw, qx, qy, qz = pose
     if not all(abs(mm) <= _MM_MAX for mm in place):
         raise DecodeError(
-            f"height/cloud payload, byte 56: found a position beyond {_MM_MAX:g} mm, expected one within it"
+            f"height/cloud payload, byte 56: found a position out of range, expected one within {_MM_MAX:g} mm"
         )
-    if not abs(math.hypot(qw, qx, qy, qz) - 1) <= _UNIT_OFF_MAX:
-        raise DecodeError("height/cloud payload, byte 68: found another quaternion, expected one of unit length")
+    if not abs((norm := math.hypot(qw, qx, qy, qz)) - 1) <= _UNIT_OFF_MAX:
+        raise DecodeError(f"height/cloud payload, byte 68: found a quaternion of length {norm:.4g}, expected 1")

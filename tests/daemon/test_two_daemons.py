@@ -102,7 +102,7 @@ def test_two_daemons(tmp_path: Path, devices: list[str], same_id: bool, same_fol
         wait_until(lambda: second.said(f"c.reference.npz: in use by 'sensor left, {holder}'"), 30, "reference")
         if same_id:
             place = f"on {socket.gethostname()}, {holder}"
-            wait_until(lambda: second.said(f"another daemon uses tacshade/left, {place}; waiting"), 30, "id")
+            wait_until(lambda: second.said(f"another daemon, {place}, uses tacshade/left; waiting"), 30, "id")
             address = BrokerAddress(host="127.0.0.1", port=broker.port, username=None, password=None, tls_ca=None)
             _, found = check_broker(address, "left")
             finding = judge_daemon(found, Process(first.process.pid, ("tacshade-edge", "run")), "left")
@@ -118,10 +118,10 @@ def test_two_daemons(tmp_path: Path, devices: list[str], same_id: bool, same_fol
         wait_until(lambda: health("left")["frames"]["captured"] > captured + 60, 30, "the first goes on")
         told = health("left")
         assert (told["mqtt"]["losses"], told["frames"]["failed"]) == (0, failed)
-        for text in ("in use by", "another daemon uses", "connection lost"):
+        for text in ("in use by", "another daemon, on", "connection lost"):
             assert not first.said(text)
         assert second.said("in use by another program") == same_port
-        assert second.said("another daemon uses") == same_id
+        assert second.said("another daemon, on") == same_id
         second.stop()
         first.stop()
         assert set(seen.of("tacshade/left/state")) <= {b"online", b"stopped", b"degraded"}

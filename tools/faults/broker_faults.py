@@ -180,7 +180,7 @@ def same_id_elsewhere(cell: Cell) -> Seen:
     since_s = cell.mark()
     other = cell.spawn(path, "other")
     try:
-        cell.until(lambda: "another daemon uses" in cell.log("other"), 15, "it is told")
+        cell.until(lambda: "another daemon, on" in cell.log("other"), 15, "it is told")
         detected_s = time.monotonic() - since_s
         pause(5.0)
         assert "connection lost" not in cell.new_log()

@@ -146,7 +146,7 @@ def _announce(args: argparse.Namespace, url: str) -> None:
 def _missing(error: ModuleNotFoundError, extra: str, package: str) -> Exception:
     if error.name is None or error.name.partition(".")[0] not in ("foxglove", "prometheus_client", "websockets"):
         return error
-    return ConfigError(f"found no package {package}, expected: {how_to_install(extra)}")
+    return ConfigError(f"found no package {package}; to install it: {how_to_install(extra)}")
 
 
 def _in_url(host: str) -> str:

@@ -215,7 +215,9 @@ class _Stream:
         except OSError as error:
             os.close(records)
             missing = isinstance(error, FileNotFoundError)
-            why = "no such program, expected it from the Debian package rpicam-apps-lite" if missing else error.strerror
+            why = (
+                "no such program, expected the one in Debian's package rpicam-apps-lite" if missing else error.strerror
+            )
             raise DeviceError(f"{name}: {why}", code=ReasonCode.ABSENT if missing else ReasonCode.PERMISSION) from None
         finally:
             os.close(write_end)

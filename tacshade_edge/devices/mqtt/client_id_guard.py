@@ -112,7 +112,9 @@ class ClientIdGuard:
         if not self._living:  # what a broker kept of a daemon that died unseen
             return quiet_s >= _LIFE_S
         self._waited = True
-        reason = Reason(ReasonCode.IN_USE, f"{self._where}: another daemon uses {self._base}, {place_of(self._holder)}")
+        reason = Reason(
+            ReasonCode.IN_USE, f"{self._where}: another daemon, {place_of(self._holder)}, uses {self._base}"
+        )
         report(reason)
         if not self._reported:
             self._reported = True

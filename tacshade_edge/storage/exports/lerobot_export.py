@@ -53,7 +53,7 @@ class LeRobotExport:
             import pyarrow.parquet  # makes it an attribute
         except ImportError as error:
             found = f"found no package {error.name}, which LeRobot's format needs"
-            raise ConfigError(f"{found}, expected: {how_to_install('lerobot')}") from None
+            raise ConfigError(f"{found}; to install it: {how_to_install('lerobot')}") from None
         self._pa: Any = pyarrow
         self._place = NewPlace(folder)
         self._writer: Any = None

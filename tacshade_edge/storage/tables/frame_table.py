@@ -140,7 +140,9 @@ def _row(where: str, columns: list[str]) -> Row:
         raise ConfigError(f"{where}: t_ns: found {quoted(time)}, expected a whole number from 0 to 2^62")
     empty = [text == "" for text in pose]
     if error and not (_whole(error, ERROR_US_MAX) and not all(empty)):
-        expected = "nothing, as there is no pose" if all(empty) else "a whole number from 0 to 2^32 - 1, or nothing"
+        expected = (
+            "nothing, because there is no pose" if all(empty) else "a whole number from 0 to 2^32 - 1, or nothing"
+        )
         raise ConfigError(f"{where}: {ERROR_COLUMN}: found {quoted(error)}, expected {expected}")
     if all(empty):
         return Row(name, int(time), None)

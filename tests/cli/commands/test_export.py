@@ -229,7 +229,7 @@ def test_a_missing_extra_is_named(
     if to == "mcap":
         monkeypatch.setitem(sys.modules, "foxglove_schemas_protobuf", None)
     assert export(recording, to) == 78
-    assert f"expected: pip install '.[{to}]' in the clone" in capsys.readouterr().err
+    assert f"to install it: pip install '.[{to}]' in the clone" in capsys.readouterr().err
 
 
 def test_recordings_of_a_hands_fingers_are_its_messages(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

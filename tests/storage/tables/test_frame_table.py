@@ -54,7 +54,7 @@ def test_the_time_error_of_a_pose_is_a_column_that_older_tables_lack(tmp_path: P
         ("a.png,5,1,2,3,1,0,0,0", "found 9 columns, expected 10"),
         ("a.png,5,1,2,3,1,0,0,0,-1", "pose_error_us: found '-1', expected a whole number from 0 to"),
         (f"a.png,5,1,2,3,1,0,0,0,{2**32}", "pose_error_us: found '4294967296', expected a whole number"),
-        ("a.png,5,,,,,,,,3", "pose_error_us: found '3', expected nothing, as there is no pose"),
+        ("a.png,5,,,,,,,,3", "pose_error_us: found '3', expected nothing, because there is no pose"),
     ],
 )
 def test_a_wrong_time_error_is_told(tmp_path: Path, row: str, said: str) -> None:

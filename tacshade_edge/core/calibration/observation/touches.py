@@ -53,8 +53,8 @@ def skin_centre(touches_mm: F64, skin_radius_mm: float, ball_radius_mm: float) -
         centre = centre + np.linalg.lstsq(towards / distance[:, None], distance - reach_mm, rcond=None)[0]
     rms_mm = float(np.sqrt(np.mean((np.linalg.norm(balls_mm - centre, axis=1) - reach_mm) ** 2)))
     if not rms_mm <= _MOST_RMS * skin_radius_mm:
-        expected = f"expected an upright skin of {skin_radius_mm:g} mm and a ball of {ball_radius_mm:g} mm to give one"
-        raise ConfigError(f"found touches that lie {rms_mm:.2f} mm (RMS) off any sphere, {expected}")
+        expected = f"expected those of an upright skin of {skin_radius_mm:g} mm and a ball of {ball_radius_mm:g} mm"
+        raise ConfigError(f"found touches that fit a sphere only within {rms_mm:.2f} mm (RMS), {expected}")
     return centre, rms_mm
 
 
