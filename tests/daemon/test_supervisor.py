@@ -124,7 +124,7 @@ def test_one_that_dies_or_cannot_start_touches_no_other(folder: Path, broker: Br
                 20,
                 "both stream",
             )
-            assert any("ring: bad configuration" in line for line in running.told())
+            assert any("ring: bad settings" in line for line in running.told())
             disturbed = [name for name in states if len(seen.of(f"tacshade/{name}/state")) > states[name]]
             assert len(disturbed) == 1, "the other never left the broker"
             (other,) = set(states) - set(disturbed)

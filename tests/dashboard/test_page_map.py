@@ -155,7 +155,7 @@ def test_a_stitching_session_is_commanded_through_requests(page: Chrome, tmp_pat
         assert not page.find_element(By.NAME, "begin").is_displayed()
         press("add")
         assert asked(3, {"press": 4, "frame": 77, "points": 900}) == {"action": "add"}
-        shows(page, "answer", "Press 4 is added.")
+        shows(page, "answer", "Added press 4.")
         press("abort")
         page.switch_to.alert.dismiss()
         status("ending", "pad-1", 4)

@@ -65,7 +65,7 @@ def test_a_recording_is_downloaded_and_deleted(page: Chrome, tmp_path: Path) -> 
         press(page, "Delete", "press-1")
         assert "press-1" in page.switch_to.alert.text
         page.switch_to.alert.accept()
-        shows(page, "recordings-words", "press-1 is deleted")
+        shows(page, "recordings-words", "deleted press-1")
         wait_until(lambda: names(page) == ["left-thumb/press-2"], 15, "it is gone from the list")
         assert not path.exists()
         shutil.rmtree(folder / "left-thumb")

@@ -24,7 +24,7 @@ def gone(pid: int) -> bool:
 
 def test_a_child_that_ends_is_told_with_its_last_line(tmp_path: Path) -> None:
     child = Child("broker", ["sh", "-c", "echo first; echo; echo no room >&2; echo; exit 3"], tmp_path)
-    with pytest.raises(DeviceError, match=r"^demo: the broker ended with 3: no room$"):
+    with pytest.raises(DeviceError, match=r"^demo: the broker exited with 3: no room$"):
         wait_for_port(child, free_port(), 20)
     child.stop()
     assert "first" in child.output

@@ -61,7 +61,7 @@ def test_a_name_without_an_address() -> None:
 @broker_test  # for its seconds of waiting
 def test_a_port_that_says_nothing(listener: socket.socket) -> None:
     finding = trouble(listener.getsockname()[1])
-    assert finding.found.endswith("accepts connections but says nothing: not an MQTT broker")
+    assert finding.found.endswith("accepts connections but does not answer: not an MQTT broker")
 
 
 @broker_test
@@ -200,7 +200,7 @@ def test_tls(tmp_path: Path) -> None:
 def test_a_broker_that_hangs(tmp_path: Path) -> None:
     with Broker(tmp_path) as broker:
         broker.stall()
-        assert "says nothing" in trouble(broker.port).found
+        assert "does not answer" in trouble(broker.port).found
 
 
 @pytest.mark.parametrize(

@@ -112,7 +112,7 @@ def test_a_cluster_that_loses_a_worker_gives_the_same_bits_as_processes(
             list(pool.map(die, [1]))
         with monkeypatch.context() as patch:
             patch.setattr(cluster, "CONNECT_S", 2.0)
-            with pytest.raises(DeviceError, match="has no worker"), workers(address) as pool:
+            with pytest.raises(DeviceError, match="found no worker"), workers(address) as pool:
                 list(pool.map(die, [1]))  # the last one
 
 

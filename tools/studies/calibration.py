@@ -228,7 +228,7 @@ def wrong_sets(given: Set, rng: np.random.Generator) -> Iterator[tuple[str, str,
         for place, x_mm in (("in the middle", 0.0), ("5 mm beside", 5.0)):
             images = [given.loaded(depth, x_mm, 0, k) for k in range(3)]
             yield (
-                f"all references under {depth} mm {place}", "under load",
+                f"all references under {depth} mm {place}", "seems pressed",
                 answer(lambda images=images: given.calibrate(images, [])),
             )  # fmt: skip
 

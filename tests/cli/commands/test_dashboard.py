@@ -124,7 +124,7 @@ def test_opened_to_a_network_it_wants_a_token_and_is_read_only() -> None:
         assert found, line
         assert ", read-only; press Ctrl-C to stop" in line
         child.send_signal(signal.SIGTERM)
-        assert "unencrypted" in child.communicate(timeout=patience(20))[1]
+        assert "no encryption" in child.communicate(timeout=patience(20))[1]
 
 
 @pytest.mark.slow

@@ -161,4 +161,4 @@ def test_what_is_not_there_is_one_line(
 
 def test_an_output_that_is_a_file_is_told_before_the_work(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*SMALL, "--out", str(own / "cal.npz")]) == 1
-    assert "cal.npz: cannot be written" in capsys.readouterr().err
+    assert "cal.npz: cannot write it" in capsys.readouterr().err

@@ -187,8 +187,8 @@ def test_a_daemon_that_is_stopped_finishes_the_recording(tmp_path: Path, start: 
     assert daemon.wait(patience(20)) == 0
     said, errors = client.communicate(timeout=patience(30))
     assert (client.returncode, errors) == (0, "")
-    assert said.endswith(" (daemon stopped)\n")
-    assert about(tmp_path / "recs" / "a")["ending"] == "daemon stopped"
+    assert said.endswith(" (the daemon stopped)\n")
+    assert about(tmp_path / "recs" / "a")["ending"] == "the daemon stopped"
 
 
 @pytest.mark.slow

@@ -203,7 +203,7 @@ def test_presses_too_far_apart_are_told(
 def test_a_folder_that_cannot_be_written(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").write_text("")
     assert main(words(folder, tmp_path / "file" / "out")) == 1
-    assert "cannot be written" in capsys.readouterr().err
+    assert "cannot write it" in capsys.readouterr().err
 
 
 def test_one_orientation_does_not_find_the_flange(
@@ -221,7 +221,7 @@ def test_a_recording_with_few_presses_does_not_find_the_flange(
     given = ["stitch", "--calibration", str(folder / "cal.npz"), "--profile", "fast", "--find-flange"]
     recording = recorded(folder, tmp_path / "recording")
     assert main([*given, "--recording", str(recording), "--out", str(tmp_path / "out")]) == 78
-    assert "recording: found 3 presses with a pose, expected 12 or more" in capsys.readouterr().err
+    assert "recording: found 3 presses with a pose, expected at least 12" in capsys.readouterr().err
 
 
 def test_a_pose_that_is_no_number_does_not_find_the_flange(

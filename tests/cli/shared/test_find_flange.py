@@ -60,7 +60,7 @@ def test_one_orientation_is_refused(tmp_path: Path) -> None:
 
 
 def test_few_presses_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="found 2 presses with a pose, expected 12 or more"):
+    with pytest.raises(ConfigError, match="found 2 presses with a pose, expected at least 12"):
         find_flange.run(exact_frames(TRUE, 0.0, moving=False)[:2], TRUE, APEX_MM, tmp_path, "R", as_json=False)
 
 

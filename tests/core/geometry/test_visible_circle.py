@@ -64,9 +64,9 @@ def test_whatever_is_clicked_is_refused_or_a_circle_through_it(points: list[tupl
 @pytest.mark.parametrize(
     ("points", "said"),
     [
-        ([(10, 10), (100, 100), (190, 190)], "on a line"),
-        ([(10, 10), (10, 10), (190, 190)], "on a line"),
-        ([(10, 10), (10, 10), (10, 10)], "on a line"),
+        ([(10, 10), (100, 100), (190, 190)], "them on a line"),
+        ([(10, 10), (10, 10), (190, 190)], "them on a line"),
+        ([(10, 10), (10, 10), (10, 10)], "them on a line"),
         (
             rim(Disc(240, 320, 200), 0, 20, 180),
             "two only 69 px apart on a circle of radius 200 px, expected at least 0.5 radii",

@@ -153,7 +153,7 @@ def test_another_reference_ends_it_another_profile_does_not(live: Live, calibrat
 
 def test_one_at_a_time_and_no_folder_twice(live: Live) -> None:
     live.start()
-    with pytest.raises(DeviceError, match=r"busy: recording to .*one"):
+    with pytest.raises(DeviceError, match=r"busy: already recording to .*one"):
         live.start(name="two")
     live.recorder.end(STOPPED)
     live.ended()

@@ -101,7 +101,7 @@ def test_first_frames_of_another_exposure_are_passed_over(stand_in: Callable[...
 @pytest.mark.parametrize(
     ("does", "code", "said"),
     [
-        ({"says": "ERROR: *** no cameras available ***"}, ReasonCode.ABSENT, "ended with 255: 'no cameras available'"),
+        ({"says": "ERROR: *** no cameras available ***"}, ReasonCode.ABSENT, "exited with 255: 'no cameras available'"),
         ({"says": "ERROR: *** failed to acquire camera /base/x ***"}, ReasonCode.IN_USE, "failed to acquire"),
         ({"count": 1, "exposure": 2}, ReasonCode.LOST, "the program exited with 0: 'no output'"),
     ],

@@ -50,7 +50,7 @@ def test_regular_file(tmp_path: Path) -> None:
 
 
 def test_directory(tmp_path: Path) -> None:
-    assert why_not(str(tmp_path), ConfigError) == f"camera {tmp_path}: is a directory, {EXPECTED}"
+    assert why_not(str(tmp_path), ConfigError) == f"camera {tmp_path}: found a directory, {EXPECTED}"
 
 
 def test_a_fifo_is_not_waited_for(tmp_path: Path) -> None:

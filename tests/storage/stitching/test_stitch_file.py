@@ -199,7 +199,7 @@ def test_removing_leaves_what_is_not_ours(tmp_path: Path) -> None:
 
 def test_what_is_there_is_not_overwritten(tmp_path: Path) -> None:
     written(tmp_path / "one")
-    with pytest.raises(DeviceError, match="one: cannot be written"):
+    with pytest.raises(DeviceError, match="one: cannot write it"):
         StitchFile.create(tmp_path / "one", info())
 
 

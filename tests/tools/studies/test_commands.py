@@ -141,4 +141,4 @@ def test_an_output_that_is_a_file_is_one_line_before_the_work(
     assert left.value.code == 1
     error = capsys.readouterr().err
     assert error.count("\n") == 1
-    assert "file: cannot be written" in error
+    assert "file: cannot write it" in error

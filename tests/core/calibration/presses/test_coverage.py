@@ -44,7 +44,7 @@ def test_places_close_together_or_on_one_side() -> None:
 
 def test_depths_alike_or_none_deep() -> None:
     alike = [replace(o, depth_mm=1 + k / 46) for k, o in enumerate(PRESSES)]
-    assert "all 1.0 to 1.5 mm deep: other depths are a guess; add some from 0.5 to 4.0 mm" in missing(alike)
+    assert "all presses are 1.0 to 1.5 mm deep: other depths are a guess; add some from 0.5 to 4.0 mm" in missing(alike)
     assert "no press is deeper than 1.9 mm" in missing([replace(o, depth_mm=o.depth_mm / 2) for o in PRESSES])
 
 

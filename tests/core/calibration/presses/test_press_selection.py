@@ -29,7 +29,7 @@ def shifted(image: U8, px: int) -> U8:
 
 
 def test_too_few_presses() -> None:
-    with pytest.raises(ConfigError, match=f"found 7 presses, expected at least {MIN_PRESSES} are needed"):
+    with pytest.raises(ConfigError, match=f"found 7 presses, expected at least {MIN_PRESSES}"):
         fitted(presses()[:7])
 
 
@@ -66,7 +66,7 @@ def test_a_press_that_disagrees_is_named_and_left_out() -> None:
 
 def test_too_many_that_disagree_are_refused() -> None:
     far = [replace(p, x_mm=(p.x_mm or 0) + (6 if k % 2 else -6)) if k % 3 else p for k, p in enumerate(presses())]
-    with pytest.raises(ConfigError, match=r"of 20 presses cannot be used; press \d+: x "):
+    with pytest.raises(ConfigError, match=r"of 20 presses are unusable; press \d+: found x "):
         fitted(far)
 
 
@@ -145,7 +145,7 @@ def test_a_camera_that_moved_at_a_press_or_for_all_of_them() -> None:
     (warning,) = fitted(far).warnings
     assert warning.startswith("press 0: the image moved by 5.0 px")
     assert warning.endswith("since the references were taken; left out")
-    with pytest.raises(ConfigError, match=r"20 of 20 presses cannot be used; press 0: the image moved by"):
+    with pytest.raises(ConfigError, match=r"20 of 20 presses are unusable; press 0: the image moved by"):
         fitted([replace(press, image=shifted(press.image, 5)) for press in presses()])
 
 
