@@ -355,7 +355,7 @@ def test_so_many_pages_and_no_more(caplog: pytest.LogCaptureFixture) -> None:
             with pytest.raises(InvalidStatus) as refused:
                 await websocket(port).__aenter__()
             assert refused.value.response.status_code == 503
-            assert refused.value.response.body == b"16 pages are open, which is the most\n"
+            assert refused.value.response.body == b"16 pages are already open, the limit\n"
             assert (await get(port, "/"))[0] == 200
             await pages.pop().close()
             async with websocket(port) as page:
