@@ -26,7 +26,7 @@ from tacshade_edge.cli.shared import study
 from tacshade_edge.studies.parallel import workers
 from tools.studies import command
 from tools.training.outside import VIEWS
-from tools.training.samples import OUTSIDE_FROM, sensor_samples
+from tools.training.samples import sensor_samples
 
 FIRST_SEED = 100_000
 SENSORS_PER_SHARD = 24
@@ -36,7 +36,7 @@ def make_shard(job: tuple[int, int]) -> tuple[bytes, str]:
     """Simulate one shard, as a file's content, and what it cost."""
     first_seed, frames = job
     start = time.perf_counter()
-    seeds = range(first_seed, first_seed + SENSORS_PER_SHARD, VIEWS if first_seed >= OUTSIDE_FROM else 1)
+    seeds = range(first_seed, first_seed + SENSORS_PER_SHARD, VIEWS)
     made = [samples for seed in seeds for samples in sensor_samples(seed, frames)]
     file = io.BytesIO()
     np.savez_compressed(

@@ -62,6 +62,13 @@ def soft_dome(seed: int) -> SensorModel:
     )
 
 
+def on_dome(model: SensorModel, dome: SensorModel) -> SensorModel:
+    """A sensor whose skin moves as another's does."""
+    return replace(model, **{name: getattr(dome, name) for name in (
+        "skin_radius_mm", "skin_decay_mm", "friction", "drag_decay_mm", "coulomb", "sway", "bulge", "pin_lag",
+    )})  # fmt: skip
+
+
 def printed(dome: SensorModel, seed: int) -> SensorModel:
     """Draw print, camera and light of a sensor that has this dome."""
     rng = np.random.default_rng((seed, 22))
@@ -72,15 +79,12 @@ def printed(dome: SensorModel, seed: int) -> SensorModel:
     height, width = SIZES[rng.choice(len(SIZES), p=SIZE_SHARES)]
     look = random_model(seed, height, width)
     model = replace(
-        look,
-        **{name: getattr(dome, name) for name in (
-            "skin_radius_mm", "skin_decay_mm", "friction", "drag_decay_mm", "coulomb", "sway", "bulge", "pin_lag",
-        )},
+        on_dome(look, dome),
         camera_distance_mm=None if rng.random() < 0.08 else look.camera_distance_mm,
         lattice_rotation_deg=draw(0.0, 180.0),
         vignetting=draw(0.5, 0.85) if rng.random() < VIGNETTED_PART else draw(0.05, 0.5),
         blur_px=draw(0.3, 1.0),
-    )  # fmt: skip
+    )
     if rng.random() >= TACTIP_PART:
         return replace(
             model,

@@ -37,6 +37,7 @@ from tools.training.outside import (
     OutsideRenderer,
     camera,
     found_circle,
+    on_dome,
     outside_presses,
     printed,
     soft_dome,
@@ -392,26 +393,41 @@ def samples_of(view: View, skins: Iterable[tuple[Skin, tuple[Press, ...]]], rng:
 
 
 def sensor_samples(seed: int, frames: int) -> list[Samples]:
-    """Everything of one sensor, or of all that see the same skins; none whose reference shows no pattern."""
-    if seed >= OUTSIDE_FROM:
-        return outside_samples(seed, frames)
+    """What `VIEWS` sensors see of the same skins; the seeds after this one are theirs.
+
+    Skins are three quarters of the cost of a frame. None of those whose reference shows no pattern.
+    """
+    return outside_samples(seed, frames) if seed >= OUTSIDE_FROM else usual_samples(seed, frames)
+
+
+def usual_samples(seed: int, frames: int) -> list[Samples]:
+    """Of all kinds before `outside`: the dome is that of the first sensor."""
     rng = np.random.default_rng((seed, 12))
-    model = other_model(seed) if seed >= OTHER_FROM else training_model(seed)
+    family = other_model if seed >= OTHER_FROM else training_model
+    dome = family(seed)
+    unevenness, views = [], []
+    for k in range(VIEWS):
+        own = rng if k == 0 else np.random.default_rng((seed + k, 12))
+        unevenness.append(drawn_unevenness(on_dome(family(seed + k), dome), seed, own))
+        views.append(calibrated(unevenness[k].renderer, lambda image: image, own))
+    if not any(views):
+        return []
+    skins = [random_skin(dome, unevenness[0], rng) for _ in range(frames)]
+    return [samples_of(view, skins, rng) for view in views if view is not None]
+
+
+def drawn_unevenness(model: SensorModel, seed: int, rng: np.random.Generator) -> Unevenness:
+    """Draw what the kind of sensor that a seed is of has beside its model."""
     if seed >= OTHER_FROM:
         renderer = VariedRenderer(model, lattice_print(model, 90.0), CAPS)
-        unevenness = Unevenness(EVEN, 0.0, (0.0, 1.0), renderer, two_scales=True, mechanics=TURNING)
-    elif seed >= UNEVEN_FROM:
-        unevenness = draw_unevenness(model, rng, seed >= WIDE_FROM, seed >= VARIED_FROM)
-    else:
-        unevenness = Unevenness(EVEN, 0.0, (0.0, 1.0), Renderer(model))
-    view = calibrated(unevenness.renderer, lambda image: image, rng)
-    if view is None:
-        return []
-    return [samples_of(view, (random_skin(model, unevenness, rng) for _ in range(frames)), rng)]
+        return Unevenness(EVEN, 0.0, (0.0, 1.0), renderer, two_scales=True, mechanics=TURNING)
+    if seed >= UNEVEN_FROM:
+        return draw_unevenness(model, rng, seed >= WIDE_FROM, seed >= VARIED_FROM)
+    return Unevenness(EVEN, 0.0, (0.0, 1.0), Renderer(model))
 
 
 def outside_samples(seed: int, frames: int) -> list[Samples]:
-    """What `VIEWS` sensors of `outside` see of the same skins; the seeds after this one are theirs."""
+    """Of the kind `outside`."""
     rng = np.random.default_rng((seed, 12))
     dome = soft_dome(seed)
     views = []

@@ -9,32 +9,29 @@ import torch
 from onnx import numpy_helper
 from torch import Tensor, nn
 
-from tools.training.network import Net
+from tools.training.network import Net, ShearNet
 
 WEIGHTS = Path(__file__).parents[2] / "tacshade_edge" / "inference" / "weights"
 
 
-def shipped(net: Net, name: str, inputs: list[Tensor]) -> None:
-    """Give a network of depth the shipped weights; it computes the same.
+def shipped(net: Net | ShearNet, name: str, inputs: list[Tensor]) -> None:
+    """Give a network the shipped weights; it computes the same.
 
     Parameters
     ----------
-    net : Net
+    net : Net or ShearNet
     name : str
         Of the weights.
     inputs : list of Tensor
-        Frames as `Net` takes them: what each normalisation then has for mean and spread is theirs.
+        Frames as the network takes them: what each normalisation then has for mean and spread is theirs.
     """
     frame, sensor = (_tensors(WEIGHTS / f"{name}{end}") for end in (".onnx", ".sensor.onnx"))
-    for name_of, head in (("head", net.head), ("foreign_head", net.foreign_head)):
-        head.load_state_dict({part: frame.pop(f"rest.{name_of}.{part}") for part in ("weight", "bias")})
-    for k, narrow in enumerate(net.narrow):
-        narrow.load_state_dict({"weight": frame.pop(f"rest.narrow.{k}.weight")})
+    named = {key.removeprefix("rest."): frame.pop(key) for key in list(frame) if key.startswith("rest.")}
+    net.load_state_dict(named, strict=False)
     first = torch.cat((frame.pop("weight"), sensor["weight"]), 1), sensor["bias"]
     rest = list(frame.values())
     folded = [first, *zip(rest[::2], rest[1::2], strict=True)]
-    blocks = [*net.down, *reversed(net.up)]
-    pairs = [(part[k], part[k + 1]) for part in blocks for k in (0, 3)]
+    pairs = [(part[k], part[k + 1]) for part in _blocks(net) for k in (0, 3)]
     net.eval()
     with torch.no_grad():
         for (conv, norm), (weight, bias) in zip(pairs, folded, strict=True):
@@ -47,7 +44,14 @@ def shipped(net: Net, name: str, inputs: list[Tensor]) -> None:
     net.train()
 
 
-def _measured(net: Net, conv: nn.Module, norm: nn.Module, inputs: list[Tensor]) -> None:
+def _blocks(net: Net | ShearNet) -> list[nn.Module]:
+    """The blocks in the order in which they are run."""
+    us = [net] if isinstance(net, Net) else [net.first, net.second]
+    before = [] if isinstance(net, Net) else list(net.down)
+    return before + [part for u in us for part in (*u.down, *reversed(u.up))]
+
+
+def _measured(net: Net | ShearNet, conv: nn.Module, norm: nn.Module, inputs: list[Tensor]) -> None:
     """Set a normalisation's statistics to what its convolution gives, and its scale and shift to undo them."""
     seen: list[Tensor] = []
     hook = conv.register_forward_hook(lambda _module, _given, made: seen.append(made.transpose(0, 1).flatten(1)))

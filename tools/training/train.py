@@ -60,7 +60,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument(
         "--start", type=Path, metavar="CHECKPOINT", help="its averaged weights begin, of the same or lesser widths"
     )
-    parser.add_argument("--shipped", metavar="NAME", help="weights that are shipped begin; of depth, not shear")
+    parser.add_argument("--shipped", metavar="NAME", help="the shipped weights of that name begin")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--device", default="cpu")
