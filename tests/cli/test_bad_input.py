@@ -96,7 +96,7 @@ KEYS = "expected one of sensor_id, calibration, profile"
         ),
         (
             {"source": CAMERA + ", device: /dev/shm"},
-            f"s.yaml:2: source.device: camera /dev/shm: is a directory, {VIDEO_DEVICE}",
+            f"s.yaml:2: source.device: camera /dev/shm: found a directory, {VIDEO_DEVICE}",
         ),
         (
             {"source": CAMERA + ", device: /dev/..{folder}/text.png"},
