@@ -90,26 +90,26 @@ class Page:
     needs: str = ""
 
 
-NOT_WRITTEN = "These have a command but no page. What other documents quote of them is of a run that left none."
+NOT_WRITTEN = "These commands have no page yet. Figures that other documents quote are from runs that left none."
 
 COLUMNS = """\
-ME is eq. 13, the mean distance from a found point to the nearest true one; back, the mean distance from a true point to
-the nearest found one; SD, eq. 14 with the half sum of both ("sum": with their sum), never clamped. IoU is of the
-contact's outline, against skin within 0.02 mm of the object. Depth off is the error of the greatest depth, mean and
-worst. A missed contact counts as a skin left alone: SD 0, the true depth for ME and back. Milliseconds here are of a
-machine that did other work; [stages](../explanation/speed.md) has those that count."""
+"ME" is eq. 13, the mean distance from the found points to the nearest true point; "back" is the mean distance from
+the true points to the nearest found point. "SD" is eq. 14 with half the sum of both ("sum": with their sum), never
+clamped. "IoU" compares the found outline with skin within 0.02 mm of the object. "Depth off" is the error of the
+greatest depth, mean and worst. A missed contact counts as untouched skin: SD is 0, and ME and back are the true
+depth. The machine did other work meanwhile, so take milliseconds from [speed](../explanation/speed.md) instead."""
 
 FOLLOWED = """\
-Depth, tilt and shear are compared by Spearman's rank correlation and by the mean absolute error after a line (a 2x2
-map) fitted on every other frame."""
+Depth, tilt and shear are compared with the labels by Spearman's rank correlation and by the mean absolute error
+after a linear fit (a 2x2 map) on every other frame."""
 
 PAGES: dict[str, Page] = {
     "objects": Page(
         "The paper's five objects",
         f"""\
-Experiment 1 of the paper on six simulated sensors that were kept for final figures: three of the family that the
-networks were trained on and three of another (square lattice, mushroom pins, a skin with two decay lengths). Each is
-calibrated on 8 references and 40 ball presses, then pressed by every object at 3 places, 1.5, 3 and 4.5 mm deep.
+The paper's Experiment 1 on six simulated sensors reserved for final figures: three from the family of the training
+and three from another (square lattice, mushroom pins, a skin with two decay lengths). Each sensor is calibrated on 8
+references and 40 ball presses. Every object then presses it at 3 places, 1.5, 3 and 4.5 mm deep.
 
 {COLUMNS}""",
         (EVALUATE, "--final", "--profile", "paper", "fast", "balanced", "accurate", "--objects", FIVE),
@@ -118,25 +118,32 @@ calibrated on 8 references and 40 ball presses, then pressed by every object at 
     ),
     "other-objects": Page(
         "Eight other objects",
-        f"The sensors, places and depths of [the paper's five objects](objects.md).\n\n{COLUMNS}",
+        f"""\
+The sensors, places and depths are those of [the paper's five objects](objects.md).
+
+{COLUMNS}""",
         (EVALUATE, "--final", "--objects", OTHERS),
         SCORED,
     ),
     "no-presses": Page(
         "One reference, no press",
-        f"The sensors and presses of [the paper's five objects](objects.md), each sensor with one reference and no "
-        f"ball press.\n\n{COLUMNS}",
+        f"""\
+The sensors and presses are those of [the paper's five objects](objects.md), but each sensor is calibrated on one
+reference and no ball press.
+
+{COLUMNS}""",
         (EVALUATE, "--final", "--presses", "0", "--references", "1", "--objects", FIVE),
         SCORED,
     ),
     "drag": Page(
         "Objects that are dragged, twisted and tilted",
         """\
-Two simulated sensors of each family that were kept for final figures, calibrated on 8 references and 40 undragged ball
-presses. All thirteen objects at four places, each dragged in another direction, 1, 2.75 and 4.5 mm deep (lengths on a
-skin of 20 mm). ME, SD and IoU as of [the paper's five objects](objects.md). Silently wrong is a greatest depth that is
-off by a quarter and 0.3 mm and is neither refused nor said to be saturated or in doubt. Shear off is the error of the
-mean shear of a contact, direction and twist those of contacts that moved by 0.5 mm or more, and of all.""",
+Two simulated sensors of each family, reserved for final figures and calibrated on 8 references and 40 undragged ball
+presses. All thirteen objects press at four places, 1, 2.75 and 4.5 mm deep, and each is dragged in another direction
+(lengths on a skin of 20 mm). ME, SD and IoU are as for [the paper's five objects](objects.md). A "silently wrong"
+frame has a greatest depth that is off by a quarter and by 0.3 mm, but is neither refused nor marked saturated or
+degraded. "Shear off" is the error of a contact's mean shear. Direction errors cover contacts that moved by 0.5 mm or
+more; twist errors cover all contacts.""",
         ("tools.studies.drag", "--final"),
         SCORED,
         drawn=("drag.png",),
@@ -144,11 +151,11 @@ mean shear of a contact, direction and twist those of contacts that moved by 0.5
     "sigma": Page(
         "Whether the standard deviation of each height holds",
         """\
-Three simulated sensors of each family that were kept for final figures, calibrated on 8 references and 40 undragged
-ball presses. Four objects that the errors were not fitted to (`training.fit_sigma`), at four places, 1, 2.75 and 4.5 mm
-deep, undragged and dragged by 2 mm (lengths on a skin of 20 mm). A cell is one that is found in contact; its 90 %
-interval is h ± 1.645 σ. The last columns are the part of all absolute error that the tenth of the cells with the
-greatest σ has, and the most that any tenth has. In the plot the grey band is 85 to 95 %.""",
+Three simulated sensors of each family, reserved for final figures and calibrated on 8 references and 40 undragged
+ball presses. Four objects that `training.fit_sigma` did not use press at four places, 1, 2.75 and 4.5 mm deep,
+undragged and dragged by 2 mm (lengths on a skin of 20 mm). Only cells found in contact count; their 90 % interval is
+h ± 1.645 σ. The last two columns give the share of all absolute error in the tenth of the cells with the greatest σ,
+and the largest share that any tenth has. The grey band in the plot is 85 to 95 %.""",
         ("tools.studies.sigma", "--final", "--objects", "large_crescent,cone,edge,ring"),
         SCORED,
         drawn=("sigma.png",),
@@ -156,24 +163,24 @@ greatest σ has, and the most that any tenth has. In the plot the grey band is 8
     "slip": Page(
         "Slips and releases over time",
         """\
-Sensors of the trained family at 60 frames a second. A slip is told in time from 50 ms before to 100 ms after the
-whole contact slides, by the truth. Held objects were dragged by 1 mm, and nothing slides. After a release the skin
-keeps a dent that recovers; a phantom is a frame in which something is still, or again, told to touch.""",
+Sensors of the trained family at 60 frames a second. A report of a slip is in time from 50 ms before to 100 ms after
+the whole contact truly slides. Held objects were dragged by 1 mm and do not slide. After a release, the skin keeps a
+dent that recovers; a phantom is a frame that still, or again, shows a contact.""",
         ("tools.studies.slip",),
         SCORED,
     ),
     "shear": Page(
         "Shear by a network, by optical flow, by tracked points",
-        "What `studies.shear` says of its ways at its top.",
+        "The docstring of `tools/studies/shear.py` describes the methods.",
         ("tools.studies.shear",),
         SCORED,
     ),
     "limits": Page(
         "Limits",
         """\
-Three simulated sensors, each calibrated on 8 references and 40 ball presses. Lengths are mm whatever the skin's radius
-(20.0, 25.9, 22.5 mm); depth is the greatest h of the skin. A phantom is a frame taken for a contact; a silent one has
-no `degraded` beside it. What is beyond use is refused or said, at best.""",
+Three simulated sensors, each calibrated on 8 references and 40 ball presses. Lengths are in mm for every skin radius
+(20.0, 25.9, 22.5 mm); depth is the skin's greatest h. A phantom is a frame that wrongly shows a contact; a silent
+one is not marked `degraded`.""",
         ("tools.studies.limits",),
         SCORED,
         drawn=("limits_detection.png", "limits_depth.png", "limits_resolution.png", "limits_disturbed.png"),
@@ -181,29 +188,30 @@ no `degraded` beside it. What is beyond use is refused or said, at best.""",
     "ablation": Page(
         "Where the error comes from",
         """\
-Profile `accurate`, 8 references and 40 presses, the paper's five objects, one cause of error taken away at a time.
-"Perfect calibration" is the true geometry and the best factor that the scored presses themselves allow; "true gradient"
-is what a true gradient integrates to from h = 0 at the rim.""",
+Profile `accurate`, 8 references and 40 presses, the paper's five objects; each row removes one cause of error.
+"Perfect calibration" uses the true geometry and the factor that is best for the scored presses. "True gradient"
+integrates the true gradient from h = 0 at the rim.""",
         ("tools.studies.ablation",),
         SCORED,
     ),
     "iterations": Page(
         "What the paper's 25 iterations buy",
         """\
-Three sensors, the five objects near the tip, three depths. `paper_0` is the profile `paper` without eq. 11: α times
-g_hn, on the same maps.""",
+Three sensors, the five objects near the tip, three depths. `paper_0` is the profile `paper` without eq. 11: it
+computes α times g_hn on the same maps.""",
         ("tools.studies.iterations",),
         SCORED,
     ),
     "servo": Page(
         "Loops closed on the touch",
         """\
-`tools/examples/servo`: follow a surface at 1.5 mm and right angles, and an edge, in real time through a mosquitto and
-the daemon, on 60 frames a second of the simulated sensor at the pose of a robot. The robot obeys after 20 ms and the
-added latency, and its velocity follows with a time constant of 30 ms. The surface has waves 4 mm high and 80 mm long
-and is up to 6° steep across the way; the edge has the same waves, in a flat plate. Under the sensor the surface is
-drawn as the plane that touches it there, and the edge as straight. The touch model has 400 labelled frames of a flat
-plate, or of its straight edge; the tables without labels have none. The skin slides: nothing drags it.""",
+`tools/examples/servo` follows a surface at 1.5 mm and right angles, and an edge. It runs in real time through
+mosquitto and the daemon, with 60 frames a second from the simulated sensor at a robot's pose. The robot obeys after
+20 ms plus the added latency, and its velocity follows with a time constant of 30 ms. The surface has waves 4 mm high
+and 80 mm long and slopes by up to 6° across the path; the edge has the same waves in a flat plate. The simulation
+draws the surface under the sensor as its tangent plane and the edge as straight. The touch model has 400 labelled
+frames of a flat plate, or of its straight edge; the tables without labels have none. The skin slides, so nothing
+drags it.""",
         ("tools.examples.servo.bench",),
         (*DAEMON, *package("core/touch", "library", "simulator"), "tools/examples/servo", "tools/testbed/servo"),
         drawn=("servo.png",),
@@ -211,56 +219,56 @@ plate, or of its straight edge; the tables without labels have none. The skin sl
     "stitching": Page(
         "Maps with poses refined, and as reported",
         """\
-Sensors that press drawn surfaces all over, 100 presses 4 mm apart, up to 0.4 mm deeper or shallower and 6° tilted, with
-exact poses and with noise on what the robot reports. RMS of height over all touched cells.""",
+Sensors press drawn surfaces 100 times, 4 mm apart, with depths varied by up to 0.4 mm and tilts of up to 6°. The
+robot reports exact poses or noisy ones. Figures are the RMS of height over all touched cells.""",
         ("tools.studies.stitch_pads",),
         (*SCORED, *package("core/stitching", "studies/stitch")),
     ),
     "flange": Page(
         "Where the sensor sits on the flange",
         """\
-`stitch --find-flange` on 20 trials: three drawn surfaces with waves and the touchpad, five sensors that were kept for
-final figures, two of which the networks do not know. Each starts 10 mm and 10° off and presses 100 times by
-[the plan](../how-to/stitching.md#the-plan); every fifth press has frames of the motion down and up. What the robot
-reports is off by Gaussian noise in every axis, and about a random axis through the apex.""",
+20 trials of `stitch --find-flange` on three drawn surfaces with waves and the touchpad, with five sensors reserved
+for final figures; two of them are unknown to the networks. Each trial starts 10 mm and 10° off and presses 100 times
+according to [the plan](../how-to/stitching.md#the-plan); every fifth press has frames of the motion down and up. The
+robot's poses have Gaussian noise in every axis, and about a random axis through the apex.""",
         ("tools.studies.flange", "--final"),
         (*SCORED, *package("core/stitching"), "tools/studies/drawn_pads.py", "tools/testbed/flange_plan.py"),
     ),
     "margin": Page(
         "The margin before a slip",
         """\
-Sensors that were kept for final figures. Objects are pulled, or loosened under a drag, until they slide 0.5 to 2 s
-later; a slip is announced when the margin is at most 0.25 from 100 ms before its onset on, by the truth. Others are
-held at 30 to 45 % of the load to the slip and shaken, by a quarter of their drag and 8 % of their depth, at 30 frames a
-second; a false alarm begins whenever the margin falls to 0.25. "Still stuck" is the part of the contact that truly
-sticks at the alarm.""",
+Sensors reserved for final figures. Objects are pulled, or loosened under a drag, until they slide 0.5 to 2 s later.
+A slip counts as announced if the margin is at most 0.25 from 100 ms before its true onset on. Other objects are held
+at 30 to 45 % of the load that causes a slip and shaken by a quarter of their drag and 8 % of their depth, at 30
+frames a second. A false alarm begins whenever the margin falls to 0.25. "Still stuck" is the share of the contact
+that truly sticks at the alarm.""",
         ("tools.studies.margin", "--final", "--held", "120"),
         SCORED,
     ),
     "object-motion": Page(
         "The motion of a held object, from drawn errors",
         """\
-Grasps by geometry, with errors of shear, depth and twist as they were measured on simulated skins; 5 trials of each
-object, number of fingers, skin and event. Errors are of the object's middle at the end of a motion that moves a touched
-patch by up to 2.5 mm.""",
+Grasps are computed from geometry, with random errors of shear, depth and twist as measured on simulated skins. Each
+combination of object, number of fingers, skin and event has 5 trials. Errors are those of the object's centre at the
+end of a motion that moves a touched patch by up to 2.5 mm.""",
         ("tools.studies.object_motion", "--trials", "5", "--rest-s", "120"),
         package("core/hand"),
     ),
     "object-motion-pictures": Page(
         "The motion of a held object, from pictures",
         """\
-A simulated hand of five holds a box, a cylinder and a ball and moves each so that the patch that moves most moves by 1
-to 2.5 mm. Every finger's picture is drawn and reconstructed (`balanced`), of three kinds of sensors that were kept for
-final figures.""",
+A simulated hand of five fingers holds a box, a cylinder and a ball. It moves each object until the patch that moves
+furthest has moved by 1 to 2.5 mm. Every finger's picture is drawn and reconstructed (`balanced`), for three kinds of
+sensors reserved for final figures.""",
         ("tools.studies.object_motion", "--drawn", "2", "--final"),
         (*SENSORS, *package("core/hand", "hand", "protocol/hand.py")),
     ),
     "real-raw": Page(
         "A real TacTip: whole pictures",
         f"""\
-Frames of `BioMorphic-Intelligence-Lab/aerial_tactile_servoing`, without its folder of another light: an LED ring, and
-white pins in the middle of the dome. Their labels are what that project's own network said. Two free frames of each
-folder are tried as the reference; the first that is accepted serves. {FOLLOWED}""",
+Frames of `BioMorphic-Intelligence-Lab/aerial_tactile_servoing`, without its folder with other light. The sensor has
+an LED ring and white pins in the middle of the dome. The labels come from that project's own network. The study
+tries two free frames of each folder as the reference and uses the first that is accepted. {FOLLOWED}""",
         ("tools.studies.real_frames", "raw", "out/real/aerial_tactile_servoing"),
         REAL,
         needs="out/real/aerial_tactile_servoing",
@@ -268,8 +276,8 @@ folder are tried as the reference; the first that is accepted serves. {FOLLOWED}
     "real-binary": Page(
         "A real TacTip: near-binary pictures",
         """\
-Frames of `marselap/tactip-cnn-bayes`: few pins, nearly black and white. Nobody says which are free or how deep the rest
-is; the picture most like the mean of all serves as the reference.""",
+Frames of `marselap/tactip-cnn-bayes`, with few pins and almost only black and white. The data set does not state
+which frames are free or how deep the others are. The picture closest to the mean of all serves as the reference.""",
         ("tools.studies.real_frames", "binary", "out/real/tactip-cnn-bayes"),
         REAL,
         needs="out/real/tactip-cnn-bayes",
@@ -277,10 +285,11 @@ is; the picture most like the mean of all serves as the reference.""",
     "touch": Page(
         "A touch as a few numbers, by labels",
         """\
-A touch model (`calibrate --labels`) on the thresholded frames of `dexterousrobot/tactile_data_shear`, of the robot
-`cr_tactip` alone: every frame counts, and where there is no answer the labels' mean is the guess. `random` draws the
-labels from both runs of the robot and judges 1000 other frames; `grouped` learns from its first run and judges the
-second. From 100 labels on means of four draws, from 4000 one draw.""",
+A touch model (`calibrate --labels`) on the thresholded frames of the robot `cr_tactip` in
+`dexterousrobot/tactile_data_shear`. Every frame counts; if the model has no answer, the labels' mean is the guess.
+`random` draws the labels from both runs of the robot and judges 1000 other frames. `grouped` learns from the first
+run and judges the second. Figures are means of four draws from 100 labels on; those from 4000 labels on have one
+draw.""",
         ("tools.studies.touch", "out/real/tactile_data_shear"),
         REAL,
         needs="out/real/tactile_data_shear",
@@ -288,7 +297,7 @@ second. From 100 labels on means of four draws, from 4000 one draw.""",
     "real-plates": Page(
         "A real TacTip: tilted and sheared plates",
         f"""\
-Thresholded frames of `dexterousrobot/tactile_data_shear`, of the robot `cr_tactip` alone. None is free: the least
+Thresholded frames of the robot `cr_tactip` in `dexterousrobot/tactile_data_shear`. No frame is free, so the least
 pressed serves as the reference. {FOLLOWED}""",
         ("tools.studies.real_frames", "plates", "out/real/tactile_data_shear"),
         REAL,
@@ -297,27 +306,27 @@ pressed serves as the reference. {FOLLOWED}""",
     "calibration": Page(
         "What `calibrate` finds wrong",
         """\
-Simulated sensors drawn at random, 5 references and 24 presses each: what is said of good sets, and of sets in which one
-thing was made wrong. Of a re-zero, "said" is the right answer, taken or refused.""",
+Random simulated sensors with 5 references and 24 presses each: reports on correct sets, and on sets with one
+mistake. For a re-zero, "said" counts correct answers, whether accepted or refused.""",
         ("tools.studies.calibration", "--sensors", "30", "--detect", "16", "--first", "8400"),
         SENSORS,
     ),
     "fit": Page(
         "What `calibrate --fit` is worth",
         """\
-Simulated sensors of the other family and the default one, calibrated on 5 references and 40 presses up to 4.5 mm deep
-(balls of three sizes, flat ends of two, a square, a lying bar; `/balls`: balls alone) that are stated with an error,
-and fitted to the same. Judged on the paper's five objects at 3 places, 1.5, 3 and 4.5 mm deep, and at 6 mm, a third
-deeper than the deepest press. Worst is the worst object's mean; a fit that is no better on presses that were held out
-is not kept. ME, SD and IoU as of [the paper's five objects](objects.md).""",
+Simulated sensors of the other family and the default sensor, calibrated on 5 references and 40 presses up to 4.5 mm
+deep (balls of three sizes, flat ends of two, a square, a lying bar; `/balls`: only balls) with errors in the stated
+values, and fitted to the same presses. The paper's five objects judge them at 3 places, 1.5, 3 and 4.5 mm deep, and
+at 6 mm, a third deeper than the deepest press. "Worst" is the worst object's mean. A fit that is no better on
+held-out presses is dropped. ME, SD and IoU are as for [the paper's five objects](objects.md).""",
         ("tools.studies.fit", "--folder", "out/fit"),
         (*SCORED, *package("fitting")),
     ),
     "stages": Page(
         "A frame, stage by stage",
         """\
-Grey 640x480 in memory, one thread, a contact that covers a fifth of the disc; the floor is `cv2.threshold` and
-`cv2.boxFilter` over the whole frame. Rounds take turns; milliseconds, medians of five rounds.""",
+Grey 640x480 images in memory, one thread, a contact that covers a fifth of the disc. The floor is `cv2.threshold`
+plus `cv2.boxFilter` over the whole frame. Figures are milliseconds, medians of five alternating rounds.""",
         ("tools.benchmarks.stages",),
         STAGES,
         idle=True,
@@ -325,10 +334,10 @@ Grey 640x480 in memory, one thread, a contact that covers a fifth of the disc; t
     "as-printed": Page(
         "The paper's method as printed",
         """\
-`plain` is the method as a reader of the paper would write it down with NumPy, scikit-image and SciPy
-(`benchmarks.plain_paper`); its heights are those of `paper`. The frame of [stages](stages.md). ME and SD are of one
-sensor, near its tip: they say that `plain` and `paper` find the same, not how good a profile is
-([the paper's five objects](objects.md) does).""",
+`plain` is the method as a reader of the paper would write it with NumPy, scikit-image and SciPy
+(`benchmarks.plain_paper`); it gives the same heights as `paper`. The frame is that of [stages](stages.md). ME and SD
+cover one sensor near its tip and only show that `plain` and `paper` agree; [the paper's five objects](objects.md)
+shows how good a profile is.""",
         ("tools.benchmarks.paper",),
         (*STAGES, "tools/benchmarks/stages.py", "tools/benchmarks/plain_paper.py"),
         idle=True,
@@ -336,12 +345,12 @@ sensor, near its tip: they say that `plain` and `paper` find the same, not how g
     "tradeoff": Page(
         "Speed against accuracy, setting by setting",
         """\
-Every profile, and what differs from it in a thing or two, on the same presses: two sensors, the paper's five objects at
-one of three places each, three depths. In brackets the 95 % interval that the choice of presses or rounds leaves
-(bootstrap). p50 and p99 are of a frame in contact, processor time of one thread; idle is a frame without contact; MiB
-is memory beyond a process with the libraries; front: no other setting is clearly better in one of ME and p50 and not
-clearly worse in the other. ME is of these few presses, to compare settings; how good a profile is says
-[the paper's five objects](objects.md).""",
+Every profile, and variants that differ from it in one or two settings, on the same presses: two sensors, the paper's
+five objects at one of three places each, three depths. Brackets give the 95 % interval over presses or rounds
+(bootstrap). p50 and p99 are the processor time of one thread for a frame in contact; "idle" is for a frame without
+contact; "MiB" is memory beyond a process with the libraries. A setting is on the front if no other is clearly better
+in ME or p50 without being clearly worse in the other. ME covers few presses and only compares settings; [the paper's
+five objects](objects.md) shows how good a profile is.""",
         ("tacshade-edge", "tradeoff"),
         (*STAGES, *package("studies/evaluate", "studies/tradeoff")),
         idle=True,
@@ -350,8 +359,8 @@ clearly worse in the other. ME is of these few presses, to compare settings; how
     "cost": Page(
         "What the cost of a frame grows with",
         """\
-Balls in the middle of the default sensor, 4 mm deep, for the contact area; one ball through cameras of 320x240 to
-1280x960 for the image size; small balls around the tip for the number of objects. A line fitted to each.""",
+Contact area: balls 4 mm deep in the middle of the default sensor. Image size: one ball through cameras of 320x240 to
+1280x960. Objects: small balls around the tip. A line is fitted to each.""",
         ("tools.benchmarks.cost",),
         STAGES,
         idle=True,
@@ -360,9 +369,10 @@ Balls in the middle of the default sensor, 4 mm deep, for the contact area; one 
     "daemon": Page(
         "The daemon",
         """\
-640x480 at 60 frames a second from a ring of images in memory, a real mosquitto and a subscriber in processes of their
-own; beside it a null daemon that publishes ready bytes. Latency is from the frame's time stamp to the decoded height
-map. `contact`: a ball goes in and out, all topics have a subscriber; `free`: nothing touches; `unasked`: none has.""",
+640x480 at 60 frames a second from a ring of images in memory; mosquitto and a subscriber run in separate processes.
+For comparison, a null daemon publishes prepared bytes. Latency runs from the frame's time stamp to the decoded
+height map. `contact`: a ball goes in and out, and all topics have a subscriber; `free`: nothing touches; `unasked`:
+no topic has a subscriber.""",
         ("tools.benchmarks.daemon", "--seconds", "60", "--runs", "2"),
         DAEMON,
         idle=True,
@@ -370,29 +380,29 @@ map. `contact`: a ball goes in and out, all topics have a subscriber; `free`: no
     "recording": Page(
         "A recording beside the daemon",
         """\
-The row `contact` of [the daemon](daemon.md), with the profile `fast`: without a recording, with the 10 s that
-`recorder.pre_roll_s` keeps before one, and while every frame is recorded as a folder and as MCAP.""",
+The row `contact` of [the daemon](daemon.md) with the profile `fast`: without a recording, with a pre-roll of 10 s
+(`recorder.pre_roll_s`), and while every frame is recorded as a folder and as MCAP.""",
         ("tools.benchmarks.daemon", "--record", "--profile", "fast", "--seconds", "20", "--runs", "2"),
         DAEMON,
         idle=True,
     ),
     "memory": Page(
         "Memory of the daemon",
-        "The command `run` as a service runs it, with images in a camera's place; MB, from /proc.",
+        "The command `run` as the service runs it, with images instead of a camera; MB, from /proc.",
         ("tools.benchmarks.memory",),
         DAEMON,
         idle=True,
     ),
     "runtime": Page(
         "ONNX Runtime beside OpenCV's DNN module",
-        "The shipped networks, one thread, in turns.",
+        "The shipped networks on one thread, in alternating rounds.",
         ("tools.benchmarks.runtime",),
         (*package("inference"), "tools/benchmarks/stages.py"),
         idle=True,
     ),
     "runtime-counts": Page(
         "Instructions of the networks on a board's processor, emulated",
-        "Of one run by the wheels of `systemd/requirements.lock`, on QEMU's model of a Pi 5's processor.",
+        "One run with the wheels of `systemd/requirements.lock`, on QEMU's model of a Pi 5's processor.",
         ("tools.benchmarks.runtime_counts",),
         (
             *package("inference"),
@@ -406,78 +416,80 @@ The row `contact` of [the daemon](daemon.md), with the profile `fast`: without a
         "On a board's processor, emulated",
         """\
 QEMU's model of a Pi 5's processor, with Debian's Python 3.11 and 3.13 and the wheels of `systemd/requirements.lock`.
-"Other" is against the same frames on the machine below. Instructions are counted exactly; the times are an estimate
-from them, between what such processors complete of waiting scalar code and of vector code, right to a factor of two: no
-board was measured.""",
+"Other" compares with the same frames on the machine below. Instruction counts are exact. Times are estimated from
+them, with such processors' rates for scalar code that waits and for vector code, and are right within a factor of
+two. No board was measured.""",
         ("tools.ci.run_arm",),
         (*DAEMON, "systemd/requirements.lock", "tools/ci/arm_frames.py", "tools/rig/arm64.py"),
     ),
     "arm-frame": Page(
         "Instructions of a frame on a board's processor, emulated",
         """\
-QEMU's model of a Pi 5's processor, Debian's Python 3.11, 640x480, a contact that covers a fifth of the disc. `gate` is
-all up to the contact gate (without contact: of a skin that was judged before), `depth` has objects and cloud,
-`encode` all payloads, `publish` the broker's client. Instructions are counted exactly; the times are an estimate from
-them, right to a factor of two, as on [the other page](arm.md).""",
+QEMU's model of a Pi 5's processor, Debian's Python 3.11, 640x480, a contact that covers a fifth of the disc. `gate`
+covers everything up to the contact gate (without contact: for a skin judged before), `depth` includes objects and
+cloud, `encode` all payloads, `publish` the broker's client. Instruction counts are exact; times are estimated from
+them, right within a factor of two, as on [the other page](arm.md).""",
         ("tools.ci.run_arm", "--count-only"),
         (*DAEMON, "systemd/requirements.lock", "tools/ci/arm_frames.py", "tools/ci/run_arm.py", "tools/rig/arm64.py"),
     ),
     "faults": Page(
         "Faults in real parts",
         """\
-Each row does one thing to a daemon at work: a process of its own, a real mosquitto, ptys, a small file system. Detected
-is from the fault until the daemon has told it, recovered from the fault's end until it works again, both in seconds.
-What is promised is in [reliability](../explanation/reliability.md).""",
+Each row does one thing to a daemon at work, with a separate process, a real mosquitto, ptys and a small file system.
+"Detected" is the time in seconds from the fault to the daemon's report, "recovered" from the fault's end until the
+daemon works again. [Reliability](../explanation/reliability.md) states what the daemon promises.""",
         ("tools.faults", "table"),
         FAULTS,
     ),
     "faults-damaged": Page(
         "Damaged inputs",
         """\
-Files with flipped bits, cuts, holes, words in the place of numbers, and wrong content behind right checksums, read as
-the program reads them. Told is another value with a warning in the log. Another valid value is what no reader can know,
-since these formats have no checksum, or what a right checksum was put over; never one of damage to a checked file.""",
+Files with flipped bits, cuts, holes, words instead of numbers, and wrong content behind right checksums, read as the
+program reads them. "Told" is another value with a warning in the log. "Another valid value" is damage that no reader
+can notice, because the format has no checksum or a right checksum covers the damage; it never comes from damage to a
+checked file.""",
         ("tools.faults", "damage"),
         FAULTS,
     ),
     "faults-words": Page(
         "Requests and serial lines of anything",
         """\
-In process where paho hands requests over, through a real broker, and over a pty. What the daemon opens to write is
-seen by an audit hook of Python's, what it publishes by a subscriber to everything.""",
+Requests enter in process, where paho delivers them, through a real broker, and over a pty. An audit hook in Python
+sees every file that the daemon opens for writing, and a subscriber sees everything that it publishes.""",
         ("tools.faults", "words"),
         FAULTS,
     ),
     "faults-kills": Page(
         "kill -9 at random moments",
         """\
-One daemon after the other works on the same files at the rate that requests can be made, and is killed 0 to 3 s after
-its first frame; the next goes on. Everything that was acknowledged is looked for after each kill.""",
+One daemon after another works on the same files at the highest rate of requests. Each is killed 0 to 3 s after its
+first frame, and the next continues. After each kill, the test looks for everything that the daemon acknowledged.""",
         ("tools.faults", "kills"),
         FAULTS,
     ),
     "faults-soak": Page(
         "A long run in which something is always wrong",
         """\
-60 images a second of 640x480, a broker that is restarted once a minute, a subscriber that stalls, recordings one after
-the other, a session that is filled until the map takes no more, ended, and begun anew.""",
+60 images a second of 640x480, a broker that restarts once a minute, a subscriber that stalls, one recording after
+another, and a session that is filled until the map is full, ended, and started again.""",
         ("tools.faults", "soak", "--seconds", "3600"),
         FAULTS,
     ),
     "faults-soak-hand": Page(
         "A long run of a whole hand",
         """\
-Five fingers in one command at 10 images a second each, two of them pressed, both bridges with a scraper, a viewer and
-a viewer that reads nothing, recordings in turn, and a broker that is restarted once a minute. The change of memory is
-from the least of the first half after 900 s to that of the second.""",
+Five fingers in one command at 10 images a second each, two of them pressed; both bridges with a scraper, a viewer,
+and a viewer that reads nothing; recordings in turn; a broker that restarts once a minute. The change of memory is
+from the minimum of the first half after 900 s to the minimum of the second.""",
         ("tools.faults", "soak-hand", "--seconds", "7200"),
         FAULTS,
     ),
     "extras": Page(
         "What an installation brings",
         """\
-Wheels that pip takes for Python 3.13, with their licences: the plain installation of each distribution, then what each
-extra adds to it. `fit` is PyTorch as the index has it, with CUDA; PyTorch's own index has one for processors alone.""",
+The wheels that pip takes for Python 3.13, with their licences: the plain installation of each distribution, and then
+the wheels that each extra adds. `fit` is PyTorch from PyPI, with CUDA; PyTorch's own index has a wheel for CPUs
+only.""",
         ("tools.release.extras",),
         ("pyproject.toml",),
     ),
@@ -564,16 +576,16 @@ def write(name: str, page: Page, *, busy: bool) -> str:
 
 def index() -> None:
     """Write the list of the pages that are there, of those that other commands write, and of those that are missing."""
-    rows = [f"| [{PAGES[name].title}]({name}.md) | `{name}` | `{shown(PAGES[name].command)}` |" for name in written()]
+    rows = [f"| [{PAGES[name].title}]({name}.md) | `{name}` |" for name in written()]
     others = sorted(path.stem for path in FOLDER.glob("*.md") if path.stem not in {*PAGES, "README"})
     for name in others:
         title = (FOLDER / f"{name}.md").read_text(encoding="utf-8").partition("\n")[0].removeprefix("# ")
-        rows.append(f"| [{title}]({name}.md) | | stands on the page |")
+        rows.append(f"| [{title}]({name}.md) | |")
     missing = [
         f"- `{name}`, {page.title}: `{shown(page.command)}`" for name, page in PAGES.items() if not is_there(name)
     ]
-    head = "# Results\n\nWritten by `tools/results.py`, which says the commit and the machine at the top of each page."
-    lines = [head, "", "| page | name | command |", "|---|---|---|", *rows]
+    head = "# Results\n\n`python -m tools.results NAME` writes such a page with its command, commit and machine."
+    lines = [head, "", "| page | name |", "|---|---|", *rows]
     if missing:
         lines += [
             "",

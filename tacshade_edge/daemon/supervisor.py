@@ -27,6 +27,7 @@ from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import preload
 from tacshade_edge.quoting import escaped
 from tacshade_edge.settings import Document, Hand, load_all, load_hand
+from tacshade_edge.version import installed_version
 
 _log = logging.getLogger(__name__)
 
@@ -125,6 +126,8 @@ class Supervisor:
         for part in self._sensors:
             if isinstance(part.of, Document):  # here, since each that loads it by itself has it for itself
                 preload(PROFILES.get(part.of.settings.profile, PROFILES[DEFAULT]))
+        "localhost".encode("idna")  # what finds a broker by name; 2 MB with its tables
+        installed_version()
         gc.collect()
         gc.freeze()  # the collector would write to every page, and so copy it
 

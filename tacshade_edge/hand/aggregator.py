@@ -12,7 +12,7 @@ from tacshade_edge.reasons import Reason, ReasonCode
 
 GATHER_NS: Final = 3_000_000
 """News of one finger waits at most so long for that of the others in contact, whose cameras do not expose together, and
-so long at least after the message before."""
+not at all for one whose next frame is due later; so long at least after the message before."""
 QUIET_PERIOD_NS: Final = 100_000_000
 """Between two messages at most: without contact and change."""
 FIRST_NS: Final = 500_000_000
@@ -30,6 +30,7 @@ class HandAggregator:
     def __init__(self, names: Sequence[str]) -> None:
         self._fingers = dict.fromkeys(names, _STARTING)
         self._heard_ns: dict[str, int | None] = dict.fromkeys(names)
+        self._period_ns = dict.fromkeys(names, 0)  # between the latest two reports
         self._listened_ns: int | None = None
         self._published_ns = 0
         self._news: set[str] = set()
@@ -51,6 +52,7 @@ class HandAggregator:
     def hear(self, name: str, finger: Finger, now_ns: int) -> None:
         """Take what a finger reports."""
         before = self._fingers[name]
+        self._period_ns[name] = now_ns - (self._heard_ns[name] or now_ns)
         self._fingers[name], self._heard_ns[name] = finger, now_ns
         if finger.state == "contact" or finger.state != before.state:
             self._news_ns = self._news_ns if self._news else now_ns
@@ -65,9 +67,14 @@ class HandAggregator:
             return since_ns + FIRST_NS
         if not self._news:
             return self._published_ns + QUIET_PERIOD_NS if self._published_ns else since_ns
-        touching = {name for name, finger in self._fingers.items() if finger.state == "contact"}
-        gathered_ns = self._news_ns if touching <= self._news else self._news_ns + GATHER_NS
-        return max(gathered_ns, self._published_ns + GATHER_NS)
+        until_ns = self._news_ns + GATHER_NS
+        waits = any(
+            finger.state == "contact"
+            and name not in self._news
+            and (self._heard_ns[name] or 0) + self._period_ns[name] <= until_ns
+            for name, finger in self._fingers.items()
+        )
+        return max(until_ns if waits else self._news_ns, self._published_ns + GATHER_NS)
 
     def message(self, now_ns: int, wall_ns: int) -> HandObjects:
         """The next message."""

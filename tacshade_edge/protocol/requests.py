@@ -17,6 +17,7 @@ Transaction = Annotated[str, msgspec.Meta(max_length=128)] | Annotated[int, msgs
 REQUEST_BYTES_MAX: Final = 4096
 RECORD_S_MAX: Final = 3600  # 40 GB of grey 640x480 at 60 per second
 RECORD_NAME: Final = r"\A[A-Za-z0-9_-][A-Za-z0-9._-]{0,63}\Z"
+"""Also of a stitching session: each has a folder of its name."""
 RECORD_NAME_RULE: Final = "up to 64 letters, digits, '.', '_' and '-', not starting with '.'"
 _ERROR_CHARS_MAX: Final = 200
 
@@ -48,7 +49,7 @@ class _RecordMark(_Body, tag_field="action", tag="mark"):
 
 class _Stitch(_Body):
     action: StitchAction
-    name: Annotated[str, msgspec.Meta(min_length=1, max_length=128)] | None = None
+    name: Annotated[str, msgspec.Meta(pattern=RECORD_NAME)] | None = None
 
     def __post_init__(self) -> None:
         if self.name is not None and self.action != "begin":
@@ -79,7 +80,8 @@ _KEYS: Final[dict[Verb, str]] = {
     "profile": '"profile": NAME, ',
     "record": f'"action": "start", "seconds": NUMBER up to {RECORD_S_MAX}, "name": {RECORD_NAME_RULE} (optional), '
     '"format": "folder" or "mcap" (optional), or "action": "mark", "text": TEXT (optional), or "action": "stop", ',
-    "stitch": '"action": "begin", "name": TEXT (optional), or "action": "add", "end", "abort" or "status", ',
+    "stitch": f'"action": "begin", "name": {RECORD_NAME_RULE} (optional), or "action": "add", "end", "abort" or '
+    '"status", ',
     "replay": '"paused": true or false, "step": true, "back": true, "seek_s": NUMBER, "speed": 0.01 to 100 '
     "(each optional), ",
 }

@@ -42,6 +42,15 @@ def test_the_broker_carries_full_size_maps_and_keeps_retained_ones(
     assert child.output.count("\n") < 30  # not a line for every message
 
 
+def test_mosquitto_is_set_as_a_users_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shutil, "which", lambda *_, **__: "mosquitto")
+    broker_command(tmp_path, 1883)
+    settings = (tmp_path / "mosquitto.conf").read_text().splitlines()
+    drop_in = Path("systemd/mosquitto-tacshade.conf").read_text().splitlines()
+    for line in filter(None, drop_in):
+        assert line.startswith("#") or line in settings
+
+
 def test_without_any_broker_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shutil, "which", lambda *_, **__: None)
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)

@@ -68,7 +68,6 @@ def test_every_example_is_one_of_these() -> None:
         "A recording",
         "A hand",
         "Messages and files, decoded",
-        "From a cell to millimetres",
     ]
     assert TEXT.count("```python") == len(EXAMPLES)
     assert len(EXAMPLES["An image to a picture"].split("\n\n")[1].splitlines()) + 2 <= 10
@@ -124,9 +123,17 @@ def test_messages_and_files(made: Path, monkeypatch: pytest.MonkeyPatch, capsys:
     assert float(said[4][5]) == 0 < float(said[5][5])
 
 
-def test_a_cell(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    names = run("From a cell to millimetres", made, monkeypatch)
-    np.testing.assert_allclose(names["xyz_mm"], names["r"].skin_mm(), atol=1e-3)
+def test_the_formula_from_a_cell_to_millimetres(made: Path) -> None:
+    """The page's equation, with its names."""
+    r = ts.load(made / "cal.npz").reconstruct(made / "press.png")
+    g, d = r.geometry, r.geometry.camera_distance_mm
+    assert d is not None
+    i, j = np.indices(r.height_mm.shape)
+    u = (r.col0 + j * r.step_px - g.disc.col_c) / g.f_px
+    v = (r.row0 + i * r.step_px - g.disc.row_c) / g.f_px
+    k = 1 + u**2 + v**2
+    s = (d + np.sqrt(k * (g.skin_radius_mm - r.height_mm) ** 2 - d**2 * (u**2 + v**2))) / k
+    np.testing.assert_allclose(np.stack((s * u, s * v, s - d), axis=-1), r.skin_mm(), atol=1e-3)
 
 
 def test_the_marked_keys_are_those_that_the_command_writes(made: Path, tmp_path: Path) -> None:

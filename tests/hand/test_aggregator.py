@@ -84,6 +84,25 @@ def test_news_waits_for_the_other_fingers_in_contact_and_not_for_long(two: HandA
     assert two.due_ns() == later_ns + 19_000_000
 
 
+def test_news_does_not_wait_for_a_finger_whose_next_frame_is_due_too_late(two: HandAggregator) -> None:
+    period_ns = 16_000_000
+    for frame in range(3):
+        for name, phase_ns in (("thumb", 0), ("index", 8_000_000)):
+            two.hear(name, TOUCHED, NOW_NS + frame * period_ns + phase_ns)
+    last_ns = NOW_NS + 2 * period_ns + 8_000_000
+    two.message(last_ns, 0)
+    two.hear("thumb", TOUCHED, NOW_NS + 3 * period_ns)
+    assert two.due_ns() == NOW_NS + 3 * period_ns
+    two.message(NOW_NS + 3 * period_ns, 0)
+    early_ns = last_ns + period_ns - 2_000_000  # the index is expected 2 ms later
+    two.hear("thumb", TOUCHED, early_ns)
+    assert two.due_ns() == early_ns + GATHER_NS
+    overdue_ns = last_ns + period_ns + 2_000_000
+    two.message(early_ns, 0)
+    two.hear("thumb", TOUCHED, overdue_ns)
+    assert two.due_ns() == overdue_ns + GATHER_NS
+
+
 def test_a_contact_that_is_told_is_no_news_until_its_next_frame(two: HandAggregator) -> None:
     two.hear("thumb", TOUCHED, NOW_NS)
     assert two.message(NOW_NS, 0).seq == 0

@@ -1,6 +1,7 @@
 """The iteration of `core.image.total_variation` in int16: half the memory to move, twice the pixels at a time.
 
-Not the same bits, but the same iteration: numerics.md has how far from float64 it is after equally many.
+The bits differ, the iteration does not: tests/tools/studies/test_total_variation_int16.py bounds its distance from
+float64 after equally many.
 
 Formats, in grey levels (an image of 0 to 1 has 255 of them), with f fraction bits (`fraction_bits`) and W = 255 weight,
 which no p is longer than:

@@ -219,7 +219,7 @@ class Reconstruct:
         for see in self._sees:
             see(seen)
         usable = made is None or made.valid
-        self._look_every = LOOK_EVERY if need is Need.CONTACT and usable else 1
+        self._look_every = LOOK_EVERY if usable else 1
         timer.mark("deliver")
         timer.ms["latency"] = (timer.last_ns - frame.t_ns) / 1e6
         self._timings.add(timer.ms)

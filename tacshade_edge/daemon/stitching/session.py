@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import time
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import numpy as np
 from tacshade_edge.core.stitching.press_points import PressPoints
 from tacshade_edge.core.stitching.stitcher import Stitcher
 from tacshade_edge.daemon.stitching.map_revision import MapRevision
+from tacshade_edge.protocol.requests import RECORD_NAME, RECORD_NAME_RULE
 from tacshade_edge.protocol.results import PressAdded, SessionAborted, SessionBegun, SessionEnded, SessionStatus
 from tacshade_edge.quoting import quoted
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -19,8 +21,6 @@ from tacshade_edge.storage.atomic_files import disk_errors
 from tacshade_edge.storage.stitching.map_files import press_record, write_map
 from tacshade_edge.storage.stitching.stitch_file import SessionInfo, StitchFile, open_session
 from tacshade_edge.types import Calibration
-
-_NAME_MAX = 64
 
 
 class RefusedError(Exception):
@@ -63,9 +63,8 @@ class Session:
             The folder cannot be written.
         """
         name = name or time.strftime("%Y%m%d-%H%M%S", time.gmtime())
-        if len(name) > _NAME_MAX or name.startswith(".") or not all(map(_is_name_character, name)):
-            text = f"found {quoted(name)}, expected at most {_NAME_MAX} letters, digits, . _ -"
-            raise RefusedError(ReasonCode.BAD_NAME, text)
+        if not re.match(RECORD_NAME, name):
+            raise RefusedError(ReasonCode.BAD_NAME, f"found {quoted(name)}, expected {RECORD_NAME_RULE}")
         with disk_errors(folder):
             exists = (folder / name).exists()
         if exists:
@@ -190,7 +189,3 @@ class Session:
     def close(self) -> None:
         """Close the file; the session stays open on the disk."""
         self._file.close()
-
-
-def _is_name_character(c: str) -> bool:
-    return (c.isascii() and c.isalnum()) or c in "._-"

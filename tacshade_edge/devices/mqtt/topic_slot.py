@@ -47,7 +47,7 @@ class TopicSlot:
     probed_ns : int or None
         When the latest message that asks for its listeners was sent, CLOCK_MONOTONIC; None for none.
     no_listener : bool
-        The broker's answer to it was that there are none.
+        The broker's latest answer was that there are none.
     refused : bool or None
         The broker's latest answer was that it does not take it; None before the first of a connection.
     """
@@ -75,10 +75,10 @@ class TopicSlot:
         return self.probed_ns is None or now_ns // PROBE_PERIOD_NS != self.probed_ns // PROBE_PERIOD_NS
 
     def next_qos(self, now_ns: int) -> int:
-        """QoS of the message that is sent now: 1 where it asks. Until the answer comes there may be listeners."""
+        """QoS of the message that is sent now: 1 where it asks. Until the answer comes the one before holds."""
         if self.retain or not self.probe_due(now_ns):
             return self.qos
-        self.probed_ns, self.no_listener = now_ns, False
+        self.probed_ns = now_ns
         return 1
 
     def put(self, item: Item) -> Item | None:
