@@ -234,7 +234,7 @@ class Listener(Iterator[Message]):
         now_s = time.monotonic()
         if now_s >= self._next_line_s:
             self._next_line_s = now_s + _LOG_PERIOD_S
-            _log.warning("%s: %s (%d refused so far)", self._where, error, self.refused)
+            _log.warning("%s: %s (%d messages rejected so far)", self._where, error, self.refused)
 
     def _fail(self, text: str, code: ReasonCode) -> None:
         """Of the first connection it is raised, later it is logged, once until something changes."""
@@ -249,7 +249,7 @@ class Listener(Iterator[Message]):
 
     def _on_connect(self, _client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
         if code.is_failure:
-            self._fail(f"refused: {code}", ReasonCode.REFUSED)
+            self._fail(f"rejects the connection: {code}", ReasonCode.REFUSED)
             return
         with self._came:
             self._connected = True
@@ -269,7 +269,7 @@ class Listener(Iterator[Message]):
 
     def _on_subscribe(self, _client: Client, _userdata: Any, _mid: int, codes: list[MqttCode], _p: Any) -> None:
         if refused := next((code for code in codes if code.is_failure), None):
-            self._fail(f"subscription refused: {refused}", ReasonCode.REFUSED)
+            self._fail(f"rejects a subscription: {refused}", ReasonCode.REFUSED)
             return
         with self._came:
             if self._subscribed and self._failure is not None:

@@ -72,7 +72,7 @@ def decode_message(topic: str, payload: bytes, *, retained: bool = False) -> Mes
     parts = _OF_HANDS if name.startswith("hand/") else _OF_SENSORS
     decoder = parts.get(part) or parts.get(f"{part.partition('/')[0]}/")
     if decoder is None:
-        raise DecodeError(f"topic {shown(topic)}: expected one that docs/reference/mqtt.md has")
+        raise DecodeError(f"topic {shown(topic)}: expected one that docs/reference/mqtt.md lists")
     return Message(name, part, decoder(part, payload), retained)
 
 
@@ -97,7 +97,7 @@ def skin_mm(height: HeightMessage, geometry: InfoGeometry) -> F32:
     """
     if height.calibration_crc32 != geometry.calibration_crc32:
         found = f"{height.calibration_crc32:08x}, expected {geometry.calibration_crc32:08x} as in info"
-        raise DecodeError(f"height: calibration {found}")
+        raise DecodeError(f"height: found calibration {found}")
     rows, cols = height.height_mm.shape
     grid = Grid(rows, cols, height.row0, height.col0, height.step_px)
     return skin_points(height.height_mm, disc_rays(grid, geometry.geometry), geometry.geometry)
@@ -119,7 +119,7 @@ def _json(decoder: Callable[[bytes], Any]) -> Callable[[str, bytes], Any]:
 
 def _preview(_part: str, payload: bytes) -> bytes:
     if len(payload) > _PREVIEW_BYTES_MAX or not payload.startswith(_JPEG):
-        raise DecodeError(f"preview: {len(payload)} bytes, expected a JPEG of at most {_PREVIEW_BYTES_MAX}")
+        raise DecodeError(f"preview: found {len(payload)} bytes, expected a JPEG of at most {_PREVIEW_BYTES_MAX}")
     return payload
 
 

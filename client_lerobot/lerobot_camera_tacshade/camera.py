@@ -136,7 +136,7 @@ class TacShadeCamera(Camera):
         self._check()
         with self._came:
             if self._latest is None:
-                raise RuntimeError(f"{self}: no picture has come yet")
+                raise RuntimeError(f"{self}: no picture has arrived yet")
             if (age_ms := 1000 * (time.monotonic() - self._latest_s)) > max_age_ms:
                 raise TimeoutError(f"{self}: the newest picture is {age_ms:.0f} ms old, more than {max_age_ms}")
             return self._latest

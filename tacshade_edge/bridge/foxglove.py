@@ -127,7 +127,9 @@ class _Sensor:
                 self._keep("map", lambda: made.cloud(cloud, self._id, "base"))
             case "preview":
                 if len(payload) > _PREVIEW_BYTES_MAX or not payload.startswith(_JPEG):
-                    raise DecodeError(f"preview: {len(payload)} bytes, expected a JPEG of at most {_PREVIEW_BYTES_MAX}")
+                    raise DecodeError(
+                        f"preview: found {len(payload)} bytes, expected a JPEG of at most {_PREVIEW_BYTES_MAX}"
+                    )
                 self._send("preview", lambda: made.picture(payload, self._id, now_ns))
             case "contact":
                 decode_contact(payload)
@@ -151,10 +153,12 @@ class _Sensor:
     def _height(self, payload: bytes) -> None:
         message = wire.decode(payload)
         if not isinstance(message, HeightMessage):
-            raise DecodeError("height: found a different kind of payload")
+            raise DecodeError("height: found another kind of payload, expected a height map")
         known = self._info.geometry
         if known is not None and (message.height_mm > known.skin_radius_mm).any():
-            raise DecodeError(f"height: found more than the skin's radius of {known.skin_radius_mm:g} mm")
+            raise DecodeError(
+                f"height: found a height above {known.skin_radius_mm:g} mm, expected at most the skin's radius"
+            )
         self._send("height", lambda: made.image(message, self._id))
         self._pose(message)
         if message.contact and 0 <= message.t_ns - self._skin_ns < SKIN_PERIOD_NS:
@@ -168,7 +172,7 @@ class _Sensor:
     def _cloud(self, payload: bytes) -> CloudMessage:
         message = wire.decode(payload)
         if not isinstance(message, CloudMessage):
-            raise DecodeError("cloud: found a different kind of payload")
+            raise DecodeError("cloud: found another kind of payload, expected a point cloud")
         return message
 
     def _pose(self, message: HeightMessage | CloudMessage) -> None:
@@ -191,7 +195,7 @@ class _Sensor:
         one = message()
         payload: bytes = one if isinstance(one, bytes) else one.encode()
         if len(payload) > MESSAGE_BYTES_MAX:
-            raise DecodeError(f"{name}: {len(payload)} bytes, expected at most {MESSAGE_BYTES_MAX} for a viewer")
+            raise DecodeError(f"{name}: found {len(payload)} bytes, expected at most {MESSAGE_BYTES_MAX} for a viewer")
         self._viewers.send(channel, payload, slot)
 
 
@@ -248,7 +252,9 @@ class FoxgloveBridge:
             self._viewers = Viewers(host, port, self._changed.set)
         except OSError as error:
             reason = error.strerror or error
-            raise ConfigError(f"--listen {host}:{port}: {reason}, expected an address to listen on") from None
+            raise ConfigError(
+                f"--listen {host}:{port}: {reason}, expected a free port on an address of this machine"
+            ) from None
         self.port = self._viewers.port
 
     def stop(self) -> None:
@@ -289,7 +295,7 @@ class FoxgloveBridge:
     def _hear_info(self, sensor_id: str, info: Info) -> None:
         known = self._roster.of(sensor_id, 1 + (info.geometry is not None))
         if known is None:
-            self._refusals.add("no_room", sensor_id, f"one sensor more than the {KNOWN_MAX} that are known")
+            self._refusals.add("no_room", sensor_id, f"ignoring this sensor: {KNOWN_MAX} are already known, the limit")
             return
         known.info = info
         if known.shown is not None:
@@ -308,7 +314,7 @@ class FoxgloveBridge:
             if known.shown is not None and sensor_id not in best:
                 known.close()
                 _log.warning(
-                    "%s is no longer shown: the limit is %d sensors, and others have more to show",
+                    "no longer showing %s: the limit is %d sensors, and others publish more",
                     sensor_id,
                     SENSORS_MAX,
                 )
@@ -316,5 +322,5 @@ class FoxgloveBridge:
             if known.shown is None and sensor_id in best and known.info is not None:
                 known.shown = _Sensor(sensor_id, self._viewers)
                 known.shown.place(known.info)
-                _log.info("%s is there", sensor_id)
+                _log.info("showing %s", sensor_id)
                 self._changed.set()

@@ -78,16 +78,20 @@ class SensorMetrics:
             refused = dict(self._refusals.counts)
             fresh = {name: sensor.health for name, sensor in sensors if sensor.health and self._is_alive(sensor)}
         up = GaugeMetricFamily(
-            "tacshade_up", "1 while the daemon lives and publishes its health; of none that stopped", labels=["sensor"]
+            "tacshade_up",
+            "1 while the daemon runs and publishes its health; absent once it has stopped",
+            labels=["sensor"],
         )
-        state = GaugeMetricFamily("tacshade_state", "1 for the present state", labels=["sensor", "state"])
+        state = GaugeMetricFamily("tacshade_state", "1 for the current state", labels=["sensor", "state"])
         for name, sensor in sensors:
             # What never published a health is a replay's results; what stopped did so on purpose.
             if sensor.has_health and sensor.state != "stopped":
                 up.add_metric([name], float(name in fresh))
             for one in STATES if sensor.state else ():
                 state.add_metric([name, one], float(sensor.state == one))
-        family = CounterMetricFamily("tacshade_bridge_refused", "Messages that were left out, by why", labels=["why"])
+        family = CounterMetricFamily(
+            "tacshade_bridge_refused", "Messages that the bridge left out, by reason", labels=["why"]
+        )
         for why, count in refused.items():
             family.add_metric([why], count)
         yield from (up, state, family)
@@ -110,7 +114,9 @@ class SensorMetrics:
     def _held(self, sensor_id: str, rank: int) -> _Sensor | None:
         sensor = self._sensors.of(sensor_id, rank)
         if sensor is None:
-            self._refusals.add("no_room", sensor_id, f"one sensor more than the {SENSORS_MAX} that are reported on")
+            self._refusals.add(
+                "no_room", sensor_id, f"ignoring this sensor: {SENSORS_MAX} are already reported, the limit"
+            )
         return sensor
 
     def _is_alive(self, sensor: _Sensor) -> bool:
@@ -172,27 +178,25 @@ def _of_health(fresh: dict[str, Health]) -> Iterator[Metric]:
                     family.add_metric([sensor_id, key], count)
         return family
 
-    yield gauge("tacshade_uptime_seconds", "Since the daemon's start", "uptime_s")
-    yield gauge("tacshade_capture_fps", "Frames per second that arrived", "capture_fps")
+    yield gauge("tacshade_uptime_seconds", "Time since the daemon started", "uptime_s")
+    yield gauge("tacshade_capture_fps", "Frames per second that the camera delivered", "capture_fps")
     yield gauge("tacshade_delivered_fps", "Frames per second that ended as they should", "delivered_fps")
     yield gauge("tacshade_published_fps", "Frames per second that were published", "published_fps")
     # Not `captured`, their sum; `pending` is no outcome yet, and falls again.
-    family = CounterMetricFamily(
-        "tacshade_frames", "Captured frames, by what became of them", labels=["sensor", "outcome"]
-    )
-    waiting = GaugeMetricFamily("tacshade_frames_pending", "Frames on their way", labels=["sensor"])
+    family = CounterMetricFamily("tacshade_frames", "Captured frames, by outcome", labels=["sensor", "outcome"])
+    waiting = GaugeMetricFamily("tacshade_frames_pending", "Frames in progress", labels=["sensor"])
     lost = CounterMetricFamily("tacshade_source_dropped", "Frames that never reached the daemon", labels=["sensor"])
     latency = GaugeMetricFamily(
         "tacshade_latency_seconds",
-        "From a frame's time stamp until offered, latest 512",
+        "From a frame's time stamp until its result goes to the broker, latest 512 frames",
         labels=["sensor", "percentile"],
     )
     stages = GaugeMetricFamily(
-        "tacshade_stage_seconds", "Time of a stage, latest 512 frames", labels=["sensor", "stage", "percentile"]
+        "tacshade_stage_seconds", "Time that a stage takes, latest 512 frames", labels=["sensor", "stage", "percentile"]
     )
     reasons = GaugeMetricFamily(
         "tacshade_reason",
-        "1 for why the latest frame is invalid or degraded",
+        "1 for the reason why the latest frame is invalid or degraded",
         labels=["sensor", "about", "reason_code"],
     )
     for sensor_id, health in fresh.items():
@@ -211,5 +215,7 @@ def _of_health(fresh: dict[str, Health]) -> Iterator[Metric]:
             if code:
                 reasons.add_metric([sensor_id, about, code], 1.0)
     yield from (family, waiting, lost, latency, stages, reasons)
-    yield counters("tacshade_mqtt", "What became of messages to the broker", "what", "mqtt")
-    yield counters("tacshade_recorder_frames", "Frames of recordings", "what", "recorder", but=("waiting", "pre_roll"))
+    yield counters("tacshade_mqtt", "Messages to the broker, by outcome", "what", "mqtt")
+    yield counters(
+        "tacshade_recorder_frames", "Frames for recordings, by outcome", "what", "recorder", but=("waiting", "pre_roll")
+    )

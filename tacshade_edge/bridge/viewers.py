@@ -264,8 +264,8 @@ class Viewers:
                 viewer.wake.set()
                 self._viewers.append(viewer)
         if full:
-            _log.warning("a viewer was turned away: %d are connected, the maximum", VIEWERS_MAX)
-            await socket.close(_TRY_AGAIN, f"{VIEWERS_MAX} viewers are connected, the maximum")
+            _log.warning("turned a viewer away because %d are already connected (the limit)", VIEWERS_MAX)
+            await socket.close(_TRY_AGAIN, f"{VIEWERS_MAX} viewers are already connected, the limit")
             return
         sending = asyncio.ensure_future(self._send_all(viewer))
         try:
@@ -279,7 +279,7 @@ class Viewers:
                 self.passed_over += viewer.passed_over
             sending.cancel()
             if viewer.passed_over:
-                _log.info("a viewer has left that was too slow for %d messages", viewer.passed_over)
+                _log.info("a viewer left; it was too slow for %d messages", viewer.passed_over)
             self._on_change()
 
     async def _send_all(self, viewer: _Viewer) -> None:
@@ -292,7 +292,7 @@ class Viewers:
                         async with asyncio.timeout(_STALL_S):
                             await viewer.socket.send(message)
                     except TimeoutError:
-                        _log.warning("a viewer that read nothing for %.0f s was closed", _STALL_S)
+                        _log.warning("closed a viewer that read nothing for %.0f s", _STALL_S)
                         viewer.socket.transport.abort()
                         return
 

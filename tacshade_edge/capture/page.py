@@ -91,7 +91,7 @@ class Shown:
     """What the page shows: a JPEG, a text, and the picture's rows and columns."""
 
     picture: bytes = b""
-    text: str = "the camera has given no picture yet"
+    text: str = "the camera has delivered no picture yet"
     shape: tuple[int, int] = (0, 0)
 
 
@@ -192,7 +192,7 @@ class _Handler(BaseHTTPRequestHandler):
         except ConfigError as error:
             return 400, str(error)
         self.page.chosen.append(chosen)
-        return 200, "the three points are taken" if chosen.circle else "the circle that is found is taken again"
+        return 200, "using your three points" if chosen.circle else "using the circle found in the picture again"
 
     def _is_ours(self) -> bool:
         return self.headers.get("Host", "").partition(":")[0].lower() in _HOSTS

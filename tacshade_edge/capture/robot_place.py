@@ -59,8 +59,8 @@ class RobotPlaces:
         """What PRESSES.csv has of a press of a learnt indenter. Raises ConfigError."""
         fixed, held = self._fixed[name], self._base_T_sensor(frame)
         if name[0] != BALL and (turned_deg := fixed.turned_deg(held)) > _TURN_MOST_DEG:
-            expected = f"expected {_TURN_MOST_DEG} at most for any shape but a ball"
-            raise ConfigError(f"the robot turned the sensor by {turned_deg:.1f} degrees since that press, {expected}")
+            expected = f"expected at most {_TURN_MOST_DEG} for any shape but a ball"
+            raise ConfigError(f"found the sensor turned by {turned_deg:.1f} degrees since that press, {expected}")
         try:
             touch = fixed.touch(held, self._skin_radius_mm)
         except ValueError as error:

@@ -35,16 +35,16 @@ from tacshade_edge.types import U8, Calibration, Frame
 REFERENCES = STILL_FRAMES
 REFERENCES_S = 3.0
 
-_HELP = """  Set the press and hold it, then type what it is and press Enter; the picture is taken when it stands still:
-    ball RADIUS_MM DEPTH_MM X_MM Y_MM    a ball; without X_MM Y_MM its place is found in the picture
+_HELP = """  Press the indenter in and hold it, type what it is, then Enter; the picture is taken once it stands still:
+    ball RADIUS_MM DEPTH_MM X_MM Y_MM    a ball; without X_MM Y_MM the picture gives its place
     NAME DEPTH_MM X_MM Y_MM              an indenter of INDENTERS.yaml
     DEPTH_MM X_MM Y_MM                   the same indenter as before
-    ball RADIUS_MM, or NAME              depth and place from the robot, once a press of it was typed
-  Enter alone takes the press that is offered in brackets.
-    undo [NUMBER]   take back the last press, or that one, and offer it again
-    skip            leave out the planned press that is offered
+    ball RADIUS_MM, or NAME              depth and place from the robot, once you have typed one press with it
+  Enter alone takes the press suggested in brackets.
+    undo [NUMBER]   remove the last press, or that one, and suggest it again
+    skip            leave out the suggested press of the plan
     references      take the references again
-    look            the camera's figures, now
+    look            print the camera's current figures
     done            end"""
 
 
@@ -165,25 +165,25 @@ class Session:
         try:
             unloaded = self._unloaded(images)
         except ConfigError as error:
-            self._terminal.say(f"the references of this folder cannot be used: {error}")
+            self._terminal.say(f"cannot use this folder's references: {error}")
             return None
-        self._terminal.say(f"{len(images)} references and {len(self._taken)} presses are already here")
+        self._terminal.say(f"this folder already has {len(images)} references and {len(self._taken)} presses")
         return unloaded
 
     def _take_references(self) -> Calibration:
         while True:
             self._live.ask(
-                f"Turn lens and light until disc, focus and contrast are good. Nothing may touch the skin: Enter takes "
-                f"{REFERENCES} references.",
+                f"Adjust lens and light until disc, focus and contrast are good. Make sure that nothing touches the "
+                f"skin; Enter takes {REFERENCES} references.",
                 with_figures=True,
             )
             images = [np.array(frame.image) for frame in self._live.frames(REFERENCES, REFERENCES_S)]
             try:
                 unloaded = self._unloaded(images)
             except ConfigError as error:
-                self._terminal.say(f"  refused: {error}")
+                self._terminal.say(f"  rejected: {error}")
                 if not self._live.has_circle:
-                    self._terminal.say("  to set the circle, click three points on the dome's rim in the page")
+                    self._terminal.say("  to set the circle, click three points on the dome's rim on the page")
                 continue
             self._folder.write_references(images)
             self._terminal.say(f"  {REFERENCES} references, noise {unloaded.noise_grey:.2f} grey levels")
@@ -193,8 +193,8 @@ class Session:
         """What the references show. Raises ConfigError when they can be none."""
         rest_grey = motion_grey([block_means(to_grey(image)) for image in images])
         if rest_grey > REST_MOST_GREY:
-            found = f"found {rest_grey:.1f} grey levels of change, expected {REST_MOST_GREY:g} at most"
-            raise ConfigError(f"the picture moves, or is too noisy: {found}")
+            found = f"found {rest_grey:.1f} grey levels of change, expected at most {REST_MOST_GREY:g}"
+            raise ConfigError(f"the picture moves or is too noisy: {found}")
         self._circle = self._live.circle
         result = calibrate(replace(self._sensor, visible_circle=self._circle), images)
         for warning in result.warnings:
@@ -205,12 +205,12 @@ class Session:
     def _prompt(self) -> str:
         number = f"press {next_number(self._taken)}"
         if offer := self._offer():
-            left = f", {len(self._left())} planned are left" if self._plan else ""
+            left = f", {len(self._left())} planned presses left" if self._plan else ""
             return f"{number}{left} [{offer.press}]:"
         if name := self._at_robot():
             return f"{number} [{' '.join(name).strip()}, where the robot holds it]:"
         if self._plan:
-            return f"all planned presses have been taken; {number}, or done:"
+            return f"all planned presses are taken; {number}, or done:"
         return f"{number} (ball RADIUS_MM DEPTH_MM X_MM Y_MM, undo, done, help):"
 
     def _left(self) -> list[Stated]:
@@ -255,11 +255,11 @@ class Session:
         try:
             asked = self._asked(words)
         except ConfigError as error:
-            self._terminal.say(f"  {error} (help says how)")
+            self._terminal.say(f"  {error} (type help)")
             return
         frame = self._live.still_frame()
         if frame is None:
-            self._terminal.say("  cancelled: nothing was taken")
+            self._terminal.say("  cancelled: took no picture")
             return
         try:
             press = asked if isinstance(asked, Stated) else self._stated_by_robot(asked, frame)
@@ -272,7 +272,7 @@ class Session:
             return
         self._taken_back = None
         if self._robot and press is asked and (unknown := self._robot.learn(press.columns, frame)):
-            self._terminal.say(f"  the robot's poses cannot give the next place: {unknown}")
+            self._terminal.say(f"  cannot find the next place from the robot's poses: {unknown}")
         self._advise(check)
 
     def _advise(self, check: PressCheck) -> None:
@@ -333,7 +333,7 @@ class Session:
 def _refusal(judged: Judgement) -> str:
     """Why `calibrate` would leave a press out; empty when it would not."""
     if judged.unusable:
-        return f"the picture cannot be used: {judged.unusable}"
+        return f"the picture is unusable: {judged.unusable}"
     if judged.moved:
-        return f"{judged.moved} since the references were taken: fix the camera and take the references again"
+        return f"{judged.moved} since the references were taken: fasten the camera and take the references again"
     return "" if judged.in_contact else "nothing touches the skin in the picture"

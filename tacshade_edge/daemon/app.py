@@ -218,7 +218,7 @@ class App:
             elif isinstance(event, SourceState):
                 self._camera = event
                 if event.state == "ended":
-                    _log.info("source ended")
+                    _log.info("the source has ended")
                     self._recorder.end(SOURCE_ENDED)
                     return
 
@@ -228,7 +228,7 @@ class App:
         try:
             new = reload(self._document, calibrated=self._missing() is None)
         except ConfigError as error:
-            note: Reason | None = Reason(error.code, f"reload rejected, the running settings stay in use: {error}")
+            note: Reason | None = Reason(error.code, f"rejected the reload; the running settings stay in use: {error}")
             _log.warning("%s", note)
             if self._missing():
                 self._active.use(Reason(ReasonCode.NOT_CALIBRATED, f"not calibrated: {error}"))
@@ -285,13 +285,13 @@ class App:
         """Those that are still on their way then."""
         given_up = self.ledger.close(timeout_s)
         if given_up:
-            _log.warning("%d frames could not be sent before the daemon stopped", given_up)
+            _log.warning("stopped before %d frames could be sent", given_up)
 
     # What other threads call: count or enqueue, nothing else.
 
     def _on_request(self, request: Request) -> None:
         if self._events.qsize() >= EVENTS_MAX:
-            self._reply(request, Reason(ReasonCode.BUSY, f"busy: {EVENTS_MAX} requests are waiting, try again"))
+            self._reply(request, Reason(ReasonCode.BUSY, f"busy: {EVENTS_MAX} requests are already waiting; try again"))
         else:
             self._events.put(request)
 

@@ -75,7 +75,7 @@ class Requests(FrameObserver):
         if request.verb == "status":
             self._reply(request, self._status())
         elif request.verb == "replay":  # of `replay --play` only
-            self._refuse(request, Reason(ReasonCode.UNAVAILABLE, "found no recording being played here"))
+            self._refuse(request, Reason(ReasonCode.UNAVAILABLE, "this daemon plays no recording"))
         elif isinstance(reconstructor, Reason):
             self._refuse(request, reconstructor)
         elif request.verb == "record":
@@ -83,7 +83,7 @@ class Requests(FrameObserver):
         elif request.verb in self._others:
             self._others[request.verb](request)
         elif request.verb == "stitch":
-            text = "found no poses, expected `serial` in the settings, or a folder with poses as source"
+            text = "found no poses, expected `serial` in the settings or a folder with poses as the source"
             self._refuse(request, Reason(ReasonCode.UNAVAILABLE, text))
         elif request.verb == "profile":
             self._set_profile(request)
@@ -106,7 +106,7 @@ class Requests(FrameObserver):
         request, deadline_s = self._reference
         if self._taken is None and time.monotonic() < deadline_s:
             return
-        late = Reason(ReasonCode.TIMEOUT, f"fewer than {REFERENCE_FRAMES} frames in {REFERENCE_TIMEOUT_S:.0f} s")
+        late = Reason(ReasonCode.TIMEOUT, f"fewer than {REFERENCE_FRAMES} frames within {REFERENCE_TIMEOUT_S:.0f} s")
         taken = self._taken or late
         self._collector = self._reference = self._taken = None
         if isinstance(taken, Reason):
@@ -124,12 +124,12 @@ class Requests(FrameObserver):
             return
         self._active.choose(request.profile)
         self._changed()
-        _log.info("profile is now %s", request.profile)
+        _log.info("using profile %s", request.profile)
         self._reply(request, ProfileChosen(self._active.name))
 
     def _take_reference(self, request: Request) -> None:
         if self._reference is not None:
-            self._refuse(request, Reason(ReasonCode.BUSY, "busy: a reference is being taken"))
+            self._refuse(request, Reason(ReasonCode.BUSY, "busy: already taking a reference"))
             return
         self._reference = request, time.monotonic() + REFERENCE_TIMEOUT_S
         self._collector = ReferenceCollector(self._on_taken)
@@ -148,5 +148,5 @@ class Requests(FrameObserver):
         self._reply(request, taken)
 
     def _refuse(self, request: Request, reason: Reason) -> None:
-        _log.info("req/%s refused: %s", request.verb, reason)
+        _log.info("rejected req/%s: %s", request.verb, reason)
         self._reply(request, reason)

@@ -180,7 +180,7 @@ class Supervisor:
             try:
                 part.pid = os.fork()
             except OSError as error:
-                self._start_again(part, f"its process cannot be started: {os.strerror(error.errno or 0)}")
+                self._start_again(part, f"cannot start its process: {os.strerror(error.errno or 0)}")
                 return True
             if part.pid:
                 return True
@@ -231,7 +231,7 @@ class Supervisor:
             documents = load_all(self._path)
             hand = load_hand(self._path)
         except ConfigError as error:
-            self._note = f"reload rejected, the running settings stay in use: {error}"
+            self._note = f"rejected the reload; the running settings stay in use: {error}"
         else:
             of_file: list[Document | Hand] = [*documents, *([hand] if hand else [])]
             now = {name_of(of): of for of in of_file}
@@ -252,7 +252,7 @@ class Supervisor:
             if part.aborted_s is not None and now_s > part.aborted_s + ABORT_S:
                 _signal(part, signal.SIGKILL)
             elif part.aborted_s is None and part.heard_s is not None and now_s > part.heard_s + WATCHDOG_S:
-                _log.error("%s: has not responded for %.0f s; ending it", part.name, WATCHDOG_S)
+                _log.error("%s: its process has not responded for %.0f s; ending it", part.name, WATCHDOG_S)
                 part.aborted_s = now_s
                 _signal(part, signal.SIGABRT)
         if self._stopping_s is not None and now_s > self._stopping_s + STOP_USEC / 1e6:
@@ -273,18 +273,18 @@ class Supervisor:
             if self._stopping_s is not None or part.code == 0:
                 part.status = "ended"
             elif part.code == EXIT_CONFIG:
-                part.status = "bad configuration, see the log; reload when it is fixed"
+                part.status = "bad settings, see the log; reload once they are fixed"
             elif part.code == EXIT_STOPPED:
-                self._start_again(part, "its process was stopped by a signal")
+                self._start_again(part, "a signal ended its process")
             else:
-                self._start_again(part, f"its process ended with {part.code}")
+                self._start_again(part, f"its process exited with {part.code}")
 
     def _start_again(self, part: _Part, why: str) -> None:
         now_s = time.monotonic()
         is_steady = now_s - part.began_s >= STEADY_S
         part.wait_s = RESTART_S if is_steady else min(max(2 * part.wait_s, RESTART_S), RESTART_MAX_S)
         part.again_s = now_s + part.wait_s
-        part.status = f"{why}, starts again in {part.wait_s:.0f} s"
+        part.status = f"{why}; restarting in {part.wait_s:.0f} s"
         _log.error("%s: %s", part.name, part.status)
 
     def _report(self) -> None:

@@ -27,10 +27,10 @@ def refusal(origin: str | None, host: str | None, allowed_origins: Collection[st
     if origin is None or origin.lower() in allowed_origins:
         return ""
     if host is None or origin.lower() not in (f"http://{host.lower()}", f"https://{host.lower()}"):
-        return f"a page from {origin[:80]}, not from here; if a proxy stands between: --origin {origin[:80]}"
+        return f"found a page from {origin[:80]}, expected one from here; behind a proxy, pass --origin {origin[:80]}"
     name = urlsplit(f"//{host}").hostname or ""
     if name != "localhost" and not _is_address(name) and name not in _own_names():
-        return f"the name {name[:80]} is not known to be this machine's; if it is: --origin {origin[:80]}"
+        return f"found the host {name[:80]}, expected this machine; if it is this one, pass --origin {origin[:80]}"
     return ""
 
 

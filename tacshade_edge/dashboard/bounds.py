@@ -33,13 +33,13 @@ class Bounds:
         """Count a connection; False when there are too many."""
         if admitted := self._connections.admit(connection):
             return admitted
-        self._turn_away(f"{CONNECTIONS_MAX} connections are open")
+        self._turn_away(f"{CONNECTIONS_MAX} connections are already open, the limit")
         return False
 
     def admit_page(self, connection: ServerConnection) -> str:
         """Count a connection as a page's; why not, when there are too many."""
         if len(self._pages) >= PAGES_MAX:
-            return self._turn_away(f"{PAGES_MAX} pages are open, which is the most")
+            return self._turn_away(f"{PAGES_MAX} pages are already open, the limit")
         self._pages.add(connection)
         return ""
 
@@ -49,7 +49,7 @@ class Bounds:
 
     def _turn_away(self, why: str) -> str:
         self.turned_away += 1
-        _log.warning("turned away, the %d. so far: %s", self.turned_away, why)
+        _log.warning("turned a connection away (%d so far): %s", self.turned_away, why)
         return why
 
 
@@ -64,7 +64,7 @@ def bounded(bounds: Bounds) -> type[ServerConnection]:
         def data_received(self, data: bytes) -> None:
             super().data_received(data)
             if self.transport.get_write_buffer_size() > UNSENT_BYTES_MAX:
-                _log.warning("a page that sends and does not read was closed")
+                _log.warning("closed a page that sends but does not read")
                 self.transport.abort()
 
     return Connection
@@ -73,6 +73,6 @@ def bounded(bounds: Bounds) -> type[ServerConnection]:
 def report_device_errors(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
     """Exception handler of a loop: no traceback for what the system refuses, such as one more open file."""
     if isinstance(error := context.get("exception"), OSError):
-        _log.warning("%s: %s", context.get("message", "the system refuses"), error.strerror or error)
+        _log.warning("%s: %s", context.get("message", "the system refused a connection"), error.strerror or error)
     else:
         loop.default_exception_handler(context)

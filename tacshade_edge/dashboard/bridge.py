@@ -90,7 +90,7 @@ class Bridge:
         except (OSError, TimeoutError) as error:
             reason = f"broker {self._broker}: {_reason(error)}"
             if not self._away:
-                _log.warning("%s; pages try again", reason)
+                _log.warning("%s; pages keep trying", reason)
             self._away = True
             await page.close(_TRY_AGAIN, _short(reason))
             return
@@ -124,7 +124,7 @@ async def _to_broker(page: ServerConnection, writer: asyncio.StreamWriter, only:
         try:
             writer.write(only.passed(message) if only else message)
         except DecodeError as refused:
-            _log.warning("a page was closed: %s", refused)
+            _log.warning("closed a page: %s", refused)
             await page.close(_NOT_ALLOWED, _short(str(refused)))
             return
         await writer.drain()
@@ -137,7 +137,7 @@ async def _to_page(reader: asyncio.StreamReader, page: ServerConnection) -> None
             async with asyncio.timeout(STALL_S):
                 await page.send(chunk)
         except TimeoutError:
-            _log.warning("a page that read nothing for %.0f s was closed", STALL_S)
+            _log.warning("closed a page that read nothing for %.0f s", STALL_S)
             page.transport.abort()
             return
 
@@ -160,7 +160,7 @@ def _reason(error: OSError | TimeoutError) -> str:
     if isinstance(error, ssl.SSLCertVerificationError):
         return f"its certificate is not trusted ({error.verify_message})"
     if isinstance(error, ssl.SSLError):
-        return "no TLS there"
+        return "it does not speak TLS"
     if isinstance(error, socket.gaierror):
         return "no such host name"
     if isinstance(error, TimeoutError):

@@ -62,14 +62,14 @@ def _packet_bytes(data: bytes, start: int) -> int | None:
 def _check(packet: bytes) -> None:
     kind = packet[0] >> 4
     if kind == _PUBLISH:
-        raise DecodeError("read-only: requests are not passed on here")
+        raise DecodeError("read-only: this dashboard forwards no requests")
     if kind == _CONNECT:
         try:
             _check_connect(packet)
         except IndexError:
-            raise DecodeError("found a CONNECT that is cut off") from None
+            raise DecodeError("found a CONNECT that is cut off, expected a whole one") from None
     elif kind not in _PASSING:
-        raise DecodeError(f"read-only: a packet of type {kind} is not passed on here")
+        raise DecodeError(f"read-only: this dashboard forwards no packets of type {kind}")
 
 
 def _check_connect(packet: bytes) -> None:
@@ -77,19 +77,19 @@ def _check_connect(packet: bytes) -> None:
     assert found is not None  # its length was read before
     at = found[1]
     if packet[at : at + 6] != b"\0\4MQTT" or packet[at + 6] not in (4, 5):
-        raise DecodeError("found no MQTT 3.1.1 or 5")
+        raise DecodeError("found another protocol, expected MQTT 3.1.1 or 5")
     version, flags = packet[at + 6], packet[at + 7]
     if flags & _WILL:
         raise DecodeError("read-only: found a last will, expected none")
     if not flags & _CLEAN:
-        raise DecodeError("read-only: found a kept session, expected a clean start")
+        raise DecodeError("read-only: found a persistent session, expected a clean start")
     at += 10  # name, version, flags, keep alive
     if version == 5:
         at = _after_properties(packet, at)
     length = packet[at] << 8 | packet[at + 1]
     client_id = packet[at + 2 : at + 2 + length]
     if client_id and not client_id.startswith(CLIENT_ID):
-        raise DecodeError(f"read-only: found another client identifier than {CLIENT_ID.decode()}...")
+        raise DecodeError(f"read-only: found another client identifier, expected {CLIENT_ID.decode()}...")
 
 
 def _after_properties(packet: bytes, at: int) -> int:
@@ -101,10 +101,10 @@ def _after_properties(packet: bytes, at: int) -> int:
     while at < end:
         identifier = packet[at]
         if identifier not in _PROPERTIES:
-            raise DecodeError(f"read-only: found the property {identifier} of CONNECT, which no page sends")
+            raise DecodeError(f"read-only: found property {identifier} in CONNECT, which no page sends")
         value = packet[at + 1 : at + 1 + _PROPERTIES[identifier]]
         if identifier == _SESSION_EXPIRY and any(value):
-            raise DecodeError("read-only: found a kept session, expected one that ends with its connection")
+            raise DecodeError("read-only: found a persistent session, expected one that ends with its connection")
         at += 1 + len(value)
     if at != end or end > len(packet):
         raise IndexError
@@ -121,4 +121,4 @@ def _varint(data: bytes, at: int) -> tuple[int, int] | None:
         value |= (byte & 0x7F) << 7 * place
         if not byte & 0x80:
             return value, at + place + 1
-    raise DecodeError("found no MQTT")
+    raise DecodeError("found no MQTT packet, expected one")

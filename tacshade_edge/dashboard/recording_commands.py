@@ -56,15 +56,15 @@ class RecordingCommands:
                     command = _command(await page.recv())
                 await self._do(page, command.get("action"), command.get("name"))
             except DeviceError as error:
-                _log.info("a page's command on recordings was refused: %s", escaped(str(error)))
+                _log.info("rejected a page's command on recordings: %s", escaped(str(error)))
                 await _answer(page, ok=False, error=str(error))
 
     async def _do(self, page: ServerConnection, action: object, name: object) -> None:
         folder = self._folder
         if folder is None:
-            raise DeviceError("this page lists no recordings: it was started without --recordings")
+            raise DeviceError("this dashboard lists no recordings: it was started without --recordings")
         if self._read_only and action not in _READ_ONLY:
-            raise DeviceError("read-only: requests are not passed on here")
+            raise DeviceError("read-only: this dashboard forwards no requests")
         if action == "list":
             found = await asyncio.to_thread(recordings.listed, folder)
             await _answer(page, ok=True, recordings=[recording.as_dict() for recording in found])
@@ -73,14 +73,14 @@ class RecordingCommands:
         elif action == "delete":
             path = await asyncio.to_thread(recordings.find, folder, name)
             if self._played == str(path):
-                raise DeviceError(f"{shown(str(name))} is being played")
+                raise DeviceError(f"{shown(str(name))} is playing")
             await asyncio.to_thread(recordings.delete, path)
             _log.info("a page deleted the recording %s", path)
             await _answer(page, ok=True)
         elif action == "play":
             await self._play(page, await asyncio.to_thread(recordings.find, folder, name))
         else:
-            raise DeviceError("expected the action list, download, delete or play")
+            raise DeviceError("found another action, expected list, download, delete or play")
 
     async def _download(self, page: ServerConnection, path: Path) -> None:
         await _answer(page, ok=True, bytes=await asyncio.to_thread(recordings.tar_bytes, path))
@@ -92,12 +92,14 @@ class RecordingCommands:
     async def _play(self, page: ServerConnection, path: Path) -> None:
         """Play it for as long as the page holds this connection."""
         if self._broker.tls is not None:
-            raise DeviceError("play it by `tacshade-edge replay --play --config FILE`: this broker uses TLS")
+            raise DeviceError(
+                "the broker uses TLS: play the recording with `tacshade-edge replay --play --config FILE`"
+            )
         try:
             async with asyncio.timeout(_END_S + 1.0):  # the one before may just be ending
                 await self._player.acquire()
         except TimeoutError:
-            raise DeviceError("another recording is being played here") from None
+            raise DeviceError("another recording is already playing here") from None
         self._played = str(path)
         try:
             async with _replaying(path, self._broker) as process:

@@ -89,7 +89,7 @@ def find(folder: Path, name: object) -> Path:
     """
     parts = name.split("/") if isinstance(name, str) else []
     if not 1 <= len(parts) <= 2 or not all(_NAME.match(part) for part in parts):
-        raise DeviceError(f"found the name {shown(str(name))}, expected one of the list")
+        raise DeviceError(f"found the name {shown(str(name))}, expected one from the list")
     path = folder
     for part in parts:
         path /= part
@@ -139,7 +139,7 @@ def tar(path: Path) -> Iterator[bytes]:
                 while left:
                     chunk = stream.read(min(left, _CHUNK_BYTES))
                     if not chunk:
-                        raise DeviceError(f"{file.name} became shorter while it was read")
+                        raise DeviceError(f"{file.name} shrank while it was being read")
                     left -= len(chunk)
                     yield chunk
         except OSError as error:

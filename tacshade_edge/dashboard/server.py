@@ -36,7 +36,7 @@ _INDEX: Final = ("/", "/index.html")
 _LOGIN: Final = "/login"
 _OPEN: Final = (_LOGIN, "/login.js", "/style.css", "/favicon.svg")  # without a token
 _REFUSED: Final = {
-    HTTPStatus.UNAUTHORIZED: "expected the token that this server printed at its start, or that is in its file",
+    HTTPStatus.UNAUTHORIZED: "expected the token that this server printed at its start or that its token file holds",
     HTTPStatus.TOO_MANY_REQUESTS: f"too many wrong tokens from your address: wait {login.PERIOD_S:.0f} s",
 }
 _SPEAK_S: Final = 5  # until a request is there, and until TLS is
@@ -79,7 +79,7 @@ class Pages:
         """The response to a plain request or to one that may not pass; None opens the WebSocket."""
         method = getattr(request, "method", "GET")  # before websockets 17 it refuses all others by itself
         if method not in _METHODS:
-            return self._text(HTTPStatus.METHOD_NOT_ALLOWED, "GET or HEAD, please", {"Allow": ", ".join(_METHODS)})
+            return self._text(HTTPStatus.METHOD_NOT_ALLOWED, "expected GET or HEAD", {"Allow": ", ".join(_METHODS)})
         response = self._get(page, request)
         if response is not None and method == "HEAD":
             response.body = b""
@@ -105,13 +105,15 @@ class Pages:
         try:
             offered, kept = login.offered(headers.get("Authorization")), tokens.kept(headers.get("Cookie"))
         except LookupError:
-            return self._text(HTTPStatus.BAD_REQUEST, "Authorization or Cookie more than once")
+            return self._text(
+                HTTPStatus.BAD_REQUEST, "found Authorization or Cookie more than once, expected each once"
+            )
         if path in _OPEN and offered is None:
             return None
         address, before = str((page.remote_address or ("",))[0]), tokens.wrong
         refused = tokens.refusal(kept if offered is None else offered, address, time.monotonic())
         if tokens.wrong > before:
-            _log.warning("a wrong token from %s, the %d. so far", address, tokens.wrong)
+            _log.warning("rejected a wrong token from %s (%d so far)", address, tokens.wrong)
         if refused is HTTPStatus.UNAUTHORIZED and path in _INDEX and offered is None:
             return self._response(HTTPStatus.SEE_OTHER, b"", {"Location": _LOGIN.removeprefix("/")})
         if refused is not None:
@@ -120,16 +122,16 @@ class Pages:
 
     def _check(self, page: ServerConnection, request: Request) -> Response | None:
         if request.headers.get("Upgrade", "").lower() != "websocket":
-            return self._text(HTTPStatus.UPGRADE_REQUIRED, "a WebSocket, for the page")
+            return self._text(HTTPStatus.UPGRADE_REQUIRED, "expected a WebSocket from the page")
         try:
             refused = access.refusal(request.headers.get("Origin"), request.headers.get("Host"), self._allowed_origins)
         except LookupError:  # a header twice
-            refused = "Origin or Host more than once"
+            refused = "found Origin or Host more than once, expected each once"
         if not refused:
             full = self._bounds.admit_page(page)
             return self._text(HTTPStatus.SERVICE_UNAVAILABLE, full) if full else None
         if refused != self._refused:  # a browser hides the answer from its user, and asks again every second
-            _log.warning("WebSocket refused: %s", escaped(refused))
+            _log.warning("rejected a WebSocket: %s", escaped(refused))
         self._refused = refused
         return self._text(HTTPStatus.FORBIDDEN, refused)
 
@@ -218,7 +220,7 @@ async def run(
             logger=quiet,
         )
     except socket.gaierror as error:
-        raise DeviceError(f"address {host}: {error.strerror}, expected one of this machine") from error
+        raise DeviceError(f"address {host}: {error.strerror}, expected an address of this machine") from error
     except OSError as error:
         reason = os.strerror(error.errno) if error.errno else str(error)
         raise DeviceError(f"port {port} of {host}: {reason}, expected a free port of this machine") from error

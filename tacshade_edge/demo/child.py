@@ -66,7 +66,7 @@ class Child:
         if code is not None:
             lines = [line for line in self.output.splitlines() if line.strip()]
             raise DeviceError(
-                f"demo: the {self.name} ended with {code}: {lines[-1] if lines else 'it printed nothing'}"
+                f"demo: the {self.name} exited with {code}: {lines[-1] if lines else 'it printed nothing'}"
             )
 
     def stop(self) -> None:
@@ -93,7 +93,7 @@ def wait_for_port(child: Child, port: int, timeout_s: float, host: str = "127.0.
         with suppress(OSError), socket.create_connection((host, port), timeout=timeout_s):
             return
         if time.monotonic() > deadline_s:
-            raise DeviceError(f"demo: the {child.name} does not listen on port {port} after {timeout_s:.0f} s")
+            raise DeviceError(f"demo: the {child.name} did not listen on port {port} within {timeout_s:.0f} s")
         time.sleep(_POLL_S)
 
 

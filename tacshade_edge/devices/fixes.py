@@ -7,27 +7,27 @@ import ssl
 
 from tacshade_edge.reasons import Reason, ReasonCode
 
-_RELIGHT = "bring the light and source.exposure back to what they were when calibrating, or calibrate again"
+_RELIGHT = "restore the light and source.exposure to what they were at calibration, or calibrate again"
 USB_CABLE = "plug it in again, into another USB port or a powered hub; sudo dmesg shows what the kernel saw"
 RIBBON_CABLE = (
-    "is the ribbon cable in on both ends, contacts towards the contacts? rpicam-hello --list-cameras shows it"
+    "is the ribbon cable plugged in at both ends, contacts facing contacts? rpicam-hello --list-cameras lists it"
 )
-_END_THE_OTHER = "end the other program that has it; tacshade-edge doctor names it"
+_END_THE_OTHER = "end the other program that uses it; tacshade-edge doctor names it"
 
 OF_FRAMES = {
     ReasonCode.SIZE: "set source.width_px and height_px to the calibration's, or calibrate again at this size",
     ReasonCode.BLACK: "switch the sensor's light on",
     ReasonCode.NO_CONTRAST: "switch the sensor's light on; is the camera in focus?",
-    ReasonCode.SATURATED: "dim the sensor's light, or lower source.exposure to what it was when calibrating",
+    ReasonCode.SATURATED: "dim the sensor's light, or lower source.exposure to what it was at calibration",
     ReasonCode.LIGHT: _RELIGHT,
     ReasonCode.LIGHT_DRIFT: _RELIGHT,
-    ReasonCode.GLARE: "light from outside falls into the sensor or mirrors in it: shade it",
-    ReasonCode.NOISE: "more light and less gain; check the camera's cable",
+    ReasonCode.GLARE: "outside light enters the sensor or reflects in it: shade it",
+    ReasonCode.NOISE: "use more light and less gain, and check the camera's cable",
     ReasonCode.CAMERA_SHIFT: (
-        "fix the camera where it was, take a new reference (calibrate --rezero), or calibrate again"
+        "fasten the camera where it was, take a new reference (calibrate --rezero), or calibrate again"
     ),
     ReasonCode.SURROUND: "the camera or its light moved: fasten it where it was, or calibrate again",
-    ReasonCode.TORN: "frames are damaged on their way: another USB port, a shorter cable, a lower rate",
+    ReasonCode.TORN: "frames are damaged on the way: try another USB port, a shorter cable or a lower rate",
 }
 OF_USB_CAMERAS = {
     ReasonCode.ABSENT: "plug it in, or set source.device to one that tacshade-edge doctor lists",
@@ -71,9 +71,7 @@ def connect_fix(error: BaseException | None, host: str, port: int, tls_ca: str |
         case ConnectionRefusedError() if host in ("localhost", "127.0.0.1", "::1"):
             return "start it: sudo systemctl enable --now mosquitto (install it first: sudo apt install mosquitto)"
         case ConnectionRefusedError():
-            return (
-                "is the broker running there on that port, and for other machines (mosquitto needs a `listener` line)?"
-            )
+            return "is the broker running, and does it listen on that port for other machines (mosquitto: `listener`)?"
         case TimeoutError():
             asked = f"is the address right, is the machine on, and is its firewall open for port {port}?"
             return f"{asked} Is it the TLS port?" if tls_ca else asked

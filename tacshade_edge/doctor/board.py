@@ -25,13 +25,13 @@ def _power(machine: Machine) -> tuple[Finding, ...]:
     found = []
     for bits, what, fix in (
         (_UNDER_VOLTAGE, "under-voltage", "use the board's own power supply and a short thick cable"),
-        (_CAPPED | _SLOWED | _HOT, "slowed down", "cool it: heat sink, fan, open case; and check its power supply"),
+        (_CAPPED | _SLOWED | _HOT, "slowed down", "cool it (heat sink, fan, open case) and check its power supply"),
     ):
         if flags & bits:
             found.append(warning("board", f"{what} now; frames will be late or lost", fix))
         elif flags >> 16 & bits:
-            found.append(warning("board", f"{what} since the start, but not now", fix))
-    return tuple(found) or (ok("board", "power and temperature are fine, and have been since the start"),)
+            found.append(warning("board", f"{what} since boot, but not now", fix))
+    return tuple(found) or (ok("board", "power and temperature are fine and have been since boot"),)
 
 
 def _governor(machine: Machine) -> tuple[Finding, ...]:

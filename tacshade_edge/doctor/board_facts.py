@@ -48,7 +48,7 @@ def heat(machine: Machine) -> str:
     said = [f"{max(degrees):.0f} °C"] if degrees else []
     if flags := machine.read(THROTTLED):
         found = [word for bit, word in _SINCE_START.items() if int(flags, 16) >> 16 & bit]
-        said.append(f"{' and '.join(found)} since the start" if found else "never throttled since the start")
+        said.append(f"{' and '.join(found)} since boot" if found else "never throttled since boot")
     return ", ".join(said)
 
 

@@ -58,7 +58,7 @@ class DaemonState:
     state: str = ""
     reason: str = ""
     fps: float = 0.0
-    place: str = "at an unknown place"
+    place: str = "in an unknown place"
     rival: str = ""
     published: dict[str, bytes] = field(default_factory=dict, compare=False)
 
@@ -102,7 +102,7 @@ def check_broker(broker: BrokerAddress, sensor_id: str) -> tuple[tuple[Finding, 
     trouble = _connect(client, host, port, tls_ca) or _greet(client, session, where, username, tls_ca)
     if trouble is None:
         took_ms = 1e3 * (time.monotonic() - began_s)
-        found = f"{where}: accepts the connection{' over TLS' if tls_ca else ''}, in {took_ms:.0f} ms"
+        found = f"{where}: accepts the connection{' over TLS' if tls_ca else ''} within {took_ms:.0f} ms"
         first = ok("broker", found)
         second = _round_trip(client, session, base, username)
         client.disconnect()
@@ -114,7 +114,7 @@ def check_broker(broker: BrokerAddress, sensor_id: str) -> tuple[tuple[Finding, 
 def judge_daemon(daemon: DaemonState, process: Process | None, sensor_id: str) -> Finding:
     """Is a daemon running, and is it this machine's?"""
     if daemon.alive and daemon.rival:
-        found = f"{sensor_id} is in use by a daemon {daemon.place}; another daemon waits for it, {daemon.rival}"
+        found = f"two daemons use {sensor_id}: one runs {daemon.place}; another waits {daemon.rival}"
         return warning("daemon", found, "stop one of the two, or give its sensor another sensor_id")
     if daemon.alive and process is None:
         fix = "stop that other daemon, or give this sensor another sensor_id"
@@ -173,7 +173,7 @@ def _unreached(error: OSError, host: str, port: int) -> str:
         case socket.gaierror():
             return f"{host}: the name does not resolve ({error.strerror})"
         case ssl.SSLCertVerificationError():
-            return f"{where}: its certificate is rejected: {error.verify_message}"
+            return f"{where}: its certificate failed verification: {error.verify_message}"
         case ssl.SSLError():
             return f"{where}: does not answer over TLS ({error.reason or error})"
         case ConnectionRefusedError():
@@ -197,7 +197,7 @@ def _greet(client: Client, session: _Session, where: str, username: str | None, 
     open_still = _pump(client, lambda: session.greeting is not None)
     code = session.greeting
     if code is None:
-        doing = "says nothing" if open_still else "hangs up"
+        doing = "does not answer" if open_still else "hangs up"
         found = f"{where}: accepts connections but {doing}: not an MQTT broker"
         return fault("broker", found, no_answer_fix(tls_ca))
     if not code.is_failure:
@@ -220,8 +220,10 @@ def _round_trip(client: Client, session: _Session, base: str, username: str | No
         return fault("broker round trip", f"the broker does not let us subscribe under {base}/", acl)
     most = session.packet_bytes_max
     if most is not None and most < _MESSAGE_BYTES + _HEADER_BYTES:
-        found = f"the broker accepts packets of at most {most} bytes; larger height maps and clouds are not sent"
-        return warning("broker round trip", found, f"max_packet_size in its configuration: {_PACKET_BYTES} or more")
+        found = f"the broker accepts packets of at most {most} bytes; the daemon skips larger height maps and clouds"
+        return warning(
+            "broker round trip", found, f"set max_packet_size in the broker's configuration to at least {_PACKET_BYTES}"
+        )
     took_ms = []
     for _ in range(_ROUNDS):
         began_s = time.monotonic()
@@ -234,7 +236,7 @@ def _round_trip(client: Client, session: _Session, base: str, username: str | No
             )
         if not session.echoed:
             found = f"a message to {topic} did not come back within {_ANSWER_S:g} s"
-            return fault("broker round trip", found, f"allow the user to read it: {acl}; or the network is too slow")
+            return fault("broker round trip", found, f"allow the user to read it: {acl}; or use a faster network")
         took_ms.append(1e3 * (time.monotonic() - began_s))
     return judge_round_trip(statistics.median(took_ms[1:]))
 
@@ -243,7 +245,7 @@ def judge_round_trip(middle_ms: float) -> Finding:
     """Whether messages of 38 KB are quick enough."""
     found = f"{_MESSAGE_BYTES // 1000} KB there and back in {middle_ms:.1f} ms"
     if middle_ms > _SLOW_MS:
-        fix = "set_tcp_nodelay true in the broker's configuration (systemd/mosquitto-tacshade.conf), or use a cable"
+        fix = "add set_tcp_nodelay true to the broker's configuration (systemd/mosquitto-tacshade.conf), or use a cable"
         return warning("broker round trip", found, fix)
     return ok("broker round trip", found)
 

@@ -24,7 +24,7 @@ from tacshade_edge.types import U8, Calibration, Frame
 _NOISIER, _NOISE_LEVELS = 2.0, 2.0
 _DAY_S = 86400
 _REZERO = (
-    "while nothing touches the skin, publish {} to tacshade/SENSOR/req/reference while the daemon runs; if that does "
+    "while the daemon runs and nothing touches the skin, publish {} to tacshade/SENSOR/req/reference; if that does "
     "not last, calibrate again (docs/how-to/calibration.md)"
 )
 _AGED = (
@@ -44,7 +44,7 @@ def load(document: Document) -> tuple[Calibration | None, tuple[Finding, ...]]:
             fix = f"run this with sudo, or as the service does: {AS_SERVICE}"
         return None, (fault("calibration", str(error), fix),)
     if isinstance(calibration, Reason):
-        found = f"{document.where('calibration')}: found no file {path}: only the camera's picture is served"
+        found = f"{document.where('calibration')}: found no file {path}: the daemon publishes only the camera's picture"
         return None, (warning("calibration", found, calibrations.how_to_calibrate(document)),)
     days = (time.time() - os.stat(path).st_mtime) / _DAY_S
     found = f"{path}: {calibration.crc32:08x}, {max(days, 0):.0f} days old"
@@ -55,7 +55,7 @@ def load(document: Document) -> tuple[Calibration | None, tuple[Finding, ...]]:
         return calibration, (warning("calibration", f"{found}; depth is not in true millimetres", fix),)
     if renew := calibrations.fits_to_renew(path):
         fix = "calibrate again with --presses PRESSES.csv --fit (docs/how-to/calibration.md)"
-        found = f"{found}; the networks of {', '.join(renew)} have changed since they were fitted: they run as shipped"
+        found = f"{found}; the networks of {', '.join(renew)} have changed since the fit, so the shipped ones run"
         return calibration, (warning("calibration", found, fix),)
     accurate = calibration.fit.profiles.get("accurate") if calibration.fit else None
     depth_error = f", depth error {accurate.depth_mae_mm:.2f} mm" if accurate else ""
@@ -78,14 +78,14 @@ def check_images(calibration: Calibration, images: Sequence[U8], live: bool) -> 
     reconstructor = make_reconstructor(calibration, PROFILES["accurate"])
     result = reconstructor.step(Frame(0, 0, 0, images[-1]))
     if result.reason:
-        return (fault("sensor", f"frames cannot be used: {result.reason}", _fix(result.reason)),)
+        return (fault("sensor", f"frames are unusable: {result.reason}", _fix(result.reason)),)
     found_drift = _drift(calibration, images)
     place = _check_place(calibration, found_drift)
     if not live:
-        found = f"contact of {result.depth_max_mm:.1f} mm" if result.contact else "no contact"
+        found = f"contact {result.depth_max_mm:.1f} mm deep" if result.contact else "no contact"
         return (*place, ok("sensor", f"matches the calibration, {found}"))
     if result.contact:
-        found = f"the skin seems pressed by {result.depth_max_mm:.1f} mm; if nothing touches it, it has changed"
+        found = f"the skin seems pressed by {result.depth_max_mm:.1f} mm; if nothing touches it, the skin has changed"
         return (*place, warning("sensor", found, _REZERO))
     if result.degraded:
         return (*place, warning("sensor", result.degraded.text, _fix(result.degraded)))
@@ -105,7 +105,9 @@ def _check_place(calibration: Calibration, found: registration.Drift) -> tuple[F
     """Whether the visible circle is where it was; nothing when that cannot be seen (a contact may hide it)."""
     if found.still_part == 0:
         return ()
-    place = f"visible circle {found.shift_px:.1f} px from where it was calibrated, size {100 * (found.zoom - 1):+.1f} %"
+    place = (
+        f"visible circle {found.shift_px:.1f} px from where it was at calibration, size {100 * (found.zoom - 1):+.1f} %"
+    )
     if registration.shifted_too_far(found, calibration.geometry.disc):
         fix = "the camera moved in the sensor: fasten it where it was, or calibrate again (docs/how-to/calibration.md)"
         return (warning("camera place", place, fix),)
@@ -118,7 +120,7 @@ def _check_noise(calibration: Calibration, images: Sequence[U8]) -> Finding:
         renewed = rezero(calibration, images)
     except ConfigError as error:
         return warning("sensor", str(error), "lift the sensor off what it touches; " + _REZERO)
-    noise = f"noise {renewed.noise_grey:.2f} grey levels, {calibration.noise_grey:.2f} when calibrated"
+    noise = f"noise {renewed.noise_grey:.2f} grey levels, {calibration.noise_grey:.2f} at calibration"
     if len(images) >= 3 and renewed.noise_grey > max(_NOISE_LEVELS, _NOISIER * calibration.noise_grey):
         fix = "use light that does not flicker (mains lamps do), stop whatever shakes the sensor, then calibrate again"
         return warning("sensor", noise, fix)

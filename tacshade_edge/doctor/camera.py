@@ -37,7 +37,7 @@ _RATE_OFF = 0.01  # 29.97 is 30
 _LOST_PART = 0.05  # a stream's start may cost a frame
 _AGE_MAX_S = 0.5
 _SIZES_SHOWN = 8
-_STOP = "to look at the camera itself: sudo systemctl stop tacshade-edge, and start it again afterwards"
+_STOP = "to check the camera itself, run sudo systemctl stop tacshade-edge, and start it again afterwards"
 _PICTURE_FIXES = {
     ReasonCode.BLACK: "switch the sensor's light on, take the lens cap off, or raise source.exposure",
     ReasonCode.SATURATED: "dim the sensor's light, or lower source.exposure",
@@ -52,7 +52,7 @@ def list_cameras(machine: Machine) -> Finding:
     if cameras:
         return ok("camera", f"found {', '.join(cameras)}")
     if has_csi_receiver(machine):
-        return warning("camera", "found a CSI receiver and no USB camera", CSI_MEND)
+        return warning("camera", "found a CSI receiver but no USB camera", CSI_MEND)
     return warning("camera", "found no camera on this machine", "plug one in; lsusb lists it if USB detects it")
 
 
@@ -87,7 +87,7 @@ def check_csi(source: Rpicam) -> tuple[Finding, ...]:
         return (ok("camera", f"camera {source.camera} of {PROGRAM}: {name}"),)
     found = ", ".join(f"{number} ({name})" for number, name in cameras.items()) or "none"
     fix = f"set source.camera to one of them; {RIBBON_CABLE}" if cameras else RIBBON_CABLE
-    return (fault("camera", f"{PROGRAM} has no camera {source.camera}, it lists {found}", fix),)
+    return (fault("camera", f"{PROGRAM} has no camera {source.camera}; it lists {found}", fix),)
 
 
 def _check_offer(source: V4l2, node: str) -> tuple[Finding, ...]:
@@ -103,7 +103,7 @@ def _check_offer(source: V4l2, node: str) -> tuple[Finding, ...]:
         usable = [code for code in _FOURCCS if code in formats]
         fix = f"set source.fourcc: {' or '.join(usable)}" if usable else "use another camera"
         return (
-            fault("camera format", f"the camera has no {source.fourcc}, it has {', '.join(formats) or 'none'}", fix),
+            fault("camera format", f"the camera has no {source.fourcc}; it has {', '.join(formats) or 'none'}", fix),
         )
     if sizes and not any(each.holds(source.width_px, source.height_px) for each in sizes):
         shown = ", ".join(map(str, sizes[:_SIZES_SHOWN])) + (", ..." if len(sizes) > _SIZES_SHOWN else "")
@@ -184,7 +184,7 @@ def _busy(source: V4l2 | Rpicam, error: Reason, machine: Machine, daemon_state: 
         if daemon_state and (daemon in holders or not holders):
             return warning("camera frames", f"the running daemon holds the camera; it reports: {daemon_state}", _STOP)
         if not holders:
-            fix = "run this with sudo to see which program, and end it"
+            fix = "run this with sudo to see which program it is, and end it"
             return fault("camera frames", "another program holds the camera", fix)
         who = holders[0]
         return fault("camera frames", f"{who} holds the camera", f"end that program: kill {who.pid}")
@@ -193,10 +193,10 @@ def _busy(source: V4l2 | Rpicam, error: Reason, machine: Machine, daemon_state: 
 
 def _check_rate(set_fps: float, captured: Captured, check: str = "camera frames", what: str = "") -> Finding:
     lost = f", {captured.dropped} lost" if captured.dropped else ""
-    found = f"{what}{captured.fps:.1f} frames/s, {set_fps:g} asked{lost}"
+    found = f"{what}{captured.fps:.1f} frames/s, {set_fps:g} requested{lost}"
     if captured.fps < _RATE_PART * set_fps:
         fix = (
-            "shorten source.exposure below the frame's period, choose a rate that the camera offers, or a smaller size"
+            "shorten source.exposure below the frame's period, choose a smaller size or a rate that the camera offers"
             if check == "camera frames"
             else "lower source.fps, or stop whatever else keeps this machine busy"
         )
@@ -212,7 +212,7 @@ def _check_stamps(captured: Captured) -> Finding:
     if any(later <= earlier for earlier, later in pairwise(captured.t_ns)):
         return warning("camera time", f"{found}, out of order", "update the kernel, or use another camera")
     if captured.described.get("time_stamps") not in ("kernel", "sensor"):
-        fix = "poses will match less well; cameras with the driver uvcvideo provide the kernel's time stamps"
+        fix = "use a camera with the driver uvcvideo, which has kernel time stamps; without them poses match less well"
         return warning("camera time", found, fix)
     if age_s > _AGE_MAX_S:
         return warning("camera time", found, "stop whatever else keeps this machine busy, or lower source.fps")
@@ -228,7 +228,7 @@ def _check_locks(captured: Captured) -> list[Finding]:
             found += " in this driver"
         if lock == Lock.AUTOMATIC:
             fix = (
-                f"its changes look like touch: try `v4l2-ctl -d DEVICE -L` for a control of {label}, or another camera"
+                "its changes look like touch: look for its control with `v4l2-ctl -d DEVICE -L`, or use another camera"
             )
             findings.append(warning("camera control", found, fix))
         else:
@@ -242,7 +242,7 @@ def _choose(machine: Machine) -> str:
     if cameras:
         return f"set source.device to one of: {', '.join(_labelled(name, machine) for name in cameras)}"
     return (
-        CSI_MEND if has_csi_receiver(machine) else "plug the camera in (lsusb shows whether USB sees it); none is here"
+        CSI_MEND if has_csi_receiver(machine) else "plug a camera in (lsusb lists it if USB sees it); doctor found none"
     )
 
 

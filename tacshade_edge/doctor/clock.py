@@ -38,7 +38,9 @@ def judge(now_s: float, installed_s: float, synced: bool | None, resolution_s: f
         found = f"{today}, not synchronised: times in messages and recordings may be off; measurements are not affected"
         wall = warning("clock", found, keep)
     else:
-        wall = ok("clock", f"{today}, {'synchronised' if synced else 'the kernel does not say whether synchronised'}")
+        wall = ok(
+            "clock", f"{today}, {'synchronised' if synced else 'the kernel does not report whether it is synchronised'}"
+        )
     if resolution_s <= _FINE_S:
         return (wall,)
     coarse = f"the monotonic clock counts in steps of {1e6 * resolution_s:g} µs"

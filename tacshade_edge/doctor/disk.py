@@ -40,6 +40,6 @@ def check_wear(machine: Machine) -> tuple[Finding, ...]:
     for block in machine.names("/sys/block", "mmcblk*"):
         steps = [int(word, 16) for word in machine.read(f"/sys/block/{block.name}/device/life_time").split()]
         if max(steps, default=0) >= _WORN:
-            found = f"{block.name} has used {10 * (max(steps) - 1)} % or more of its life"
+            found = f"{block.name} has used at least {10 * (max(steps) - 1)} % of its life"
             worn.append(warning("disk", found, "copy what matters and replace it soon"))
     return tuple(worn)

@@ -19,7 +19,7 @@ def check_serial(machine: Machine, device: str = "") -> tuple[Finding, ...]:
     found = _check_ports(machine)
     if not device.startswith("/dev/") or machine.at(device).exists():
         return found
-    fix = "plug the robot in, and see which names exist: ls /dev/serial/by-id /dev/tty[AU]*"
+    fix = "plug the robot in, and check which names exist: ls /dev/serial/by-id /dev/tty[AU]*"
     return (fault("serial", f"{device}: no such device, although serial.device names it", fix), *found)
 
 
@@ -27,7 +27,7 @@ def _check_ports(machine: Machine) -> tuple[Finding, ...]:
     ports = [path.name for path in machine.names("/sys/class/tty", "tty*") if _PORT.fullmatch(path.name)]
     ports = [port for port in ports if machine.read(f"/sys/class/tty/{port}/type") != _NO_UART]
     if not ports:
-        return (ok("serial", "no serial port found; only a robot's poses need one"),)
+        return (ok("serial", "found no serial port; only a robot's poses need one"),)
     return tuple(finding for port in ports for finding in _check_port(port, machine))
 
 
@@ -35,7 +35,7 @@ def _check_port(port: str, machine: Machine) -> tuple[Finding, ...]:
     device = f"/dev/{port}"
     path = machine.at(device)
     names = [device, *_stable_names(device, machine)]
-    label = device if len(names) == 1 else f"{device}, best called {names[1]}"
+    label = device if len(names) == 1 else f"{device}, best named {names[1]}"
     if not path.exists():
         return (warning("serial", f"{device}: the kernel lists this port, but /dev does not", "sudo udevadm trigger"),)
     wrong = []

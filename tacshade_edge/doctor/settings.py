@@ -13,7 +13,7 @@ from tacshade_edge.settings import Document, load
 
 SETTINGS = "settings"
 AS_SERVICE = "sudo -u tacshade-edge /opt/tacshade-edge/bin/tacshade-edge doctor"
-_UNTIL = "until then, {} not checked"
+_UNTIL = "until then, doctor does not check {}"
 
 
 def check_settings(config: Path, sensor_id: str | None = None) -> tuple[Finding, Document | None, bool]:
@@ -30,14 +30,14 @@ def check_settings(config: Path, sensor_id: str | None = None) -> tuple[Finding,
     try:
         document = load(config, sensor_id)
     except ConfigError as error:
-        until = _UNTIL.format("the configured camera, the calibration and the broker are")
+        until = _UNTIL.format("the configured camera, the calibration or the broker")
         more = f" (and {len(error.others)} more: tacshade-edge check-config {config})" if error.others else ""
         return fault(SETTINGS, f"{error}{more}", f"{_fix(config)}; {until}"), None, False
     try:
         links.check_broker_files(document)
         links.make_link(document, on_request=lambda _: None, on_outcome=lambda *_: None)
     except ConfigError as error:
-        return fault(SETTINGS, str(error), f"fix that line; {_UNTIL.format('the broker is')}"), document, False
+        return fault(SETTINGS, str(error), f"fix that line; {_UNTIL.format('the broker')}"), document, False
     return ok(SETTINGS, f"{config}, sensor {document.settings.sensor_id}"), document, True
 
 

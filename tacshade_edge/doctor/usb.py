@@ -92,7 +92,7 @@ def judge(port: Port, cameras: Sequence[V4l2]) -> Finding:
     if fits(port, cameras):
         return ok("usb", found)
     if max(each) > port.most_bytes_s_of_one:
-        found += f", and one alone has at most {port.most_bytes_s_of_one / _MB:.0f}"
+        found += f", but one camera alone gets at most {port.most_bytes_s_of_one / _MB:.0f}"
     # What is not compressed is known to the byte.
     known = [camera for camera in cameras if camera.fourcc != "MJPG"]
     return (warning if fits(port, known) else fault)("usb", found, "; or ".join(_fixes(port, cameras)))
@@ -132,7 +132,7 @@ def _fixes(port: Port, cameras: Sequence[V4l2]) -> list[str]:
     ]
     scale = min(port.most_bytes_s / sum(map(bytes_s, cameras)), port.most_bytes_s_of_one / max(map(bytes_s, cameras)))
     fps = math.floor(scale * max(camera.fps for camera in cameras))
-    fixes = fixes[:2] + [f"source.fps of at most {fps}"] * (fps >= 1)
+    fixes = fixes[:2] + [f"set source.fps to at most {fps}"] * (fps >= 1)
     return [*fixes, "plug some into ports of another controller"] if len(cameras) > 1 else fixes
 
 

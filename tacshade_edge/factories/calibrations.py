@@ -50,7 +50,7 @@ def load(path: str | os.PathLike[str], *, store: bool = True) -> Calibration:
     from tacshade_edge.core.calibration.recalibration import make_again  # once in an update's life
 
     _log.warning(
-        "%s: has version %s; calibrating again from its images, for version %d", path, version, calibration_file.VERSION
+        "%s: found version %s, expected %d; recalibrating from its images", path, version, calibration_file.VERSION
     )
     try:
         made = replace(
@@ -59,9 +59,7 @@ def load(path: str | os.PathLike[str], *, store: bool = True) -> Calibration:
             touch=calibration_file.touch_in(path),
         )
     except ConfigError as error:
-        raise ConfigError(
-            f"{path}: this version cannot calibrate again from its images: {error}; calibrate again"
-        ) from None
+        raise ConfigError(f"{path}: cannot recalibrate from its images: {error}; calibrate again") from None
     return _running(path, _stored(Path(path), made, inputs, version) if store else calibration_file.with_crc(made))
 
 
@@ -106,9 +104,9 @@ def _stored(path: Path, made: Calibration, inputs: Inputs, version: int) -> Cali
         write_whole(kept, path.read_bytes())
         stored = calibration_file.save(path, made, inputs)
     except (OSError, DeviceError) as error:
-        _log.warning("%s: calibrated again at each start, because the file cannot be stored: %s", path, error)
+        _log.warning("%s: cannot store the new calibration, so each start recalibrates: %s", path, error)
         return calibration_file.with_crc(made)
-    _log.warning("%s: calibrated again from its images; the old file is now %s", path, kept)
+    _log.warning("%s: recalibrated from its images; the old file is now %s", path, kept)
     return stored
 
 
@@ -134,7 +132,7 @@ def find_calibration(document: Document, *, store: bool = False) -> Calibration 
 def how_to_calibrate(document: Document) -> str:
     """The commands that make the calibration of the settings."""
     return (
-        f"while nothing else has the camera, tacshade-edge capture DIR --config {document.path} takes what it needs; "
+        f"while nothing else uses the camera, run tacshade-edge capture DIR --config {document.path}, "
         "then tacshade-edge calibrate --sensor DIR/SENSOR.yaml --reference DIR/reference_*.png "
         f"--presses DIR/PRESSES.csv --out {document.settings.calibration}"
     )

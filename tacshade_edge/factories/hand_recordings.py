@@ -103,7 +103,7 @@ def read_hand(paths: Sequence[Path], profile: str) -> HandRecording:
         settings = recorded_settings(content_of(path))
         if settings is None or settings.hand_id is None or settings.hand_T_sensor is None:
             raise ConfigError(
-                f"{path}: found no hand_T_sensor in its {SETTINGS_NAME}, expected a recording of a finger of a hand"
+                f"{path}: found no hand_T_sensor in its {SETTINGS_NAME}, expected a recording of a hand's finger"
             )
         if problem := wrong_with(settings.hand_T_sensor):
             raise ConfigError(f"{path}: {SETTINGS_NAME}: hand_T_sensor: {problem}")
@@ -111,11 +111,11 @@ def read_hand(paths: Sequence[Path], profile: str) -> HandRecording:
         if len(hands) > 1:
             raise ConfigError(f"{path}: found the hands {', '.join(sorted(hands))}, expected recordings of one hand")
         if settings.sensor_id in fingers:
-            raise ConfigError(f"{path}: found {settings.sensor_id} twice, expected one recording of each finger")
+            raise ConfigError(f"{path}: found {settings.sensor_id} twice, expected one recording per finger")
         if (calibration := calibrations.of_recording(path)) is None:
             raise ConfigError(f"{path}: found no {CALIBRATION_NAME} in it, expected one")
         recording = Recording(path)
-        cut_off = "the recording was cut off, what is whole is read" if recording.cut_off else ""
+        cut_off = "the recording was cut off; reading what is whole" if recording.cut_off else ""
         for line in filter(None, (recording.damage, cut_off)):
             _log.warning("%s: %s", path, line)
         fingers[settings.sensor_id] = _Recorded(

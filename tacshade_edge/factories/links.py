@@ -46,7 +46,9 @@ def check_broker_files(document: Document) -> None:
     """Check the files of the broker's settings. Raises ConfigError."""
     mqtt = document.settings.mqtt
     if mqtt.ca_file is not None and not Path(mqtt.ca_file).is_file():
-        raise ConfigError(f"{document.where('mqtt', 'ca_file')}: found no file {mqtt.ca_file}, expected a PEM file")
+        raise ConfigError(
+            f"{document.where('mqtt', 'ca_file')}: found no file {mqtt.ca_file}, expected a PEM file of certificates"
+        )
     read_password(document)
 
 

@@ -59,9 +59,9 @@ class ProfileReport:
     def line(self) -> str:
         """For a person."""
         each = ", ".join(f"{name} {error:.2f}" for name, error in sorted(self.fitted_mm.items()))
-        kept = "" if self.kept else "; no better, so the shipped network stays"
+        kept = "" if self.kept else "; that is no better, so the shipped network stays"
         return (
-            f"fit of {self.profile}: off by {_mean(self.fitted_mm):.2f} mm on presses that were held out, "
+            f"fit of {self.profile}: off by {_mean(self.fitted_mm):.2f} mm on held-out presses, "
             f"{_mean(self.shipped_mm):.2f} mm as shipped ({each}){kept}"
         )
 
@@ -93,7 +93,7 @@ def fit(calibration: Calibration, presses: Sequence[KnownPress], say: Say) -> Fi
     """
     if len(presses) < LEAST_PRESSES:
         raise ConfigError(
-            f"--fit needs {LEAST_PRESSES} presses that can be used ({ENOUGH_PRESSES} are better), found {len(presses)}"
+            f"--fit: found {len(presses)} usable presses, expected {LEAST_PRESSES} ({ENOUGH_PRESSES} are better)"
         )
     train, judge = held_out(presses)
     runs = [_Run(calibration, name, train, judge) for name in ORDER if name in calibration.factors]
@@ -178,15 +178,15 @@ def _advice(presses: Sequence[KnownPress], reports: Sequence[ProfileReport]) -> 
     """Which presses would help most, the most useful first."""
     advice = []
     if all(press.indenter is None for press in presses):
-        advice.append("press flat ends, a box and a lying bar too: with balls alone the fit is a quarter worse")
+        advice.append("also press flat ends, a box and a lying bar: with balls alone the fit is a quarter worse")
     if len(presses) < ENOUGH_PRESSES:
-        advice.append(f"take {ENOUGH_PRESSES - len(presses)} presses more")
+        advice.append(f"take {ENOUGH_PRESSES - len(presses)} more presses")
     errors = reports[0].fitted_mm
     if len(errors) > 1:
         worst = max(errors, key=lambda name: errors[name])
         advice.append(f"take more presses with {worst}, which is off most ({errors[worst]:.2f} mm)")
     deepest = max(press.depth_mm for press in presses)
     advice.append(
-        f"what presses deeper than {deepest:.1f} mm, the deepest of these, is not fitted: press as deep as you work"
+        f"the fit covers no contact deeper than the deepest press, {deepest:.1f} mm: press as deep as you will work"
     )
     return tuple(advice)

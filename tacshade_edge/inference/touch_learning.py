@@ -86,7 +86,7 @@ def report_lines(result: TouchResult) -> Sequence[str]:
     for each in result.learnt.reports:
         unit = each.name.rpartition("_")[2]
         if not each.seen:
-            lines.append(f"  {each.name}: cannot be seen in these frames (R² {each.r2:.2f}): no answer")
+            lines.append(f"  {each.name}: not visible in these frames (R² {each.r2:.2f}): no answer")
             continue
         lines.append(
             f"  {each.name}: off by {each.error:.3g} {unit} (R² {each.r2:.2f}; 90 % intervals hold "

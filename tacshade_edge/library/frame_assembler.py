@@ -176,7 +176,9 @@ def _touched(
     """The map, its objects and their volume. The contact itself is not sent: its points are, each of one cell."""
     height_mm, grid = message.height_mm, _grid(message)
     if (height_mm > geometry.skin_radius_mm).any():
-        raise DecodeError(f"height: found more than the skin's radius of {geometry.skin_radius_mm:g} mm")
+        raise DecodeError(
+            f"height: found a height above {geometry.skin_radius_mm:g} mm, expected at most the skin's radius"
+        )
     contact = cells_that_see(cloud.points_mm, grid, geometry) & ~np.isnan(height_mm)
     found = find_objects(contact, height_mm, shear_mm, disc_rays(grid, geometry), geometry)
     made = HeightMap(height_mm, contact, message.row0, message.col0, message.step_px)

@@ -68,7 +68,7 @@ def open(source: str | os.PathLike[str], sensor: Sensor | None = None) -> Result
         height_px, width_px = sensor.image_size_px
         settings = Settings(source=V4l2(device=str(path), width_px=width_px, height_px=height_px))
     else:
-        raise ConfigError(f"{path}: found neither a settings file (.yaml) nor a device, such as /dev/video0")
+        raise ConfigError(f"{path}: expected a settings file (.yaml) or a device such as /dev/video0")
     return _Live(sources.make_source(settings.source), sensor, settings.source.fps)
 
 
@@ -93,7 +93,7 @@ def read(recording: str | os.PathLike[str], sensor: Sensor | None = None) -> Res
     path = path_of("recording", recording)
     _check_sensor(sensor)
     frames = Recording(path)
-    for line in (frames.damage, f"{path}: the recording was cut off, what is whole is read" if frames.cut_off else ""):
+    for line in (frames.damage, f"{path}: the recording was cut off; reading what is whole" if frames.cut_off else ""):
         if line:
             _log.warning("%s", line)
     if sensor is None:

@@ -68,7 +68,7 @@ def listen(
     if not 0 < len(text_of("sensor_id", sensor_id, _SENSOR_ID)) <= _ID_CHARS_MAX or set(sensor_id) & set("/+#"):
         raise wrong("sensor_id", sensor_id, _SENSOR_ID)
     if password is not None and username is None:
-        raise ConfigError("password: found without a username, expected both")
+        raise ConfigError("password: found one without a username, expected both")
     address = BrokerAddress(
         host=host,
         port=port,
@@ -176,13 +176,13 @@ class _Heard(Results):
 
     def _on_connect(self, client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
         if code.is_failure:
-            self._failure = f"refused: {code}"
+            self._failure = f"rejects the connection: {code}"
         else:
             client.subscribe([(f"{self._base}/{topic}", 0) for topic in TOPICS])
 
     def _on_subscribe(self, _client: Client, _userdata: Any, _mid: int, codes: list[MqttCode], _p: Any) -> None:
         if refused := next((code for code in codes if code.is_failure), None):
-            self._failure = f"subscription refused: {refused}"
+            self._failure = f"rejects a subscription: {refused}"
         else:
             self._connected = True
 

@@ -168,10 +168,10 @@ def parse_request(
     """
     known = next((v for v in _BODIES if v == verb), None)
     if known is None:
-        found = f"req/{escaped(verb, _ERROR_CHARS_MAX)}: unknown verb, expected one of {', '.join(_BODIES)}"
+        found = f"req/{escaped(verb, _ERROR_CHARS_MAX)}: found an unknown verb, expected one of {', '.join(_BODIES)}"
         raise DecodeError(found, code=ReasonCode.BAD_REQUEST)
     if len(payload) > REQUEST_BYTES_MAX:
-        found = f"req/{verb}: {len(payload)} bytes, expected at most {REQUEST_BYTES_MAX}"
+        found = f"req/{verb}: found {len(payload)} bytes, expected at most {REQUEST_BYTES_MAX}"
         raise DecodeError(found, code=ReasonCode.BAD_REQUEST)
     try:
         body = msgspec.json.decode(payload or b"{}", type=_BODIES[known])

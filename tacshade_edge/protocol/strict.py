@@ -87,7 +87,7 @@ def decode(what: str, payload: bytes, kind: type[T]) -> T:
         More bytes, values, levels or characters than a daemon publishes, a number that is none, not JSON, or no `kind`.
     """
     if len(payload) > BYTES_MAX:
-        raise DecodeError(f"{what}: {len(payload)} bytes, expected at most {BYTES_MAX}")
+        raise DecodeError(f"{what}: found {len(payload)} bytes, expected at most {BYTES_MAX}")
     try:
         value = json.loads(str(payload, "utf-8"), parse_constant=_no_constant)
         _check(value)
@@ -138,7 +138,7 @@ def _check(value: Any) -> None:
 
 def _check_text(text: str) -> None:
     if len(text) > CHARS_MAX:
-        raise ValueError(f"found a text of {len(text)} characters, at most {CHARS_MAX} are taken")
+        raise ValueError(f"found a text of {len(text)} characters, expected at most {CHARS_MAX}")
     if not text.isascii() and _SURROGATE.search(text):
         raise ValueError("found half of a character (a lone surrogate)")
 

@@ -171,7 +171,7 @@ def decode(data: bytes | bytearray | memoryview) -> HeightMessage | CloudMessage
         n = rows | cols << 16
         points = np.frombuffer(data, "<f4", 3 * n, HEADER_BYTES).astype(np.float32, copy=False)
         if not (np.abs(points) <= _MM_MAX).all():  # nor is it NaN
-            raise DecodeError(f"height/cloud payload: found a point that is not within {_MM_MAX:g} mm")
+            raise DecodeError(f"height/cloud payload: found a point out of range, expected all within {_MM_MAX:g} mm")
         labels = np.frombuffer(data, "<u2", n, HEADER_BYTES + _POINT_BYTES * n).astype(np.uint16, copy=False)
         return CloudMessage(*common, points.reshape(n, 3), labels)
     steps = np.frombuffer(data, "<i2", rows * cols * _VALUES[kind], HEADER_BYTES)
@@ -186,7 +186,9 @@ def decode(data: bytes | bytearray | memoryview) -> HeightMessage | CloudMessage
 def _check(data: bytes) -> tuple[int, int, int]:
     """Kind, rows and cols of a payload whose frame is sound; Raises DecodeError."""
     if len(data) < HEADER_BYTES:
-        raise DecodeError(f"height/cloud payload: {len(data)} bytes, expected at least {HEADER_BYTES} (the header)")
+        raise DecodeError(
+            f"height/cloud payload: found {len(data)} bytes, expected at least {HEADER_BYTES} (the header)"
+        )
     magic, version, kind, codec = HEAD.unpack_from(data)[:4]
     for offset, name, found, expected in (
         (0, "magic", magic, (MAGIC,)),
@@ -196,35 +198,39 @@ def _check(data: bytes) -> tuple[int, int, int]:
     ):
         if found not in expected:
             wanted = " or ".join(str(e) for e in expected)
-            raise DecodeError(f"height/cloud payload, byte {offset}: {name} is {found}, expected {wanted}")
+            raise DecodeError(f"height/cloud payload, byte {offset}: found {name} {found}, expected {wanted}")
     rows, cols, said = *HEAD.unpack_from(data)[9:11], HEAD.unpack_from(data)[23]
     cells = rows | cols << 16 if kind == CLOUD else rows * cols
     if cells > CELLS_MAX:
-        raise DecodeError(f"height/cloud payload, byte 32: {cells} cells or points, expected at most {CELLS_MAX}")
+        raise DecodeError(f"height/cloud payload, byte 32: found {cells} cells or points, expected at most {CELLS_MAX}")
     in_cloud = (_POINT_BYTES + _LABEL_BYTES) * (rows | cols << 16)
     needed = in_cloud if kind == CLOUD else 2 * rows * cols * _VALUES[kind]
     if said != needed:
-        raise DecodeError(f"height/cloud payload, byte 84: {said} payload bytes, expected {needed} for this size")
+        raise DecodeError(f"height/cloud payload, byte 84: found {said} payload bytes, expected {needed} for this size")
     if len(data) != HEADER_BYTES + said:
-        raise DecodeError(f"height/cloud payload: {len(data)} bytes, expected {HEADER_BYTES + said} as byte 84 says")
+        raise DecodeError(
+            f"height/cloud payload: found {len(data)} bytes, expected {HEADER_BYTES + said} as byte 84 states"
+        )
     crc, _ = CHECK.unpack_from(data, HEAD.size)
     actual = zlib.crc32(memoryview(data)[HEADER_BYTES:], zlib.crc32(data[: HEAD.size]))
     if crc != actual:
-        raise DecodeError(f"height/cloud payload, byte 88: CRC-32 {crc:08x}, expected {actual:08x}")
+        raise DecodeError(f"height/cloud payload, byte 88: found CRC-32 {crc:08x}, expected {actual:08x}")
     return kind, rows, cols
 
 
 def _check_grid(row0: float, col0: float, step_px: float, scale_mm: float) -> None:
     if not (abs(row0) <= _PX_MAX and abs(col0) <= _PX_MAX and _STEP_PX_LEAST <= step_px <= _PX_MAX):
         found = f"row0 {row0:g}, col0 {col0:g}, step_px {step_px:g}"
-        raise DecodeError(f"height/cloud payload, byte 36: {found}, expected pixels of an image")
+        raise DecodeError(f"height/cloud payload, byte 36: found {found}, expected pixels of an image")
     if not 0 < scale_mm <= 1:
-        raise DecodeError(f"height/cloud payload, byte 48: scale_mm is {scale_mm:g}, expected above 0 and at most 1")
+        raise DecodeError(f"height/cloud payload, byte 48: found scale_mm {scale_mm:g}, expected above 0 and at most 1")
 
 
 def _check_pose(pose: tuple[float, ...]) -> None:
     *place, qw, qx, qy, qz = pose
     if not all(abs(mm) <= _MM_MAX for mm in place):
-        raise DecodeError(f"height/cloud payload, byte 56: found a position that is not within {_MM_MAX:g} mm")
-    if not abs(math.hypot(qw, qx, qy, qz) - 1) <= _UNIT_OFF_MAX:
-        raise DecodeError("height/cloud payload, byte 68: found no unit quaternion")
+        raise DecodeError(
+            f"height/cloud payload, byte 56: found a position out of range, expected one within {_MM_MAX:g} mm"
+        )
+    if not abs((norm := math.hypot(qw, qx, qy, qz)) - 1) <= _UNIT_OFF_MAX:
+        raise DecodeError(f"height/cloud payload, byte 68: found a quaternion of length {norm:.4g}, expected 1")

@@ -58,6 +58,6 @@ def read_indenters_file(path: Path) -> dict[str, tuple[str, IndenterEntry]]:
         entry = as_struct(path, value, found, IndenterEntry, root, at=(name,))
         for key in REQUIRED[entry.shape]:
             if getattr(entry, key) is None:
-                raise ConfigError(f"{where}: {name}.{key}: found nothing, expected it for shape {entry.shape}")
+                raise ConfigError(f"{where}: {name}.{key}: found nothing, expected a value for shape {entry.shape}")
         entries[name] = where, entry
     return entries

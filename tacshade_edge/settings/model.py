@@ -18,7 +18,7 @@ class V4l2(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     device: Annotated[str, Meta(pattern="^/dev/", description="a path under /dev")] = "/dev/video0"
     width_px: Annotated[int, Meta(ge=16, le=4096, description="image width")] = 640
     height_px: Annotated[int, Meta(ge=16, le=4096, description="image height")] = 480
-    fps: Annotated[int, Meta(ge=1, le=240, description="frames per second asked of the camera")] = 30
+    fps: Annotated[int, Meta(ge=1, le=240, description="frames per second to request from the camera")] = 30
     fourcc: Annotated[Literal["MJPG", "YUYV", "NV12", "GREY"], Meta(description="pixel format")] = "MJPG"
     exposure: (
         Annotated[int, Meta(ge=1, le=100_000, description="locked exposure in the driver's unit, 0.1 ms on UVC")] | None
@@ -31,7 +31,7 @@ class Rpicam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     camera: Annotated[int, Meta(ge=0, le=7, description="its number in rpicam-vid --list-cameras")] = 0
     width_px: Annotated[int, Meta(ge=64, le=4096, multiple_of=64, description="image width")] = 640
     height_px: Annotated[int, Meta(ge=16, le=4096, multiple_of=2, description="image height")] = 480
-    fps: Annotated[int, Meta(ge=1, le=240, description="frames per second asked of the camera")] = 30
+    fps: Annotated[int, Meta(ge=1, le=240, description="frames per second to request from the camera")] = 30
     exposure_us: Annotated[int, Meta(ge=1, le=1_000_000, description="locked exposure")] = 10_000
     gain: Annotated[float, Meta(ge=1, le=64, description="locked gain of the image sensor")] = 1.0
 
@@ -50,7 +50,7 @@ class Simulated(
     """The simulated sensor, pressed again and again, or as a file says."""
 
     fps: Annotated[float, Meta(ge=1, le=240, description="frames per second")] = 30.0
-    pressed: Annotated[str, Meta(min_length=1, description="a CSV file of what presses it now")] | None = None
+    pressed: Annotated[str, Meta(min_length=1, description="a CSV file that says what presses it now")] | None = None
 
 
 Source = V4l2 | Rpicam | Files | Simulated
@@ -76,25 +76,23 @@ class Mqtt(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     port: Annotated[int, Meta(ge=1, le=65535, description="TCP port of the broker")] = 1883
     username: Annotated[str, Meta(min_length=1, description="user name")] | None = None
     password_file: Annotated[str, Meta(min_length=1, description="file whose first line is the password")] | None = None
-    ca_file: Annotated[str, Meta(min_length=1, description="PEM file of the CA; TLS is used when given")] | None = None
+    ca_file: Annotated[str, Meta(min_length=1, description="PEM file of the broker's CA; turns TLS on")] | None = None
     home_assistant: Annotated[bool, Meta(description="announce this sensor to Home Assistant")] = False
 
 
 class Recorder(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Recordings that ``req/record`` asks for."""
 
-    folder: Annotated[str, Meta(min_length=1, description="a folder for recordings, each in its own below")] = (
+    folder: Annotated[str, Meta(min_length=1, description="a folder for recordings, each in a subfolder")] = (
         "/var/lib/tacshade-edge/recordings"
     )
-    pre_roll_s: Annotated[float, Meta(ge=0, le=60, description="a recording begins so long before it is requested")] = (
-        0.0
-    )
+    pre_roll_s: Annotated[float, Meta(ge=0, le=60, description="a recording begins this long before its request")] = 0.0
 
 
 class Stitching(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Stitching sessions, where frames have poses."""
 
-    folder: Annotated[str, Meta(min_length=1, description="a folder for sessions, each in its own below")] = (
+    folder: Annotated[str, Meta(min_length=1, description="a folder for sessions, each in a subfolder")] = (
         "/var/lib/tacshade-edge/sessions"
     )
 
@@ -104,9 +102,7 @@ class Serial(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
     device: Annotated[
         str,
-        Meta(
-            pattern="^(/dev/|[a-z0-9]+://)", description="a path under /dev, where serial ports are, or a pyserial URL"
-        ),
+        Meta(pattern="^(/dev/|[a-z0-9]+://)", description="a serial port's path under /dev, or a pyserial URL"),
     ]
     baud: Annotated[int, Meta(ge=1200, le=4_000_000, description="bits per second; USB devices ignore it")] = 115200
 
@@ -127,7 +123,7 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         Annotated[float, Meta(gt=0, le=60_000, description="from a frame's time stamp to its result, for auto")] | None
     ) = None
     shear: Annotated[
-        Literal["asked", "always"], Meta(description="when the skin's shear, twist and slip are computed")
+        Literal["asked", "always"], Meta(description="when to compute the skin's shear, twist and slip")
     ] = "asked"
     source: Annotated[V4l2 | Rpicam | Files | Simulated, Meta(description="where frames come from")] = V4l2()
     mqtt: Annotated[Mqtt, Meta(description="the broker")] = Mqtt()

@@ -68,10 +68,10 @@ def split(path: Path, value: dict[str, Any], found: dict[Key, Found]) -> tuple[l
             wrong((*at, HAND), f"found in a sensor, expected beside {SENSORS}")
         for key in (*_NEEDED, *[FINGER] * (common.get(HAND) is not None)):
             if key not in own:
-                wrong((*at, key), "found nothing, expected its own")
+                wrong((*at, key), "found nothing, expected one of its own")
         for key, place in _places(own).items():
             if place in places:
-                wrong((*at, key), f"found that of {places[place]} again, expected another")
+                wrong((*at, key), f"found the same as in {places[place]}, expected another")
             places.setdefault(place, dotted((*at, key)))
         of_serial = _over(common, own).get("serial")
         if isinstance(of_serial, dict) and "device" in of_serial:

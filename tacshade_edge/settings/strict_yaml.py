@@ -112,7 +112,7 @@ def read(path: Path) -> tuple[Any, dict[Key, Found], list[Mistake]]:
     except yaml.YAMLError as error:  # a character that YAML forbids
         raise ConfigError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from error
     except RecursionError as error:
-        raise ConfigError(f"{path}: nested too deeply for a settings file") from error
+        raise ConfigError(f"{path}: found too many nested levels, expected a settings file") from error
     reader.found.setdefault((), Found(1, "nothing"))
     return value, reader.found, reader.mistakes
 
@@ -156,7 +156,7 @@ class _Reader:
         for name_node, value_node in node.value:
             line = name_node.start_mark.line + 1
             if not isinstance(name_node, yaml.ScalarNode) or name_node.tag != "tag:yaml.org,2002:str":
-                self._wrong(line, key, "found a key that is no name, expected a setting's name")
+                self._wrong(line, key, "found another kind of key, expected a setting's name")
                 continue
             name = name_node.value
             child = (*key, name)

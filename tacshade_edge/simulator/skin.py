@@ -211,7 +211,7 @@ def obstacle_of(radius_mm: float, presses: Sequence[Press], leaning_mm: F32 | No
     rim = math.cos(math.radians(RIM_HALF_ANGLE_DEG))
     start = float(distance_mm(presses, radius_mm, np.zeros((1, 3)))[0])
     if start < 0.1 * radius_mm:
-        raise ValueError(f"the press reaches the middle of the sensor (skin radius {radius_mm} mm)")
+        raise ValueError(f"the press reaches the sensor's centre (skin radius {radius_mm} mm)")
     obstacle = np.zeros(rays.shape[:2], np.float32)
     index = np.flatnonzero(rays[..., 2] > rim)
     ray, end = rays.reshape(-1, 3)[index], surface.flat[index]

@@ -22,7 +22,7 @@ def disk_errors(folder: Path) -> Iterator[None]:
         yield
     except OSError as error:
         where = error.filename or folder
-        raise DeviceError(f"{where}: cannot be written: {error.strerror or error}", code=ReasonCode.DISK) from None
+        raise DeviceError(f"{where}: cannot write it: {error.strerror or error}", code=ReasonCode.DISK) from None
 
 
 def require_free(folder: Path, floor_bytes: int | None = None) -> None:

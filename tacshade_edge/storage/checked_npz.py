@@ -92,7 +92,7 @@ def read(name: str, what: str, writer: str) -> tuple[Content, int]:
     except _DAMAGE:
         raise ConfigError(f"{shown(name)}: not a {what}, or damaged; expected a file written by {writer}") from None
     if _crc32(meta, arrays) != crc:
-        raise ConfigError(f"{name}: damaged: its checksum is {_crc32(meta, arrays):08x}, {crc:08x} is stored in it")
+        raise ConfigError(f"{name}: damaged: its checksum is {_crc32(meta, arrays):08x}, expected the stored {crc:08x}")
     try:
         known = json.loads(meta)
     except ValueError:

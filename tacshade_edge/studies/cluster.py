@@ -64,11 +64,9 @@ class Cluster:
                     return
                 yield self._result(under_way.popleft())
         except KilledWorker as error:
-            raise DeviceError(
-                f"cluster {self._address}: {error.allowed_failures + 1} workers died of one job"
-            ) from None
+            raise DeviceError(f"cluster {self._address}: one job killed {error.allowed_failures + 1} workers") from None
         except CancelledError:
-            raise DeviceError(f"cluster {self._address}: the scheduler is lost") from None
+            raise DeviceError(f"cluster {self._address}: lost the scheduler") from None
         except RuntimeError as error:
             if "deserialization" not in str(error):
                 raise
@@ -129,7 +127,7 @@ def _await_worker(client: Any, address: str) -> None:
     try:
         client.wait_for_workers(1, timeout=CONNECT_S)
     except TimeoutError:
-        raise DeviceError(f"cluster {address}: it has no worker") from None
+        raise DeviceError(f"cluster {address}: found no worker, expected at least one") from None
 
 
 def _check_versions(found: Mapping[str, Any], address: str) -> None:
@@ -138,14 +136,16 @@ def _check_versions(found: Mapping[str, Any], address: str) -> None:
     for place, other in {"scheduler": found["scheduler"], **found["workers"]}.items():
         for name in ("python", *DECIDES):
             if (theirs := other["packages"].get(name)) != ours[name]:
-                raise ConfigError(f"cluster {address}: {place} has {name} {theirs}, expected {ours[name]}, as here")
+                raise ConfigError(f"cluster {address}: {place} has {name} {theirs}, expected {ours[name]} as here")
 
 
 def run(program: Mapping[str, int], fn: Callable[[Task], Result], task: Task) -> Result:
     """Run a job on a worker. Raises ConfigError where its program is not the caller's."""
     for name, crc32 in program.items():
         if checksum(name) != crc32:
-            raise ConfigError(f"a worker of the cluster has another {name} in {_folder(name)}, expected this one")
+            raise ConfigError(
+                f"a worker of the cluster has another {name} in {_folder(name)}, expected the same as here"
+            )
     cv2.setNumThreads(1)
     return fn(task)
 

@@ -96,7 +96,7 @@ def processes(*, fresh: bool = False) -> Iterator[Workers]:
         yield pool
         complete = True
     except BrokenProcessPool:
-        raise DeviceError("a worker process was ended from outside (not enough memory?)") from None
+        raise DeviceError("a worker process was killed (out of memory?)") from None
     finally:
         if not complete:  # nobody wants what they are at
             for worker in multiprocessing.active_children():

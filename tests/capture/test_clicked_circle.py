@@ -68,7 +68,7 @@ def test_three_clicks_state_the_circle_and_a_button_takes_it_back(tmp_path: Path
     true = SimulatedSensor().model.geometry.disc
     clicked = Disc(true.row_c + 6, true.col_c - 8, true.radius_px - 12)
     with person(str(out), "--config", str(config)) as one, browser(tmp_path / "chromium") as page:
-        one.hears("the picture: ")
+        one.hears("live picture: ")
         one.hears("\n")
         address = one.before.strip()
         one.hears("Enter takes 10 references.")
@@ -85,7 +85,7 @@ def test_three_clicks_state_the_circle_and_a_button_takes_it_back(tmp_path: Path
 
         for row, col in rim(clicked, 80, 200, 320):
             click(page, row, col, held=True)
-        shows(page, "answer", "the three points are taken")
+        shows(page, "answer", "using your three points")
         shows(page, "text", "as clicked (visible_circle in SENSOR.yaml)")
         stated = read_sensor(out / "SENSOR.yaml").visible_circle
         assert stated is not None
@@ -95,11 +95,11 @@ def test_three_clicks_state_the_circle_and_a_button_takes_it_back(tmp_path: Path
         assert (out / "SENSOR.yaml").read_text().startswith(SENSOR)
         wait_until(lambda: yellow_part(page, clicked) > 0.9, 20, "the circle that was clicked is drawn")
         one.types("look")
-        one.hears("10 references and 0 presses are already here")  # judged again, with this circle
+        one.hears("this folder already has 10 references and 0 presses")  # judged again, with this circle
         one.hears(f"disc {stated.radius_px:.0f} px")
 
         page.find_element(By.ID, "back").click()
-        shows(page, "answer", "the circle that is found is taken again")
+        shows(page, "answer", "using the circle found in the picture again")
         wait_until(lambda: yellow_part(page, true) > 0.9, 20, "the circle that is found is drawn again")
         assert (out / "SENSOR.yaml").read_text() == SENSOR
         assert [told for told in errors(page) if "favicon" not in told and "400" not in told] == []
@@ -120,13 +120,13 @@ def test_where_no_circle_is_found_three_clicks_state_one(tmp_path: Path) -> None
     out.mkdir()
     (out / "SENSOR.yaml").write_text(SENSOR)
     with person(str(out), "--config", str(config)) as one, browser(tmp_path / "chromium") as page:
-        one.hears("the picture: ")
+        one.hears("live picture: ")
         one.hears("\n")
         page.get(one.before.strip())
         one.hears("Enter takes 10 references.")
         one.types("")
-        one.hears("refused: no ")
-        one.hears("to set the circle, click three points on the dome's rim in the page")
+        one.hears("rejected: found no ")
+        one.hears("to set the circle, click three points on the dome's rim on the page")
         shows(page, "text", "no disc: ")
         wait_until(lambda: js(page, "picture.naturalWidth") > 0, 10, "a picture")
         wanted = Disc(240.0, 320.0, 150.0)

@@ -67,9 +67,9 @@ def post(page: Page, body: bytes, path: str = "circle", **headers: str) -> tuple
 
 def test_three_points_are_a_circle_and_null_is_the_one_that_is_found(page: Page) -> None:
     page.shown = Shown(b"jpeg", "", (480, 640))
-    assert post(page, RIM) == (200, "the three points are taken")
+    assert post(page, RIM) == (200, "using your three points")
     assert page.chosen == deque([Chosen(Disc(240.0, 320.0, 100.0))])
-    assert post(page, b'{"points": null}') == (200, "the circle that is found is taken again")
+    assert post(page, b'{"points": null}') == (200, "using the circle found in the picture again")
     assert page.chosen == deque([Chosen(None)])  # the newest alone
 
 
@@ -87,8 +87,8 @@ def test_three_points_are_a_circle_and_null_is_the_one_that_is_found(page: Page)
         (b'{"points": [[1, 2], [3, 4], [5, NaN]]}', "circle: JSON is malformed"),
         (b'{"points": [[1, 2], [3, 4], [5, 1e300]]}', "circle: Expected `float` <= 20000"),
         (b'{"points": [[1, 2], [3, 4], [-2, 1]]}', "circle: Expected `float` >= -1"),
-        (b'{"points": [[1, 2], [2, 4], [3, 6]]}', "three points: found on a line"),
-        (b'{"points": [[1, 2], [2, 4], [3, 641]]}', "three points: found row 3, col 641, expected a place in"),
+        (b'{"points": [[1, 2], [2, 4], [3, 6]]}', "three points: found them on a line"),
+        (b'{"points": [[1, 2], [2, 4], [3, 641]]}', "three points: found row 3, col 641, expected a point inside"),
         (b"\xff" * 9, "circle: JSON is malformed"),
     ],
 )

@@ -96,11 +96,11 @@ KEYS = "expected one of sensor_id, calibration, profile"
         ),
         (
             {"source": CAMERA + ", device: /dev/shm"},
-            f"s.yaml:2: source.device: camera /dev/shm: is a directory, {VIDEO_DEVICE}",
+            f"s.yaml:2: source.device: camera /dev/shm: found a directory, {VIDEO_DEVICE}",
         ),
         (
             {"source": CAMERA + ", device: /dev/..{folder}/text.png"},
-            f"s.yaml:2: source.device: camera /dev/..{{folder}}/text.png: is a file, {VIDEO_DEVICE}",
+            f"s.yaml:2: source.device: camera /dev/..{{folder}}/text.png: found a file, {VIDEO_DEVICE}",
         ),
         (
             {"source": "kind: v4l2, width_px: 640, height_px: 480"},
@@ -156,7 +156,7 @@ GOOD = "images/good.png"
         (
             [*CALIBRATE, "SENSOR.yaml", "--reference", GOOD, "large/large.png"],
             78,
-            "--reference: large/large.png: found 320x240 px, expected 160x120 px as the first",
+            "--reference: large/large.png: found 320x240 px, expected 160x120 px like the first",
         ),
         (
             [*CALIBRATE, "SENSOR.yaml", "--reference", GOOD, "--presses", "PRESSES.csv"],
@@ -171,14 +171,14 @@ GOOD = "images/good.png"
         (
             [*RECONSTRUCT, "good.npz", "large/large.png", GOOD],
             1,
-            "large/large.png: invalid: size: 320x240 px, calibrated for 160x120",
+            "large/large.png: invalid: size: found 320x240 px, expected the calibration's 160x120 px",
         ),
         (
             ["simulate", "--out", "o", "--objects", "teapot"],
             78,
-            "--objects: 'teapot' is unknown, expected one or more of ",
+            "--objects: found 'teapot', expected one or more of ",
         ),
-        (["simulate", "--out", "SENSOR.yaml"], 1, "SENSOR.yaml: cannot be written: File exists"),
+        (["simulate", "--out", "SENSOR.yaml"], 1, "SENSOR.yaml: cannot write it: File exists"),
     ],
 )
 def test_files_that_cannot_be_used(folder: Path, words: list[str], code: int, said: str) -> None:

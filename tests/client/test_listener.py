@@ -115,7 +115,7 @@ def test_close_ends_a_loop_in_another_thread(broker: Broker) -> None:
 def test_with_tls_and_a_user(tmp_path: Path) -> None:
     with Broker(tmp_path, users={"eve": "secret"}, tls=True) as broker:
         where = f"localhost:{broker.port}"
-        with pytest.raises(tc.DeviceError, match="refused: "):
+        with pytest.raises(tc.DeviceError, match="rejects the connection: "):
             tc.listen(where, "left", username="eve", password="wrong", ca_file=broker.ca)
         with tc.listen(where, "left", ["state"], username="eve", password="secret", ca_file=broker.ca) as heard:
             assert heard.get(0.0) is None

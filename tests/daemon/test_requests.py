@@ -97,7 +97,7 @@ def test_a_reference_is_taken_from_the_next_frames_and_used(asked: Asked, pictur
     asked.requests.handle(Request("reference", transaction=6))
     assert asked.requests.need() == Need.DEPTH
     assert asked.replies == [
-        {"transaction": 6, "ok": False, "error": "busy: a reference is being taken", "reason_code": "busy"}
+        {"transaction": 6, "ok": False, "error": "busy: already taking a reference", "reason_code": "busy"}
     ]
     asked.frames(pictures.free, REFERENCE_FRAMES - 1)
     asked.requests.poll()

@@ -173,7 +173,7 @@ def commands(folder: Path, ball: Reconstruction, free: Reconstruction) -> Record
         daemon.send("#9 STITCH STATUS")
         daemon.send("#10 CAPTURE", lambda: daemon.show(ball))
         daemon.send("#11 CAPTURE", lambda: daemon.show(invalid))
-        outcome = Reason(ReasonCode.BUSY, "busy: a reference is being taken")
+        outcome = Reason(ReasonCode.BUSY, "busy: already taking a reference")
         daemon.send("#12 REFERENCE", lambda: daemon.complete(outcome))
         for line in ("#13 FOO", "#14 SYNC 1.5", "#15 STITCH", "HELLO 2", "#x STATUS", "#16 STATUS*0000", "POSE 1"):
             daemon.send(line)

@@ -124,7 +124,7 @@ def test_one_that_dies_or_cannot_start_touches_no_other(folder: Path, broker: Br
                 20,
                 "both stream",
             )
-            assert any("ring: bad configuration" in line for line in running.told())
+            assert any("ring: bad settings" in line for line in running.told())
             disturbed = [name for name in states if len(seen.of(f"tacshade/{name}/state")) > states[name]]
             assert len(disturbed) == 1, "the other never left the broker"
             (other,) = set(states) - set(disturbed)
@@ -142,7 +142,7 @@ def test_one_that_dies_or_cannot_start_touches_no_other(folder: Path, broker: Br
             running.close()
     text = running.log.read_text()
     assert "sensors.ring.calibration: " in text
-    assert "its process ended with -9" in text
+    assert "its process exited with -9" in text
     assert {"thumb", "index", "ring"} <= {line.split(": ")[1] for line in text.splitlines() if "INFO" in line}
 
 
@@ -162,10 +162,10 @@ def test_one_that_a_signal_stops_is_started_again_the_hand_too(folder: Path, bro
             assert running.process.wait(patience(10)) == 0
         finally:
             running.close()
-    lines = [line.partition(" ERROR ")[2] for line in running.log.read_text().splitlines() if "stopped by a" in line]
+    lines = [line.partition(" ERROR ")[2] for line in running.log.read_text().splitlines() if "a signal ended" in line]
     told = {line.split(": ")[1] for line in lines}
     assert told == {"thumb", "index", "hand/left"}
-    assert all(line.endswith("its process was stopped by a signal, starts again in 1 s") for line in lines)
+    assert all(line.endswith("a signal ended its process; restarting in 1 s") for line in lines)
 
 
 @needs_broker
@@ -176,12 +176,12 @@ def test_one_that_ends_at_once_waits_longer_each_time_until_a_reload(folder: Pat
         for expected_s in (1, 2, 4):
             wait_until(lambda: len(running.children()) == 1, 20, "started")
             os.kill(running.children().pop(), signal.SIGKILL)
-            told = f"thumb: its process ended with -9, starts again in {expected_s} s"
+            told = f"thumb: its process exited with -9; restarting in {expected_s} s"
             wait_until(lambda told=told: told in running.log.read_text(), 20, told)
         running.process.send_signal(signal.SIGHUP)
         wait_until(lambda: len(running.children()) == 1, 20, "started by the reload")
         os.kill(running.children().pop(), signal.SIGKILL)
-        wait_until(lambda: running.log.read_text().count("starts again in 1 s") == 2, 20, "from the beginning")
+        wait_until(lambda: running.log.read_text().count("restarting in 1 s") == 2, 20, "from the beginning")
     finally:
         running.close()
 

@@ -181,11 +181,11 @@ def test_a_bad_reload_keeps_what_runs(
         told, fed = len(manager.heard), manager.watchdogs()
         caplog.clear()
         app.reload()
-        wait_until(lambda told=told: manager.has("READY=1\nSTATUS=reload rejected", told))
+        wait_until(lambda told=told: manager.has("READY=1\nSTATUS=rejected the reload", told))
         warnings = [record.getMessage() for record in caplog.records if "reload" in record.getMessage()]
         assert len(warnings) == 1
         assert problem in warnings[0]
-        wait_until(lambda told=told: manager.has("frames/s; reload rejected", told))
+        wait_until(lambda told=told: manager.has("frames/s; rejected the reload", told))
         wait_until(lambda fed=fed: manager.watchdogs() > fed)
     assert app._active.reconstructor is before
     settings.write_text(good)

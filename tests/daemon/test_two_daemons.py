@@ -102,12 +102,12 @@ def test_two_daemons(tmp_path: Path, devices: list[str], same_id: bool, same_fol
         wait_until(lambda: second.said(f"c.reference.npz: in use by 'sensor left, {holder}'"), 30, "reference")
         if same_id:
             place = f"on {socket.gethostname()}, {holder}"
-            wait_until(lambda: second.said(f"tacshade/left is held by another daemon, {place}; waiting"), 30, "id")
+            wait_until(lambda: second.said(f"another daemon, {place}, uses tacshade/left; waiting"), 30, "id")
             address = BrokerAddress(host="127.0.0.1", port=broker.port, username=None, password=None, tls_ca=None)
             _, found = check_broker(address, "left")
             finding = judge_daemon(found, Process(first.process.pid, ("tacshade-edge", "run")), "left")
             waiting = f"on {socket.gethostname()}, process {second.process.pid}"
-            assert finding.found == f"left is in use by a daemon {place}; another daemon waits for it, {waiting}"
+            assert finding.found == f"two daemons use left: one runs {place}; another waits {waiting}"
         else:
             wait_until(lambda: health("right")["frames"]["captured"] > 10, 30, "the second works too")
         if same_folder:
@@ -118,10 +118,10 @@ def test_two_daemons(tmp_path: Path, devices: list[str], same_id: bool, same_fol
         wait_until(lambda: health("left")["frames"]["captured"] > captured + 60, 30, "the first goes on")
         told = health("left")
         assert (told["mqtt"]["losses"], told["frames"]["failed"]) == (0, failed)
-        for text in ("in use by", "is held by", "connection lost"):
+        for text in ("in use by", "another daemon, on", "connection lost"):
             assert not first.said(text)
         assert second.said("in use by another program") == same_port
-        assert second.said("is held by") == same_id
+        assert second.said("another daemon, on") == same_id
         second.stop()
         first.stop()
         assert set(seen.of("tacshade/left/state")) <= {b"online", b"stopped", b"degraded"}

@@ -88,7 +88,7 @@ def test_text_and_tables_are_cut_before_anything_is_drawn_of_them() -> None:
     assert len(cut["value"]) == 101
     assert cut["value"]["…"] == "19902 more"
     assert json.dumps(nested["value"]) == json.dumps({"a": {"a": {"a": {"a": {"a": {"a": "…"}}}}}})
-    assert large == {"error": "a message too large"}
+    assert large == {"error": "the message is too large"}
     assert all(set(answer) == {"error"} for answer in others)
 
 

@@ -187,7 +187,7 @@ def test_profile_and_zero_are_changed_through_requests(page: Chrome, tmp_path: P
         shows(page, "answer", "The profile is fast.")
 
         page.find_element(By.ID, "rezero").click()
-        shows(page, "answer", "Zero is new", 30)
+        shows(page, "answer", "Took a new zero", 30)
         wait_until(lambda: page.find_element(By.ID, "rezero").is_enabled(), 15, "it may be asked again")
 
 

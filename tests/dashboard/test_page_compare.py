@@ -33,7 +33,7 @@ def test_two_hands_are_compared_cell_by_cell_in_the_cells_of_the_first(page: Chr
         opened(page, address, "run-a")
         wait_until(lambda: len(Select(page.find_element(By.ID, "against")).options) == 3, 15, "there is another")
         Select(page.find_element(By.ID, "against")).select_by_value("run-b")
-        shows(page, "compare-words", "nothing was heard")
+        shows(page, "compare-words", "it has published nothing yet")
         until_shown(page, first, lambda: bump(7, 2.0, ROW, COL, 4), 7)
 
         def compared() -> bool:

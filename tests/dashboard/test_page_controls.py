@@ -60,7 +60,7 @@ def test_a_recording_is_made_and_marked_and_a_daemon_that_died_is_told_at_once(
         assert not page.find_element(By.ID, "remove").is_displayed()
 
         child.kill()
-        shows(page, "stale", "This sensor is offline: what is shown is old, last heard ")
+        shows(page, "stale", "This sensor is offline: what you see is old, last updated ")
         page.get("about:blank")
         opened(page, address)
         shows(page, "state", "offline")
@@ -105,23 +105,23 @@ def test_a_new_zero_waits_until_nothing_touches(page: Chrome, tmp_path: Path) ->
         opened(page, address)
         until_shown(page, sensor, lambda: bump(1, 2.0, 200, 300, step_px=4), 1)
         page.find_element(By.ID, "rezero").click()
-        assert text(page, "answer") == "Re-zero waits until nothing touches …"
+        assert text(page, "answer") == "Re-zero waits until nothing touches the skin …"
         assert label() == "Cancel re-zero"
         picture(page, "rezero-waits", (760, 640), "control")
         page.find_element(By.ID, "rezero").click()
-        assert (label(), text(page, "answer")) == ("Re-zero", "No new zero.")
+        assert (label(), text(page, "answer")) == ("Re-zero", "Cancelled: no new zero.")
         page.find_element(By.ID, "rezero").click()
         until_shown(page, sensor, lambda: bump(2, 2.0, 200, 300, step_px=4), 2)
         assert seen.messages == []
         asked(1, {"ok": False, "error": "touched", "reason_code": "frame_in_contact"})
         shows(page, "answer", "waits until nothing touches")  # touched meanwhile: the next rest
         asked(2, {"ok": True, "result": {"frames": 10}})
-        shows(page, "answer", "Zero is new, from 10 frames.")
+        shows(page, "answer", "Took a new zero from 10 frames.")
 
         until_shown(page, sensor, lambda: bump(3, 2.0, 200, 300, step_px=4), 3)
         page.find_element(By.ID, "rezero").click()
         sensor.tell("state", b"stopped", retain=True)  # nobody wants it when the sensor comes back
-        shows(page, "answer", "No new zero.")
+        shows(page, "answer", "Cancelled: no new zero.")
 
 
 def test_a_page_that_may_only_look_records_nothing(page: Chrome, tmp_path: Path) -> None:

@@ -183,5 +183,5 @@ def test_a_hand_whose_process_is_gone_is_told_and_grey(page: Chrome, hand: tuple
     opened(page, address, "hand/left")
     wait_until(lambda: whole.tell(None) or text(page, "whole-state") == "left: online", 15, "it is online")
     whole.own.publish("tacshade/hand/left/state", b"offline", retain=True)
-    shows(page, "whole-state", "This hand is offline: what is shown is old.")
+    shows(page, "whole-state", "This hand is offline: what you see is old.")
     assert "is-stale" in str(page.find_element(By.ID, "whole").get_attribute("class"))

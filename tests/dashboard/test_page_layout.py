@@ -80,7 +80,7 @@ def test_nothing_empty_is_shown_and_health_is_folded_and_in_a_persons_units(page
         shows(page, "tables", "with contact, sent 50 (25 %)")
         shows(page, "tables", "light 98 %")
         shows(page, "parts", "camera streaming frame 0.25 ms")
-        for absent in ("shift", "budget", "Robot", "reason", "wall", "not usable"):
+        for absent in ("shift", "budget", "Robot", "reason", "wall", "unusable"):
             assert absent not in text(page, "tables")
         assert complaints() == []
         until_shown(page, sensor, lambda: bump(8, 0.0, 200, 300, step_px=4), 8)

@@ -155,7 +155,7 @@ def test_a_stitching_session_is_commanded_through_requests(page: Chrome, tmp_pat
         assert not page.find_element(By.NAME, "begin").is_displayed()
         press("add")
         assert asked(3, {"press": 4, "frame": 77, "points": 900}) == {"action": "add"}
-        shows(page, "answer", "Press 4 is added.")
+        shows(page, "answer", "Added press 4.")
         press("abort")
         page.switch_to.alert.dismiss()
         status("ending", "pad-1", 4)
@@ -163,9 +163,9 @@ def test_a_stitching_session_is_commanded_through_requests(page: Chrome, tmp_pat
         status("open", "pad-1", 4)
         press("end")
         assert asked(4, {"name": "pad-1", "presses": 4, "used": 3}) == {"action": "end"}
-        shows(page, "answer", "The map of pad-1 is made: 3 of 4 presses used.")
+        shows(page, "answer", "Made the map of pad-1 from 3 of 4 presses.")
         press("abort")
-        assert "4 presses are deleted" in page.switch_to.alert.text
+        assert "This deletes its 4 presses" in page.switch_to.alert.text
         page.switch_to.alert.accept()
         assert asked(5, {"name": "pad-1", "presses": 4}) == {"action": "abort"}
         shows(page, "answer", "Session pad-1 is gone.")

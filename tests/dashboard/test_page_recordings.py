@@ -51,7 +51,7 @@ def test_a_recording_is_downloaded_and_deleted(page: Chrome, tmp_path: Path) -> 
         shows(page, "recordings-list", "1 frames · 0.0 MB")
         page.execute_script(SAVED)  # the driver waits for ever after a download that the page began
         press(page, "Download", "press-1")
-        shows(page, "recordings-words", "press-1 is downloaded, 20.0 MB")
+        shows(page, "recordings-words", "downloaded press-1, 20.0 MB")
         assert js(page, "savedAs") == "press-1.tar"
         digest = page.execute_async_script(
             "const done = arguments[0]; saved.arrayBuffer().then((all) => crypto.subtle.digest('SHA-256', all))"
@@ -65,7 +65,7 @@ def test_a_recording_is_downloaded_and_deleted(page: Chrome, tmp_path: Path) -> 
         press(page, "Delete", "press-1")
         assert "press-1" in page.switch_to.alert.text
         page.switch_to.alert.accept()
-        shows(page, "recordings-words", "press-1 is deleted")
+        shows(page, "recordings-words", "deleted press-1")
         wait_until(lambda: names(page) == ["left-thumb/press-2"], 15, "it is gone from the list")
         assert not path.exists()
         shutil.rmtree(folder / "left-thumb")
@@ -90,13 +90,13 @@ def test_a_recording_is_played_and_ended_from_the_list(page: Chrome, tmp_path: P
         shows(page, "recordings-words", "broken: ")
         shows(page, "recordings-words", "calibration.npz")
         press(page, "Play", "press-1")
-        shows(page, "recordings-words", "press-1 plays as the sensor “recording”")
+        shows(page, "recordings-words", "playing press-1 as the sensor “recording”")
         wait_until(lambda: js(page, "tacshade.sensor") == "recording", 20, "it is shown")
         wait_until(lambda: js(page, "tacshade.drawn") > 3, 20, "it moves")
         picture(page, "dashboard-recordings", (1000, 560), "control")
         press(page, "End", "press-1")
         shows(page, "state", "stopped")
-        shows(page, "recordings-words", "press-1 is no longer played")
+        shows(page, "recordings-words", "press-1 no longer plays")
         before = js(page, "tacshade.drawn")
         press(page, "Play", "press-1")
         wait_until(lambda: js(page, "tacshade.drawn") > before, 20, "again")
@@ -133,5 +133,5 @@ def test_a_page_that_may_only_look_can_only_download(page: Chrome, tmp_path: Pat
             "const b = document.querySelector('[aria-label=\"Delete run\"]'); b.disabled = false;"
             "window.confirm = () => true; b.click()"
         )
-        shows(page, "recordings-words", "read-only: requests are not passed on here")
+        shows(page, "recordings-words", "read-only: this dashboard forwards no requests")
         assert (tmp_path / "recordings/run").is_dir()

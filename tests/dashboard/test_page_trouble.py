@@ -150,7 +150,7 @@ def test_long_text_is_cut_and_hostile_binary_is_counted(page: Chrome, tmp_path: 
         ):
             sensor.tell(topic, json.dumps(payload).encode())
         wait_until(lambda: js(page, "tacshade.undecodable") >= before + len(hostile) + 3, 10, "all counted")
-        shows(page, "tables", f"messages not understood {js(page, 'tacshade.undecodable')}")
+        shows(page, "tables", f"messages that the page could not read {js(page, 'tacshade.undecodable')}")
         assert js(page, "document.querySelectorAll('#parts p').length") <= 32
         until_shown(page, sensor, lambda: bump(3, 1.0, 200, 300, step_px=4), 3)
         assert errors(page) == []
@@ -164,7 +164,7 @@ def test_a_broker_with_users_asks_for_one(page: Chrome, tmp_path: Path) -> None:
         PublishedSensor(broker.port, "drawn", "eve", "right") as sensor,
     ):
         page.get(address)
-        shows(page, "login", "wants a user and password")
+        shows(page, "login", "requires a user and password")
         for name, word in (("eve", "wrong"), ("eve", "right")):
             field = page.find_element(By.NAME, "username")
             field.clear()
@@ -210,7 +210,7 @@ def test_a_page_that_is_opened_to_a_network_wants_its_token_and_only_looks(tmp_p
         until_shown(page, sensor, lambda: bump(2, 0.0, 200, 300, step_px=4), 2)
         # In one go: the page disables it again with the next message.
         page.execute_script("const it = document.getElementById('rezero'); it.disabled = false; it.click()")
-        shows(page, "link", "read-only: requests are not passed on here")
+        shows(page, "link", "read-only: this dashboard forwards no requests")
         shows(page, "link", "Connected")
         assert seen.messages == []
         assert errors(page) == []
@@ -226,6 +226,6 @@ def test_without_webgl_the_rest_goes_on(tmp_path: Path) -> None:
     ):
         opened(page, address)
         until_shown(page, sensor, lambda: bump(1, 1.5, 200, 300), 1)
-        assert "no WebGL" in text(page, "view")
+        assert "does not support WebGL" in text(page, "view")
         assert js(page, "tacshade.drawnPeak()") == pytest.approx(1.5, abs=0.01)
         assert errors(page) == []

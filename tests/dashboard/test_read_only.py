@@ -78,9 +78,9 @@ def test_a_last_will_is_a_message_too(version: MQTTProtocolVersion) -> None:
 def test_nothing_is_kept_for_a_page_that_is_gone() -> None:
     properties = Properties(PacketTypes.CONNECT)
     properties.SessionExpiryInterval = 10
-    with pytest.raises(DecodeError, match="kept session"):
+    with pytest.raises(DecodeError, match="persistent session"):
         ReadOnly().passed(sent_by_paho(V5, lambda _: None, properties=properties))
-    with pytest.raises(DecodeError, match="kept session"):
+    with pytest.raises(DecodeError, match="persistent session"):
         ReadOnly().passed(connect(4, flags=0))
 
 

@@ -82,7 +82,7 @@ def test_a_page_that_may_only_look_deletes_and_plays_nothing(tmp_path: Path) -> 
         async with running(recordings=tmp_path, read_only=True) as port:
             for action in ("delete", "play"):
                 first, _, _ = await asked(port, {"action": action, "name": "run"})
-                assert first == {"ok": False, "error": "read-only: requests are not passed on here"}
+                assert first == {"ok": False, "error": "read-only: this dashboard forwards no requests"}
             assert path.is_dir()
             assert (await asked(port, {"action": "list"}))[0]["ok"]
 
@@ -132,7 +132,7 @@ def test_one_recording_at_a_time_is_played_and_ends_with_the_page(
                 while not told.exists() or not told.read_text():
                     await asyncio.sleep(0.01)
                 assert told.read_text().split()[2:5] == ["replay", str(tmp_path / "run"), "--play"]
-                for action, error in (("play", "another recording"), ("delete", "is being played")):
+                for action, error in (("play", "another recording"), ("delete", "is playing")):
                     first, _, _ = await asked(port, {"action": action, "name": "run"})
                     assert error in first["error"]
             while True:  # the replay ends, then it may be played again

@@ -102,7 +102,7 @@ def test_a_file_that_shrinks_meanwhile_is_an_error_and_not_a_wrong_tar(tmp_path:
     while len(next(pieces)) < 1000:
         pass
     (path / "a.bin").write_bytes(b"")
-    with pytest.raises(DeviceError, match=r"a\.bin became shorter"):
+    with pytest.raises(DeviceError, match=r"a\.bin shrank"):
         list(pieces)
 
 

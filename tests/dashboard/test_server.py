@@ -128,7 +128,7 @@ def test_so_many_pages_and_no_more(caplog: pytest.LogCaptureFixture) -> None:
             with pytest.raises(InvalidStatus) as refused:
                 await websocket(port).__aenter__()
             assert refused.value.response.status_code == 503
-            assert refused.value.response.body == b"16 pages are open, which is the most\n"
+            assert refused.value.response.body == b"16 pages are already open, the limit\n"
             assert (await get(port, "/"))[0] == 200
             await pages.pop().close()
             async with websocket(port) as page:
@@ -139,7 +139,7 @@ def test_so_many_pages_and_no_more(caplog: pytest.LogCaptureFixture) -> None:
 
     run(test())
     told = [record.getMessage() for record in caplog.records]
-    assert told == ["turned away, the 1. so far: 16 pages are open, which is the most"]
+    assert told == ["turned a connection away (1 so far): 16 pages are already open, the limit"]
 
 
 def test_so_many_connections_and_no_more(caplog: pytest.LogCaptureFixture) -> None:
@@ -153,7 +153,10 @@ def test_so_many_connections_and_no_more(caplog: pytest.LogCaptureFixture) -> No
                 await asyncio.sleep(0.01)
 
     run(test())
-    assert caplog.records[0].getMessage() == "turned away, the 1. so far: 48 connections are open"
+    assert (
+        caplog.records[0].getMessage()
+        == "turned a connection away (1 so far): 48 connections are already open, the limit"
+    )
 
 
 def test_pings_that_are_never_read_do_not_fill_the_memory(caplog: pytest.LogCaptureFixture) -> None:
@@ -207,7 +210,10 @@ def test_handshakes_count_as_connections(tmp_path: Path, caplog: pytest.LogCaptu
                 await asyncio.sleep(0.01)
 
     run(test())
-    assert caplog.records[0].getMessage() == "turned away, the 1. so far: 48 connections are open"
+    assert (
+        caplog.records[0].getMessage()
+        == "turned a connection away (1 so far): 48 connections are already open, the limit"
+    )
 
 
 def test_the_page_is_told_when_it_may_only_look() -> None:

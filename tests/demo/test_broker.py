@@ -54,7 +54,7 @@ def test_mosquitto_is_set_as_a_users_is(tmp_path: Path, monkeypatch: pytest.Monk
 def test_without_any_broker_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shutil, "which", lambda *_, **__: None)
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
-    with pytest.raises(DeviceError, match=r"expected mosquitto, or the extra: pip install '\.\[demo\]'"):
+    with pytest.raises(DeviceError, match=r"expected mosquitto or the extra demo: pip install '\.\[demo\]'"):
         broker_command(tmp_path, 1883)
 
 
@@ -63,5 +63,5 @@ def test_without_the_page_it_names_the_extra_of_the_demo(
 ) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
     assert main(["demo"]) == 78
-    said = "tacshade-edge: demo: the package websockets is missing: pip install '.[demo]' in the clone\n"
+    said = "tacshade-edge: demo: found no package websockets; to install it: pip install '.[demo]' in the clone\n"
     assert capsys.readouterr() == ("", said)

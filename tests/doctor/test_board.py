@@ -17,9 +17,9 @@ def test_nothing_to_say_of_a_machine_that_tells_nothing(machine: Any) -> None:
 @pytest.mark.parametrize(
     ("flags", "found"),
     [
-        ("0", ["power and temperature are fine, and have been since the start"]),
-        ("50000", ["under-voltage since the start, but not now", "slowed down since the start, but not now"]),
-        ("50001", ["under-voltage now; frames will be late or lost", "slowed down since the start, but not now"]),
+        ("0", ["power and temperature are fine and have been since boot"]),
+        ("50000", ["under-voltage since boot, but not now", "slowed down since boot, but not now"]),
+        ("50001", ["under-voltage now; frames will be late or lost", "slowed down since boot, but not now"]),
         ("80008", ["slowed down now; frames will be late or lost"]),
     ],
 )

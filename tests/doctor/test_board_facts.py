@@ -50,9 +50,9 @@ def test_what_would_break_the_table_or_the_line(machine: Any) -> None:
 @pytest.mark.parametrize(
     ("flags", "said"),
     [
-        ("0", "61 °C, never throttled since the start"),
-        ("50005", "61 °C, under-voltage and throttled since the start"),
-        ("80000", "61 °C, hot since the start"),
+        ("0", "61 °C, never throttled since boot"),
+        ("50005", "61 °C, under-voltage and throttled since boot"),
+        ("80000", "61 °C, hot since boot"),
     ],
 )
 def test_heat(machine: Any, flags: str, said: str) -> None:

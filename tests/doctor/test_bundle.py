@@ -60,7 +60,7 @@ def test_a_frame_only_where_it_was_asked_for(document: Document, tmp_path: Path)
 def test_without_settings_and_where_it_cannot_be_written(tmp_path: Path) -> None:
     write_bundle(tmp_path / "b.zip", FINDINGS, Seen(), with_frame=True)
     assert "settings.yaml" not in read(tmp_path / "b.zip")
-    with pytest.raises(DeviceError, match="cannot be written"):
+    with pytest.raises(DeviceError, match="cannot write it"):
         write_bundle(tmp_path / "none" / "b.zip", FINDINGS, Seen(), with_frame=False)
 
 

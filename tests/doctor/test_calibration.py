@@ -41,9 +41,9 @@ def test_a_camera_that_moved() -> None:
     sensor = judged(shifted)["sensor"]
     assert sensor.state == "fault"
     assert sensor.found.startswith(
-        ("frames cannot be used: camera moved by 3.", "frames cannot be used: camera moved by 4.")
+        ("frames are unusable: the camera moved by 3.", "frames are unusable: the camera moved by 4.")
     )
-    assert "fix the camera where it was" in sensor.fix
+    assert "fasten the camera where it was" in sensor.fix
 
 
 def test_a_camera_that_came_closer() -> None:
@@ -76,15 +76,19 @@ def test_a_pressed_skin() -> None:
     ("image", "reason", "fix"),
     [
         (np.zeros((240, 320), np.uint8), "black", "switch the sensor's light on"),
-        (np.zeros((480, 640), np.uint8), "size: 640x480 px, calibrated for 320x240", "set source.width_px"),
+        (
+            np.zeros((480, 640), np.uint8),
+            "size: found 640x480 px, expected the calibration's 320x240 px",
+            "set source.width_px",
+        ),
         (np.full((240, 320), 255, np.uint8), "saturated", "dim the sensor's light"),
-        ((unloaded() * 0.35).astype(np.uint8), "light: ", "bring the light"),
+        ((unloaded() * 0.35).astype(np.uint8), "light: ", "restore the light"),
     ],
 )
 def test_an_image_that_cannot_be_used(image: U8, reason: str, fix: str) -> None:
     sensor = judged([image])["sensor"]
     assert sensor.state == "fault"
-    assert sensor.found.startswith(f"frames cannot be used: {reason}")
+    assert sensor.found.startswith(f"frames are unusable: {reason}")
     assert sensor.fix.startswith(fix)
 
 
@@ -93,7 +97,7 @@ def test_a_sensor_that_shakes() -> None:
     sensor = judged(shaken)["sensor"]
     assert sensor.state == "warning"
     assert sensor.found.startswith("noise ")
-    assert "when calibrated" in sensor.found
+    assert "at calibration" in sensor.found
 
 
 def test_glare() -> None:
@@ -132,7 +136,7 @@ def test_the_file(tmp_path: Path) -> None:
     calibration_file.save(tmp_path / "c.npz", fitted_with("balanced", calibrated(HALF), layout="another"))
     _, (finding,) = load(load_settings(config))
     assert finding.state == "warning"
-    assert "the networks of balanced have changed since they were fitted" in finding.found
+    assert "the networks of balanced have changed since the fit" in finding.found
     assert "--fit" in finding.fix
     config.write_text("calibration: c.npz\n")
     known, (finding,) = load(load_settings(config))

@@ -50,7 +50,7 @@ def test_a_raspberry_pis_own_nodes_are_no_cameras(machine: Any) -> None:
 def test_a_camera_that_is_not_there(machine: Any) -> None:
     (alone,) = check_device(V4l2(), machine)
     assert (alone.state, alone.found) == ("fault", "/dev/video0: no such device")
-    assert alone.fix.startswith("plug the camera in")
+    assert alone.fix.startswith("plug a camera in")
     plug(machine, "video2", "HD Camera")
     (other,) = check_device(V4l2(), machine)
     assert other.fix == "set source.device to one of: /dev/video2 (HD Camera)"
@@ -73,7 +73,7 @@ def test_csi_cameras_are_listed_by_the_boards_program(
     (good,) = check_csi(Rpicam())
     assert (good.state, good.found) == ("ok", f"camera 0 of rpicam-vid: {name}")
     (other,) = check_csi(Rpicam(camera=1))
-    assert (other.state, other.found) == ("fault", f"rpicam-vid has no camera 1, it lists 0 ({name})")
+    assert (other.state, other.found) == ("fault", f"rpicam-vid has no camera 1; it lists 0 ({name})")
 
 
 def test_a_csi_camera_that_is_held(machine: Any) -> None:
@@ -87,4 +87,4 @@ def test_a_file_in_its_place(machine: Any) -> None:
     machine.put("/dev/video0", "not a device")
     (finding,) = check_device(V4l2(), machine)
     assert finding.state == "fault"
-    assert "is a file, expected a video device" in finding.found
+    assert "found a file, expected a video device" in finding.found

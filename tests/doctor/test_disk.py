@@ -42,4 +42,4 @@ def test_a_worn_card(machine: Any) -> None:
     machine.put("/sys/block/mmcblk2/device/type", "SD\n")
     (finding,) = check_wear(machine)
     assert finding.state == "warning"
-    assert finding.found == "mmcblk0 has used 90 % or more of its life"
+    assert finding.found == "mmcblk0 has used at least 90 % of its life"

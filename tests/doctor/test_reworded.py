@@ -64,7 +64,7 @@ def _of_pictures(_machine: Any) -> list[Finding]:
 
 
 def _of_frames(machine: Any) -> list[Finding]:
-    error = DeviceError("camera /dev/video0: no frame after 2.0 s", code=ReasonCode.STALLED)
+    error = DeviceError("camera /dev/video0: no frame within 2.0 s", code=ReasonCode.STALLED)
     return list(check_frames(V4l2(), Captured(error=error.reason), machine, ""))
 
 

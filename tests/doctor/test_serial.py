@@ -23,14 +23,14 @@ def plug(machine: Any, port: str, **attributes: str) -> None:
 def test_no_port_is_no_fault(machine: Any) -> None:
     (finding,) = check_serial(machine)
     assert (finding.state, finding.fix) == ("ok", "")
-    assert finding.found.startswith("no serial port found")
+    assert finding.found.startswith("found no serial port")
 
 
 def test_terminals_and_places_without_a_chip_are_no_ports(machine: Any) -> None:
     for port in ("tty1", "ttyprintk", "tty"):
         plug(machine, port)
     plug(machine, "ttyS1", type="0")
-    assert "no serial port found" in check_serial(machine)[0].found
+    assert "found no serial port" in check_serial(machine)[0].found
 
 
 def test_a_port_is_called_by_its_best_name(machine: Any) -> None:
@@ -39,7 +39,7 @@ def test_a_port_is_called_by_its_best_name(machine: Any) -> None:
     machine.link(BY_ID, "../../ttyUSB0")
     (finding,) = check_serial(machine)
     assert finding.state == "ok"
-    assert finding.found == f"/dev/ttyUSB0, best called {BY_ID}: free to use"
+    assert finding.found == f"/dev/ttyUSB0, best named {BY_ID}: free to use"
 
 
 def test_an_ftdi_chip_that_holds_bytes_back(machine: Any) -> None:

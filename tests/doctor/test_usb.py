@@ -74,15 +74,15 @@ def test_five_yuyv_cameras_are_told_what_would_fit() -> None:
     assert finding.found == ("USB bus 1, port 1 (480 Mbit/s): 5 cameras with YUYV 640x480 at 30/s: about 92 of 49 MB/s")
     assert finding.fix == (
         "set source.fourcc: MJPG (12 MB/s); or set source.width_px: 320, height_px: 240, and calibrate at that size "
-        "(23 MB/s); or source.fps of at most 16; or plug some into ports of another controller"
+        "(23 MB/s); or set source.fps to at most 16; or plug some into ports of another controller"
     )
 
 
 def test_one_camera_has_its_own_bound() -> None:
     finding = judge(USB2, [camera(fps=60)])
-    assert finding.found.endswith("about 37 of 49 MB/s, and one alone has at most 25")
+    assert finding.found.endswith("about 37 of 49 MB/s, but one camera alone gets at most 25")
     assert "another controller" not in finding.fix
-    assert "source.fps of at most 40" in finding.fix
+    assert "set source.fps to at most 40" in finding.fix
 
 
 def test_cameras_behind_one_port_are_counted_together_and_others_apart(machine: Any) -> None:

@@ -65,7 +65,7 @@ def test_it_opens_as_it_was_stored(path: Path) -> None:
 def test_a_version_with_other_networks_recalibrates_by_itself(path: Path, caplog: pytest.LogCaptureFixture) -> None:
     kept = path.with_name(f"hand.v{VERSION}.npz")
     first_mm = depth_mm(path)
-    assert f"has version {VERSION}" in caplog.messages[0]
+    assert f"found version {VERSION}" in caplog.messages[0]
     assert str(kept) in caplog.messages[1]
     assert kept.read_bytes() == STORED.read_bytes()
     # The networks answer less now, and the factors make up for it.
@@ -86,4 +86,4 @@ def test_one_without_its_inputs_opens_too_and_says_what_to_do(path: Path, caplog
     path.write_bytes(Content(meta, arrays).packed())
     assert calibrations.load(path).factors == {}
     (line,) = caplog.messages
-    assert line == f"{path}: fitted to presses with older networks; using it without that fit; calibrate again"
+    assert line == f"{path}: its fit belongs to older networks; using it without the fit; calibrate again"

@@ -94,9 +94,9 @@ def test_the_default_profile_is_the_first_and_its_time_is_told(monkeypatch: pyte
     assert said[0].startswith(f"fit of {DEFAULT} (1 of 2): step 1 of 4, ")
     assert said[-1] == "fit of fast (2 of 2): step 4 of 4, 0 s left at most"
     assert "flat ends" in result.advice[0]
-    assert result.advice[1] == "take 20 presses more"
+    assert result.advice[1] == "take 20 more presses"
 
 
 def test_too_few_presses_are_refused() -> None:
-    with pytest.raises(ConfigError, match=r"--fit needs 16 presses .* found 15"):
+    with pytest.raises(ConfigError, match=r"--fit: found 15 usable presses, expected 16"):
         fit(calibrated(), presses()[:15], lambda _: None)

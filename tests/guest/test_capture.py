@@ -36,7 +36,7 @@ def test_references_and_a_press_are_what_the_camera_showed(tmp_path: Path) -> No
             feeder.send_signal(signal.SIGUSR1)
             one.hears("press 1 (ball")
             one.types(CAPTURED_PRESS)
-            while one.hears("press_001.png: ball of 6 mm", "not taken: nothing touches the sensor").startswith("not"):
+            while one.hears("press_001.png: ball of 6 mm", "not taken: nothing touches the skin").startswith("not"):
                 one.types("")  # the picture is still the one before
             one.types("done")
             assert one.ends() == 0

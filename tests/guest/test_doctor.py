@@ -85,7 +85,7 @@ def test_slower_than_asked() -> None:
     captured, found = frames(asked(fps=30))
     assert captured.described["fps_stated"] == 25
     assert found[0].state == "warning"
-    assert re.search(r" frames/s, 30 asked(, \d+ lost)?$", found[0].found), "an emulated machine may lose one"
+    assert re.search(r" frames/s, 30 requested(, \d+ lost)?$", found[0].found), "an emulated machine may lose one"
 
 
 def test_lost_frames() -> None:
@@ -146,14 +146,14 @@ def test_unplugged() -> None:
     (finding,) = check_device(GOOD, MACHINE)
     os.close(keeper)
     assert finding.state == "fault"
-    assert finding.found == f"{NODE}: cannot be opened (No such device)"
+    assert finding.found == f"{NODE}: cannot open it (No such device)"
 
 
 def test_a_camera_that_gives_no_frame() -> None:
     control("percentage_of_dropped_buffers=100")
     _, (finding,) = frames(GOOD)
     assert finding.state == "fault"
-    assert finding.found.startswith("no frame after ")
+    assert finding.found.startswith("no frame within ")
 
 
 def test_the_command(tmp_path: Path) -> None:
@@ -165,6 +165,6 @@ def test_the_command(tmp_path: Path) -> None:
     assert (done.returncode, done.stderr) == (1, "")
     found = {each["check"]: each for each in json.loads(done.stdout)}
     assert found["camera"]["found"] == f"{NODE}: no such device"
-    assert found["camera"]["fix"].startswith("plug the camera in")
+    assert found["camera"]["fix"].startswith("plug a camera in")
     assert found["serial"]["found"].startswith("/dev/ttyS0: the system's console uses it"), "this guest's own"
     assert (found["broker"]["state"], found["calibration"]["state"]) == ("fault", "warning")

@@ -51,7 +51,7 @@ def test_a_recording_gives_every_frame(recording: Path, caplog: pytest.LogCaptur
 def test_a_recording_that_was_cut_off_is_told(recording: Path, caplog: pytest.LogCaptureFixture) -> None:
     (recording / "frames.csv").rename(recording / "frames.csv.part")
     assert len(list(ts.read(recording))) == 3
-    assert caplog.messages[0] == f"{recording}: the recording was cut off, what is whole is read"
+    assert caplog.messages[0] == f"{recording}: the recording was cut off; reading what is whole"
 
 
 def test_a_recording_without_its_calibration_needs_a_sensor(recording: Path, sensor: ts.Sensor) -> None:
@@ -76,7 +76,7 @@ def test_a_settings_file_opens_its_source(recording: Path, sensor: ts.Sensor) ->
 
 
 def test_what_is_no_source_is_told(tmp_path: Path, sensor: ts.Sensor) -> None:
-    with pytest.raises(ts.ConfigError, match=r"neither a settings file \(\.yaml\) nor a device"):
+    with pytest.raises(ts.ConfigError, match=r"expected a settings file \(\.yaml\) or a device"):
         ts.open(tmp_path, sensor)
     with pytest.raises(ts.DeviceError, match="/dev/video99"):
         ts.open("/dev/video99", sensor)

@@ -29,9 +29,12 @@ def test_what_is_no_hand_is_refused(tmp_path: Path) -> None:
     other = record_finger(tmp_path / "other", "{sensor_id: a, hand_id: right, hand_T_sensor: [0, 0, 0, 1, 0, 0, 0]}\n")
     long = record_finger(tmp_path / "long", "{sensor_id: a, hand_id: left, hand_T_sensor: [0, 0, 0, 2, 0, 0, 0]}\n")
     for paths, expected in (
-        ((thumb, alone), r"alone: found no hand_T_sensor in its settings\.yaml, expected a recording of a finger"),
+        (
+            (thumb, alone),
+            r"alone: found no hand_T_sensor in its settings\.yaml, expected a recording of a hand's finger",
+        ),
         ((thumb, other), "other: found the hands left, right, expected recordings of one hand"),
-        ((thumb, thumb), "found left-thumb twice, expected one recording of each finger"),
+        ((thumb, thumb), "found left-thumb twice, expected one recording per finger"),
         ((long,), r"long: settings\.yaml: hand_T_sensor: found a quaternion of length 2, expected 1"),
         (str(index), "recordings: found .*, expected a list of paths"),
         ((), "recordings: found .*, expected a list of paths"),

@@ -92,6 +92,6 @@ def test_silence_says_what_is_known(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 def test_a_broker_that_does_not_let_us_in_is_told(tmp_path: Path) -> None:
     with Broker(tmp_path, users={"dashboard": "word"}) as broker:
         where = f"127.0.0.1:{broker.port}"
-        with pytest.raises(ts.DeviceError, match="refused: Not authorized"):
+        with pytest.raises(ts.DeviceError, match="rejects the connection: Not authorized"):
             ts.listen(where, "drawn", username="dashboard", password="wrong")
         ts.listen(where, "drawn", username="dashboard", password="word").close()

@@ -17,7 +17,7 @@ from tacshade_edge.protocol import wire
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import HeightMap, ObjectCloud, Pose, Reconstruction
 
-GLARE = Reason(ReasonCode.GLARE, "glare: 5 % of the disc hidden")
+GLARE = Reason(ReasonCode.GLARE, "glare hides 5 % of the disc")
 METADATA = ("seq", "calibration_crc32", "t_ns", "wall_ns", "contact", "invalid", "saturated", "degraded")
 FLAGS = st.fixed_dictionaries(
     {name: st.booleans() for name in ("valid", "contact", "saturated")} | {"degraded": st.sampled_from([None, GLARE])}

@@ -112,11 +112,11 @@ def reloads() -> dict[str, Any]:
     before = show()
     CONFIG.write_text("profile: slow\n" + GOOD)
     bad = sh("systemctl", "reload", UNIT)
-    refused = until(lambda now: "refused" in now["StatusText"], 10)
-    still = until(lambda now: streaming(now) and "refused" in now["StatusText"], 10)
+    refused = until(lambda now: "rejected" in now["StatusText"], 10)
+    still = until(lambda now: streaming(now) and "rejected" in now["StatusText"], 10)
     CONFIG.write_text(GOOD)
     sh("systemctl", "reload", UNIT)
-    good = until(lambda now: streaming(now) and "refused" not in now["StatusText"], 10)
+    good = until(lambda now: streaming(now) and "rejected" not in now["StatusText"], 10)
     return {"before": before, "bad": bad, "refused": refused, "still": still, "good": good}
 
 

@@ -75,14 +75,14 @@ sensors:
     assert [line.removeprefix(f"{path}:") for line in (str(caught.value), *caught.value.others)] == [
         "1: calibration: found beside sensors, expected in each of them",
         "2: mqtt.port: found 0, expected an integer from 1 to 65535 (TCP port of the broker)",
-        "6: sensors.index.calibration: found that of sensors.thumb.calibration again, expected another",
-        "7: sensors.index.source: found that of sensors.thumb.source again, expected another",
+        "6: sensors.index.calibration: found the same as in sensors.thumb.calibration, expected another",
+        "7: sensors.index.source: found the same as in sensors.thumb.source, expected another",
         "8: sensors.index.profile: found slow, expected one of paper, fast, balanced, accurate, auto",
         "9: sensors.bad id.sensor_id: found a second id, expected bad id alone",
         "9: sensors.bad id.sensor_id: found bad id, "
         "expected a string (letters, digits, - and _, not `hand`; part of every topic)",
         "10: sensors.none: found nothing, expected a mapping of settings",
-        " sensors.bad id.calibration: found nothing, expected its own",
+        " sensors.bad id.calibration: found nothing, expected one of its own",
     ]
 
 
@@ -128,8 +128,16 @@ def test_without_a_hand_there_is_none(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        (", hand_T_sensor: [1, 2.5, -3, 1, 0, 0, 0]", "", " sensors.thumb.hand_T_sensor: found nothing, expected its"),
-        ("[1, 2.5, -3, 1, 0, 0, 0]", "null", "4: sensors.thumb.hand_T_sensor: found nothing with hand_id, expected a"),
+        (
+            ", hand_T_sensor: [1, 2.5, -3, 1, 0, 0, 0]",
+            "",
+            " sensors.thumb.hand_T_sensor: found nothing, expected one of its",
+        ),
+        (
+            "[1, 2.5, -3, 1, 0, 0, 0]",
+            "null",
+            "4: sensors.thumb.hand_T_sensor: found nothing with hand_id, expected the sensor's place",
+        ),
         ("-3, 1, 0, 0, 0]", "1, 0, 0, 0]", "4: sensors.thumb.hand_T_sensor: found a list of 6, expected a list of 7 n"),
         ("-3, 1, 0, 0, 0]", "-3, 2, 0, 0, 0]", "4: sensors.thumb.hand_T_sensor: found a quaternion of length 2, ex"),
         ("[0, 0, 90,", "[0, 0, 9.0e+7,", "9: sensors.index.hand_T_sensor: found a place 9e+07 mm away, expected one"),

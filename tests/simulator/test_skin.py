@@ -100,7 +100,7 @@ def test_any_press_gives_a_finite_skin_outside_the_object(
     try:
         skin = press_skin(R_MM, DECAY_MM, [press])
     except ValueError as error:
-        assert "reaches the middle" in str(error)  # noqa: PT017 - only some presses may be refused
+        assert "reaches the sensor's centre" in str(error)  # noqa: PT017 - only some presses may be refused
         assert distance_mm([press], R_MM, np.zeros((1, 3)))[0] < 0.1 * R_MM
         return
     assert np.isfinite(skin.height_mm).all()
@@ -117,7 +117,7 @@ def test_any_press_gives_a_finite_skin_outside_the_object(
 def test_press_beside_the_skin_and_through_the_middle_are_refused() -> None:
     with pytest.raises(ValueError, match="not over the skin"):
         press_skin(R_MM, DECAY_MM, [Press(ball(), 19.0, 9.0, 1.0)])
-    with pytest.raises(ValueError, match="reaches the middle"):
+    with pytest.raises(ValueError, match="reaches the sensor's centre"):
         press_skin(R_MM, DECAY_MM, [Press(ball(), 0.0, 0.0, 19.0)])
 
 

@@ -21,10 +21,10 @@ def test_a_file_is_replaced_whole(tmp_path: Path, wait: bool) -> None:
 
 def test_a_file_that_cannot_be_written_leaves_nothing_and_is_named(tmp_path: Path) -> None:
     (tmp_path / "a").mkdir()
-    with pytest.raises(DeviceError, match=r"a.*: cannot be written: Is a directory"), disk_errors(tmp_path):
+    with pytest.raises(DeviceError, match=r"a.*: cannot write it: Is a directory"), disk_errors(tmp_path):
         write_whole(tmp_path / "a", b"data")  # written beside, and then not to be renamed
     assert not part(tmp_path / "a").exists()
-    with pytest.raises(DeviceError, match=r"none: cannot be written: No such file"), disk_errors(tmp_path):
+    with pytest.raises(DeviceError, match=r"none: cannot write it: No such file"), disk_errors(tmp_path):
         sync(tmp_path / "none")
-    with pytest.raises(DeviceError, match=rf"^{tmp_path}: cannot be written: no name"), disk_errors(tmp_path):
+    with pytest.raises(DeviceError, match=rf"^{tmp_path}: cannot write it: no name"), disk_errors(tmp_path):
         raise OSError("no name")

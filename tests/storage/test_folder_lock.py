@@ -29,7 +29,7 @@ def test_a_folder_has_one_owner_and_says_who(tmp_path: Path) -> None:
     assert caught.value.code == ReasonCode.IN_USE
     lock.release()
     FolderLock(folder, "right").release()
-    with pytest.raises(DeviceError, match="cannot be written"):
+    with pytest.raises(DeviceError, match="cannot write it"):
         FolderLock(Path("/proc/none"), "sensor left")
 
 

@@ -19,7 +19,7 @@ UNIT = "tacshade-edge.service"
 CONFIG = Path("/etc/tacshade-edge/config.yaml")
 PROPERTIES = (
     "LoadState,ActiveState,SubState,Result,MainPID,NRestarts,ExecMainStatus,StatusText,MemoryMax,MemoryCurrent,UID,"
-    "WatchdogUSec"
+    "WatchdogUSec,WatchdogTimestampMonotonic"
 )
 PTRACE_SEIZE, PTRACE_INTERRUPT, PTRACE_DETACH, WALL = 0x4206, 0x4207, 17, 0x40000000
 

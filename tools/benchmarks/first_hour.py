@@ -48,7 +48,7 @@ def practise(begin: str, press: str, python: Path, folder: Path) -> str:
     answers = re.search(r"`(\S+)`, `(\S+)`, `(\S+)`, `(\S+)`", (ROOT / "docs/how-to/calibration.md").read_text())
     assert answers
     with person(*capture.split()[2:], python=str(python), folder=folder) as one:
-        questions = ("Radius of", "Half angle", "How far", "Does a press")
+        questions = ("Radius of", "Half angle", "Distance of the lens", "Does a press")
         for question, answer in zip(questions, answers.groups(), strict=True):
             one.hears(question)
             one.types(answer)

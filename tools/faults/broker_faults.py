@@ -119,7 +119,7 @@ def small_packets(cell: Cell) -> Seen:
     cell.serve(more=("max_packet_size 5000",))
     began_s = cell.mark()
     cell.start()
-    detected_s = cell.told("takes packets of at most 5000 bytes", began_s, 30)
+    detected_s = cell.told("accepts packets of at most 5000 bytes", began_s, 30)
     frames = cell.frames()
     assert frames["failed"] > 0
     assert cell.last("health")["mqtt"]["losses"] == 0
@@ -146,7 +146,7 @@ def wrong_password(cell: Cell) -> Seen:
     cell.enter(cell.broker)
     began_s = time.monotonic()
     cell.start(cell.settings(mqtt=f", username: {SENSOR_ID}, password_file: word"), streams=False)
-    detected_s = cell.told("refused", began_s, 30)
+    detected_s = cell.told("rejects the connection", began_s, 30)
     return Seen(detected_s, None, "maps, counted as failed", "log; `doctor`")
 
 
@@ -180,7 +180,7 @@ def same_id_elsewhere(cell: Cell) -> Seen:
     since_s = cell.mark()
     other = cell.spawn(path, "other")
     try:
-        cell.until(lambda: "is held by another daemon" in cell.log("other"), 15, "it is told")
+        cell.until(lambda: "another daemon, on" in cell.log("other"), 15, "it is told")
         detected_s = time.monotonic() - since_s
         pause(5.0)
         assert "connection lost" not in cell.new_log()

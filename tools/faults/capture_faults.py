@@ -83,12 +83,12 @@ def killed_by_hand(cell: Cell) -> Seen:
     for after_s in AFTER_S:
         since_s = time.monotonic()
         with person(*words) as one:
-            one.hears(f"10 references and {acknowledged} presses are already here")
-            one.hears("planned are left")
+            one.hears(f"this folder already has 10 references and {acknowledged} presses")
+            one.hears("planned presses left")
             slowest_s = max(slowest_s, time.monotonic() - since_s)
             one.types("")
             one.hears(f"press_{acknowledged + 1:03d}.png: ball")
-            one.hears("planned are left")
+            one.hears("planned presses left")
             one.types("")
             pause(after_s)
             _kill(one)
@@ -190,7 +190,7 @@ FAULTS = {
         for name, fault, said in (
             ("loses an answer", "lost_answer", "did not answer G1"),
             ("says that it has an error", "error", "MAXTEMP triggered"),
-            ("restarts", "restart", "it has restarted"),
+            ("restarts", "restart", "it restarted"),
             ("halts", "halts_below_mm", "kill() called"),
             ("loses steps", "loses_steps_below_mm", "expected contact"),
             ("is unplugged", "cable", "serial"),

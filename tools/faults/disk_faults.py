@@ -104,7 +104,7 @@ def full_in_a_session(cell: Cell) -> Seen:
     cell.session("one")
     filler = _fill(disk, FLOOR_MB - 5)
     since_s = cell.mark()
-    detected_s = cell.told("a settled contact was not added", since_s)
+    detected_s = cell.told("did not add a settled contact", since_s)
     status = cell.ask("stitch", action="status")["result"]
     filler.unlink()
     since_s = time.monotonic()
@@ -144,7 +144,7 @@ def flipped_in_mcap(cell: Cell) -> Seen:
     left.write_bytes(flipped(content, chunks[len(chunks) // 2] + 3, 2))
     began_s = cell.mark()
     cell.start()
-    detected_s = cell.told("its writer died; closed after the last whole record", began_s)
+    detected_s = cell.told("its writer died; closed it after the last whole record", began_s)
     read, told = _frames_of(path)
     each = -(-whole // len(chunks))
     assert 2 <= len(told) <= 4, told  # a chunk may end amid a frame, which is told too

@@ -175,7 +175,7 @@ def part_stopped(cell: Cell) -> Seen:
     cell.start(one_of_several(cell))
     since_s = cell.mark()
     os.kill(part_of(cell), signal.SIGTERM)
-    detected_s = cell.told("was stopped by a signal, starts again", since_s)
+    detected_s = cell.told("a signal ended its process; restarting", since_s)
     return Seen(detected_s, cell.maps_again(time.monotonic()), "frames meanwhile", "log, `STATUS`")
 
 

@@ -81,7 +81,7 @@ def show_page(path: Path) -> None:
         hand, header = folder / "hand.csv", "indenter,radius_mm,depth_mm,x_mm,y_mm\n"
         hand.write_text(header)
         with person(str(out), "--config", str(folder / "sim.yaml")) as one, browser(folder, size_px=PAGE_PX) as driver:
-            one.hears("the picture: ")
+            one.hears("live picture: ")
             one.hears("\n")
             address = one.before.strip()
             one.hears("Enter takes 10 references.")
@@ -94,7 +94,7 @@ def show_page(path: Path) -> None:
             one.hears("press_001.png")
             driver.get(address)
             text = driver.find_element(By.ID, "text")
-            wait_until(lambda: "next helps most" in text.text, 10, "the page tells what helps next")
+            wait_until(lambda: "the next press helps most" in text.text, 10, "the page tells what helps next")
             picture = np.frombuffer(driver.get_screenshot_as_png(), np.uint8)
             cv2.imwrite(str(path), cv2.imdecode(picture, cv2.IMREAD_COLOR), JPEG)
             one.types("done")

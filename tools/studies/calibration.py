@@ -182,17 +182,21 @@ def wrong_sets(given: Set, rng: np.random.Generator) -> Iterator[tuple[str, str,
     yield "depths are travel from first touch", "travel from first touch", told(travel)
     for off in (-0.5, 0.5, 1.0):
         made = [replace(p, depth_mm=p.depth_mm + off * scale) for p in presses]
-        size, wanted = ("small", "mm more: check") if off < 0 else ("great", "mm less: check")
+        size, wanted = (
+            ("small", "mm more: check where depth is zero")
+            if off < 0
+            else ("great", "mm less: check where depth is zero")
+        )
         yield f"all depths {abs(off)} mm too {size}", wanted, told([p for p in made if p.depth_mm > 0])
     yield "x and y swapped", "swapped", told([replace(p, x_mm=p.y_mm, y_mm=p.x_mm) for p in presses])
-    yield "y with the other sign", "other sign", told([replace(p, y_mm=-(p.y_mm or 0)) for p in presses])
+    yield "y with the other sign", "opposite sign", told([replace(p, y_mm=-(p.y_mm or 0)) for p in presses])
     near = sorted(presses, key=lambda p: (p.x_mm or 0) ** 2 + (p.y_mm or 0) ** 2)[:8]
     yield "8 presses in the middle", "close together", told(near)
     yield "half the disc", "no press lies|close together", told([p for p in presses if (p.x_mm or 0) > -1])
     alike = sorted(presses, key=lambda p: p.depth_mm)[-10:]
     yield "10 presses of like depth", "deep: other depths", told(alike)
     alike = sorted(presses, key=lambda p: p.radius_mm)[8:16]
-    yield "8 presses of like radius", "ball radii", told(alike)
+    yield "8 presses of like radius", "all balls have radii", told(alike)
 
     for px in (0.5, 1.0, 2.0, 6.0):
         yield (
@@ -224,7 +228,7 @@ def wrong_sets(given: Set, rng: np.random.Generator) -> Iterator[tuple[str, str,
         for place, x_mm in (("in the middle", 0.0), ("5 mm beside", 5.0)):
             images = [given.loaded(depth, x_mm, 0, k) for k in range(3)]
             yield (
-                f"all references under {depth} mm {place}", "under load",
+                f"all references under {depth} mm {place}", "seems pressed",
                 answer(lambda images=images: given.calibrate(images, [])),
             )  # fmt: skip
 

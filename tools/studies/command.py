@@ -56,7 +56,7 @@ def add_calibration(parser: argparse.ArgumentParser) -> None:
 def check_presses(parser: argparse.ArgumentParser, presses: int) -> None:
     """Refuse fewer than a calibration needs."""
     if 0 < presses < MIN_PRESSES:
-        parser.error(f"--presses: found {presses}, expected 0, or {MIN_PRESSES} or more")
+        parser.error(f"--presses: found {presses}, expected 0 or at least {MIN_PRESSES}")
 
 
 @contextlib.contextmanager

@@ -65,10 +65,12 @@ class Scale:
         if self._error is not None:
             raise self._error
         if len(self._t_s) >= READINGS_MAX:
-            raise DeviceError(f"scale {self._port.device}: found {READINGS_MAX} readings, expected fewer in one start")
+            raise DeviceError(
+                f"scale {self._port.device}: found {READINGS_MAX} readings since the start, expected fewer"
+            )
         if time.monotonic() - self._heard_s > _SILENT_S:
             found = repr(self._unread.decode("ascii", "replace")) if self._unread else "nothing"
-            expected = f"expected lines with a number and a unit ({UNITS}); is {self._port.baud} its baud?"
+            expected = f"expected lines with a number and a unit ({UNITS}); is its rate {self._port.baud} baud?"
             raise DeviceError(f"scale {self._port.device}: found {found} for {_SILENT_S:.0f} s, {expected}")
 
     def readings(self) -> tuple[F64, F64]:

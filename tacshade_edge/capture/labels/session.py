@@ -29,10 +29,10 @@ _NO_IMAGE = np.zeros((1, 1), np.uint8)
 _FORCE = "force_z_n"
 _CHANGE_FACTOR, _CHANGE_GREY = 2.0, 0.1  # above what rest shows something touches
 
-_HELP = """  Enter            record a press: press, lift again, Enter; with a scale or a robot
-    NAME=VALUE ...   hold still what you have read: force_z_n=1.2 depth_mm=0.5; one picture is taken
-    touch            the robot holds the skin where it just touches: depth and the rest count from there
-    undo             take back the last press
+_HELP = """  Enter            record a press: press, lift, then Enter; needs a scale or a robot
+    NAME=VALUE ...   type readings while you hold still: force_z_n=1.2 depth_mm=0.5; takes one picture
+    touch            set first touch where the robot holds the skin now: depth and the rest count from there
+    undo             remove the last press
     done             end"""
 
 
@@ -73,7 +73,7 @@ class LabelSession:
             What was taken until then is in the folder.
         """
         if self._rows:
-            self._terminal.say(f"{len(self._rows)} labelled pictures are already here")
+            self._terminal.say(f"this folder already has {len(self._rows)} labelled pictures")
         self._take_rest()
         while True:
             group = str(max((int(row.group) for row in self._rows if row.group.isdecimal()), default=0) + 1)
@@ -93,15 +93,17 @@ class LabelSession:
         self._end()
 
     def _take_rest(self) -> None:
-        load = " nor load the scale" if self._scale else ""
+        load = " or loads the scale" if self._scale else ""
         while True:
-            self._live.ask(f"Nothing may touch the skin{load}: Enter takes rest{' and tare' if self._scale else ''}.")
+            self._live.ask(
+                f"Make sure that nothing touches the skin{load}; Enter takes rest{' and tare' if self._scale else ''}."
+            )
             since_s = time.monotonic()
             blocks = [block_means(to_grey(one.image)) for one in self._live.frames(STILL_FRAMES, _REST_S)]
             rest_grey = motion_grey(blocks)
             if rest_grey > REST_MOST_GREY:
-                found = f"found {rest_grey:.1f} grey levels of change, expected {REST_MOST_GREY:g} at most"
-                self._terminal.say(f"  refused: the picture moves, or is too noisy: {found}")
+                found = f"found {rest_grey:.1f} grey levels of change, expected at most {REST_MOST_GREY:g}"
+                self._terminal.say(f"  rejected: the picture moves or is too noisy: {found}")
                 continue
             self._live.rest_grey = rest_grey
             self._rest = np.mean(blocks, axis=0)
@@ -113,7 +115,7 @@ class LabelSession:
         scale.check()
         tare_n, spread_n = scale.median_n(since_s)
         if math.isnan(tare_n):
-            self._terminal.say("  refused: the scale has sent nothing since")
+            self._terminal.say("  rejected: the scale has sent no reading since you pressed Enter")
             return False
         self._tare_n = tare_n
         self._terminal.say(f"  tare: the scale reads {tare_n:.4f} N, spread {spread_n:.4f} N")
@@ -128,19 +130,19 @@ class LabelSession:
         try:
             known = _parse(words)
         except ConfigError as error:
-            self._terminal.say(f"  {error} (help says how)")
+            self._terminal.say(f"  {error} (type help)")
             return
         frame = self._live.still_frame()
         if frame is None:
-            self._terminal.say("  cancelled: nothing was taken")
+            self._terminal.say("  cancelled: took no picture")
             return
         known = {**self._robot_labels(frame), **known}
         self._keep([LabelRow(self._folder.add_image(np.array(frame.image)), known, group, frame.t_ns)])
 
     def _record(self, group: str) -> None:
         if self._scale is None and not (self._robot and self._robot.knows_first_touch):
-            expected = "touch first" if self._robot else "NAME=VALUE ..., for there is no scale and no robot"
-            self._terminal.say(f"  found nothing, expected {expected} (help says how)")
+            expected = "touch first" if self._robot else "NAME=VALUE ..., because there is neither a scale nor a robot"
+            self._terminal.say(f"  found nothing, expected {expected} (type help)")
             return
         self._terminal.say("  press, then lift; Enter ends the press")
         seen: list[tuple[float, float]] = []
@@ -185,11 +187,11 @@ class LabelSession:
         except ConfigError as error:
             self._terminal.say(f"  not taken: {error}")
             return
-        self._terminal.say("  first touch is here" if frame else "  given up")
+        self._terminal.say("  set first touch here" if frame else "  cancelled")
 
     def _undo(self) -> None:
         if not self._rows or self._rows[-1].t_ns is None:
-            self._terminal.say("  nothing was taken since the start")
+            self._terminal.say("  nothing to undo since the start")
             return
         group = self._rows[-1].group
         removed = [row for row in self._rows if row.group == group]
@@ -237,19 +239,19 @@ class LabelSession:
         """State tare, drift and the scale's clock; a scale that cannot be lined up gives no force."""
         if self._scale is None:
             return
-        self._live.ask("Nothing may touch the skin nor load the scale: Enter measures the drift.")
+        self._live.ask("Make sure that nothing touches the skin or loads the scale; Enter measures the drift.")
         since_s = time.monotonic()
         self._live.frames(STILL_FRAMES, _REST_S)
         self._scale.check()
         after_n, spread_n = self._scale.median_n(since_s)
         drift = "not measured" if math.isnan(after_n) else f"{after_n - self._tare_n:+.4f} N, spread {spread_n:.4f} N"
-        self._terminal.say(f"scale: tare before {self._tare_n:.4f} N, subtracted; drift after {drift}")
+        self._terminal.say(f"scale: subtracted the tare of {self._tare_n:.4f} N; drift since then: {drift}")
         offset = self._offset()
         self._folder.write(self._with_force())
         if offset is None:
             raise DeviceError(
-                f"scale: its clock could not be matched: {self._unaligned}; "
-                f"the presses since this start have no {_FORCE}"
+                f"scale: cannot match its clock to the camera's: {self._unaligned}; "
+                f"the presses since the start have no {_FORCE}"
             )
         self._terminal.say(
             f"scale: its readings come {1e3 * offset.offset_s:.0f} ms after the pictures, "

@@ -47,7 +47,7 @@ class ContactDetector:
         rest_grey = max(motion_grey([a, looks[0]]) for a in looks)
         if rest_grey > REST_MOST_GREY:
             raise SafetyStop(
-                f"the picture changes by {rest_grey:.1f} grey levels at rest, expected {REST_MOST_GREY:g} at most"
+                f"the picture changes by {rest_grey:.1f} grey levels at rest, expected at most {REST_MOST_GREY:g}"
             )
         self._contact_grey = _REST_FACTOR * rest_grey + _CONTACT_GREY
 
@@ -103,7 +103,7 @@ class ContactDetector:
             raise SafetyStop("the camera keeps delivering the same picture")
         judged = self._check.judge(np.array(frames[-1].image))
         if judged.unusable:
-            raise SafetyStop(f"the picture cannot be used: {judged.unusable}")
+            raise SafetyStop(f"the picture is unusable: {judged.unusable}")
         if judged.moved:
             raise SafetyStop(f"{judged.moved} since the references were taken")
         return np.mean(blocks, axis=0, dtype=np.float32), judged
@@ -114,7 +114,7 @@ class ContactDetector:
         while len(frames) < _FRAMES:
             self._keypress.check()
             if time.monotonic_ns() - from_ns > 1e9 * _FRAMES_MOST_S:
-                raise SafetyStop(f"the camera gave no {_FRAMES} new pictures within {_FRAMES_MOST_S:g} s")
+                raise SafetyStop(f"the camera delivered fewer than {_FRAMES} new pictures within {_FRAMES_MOST_S:g} s")
             frame = self._live.frame()
             if frame.t_ns >= from_ns:
                 frames.append(frame)

@@ -83,7 +83,9 @@ class Head:
     def over(self, x_mm: float, y_mm: float) -> None:
         """Move sideways, as high as it is. Raises as `to`."""
         if not self.is_free:
-            raise SafetyStop(f"a move sideways at z {self.z_mm:.2f} mm, expected {self.free_z_mm:.2f} mm or more")
+            raise SafetyStop(
+                f"found a sideways move at z {self.z_mm:.2f} mm, expected at least {self.free_z_mm:.2f} mm"
+            )
         self._go((x_mm, y_mm, self.z_mm), self._limits.feed_mm_s)
 
     def to(self, z_mm: float) -> None:
@@ -109,7 +111,7 @@ class Head:
         for part in segments(self._place_mm, np.round(to_mm, 3), feed_mm_s * _LONGEST_S):
             self._keypress.check()
             if not self.is_certain:
-                raise SafetyStop("the position of the head is not certain")
+                raise SafetyStop("the head's position is uncertain")
             self.is_certain, self.was_moved = False, True
             x, y, z = part.tolist()
             self._line.do(commands.straight(x, y, z, feed_mm_s))
@@ -123,7 +125,7 @@ class Head:
         if float(np.abs(found_mm - self._place_mm).max()) > _POSITION_MM:
             self.is_certain = False
             found, expected = (", ".join(f"{v:.2f}" for v in place.tolist()) for place in (found_mm, self._place_mm))
-            raise SafetyStop(f"the printer reports that it is at {found}, expected {expected} mm")
+            raise SafetyStop(f"the printer reports position {found}, expected {expected} mm")
 
     def _reported_mm(self) -> F64:
         place = self._line.position()
@@ -133,4 +135,6 @@ class Head:
         ranges = (self._limits.x_mm, self._limits.y_mm, self._limits.z_mm)
         for name, here, value, (least, most) in zip("xyz", self._place_mm.tolist(), to_mm, ranges, strict=True):
             if value != here and not least - _POSITION_MM <= value <= most + _POSITION_MM:
-                raise SafetyStop(f"a move to {name} {value:.2f} mm, expected {least:g} to {most:g} (PRINTER.yaml)")
+                raise SafetyStop(
+                    f"found a move to {name} {value:.2f} mm, expected {least:g} to {most:g} (PRINTER.yaml)"
+                )

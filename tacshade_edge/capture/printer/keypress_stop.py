@@ -23,6 +23,6 @@ class KeypressStop:
         try:
             pressed = self._terminal.line() is not None
         except InputEnded:
-            raise Stopped("nobody is at the terminal any more") from None
+            raise Stopped("the terminal has closed") from None
         if pressed:
             raise Stopped("a key was pressed")

@@ -41,7 +41,7 @@ class PrinterLine:
         self._port.open()
         self._write(b"\n")  # ends what a program before may have left half sent
         if not any(self._greeted() for _ in range(_GREETINGS)):
-            found = f"found no answer in {_GREETINGS * _GREETING_S:.0f} s"
+            found = f"found no answer within {_GREETINGS * _GREETING_S:.0f} s"
             raise DeviceError(
                 f"printer {self._port.device}: {found}, expected ok from Marlin or Klipper; is baud right?"
             )
@@ -86,26 +86,26 @@ class PrinterLine:
         """Where the printer says that its head was sent to. Raises as `do`."""
         self.do(commands.POSITION)
         if self._exchange.position is None:
-            raise SafetyStop(f"the printer reported no position in answer to {commands.POSITION}")
+            raise SafetyStop(f"the printer answered {commands.POSITION} without a position")
         return self._exchange.position
 
     def listen(self) -> None:
         """Take what came while nothing was asked: a reset, an error. Raises as `do`."""
         if again := self._exchange.receive(self._port.read()):
-            raise SafetyStop(f"the printer asked for a line again that it had answered: {again!r}")
+            raise SafetyStop(f"the printer asked again for a line that it had already answered: {again!r}")
         self._check_failure("rest")
 
     def emergency_stop(self) -> str:
         """Send M112, whatever is under way; what became of it, in words."""
         try:
             if not self._port.write(commands.EMERGENCY_STOP):
-                return "M112 could not be sent: switch the printer off"
+                return "cannot send M112: switch the printer off"
             end_s = time.monotonic() + _STOP_S
             while time.monotonic() < end_s:
                 self._exchange.receive(self._port.read())
         except DeviceError as error:
-            return f"M112 could not be sent or its answer not read ({error}): switch the printer off"
-        return "M112 was sent: the printer stands still until it is reset; look whether the indenter still presses"
+            return f"cannot send M112 or read its answer ({error}): switch the printer off"
+        return "sent M112: the printer stands still until you reset it; check whether the indenter still presses"
 
     def close(self) -> None:
         """Let go of the port."""
@@ -145,7 +145,7 @@ class PrinterLine:
 
     def _check_failure(self, command: str) -> None:
         if self._exchange.failure:
-            raise SafetyStop(f"the printer at {command}: {self._exchange.failure}")
+            raise SafetyStop(f"the printer failed at {command}: {self._exchange.failure}")
 
     def _write(self, data: bytes) -> None:
         if not self._port.write(data):

@@ -73,7 +73,7 @@ def planned_presses(
     for press in presses:
         _check(press, sensor, limits)
     if not any(isinstance(press.indenter, float) for press in presses):
-        raise ConfigError("--plan: found no press with a ball, expected some: they locate the sensor")
+        raise ConfigError("--plan: found no press with a ball, expected at least one: ball presses locate the sensor")
     return presses
 
 
@@ -82,16 +82,18 @@ def check_reach(reach_mm: float, what: str, limits: PrinterFile) -> None:
     for axis, start, (least, most) in zip("xy", limits.start_mm, (limits.x_mm, limits.y_mm), strict=False):
         room_mm = min(start - least, most - start) - BESIDE_START_MM
         if reach_mm > room_mm:
-            expected = f"expected {room_mm:.1f} mm at most, from {axis}_mm and start_mm in PRINTER.yaml"
-            raise ConfigError(f"{what}: found {reach_mm:.1f} mm from the skin's axis, {expected}")
+            expected = f"expected at most {room_mm:.1f} mm, given {axis}_mm and start_mm in PRINTER.yaml"
+            raise ConfigError(f"{what}: found a reach of {reach_mm:.1f} mm from the skin's axis, {expected}")
 
 
 def _planned(stated: Stated, indenters: Mapping[str, Indenter | float]) -> PlannedPress:
     name, radius_mm, depth_mm, x_mm, y_mm, *more = stated.columns
     if any(more):
-        raise ConfigError(f"--plan: {stated}: expected no yaw, tilt or shear: the head only moves straight down")
+        raise ConfigError(
+            f"--plan: {stated}: found yaw, tilt or shear, expected none: the head only moves straight down"
+        )
     if not x_mm:
-        raise ConfigError(f"--plan: {stated}: found no x_mm, y_mm, expected a place to go to")
+        raise ConfigError(f"--plan: {stated}: found no x_mm, y_mm, expected a place to press")
     indenter = float(radius_mm) if name == BALL else indenters[name]
     columns = Stated((name, radius_mm, depth_mm, x_mm, y_mm))
     return PlannedPress(columns, indenter, float(x_mm), float(y_mm), float(depth_mm))
@@ -105,7 +107,7 @@ def _check(press: PlannedPress, sensor: Sensor, limits: PrinterFile) -> None:
     )
     if beside_mm > visible_mm:
         raise ConfigError(
-            f"{what}: found {beside_mm:.1f} mm from the axis, expected at most the {visible_mm:.1f} mm in view"
+            f"{what}: found a place {beside_mm:.1f} mm from the axis, expected one in view, within {visible_mm:.1f} mm"
         )
     check_reach(beside_mm, what, limits)
     travel_mm = press.depth_mm - first_touch_mm(press.indenter, r, press.x_mm, press.y_mm)

@@ -94,12 +94,12 @@ class Pressing:
 
     def _run(self) -> None:
         if not self._left:
-            self._terminal.say("all planned presses have been taken")
+            self._terminal.say("all planned presses are taken")
             return
         self._home()
         self._live.ask(
-            f"Mount the sensor under the head, its skin up, and {self._ball} in the head, which comes no lower "
-            "until you press Enter. While it moves any key stops and lifts it, Ctrl-C stops it at once (M112)."
+            f"Mount the sensor under the head, skin up, and {self._ball} in the head, which stays up "
+            "until you press Enter. While it moves, any key stops and lifts it; Ctrl-C stops it at once (M112)."
         )
         unloaded = self._session.unloaded()
         self._check = PressCheck(unloaded)
@@ -112,7 +112,9 @@ class Pressing:
             if name != mounted:
                 with self._terminal.keys():
                     self._head.to_start()
-                match self._live.ask(f"Mount {name}, its x along the printer's x; Enter goes on, skip, done:"):
+                match self._live.ask(
+                    f"Mount {name}, its x along the printer's x; press Enter to continue, or type skip or done:"
+                ):
                     case "skip":
                         continue
                     case "done":
@@ -131,7 +133,7 @@ class Pressing:
         self._terminal.say(f"printer: {self._line.firmware}")
         text, answers = "Take the sensor off the bed and the indenter off the head, then type home (G28).", ["home"]
         if not self._line.has_restarted:
-            text += " Only where the printer was homed before and has been on since, type homed:"
+            text += " If you homed the printer before and it has been on since, type homed instead:"
             answers.append("homed")
         while (answer := self._live.ask(text)) not in answers:
             pass
@@ -146,7 +148,7 @@ class Pressing:
         tip_x, tip_y, tip_z = found.head_mm(0.0, 0.0, 0.0)
         place = f"its axis at x {tip_x:.2f}, y {tip_y:.2f}, its tip at z {tip_z:.2f} mm"
         self._terminal.say(
-            f"the sensor: {place}, turned by {found.yaw_deg:.1f} degrees; touches fit by {rms_mm:.3f} mm"
+            f"found the sensor: {place}, turned by {found.yaw_deg:.1f} degrees; the touches fit within {rms_mm:.3f} mm"
         )
         return found
 
@@ -162,7 +164,7 @@ class Pressing:
         return touch_z - z
 
     def _dry_run(self, presses: Sequence[PlannedPress], lower_mm: float) -> None:
-        self._terminal.say(f"dry run, {NEAR_MM:g} mm above the skin at {len(presses)} places ...")
+        self._terminal.say(f"dry run: visiting {len(presses)} places {NEAR_MM:g} mm above the skin ...")
         self._touch.detector.learn_free()
         for press in presses:
             touch_z, _ = self._over(press, lower_mm)
@@ -182,9 +184,7 @@ class Pressing:
     def _over(self, press: PlannedPress, lower_mm: float) -> tuple[float, float]:
         """Move over a place; heights at first touch and at full depth. Raises SafetyStop for another circle."""
         if self._session.circle_changed:
-            raise SafetyStop(
-                "the visible circle was changed after the sensor was located with the old one; start again"
-            )
+            raise SafetyStop("the visible circle changed after the sensor was located; start again")
         x, y, yaw_deg = press.x_mm, press.y_mm, self._stand.indenter_yaw_deg
         first_mm = first_touch_mm(press.indenter, self._sensor.skin_radius_mm, x, y, yaw_deg)
         place_x, place_y, touch_z = self._stand.head_mm(x, y, first_mm)
@@ -194,7 +194,7 @@ class Pressing:
     def _leave(self) -> str:
         """Lift the indenter where that is certainly safe, else stop the printer; what was done, in words."""
         if not self._head.was_moved:
-            return "nothing was moved"
+            return "the head has not moved"
         if self._head.is_free:
             return "the head stands still above the skin"
         if self._head.is_certain:
@@ -202,8 +202,8 @@ class Pressing:
                 with self._terminal.keys():
                     self._head.to(self._head.free_z_mm)
             except (Stopped, DeviceError) as error:
-                return f"lifting it failed too ({error}); {self._line.emergency_stop()}"
-            return "the indenter was lifted off"
+                return f"lifting the indenter failed too ({error}); {self._line.emergency_stop()}"
+            return "the head lifted the indenter off"
         return self._line.emergency_stop()
 
 
@@ -223,7 +223,7 @@ def _ended_by_signals() -> Iterator[None]:
     """A terminal that was closed and a program that is asked to end stop the printer as a hand does."""
 
     def end(number: int, _frame: FrameType | None) -> NoReturn:
-        raise Stopped(f"the program was asked to end ({signal.Signals(number).name})")
+        raise Stopped(f"the program received {signal.Signals(number).name}")
 
     before = {number: signal.signal(number, end) for number in (signal.SIGTERM, signal.SIGHUP)}
     # A shell's background jobs start with it ignored, and a hand must stop the head.

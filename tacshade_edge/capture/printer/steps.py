@@ -23,7 +23,7 @@ _EARLY_MM, _LATE_MM = 0.35, 0.6
 class Expected(Enum):
     """What the camera must see after a step."""
 
-    FREE = "nothing that touches"
+    FREE = "no contact"
     ANYTHING = "anything"
     TOUCHED = "contact"
 

@@ -76,7 +76,7 @@ class Touch:
             least_z_mm = self.head.z_mm - _AGAIN_MM
             self.head.to(self.head.z_mm + step_mm + _OFF_MM)
             if self.detector.look():
-                raise SafetyStop("the picture still shows contact after the head was raised")
+                raise SafetyStop("the picture still shows contact after the head rose")
         return self.head.z_mm + _SEEN_LATE_MM
 
     def _search(self, least_z_mm: float, step_mm: float) -> None:

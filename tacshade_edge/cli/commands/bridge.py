@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     kinds = parser.add_subparsers(dest="kind", metavar="KIND", required=True)
     for name, port, text in (
         ("foxglove", 8765, "serve live data to Foxglove and Lichtblick over their WebSocket protocol"),
-        ("prometheus", 9469, "serve every sensor's health as metrics on /metrics"),
+        ("prometheus", 9469, "serve every sensor's health as Prometheus metrics on /metrics"),
     ):
         kind = kinds.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
         kind.add_argument(
@@ -34,20 +34,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             type=address(1883),
             default=("localhost", 1883),
             metavar="HOST[:PORT]",
-            help="the broker (default: localhost:1883)",
+            help="the broker's address (default: localhost:1883)",
         )
-        kind.add_argument("--sensor", nargs="+", default=[], metavar="ID", help="only these sensors (default: all)")
+        kind.add_argument(
+            "--sensor", nargs="+", default=[], metavar="ID", help="serve only these sensors (default: all)"
+        )
         kind.add_argument(
             "--listen",
             type=address(port),
             default=("127.0.0.1", port),
             metavar="HOST[:PORT]",
-            help=f"address to listen on; port 0: any free one (default: 127.0.0.1:{port}, this machine only)",
+            help=f"address to listen on; port 0 picks a free one (default: 127.0.0.1:{port}, this machine only)",
         )
         kind.add_argument("--username", metavar="NAME", help="user name for the broker")
-        kind.add_argument("--password-file", metavar="FILE", help="file with the password in its first line")
+        kind.add_argument("--password-file", metavar="FILE", help="file whose first line is the password")
         kind.add_argument(
-            "--ca-file", metavar="FILE", help="PEM file of the broker's CA: connect to the broker over TLS"
+            "--ca-file", metavar="FILE", help="PEM file of the broker's CA, to connect to the broker over TLS"
         )
         add_verbosity(kind)
 
@@ -111,7 +113,9 @@ def _prometheus(args: argparse.Namespace, broker: BrokerAddress, ended: threadin
         server = MetricsServer(host, port, registry)
     except OSError as error:
         reason = error.strerror or error
-        raise ConfigError(f"--listen {host}:{port}: {reason}, expected an address to listen on") from None
+        raise ConfigError(
+            f"--listen {host}:{port}: {reason}, expected a free port on an address of this machine"
+        ) from None
     _announce(args, f"http://{_in_url(host)}:{server.server_port}/metrics")
     try:
         _serve(follower, lambda: None, ended)
@@ -134,15 +138,15 @@ def _serve(follower: Follower, poll: Callable[[], None], ended: threading.Event)
 
 def _announce(args: argparse.Namespace, url: str) -> None:
     host, port = args.broker
-    print(f"{args.kind}: {url} for the broker {host}:{port}; Ctrl-C ends", flush=True)
+    print(f"{args.kind}: {url} for the broker {host}:{port}; press Ctrl-C to stop", flush=True)
     if not is_loopback(args.listen[0]):
-        print(f"{args.kind}: unencrypted and without a password: anyone on the network can read it", file=sys.stderr)
+        print(f"{args.kind}: no encryption and no password: anyone on the network can read it", file=sys.stderr)
 
 
 def _missing(error: ModuleNotFoundError, extra: str, package: str) -> Exception:
     if error.name is None or error.name.partition(".")[0] not in ("foxglove", "prometheus_client", "websockets"):
         return error
-    return ConfigError(f"the package {package} is missing: {how_to_install(extra)}")
+    return ConfigError(f"found no package {package}; to install it: {how_to_install(extra)}")
 
 
 def _in_url(host: str) -> str:

@@ -40,30 +40,33 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     kind = parser.add_mutually_exclusive_group(required=True)
-    kind.add_argument("--sensor", type=Path, metavar="SENSOR.yaml", help="the sensor's dimensions and camera")
+    kind.add_argument("--sensor", type=Path, metavar="SENSOR.yaml", help="file with the sensor's dimensions and camera")
     kind.add_argument(
         "--rezero", type=Path, metavar="CAL.npz", help="replace only the reference of this calibration file"
     )
     parser.add_argument(
-        "--reference", type=Path, required=True, nargs="+", metavar="IMG", help="images of the unloaded skin, 5 or more"
+        "--reference", type=Path, required=True, nargs="+", metavar="IMG", help="at least 5 images of the unloaded skin"
     )
-    parser.add_argument("--presses", type=Path, metavar="PRESSES.csv", help="known presses, for metric depth")
+    parser.add_argument("--presses", type=Path, metavar="PRESSES.csv", help="table of known presses, for metric depth")
     parser.add_argument(
-        "--indenters", type=Path, metavar="INDENTERS.yaml", help="the shapes, other than ball, that PRESSES.csv names"
+        "--indenters",
+        type=Path,
+        metavar="INDENTERS.yaml",
+        help="file with the shapes, other than ball, that PRESSES.csv names",
     )
     parser.add_argument(
-        "--depth-from-touch", action="store_true", help="depth_mm in PRESSES.csv is the travel from first touch"
+        "--depth-from-touch", action="store_true", help="treat depth_mm in PRESSES.csv as travel from first touch"
     )
     parser.add_argument(
         "--fit",
         action="store_true",
-        help="train the networks further on the presses, which takes minutes; needs the extra fit",
+        help="also train the networks on the presses; takes minutes and needs the extra fit",
     )
     parser.add_argument(
         "--labels",
         type=Path,
         metavar="LABELS.csv",
-        help="labelled frames: depth, tilt, shear, forces and the like, as numbers",
+        help="table of labelled frames: their depth, tilt, shear, forces and so on",
     )
     parser.add_argument("--out", type=Path, required=True, metavar="CAL.npz", help="calibration file to write")
     parser.add_argument(
@@ -99,7 +102,7 @@ def run(args: argparse.Namespace) -> int:
     indenters = read_indenters(args.indenters) if args.indenters else {}
     presses, notes = read_presses(args.presses, indenters) if args.presses else ([], ())
     if args.presses and not presses:
-        raise ConfigError(f"{args.presses}: found no press, expected a row for each")
+        raise ConfigError(f"{args.presses}: found no press, expected one row per press")
     if args.depth_from_touch:
         presses, above = _from_travel(presses, sensor)
         notes = (*notes, *above)
@@ -135,7 +138,7 @@ def run(args: argparse.Namespace) -> int:
 def _from_travel(presses: Sequence[KnownPress], sensor: Sensor) -> tuple[list[KnownPress], tuple[str, ...]]:
     """The presses with their depth in place of the travel, and those left out that have none."""
     converted = [from_travel(press, sensor.skin_radius_mm) for press in presses]
-    why = "after that travel its lowest point is above the skin at (x, y); left out"
+    why = "after that travel its lowest point is still above the skin at (x, y); left out"
     above = tuple(f"{press.name}: {why}" for press in converted if press.depth_mm <= 0)
     return [press for press in converted if not press.depth_mm <= 0], above
 
@@ -202,7 +205,7 @@ def _read_references(paths: Sequence[Path]) -> list[U8]:
     for path, image in zip(paths, references, strict=True):
         if image.shape[:2] != (height, width):
             found = f"{image.shape[1]}x{image.shape[0]} px"
-            raise ConfigError(f"--reference: {path}: found {found}, expected {width}x{height} px as the first")
+            raise ConfigError(f"--reference: {path}: found {found}, expected {width}x{height} px like the first")
     return references
 
 

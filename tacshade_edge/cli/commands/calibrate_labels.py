@@ -25,7 +25,7 @@ def learn_from_labels(calibration: Calibration, table: Path, labelled: Sequence[
     counts = {name: sum(name in row.known for row in labelled) for name in QUANTITIES}
     if max(counts.values()) < LEAST_ROWS:
         found = ", ".join(f"{count} of {name}" for name, count in counts.items() if count)
-        raise ConfigError(f"{table}: found {found}, expected {LEAST_ROWS} or more rows for at least one quantity")
+        raise ConfigError(f"{table}: found {found}, expected at least {LEAST_ROWS} rows for at least one quantity")
     size = (calibration.image_height_px, calibration.image_width_px)
     results = []
     progress = Progress()
@@ -36,7 +36,7 @@ def learn_from_labels(calibration: Calibration, table: Path, labelled: Sequence[
     progress.end()
     if not any(one.learnt.reports for one in results):
         why = "; ".join(touch_warnings(results[:1]))
-        raise ConfigError(f"{table}: no quantity can be learned: {why}")
+        raise ConfigError(f"{table}: cannot learn any quantity: {why}")
     return results
 
 
@@ -61,9 +61,9 @@ def touch_warnings(results: Sequence[TouchResult]) -> tuple[str, ...]:
     for one in results:
         if one.left_out:
             shown = "; ".join(one.left_out[:_SHOWN]) + ("; ..." if len(one.left_out) > _SHOWN else "")
-            lines.append(f"{one.profile}: {len(one.left_out)} labelled frames left out: {shown}")
+            lines.append(f"{one.profile}: left out {len(one.left_out)} labelled frames: {shown}")
         for name, (rows, groups) in one.too_few.items():
-            found = f"found {rows} usable rows of {groups} groups, expected {LEAST_ROWS} of {LEAST_GROUPS} or more"
+            found = f"found {rows} usable rows in {groups} groups, expected at least {LEAST_ROWS} in {LEAST_GROUPS}"
             lines.append(f"{one.profile}: {name}: {found}; left out")
     return tuple(lines)
 

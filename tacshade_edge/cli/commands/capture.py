@@ -46,9 +46,9 @@ from tacshade_edge.types import Disc
 _CALIBRATION = "calibration.npz"
 _QUESTIONS = {
     "skin_radius_mm": "Radius of the undeformed skin, mm:",
-    "visible_half_angle_deg": "Half angle of the circle that the camera sees of it, from the skin's centre, degrees:",
-    "camera_distance_mm": "How far the lens lies behind the skin's centre, mm (Enter: not known):",
-    "polarity": "Does a press show more white (bright: TacShade) or less (dark: TacTip)?",
+    "visible_half_angle_deg": "Half angle of the part of the skin that the camera sees, at the skin's centre, degrees:",
+    "camera_distance_mm": "Distance of the lens behind the skin's centre, mm (Enter if unknown):",
+    "polarity": "Does a press show more white (bright, as on a TacShade) or less (dark, as on a TacTip)?",
 }
 _MAY_BE_EMPTY = "camera_distance_mm"
 
@@ -67,28 +67,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--indenters",
         type=Path,
         metavar="DIR",
-        help="write indenters to print (STL), INDENTERS.yaml and a PLAN.csv of presses, and exit",
+        help="write indenters to print (STL), INDENTERS.yaml and a plan of presses (PLAN.csv), then exit",
     )
     what.add_argument(
         "--labels",
         type=Path,
         metavar="DIR",
-        help="add labelled frames to DIR/LABELS.csv: typed readings, a robot's poses or a scale's readings",
+        help="add labelled frames to DIR/LABELS.csv; labels come from your typing, a robot or a scale",
     )
     parser.add_argument(
         "--scale",
         metavar="DEVICE[:BAUD]",
-        help=f"with --labels: read a scale that sends numbers with a unit on this serial port ({BAUD} baud)",
+        help=f"with --labels: read the scale on this serial port, which must send numbers with units ({BAUD} baud)",
     )
     camera = parser.add_mutually_exclusive_group()
     camera.add_argument("--camera", metavar="DEVICE", help="the camera to use, if the machine has several")
-    camera.add_argument("--config", type=Path, metavar="FILE", help="settings file whose source is the camera")
+    camera.add_argument("--config", type=Path, metavar="FILE", help="settings file that names the camera as its source")
     add_sensor(parser)
-    parser.add_argument("--plan", type=Path, metavar="PLAN.csv", help="presses to suggest: a table like PRESSES.csv")
+    parser.add_argument("--plan", type=Path, metavar="PLAN.csv", help="table of presses to suggest, like PRESSES.csv")
     parser.add_argument(
         "--printer",
         metavar="PORT",
-        help="make the presses of --plan with the 3-D printer on this serial port (DIR/PRINTER.yaml, printer.md)",
+        help="let the 3-D printer on this serial port make the presses of --plan (needs DIR/PRINTER.yaml)",
     )
 
 
@@ -101,9 +101,9 @@ def run(args: argparse.Namespace) -> int:
     if args.scale is not None and args.labels is None:
         raise ConfigError("--scale: found no --labels DIR, expected both")
     if args.labels is not None and (args.plan or args.printer):
-        raise ConfigError("--labels: found --plan or --printer, expected neither")
+        raise ConfigError("--labels: found --plan or --printer too, expected neither")
     if args.printer is not None and args.plan is None:
-        raise ConfigError("--printer: found no --plan, expected the presses to take (--indenters DIR writes some)")
+        raise ConfigError("--printer: found no --plan, expected the presses to take (--indenters DIR writes a plan)")
     terminal = Terminal(0, sys.stdout)
     folder = CaptureFolder(args.labels or args.folder)
     source, serial = _source(args, folder)
@@ -146,7 +146,9 @@ def run(args: argparse.Namespace) -> int:
         terminal.say(f"everything taken so far is kept; to continue, run: {words}")
         raise
     except DeviceError as error:
-        raise DeviceError(f"{error}; run the same command to continue in {folder.path}", code=error.code) from None
+        raise DeviceError(
+            f"{error}; to continue in {folder.path}, run the same command again", code=error.code
+        ) from None
     (_say_next_of_labels if args.labels else _say_next)(folder, terminal)
     return 0
 
@@ -190,10 +192,10 @@ def _run(
         described = source.describe()
         terminal.say("camera: " + ", ".join(f"{name} {value}" for name, value in described.items()))
         if described.get("exposure_lock") == Lock.AUTOMATIC:
-            terminal.say("warning: the driver does not lock the exposure, and its changes look like touch")
+            terminal.say("warning: the driver does not lock the exposure, and changes in exposure look like touch")
         if not folder.settings.exists():
             folder.write(folder.settings, _settings_text(chosen, serial, described))
-        terminal.say(f"the picture: {page.address}")
+        terminal.say(f"live picture: {page.address}")
         session(Live(source, terminal, page, sensor.visible_circle, state_circle))
     finally:
         source.close()
@@ -216,7 +218,9 @@ def _source(args: argparse.Namespace, folder: CaptureFolder) -> tuple[Source, Se
         source = document.settings.source
         if device is not None and not (isinstance(source, V4l2) and source.device == device):
             where = document.where("source")
-            raise ConfigError(f"--camera {device}: expected the camera of {where}; change it there, or delete the file")
+            raise ConfigError(
+                f"--camera {device}: expected the camera that {where} names; change it there or delete the file"
+            )
         return source, document.settings.serial
     if device is None:
         cameras = found_cameras(Machine())
@@ -239,7 +243,7 @@ def _which(cameras: Sequence[str]) -> str:
         return f"found {len(cameras)} cameras, expected --camera with one of {', '.join(cameras)}"
     if has_csi_receiver(Machine()):
         return f"found no USB camera; {CSI_MEND}"
-    return "found no camera, expected one (lsusb shows whether USB sees it), or --config with a source"
+    return "found no camera, expected one (lsusb lists it if USB sees it), or --config with a source"
 
 
 def _settings_text(chosen: Source, serial: Serial | None, described: Mapping[str, object]) -> str:
@@ -252,9 +256,7 @@ def _settings_text(chosen: Source, serial: Serial | None, described: Mapping[str
     keys = {"calibration": _CALIBRATION, "source": msgspec.to_builtins(chosen)}
     keys |= {"serial": msgspec.to_builtins(serial)} if serial else {}
     text = yaml.safe_dump(keys, sort_keys=False, allow_unicode=True)
-    return (
-        f"# Settings for `tacshade-edge run`, and to go on with this capture.\n{text}# As the camera reported:\n{found}"
-    )
+    return f"# Settings for `tacshade-edge run` and to continue this capture.\n{text}# As the camera reported:\n{found}"
 
 
 def _sensor(folder: CaptureFolder, terminal: Terminal) -> Sensor:

@@ -23,7 +23,12 @@ def add_sensor(parser: argparse.ArgumentParser) -> None:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's options."""
     parser.add_argument(
-        "file", nargs="?", type=Path, default=DEFAULT_CONFIG, metavar="FILE", help="default: %(default)s"
+        "file",
+        nargs="?",
+        type=Path,
+        default=DEFAULT_CONFIG,
+        metavar="FILE",
+        help="settings file (default: %(default)s)",
     )
     parser.add_argument("--schema", action="store_true", help="print the JSON Schema of a settings file instead")
 

@@ -26,7 +26,7 @@ def run(args: argparse.Namespace) -> int:
         import shtab
     except ImportError:
         found = "completion: found no package shtab"
-        raise ConfigError(f"{found}, expected: {how_to_install('completion')}") from None
+        raise ConfigError(f"{found}; to install it: {how_to_install('completion')}") from None
     parser, _ = command_line(lambda _: True)
     print(shtab.complete(parser, args.shell))
     return 0

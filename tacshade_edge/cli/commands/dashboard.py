@@ -28,10 +28,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=address(),
         default=("localhost", 1883),
         metavar="HOST:PORT",
-        help="the broker's plain MQTT port (default: localhost:1883)",
+        help="the broker's address and plain MQTT port (default: localhost:1883)",
     )
     parser.add_argument(
-        "--http", type=_port, default=8080, metavar="PORT", help="port of the page; 0: any free one (default: 8080)"
+        "--http", type=_port, default=8080, metavar="PORT", help="the page's port; 0 picks a free one (default: 8080)"
     )
     parser.add_argument(
         "--host",
@@ -43,23 +43,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--token-file",
         type=Path,
         metavar="FILE",
-        help="file with the token that opens the page read-only; created if missing",
+        help="file with the token that opens the page read-only; the dashboard creates it if missing",
     )
     parser.add_argument(
-        "--allow-control", action="store_true", help="let whoever has the token send commands to the sensors too"
+        "--allow-control", action="store_true", help="also let anyone with the token send commands to the sensors"
     )
     parser.add_argument(
         "--recordings",
         type=Path,
         metavar="DIR",
-        help="list the recordings in this folder of this machine, to play, download and delete",
+        help="list the recordings in this folder on the page, to play, download and delete",
     )
-    parser.add_argument("--certificate", type=Path, metavar="FILE", help="PEM file: serve the page over TLS")
+    parser.add_argument(
+        "--certificate", type=Path, metavar="FILE", help="PEM file of a certificate, to serve the page over TLS"
+    )
     parser.add_argument(
         "--key", type=Path, metavar="FILE", help="PEM file of the certificate's key (default: in the same file)"
     )
     parser.add_argument(
-        "--ca-file", type=Path, metavar="FILE", help="PEM file of the broker's CA: connect to the broker over TLS"
+        "--ca-file", type=Path, metavar="FILE", help="PEM file of the broker's CA, to connect to the broker over TLS"
     )
     parser.add_argument(
         "--origin",
@@ -79,12 +81,12 @@ def run(args: argparse.Namespace) -> int:
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] != "websockets":
             raise
-        raise ConfigError(f"the package websockets is missing: {how_to_install('dashboard')}") from None
+        raise ConfigError(f"found no package websockets; to install it: {how_to_install('dashboard')}") from None
     start_logging(args.log_level)
     host, port = args.broker
     broker = Broker(host, port, _tls(args.ca_file) if args.ca_file else None)
     if args.recordings is not None and not args.recordings.is_dir():
-        raise ConfigError(f"--recordings {args.recordings}: found no folder, expected the one with the recordings")
+        raise ConfigError(f"--recordings {args.recordings}: found no folder, expected one with recordings")
     tls = server_tls(args.certificate, args.key)
     is_opened = not is_loopback(args.host)
     token = read_token(args.token_file) if args.token_file else None
@@ -99,10 +101,10 @@ def run(args: argparse.Namespace) -> int:
         page += f"login#{token}" if is_new else ""
         how = ", read-only" if read_only else ""
         how += f", token in {args.token_file}" if args.token_file else ""
-        print(f"dashboard: {page} for the broker {broker}{how}; Ctrl-C ends", flush=True)
+        print(f"dashboard: {page} for the broker {broker}{how}; press Ctrl-C to stop", flush=True)
         if is_opened and not tls:
             print(
-                "dashboard: unencrypted: others on the network may read the token and what is shown (--certificate)",
+                "dashboard: no encryption: others on the network can read the token and the page (see --certificate)",
                 file=sys.stderr,
             )
 

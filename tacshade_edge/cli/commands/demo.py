@@ -50,7 +50,7 @@ mqtt: {{host: 127.0.0.1, port: {port}}}
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's options."""
     add = parser.add_argument
-    add("--http", type=int, metavar="PORT", help=f"the page's port (default: {PORT}, or any free one)")
+    add("--http", type=int, metavar="PORT", help=f"the page's port (default: {PORT}, or a free one)")
     add(
         "--listen",
         default="127.0.0.1",
@@ -68,7 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run until Ctrl-C, SIGTERM, the terminal's end, or ``--seconds``."""
     if importlib.util.find_spec("websockets") is None:  # the page's; said before a minute of work
-        raise ConfigError(f"demo: the package websockets is missing: {how_to_install('demo')}")
+        raise ConfigError(f"demo: found no package websockets; to install it: {how_to_install('demo')}")
     asked = threading.Event()
 
     def stop(*_: object) -> None:
@@ -128,11 +128,11 @@ def run(args: argparse.Namespace) -> int:
         what = (
             "Five simulated fingers hold a bottle"
             if args.hand
-            else "A simulated sensor presses and drags objects, soon another one stitches a map"
+            else "A simulated sensor presses and drags objects; soon a second one stitches a map"
         )
         print(f"{what}: open {shown}", flush=True)
         if login:
-            print("Unencrypted: others on the network can read the address and the page.", flush=True)
+            print("No encryption: others on the network can read the address and the page.", flush=True)
         print("Press Ctrl-C to stop.", flush=True)
         other: Generator[None, None, None]
         if args.hand:

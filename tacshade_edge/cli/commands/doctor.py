@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print every finding; 78 with bad settings, 1 with another fault."""
     if args.with_frame and args.bundle is None:
-        args.refuse("--with-frame: found no --bundle FILE to put it in")
+        args.refuse("--with-frame: found no --bundle FILE, expected both")
     findings, seen = [], Seen()
     for finding in diagnose(args.config, Machine(), seen, args.sensor):
         findings.append(finding)

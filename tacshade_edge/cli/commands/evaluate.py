@@ -38,15 +38,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         profiles="default: all but paper, which takes a second per frame",
         files="evaluation.md, evaluation.csv, evaluation.json, figure6.png",
     )
-    labelled = parser.add_argument_group("your own frames with labels, in place of surfaces (--images, --labels)")
+    labelled = parser.add_argument_group("your own frames with labels instead of surfaces (--images, --labels)")
     labelled.add_argument(
-        "--labels", type=Path, metavar="CSV", help=f"table with a column image and any of {', '.join(COLUMNS)}"
+        "--labels", type=Path, metavar="CSV", help=f"table with an image column and any of {', '.join(COLUMNS)}"
     )
     labelled.add_argument(
         "--sensor",
         type=Path,
         metavar="SENSOR.yaml",
-        help="the sensor's dimensions and camera, instead of --calibration",
+        help="file with the sensor's dimensions and camera, instead of --calibration",
     )
     labelled.add_argument(
         "--reference",
@@ -57,8 +57,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     study.add_cluster(parser)
     simulated = study.add_simulated(parser, WORKING_SENSORS, "all")
-    simulated.add_argument("--presses", type=_count, metavar="N", help="ball presses in each calibration; 0: none (40)")
-    simulated.add_argument("--references", type=_count, metavar="N", help="reference images in each calibration (8)")
+    simulated.add_argument(
+        "--presses", type=_count, metavar="N", help="number of ball presses in each calibration, or 0 (default: 40)"
+    )
+    simulated.add_argument(
+        "--references", type=_count, metavar="N", help="number of reference images in each calibration (default: 8)"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -89,7 +93,7 @@ def _profiles(args: argparse.Namespace) -> tuple[str, ...]:
 def _simulated(args: argparse.Namespace) -> int:
     presses = _presses(args)
     if args.references == 0:
-        args.usage_error("--references: found 0, expected 1 or more")
+        args.usage_error("--references: found 0, expected at least 1")
     plan = Plan(
         sensors=args.sensors or study.sensors(WORKING_SENSORS),
         profiles=_profiles(args),
@@ -115,7 +119,7 @@ def _simulated(args: argparse.Namespace) -> int:
 def _presses(args: argparse.Namespace) -> int:
     presses = PRESSES if args.presses is None else int(args.presses)
     if 0 < presses < MIN_PRESSES:
-        args.usage_error(f"--presses: found {presses}, expected 0, or {MIN_PRESSES} or more")
+        args.usage_error(f"--presses: found {presses}, expected 0 or at least {MIN_PRESSES}")
     return presses
 
 
@@ -123,7 +127,7 @@ def _own(args: argparse.Namespace) -> int:
     calibration, cases, mistakes = study.own_images(args)
     rows, timings = evaluate_images(calibration, _profiles(args), cases)
     if not rows:
-        raise ConfigError(f"{args.images}: found no image that can be scored, expected one with its truth")
+        raise ConfigError(f"{args.images}: found no image to score, expected at least one with its truth")
     settings = {"calibration": str(args.calibration), "crc32": f"{calibration.crc32:08x}", "images": str(args.images)}
     _publish(args, rows, timings, settings)
     return 1 if mistakes else 0

@@ -45,7 +45,7 @@ def run(args: argparse.Namespace, profiles: Sequence[str]) -> int:
             rows[profile].append(found_row(each.path.name, one.step(Frame(0, 0, 0, image))))
     progress("frames", len(labelled), len(labelled))
     if not used:
-        raise ConfigError(f"{args.labels}: found no image that can be read, expected some in {args.images}")
+        raise ConfigError(f"{args.labels}: found no readable image, expected at least one in {args.images}")
     known = [each.known for each in used]
     figures = {profile: agreements(some, known) for profile, some in rows.items()}
     every = [row for some in rows.values() for row in some]

@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="PATH",
         help="new file, or for ply and lerobot a new folder (default: beside the recording)",
     )
-    text = "a recording that `replay` can read; several, one per finger, export their hand (csv, mcap)"
+    text = "a recording that `replay` can read; give one per finger to export the hand (csv, mcap)"
     add("input", type=Path, nargs="+", metavar="RECORDING", help=text)
 
 
@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
         return _export_hand(args)
     (path,) = args.input
     recording = Recording(path)
-    for line in (recording.damage, "the recording was cut off: what is whole is exported" if recording.cut_off else ""):
+    for line in (recording.damage, "the recording was cut off; exporting what is whole" if recording.cut_off else ""):
         if line:
             _report(f"{path}: {line}")
     content = content_of(path)
@@ -75,9 +75,9 @@ def _export_hand(args: argparse.Namespace) -> int:
     if args.to not in ("csv", "mcap"):
         raise ConfigError(f"--to: found {args.to} with {len(args.input)} recordings, expected csv or mcap")
     if args.calibration is not None:
-        raise ConfigError("--calibration: found with several recordings, expected none: each recording has its own")
+        raise ConfigError("--calibration: found one with several recordings, expected none: each recording has its own")
     if args.out is None:
-        raise ConfigError("--out: missing, expected a new file for several recordings")
+        raise ConfigError("--out: found nothing, expected a new file for several recordings")
     if args.to == "mcap":
         require_mcap()
     from tacshade_edge.factories.hand_recordings import read_hand

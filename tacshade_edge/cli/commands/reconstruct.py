@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out", type=Path, required=True, metavar="DIR", help="write a .npz file per image, and summary.json"
     )
     parser.add_argument("--plot", action="store_true", help="also write a picture per image")
-    parser.add_argument("--json", action="store_true", help="print the summary")
+    parser.add_argument("--json", action="store_true", help="print the summary as JSON")
     parser.add_argument("images", type=Path, nargs="+", metavar="IMG")
 
 
@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
     twice = next((path for i, path in enumerate(args.images) if path.stem in stems[:i]), None)
     if twice is not None:
         raise ConfigError(
-            f"{twice}: another image is called {twice.stem} too; their results would overwrite each other"
+            f"{twice}: another image is also named {twice.stem}; their results would overwrite each other"
         )
     calibration = calibrations.load(args.calibration)
     reconstructor = make_reconstructor(calibration, PROFILES[args.profile])
@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
         text = json.dumps(records, indent=2) + "\n"
         (args.out / "summary.json").write_text(text, encoding="utf-8")
     except OSError as error:
-        raise DeviceError(f"{error.filename or args.out}: cannot be written: {error.strerror or error}") from None
+        raise DeviceError(f"{error.filename or args.out}: cannot write it: {error.strerror or error}") from None
     progress.end()
     if args.json:
         print(text, end="")

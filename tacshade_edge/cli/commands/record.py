@@ -27,11 +27,19 @@ STATUS = "status/recorder"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add = parser.add_argument
-    add("--config", type=Path, default=DEFAULT_CONFIG, metavar="FILE", help="the daemon's settings (%(default)s)")
+    add(
+        "--config",
+        type=Path,
+        default=DEFAULT_CONFIG,
+        metavar="FILE",
+        help="the daemon's settings (default: %(default)s)",
+    )
     add_sensor(parser)
-    add("--name", type=_name, metavar="NAME", help=f"name of its folder: {RECORD_NAME_RULE} (date and time)")
-    add("--format", choices=("folder", "mcap"), default="folder", help="format of the frames (%(default)s)")
-    add("--seconds", type=_seconds, required=True, metavar="N", help="how long to record; Ctrl-C ends it earlier")
+    add(
+        "--name", type=_name, metavar="NAME", help=f"name of the recording: {RECORD_NAME_RULE} (default: date and time)"
+    )
+    add("--format", choices=("folder", "mcap"), default="folder", help="how to store the frames (default: %(default)s)")
+    add("--seconds", type=_seconds, required=True, metavar="N", help="how many seconds to record; Ctrl-C stops earlier")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -109,7 +117,7 @@ def _last_words(caller: MqttCaller, folder: str) -> dict[str, Any]:
         return _status(caller, folder)
     state = caller.latest("state").decode() or "silent"
     raise DeviceError(
-        f"{folder}: the daemon is {state} and did not report how the recording ended; frames so far are kept"
+        f"{folder}: the daemon is {state} and did not report how the recording ended; the frames so far are kept"
     )
 
 

@@ -34,8 +34,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--calibration", type=Path, metavar="CAL.npz", help="calibration file (default: the recording's own)")
     add_profile(parser)
     add("--out", type=Path, metavar="DIR", help="write heights.bin, clouds.bin and summary.json")
-    add("--against", type=Path, metavar="DIR", help="compare --out with this earlier run; exit 1 if they differ")
-    add("--fps", type=positive, metavar="N", help="frame rate of a recording that has no table of times (30)")
+    add("--against", type=Path, metavar="DIR", help="compare --out with this earlier run; exit with 1 if they differ")
+    add("--fps", type=positive, metavar="N", help="frame rate of a recording that has no time stamps (default: 30)")
     add(
         "--speed",
         type=positive,
@@ -45,18 +45,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--play",
         action="store_true",
-        help="let the page pause, step and seek, until Ctrl-C",
+        help="let the dashboard pause, step and seek until you press Ctrl-C",
     )
-    add("--loop", type=_count, default=1, metavar="TIMES", help="play it TIMES times; 0: until stopped (1)")
-    add("--mqtt", type=address(), metavar="HOST:PORT", help="publish as `run` does")
-    add("--config", type=Path, metavar="FILE", help="publish as `run` does, to the broker of these settings")
-    add("--sensor-id", type=_sensor_id, default="replay", metavar="ID", help="publish under tacshade/ID (replay)")
+    add(
+        "--loop",
+        type=_count,
+        default=1,
+        metavar="TIMES",
+        help="how many times to play it; 0 plays until stopped (default: 1)",
+    )
+    add("--mqtt", type=address(), metavar="HOST:PORT", help="publish to this broker as `run` does")
+    add("--config", type=Path, metavar="FILE", help="publish as `run` does, to the broker in these settings")
+    add(
+        "--sensor-id",
+        type=_sensor_id,
+        default="replay",
+        metavar="ID",
+        help="publish under tacshade/ID (default: replay)",
+    )
     add(
         "input",
         type=Path,
         nargs="?",
         metavar="INPUT",
-        help="folder of images, or a video; without it, only compare two runs",
+        help="folder of images, or a video; leave it out to only compare two runs",
     )
     parser.set_defaults(refuse=parser.error)
 
@@ -82,10 +94,10 @@ def run(args: argparse.Namespace) -> int:
 def _check(args: argparse.Namespace, refuse: Callable[[str], None]) -> None:
     """What argparse cannot say; `refuse` exits with 2."""
     if args.against is not None and args.out is None:
-        refuse("--against compares --out DIR, which is missing")
+        refuse("--against: found no --out DIR to compare with, expected both")
     if args.input is None:
         if args.against is None:
-            refuse("expected INPUT, or --out DIR and --against DIR of two runs")
+            refuse("expected INPUT, or --out DIR and --against DIR to compare two runs")
         return
     if args.calibration is None and CALIBRATION_NAME not in content_of(args.input):
         refuse(f"expected --calibration CAL.npz: {args.input} has no {CALIBRATION_NAME} of its own")
@@ -94,18 +106,18 @@ def _check(args: argparse.Namespace, refuse: Callable[[str], None]) -> None:
     if args.out is None and args.mqtt is None and args.config is None:
         refuse("expected --out DIR, a broker (--mqtt HOST:PORT or --config FILE), or both")
     if args.play and (args.out is not None or (args.mqtt is None and args.config is None) or args.loop != 1):
-        refuse("--play is for a page, expected --mqtt HOST:PORT or --config FILE, and neither --out nor --loop")
+        refuse("--play serves a dashboard, expected --mqtt HOST:PORT or --config FILE, and neither --out nor --loop")
     if args.loop == 0 and args.out is not None:
-        refuse("--loop 0 never ends and would fill --out DIR, expected a number from 1")
+        refuse("--loop 0 never ends and would fill --out DIR, expected at least 1")
     if args.out is not None and args.against is not None and args.out.resolve() == args.against.resolve():
-        refuse("--out and --against are the same folder, which would be overwritten")
+        refuse("--out and --against name the same folder, which the replay would overwrite")
 
 
 def _replay(args: argparse.Namespace) -> int:
     broker = _broker(args)
     recording = Recording(args.input, fps=args.fps, times=args.loop)
     if recording.cut_off:
-        _report(f"{args.input}: the recording was cut off, what was written until then is replayed")
+        _report(f"{args.input}: the recording was cut off; replaying what was written until then")
     if recording.damage:
         _report(recording.damage)
     given = args.calibration
@@ -158,7 +170,7 @@ def _replay(args: argparse.Namespace) -> int:
         )
     if interrupted:
         if args.out is not None:
-            _report(f"{args.out}: stopped before the end, so nothing was written")
+            _report(f"{args.out}: stopped before the end and wrote nothing")
         return 0 if args.loop == 0 or args.play else 130
     return 1 if progress.undecodable else 0
 

@@ -45,22 +45,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--objects",
         default=",".join(PAPER_OBJECTS),
         metavar="NAME,...",
-        help=f"any of {', '.join(OBJECTS)}, none (default: the paper's five)",
+        help=f"one or more of {', '.join(OBJECTS)}, none (default: the paper's five)",
     )
-    parser.add_argument("--depth", type=_number, nargs="+", default=[3.0], metavar="MM", help="pressed depths (3)")
+    parser.add_argument(
+        "--depth", type=_number, nargs="+", default=[3.0], metavar="MM", help="press depths in mm (default: 3)"
+    )
     parser.add_argument(
         "--position",
         type=_number,
         nargs=2,
         action="append",
         metavar=("X", "Y"),
-        help="position of the object in mm; may be repeated (0 0)",
+        help="the object's position in mm; may be repeated (default: 0 0)",
     )
     parser.add_argument(
-        "--rotation", type=_number, nargs="+", default=[0.0], metavar="DEG", help="rotation about z (0)"
+        "--rotation", type=_number, nargs="+", default=[0.0], metavar="DEG", help="rotation about z (default: 0)"
     )
     for name, what in (
-        ("drag", "mm to drag along the skin after contact"),
+        ("drag", "distance in mm to drag the object along the skin after contact"),
         ("tilt", "tilt in degrees about x, then y"),
     ):
         parser.add_argument(
@@ -69,24 +71,37 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             nargs=2,
             action="append",
             metavar=("X", "Y"),
-            help=f"{what}; may be repeated (0 0)",
+            help=f"{what}; may be repeated (default: 0 0)",
         )
     parser.add_argument(
-        "--twist", type=_number, nargs="+", default=[0.0], metavar="DEG", help="twist about z while dragging (0)"
+        "--twist",
+        type=_number,
+        nargs="+",
+        default=[0.0],
+        metavar="DEG",
+        help="twist about z while dragging (default: 0)",
     )
     parser.add_argument("--calibration-set", type=Path, metavar="DIR", help="folder for references and ball presses")
-    parser.add_argument("--presses", type=_count, default=40, metavar="N", help="ball presses in the set (40)")
     parser.add_argument(
-        "--pad", type=Path, metavar="DIR", help="folder for presses all over a touchpad, with poses and ground truth"
+        "--presses", type=_count, default=40, metavar="N", help="number of ball presses in the set (default: 40)"
     )
     parser.add_argument(
-        "--pad-step", type=_number, default=4.0, metavar="MM", help="distance between presses on the pad (4)"
+        "--pad", type=Path, metavar="DIR", help="folder for presses that cover a touchpad, with poses and ground truth"
     )
     parser.add_argument(
-        "--pad-depth", type=_number, default=2.7, metavar="MM", help="press depth below the tops of the bulges (2.7)"
+        "--pad-step", type=_number, default=4.0, metavar="MM", help="distance between presses on the pad (default: 4)"
     )
-    parser.add_argument("--pad-varied", action="store_true", help="vary the depth and tilt of the presses")
-    parser.add_argument("--seed", type=_count, default=0, metavar="N", help="seed of the noise and the presses (0)")
+    parser.add_argument(
+        "--pad-depth",
+        type=_number,
+        default=2.7,
+        metavar="MM",
+        help="press depth below the tops of the bulges (default: 2.7)",
+    )
+    parser.add_argument("--pad-varied", action="store_true", help="vary how deep and how tilted the presses are")
+    parser.add_argument(
+        "--seed", type=_count, default=0, metavar="N", help="seed for the noise and the presses (default: 0)"
+    )
     parser.add_argument(
         "--sensor-seed",
         type=_count,
@@ -99,7 +114,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write what was asked for; one summary line for each."""
     if args.out is None and args.calibration_set is None and args.pad is None:
-        args.usage_error("one of --out DIR, --calibration-set DIR and --pad DIR is required")
+        args.usage_error("expected --out DIR, --calibration-set DIR or --pad DIR")
     model = SensorModel() if args.sensor_seed is None else random_model(args.sensor_seed)
     sensor = SimulatedSensor(model)
     try:
@@ -119,7 +134,7 @@ def run(args: argparse.Namespace) -> int:
                 report=Progress(),
             )
     except OSError as error:
-        raise DeviceError(f"{error.filename}: cannot be written: {error.strerror}") from error
+        raise DeviceError(f"{error.filename}: cannot write it: {error.strerror}") from error
     return 0
 
 
@@ -167,7 +182,7 @@ def _write_scenes(sensor: SimulatedSensor, args: argparse.Namespace) -> None:
     names = [name.strip() for name in args.objects.split(",")]
     for name in names:
         if name not in OBJECTS and name != "none":
-            raise ConfigError(f"--objects: {name!r} is unknown, expected one or more of {', '.join(OBJECTS)}, none")
+            raise ConfigError(f"--objects: found {name!r}, expected one or more of {', '.join(OBJECTS)}, none")
     nowhere = [(0.0, 0.0)]
     ways = itertools.product(
         args.depth, args.position or nowhere, args.rotation, args.tilt or nowhere, args.drag or nowhere, args.twist

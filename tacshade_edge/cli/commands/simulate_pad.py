@@ -50,7 +50,7 @@ def write_pad(
     pad, radius_mm = pads.touchpad(), model.skin_radius_mm
     if not 0.5 <= step_mm <= 20 or not 0 < depth_mm <= pads.MAX_DEPTH_MM:
         raise ConfigError(
-            f"--pad-step {step_mm:g}, --pad-depth {depth_mm:g}: expected 0.5 to 20 mm, and over 0 to "
+            f"--pad-step {step_mm:g}, --pad-depth {depth_mm:g}: expected a step of 0.5 to 20 mm and a depth up to "
             f"{pads.MAX_DEPTH_MM:g} mm"
         )
     poses = pads.scan(pad, step_mm, depth_mm, radius_mm)

@@ -36,7 +36,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--calibration", type=Path, required=True, metavar="CAL.npz", help="from `calibrate`")
     source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument("--poses", type=Path, metavar="POSES.csv", help="table of images and base_T_flange")
+    source.add_argument(
+        "--poses", type=Path, metavar="POSES.csv", help="table of images and the robot's poses (base_T_flange)"
+    )
     source.add_argument(
         "--recording",
         type=Path,
@@ -45,23 +47,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_profile(parser, default="accurate")  # no one waits for a map
     parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="map.npz, .ply, .png, .json, preview.png"
+        "--out",
+        type=Path,
+        required=True,
+        metavar="DIR",
+        help="folder for map.npz, map.ply, map.png, map.json and preview.png",
     )
     parser.add_argument(
-        "--truth", type=Path, metavar="PAD.npz", help="score the map against this known surface, and draw both"
+        "--truth", type=Path, metavar="PAD.npz", help="score the map against this known surface and draw both"
     )
     parser.add_argument(
         "--find-flange",
         action="store_true",
-        help="instead of a map, write flange.json: flange_T_sensor and the frames' delay, from overlapping presses",
+        help="instead of a map, find flange_T_sensor and the frames' delay from overlapping presses (flange.json)",
     )
-    parser.add_argument("--json", action="store_true", help="print map.json, or flange.json")
+    parser.add_argument("--json", action="store_true", help="print map.json or flange.json")
 
 
 def run(args: argparse.Namespace) -> int:
     """Stitch; a press that cannot be used is named in map.json, an image that cannot be read here too."""
     if args.find_flange and args.truth is not None:
-        raise ConfigError("--truth: found with --find-flange, which makes no map; expected only one of the two")
+        raise ConfigError("--truth: found it with --find-flange, which makes no map; expected only one of the two")
     calibration = calibrations.load(args.calibration)
     profile, known = PROFILES[args.profile], None if args.truth is None else read_known(args.truth)
     if args.recording is None:
@@ -80,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
     stitcher = stitcher_of(presses, calibration.geometry.skin_radius_mm)
     if stitcher.presses == 0:
         why = presses[0].skipped if presses else "no contact settled"
-        raise ConfigError(f"{args.poses or args.recording}: found no press that can be used: {why}")
+        raise ConfigError(f"{args.poses or args.recording}: found no usable press: {why}")
     finished = stitcher.finish()
     about = {"profile": args.profile, **_details(presses, finished)}
     if known is not None:

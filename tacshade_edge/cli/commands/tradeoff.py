@@ -39,13 +39,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--budget-ms",
         type=_milliseconds,
         metavar="MS",
-        help="print the settings of the most accurate profile that keeps to this time for 99 of 100 frames in contact",
+        help="print the settings of the most accurate profile that needs at most this for 99 of 100 frames in contact",
     )
     study.add_cluster(parser)
     parser.add_argument(
         "--report",
         action="store_true",
-        help="time only the shipped profiles and print this board's figures to send in, without the host's name",
+        help="time only the shipped profiles and print this board's figures, without its host name, to send in",
     )
     study.add_simulated(parser, SENSORS, "the paper's five")
 
@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
             calibration, cases, mistakes = study.own_images(args)
             images: tuple[SensorCases, ...] = (SensorCases(calibration, tuple(cases)),)
             if not any(case.touched for case in images[0].cases):
-                expected = "found no image of a contact that can be scored, expected one with its truth"
+                expected = "found no image of a contact to score, expected at least one with its truth"
                 raise ConfigError(f"{args.images}: {expected}")
             data: dict[str, Any] = {"calibration": str(args.calibration), "images": str(args.images)}
         else:
@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
         rows = score_settings(settings, images, pool, Progress())
     found, busy = weigh_and_time(settings, images, rows, Progress())
     if busy > BUSY:
-        words = f"the machine was busy: frames took {busy:.1f} times as long as the processor time that is shown"
+        words = f"the machine was busy: frames took {busy:.1f} times as long as the processor time shown here"
         print(f"tacshade-edge: {words}", file=sys.stderr)
     document = report.document(found, data, busy)
     study.publish(args, "tradeoff", report.table(found), {"": report.csv_text(found)}, document)

@@ -35,7 +35,7 @@ def read_token(path: Path) -> str | None:
     except OSError as error:
         raise ConfigError(f"--token-file {path}: {error.strerror}, expected a file with the token") from None
     if not _TOKEN.fullmatch(text):
-        raise ConfigError(f"--token-file {path}: expected one line of 16 to 128 letters, digits and . _ ~ -")
+        raise ConfigError(f"--token-file {path}: expected one line of 16 to 128 letters, digits, '.', '_', '~' and '-'")
     return text
 
 
@@ -54,7 +54,9 @@ def make_token(path: Path | None) -> str:
             with os.fdopen(descriptor, "w") as stream:
                 stream.write(f"{token}\n")
         except OSError as error:
-            raise ConfigError(f"--token-file {path}: {error.strerror}, expected a place for the token") from None
+            raise ConfigError(
+                f"--token-file {path}: {error.strerror}, expected a place to write the token to"
+            ) from None
     return token
 
 
@@ -71,9 +73,9 @@ def server_tls(certificate: Path | None, key: Path | None) -> ssl.SSLContext | N
         context.load_cert_chain(certificate, key, password=lambda: "")
     except (OSError, ssl.SSLError) as error:
         reason = (
-            error.strerror if type(error) is not ssl.SSLError and error.strerror else "the two do not belong together"
+            error.strerror
+            if type(error) is not ssl.SSLError and error.strerror
+            else "the key does not match the certificate"
         )
-        raise ConfigError(
-            f"{shown}: {reason}, expected PEM files of a certificate and its key, without a password"
-        ) from None
+        raise ConfigError(f"{shown}: {reason}, expected PEM files of a certificate and its unencrypted key") from None
     return context

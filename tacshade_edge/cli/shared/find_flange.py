@@ -33,7 +33,7 @@ def run(
     """
     presses = len({frame.press for frame in frames})
     if presses < PRESSES_MIN:
-        raise ConfigError(f"{where}: found {presses} presses with a pose, expected {PRESSES_MIN} or more {_PLAN}")
+        raise ConfigError(f"{where}: found {presses} presses with a pose, expected at least {PRESSES_MIN} {_PLAN}")
     try:
         found = find_flange(frames, start, skin_radius_mm)
     except ConfigError as error:
@@ -43,8 +43,8 @@ def run(
     moved_mm, turned_deg = correction(start, found.flange_T_sensor, np.zeros(3))
     if moved_mm > START_MM or turned_deg > START_DEG:
         raise ConfigError(
-            f"{where}: the presses agree, but {moved_mm:.0f} mm and {turned_deg:.0f} degrees from flange_T_sensor of "
-            "the calibration, expected it within 10 mm and 10 degrees of the truth, and base_T_flange in mm"
+            f"{where}: found a flange_T_sensor {moved_mm:.0f} mm and {turned_deg:.0f} degrees from the calibration's, "
+            "expected at most 10 mm and 10 degrees; is base_T_flange in mm?"
         )
     seen = delay_seen(found)
     write_flange(out, found, delay_seen=seen, presses=presses, frames=len(frames))
@@ -57,7 +57,7 @@ def run(
 def _print(out: Path, found: FoundFlange, presses: int, moved_mm: float, turned_deg: float, seen: bool) -> None:
     sigma = np.sqrt(np.diag(found.covariance))
     values = ", ".join(f"{value:.6g}" for value in found.flange_T_sensor.seven())
-    print(f"{out / FLANGE}: {presses} presses, {moved_mm:.2f} mm and {turned_deg:.2f} degrees from the calibration's")
+    print(f"{out / FLANGE}: {presses} presses; {moved_mm:.2f} mm and {turned_deg:.2f} degrees from the calibration's")
     print(
         f"in SENSOR.yaml, then calibrate again: flange_T_sensor: [{values}]  "
         f"# within {max(sigma[:3]):.2f} mm, {max(sigma[3:6]):.2f} degrees (standard deviation)"
@@ -66,5 +66,5 @@ def _print(out: Path, found: FoundFlange, presses: int, moved_mm: float, turned_
         print(f"delay: frames are stamped {found.delay_ms:.1f} ms (± {sigma[6]:.1f}) later than the robot's poses")
     else:
         print(
-            "delay: cannot be seen: no press moves in contact, expected a recording of presses down and up at 10 mm/s"
+            "delay: not found: no press moves while in contact, expected a recording of presses down and up at 10 mm/s"
         )

@@ -29,7 +29,7 @@ def add_verbosity(parser: argparse.ArgumentParser) -> None:
     """Declare ``-v`` and ``-q``."""
     how = parser.add_mutually_exclusive_group()
     for short, name, level, text in (
-        ("-v", "--verbose", logging.DEBUG, "log more detail, to help find a fault"),
+        ("-v", "--verbose", logging.DEBUG, "log more detail, to help you find a fault"),
         ("-q", "--quiet", logging.WARNING, "log warnings and errors only"),
     ):
         how.add_argument(
@@ -123,7 +123,7 @@ class OneLineHandler(logging.StreamHandler[TextIO]):
 
     def _report(self, now_s: float, *, all_of_them: bool = False) -> None:
         for (name, message), count in self._limit.take_left_out(now_s, all_of_them=all_of_them):
-            text = "%d more like this were not logged: %s"
+            text = "left out %d more lines like this: %s"
             super().emit(logging.LogRecord(name, logging.WARNING, __file__, 0, text, (count, message), None))
 
 

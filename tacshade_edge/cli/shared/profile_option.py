@@ -14,7 +14,7 @@ def add_profile(parser: argparse.ArgumentParser, default: str = DEFAULT) -> None
         type=_fixed,
         choices=sorted(PROFILES),
         default=default,
-        help=f"profile: a trade of speed against accuracy ({default})",
+        help=f"profile, which trades speed for accuracy (default: {default})",
     )
 
 
@@ -22,6 +22,6 @@ def _fixed(text: str) -> str:
     if text == AUTO:
         expected = ", ".join(sorted(PROFILES))
         raise argparse.ArgumentTypeError(
-            f"found {AUTO}, which goes by the clock, so that no two runs were the same; expected one of {expected}"
+            f"found {AUTO}, which adapts to the clock, so no two runs would be the same; expected one of {expected}"
         )
     return text

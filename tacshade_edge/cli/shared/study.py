@@ -35,7 +35,7 @@ def objects(text: str) -> tuple[str, ...]:
     names = tuple(dict.fromkeys(word.strip() for word in text.split(",")))
     unknown = [name for name in names if name not in OBJECTS]
     if unknown:
-        raise argparse.ArgumentTypeError(f"{unknown[0]!r} is unknown, expected one or more of {', '.join(OBJECTS)}")
+        raise argparse.ArgumentTypeError(f"found {unknown[0]!r}, expected one or more of {', '.join(OBJECTS)}")
     return names
 
 
@@ -46,21 +46,21 @@ def add_arguments(parser: argparse.ArgumentParser, profiles: str, files: str) ->
         nargs="+",
         choices=list(PROFILES),
         metavar="NAME",
-        help=f"some of {', '.join(PROFILES)} ({profiles})",
+        help=f"one or more of {', '.join(PROFILES)} ({profiles})",
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help=f"write {files}")
     parser.add_argument("--json", action="store_true", help="print JSON instead of the tables")
     own = parser.add_argument_group("your own images")
     own.add_argument("--calibration", type=Path, metavar="CAL.npz", help="from `calibrate`")
     own.add_argument(
-        "--images", type=Path, metavar="DIR", help="images, each with its ground truth beside it as STEM.npz"
+        "--images", type=Path, metavar="DIR", help="folder of images, each with its ground truth beside it as STEM.npz"
     )
     parser.set_defaults(usage_error=parser.error)
 
 
 def add_cluster(parser: argparse.ArgumentParser) -> None:
     """Take the workers of another machine, or of many."""
-    words = "a Dask scheduler whose workers run the jobs, in place of this machine's cores (needs the extra cluster)"
+    words = "run the jobs on this Dask scheduler's workers instead of this machine's cores (needs the extra cluster)"
     parser.add_argument("--cluster", metavar="tcp://HOST:8786", help=words)
 
 
@@ -71,10 +71,13 @@ def add_simulated(parser: argparse.ArgumentParser, sensor_names: str, object_nam
         "--sensors",
         type=sensors,
         metavar="SEED,...",
-        help=f"sensors to evaluate: seed numbers or the word default (default: {sensor_names})",
+        help=f"sensors to simulate, each a seed or the word default (default: {sensor_names})",
     )
     group.add_argument(
-        "--objects", type=objects, metavar="NAME,...", help=f"some of {', '.join(OBJECTS)} ({object_names})"
+        "--objects",
+        type=objects,
+        metavar="NAME,...",
+        help=f"one or more of {', '.join(OBJECTS)} (default: {object_names})",
     )
     return group
 
@@ -154,7 +157,7 @@ def make_folder(folder: Path | None) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise DeviceError(f"{folder}: cannot be written: {error.strerror or error}") from None
+        raise DeviceError(f"{folder}: cannot write it: {error.strerror or error}") from None
 
 
 def write(path: Path, content: bytes) -> None:
@@ -162,4 +165,4 @@ def write(path: Path, content: bytes) -> None:
     try:
         path.write_bytes(content)
     except OSError as error:
-        raise DeviceError(f"{path}: cannot be written: {error.strerror or error}") from None
+        raise DeviceError(f"{path}: cannot write it: {error.strerror or error}") from None

@@ -113,12 +113,14 @@ def calibrate(
         warnings += graded.left_out
     if graded and graded.untrusted_part > UNLIKE_PART:
         part = 100 * graded.untrusted_part
-        warnings += (f"unlike the sensors that the networks know: {part:.0f} % of the median press is not explained",)
+        warnings += (
+            f"unlike the sensors that the networks know: they do not explain {part:.0f} % of the median press",
+        )
     if graded and graded.error_scale is not None and graded.error_scale > UNUSUAL_ERRORS:
-        words = f"off {graded.error_scale:.1f} times as far as on sensors that the networks know"
+        words = f"off {graded.error_scale:.1f} times as much as on sensors that the networks know"
         # A fit to labels that contradict each other learns what is wrong in them.
         advice = "" if hint or fit.agreement_mae_mm > AGREEMENT_FAIR_MM * skin_scale(geometry) else "; --fit may help"
-        warnings += (f"heights are {words}: their intervals are as much wider{advice}",)
+        warnings += (f"heights are {words}, and their intervals are that much wider{advice}",)
     missing = missing_coverage(selection.observations, geometry)
     quality = assess(fit, geometry, missing, graded.errors_mm if graded else ())
     return CalibrationResult(fitted, warnings, quality, selection.presses)
@@ -127,12 +129,12 @@ def calibrate(
 def _unloaded(sensor: Sensor, greys: Sequence[U8]) -> Calibration:
     """What the references alone show."""
     if not greys:
-        raise ConfigError("no reference image: expected at least one of the unloaded skin")
+        raise ConfigError("found no reference image, expected at least one of the unloaded skin")
     for number, grey in enumerate(greys, start=1):
         if grey.shape != greys[0].shape:
             raise ConfigError(
-                f"reference {number} is {grey.shape[1]}x{grey.shape[0]} px, "
-                f"the first is {greys[0].shape[1]}x{greys[0].shape[0]}"
+                f"reference {number}: found {grey.shape[1]}x{grey.shape[0]} px, "
+                f"expected {greys[0].shape[1]}x{greys[0].shape[0]} px like the first"
             )
     mean = pattern.mean_image(greys)
     disc = pattern.visible_disc(mean, sensor.visible_circle)

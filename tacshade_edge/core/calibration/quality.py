@@ -32,7 +32,7 @@ class Quality:
 
 UNCALIBRATED = Quality(
     "uncalibrated",
-    "depth is what sensors of this kind give on average: no --presses to measure how good that is for this one",
+    "uncalibrated: depth assumes an average sensor of this kind; only --presses can measure its error on this one",
     ("take 20 to 40 presses and pass --presses PRESSES.csv (docs/how-to/calibration.md)",),
 )
 """Without presses."""
@@ -53,7 +53,7 @@ def assess(fit: Fit, geometry: Geometry, missing: Sequence[str], errors_mm: Sequ
     if GRADED_PROFILE not in fit.profiles:
         return Quality(
             "poor",
-            "poor: the learned profiles see a contact where the indenter is in fewer presses than a fit needs",
+            "poor: the learned profiles find the contact at the indenter in too few presses for a fit",
             ("look at the presses' images, places and depths, and at SENSOR.yaml",),
         )
     profile, scale = fit.profiles[GRADED_PROFILE], skin_scale(geometry)
@@ -64,8 +64,8 @@ def assess(fit: Fit, geometry: Geometry, missing: Sequence[str], errors_mm: Sequ
     if depth > _DEPTH_FAIR_MM or agreement > AGREEMENT_FAIR_MM:
         grade = "poor"
     line = (
-        f"{grade}: depth within {_rounded_up(profile.depth_mae_mm)} mm of what was stated on average, "
-        f"{_rounded_up(profile.depth_worst_mm)} mm at worst, on presses it had not seen (profile {GRADED_PROFILE})"
+        f"{grade}: depth is within {_rounded_up(profile.depth_mae_mm)} mm of the stated depth on average, "
+        f"{_rounded_up(profile.depth_worst_mm)} mm at worst, on held-out presses (profile {GRADED_PROFILE})"
     )
     advice = list(missing)
     if agreement > _AGREEMENT_GOOD_MM:

@@ -189,7 +189,7 @@ def light_drift_reason(found: Drift) -> Reason | None:
     if not LIGHT_LOW <= found.light <= LIGHT_HIGH:
         changes.append(f"{found.light:.2f} times the light")
     if found.uneven > UNEVEN:
-        changes.append(f"the light falls otherwise (it varies by {100 * found.uneven:.0f} % over the disc)")
+        changes.append(f"the light falls differently (it varies by {100 * found.uneven:.0f} % over the disc)")
     if found.contrast < CONTRAST:
         changes.append(f"blurred or dirty ({found.contrast:.2f} times the contrast)")
     return Reason(ReasonCode.LIGHT_DRIFT, ", ".join(changes)) if changes else None

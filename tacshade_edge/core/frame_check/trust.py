@@ -33,7 +33,7 @@ def degraded_reason(unseen: float, drift_grey: float) -> Reason | None:
 
 
 def _glare(unseen: float) -> Reason:
-    return Reason(ReasonCode.GLARE, f"glare: {100 * unseen:.0f} % of the disc hidden")
+    return Reason(ReasonCode.GLARE, f"glare hides {100 * unseen:.0f} % of the disc")
 
 
 def _light_drift(drift_grey: float) -> Reason:

@@ -164,7 +164,7 @@ def size_reason(image: U8, shape: tuple[int, int]) -> Reason | None:
     """Whether an image, (H, W) or (H, W, 3), has other than the calibrated rows and columns; None when it has those."""
     if image.shape[:2] == shape:
         return None
-    text = f"size: {image.shape[1]}x{image.shape[0]} px, calibrated for {shape[1]}x{shape[0]}"
+    text = f"size: found {image.shape[1]}x{image.shape[0]} px, expected the calibration's {shape[1]}x{shape[0]} px"
     return Reason(ReasonCode.SIZE, text)
 
 
@@ -175,7 +175,7 @@ def _camera_reason(disc: U8, check: FrameCheck) -> Reason | None:
     if square > check.saturated_part * SATURATED_LEVEL**2:  # so many pixels so bright alone make it more
         bright = _count_from(disc, check.mask, SATURATED_LEVEL)
         if bright > check.saturated_part * pixels:
-            text = f"saturated: {100 * bright / pixels:.0f} % of the disc at {SATURATED_LEVEL} or above"
+            text = f"saturated: {100 * bright / pixels:.0f} % of the disc is at grey level {SATURATED_LEVEL} or above"
             return Reason(ReasonCode.SATURATED, text)
     std = math.sqrt(max(square - mean * mean, 0))
     if std < check.flat_std:

@@ -49,14 +49,14 @@ def circle_through(points_px: Sequence[tuple[float, float]], shape: tuple[int, .
     for row, col in points_px:
         if not (-0.5 <= row <= shape[0] - 0.5 and -0.5 <= col <= shape[1] - 0.5):
             raise ConfigError(
-                f"three points: found row {row:g}, col {col:g}, expected a place in {shape[1]}x{shape[0]} px"
+                f"three points: found row {row:g}, col {col:g}, expected a point inside {shape[1]}x{shape[0]} px"
             )
     (row0, col0), (row1, col1), (row2, col2) = points_px
     # From the first point: less is lost to rounding.
     r1, c1, r2, c2 = row1 - row0, col1 - col0, row2 - row0, col2 - col0
     twice_area = r1 * c2 - c1 * r2
     if abs(twice_area) <= _LINE * max(r1 * r1 + c1 * c1, r2 * r2 + c2 * c2):
-        raise ConfigError("three points: found on a line, expected on the dome's rim and far apart")
+        raise ConfigError("three points: found them on a line, expected them on the dome's rim and far apart")
     square1, square2 = r1 * r1 + c1 * c1, r2 * r2 + c2 * c2
     row = (square1 * c2 - square2 * c1) / (2 * twice_area)
     col = (square2 * r1 - square1 * r2) / (2 * twice_area)
@@ -64,16 +64,16 @@ def circle_through(points_px: Sequence[tuple[float, float]], shape: tuple[int, .
     apart_px = min(math.dist(one, other) for one, other in combinations(points_px, 2))
     if apart_px < LEAST_APART * disc.radius_px:
         raise ConfigError(
-            f"three points: found two {apart_px:.0f} px apart on a circle of {disc.radius_px:.0f} px, "
-            f"expected {LEAST_APART:g} radii or more between any two"
+            f"three points: found two only {apart_px:.0f} px apart on a circle of radius {disc.radius_px:.0f} px, "
+            f"expected at least {LEAST_APART:g} radii between any two"
         )
     if disc.radius_px < LEAST_RADIUS_PX:
         raise ConfigError(
-            f"three points: found a circle of {disc.radius_px:.0f} px, expected a radius of {LEAST_RADIUS_PX:g} or more"
+            f"three points: found a circle of radius {disc.radius_px:.0f} px, expected at least {LEAST_RADIUS_PX:g} px"
         )
     if (seen := rim_seen(shape, disc)) < LEAST_RIM_SEEN:
         raise ConfigError(
-            f"three points: found a circle of which {100 * seen:.0f} % of the rim lies in the image, "
-            f"expected {100 * LEAST_RIM_SEEN:.0f} % or more"
+            f"three points: found a circle with {100 * seen:.0f} % of its rim in the image, "
+            f"expected at least {100 * LEAST_RIM_SEEN:.0f} %"
         )
     return disc

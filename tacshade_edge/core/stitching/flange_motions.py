@@ -31,7 +31,7 @@ def unseen(frames: Sequence[ContactFrame], start: Rigid, found: FoundFlange) -> 
             names.append(f"{name} {' and '.join(filter(None, (', '.join(axes[:-1]), axes[-1])))}")
     if not names:
         return ""
-    return f"{', '.join(names)} cannot be seen: {_why(frames, start)}"
+    return f"{', '.join(names)} cannot be determined: {_why(frames, start)}"
 
 
 def delay_seen(found: FoundFlange) -> bool:
@@ -51,9 +51,7 @@ def _why(frames: Sequence[ContactFrame], start: Rigid) -> str:
     if tilt_deg[1] < _SPREAD_DEG:
         about = "no press is tilted" if tilt_deg[0] < _SPREAD_DEG else "all tilts are about one axis"
         return f"{about}, expected tilts of ±15° about two axes"
-    return (
-        "the presses hardly overlap, or what they frame is even; expected overlapping presses of a surface with waves"
-    )
+    return "the presses hardly overlap, or the surface is flat; expected overlapping presses on a wavy surface"
 
 
 def _spread_deg(directions: F64) -> tuple[float, float]:

@@ -128,7 +128,7 @@ class Stitcher:
         if count == 0:
             raise ValueError("a press without points")
         if self._points + count > POINTS_MAX:
-            raise ValueError(f"the map would get more than {POINTS_MAX} points")
+            raise ValueError(f"the map would exceed {POINTS_MAX} points")
         # A refined pose is turned by a degree or so: that does not change what is steep.
         weight = height_weight(points, base_T_sensor)
         press = _Press(points.points_mm, weight.astype(np.float32), thin_points(points), base_T_sensor)
@@ -172,11 +172,13 @@ class Stitcher:
         correction_mm, correction_deg = correction(press.reported, pose, self._apex)
         rejected = None
         if deviation_mm > DEVIATION_MAX_MM:
-            rejected = Reason(ReasonCode.PRESS_DEVIATES, f"{deviation_mm:.2f} mm off the other presses")
+            rejected = Reason(ReasonCode.PRESS_DEVIATES, f"it deviates by {deviation_mm:.2f} mm from the other presses")
         elif error is not None and correction_mm > CORRECTION_MAX_SIGMAS * error.position_mm:
-            rejected = Reason(ReasonCode.PRESS_DISPLACED, f"would have to move by {correction_mm:.2f} mm")
+            rejected = Reason(ReasonCode.PRESS_DISPLACED, f"refinement would have to move it by {correction_mm:.2f} mm")
         elif error is not None and correction_deg > CORRECTION_MAX_SIGMAS * error.rotation_deg:
-            rejected = Reason(ReasonCode.PRESS_DISPLACED, f"would have to turn by {correction_deg:.1f} degrees")
+            rejected = Reason(
+                ReasonCode.PRESS_DISPLACED, f"refinement would have to turn it by {correction_deg:.1f} degrees"
+            )
         return PlacedPress(pose, correction_mm, correction_deg, rejected, len(press.points_mm))
 
     def _fused(self, poses: Sequence[Rigid], rejected: Sequence[Reason | None], before: Heights | None) -> SurfaceMap:

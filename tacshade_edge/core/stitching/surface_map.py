@@ -164,7 +164,7 @@ class SurfaceMap:
             return
         missing = [overlap.tile for overlap in overlaps if overlap.tile not in self._tiles]
         if self._bounded and len(self._tiles) + len(missing) > TILES_MAX:
-            raise ValueError(f"the map would get larger than {TILES_MAX} tiles of {TILE * self.step_mm:g} mm")
+            raise ValueError(f"the map would exceed {TILES_MAX} tiles of {TILE * self.step_mm:g} mm")
         extent = _box([overlap.tile for overlap in overlaps], self._extent)
         if self._bounded and (extent[2] - extent[0] + 1) * (extent[3] - extent[1] + 1) > EXTENT_MAX_TILES:
             raise ValueError(

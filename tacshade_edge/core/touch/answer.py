@@ -27,7 +27,11 @@ def touch_by_model(model: TouchModel, features: F32, imprint: F32) -> Touch:
     alike = found.alike and belongs(model, found.values, imprint)
     if not alike:
         unknown = dict.fromkeys(model.names)
-        text = "its imprint is unlike the labelled object's" if found.alike else "unlike every labelled frame"
+        text = (
+            "the imprint is unlike that of the labelled object"
+            if found.alike
+            else "the frame is unlike every labelled one"
+        )
         return Touch(unknown, unknown, Reason(ReasonCode.TOUCH_UNLIKE, text))
     values, sigma = found.values.tolist(), found.sigma.tolist()
     margin = MARGIN * found.sigma

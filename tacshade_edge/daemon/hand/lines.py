@@ -88,7 +88,7 @@ class Lines:
     def end(self, name: str) -> None:
         """Report for a finger that its process has ended."""
         if name in self.fingers:
-            self.fingers[name].report(away(Reason(ReasonCode.DAEMON_STOPPED, "its process has ended")))
+            self.fingers[name].report(away(Reason(ReasonCode.DAEMON_STOPPED, "the sensor's process has ended")))
 
     def close(self) -> None:
         """Close this process's ends."""

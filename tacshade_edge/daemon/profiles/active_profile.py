@@ -120,7 +120,12 @@ class ActiveProfile(FrameObserver):
         self.reconstructor = self._kept[step.profile]
         self._steps["steps_up" if step.up else "steps_down"] += 1
         _log.info(
-            "profile %s: from %s %s to %s: %s", AUTO, before, "up" if step.up else "down", step.profile, step.reason
+            "profile %s: stepped from %s %s to %s: %s",
+            AUTO,
+            before,
+            "up" if step.up else "down",
+            step.profile,
+            step.reason,
         )
         return True
 
@@ -183,7 +188,7 @@ class ActiveProfile(FrameObserver):
         self._chooser = chooser
         costs = ", ".join(f"{name} {ms:.1f} ms" for name, ms in costs_ms.items())
         _log.info(
-            "profile %s: starts with %s for a budget of %g ms; the profiles take %s here",
+            "profile %s: starting with %s for a budget of %g ms; the profiles take %s here",
             *(AUTO, chooser.profile, self.budget_ms, costs),
         )
 

@@ -82,4 +82,4 @@ class Health(FrameObserver):
         elif counts.invalid > before.invalid:
             self._unusable_periods += 1
         if self._unusable_periods >= UNUSABLE_PERIODS and not self.unusable:
-            self.unusable = reason or Reason(ReasonCode.NO_USABLE_FRAME, "no frame can be used")
+            self.unusable = reason or Reason(ReasonCode.NO_USABLE_FRAME, "no frame is usable")

@@ -29,8 +29,8 @@ SYNC_S = 1.0
 _NO_PIXELS = np.zeros((0, 0), np.uint8)
 Posed = Callable[[Frame], Frame]
 TIME, STOPPED = Reason(ReasonCode.TIME, "time"), Reason(ReasonCode.STOPPED, "stopped")
-SOURCE_ENDED = Reason(ReasonCode.SOURCE_ENDED, "source ended")
-DAEMON_STOPPED = Reason(ReasonCode.DAEMON_STOPPED, "daemon stopped")
+SOURCE_ENDED = Reason(ReasonCode.SOURCE_ENDED, "the source has ended")
+DAEMON_STOPPED = Reason(ReasonCode.DAEMON_STOPPED, "the daemon stopped")
 # As they should: these leave the recorder idle, anything else is a reason that it stopped.
 GOOD_ENDINGS = (ReasonCode.TIME, ReasonCode.STOPPED, ReasonCode.SOURCE_ENDED, ReasonCode.DAEMON_STOPPED)
 
@@ -270,7 +270,7 @@ class LiveRecorder:
             One goes on (``BUSY``); the folder cannot be made; the disk is down to the floor.
         """
         if (now := self.now()) is not None:
-            doing = "the latest recording is still being written to" if now.ending else "recording to"
+            doing = "still writing the latest recording to" if now.ending else "already recording to"
             raise DeviceError(f"busy: {doing} {now.folder}", code=ReasonCode.BUSY)
         recorder = make(folder, free_floor_bytes=FREE_FLOOR_BYTES)
         job = self._job or _Job(0, self._posed)

@@ -59,7 +59,7 @@ class RecordRequests(FrameObserver):
         """End the recordings in MCAP that a daemon who died has left; before the first one begins."""
         try:
             for path in fix_recordings(folder):
-                _log.warning("%s: its writer died; closed after the last whole record", path)
+                _log.warning("%s: its writer died; closed it after the last whole record", path)
         except DeviceError as error:
             _log.warning("%s", error)
 
@@ -74,7 +74,7 @@ class RecordRequests(FrameObserver):
             else:
                 self._end(request)
         except TacshadeError as error:
-            _log.info("req/record refused: %s", error)
+            _log.info("rejected req/record: %s", error)
             self._reply(request, error.reason)
         self.poll()
 
@@ -147,7 +147,7 @@ class RecordRequests(FrameObserver):
 
     def _end(self, request: Request) -> None:
         if self._stop is not None:
-            raise DeviceError("busy: the recording is being stopped", code=ReasonCode.BUSY)
+            raise DeviceError("busy: the recording is already stopping", code=ReasonCode.BUSY)
         if self._recorder.now() is None:
             raise DeviceError("found no recording to stop", code=ReasonCode.NO_RECORDING)
         self._stop = request

@@ -29,11 +29,11 @@ class ReferenceCollector:
         if self._finished:
             return
         if not result.valid:
-            text = f"frame {frame.seq} is invalid ({result.reason}), expected an untouched sensor in view"
+            text = f"frame {frame.seq} is invalid ({result.reason}), expected a usable frame of an untouched sensor"
             self._finish(Reason(ReasonCode.FRAME_INVALID, text))
         elif result.contact:
             found = f"frame {frame.seq} shows contact {result.depth_max_mm:.2f} mm deep"
-            self._finish(Reason(ReasonCode.FRAME_IN_CONTACT, f"{found}, expected a sensor that nothing touches"))
+            self._finish(Reason(ReasonCode.FRAME_IN_CONTACT, f"{found}, expected an untouched sensor"))
         else:
             self._images.append(frame.image)
             if len(self._images) == REFERENCE_FRAMES:

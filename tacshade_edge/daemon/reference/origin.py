@@ -91,6 +91,6 @@ def requested(calibrated: Calibration, images: Sequence[U8], path: Path, unowned
         except DeviceError as error:
             reason = error.reason
     if reason is not None:
-        reason = Reason(reason.code, f"{reason}; this reference is in use only until the next start or reload")
-    _log.info("new reference from %d frames%s", len(images), f": {reason}" if reason else "")
+        reason = Reason(reason.code, f"{reason}; this reference lasts only until the next start or reload")
+    _log.info("took a new reference from %d frames%s", len(images), f": {reason}" if reason else "")
     return Origin(calibrated, taken.calibration, "request", taken.wall_ns, reason)

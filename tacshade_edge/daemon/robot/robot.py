@@ -105,7 +105,7 @@ class Robot(FrameObserver):
             if silent:
                 reason = Reason(ReasonCode.STALLED, f"received nothing for more than {SILENT_NS / 1e9:.0f} s")
             elif reason is None and (latency_ms := int(port.details.get("latency_ms", 0))) > LATENCY_MAX_MS:
-                text = f"the port's chip holds bytes back for {latency_ms} ms; doctor says how to fix it"
+                text = f"the port's chip holds bytes back for {latency_ms} ms; tacshade-edge doctor explains the fix"
                 reason = Reason(ReasonCode.PORT_LATENCY, text)
         status = encode_status(state, reason, details)
         if status != self._published:

@@ -104,7 +104,7 @@ class SerialCommands:
                 if not busy:
                     self._captures.append(command)
             if busy:
-                link.answer(command, Reason(ReasonCode.BUSY, f"{WAITING_MAX} captures are waiting"))
+                link.answer(command, Reason(ReasonCode.BUSY, f"{WAITING_MAX} captures are already waiting"))
         elif command.verb == "REFERENCE":
             request = Request("reference")
             with self._lock:

@@ -39,7 +39,7 @@ class PendingAdds:
             if not busy:
                 self._pending.append(_PendingAdd(since_ns, reply))
         if busy:
-            reply(Reason(ReasonCode.BUSY, f"{WAITING_MAX} presses are waiting for a frame"))
+            reply(Reason(ReasonCode.BUSY, f"{WAITING_MAX} presses are already waiting for a frame"))
 
     def take(self, t_ns: int) -> list[Reply]:
         """Those that a frame of `t_ns` is for."""

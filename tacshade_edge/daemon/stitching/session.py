@@ -68,7 +68,7 @@ class Session:
         with disk_errors(folder):
             exists = (folder / name).exists()
         if exists:
-            raise RefusedError(ReasonCode.NAME_TAKEN, f"{folder / name} is there already")
+            raise RefusedError(ReasonCode.NAME_TAKEN, f"{folder / name} already exists")
         info = SessionInfo(name, time.time_ns(), calibration.crc32, calibration.geometry.skin_radius_mm, sensor_id)
         return cls(StitchFile.create(folder / name, info), Stitcher(info.skin_radius_mm))
 

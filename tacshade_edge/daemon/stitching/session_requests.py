@@ -90,7 +90,7 @@ class SessionRequests(FrameObserver):
         if session.name:
             state, reason = "ending" if session.ending else "open", session.missed_reason
             if self._robot and not self._robot.knows_pose():
-                reason = Reason(ReasonCode.NO_POSE, "the robot's pose is not known, so nothing can be added")
+                reason = Reason(ReasonCode.NO_POSE, "the robot's pose is unknown, so no press can be added")
         details = {name: getattr(session, name) for name in _REPORTED}
         status = encode_status(state, reason, details)
         if status != self._published:

@@ -153,7 +153,7 @@ class SessionWorker:
         if action == "ADD" and self.open:
             self._pending_adds.put(time.monotonic_ns(), reply)
         elif self._jobs.qsize() >= WAITING_MAX:
-            reply(Reason(ReasonCode.BUSY, f"{WAITING_MAX} commands are waiting"))
+            reply(Reason(ReasonCode.BUSY, f"{WAITING_MAX} commands are already waiting"))
         else:
             self._jobs.put(_Command(action, name, reply))
 
@@ -170,7 +170,7 @@ class SessionWorker:
             return
         refusal = _refusal(result)
         if refusal is None and self._jobs.qsize() >= WAITING_MAX:
-            refusal = Reason(ReasonCode.BUSY, f"{WAITING_MAX} presses are being added")
+            refusal = Reason(ReasonCode.BUSY, f"{WAITING_MAX} presses are already waiting")
         if refusal is not None:
             for reply in replies:
                 reply(refusal)
@@ -206,9 +206,9 @@ class SessionWorker:
             with self._lock:
                 self._missed_reason = None
             return
-        _log.warning("a settled contact was not added: %s", outcome)
+        _log.warning("did not add a settled contact: %s", outcome)
         with self._lock:
-            self._missed_reason = Reason(outcome.code, f"the latest contact was not added: {outcome}")
+            self._missed_reason = Reason(outcome.code, f"did not add the latest contact: {outcome}")
             self._missed += 1
             self._counts["missed"] += 1
 
@@ -256,7 +256,7 @@ class SessionWorker:
             self._own_folder()
             session = Session.resume(self._folder, self._sensor_id)
         except TacshadeError as error:
-            _log.warning("session not resumed: %s", error)
+            _log.warning("cannot resume the session: %s", error)
             return
         if session is None:
             return
@@ -282,14 +282,14 @@ class SessionWorker:
             return self._end(session)
         if command.action == "ABORT":
             return self._abort(session)
-        raise RefusedError(ReasonCode.NO_SESSION, "the session has just started; add again")
+        raise RefusedError(ReasonCode.NO_SESSION, "the session has only just started; add again")
 
     def _begin(self, name: str) -> SessionResult:
         if self._folder_lock is None:
             self._own_folder()
             self._resume()
         if self._session is not None and self._session.gone:
-            _log.warning("session %s was deleted with %d presses", self._session.name, self._session.presses)
+            _log.warning("deleted session %s with %d presses", self._session.name, self._session.presses)
             self._session.close()
             self._clear_session()
         if self._session is not None:
@@ -302,7 +302,7 @@ class SessionWorker:
         with self._lock:
             self._missed, self._missed_reason = 0, None
         self._state = self._current_state()
-        _log.info("stitching session %s started", session.name)
+        _log.info("started stitching session %s", session.name)
         return session.begun()
 
     def _add(self, add: _Add) -> PressAdded:
@@ -312,7 +312,7 @@ class SessionWorker:
         if len(add.points.points_mm) == 0:
             raise RefusedError(ReasonCode.NO_CONTACT, f"frame {seq}: nothing touches the sensor")
         if (pose := self._with_pose(add.frame).pose) is None:
-            raise RefusedError(ReasonCode.NO_POSE, f"frame {seq}: the robot's pose is not known at its time")
+            raise RefusedError(ReasonCode.NO_POSE, f"frame {seq}: the robot's pose is unknown at its time")
         added = session.add(add.points, of_pose(pose) @ add.flange_T_sensor, seq)
         with self._lock:
             self._counts["presses"] += 1
@@ -321,7 +321,7 @@ class SessionWorker:
 
     def _end(self, session: Session) -> SessionEnded:
         if session.presses == 0:
-            raise RefusedError(ReasonCode.NO_PRESS, "no press was added; ABORT ends the session")
+            raise RefusedError(ReasonCode.NO_PRESS, "the session has no press; ABORT ends it")
         self._state = replace(self._current_state(), ending=True)
         ended, final_map = session.finish(self._missed)
         self._map_folder = str(session.folder)

@@ -21,7 +21,7 @@ export function cut(text, most = TEXT_MAX) {
 
 /** The object that a JSON message is, cut. Throws where it is none. */
 export function read(payload) {
-  if (payload.length > BYTES_MAX) throw new Error("a message too large");
+  if (payload.length > BYTES_MAX) throw new Error("the message is too large");
   const value = JSON.parse(new TextDecoder().decode(payload));
   if (value === null || typeof value !== "object" || Array.isArray(value)) throw new Error("not an object");
   return bounded(value);

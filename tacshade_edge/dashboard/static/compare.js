@@ -67,7 +67,7 @@ export class Compare {
     this.seen = this.drawn = null;
     $("compare").hidden = sensor === null;
     $("compare-maps").hidden = true;
-    $("compare-words").textContent = "nothing was heard of it yet";
+    $("compare-words").textContent = "it has published nothing yet";
     $("compare-numbers").replaceChildren();
     if (sensor !== null) this.link().subscribe(...topics(sensor));
   }
@@ -82,7 +82,7 @@ export class Compare {
         this.view.parts.set("replay", status);
         const report = (error) => { $("compare-words").textContent = `${this.sensor} is paused: ${error.message}`; };
         if (!this.readOnly) showAgain(this.link(), this.sensor, this.view).catch(report);
-        else if (isPaused(this.view.parts) && !this.view.map) report(new Error("its picture comes when it is played on."));
+        else if (isPaused(this.view.parts) && !this.view.map) report(new Error("its picture appears once it plays."));
       }, checkPart);
     } else return;
     this.changed();
@@ -162,7 +162,7 @@ export class Compare {
     drawTicks($("difference-ticks"), -end_mm, end_mm);
     const row = map.row0 + Math.floor(worst_at / map.cols) * map.step_px, col = map.col0 + (worst_at % map.cols) * map.step_px;
     this.seen = { mean_mm: sum_mm / Math.max(cells, 1), worst_mm, row, col };
-    $("compare-words").textContent = `heights are ${number(this.seen.mean_mm, 3)} mm apart in the mean, ${signed(worst_mm, 3)} mm at worst, at row ${number(row)}, col ${number(col)} px`;
+    $("compare-words").textContent = `heights are ${number(this.seen.mean_mm, 3)} mm apart on average, ${signed(worst_mm, 3)} mm at worst, at row ${number(row)}, col ${number(col)} px`;
   }
 
   showNumbers(first, other) {

@@ -16,14 +16,14 @@ export function freshness(view, { connected, works, state, paused }) {
   const heard_ms = any_ms < Infinity ? any_ms : view.health?.wall_ns ? Math.max(Date.now() - view.health.wall_ns / 1e6, 0) : null;
   const shown = view.health !== null || view.heard_ms !== null;
   let words = "";
-  if (gone && shown) words = `${why(connected, works, state)}: what is shown is old, last heard ${heard_ms === null ? "before this page came" : `${age(heard_ms)} ago`}.`;
-  else if (frames && !gone) words = `Last frame ${age(frames_ms)} ago: what is shown is old.`;
+  if (gone && shown) words = `${why(connected, works, state)}: what you see is old, last updated ${heard_ms === null ? "before this page opened" : `${age(heard_ms)} ago`}.`;
+  else if (frames && !gone) words = `Last frame ${age(frames_ms)} ago: what you see is old.`;
   return { gone, frames, health: gone || health_ms > STALE_MS, words };
 }
 
 function why(connected, works, state) {
   if (!connected) return "Not connected";
-  return works ? "Nothing is heard of this sensor" : `This sensor is ${state ?? "unknown"}`;
+  return works ? "This sensor publishes nothing" : `This sensor is ${state ?? "unknown"}`;
 }
 
 function age(ms) {

@@ -120,7 +120,7 @@ export class Whole {
     const old_ms = performance.now() - (this.heard_ms ?? this.shown_ms), stale = !works || old_ms > STALE_MS;
     $("whole").classList.toggle("is-stale", stale);
     $("whole-state").dataset.level = works ? levelOf(state) : "bad";
-    $("whole-state").textContent = !works ? `This hand is ${state ?? "unknown"}: what is shown is old.` : stale ? "Nothing is heard of this hand: what is shown is old." : `${this.shown}: ${state}`;
+    $("whole-state").textContent = !works ? `This hand is ${state ?? "unknown"}: what you see is old.` : stale ? "This hand publishes nothing: what you see is old." : `${this.shown}: ${state}`;
     for (const [name, { caption, figure }] of this.fingers) {
       const { state = "away", reason_code = "", objects = [], margin } = this.message.fingers[name] ?? {}, [greatest] = objects;
       const depth = greatest ? `${number(greatest.depth_max_mm, 2)} mm` : `${state}${reason_code ? `: ${reason_code}` : ""}`;
@@ -138,7 +138,7 @@ export class Whole {
       ["x, y, z mm", (o) => place(o.centroid_mm)], ["normal", (o) => o.normal.map((value) => number(value, 2)).join(", ")],
       ["depth mm", (o) => number(o.depth_max_mm, 2)], ["area mm²", (o) => number(o.area_mm2)], ["shear mm", (o) => (o.shear_mm ? number(Math.hypot(...o.shear_mm), 2) : "")], ["slip", (o) => SLIPS[o.slip] ?? ""],
     ].filter(([, of]) => objects.some((o) => of(o) !== ""));
-    $("whole-objects").replaceChildren(table("", objects.map((o) => [o.name, ...columns.map(([, of]) => of(o))]), ["finger", ...columns.map(([head]) => head)]) ?? element("small", { textContent: "nothing is touched" }));
+    $("whole-objects").replaceChildren(table("", objects.map((o) => [o.name, ...columns.map(([, of]) => of(o))]), ["finger", ...columns.map(([head]) => head)]) ?? element("small", { textContent: "no finger touches anything" }));
     this.drawPlane(objects);
   }
 

@@ -3,8 +3,8 @@
 import { element, levelOf, number, table } from "./panels.js";
 
 const FRAMES = {
-  published: "with contact, sent", without_contact: "without contact", unasked: "with contact, nobody listened",
-  superseded: "replaced by a newer one", invalid: "not usable", failed: "failed or lost", pending: "on their way",
+  published: "with contact, sent", without_contact: "without contact", unasked: "with contact, no subscriber",
+  superseded: "replaced by a newer one", invalid: "unusable", failed: "failed or lost", pending: "in progress",
 };
 const TITLES = { mqtt: "Link to the broker", recorder: "Recorder", reference: "Reference", serial: "Robot", stitching: "Stitching", budget: "Latency budget" };
 const WORDS = { uptime: "up", capture: "captured", delivered: "delivered", published: "published", rss: "memory" };
@@ -38,7 +38,7 @@ function tables(health, page) {
   const { frames, latency_ms, stages_ms, uptime_s } = health, others = Object.entries(health).filter(([key]) => !OWN.has(key));
   const share = (count) => (frames.captured ? `${count} (${number((100 * count) / frames.captured)} %)` : String(count));
   const counted = frames ? Object.entries(FRAMES).filter(([key]) => frames[key]).map(([key, words]) => [words, share(frames[key])]) : [];
-  const stages = Object.entries({ ...stages_ms, "all, until sent": latency_ms }).filter(([, stage]) => stage);
+  const stages = Object.entries({ ...stages_ms, "total, until sent": latency_ms }).filter(([, stage]) => stage);
   const flat = Object.fromEntries(others.filter(([, value]) => typeof value !== "object"));
   return [
     frames && table("Frames", [["captured", frames.captured ?? ""], ...counted]),

@@ -55,7 +55,7 @@ export class Link {
       createWebsocket: (address, protocols) => {
         const socket = new WebSocket(address, protocols);
         socket.binaryType = "arraybuffer";
-        socket.addEventListener("close", (event) => { reason = event.reason || "the dashboard's server does not answer, or refuses this page (it says why; reload to log in)"; });
+        socket.addEventListener("close", (event) => { reason = event.reason || "the dashboard's server does not answer or rejects this page (its log says why; reload to log in)"; });
         return socket;
       },
     });
@@ -78,8 +78,8 @@ export class Link {
       if (client !== this.client || !NOT_AUTHORISED.includes(error.code)) return; // the rest is a close, reported there
       client.end(true);
       sessionStorage.removeItem(KEPT);
-      this.reported("bad", "The broker wants a user and password");
-      this.refused(user.username === undefined ? "The broker wants a user and password." : "The broker refused this user or password.");
+      this.reported("bad", "The broker requires a user and password");
+      this.refused(user.username === undefined ? "The broker requires a user and password." : "The broker rejected this user or password.");
     });
   }
 

@@ -41,10 +41,10 @@ const heights = new HeightView(), stitched = new MapView(), skin = new SkinView(
 const compare = new Compare({ link: () => link, decoded, changed: schedule, readOnly: READ_ONLY });
 const whole = new Whole({ link: () => link, infos: (sensor) => sensors.get(sensor)?.info, decoded, changed: schedule, damaged: () => { undecodable++; } });
 const rezero = new Rezero({
-  ask: () => ask("reference", {}, "Taking a new reference; do not touch the skin …", (result) => `Zero is new, from ${result.frames} frames.`),
+  ask: () => ask("reference", {}, "Taking a new reference; do not touch the skin …", (result) => `Took a new zero from ${result.frames} frames.`),
   changed: (words) => {
     $("rezero").textContent = rezero.waiting && !rezero.taking ? "Cancel re-zero" : "Re-zero";
-    if (rezero.waiting && !rezero.taking) updateAnswer("wait", "Re-zero waits until nothing touches …");
+    if (rezero.waiting && !rezero.taking) updateAnswer("wait", "Re-zero waits until nothing touches the skin …");
     if (words) updateAnswer("off", words);
     updateControls();
   },
@@ -247,7 +247,7 @@ function showTabs() {
     return tab;
   });
   const whole_tabs = [...whole.states].sort().map(([id, state]) => {
-    const tab = element("button", { type: "button", title: "all its fingers", onclick: () => { location.hash = `${WHOLE}${encodeURIComponent(id)}`; } }, `hand ${id}`);
+    const tab = element("button", { type: "button", title: "all fingers of this hand", onclick: () => { location.hash = `${WHOLE}${encodeURIComponent(id)}`; } }, `hand ${id}`);
     tab.dataset.level = link?.connected ? levelOf(state) : "off";
     if (id === whole.shown) tab.ariaCurrent = "page";
     return tab;
@@ -352,7 +352,7 @@ function updateObjects(cloud) {
 
 function updateFlags(flags) {
   const words = [];
-  if (flags & INVALID) words.push("frame not usable");
+  if (flags & INVALID) words.push("frame unusable");
   if (flags & SATURATED) words.push("deeper than calibrated: a lower bound");
   if (flags & DEGRADED) words.push("less trust");
   $("flags").textContent = words.join(", ");
@@ -380,9 +380,9 @@ function updateHealth() {
   showRates(view.health);
   updateState();
   showHealth(view.health, [
-    ["maps drawn", drawn], ["maps replaced by a newer one before", superseded], ["maps drawn per second", number(drawnPerSecond(), 1)],
+    ["maps drawn", drawn], ["maps replaced by a newer one before drawing", superseded], ["maps drawn per second", number(drawnPerSecond(), 1)],
     ["camera to screen, if both clocks agree", view.age_ms === null ? "" : `${number(view.age_ms)} ms`],
-    ["messages not understood", undecodable],
+    ["messages that the page could not read", undecodable],
   ]);
   updateStale();
 }
@@ -503,18 +503,18 @@ commandRecordings((body, doing, done) => ask("record", body, doing, done));
 $("session").addEventListener("submit", (event) => {
   event.preventDefault();
   const name = event.target.elements.session.value.trim();
-  ask("stitch", name ? { action: "begin", name } : { action: "begin" }, "Beginning …", (result) => `Session ${result.name} is open: every contact that settles is added.`);
+  ask("stitch", name ? { action: "begin", name } : { action: "begin" }, "Beginning …", (result) => `Session ${result.name} is open: it adds every settled contact.`);
 });
 $("session").elements.add.addEventListener("click", () => {
-  ask("stitch", { action: "add" }, "Adding …", (result) => `Press ${result.press} is added.`);
+  ask("stitch", { action: "add" }, "Adding …", (result) => `Added press ${result.press}.`);
 });
 $("session").elements.end.addEventListener("click", () => {
-  ask("stitch", { action: "end" }, "Making the map …", (result) => `The map of ${result.name} is made: ${result.used} of ${result.presses} presses used.`, MAP_MS);
+  ask("stitch", { action: "end" }, "Making the map …", (result) => `Made the map of ${result.name} from ${result.used} of ${result.presses} presses.`, MAP_MS);
 });
 $("session").elements.abort.addEventListener("click", () => {
   const { name, presses } = view.parts.get("stitching");
-  if (!confirm(`End ${name} without a map? Its ${presses} presses are deleted.`)) return;
-  ask("stitch", { action: "abort" }, "Ending …", (result) => `Session ${result.name} is gone.`);
+  if (!confirm(`End ${name} without a map? This deletes its ${presses} presses.`)) return;
+  ask("stitch", { action: "abort" }, "Ending …", (result) => `Deleted session ${result.name}.`);
 });
 
 $("health").addEventListener("toggle", () => updateHealth());

@@ -19,7 +19,7 @@ export function number(value, digits = 0) {
 export function showState(state, parts, health, connected, gone) {
   const reasons = [...parts].filter(([, part]) => part.reason).map(([name, part]) => `${name}: ${part.reason}`);
   const shown = [...parts.values()].some((part) => part.reason === health?.invalid_reason);
-  if (health?.invalid_reason && !shown) reasons.push(`latest frame not usable: ${health.invalid_reason}`);
+  if (health?.invalid_reason && !shown) reasons.push(`latest frame unusable: ${health.invalid_reason}`);
   if (health?.degraded_reason) reasons.push(`less trust: ${health.degraded_reason}`);
   const line = document.getElementById("state");
   if (!connected) {

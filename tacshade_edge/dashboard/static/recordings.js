@@ -49,11 +49,11 @@ export class Recordings {
     this.playing = { name, socket };
     try {
       const { sensor } = await answered;
-      this.say("good", `${name} plays as the sensor “${sensor}” while this page is open`);
+      this.say("good", `playing ${name} as the sensor “${sensor}” while this page is open`);
       this.refresh();
       this.played(sensor);
       const error = await closed;
-      this.say(error ? "bad" : "off", error || `${name} is no longer played`);
+      this.say(error ? "bad" : "off", error || `${name} no longer plays`);
     } catch (error) {
       this.say("bad", error.message);
     }
@@ -68,7 +68,7 @@ export class Recordings {
       const link = element("a", { href: URL.createObjectURL(whole), download: `${name.replaceAll("/", "-")}.tar` });
       link.click();
       setTimeout(() => URL.revokeObjectURL(link.href), 60000);
-      this.say("good", `${name} is downloaded, ${number(whole.size / 1e6, 1)} MB`);
+      this.say("good", `downloaded ${name}, ${number(whole.size / 1e6, 1)} MB`);
     } catch (error) {
       this.say("bad", error.message);
     }
@@ -76,10 +76,10 @@ export class Recordings {
   }
 
   async remove(name) {
-    if (!confirm(`Delete the recording ${name}? It cannot be brought back.`)) return;
+    if (!confirm(`Delete the recording ${name}? You cannot undo this.`)) return;
     try {
       await command({ action: "delete", name }).answered;
-      this.say("good", `${name} is deleted`);
+      this.say("good", `deleted ${name}`);
     } catch (error) {
       this.say("bad", error.message);
     }

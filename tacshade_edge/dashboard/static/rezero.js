@@ -23,7 +23,7 @@ export class Rezero {
   cancel() {
     if (!this.waiting || this.taking) return;
     this.waiting = false;
-    this.changed("No new zero.");
+    this.changed("Cancelled: no new zero.");
   }
 
   /** What touches now. */

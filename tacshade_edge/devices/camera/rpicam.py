@@ -111,14 +111,14 @@ class RpicamSource:
     def read(self) -> Frame | None:
         """Wait for the next frame, at most two seconds. Raises DeviceError when the program ended or stalls."""
         if self._stream is None:
-            raise DeviceError(f"{self._name}: is not open")
+            raise DeviceError(f"{self._name}: not open")
         frame, self._pending = self._pending, None
         return frame or self._framed(*self._stream.next(_STALL_S))
 
     def skip(self) -> bool:
         """Take the next frame out of the pipe, for nobody. Waits and raises as `read`."""
         if self._stream is None:
-            raise DeviceError(f"{self._name}: is not open")
+            raise DeviceError(f"{self._name}: not open")
         if self._pending is None:
             self._date(self._stream.next(_STALL_S, self._unseen)[1], time.monotonic_ns())
         self._pending = None
@@ -151,8 +151,8 @@ class RpicamSource:
             if not (in_step and was_in_step):
                 raise stream.other_size()
             raise DeviceError(
-                f"{self._name}: asked for an exposure of {self._exposure_us} us and a gain of {self._gain:g}, "
-                f"got {exposure_us:g} us and {gain:g}",
+                f"{self._name}: requested an exposure of {self._exposure_us} us and a gain of {self._gain:g}, "
+                f"but got {exposure_us:g} us and {gain:g}",
                 code=ReasonCode.NOT_OFFERED,
             )
         period_us = _number(record, "FrameDuration")
@@ -215,7 +215,9 @@ class _Stream:
         except OSError as error:
             os.close(records)
             missing = isinstance(error, FileNotFoundError)
-            why = "no such program, expected the one in apt's rpicam-apps-lite" if missing else error.strerror
+            why = (
+                "no such program, expected the one in Debian's package rpicam-apps-lite" if missing else error.strerror
+            )
             raise DeviceError(f"{name}: {why}", code=ReasonCode.ABSENT if missing else ReasonCode.PERMISSION) from None
         finally:
             os.close(write_end)
@@ -288,21 +290,21 @@ class _Stream:
         while _is_readable(self._errors, 0.0) and (words := os.read(self._errors, _SAID_BYTES)):
             self._said = (self._said + words)[-_SAID_BYTES:]
         lines = [line.strip() for line in self._said.decode("utf-8", "replace").splitlines() if line.strip()]
-        why = next((line for line in reversed(lines) if line.startswith("ERROR")), lines[-1] if lines else "no word")
+        why = next((line for line in reversed(lines) if line.startswith("ERROR")), lines[-1] if lines else "no output")
         why = why.removeprefix("ERROR:").strip(" *")
         codes = {"acquire": ReasonCode.IN_USE, "available": ReasonCode.ABSENT}
         code = next((code for word, code in codes.items() if word in why), ReasonCode.LOST)
         status = self._process.returncode
-        return DeviceError(f"{self._name}: the program ended with {status}: {why!r}", code=code)
+        return DeviceError(f"{self._name}: the program exited with {status}: {why!r}", code=code)
 
     def _stalled(self) -> DeviceError:
-        return DeviceError(f"{self._name}: no frame arrives: the camera has stalled", code=ReasonCode.STALLED)
+        return DeviceError(f"{self._name}: no frame arrives; the camera has stalled", code=ReasonCode.STALLED)
 
     def other_size(self) -> DeviceError:
         """The program's frames are not as large as ours."""
         height_px, width_px = self._shape
         return DeviceError(
-            f"{self._name}: found frames that are not of {self._bytes} bytes, {width_px}x{height_px} YUV 4:2:0",
+            f"{self._name}: found frames of another size, expected {self._bytes} bytes, {width_px}x{height_px} YUV",
             code=ReasonCode.NOT_OFFERED,
         )
 

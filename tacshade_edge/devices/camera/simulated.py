@@ -101,4 +101,4 @@ class SimulatedSource:
         try:
             return self._sensor.frame(presses, noise_seed=index).image
         except ValueError as error:
-            raise DecodeError(f"the simulated sensor cannot be pressed this way: {error}") from None
+            raise DecodeError(f"cannot press the simulated sensor this way: {error}") from None

@@ -67,9 +67,11 @@ class V4l2Source:
         self, device: str, width_px: int, height_px: int, fps: float, fourcc: str, exposure: int | None = None
     ) -> None:
         if fourcc not in FOURCCS:
-            raise ConfigError(f"camera {device}: format {fourcc!r}, expected one of {', '.join(FOURCCS)}")
+            raise ConfigError(f"camera {device}: found format {fourcc!r}, expected one of {', '.join(FOURCCS)}")
         if min(width_px, height_px) < 1 or not fps > 0:
-            raise ConfigError(f"camera {device}: {width_px}x{height_px} at {fps:g} fps, expected positive numbers")
+            raise ConfigError(
+                f"camera {device}: found {width_px}x{height_px} at {fps:g} fps, expected positive numbers"
+            )
         self._device = device
         self._shape = (height_px, width_px)
         self._fps = fps
@@ -116,7 +118,7 @@ class V4l2Source:
             if not capture.isOpened():
                 if v4l2_node.is_busy(self._device):
                     raise DeviceError(f"camera {self._device}: in use by another program", code=ReasonCode.IN_USE)
-                raise DeviceError(f"camera {self._device}: cannot be set up for capture")
+                raise DeviceError(f"camera {self._device}: cannot set it up for capture")
             self._negotiated = {"card": card, **self._negotiate(capture)}
             self._gaps = FrameGaps()
             self._check_stamps(capture)
@@ -131,14 +133,14 @@ class V4l2Source:
     def read(self) -> Frame | None:
         """Wait for the next frame, at most about two seconds. Raises DeviceError when the device is lost."""
         if self._capture is None:
-            raise DeviceError(f"camera {self._device}: is not open")
+            raise DeviceError(f"camera {self._device}: not open")
         frame, self._pending = self._pending, None
         return frame or self._decoded(self._capture)
 
     def skip(self) -> bool:
         """Give the next frame's buffer back to the driver as it is. Waits and raises as `read`."""
         if self._capture is None:
-            raise DeviceError(f"camera {self._device}: is not open")
+            raise DeviceError(f"camera {self._device}: not open")
         if self._pending is None:
             self._grab(self._capture)
             self._date(self._capture, time.monotonic_ns())
@@ -174,7 +176,7 @@ class V4l2Source:
             offered = set(v4l2_node.formats(self._device))
             usable = ", ".join(code for code in FOURCCS if code in offered) or "none of our formats"
             raise self._refused(
-                f"asked {width_px}x{height_px} {self._fourcc}, got {width_got}x{height_got} {fourcc}"
+                f"requested {width_px}x{height_px} {self._fourcc}, but got {width_got}x{height_got} {fourcc}"
                 f" (it offers {usable})"
             )
         exposure, white_balance = self._lock_exposure(capture), v4l2_controls.lock_white_balance(capture)
@@ -194,8 +196,8 @@ class V4l2Source:
     def _lock_exposure(self, capture: cv2.VideoCapture) -> v4l2_controls.Control:
         control = v4l2_controls.lock_exposure(capture, self._exposure)
         if self._exposure is not None and control.value != self._exposure:
-            got = "the driver has no such control" if control.value is None else f"got {control.value:g}"
-            raise self._refused(f"asked exposure {self._exposure}, {got}")
+            got = "but the driver has no such control" if control.value is None else f"but got {control.value:g}"
+            raise self._refused(f"requested exposure {self._exposure}, {got}")
         return control
 
     def _refused(self, what: str) -> TacshadeError:
@@ -221,7 +223,7 @@ class V4l2Source:
             gone = waited_s < 0.5 * _STALL_S
             why = "the device is gone, or its driver has stopped" if gone else "the camera has stalled"
             raise DeviceError(
-                f"camera {self._device}: no frame after {waited_s:.1f} s, {why}",
+                f"camera {self._device}: no frame within {waited_s:.1f} s: {why}",
                 code=ReasonCode.LOST if gone else ReasonCode.STALLED,
             )
 
@@ -241,7 +243,7 @@ class V4l2Source:
             size = raw.size if ok else 0
             self._dropped += 1
         raise DeviceError(
-            f"camera {self._device}: {_UNDECODABLE_MAX} frames in a row were not {self._fourcc} of"
+            f"camera {self._device}: found {_UNDECODABLE_MAX} frames in a row that were not {self._fourcc} of"
             f" {self._shape[1]}x{self._shape[0]} (the last had {size} bytes)",
             code=ReasonCode.DECODE,
         )

@@ -47,7 +47,7 @@ class Control:
             return "no control"
         if self.lock is Lock.LOCKED:
             return "locked" if self.value is None else f"locked at {self.value:g}"
-        return "automatic, the driver does not lock it" + ("" if self.value is None else f" ({self.value:g})")
+        return "automatic; the driver does not lock it" + ("" if self.value is None else f" ({self.value:g})")
 
 
 def lock_exposure(capture: Properties, exposure: int | None) -> Control:

@@ -42,7 +42,7 @@ def check_kind(device: str) -> None:
         return
     if not stat.S_ISCHR(status.st_mode):
         kind = "directory" if stat.S_ISDIR(status.st_mode) else "file"
-        raise ConfigError(f"camera {device}: is a {kind}, {_EXPECTED}", code=ReasonCode.WRONG_KIND)
+        raise ConfigError(f"camera {device}: found a {kind}, {_EXPECTED}", code=ReasonCode.WRONG_KIND)
     number = f"{os.major(status.st_rdev)}:{os.minor(status.st_rdev)}"
     subsystem = Path("/sys/dev/char", number, "subsystem")
     # A node without an entry there is one that is being plugged or unplugged: opening it shows which.
@@ -70,7 +70,7 @@ def check_node(device: str) -> str:
             ) from None
     if not int.from_bytes(capability[88:92], "little") & _CAPTURE:
         raise DeviceError(
-            f"camera {device}: this node of the device does not capture video (output or metadata);"
+            f"camera {device}: this node of the device is for output or metadata and captures no video;"
             " v4l2-ctl --list-devices shows the others",
             code=ReasonCode.WRONG_KIND,
         )
@@ -193,7 +193,7 @@ def _opened(device: str) -> Iterator[int]:
     except ValueError:
         raise DeviceError(f"camera {device!r}: not a path, {_EXPECTED}", code=ReasonCode.ABSENT) from None
     except OSError as error:
-        raise DeviceError(f"camera {device}: cannot be opened ({error.strerror})") from None
+        raise DeviceError(f"camera {device}: cannot open it ({error.strerror})") from None
     try:
         yield fd
     finally:

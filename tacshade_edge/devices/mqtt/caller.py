@@ -78,8 +78,10 @@ class MqttCaller:
         self._client.publish(f"{self._base}/req/{self._verb}", payload, qos=1)
         answered = self.wait_for(lambda: transaction in self._replies or self._denied is not None, timeout_s)
         if (denied := self._denied) is not None:
-            found = f"{self._where}: may not publish {self._base}/req/{self._verb}: {denied}"
-            raise DeviceError(f"{found}, expected access rules (ACL) that allow it", code=ReasonCode.REFUSED)
+            found = f"{self._where}: rejects {self._base}/req/{self._verb}: {denied}"
+            raise DeviceError(
+                f"{found}, expected access rules (ACL) that allow this user to write it", code=ReasonCode.REFUSED
+            )
         if not answered:
             found = f"{self._where}: no answer from sensor {self._sensor_id} within {timeout_s:.0f} s"
             raise DeviceError(f"{found}, expected a running daemon", code=ReasonCode.NO_ANSWER)
@@ -116,7 +118,7 @@ class MqttCaller:
 
     def _on_connect(self, client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
         if code.is_failure:
-            self._set_failure(ReasonCode.REFUSED, f"refused: {code}")
+            self._set_failure(ReasonCode.REFUSED, f"rejects the connection: {code}")
         else:
             client.subscribe([(topic, 1) for topic in self._topics])
 
@@ -127,7 +129,7 @@ class MqttCaller:
 
     def _on_subscribe(self, _client: Client, _userdata: Any, _mid: int, codes: list[MqttCode], _p: Any) -> None:
         if refused := next((code for code in codes if code.is_failure), None):
-            self._set_failure(ReasonCode.REFUSED, f"subscription refused: {refused}")
+            self._set_failure(ReasonCode.REFUSED, f"rejects a subscription: {refused}")
             return
         with self._changed:
             self._ready, self._failure = True, None

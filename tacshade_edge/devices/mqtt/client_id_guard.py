@@ -113,7 +113,7 @@ class ClientIdGuard:
             return quiet_s >= _LIFE_S
         self._waited = True
         reason = Reason(
-            ReasonCode.IN_USE, f"{self._where}: {self._base} is held by another daemon, {place_of(self._holder)}"
+            ReasonCode.IN_USE, f"{self._where}: another daemon, {place_of(self._holder)}, uses {self._base}"
         )
         report(reason)
         if not self._reported:
@@ -180,4 +180,4 @@ def decode_instance(payload: bytes) -> dict[str, Any]:
 def place_of(instance: dict[str, Any]) -> str:
     """Where it runs, for a person."""
     host, process = instance.get("host"), instance.get("process")
-    return f"on {shown(host, 64)}, process {shown(process, 20)}" if host else "at an unknown place"
+    return f"on {shown(host, 64)}, process {shown(process, 20)}" if host else "in an unknown place"

@@ -90,7 +90,7 @@ class Follower:
 
     def _on_connect(self, _client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
         if code.is_failure:
-            self._log_once(f"refused: {code}", refusal_fix(code.value, self._username))
+            self._log_once(f"rejects the connection: {code}", refusal_fix(code.value, self._username))
         else:
             self._log_once("connected")
         with self._lock:
@@ -112,7 +112,8 @@ class Follower:
     def _on_subscribe(self, _client: Client, _userdata: Any, _mid: int, codes: list[MqttCode], _p: Any) -> None:
         if refused := next((code for code in codes if code.is_failure), None):
             self._log_once(
-                f"subscription refused: {refused}", "give this user access rules (ACL) that let it read tacshade/#"
+                f"rejects a subscription: {refused}",
+                "give this user access rules (ACL) that let it read tacshade/#",
             )
 
     def _on_paho_message(self, _client: Client, _userdata: Any, message: MQTTMessage) -> None:

@@ -185,7 +185,8 @@ class MqttLink(Outgoing):
             with self._lock:
                 self._refused = True
                 self._set_reason(
-                    self._with_address(ReasonCode.REFUSED, f"refused: {code}"), refusal_fix(code.value, self._username)
+                    self._with_address(ReasonCode.REFUSED, f"rejects the connection: {code}"),
+                    refusal_fix(code.value, self._username),
                 )
             return
         client.drop_out_messages()  # or paho would send old retained values after the new ones

@@ -265,8 +265,8 @@ class Outgoing:
         if most is None or size <= most:
             return False
         if not self._reported_too_large:
-            text = "%s: takes packets of at most %d bytes (mosquitto: max_packet_size); %s of %d is not sent"
-            _log.warning(text + "; this is not reported again", self._where, most, self._path(topic), size)
+            text = "%s: accepts packets of at most %d bytes (mosquitto: max_packet_size); not sending %s of %d bytes"
+            _log.warning(text + "; this is logged once", self._where, most, self._path(topic), size)
         self._reported_too_large = True
         return True
 

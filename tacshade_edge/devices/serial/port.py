@@ -137,7 +137,7 @@ class SerialPort:
 
     def _opened(self) -> serial.Serial:
         if self._port is None:
-            raise DeviceError(f"serial {self.device}: is not open")
+            raise DeviceError(f"serial {self.device}: not open")
         return self._port
 
 

@@ -56,7 +56,7 @@ class Exchange:
     def begin(self, command: str) -> bytes:
         """Take the next command: what to send. Raises RuntimeError while another is not done, or after a failure."""
         if not self.is_done or self.failure:
-            raise RuntimeError(f"{command}: {self.failure or 'the command before it was not answered'}")
+            raise RuntimeError(f"{command}: {self.failure or 'the printer has not answered the command before it'}")
         self._number += 1
         self._line = numbered(self._number, command)
         self._resends, self._resend_wanted = 0, False
@@ -89,10 +89,10 @@ class Exchange:
             case Resend(number):
                 self._take_resend(number)
             case Failed(text):
-                self._fail(f"it said {text!r}")
+                self._fail(f"it reported {text!r}")
             case Restarted():
                 self.has_restarted = True
-                self._fail("it has restarted, and forgot its position")
+                self._fail("it restarted and lost its position")
             case Position():
                 self.position = answer
             case Said(text):
@@ -101,7 +101,7 @@ class Exchange:
 
     def _take_ok(self) -> bytes:
         if self.is_done:
-            self._fail("it answered what it was not asked")
+            self._fail("it answered although no command was open")
         elif self._resend_wanted:  # this one ends the answer to the damaged line, and the line's own is to come
             self._resend_wanted = False
             return self._line
@@ -112,9 +112,9 @@ class Exchange:
     def _take_resend(self, number: int) -> None:
         self._resends += 1
         if self.is_done or number != self._number:
-            self._fail(f"it asked for line {number} again, and the last one was {self._number}")
+            self._fail(f"it asked for line {number} again, but the last one was {self._number}")
         elif self._resends > _RESENDS_MAX:
-            self._fail(f"it asked for line {number} {self._resends} times: the line is disturbed")
+            self._fail(f"it asked for line {number} {self._resends} times: the line is noisy")
         else:
             self._resend_wanted = True
 

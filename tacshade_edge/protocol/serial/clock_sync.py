@@ -123,7 +123,7 @@ class ClockSync:
 
     def __init__(self) -> None:
         self.counts = SyncCounts()
-        self._reason_none = Reason(ReasonCode.NOTHING_RECEIVED, "the robot has sent nothing")
+        self._reason_none = Reason(ReasonCode.NOTHING_RECEIVED, "the robot has sent nothing yet")
         self._open: tuple[int, int, int] | None = None  # t1, t2, t3 of the latest SYNC, whose t4 comes with the next
         self._exchanges: deque[_Exchange] = deque(maxlen=EXCHANGES_KEPT)
         self._suspect: _Exchange | None = None

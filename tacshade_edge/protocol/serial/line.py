@@ -63,7 +63,10 @@ def parse_line(raw: bytes) -> Line | Reason:
         Why it is none: NOT_A_LINE (not printable, too long), BAD_CHECKSUM (damaged) or BAD_SYNTAX.
     """
     if len(raw) >= LINE_BYTES_MAX or not all(32 <= byte < 127 for byte in raw):
-        return Reason(ReasonCode.NOT_A_LINE, f"expected at most {LINE_BYTES_MAX - 1} printable ASCII characters")
+        return Reason(
+            ReasonCode.NOT_A_LINE,
+            f"expected at most {LINE_BYTES_MAX - 1} printable ASCII characters",
+        )
     text, star, digits = raw.decode("ascii").rpartition("*")
     if not star:
         text = digits

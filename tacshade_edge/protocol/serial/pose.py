@@ -72,7 +72,7 @@ def decode_pose(raw: bytes) -> PoseSample:
     if len(raw) != POSE_BYTES or raw[:1] != b"P":
         raise DecodeError(f"found {len(raw)} bytes, expected P and {POSE_BYTES - 1} more")
     if _CRC.unpack_from(raw, _POSE.size)[0] != crc16(raw[: _POSE.size]):
-        raise DecodeError("the checksum of a binary pose is wrong")
+        raise DecodeError("found a wrong checksum in a binary pose")
     _, seq, t_ns, *values = _POSE.unpack_from(raw)
     if t_ns > T_NS_MAX:
         raise DecodeError(f"found the time {t_ns}, expected at most 2^63-1 ns")
@@ -85,5 +85,5 @@ def _checked(seq: int | None, t_ns: int, values: tuple[float, ...]) -> PoseSampl
         raise DecodeError(f"found {x:g} {y:g} {z:g}, expected a position within {POSITION_MAX_MM:g} mm")
     norm = math.sqrt(w * w + i * i + j * j + k * k)
     if not abs(norm - 1) <= UNIT_TOLERANCE:
-        raise DecodeError(f"found the norm {norm:.4g}, expected a unit quaternion")
+        raise DecodeError(f"found a quaternion of length {norm:.4g}, expected 1")
     return PoseSample(seq, t_ns, (x, y, z, w / norm, i / norm, j / norm, k / norm))

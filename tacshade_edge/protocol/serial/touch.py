@@ -89,7 +89,7 @@ def too_slow(asked: TouchAsked, baud: int) -> Reason | None:
     expected = f"expected at most {most_bytes_s:.0f} bytes/s, {100 * SHARE:g} % of {baud} baud"
     rate_hz = int(most_bytes_s // longest_bytes)
     instead = f"a RATE of at most {rate_hz}, " if rate_hz else ""
-    return Reason(ReasonCode.LINE_TOO_SLOW, f"{found}, {expected}: {instead}fewer names, or a faster line")
+    return Reason(ReasonCode.LINE_TOO_SLOW, f"{found}, {expected}: use {instead}fewer names or a faster line")
 
 
 def event_bytes_max(names: Sequence[str]) -> int:

@@ -123,7 +123,7 @@ def save(path: str | os.PathLike[str], calibration: Calibration, inputs: Inputs 
         if kept := calibration_inputs.pack(inputs):
             content = Content({**content.meta, "inputs": kept[0]}, {**content.arrays, **kept[1]})
         else:
-            _log.warning("%s: its images are too large to keep; calibrate again after an update", path)
+            _log.warning("%s: its images are too large to store; after an update, calibrate again", path)
     try:
         write_whole(Path(path), content.packed())
     except OSError as error:
@@ -173,7 +173,7 @@ def inputs_in(path: str | os.PathLike[str]) -> Inputs | None:
         return calibration_inputs.unpack(content.meta["inputs"], content.arrays, shape)
     except (ValueError, KeyError) as error:
         raise ConfigError(
-            f"{name}: the images it was made from cannot be read: {shown(error)}: calibrate again"
+            f"{name}: cannot read the images that it was made from: {shown(error)}: calibrate again"
         ) from None
 
 
@@ -201,7 +201,7 @@ def _from_content(name: str, content: Content) -> Calibration:
     meta, arrays = content.meta, content.arrays
     if meta.get("version") not in range(OLDEST, VERSION + 1):
         found = shown(meta.get("version"), 20)
-        raise ConfigError(f"{name}: calibration version {found}, expected {VERSION}: calibrate again")
+        raise ConfigError(f"{name}: found calibration version {found}, expected {VERSION}: calibrate again")
     fitted = fitted_networks.unpack(meta.get("fitted", {}), arrays)
     touch = touch_models.unpack(meta.get("touch", {}), arrays)
     others = {*calibration_inputs.ARRAYS, *map(fitted_networks.array_name, fitted)}
@@ -212,7 +212,7 @@ def _from_content(name: str, content: Content) -> Calibration:
     calibration_content.check(content, REFERENCE_ARRAYS)
     height, width = arrays["reference_white"].shape
     if meta["version"] != VERSION and meta["factors"]:
-        _log.warning("%s: fitted to presses with older networks; using it without that fit; calibrate again", name)
+        _log.warning("%s: its fit belongs to older networks; using it without the fit; calibrate again", name)
         meta = {**meta, "factors": {}, "fit": {}, "error_scales": {}}
     calibration = Calibration(
         geometry=Geometry(

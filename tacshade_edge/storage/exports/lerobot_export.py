@@ -53,7 +53,7 @@ class LeRobotExport:
             import pyarrow.parquet  # makes it an attribute
         except ImportError as error:
             found = f"found no package {error.name}, which LeRobot's format needs"
-            raise ConfigError(f"{found}, expected: {how_to_install('lerobot')}") from None
+            raise ConfigError(f"{found}; to install it: {how_to_install('lerobot')}") from None
         self._pa: Any = pyarrow
         self._place = NewPlace(folder)
         self._writer: Any = None
@@ -86,11 +86,11 @@ class LeRobotExport:
         if not self._features:
             self._features = _features(image, row, self._touch_names)
         if self._features[IMAGE]["shape"] != list(image.shape):
-            raise ConfigError(f"{name}: found {image.shape[1]}x{image.shape[0]} px, expected the size of the first")
+            raise ConfigError(f"{name}: found {image.shape[1]}x{image.shape[0]} px, expected the first image's size")
         if (STATE in self._features) != (STATE in row):
             found, expected = ("a pose", "none") if STATE in row else ("no pose", "one")
             raise ConfigError(
-                f"{name}: found {found}, expected {expected}, like the first: LeRobot needs poses for all or none"
+                f"{name}: found {found}, expected {expected}, like the first: LeRobot needs poses in all frames or none"
             )
         for key, value in row.items():
             self._stats.setdefault(key, _Spread()).add(value[None])
@@ -104,7 +104,7 @@ class LeRobotExport:
     def finish(self) -> None:
         """Make it whole. Raises ConfigError when no frame came."""
         if not self._features:
-            raise ConfigError(f"{self._place.path}: found no frame, expected one at least")
+            raise ConfigError(f"{self._place.path}: found no frame, expected at least one")
         self._write_rows()
         with self._place.writing():
             self._writer.close()

@@ -54,7 +54,7 @@ def read_stl(path: Path) -> F64:
     if not 0 < len(corners) <= MAX_TRIANGLES:
         raise DecodeError(f"{path}: found {len(corners)} triangles, expected 1 to {MAX_TRIANGLES}")
     if not np.isfinite(corners).all():
-        raise DecodeError(f"{path}: found a corner that is not finite")
+        raise DecodeError(f"{path}: found a corner that is not finite, expected finite numbers")
     return corners
 
 
@@ -80,7 +80,7 @@ def _ascii(path: Path, data: bytes) -> F64:
             except ValueError:
                 raise DecodeError(f"{path}:{number}: found {quoted(line.strip())}, expected vertex x y z") from None
             if len(corners) == 3 * MAX_TRIANGLES:
-                raise DecodeError(f"{path}: found more than {MAX_TRIANGLES} triangles, expected at most those")
+                raise DecodeError(f"{path}: found more than {MAX_TRIANGLES} triangles, expected at most that many")
             corners.append((x, y, z))
             in_facet += 1
         elif word.lower() == "endfacet":

@@ -26,7 +26,7 @@ def write_panel(path: Path, image: U8, result: Reconstruction, geometry: Geometr
     """
     ok, data = cv2.imencode(".png", panel(image, result, geometry))
     if not ok:
-        raise DeviceError(f"{path}: the picture could not be encoded")
+        raise DeviceError(f"{path}: cannot encode the picture")
     path.write_bytes(data.tobytes())
 
 

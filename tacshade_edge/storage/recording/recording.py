@@ -89,7 +89,7 @@ class Recording:
         if self._mcap is not None:
             self.damage = self._mcap.damage
         if fps is not None and self._table is not None:
-            raise ConfigError(f"--fps: found {fps:g}, expected no --fps: {self._table} has the time stamps")
+            raise ConfigError(f"--fps: found {fps:g}, expected none: {self._table} has the time stamps")
         one_pass = 0
         if self._rows is not None:
             one_pass = len(self._rows)
@@ -189,13 +189,13 @@ class Recording:
             if rows is None:
                 yield Row(str(index), round(index * self._period_ns), None), image
             elif index == len(rows) or rows[index].image != str(index):
-                found = f"row {index + 1} of frame {rows[index].image!r}" if index < len(rows) else f"{index} rows"
-                raise ConfigError(f"{self._table}: found {found}, expected one for each frame of the video, from 0")
+                found = f"frame {rows[index].image!r} in row {index + 1}" if index < len(rows) else f"{index} rows"
+                raise ConfigError(f"{self._table}: found {found}, expected one row per frame of the video, from 0")
             else:
                 yield rows[index], image
             index += 1
         if rows is not None and index < len(rows):
-            raise ConfigError(f"{self._table}: found {len(rows)} rows, expected {index}, the frames of the video")
+            raise ConfigError(f"{self._table}: found {len(rows)} rows, expected {index}, one per frame of the video")
 
 
 def _table_beside(path: Path) -> Path | None:

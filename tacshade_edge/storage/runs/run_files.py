@@ -146,7 +146,7 @@ def payloads(folder: Path, name: str) -> Iterator[bytes]:
                 size = int.from_bytes(head[_PAYLOAD_BYTES_AT : _PAYLOAD_BYTES_AT + 4], "little")
                 if size > wire.PAYLOAD_BYTES_MAX:
                     at = f"{path}, byte {stream.tell() - len(head) + _PAYLOAD_BYTES_AT}"
-                    raise DecodeError(f"{at}: {size} payload bytes, expected at most {wire.PAYLOAD_BYTES_MAX}")
+                    raise DecodeError(f"{at}: found {size} payload bytes, expected at most {wire.PAYLOAD_BYTES_MAX}")
                 body = stream.read(size)
                 if len(head) < wire.HEADER_BYTES or len(body) < size:
                     raise DecodeError(f"{path}: cut short after {stream.tell()} bytes, expected a whole run")

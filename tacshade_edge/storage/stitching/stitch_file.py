@@ -133,7 +133,7 @@ class StitchFile:
                 sync(folder)
                 _log.warning(
                     "%s: %d bytes are damaged or cut short; "
-                    "continuing with %d whole presses; the old file is kept as %s",
+                    "continuing with %d whole presses and keeping the old file as %s",
                     *(path, lost, len(found), beside.name),
                 )
         return file, [(points, pose) for points, pose, _, _ in found]
@@ -160,7 +160,7 @@ class StitchFile:
             self._stream.truncate()
             written = self._stream.write(record)
             if written < len(record):  # the disk took a part; the next write would say that it is full
-                raise DeviceError(f"{self.folder}: cannot be written: the disk is full", code=ReasonCode.DISK_FULL)
+                raise DeviceError(f"{self.folder}: cannot write it: the disk is full", code=ReasonCode.DISK_FULL)
             os.fsync(self._stream.fileno())
         self._before, self._end = self._end, self._end + len(record)
 
@@ -215,7 +215,12 @@ def open_session(folder: Path, sensor_id: str) -> Path | None:
         if info.sensor_id in ("", sensor_id):
             found.append((info.begun_wall_ns, path.parent))
         else:
-            _log.info("%s: open session of sensor %s, not of %s", path.parent, shown(info.sensor_id), sensor_id)
+            _log.info(
+                "%s: skipping an open session that belongs to sensor %s, not %s",
+                path.parent,
+                shown(info.sensor_id),
+                sensor_id,
+            )
     return max(found)[1] if found else None
 
 
@@ -237,7 +242,7 @@ def read_info(folder: Path) -> SessionInfo:
     if not 1 <= info.version <= VERSION:
         raise DecodeError(f"{path}: found version {info.version}, expected {VERSION}")
     if info.version >= 2 and info.crc32 != _crc32(info):
-        raise DecodeError(f"{path}: damaged: its checksum is {_crc32(info)}, {info.crc32} is stored in it")
+        raise DecodeError(f"{path}: damaged: its checksum is {_crc32(info)}, expected the stored {info.crc32}")
     return msgspec.structs.replace(info, crc32=0)
 
 

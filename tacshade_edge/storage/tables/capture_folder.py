@@ -72,7 +72,7 @@ def stated(where: str, columns: Sequence[str], names: Collection[str], skin_radi
     if indenter != BALL and indenter not in names:
         raise ConfigError(f"{where}: indenter: found {indenter!r}, expected {' or '.join((BALL, *sorted(names)))}")
     if indenter != BALL and radius_text:
-        raise ConfigError(f"{where}: radius_mm: found {radius_text!r}, expected nothing: {INDENTERS} has it")
+        raise ConfigError(f"{where}: radius_mm: found {radius_text!r}, expected nothing: {INDENTERS} states it")
     if indenter == BALL and not number(where, "radius_mm", radius_text) > 0:
         raise ConfigError(f"{where}: radius_mm: found {radius_text}, expected a number above 0")
     if not 0 < number(where, "depth_mm", depth_text) < skin_radius_mm:
@@ -117,7 +117,7 @@ def read_plan(path: Path, names: Collection[str], skin_radius_mm: float) -> tupl
     """
     rows, _ = press_rows(path)
     if not rows:
-        raise ConfigError(f"{path}: found no press, expected a row for each")
+        raise ConfigError(f"{path}: found no press, expected one row per press")
     cells = [(where, [row.get(column, "").strip() for column in (*HEADER, *MORE)]) for where, row in rows]
     return tuple(stated(where, _columns(row[1:]), names, skin_radius_mm) for where, row in cells)
 

@@ -68,8 +68,10 @@ class FrameTable(Sequence[Row]):
         """What was left out, for a person; empty where nothing was."""
         if not self.damaged:
             return ""
-        lines = "a damaged line is" if self.damaged == 1 else f"{self.damaged} damaged lines are"
-        return f"{self.first_damaged}: {lines} left out, with their frames; the checksum is not theirs"
+        lines = (
+            "a damaged line and its frame" if self.damaged == 1 else f"{self.damaged} damaged lines and their frames"
+        )
+        return f"{self.first_damaged}: left out {lines}, because the checksum does not match"
 
     def __len__(self) -> int:
         """How many."""
@@ -120,7 +122,7 @@ def read_table(path: Path, *, cut_off: bool = False) -> FrameTable:
     for where, columns in read:
         row = _row(where, columns)
         if row.t_ns <= last_ns:
-            raise ConfigError(f"{where}: t_ns: found {row.t_ns}, expected more than {last_ns} of the row before")
+            raise ConfigError(f"{where}: t_ns: found {row.t_ns}, expected more than {last_ns} in the row before")
         rows.append(row)
         last_ns = row.t_ns
     if not rows:
@@ -138,7 +140,9 @@ def _row(where: str, columns: list[str]) -> Row:
         raise ConfigError(f"{where}: t_ns: found {quoted(time)}, expected a whole number from 0 to 2^62")
     empty = [text == "" for text in pose]
     if error and not (_whole(error, ERROR_US_MAX) and not all(empty)):
-        expected = "nothing, as there is no pose" if all(empty) else "a whole number from 0 to 2^32 - 1, or nothing"
+        expected = (
+            "nothing, because there is no pose" if all(empty) else "a whole number from 0 to 2^32 - 1, or nothing"
+        )
         raise ConfigError(f"{where}: {ERROR_COLUMN}: found {quoted(error)}, expected {expected}")
     if all(empty):
         return Row(name, int(time), None)
@@ -146,7 +150,7 @@ def _row(where: str, columns: list[str]) -> Row:
         raise ConfigError(f"{where}: x_mm to qz: found {7 - sum(empty)} of the 7, expected all or none")
     values = [number(where, column, text) for column, text in zip(HEADER[2:], pose, strict=True)]
     if abs((norm := math.hypot(*values[3:])) - 1) > UNIT_TOLERANCE:
-        raise ConfigError(f"{where}: qw, qx, qy, qz: found the norm {norm:.4g}, expected a unit quaternion")
+        raise ConfigError(f"{where}: qw, qx, qy, qz: found a quaternion of length {norm:.4g}, expected 1")
     return Row(name, int(time), Pose(int(time), *values), int(error or "0"))
 
 

@@ -53,14 +53,14 @@ def read_labels(path: Path, folder: Path) -> list[LabelledImage]:
     labelled = []
     for where, cells in table.rows:
         if not (name := cells["image"].strip()):
-            raise ConfigError(f"{where}: image: found nothing, expected a file of {folder}")
+            raise ConfigError(f"{where}: image: found nothing, expected a file in {folder}")
         texts = {column: cells.get(column, "").strip() for column in QUANTITIES}
         if table.decimal_comma:
             texts = {column: text.replace(",", ".") for column, text in texts.items()}
         known = {column: number(where, column, text) for column, text in texts.items() if text}
         labelled.append(LabelledImage(folder / name, known, where, cells.get("group", "").strip()))
     if not labelled:
-        raise ConfigError(f"{path}: found no image, expected a row for each")
+        raise ConfigError(f"{path}: found no image, expected one row per image")
     if not any(row.known for row in labelled):
-        raise ConfigError(f"{path}:1: found no quantity, expected some of {', '.join(QUANTITIES)}")
+        raise ConfigError(f"{path}:1: found no quantity, expected at least one of {', '.join(QUANTITIES)}")
     return labelled

@@ -60,7 +60,7 @@ def press_rows(path: Path) -> tuple[list[tuple[str, dict[str, str]]], tuple[str,
     notes: tuple[str, ...] = ()
     if table.unknown:
         names = ", ".join(shown(name or "one without a name", 40) for name in table.unknown[:10])
-        notes = (f"{path}: columns that are not known are ignored: {names}",)
+        notes = (f"{path}: ignoring unknown columns: {names}",)
     if table.decimal_comma:
         numbers = {*HEADER[2:], *MORE}
         rows = [
@@ -80,7 +80,7 @@ def _press(path: Path, where: str, row: dict[str, str], indenters: Mapping[str, 
     indenter = None if name == BALL else indenters[name]
     if indenter is not None and row["radius_mm"].strip():
         raise ConfigError(
-            f"{where}: radius_mm: found {quoted(row['radius_mm'])}, expected an empty cell: INDENTERS.yaml has its size"
+            f"{where}: radius_mm: found {quoted(row['radius_mm'])}, expected no radius: INDENTERS.yaml states it"
         )
     place = [row[column].strip() for column in ("x_mm", "y_mm")]
     if (place[0] == "") != (place[1] == ""):

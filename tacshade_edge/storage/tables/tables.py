@@ -241,7 +241,9 @@ def _lines(path: Path, text: Iterable[str], delimiter: str, rows_max: int) -> It
             if not row:
                 continue
             if rows > rows_max:  # the header is one more
-                raise ConfigError(f"{path}:{reader.line_num}: found more rows than {rows_max}, expected at most those")
+                raise ConfigError(
+                    f"{path}:{reader.line_num}: found more than {rows_max} rows, expected at most that many"
+                )
             rows += 1
             yield reader.line_num, row
     except csv.Error as error:

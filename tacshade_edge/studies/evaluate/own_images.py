@@ -32,10 +32,10 @@ _DAMAGE = (KeyError, ValueError, TypeError, EOFError, RuntimeError, MemoryError,
 def images_in(folder: Path) -> list[Path]:
     """Images of a folder, by name. Raises ConfigError when it is none, or holds none."""
     if not folder.is_dir():
-        raise ConfigError(f"{folder}: found no folder there, expected one with images and their truth (.npz)")
+        raise ConfigError(f"{folder}: found no folder, expected one with images and their truth (.npz)")
     found = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
     if not found:
-        raise ConfigError(f"{folder}: found no image, expected some with their truth (.npz) beside them")
+        raise ConfigError(f"{folder}: found no image, expected at least one with its truth (.npz) beside it")
     return found
 
 
@@ -79,7 +79,7 @@ def read_truth(path: Path, image_size_px: tuple[int, int], geometry: Geometry) -
             raise DecodeError(f"{path}: points_mm: found shape {points.shape}, expected finite numbers (N, 3)")
     elif height is not None and contact is not None:
         if not np.isfinite(height[contact]).all():
-            raise DecodeError(f"{path}: height_mm: found NaN where contact is, expected mm")
+            raise DecodeError(f"{path}: height_mm: found NaN inside the contact, expected a height in mm")
         rays = disc_rays(Grid(height.shape[0], height.shape[1], row0, col0, step), geometry)
         points = between_pixels(skin_points(height.astype(np.float32), rays, geometry)[contact], contact)
     else:
@@ -139,7 +139,7 @@ def _check_covers(
     for origin, count, size in zip(grid[:2], shape, image_size_px, strict=True):
         if not -step < origin < step or not -step < size - 1 - (origin + step * (count - 1)) < step:
             raise DecodeError(
-                f"{path}: {key}: found {shape[1]}x{shape[0]} cells of {step:g} px, which do not cover the image's "
+                f"{path}: {key}: found {shape[1]}x{shape[0]} cells of {step:g} px, expected them to cover the image's "
                 f"{image_size_px[1]}x{image_size_px[0]} px"
             )
 

@@ -141,7 +141,7 @@ def score(found: Raster, known: KnownSurface) -> Score:
     covered = np.isfinite(found.z_mm)
     both = covered & np.isfinite(true)
     if not both.any():
-        raise ConfigError("the known surface and the map share no cell: are the poses in its frame?")
+        raise ConfigError("the known surface and the map share no cell: are the poses in the surface's frame?")
     error = found.z_mm[both].astype(np.float64) - true[both]
     low, high = float(np.nanmin(known.raster.z_mm)), float(np.nanmax(known.raster.z_mm))
     half = (low + high) / 2

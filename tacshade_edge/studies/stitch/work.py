@@ -98,7 +98,7 @@ def read_recording(calibration: Calibration, profile: Profile, recording: Record
         if not rest.update(result.t_ns, result.valid and result.contact, result.depth_max_mm):
             continue
         if frame.pose is None:
-            no_pose = Reason(ReasonCode.NO_POSE, "the table has no pose for it")
+            no_pose = Reason(ReasonCode.NO_POSE, "the table has no pose for this image")
             presses.append(Press(recorded.name, where, flange_T_sensor, NO_POINTS, no_pose))
         else:
             points = press_points(result.height, calibration.geometry)

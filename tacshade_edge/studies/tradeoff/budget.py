@@ -17,10 +17,10 @@ def settings_block(points: Sequence[Point], budget_ms: float) -> str | None:
     chosen = best_within([p for p in points if p.setting.shipped], budget_ms)
     if chosen is None:
         return None
-    lines = [f"# Within {budget_ms:g} ms for a frame in contact (99 of 100), the most accurate: {_said(chosen)}."]
+    lines = [f"# The most accurate within {budget_ms:g} ms for 99 of 100 frames in contact: {_said(chosen)}."]
     other = best_within(points, budget_ms)
     if other is not None and other.me_mm.high < chosen.me_mm.low:
-        lines.append(f"# No shipped profile, but better: {other.setting} ({_said(other)}).")
+        lines.append(f"# Better, but not a shipped profile: {other.setting} ({_said(other)}).")
     return "\n".join((*lines, f"profile: {chosen.setting.profile.name}"))
 
 
@@ -31,7 +31,7 @@ def over_budget(points: Sequence[Point], budget_ms: float) -> str:
         return f"no shipped profile was timed, so none can be chosen for {budget_ms:g} ms"
     least = min(shipped, key=lambda p: p.p99_ms.value)
     return (
-        f"no shipped profile keeps {budget_ms:g} ms for a frame in contact; the fastest, "
+        f"no shipped profile stays within {budget_ms:g} ms for a frame in contact; the fastest, "
         f"{least.setting.profile.name}, takes {least.p99_ms.value:.2f} ms (p99) here"
     )
 

@@ -57,7 +57,7 @@ def test_readings_one_byte_at_a_time(line: tuple[int, str], monkeypatch: pytest.
         assert np.isnan(scale.median_n(t_s[-1] + 1)).all()
         scale.check()
         monkeypatch.setattr("tacshade_edge.capture.labels.scale.READINGS_MAX", 4)
-        with pytest.raises(DeviceError, match="found 4 readings, expected fewer in one start"):
+        with pytest.raises(DeviceError, match="found 4 readings since the start, expected fewer"):
             scale.check()
     finally:
         scale.close()
@@ -80,7 +80,7 @@ def test_a_scale_that_says_nothing_of_use(line: tuple[int, str], monkeypatch: py
             scale.check()
         os.write(master, b"12.5\n")
         wait_until(lambda: scale._unread, 10, "the line")
-        with pytest.raises(DeviceError, match=r"found '12\.5' for 0 s, .*; is 4800 its baud"):
+        with pytest.raises(DeviceError, match=r"found '12\.5' for 0 s, .*; is its rate 4800 baud"):
             scale.check()
     finally:
         scale.close()

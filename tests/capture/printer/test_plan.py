@@ -30,9 +30,9 @@ def test_a_press_is_recognised_whatever_its_yaw_was() -> None:
     ("columns", "said"),
     [
         (("ball", "6", "2.5", "", ""), "found no x_mm, y_mm"),
-        (("square", "", "2", "0", "5", "30", "", "", "", ""), "expected no yaw, tilt or shear"),
+        (("square", "", "2", "0", "5", "30", "", "", "", ""), "found yaw, tilt or shear, expected none"),
         (("ball", "6", "9", "0", "0"), "found 9.0 mm of travel from first touch, expected more than 0 and at most 6.7"),
-        (("ball", "6", "2", "15", "6"), "found 16.2 mm from the axis, expected at most the 15.3 mm"),
+        (("ball", "6", "2", "15", "6"), "found a place 16.2 mm from the axis, expected one in view, within 15.3 mm"),
     ],
 )
 def test_what_a_printer_cannot_take_is_refused_before_it_moves(columns: tuple[str, ...], said: str) -> None:
@@ -43,7 +43,9 @@ def test_what_a_printer_cannot_take_is_refused_before_it_moves(columns: tuple[st
 
 def test_the_limits_hold_every_place_however_the_sensor_is_turned() -> None:
     near_the_edge = PrinterFile(x_mm=[0, 220], y_mm=[0, 118], z_mm=[40, 200], start_mm=[110, 110, 90], feed_mm_s=50)
-    with pytest.raises(ConfigError, match=r"found 3.2 mm from the skin's axis, expected 3.0 mm at most, from y_mm"):
+    with pytest.raises(
+        ConfigError, match=r"found a reach of 3.2 mm from the skin's axis, expected at most 3.0 mm, given y_mm"
+    ):
         planned_presses((BALL,), NAMES, SENSOR, near_the_edge)
 
 

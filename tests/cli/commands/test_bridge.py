@@ -21,7 +21,7 @@ def test_a_missing_package_names_its_extra(
     for name in [name for name in sys.modules if name.startswith(("tacshade_edge.bridge.", f"{KINDS[kind]}."))]:
         monkeypatch.delitem(sys.modules, name)
     assert main(["bridge", kind]) == EXIT_CONFIG
-    assert capsys.readouterr().err.endswith(f"is missing: pip install '.[{kind}]' in the clone\n")
+    assert capsys.readouterr().err.endswith(f"to install it: pip install '.[{kind}]' in the clone\n")
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -43,17 +43,17 @@ def test_from_an_empty_folder_to_what_calibrate_reads(tmp_path: Path) -> None:
         model = SensorModel()
         for answer in (model.skin_radius_mm, model.visible_half_angle_deg, model.camera_distance_mm, "bright"):
             one.types(str(answer))
-        one.hears("the picture: http://127.0.0.1:")
+        one.hears("live picture: http://127.0.0.1:")
         one.hears("Enter takes 10 references.")
         one.hears("focus 0.")
         press(tmp_path, "ball,6,2.5,9,0")
         one.types("")
-        one.hears("refused: ")  # by whichever of the checks sees it: moving or loaded
+        one.hears("rejected: ")  # by whichever of the checks sees it: moving or loaded
         press(tmp_path)
         one.hears("Enter takes 10 references.")
         one.types("")
         one.hears("10 references, noise")
-        one.hears("press 1, 2 planned are left [ball of 6 mm, 2.5 mm deep at x 1, y -3 mm]:")
+        one.hears("press 1, 2 planned presses left [ball of 6 mm, 2.5 mm deep at x 1, y -3 mm]:")
         one.types("")
         one.hears("not taken: nothing touches the skin")
         press(tmp_path, "ball,6,2.5,1,-3")
@@ -72,18 +72,18 @@ def test_from_an_empty_folder_to_what_calibrate_reads(tmp_path: Path) -> None:
         one.hears("found 4 numbers after the indenter")
         one.types("")
         one.hears("press_001.png: ball of 6 mm")
-        one.hears("press 2, 1 planned are left [ball of 4 mm")
+        one.hears("press 2, 1 planned presses left [ball of 4 mm")
         one.process.terminate()
         one.ends()
     with person(str(out), "--plan", str(plan)) as one:  # goes on, with the same camera
-        one.hears("10 references and 1 presses are already here")
-        one.hears("press 2, 1 planned are left [ball of 4 mm, 2 mm deep at x -5, y 2 mm]:")
+        one.hears("this folder already has 10 references and 1 presses")
+        one.hears("press 2, 1 planned presses left [ball of 4 mm, 2 mm deep at x -5, y 2 mm]:")
         one.types("skip")
-        one.hears("all planned presses have been taken")
+        one.hears("all planned presses are taken")
         one.types("2.5 1 -3")
         one.hears("press_002.png: ball of 6 mm, 2.5 mm deep at x 1, y -3 mm")
-        one.hears("next helps most a press around x ")
-        one.hears("one ball radius, 6 mm")
+        one.hears("the next press helps most around x ")
+        one.hears("all balls have a radius of 6 mm")
         one.types("done")
         assert one.ends() == 0
         assert f"--sensor '{out}'/SENSOR.yaml --reference '{out}'/reference_*.png --out" in one.heard
@@ -158,7 +158,7 @@ def test_what_cannot_work_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixtu
     cases = {
         "PLAN.csv:1: found the header": ["--config", str(config), "--plan", str(tmp_path / "PLAN.csv")],
         "found nothing, expected a folder of images": ["--config", str(tmp_path / "none.yaml")],
-        "--camera /dev/none: expected the camera of": ["--camera", "/dev/none"],
+        "--camera /dev/none: expected the camera that": ["--camera", "/dev/none"],
     }
     (out / "config.yaml").write_text(SOURCE)
     for said, words in cases.items():

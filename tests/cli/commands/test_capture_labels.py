@@ -106,12 +106,12 @@ def test_readings_that_are_typed(tmp_path: Path, config: Path) -> None:
         rested(one)
         one.hears("press 1 (Enter, NAME=VALUE ...")
         for words, why in (
-            ("", "found nothing, expected NAME=VALUE ..., for there is no scale and no robot"),
+            ("", "found nothing, expected NAME=VALUE ..., because there is neither a scale nor a robot"),
             ("force_n=1", "found 'force_n=1', expected NAME=VALUE with one of depth_mm,"),
             ("force_z_n=much", "press: force_z_n: found 'much', expected a number"),
             ("force_z_n=1 force_z_n=2", "force_z_n: found twice, expected once"),
             ("touch", "found no robot, expected serial in the settings"),
-            ("undo", "nothing was taken since the start"),
+            ("undo", "nothing to undo since the start"),
         ):
             one.types(words)
             one.hears(why)
@@ -132,7 +132,7 @@ def test_readings_that_are_typed(tmp_path: Path, config: Path) -> None:
     )
     assert sorted(path.name for path in out.glob("*.png")) == ["label_00001.png"]
     with person("--labels", str(out)) as one:  # goes on, with the same camera
-        one.hears("1 labelled pictures are already here")
+        one.hears("this folder already has 1 labelled pictures")
         rested(one)
         one.types("twist_deg=-3")
         one.hears("press 2: 1 pictures with twist_deg")
@@ -154,7 +154,7 @@ def test_a_scale_is_lined_up_with_the_pictures(tmp_path: Path, config: Path) -> 
         scale.put(0.001)
         threading.Event().wait(LATE_S + 0.1)
         one.types("")
-        one.hears("scale: tare before 0.1177 N, subtracted; drift after +0.0098 N, spread")
+        one.hears("scale: subtracted the tare of 0.1177 N; drift since then: +0.0098 N, spread")
         one.hears("scale: its readings come ")
         one.hears(" presses")
         late_ms, error_ms = float(one.before.split()[0]), float(one.before.split("standard error ")[1].split()[0])
@@ -184,7 +184,7 @@ def test_a_scale_that_cannot_be_lined_up_gives_no_force(tmp_path: Path, config: 
         one.hears("Enter measures the drift.")
         one.types("")
         assert one.ends() == 1
-        assert "its clock could not be matched: found 2 of 2 presses" in one.heard
+        assert "cannot match its clock to the camera's: found 2 presses (of 2)" in one.heard
     rows = labelled(out)
     assert [row.known for row in rows if row.known] == [{"depth_mm": 1.0}]
     assert {row.group for row in rows} == {"1", "2", "3"}
@@ -206,7 +206,7 @@ def test_a_robots_poses_label_a_press(tmp_path: Path, config: Path) -> None:
         one.types("")
         one.hears("found nothing, expected touch first")
         one.types("touch")
-        one.hears("first touch is here")
+        one.hears("set first touch here")
         one.types("")
         one.hears("press, then lift")
         place = (first @ shift(0.5, -0.25, 1.5)).seven()
@@ -239,7 +239,7 @@ def test_a_robots_poses_label_a_press(tmp_path: Path, config: Path) -> None:
     ("words", "why"),
     [
         (["DIR", "--scale", "/dev/ttyUSB0"], "--scale: found no --labels DIR, expected both"),
-        (["--labels", "DIR", "--plan", "PLAN.csv"], "--labels: found --plan or --printer, expected neither"),
+        (["--labels", "DIR", "--plan", "PLAN.csv"], "--labels: found --plan or --printer too, expected neither"),
     ],
 )
 def test_options_that_do_not_go_together(

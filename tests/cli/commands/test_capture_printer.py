@@ -71,7 +71,7 @@ def test_presses_as_a_hand_would_take_them(words: list[str], printer: FakePrinte
     printer.mount(Mounted())
     with person(*words, printer.port) as one:
         assert one.ends() == 0
-        assert "all planned presses have been taken" in one.heard
+        assert "all planned presses are taken" in one.heard
 
 
 @pytest.mark.slow
@@ -88,19 +88,19 @@ def test_a_hand_stops_it_while_it_presses(words: list[str], printer: FakePrinter
     if how == "interrupt":
         assert code == 130
         assert printer.halted
-        assert "M112 was sent: the printer stands still" in one.heard
+        assert "sent M112: the printer stands still" in one.heard
     else:
         assert code == 1
         assert "stopped: " in one.heard
         # Amid a command the position of the head is not certain.
         assert printer.halted or printer.moves[-1][2] >= printer.sensor.tip_z_mm + 4
-        assert printer.halted == ("M112 was sent" in one.heard)
+        assert printer.halted == ("sent M112" in one.heard)
 
 
 @pytest.mark.slow
 def test_another_circle_ends_what_was_found_with_the_old_one(words: list[str], printer: FakePrinter) -> None:
     with person(*words, printer.port) as one:
-        one.hears("the picture: ")
+        one.hears("live picture: ")
         one.hears("\n")
         address = one.before.strip()
         goes_to_the_skin(one)
@@ -108,8 +108,8 @@ def test_another_circle_ends_what_was_found_with_the_old_one(words: list[str], p
         headers = {"Origin": address.rstrip("/")}
         asked = Request(f"{address.rstrip('/')}/circle", json.dumps(rim).encode(), headers)
         with urlopen(asked) as answer:
-            assert answer.read() == b"the three points are taken"
-        one.hears("the visible circle was changed")
+            assert answer.read() == b"using your three points"
+        one.hears("the visible circle changed")
         assert one.ends() == 1
     assert not printer.halted
     assert printer.moves[-1][2] >= printer.sensor.tip_z_mm + 4
@@ -120,7 +120,11 @@ def test_another_circle_ends_what_was_found_with_the_old_one(words: list[str], p
     ("name", "text", "said"),
     [
         ("PRINTER.yaml", "x_mm: [0, 220]\n", "PRINTER.yaml: y_mm: found nothing, expected a list"),
-        ("SENSOR.yaml", SENSOR.replace("20", "10"), "found 8.0 mm from the axis, expected at most the 7.7 mm"),
+        (
+            "SENSOR.yaml",
+            SENSOR.replace("20", "10"),
+            "found a place 8.0 mm from the axis, expected one in view, within 7.7 mm",
+        ),
     ],
 )
 def test_what_cannot_work_is_told_before_the_port_is_opened(

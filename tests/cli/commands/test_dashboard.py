@@ -55,7 +55,7 @@ def test_a_folder_of_recordings_that_is_not_there_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main(["dashboard", "--http", "0", "--recordings", str(tmp_path / "none")]) == 78
-    assert "none: found no folder, expected the one with the recordings" in capsys.readouterr().err
+    assert "none: found no folder, expected one with recordings" in capsys.readouterr().err
 
 
 def test_an_address_of_another_machine_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
@@ -122,9 +122,9 @@ def test_opened_to_a_network_it_wants_a_token_and_is_read_only() -> None:
     with started("--host", "0.0.0.0") as (line, child):
         found = re.match(rf"dashboard: http://{re.escape(socket.gethostname())}:\d+/login#([\w-]{{32}}) for", line)
         assert found, line
-        assert ", read-only; Ctrl-C ends" in line
+        assert ", read-only; press Ctrl-C to stop" in line
         child.send_signal(signal.SIGTERM)
-        assert "unencrypted" in child.communicate(timeout=patience(20))[1]
+        assert "no encryption" in child.communicate(timeout=patience(20))[1]
 
 
 @pytest.mark.slow
@@ -133,7 +133,7 @@ def test_a_token_is_told_once_and_kept(tmp_path: Path) -> None:
     words = ["--host", "0.0.0.0", "--token-file", str(tmp_path / "t"), "--certificate", str(cert), "--key", str(key)]
     with started(*words) as (line, _):
         assert f"/login#{(tmp_path / 't').read_text().strip()} for the broker" in line
-        assert f", read-only, token in {tmp_path / 't'}; Ctrl-C ends" in line
+        assert f", read-only, token in {tmp_path / 't'}; press Ctrl-C to stop" in line
     with started(*words, "--allow-control") as (line, child):
         assert line.startswith("dashboard: https://")
         assert "#" not in line
@@ -150,7 +150,7 @@ def test_a_bad_token_is_one_line(text: str, tmp_path: Path, capsys: pytest.Captu
     path.write_text(text)
     assert cli.main(["dashboard", "--http", "0", "--token-file", str(path)]) == 78
     assert capsys.readouterr().err == (
-        f"tacshade-edge: --token-file {path}: expected one line of 16 to 128 letters, digits and . _ ~ -\n"
+        f"tacshade-edge: --token-file {path}: expected one line of 16 to 128 letters, digits, '.', '_', '~' and '-'\n"
     )
 
 

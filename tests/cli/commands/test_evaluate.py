@@ -115,7 +115,7 @@ def test_an_image_without_truth_is_one_line_and_exit_1(own: Path, capsys: pytest
     assert "coin" in printed.out
     (own / "images" / "coin.npz").unlink()
     assert main(of_own(own)) == 78
-    assert "found no image that can be scored" in capsys.readouterr().err.splitlines()[-1]
+    assert "found no image to score" in capsys.readouterr().err.splitlines()[-1]
 
 
 @pytest.mark.parametrize(
@@ -123,10 +123,10 @@ def test_an_image_without_truth_is_one_line_and_exit_1(own: Path, capsys: pytest
     [
         (["--sensors", "teapot:1"], "no sensor family is called 'teapot', expected one of tacshade"),
         (["--sensors", "5,"], "found '', expected a seed"),
-        (["--objects", "ball,teapot"], "'teapot' is unknown, expected one or more of cube"),
-        (["--presses", "5"], "--presses: found 5, expected 0, or 8 or more"),
+        (["--objects", "ball,teapot"], "found 'teapot', expected one or more of cube"),
+        (["--presses", "5"], "--presses: found 5, expected 0 or at least 8"),
         (["--presses", "-1"], "invalid whole number value"),
-        (["--references", "0"], "--references: found 0, expected 1 or more"),
+        (["--references", "0"], "--references: found 0, expected at least 1"),
         (["--profile", "best"], "invalid choice: 'best'"),
         (["--images", "x"], "must be given together"),
         (["--calibration", "x"], "must be given together"),
@@ -144,7 +144,7 @@ def test_usage_mistakes_exit_2(words: list[str], message: str, capsys: pytest.Ca
     ("calibration", "images", "code", "message"),
     [
         ("nowhere.npz", "images", 78, "nowhere.npz: cannot read the calibration"),
-        ("cal.npz", "nowhere", 78, "nowhere: found no folder there"),
+        ("cal.npz", "nowhere", 78, "nowhere: found no folder"),
         ("cal.npz", "empty", 78, "empty: found no image"),
     ],
 )
@@ -161,4 +161,4 @@ def test_what_is_not_there_is_one_line(
 
 def test_an_output_that_is_a_file_is_told_before_the_work(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*SMALL, "--out", str(own / "cal.npz")]) == 1
-    assert "cal.npz: cannot be written" in capsys.readouterr().err
+    assert "cal.npz: cannot write it" in capsys.readouterr().err

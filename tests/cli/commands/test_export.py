@@ -229,7 +229,7 @@ def test_a_missing_extra_is_named(
     if to == "mcap":
         monkeypatch.setitem(sys.modules, "foxglove_schemas_protobuf", None)
     assert export(recording, to) == 78
-    assert f"expected: pip install '.[{to}]' in the clone" in capsys.readouterr().err
+    assert f"to install it: pip install '.[{to}]' in the clone" in capsys.readouterr().err
 
 
 def test_recordings_of_a_hands_fingers_are_its_messages(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -261,8 +261,8 @@ def test_an_image_of_a_hand_that_cannot_be_read_is_told(tmp_path: Path, capsys: 
     ("more", "line"),
     [
         (("--to", "ply", "--out", "x"), "--to: found ply with 2 recordings, expected csv or mcap"),
-        (("--to", "csv"), "--out: missing, expected a new file for several recordings"),
-        (("--to", "csv", "--calibration", "c.npz"), "--calibration: found with several recordings, expected none"),
+        (("--to", "csv"), "--out: found nothing, expected a new file for several recordings"),
+        (("--to", "csv", "--calibration", "c.npz"), "--calibration: found one with several recordings, expected none"),
     ],
 )
 def test_what_does_not_go_with_a_hand(more: tuple[str, ...], line: str, capsys: pytest.CaptureFixture[str]) -> None:

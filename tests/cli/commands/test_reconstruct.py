@@ -116,7 +116,10 @@ def test_invalid_images_are_counted_and_named(folder: Path, tmp_path: Path, caps
     assert printed.out == f"{tmp_path}: 1 of 4 images reconstructed, 1 in contact, 2 invalid, 1 unreadable\n"
     black, other, cut = without_progress(printed.err)
     assert black.startswith(f"tacshade-edge: {folder}/black.png: invalid: black")
-    assert other == f"tacshade-edge: {folder}/other.png: invalid: size: 320x220 px, calibrated for 320x240"
+    assert (
+        other
+        == f"tacshade-edge: {folder}/other.png: invalid: size: found 320x220 px, expected the calibration's 320x240 px"
+    )
     assert "cut.png: cut short" in cut
     assert main(words(folder, tmp_path, "ball", "free")) == 0
     assert capsys.readouterr() == (
@@ -129,7 +132,7 @@ def test_an_image_of_another_size_is_an_invalid_frame(folder: Path, tmp_path: Pa
     main(words(folder, tmp_path, "other"))
     record = summary(tmp_path)["other"]
     assert not record["valid"]
-    assert record["reason"] == "size: 320x220 px, calibrated for 320x240"
+    assert record["reason"] == "size: found 320x220 px, expected the calibration's 320x240 px"
     with np.load(tmp_path / "other.npz") as npz:
         np.testing.assert_array_equal(npz["height_mm"] == 0, reconstructor("balanced").rays.inside)
 
@@ -142,7 +145,7 @@ def test_a_picture_per_image(folder: Path, tmp_path: Path) -> None:
 
 def test_two_images_of_one_name_are_refused(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(words(folder, tmp_path, "ball", "free", "ball")) == 78
-    assert "another image is called ball too" in capsys.readouterr().err
+    assert "another image is also named ball" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 

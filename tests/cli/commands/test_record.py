@@ -149,7 +149,7 @@ def test_a_killed_daemon_leaves_what_it_wrote(tmp_path: Path, start: Start, seen
     said, errors = client.communicate(timeout=patience(30))
     assert (client.returncode, said) == (1, "")
     rec = tmp_path / "recs" / "a"
-    why = "the daemon is offline and did not report how the recording ended; frames so far are kept"
+    why = "the daemon is offline and did not report how the recording ended; the frames so far are kept"
     assert errors == f"tacshade-edge: {rec}: {why}\n"
     assert Recording(rec).cut_off
     images = len(list(rec.glob("*.png")))
@@ -187,8 +187,8 @@ def test_a_daemon_that_is_stopped_finishes_the_recording(tmp_path: Path, start: 
     assert daemon.wait(patience(20)) == 0
     said, errors = client.communicate(timeout=patience(30))
     assert (client.returncode, errors) == (0, "")
-    assert said.endswith(" (daemon stopped)\n")
-    assert about(tmp_path / "recs" / "a")["ending"] == "daemon stopped"
+    assert said.endswith(" (the daemon stopped)\n")
+    assert about(tmp_path / "recs" / "a")["ending"] == "the daemon stopped"
 
 
 @pytest.mark.slow

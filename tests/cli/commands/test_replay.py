@@ -150,8 +150,8 @@ def test_an_unreadable_image_does_not_stop_the_others(folder: Path, capsys: pyte
         (["--out", "o", "--fps", "nan"], "found nan, expected a number above 0"),
         (["--mqtt", "localhost"], "found 'localhost', expected HOST:PORT"),
         (["--mqtt", "h:1", "--sensor-id", "a/b"], "found a/b, expected letters"),
-        (["--against", "o"], "--against compares --out DIR, which is missing"),
-        (["--out", "o", "--against", "./o"], "--out and --against are the same folder"),
+        (["--against", "o"], "--against: found no --out DIR to compare with"),
+        (["--out", "o", "--against", "./o"], "--out and --against name the same folder"),
     ],
 )
 def test_words_that_do_not_fit(
@@ -171,7 +171,7 @@ def test_nothing_given(capsys: pytest.CaptureFixture[str]) -> None:
             main(given)
         assert stop.value.code == 2
     err = capsys.readouterr().err
-    assert "expected INPUT, or --out DIR and --against DIR of two runs" in err
+    assert "expected INPUT, or --out DIR and --against DIR to compare two runs" in err
     assert "expected --calibration CAL.npz" in err
 
 
@@ -186,7 +186,7 @@ def test_bad_files_are_one_line_and_leave_no_run(folder: Path, capsys: pytest.Ca
         (words(folder, "--out", str(out), recording="wrong"), 78, "frames.csv:1: found the header image,t_ns"),
         (words(folder, "--out", str(out), recording="none"), 78, "none: found nothing, expected a folder of images"),
         ([*words(folder, "--out", str(out))[:3], str(folder / "cut.npz"), "--out", str(out)], 78, "not a calibration"),
-        (words(folder, "--out", str(folder / "cal.npz")), 1, "cal.npz: cannot be written: File exists"),
+        (words(folder, "--out", str(folder / "cal.npz")), 1, "cal.npz: cannot write it: File exists"),
         (["replay", "--out", str(out), "--against", str(out)], 78, "summary.json: No such file"),
     ]
     for given, code, said in cases:
@@ -232,7 +232,7 @@ def test_an_interrupted_run_leaves_nothing(folder: Path, number: signal.Signals)
     finally:
         child.kill()
     assert child.returncode == 130, errors
-    assert errors == f"tacshade-edge: {out}: stopped before the end, so nothing was written\n"
+    assert errors == f"tacshade-edge: {out}: stopped before the end and wrote nothing\n"
     assert "frames, " in said
     assert list(out.iterdir()) == []
 

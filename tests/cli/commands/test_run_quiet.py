@@ -71,7 +71,7 @@ def test_a_broker_that_refuses_and_frames_that_are_all_black(tmp_path: Path, run
     more = f", username: hand, password_file: {tmp_path}/password"
     with Broker(tmp_path, users={"hand": "right"}) as broker:
         lines = run_quietly(broker.port, images(tmp_path / "images", 0 * FREE), more)
-        wait_until(lambda: say(lines, "refused: Not authorized; to fix it: is the password right?"), 20)
+        wait_until(lambda: say(lines, "rejects the connection: Not authorized; to fix it: is the password right?"), 20)
         wait_until(lambda: say(lines, "source unusable: ", "black", "to fix it: switch the sensor's light on"), 20)
 
 

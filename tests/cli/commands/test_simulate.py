@@ -78,14 +78,14 @@ def test_calibration_set_is_complete_and_repeatable(tmp_path: Path, capsys: pyte
 @pytest.mark.parametrize(
     ("words", "code", "message"),
     [
-        (["--out", "OUT", "--objects", "teapot"], 78, "'teapot' is unknown"),
+        (["--out", "OUT", "--objects", "teapot"], 78, "found 'teapot'"),
         (["--out", "OUT", "--objects", "ball", "--position", "30", "0"], 78, "not over the skin"),
-        (["--out", "OUT", "--objects", "ball", "--depth", "19.5"], 78, "reaches the middle"),
-        (["--out", "FILE/x", "--objects", "none"], 1, "cannot be written"),
-        (["--calibration-set", "FILE"], 1, "cannot be written"),
-        (["--pad", "OUT", "--pad-step", "0"], 78, "--pad-step 0, --pad-depth 2.7: expected 0.5 to 20 mm"),
-        (["--pad", "OUT", "--pad-depth", "5"], 78, "over 0 to 3 mm"),
-        (["--pad", "FILE"], 1, "cannot be written"),
+        (["--out", "OUT", "--objects", "ball", "--depth", "19.5"], 78, "reaches the sensor's centre"),
+        (["--out", "FILE/x", "--objects", "none"], 1, "cannot write it"),
+        (["--calibration-set", "FILE"], 1, "cannot write it"),
+        (["--pad", "OUT", "--pad-step", "0"], 78, "--pad-step 0, --pad-depth 2.7: expected a step of 0.5 to 20 mm"),
+        (["--pad", "OUT", "--pad-depth", "5"], 78, "a depth up to 3 mm"),
+        (["--pad", "FILE"], 1, "cannot write it"),
     ],
 )
 def test_what_cannot_be_is_one_line(

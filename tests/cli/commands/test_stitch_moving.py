@@ -41,5 +41,5 @@ def test_it_finds_the_place_and_the_delay(tmp_path: Path) -> None:
 def test_motion_in_one_orientation_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert find_flange(tmp_path, 15, (((0, 0, 0),) * 5,)) == 78
     (line,) = without_progress(capsys.readouterr().err)
-    assert "translation along x, y and z cannot be seen: every press has the same orientation" in line
+    assert "translation along x, y and z cannot be determined: every press has the same orientation" in line
     assert not (tmp_path / "out").exists()

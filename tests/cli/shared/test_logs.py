@@ -54,7 +54,7 @@ def test_a_flood_is_counted_and_hides_nothing(written: tuple[logging.Logger, One
     logger.info("another")
     assert len(stream.getvalue().splitlines()) == AT_ONCE + 1
     handler.close()
-    told = f"WARNING test: {15_000 - AT_ONCE} more like this were not logged: req/%s refused: %d"
+    told = f"WARNING test: left out {15_000 - AT_ONCE} more lines like this: req/%s refused: %d"
     assert stream.getvalue().splitlines()[-1] == told
 
 

@@ -15,5 +15,5 @@ def test_auto_is_refused_with_the_reason(command: list[str], capsys: pytest.Capt
         main([*command, "--calibration", "c.npz", "--profile", "auto"])
     assert ended.value.code == 2
     said = capsys.readouterr().err.splitlines()[-1]
-    assert "--profile: found auto, which goes by the clock, so that no two runs were the same; expected one of" in said
+    assert "--profile: found auto, which adapts to the clock, so no two runs would be the same; expected one of" in said
     assert all(name in said for name in PROFILES)

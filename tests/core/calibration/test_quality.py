@@ -19,8 +19,8 @@ def test_a_good_one_needs_nothing() -> None:
     quality = assess(fit(), GEOMETRY, (), ERRORS_MM)
     assert quality.grade == "good"
     assert quality.line == (
-        "good: depth within 0.25 mm of what was stated on average, 0.70 mm at worst, "
-        "on presses it had not seen (profile accurate)"
+        "good: depth is within 0.25 mm of the stated depth on average, 0.70 mm at worst, "
+        "on held-out presses (profile accurate)"
     )
     assert quality.advice == ()
 

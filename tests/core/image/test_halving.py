@@ -141,7 +141,7 @@ def test_half_the_resolution_finds_the_same_contact(depth_mm: float) -> None:
 def test_an_image_of_another_size_is_told_in_its_own_pixels(shape: tuple[int, int]) -> None:
     made = make_reconstructor(calibrated(FULL, 0), PROFILES["balanced"])
     result = made.step(Frame(0, 0, 0, np.zeros(shape, np.uint8)))
-    assert text_of(result.reason) == f"size: {shape[1]}x{shape[0]} px, calibrated for 640x480"
+    assert text_of(result.reason) == f"size: found {shape[1]}x{shape[0]} px, expected the calibration's 640x480 px"
     assert not made.step(Frame(0, 0, 0, to_grey(unloaded(FULL)))).contact
 
 

@@ -104,7 +104,7 @@ def test_presses_of_one_point_in_one_place_show_nothing() -> None:
     given = [ContactFrame(point, k, 0, (pose,)) for k in range(12)]
     found = find_flange(given, shift(0, 0, 0), APEX_MM)
     assert np.isfinite(found.covariance).all()
-    assert "translation along x, y and z, rotation about x, y and z cannot be seen" in unseen(
+    assert "translation along x, y and z, rotation about x, y and z cannot be determined" in unseen(
         given, shift(0, 0, 0), found
     )
 

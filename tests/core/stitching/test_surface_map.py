@@ -80,7 +80,7 @@ def test_its_size_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     for k in range(4):
         fused.add(np.array(((k * tile_mm + 1, 1.0, 0.0),)), np.ones(1))
     before = fused.raster().z_mm.copy()
-    with pytest.raises(ValueError, match="larger than 4 tiles"):
+    with pytest.raises(ValueError, match="exceed 4 tiles"):
         fused.add(np.array(((1.0, 1.0, 9.0), (1.0, 5 * tile_mm, 0.0))), np.ones(2))
     np.testing.assert_array_equal(fused.raster().z_mm, before)  # nothing was added
     assert fused.tiles == 4

@@ -153,7 +153,7 @@ def test_another_reference_ends_it_another_profile_does_not(live: Live, calibrat
 
 def test_one_at_a_time_and_no_folder_twice(live: Live) -> None:
     live.start()
-    with pytest.raises(DeviceError, match=r"busy: recording to .*one"):
+    with pytest.raises(DeviceError, match=r"busy: already recording to .*one"):
         live.start(name="two")
     live.recorder.end(STOPPED)
     live.ended()
@@ -209,7 +209,7 @@ def test_a_folder_that_goes_away_ends_it_with_its_error(live: Live, happen: Call
     assert recorded.failed
     assert recorded.ending is not None
     assert recorded.ending.code is ReasonCode.DISK
-    assert re.search(r"/one.*: cannot be written: ", str(recorded.ending))
+    assert re.search(r"/one.*: cannot write it: ", str(recorded.ending))
     assert (recorded.frames, recorded.dropped) == (1, 1)
     left = Recording(live.folder.with_name("moved"))
     assert left.cut_off

@@ -84,7 +84,7 @@ def test_a_broker_with_password_and_tls_is_named_by_a_settings_file(
         assert "0 payloads superseded, 0 payloads failed" in capsys.readouterr().out
         (tmp_path / "password").write_text("wrong\n")
         assert main([*given, "--config", str(config)]) == 1
-        assert "refused: Not authorized; expected a broker at" in capsys.readouterr().err
+        assert "rejects the connection: Not authorized; expected a broker at" in capsys.readouterr().err
     (tmp_path / "password").unlink()
     assert main([*given, "--config", str(config)]) == 78
     assert "config.yaml:1: mqtt.password_file: " in capsys.readouterr().err

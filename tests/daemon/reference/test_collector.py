@@ -37,12 +37,12 @@ def test_exactly_the_next_frames_are_taken_once(calibration: Calibration, pictur
         (
             "touched",
             ReasonCode.FRAME_IN_CONTACT,
-            "frame 4 shows contact {depth_mm:.2f} mm deep, expected a sensor that nothing touches",
+            "frame 4 shows contact {depth_mm:.2f} mm deep, expected an untouched sensor",
         ),
         (
             "black",
             ReasonCode.FRAME_INVALID,
-            "frame 4 is invalid (black: mean grey 0, deviation 0.0), expected an untouched sensor in view",
+            "frame 4 is invalid (black: mean grey 0, deviation 0.0), expected a usable frame of an untouched sensor",
         ),
     ],
 )

@@ -87,7 +87,7 @@ def test_a_folder_that_cannot_be_written_is_told(calibration: Calibration, pictu
     assert taken.calibration.crc32 != 0
     assert taken.reason is not None
     assert taken.reason.code is ReasonCode.DISK
-    assert taken.reason.text.endswith("this reference is in use only until the next start or reload")
+    assert taken.reason.text.endswith("this reference lasts only until the next start or reload")
 
 
 def test_images_that_cannot_be_used_store_nothing(calibration: Calibration, pictures: Any, path: Path) -> None:

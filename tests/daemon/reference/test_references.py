@@ -105,7 +105,7 @@ def test_it_stays_while_it_is_held_and_amid_a_contact(resting: Resting, pictures
 
 @pytest.mark.slow
 def test_a_doubt_or_a_spot_stops_it_with_its_reason(resting: Resting, calibration: Calibration, pictures: Any) -> None:
-    doubt = Reason(ReasonCode.GLARE, "glare: 3 % of the disc hidden")
+    doubt = Reason(ReasonCode.GLARE, "glare hides 3 % of the disc")
     assert resting.look(pictures.free, doubt=doubt)
     assert (resting.health["state"], resting.health["reason"]) == ("stopped", doubt.text)
     assert resting.health["looks"] == 1
@@ -145,7 +145,7 @@ def test_the_stored_reference_has_one_owner(
     unstored = other.take([nuisance.gain(pictures.free, 0.7)] * 10).unstored
     assert unstored is not None
     assert unstored.code is ReasonCode.IN_USE
-    assert "this reference is in use only until the next start or reload" in unstored.text
+    assert "this reference lasts only until the next start or reload" in unstored.text
     newer = with_crc(replace(calibration, reference_grey=calibration.reference_grey // 2))
     other.reload(newer, tmp_path / "c.reference.npz")
     assert (tmp_path / "c.reference.npz").read_bytes() == stored, "nor deleted"

@@ -13,7 +13,7 @@ from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import U8, Calibration, Frame, Need
 
 FPS = 10
-DOUBT = Reason(ReasonCode.GLARE, "glare: 3 % of the disc hidden")
+DOUBT = Reason(ReasonCode.GLARE, "glare hides 3 % of the disc")
 
 
 class Stream:

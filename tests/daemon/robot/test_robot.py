@@ -257,7 +257,7 @@ def test_a_capture_without_a_frame_ends_and_too_many_are_refused(link: Path, mon
         side.until("connected", state="connected")
         for _ in range(WAITING_MAX + 1):
             robot.ask("CAPTURE")
-        wait_until(lambda: any("BUSY 16 captures are waiting" in r for r in robot.replies.values()), 10, "BUSY")
+        wait_until(lambda: any("BUSY 16 captures are already waiting" in r for r in robot.replies.values()), 10, "BUSY")
         monkeypatch.setattr("tacshade_edge.daemon.robot.serial_commands.CAPTURE_TIMEOUT_NS", 0)
         wait_until(lambda: sum("TIMEOUT no frame" in r for r in robot.replies.values()) == 16, 10, "TIMEOUT")
         assert not side.robot.commands.capture_pending
@@ -268,7 +268,7 @@ def test_a_chip_that_holds_bytes_back_is_told(link: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(SerialPort, "describe", lambda port: {**told(port), "latency_ms": 16})
     with PtyRobot(link), Side(link) as side:
         status = side.until("two-way", state="connected", sync="two-way")
-    assert status["reason"] == "the port's chip holds bytes back for 16 ms; doctor says how to fix it"
+    assert status["reason"] == "the port's chip holds bytes back for 16 ms; tacshade-edge doctor explains the fix"
 
 
 def test_a_robot_that_reads_nothing_costs_no_poses(link: Path) -> None:

@@ -121,7 +121,7 @@ def test_what_is_refused(bench: Bench) -> None:
     assert bench.ask("TOUCH ON depth_mm 0") == "ERR 3 ARGS found the RATE 0, expected whole Hz from 1 to 1000"
     assert bench.ask("TOUCH ON depth_mm 500") == (
         "ERR 4 REFUSED found 500 events a second of up to 69 bytes, expected at most 10368 bytes/s, 90 % of "
-        "115200 baud: a RATE of at most 150, fewer names, or a faster line"
+        "115200 baud: use a RATE of at most 150, fewer names or a faster line"
     )
     assert not bench.robot.need()
     bench.missing = Reason(ReasonCode.NOT_CALIBRATED, "not calibrated: do that")

@@ -288,7 +288,7 @@ def test_a_disk_that_fails_adds_nothing(robot: Robot, ball: Reconstruction, tmp_
     (tmp_path / "sessions" / "x" / "presses.bin").unlink()
     failed = robot.add(ball)
     assert code(failed) == ReasonCode.DISK
-    assert "cannot be written" in str(failed)
+    assert "cannot write it" in str(failed)
     assert status(robot).presses == 0
 
 

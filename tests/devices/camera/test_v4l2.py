@@ -45,17 +45,17 @@ def test_missing_device() -> None:
 def test_regular_file(tmp_path: Path) -> None:
     file = tmp_path / "video0"
     file.write_bytes(b"not a camera")
-    assert why_not(str(file), ConfigError) == f"camera {file}: is a file, {EXPECTED}"
+    assert why_not(str(file), ConfigError) == f"camera {file}: found a file, {EXPECTED}"
     assert why_not(f"{file}/below") == f"camera {file}/below: no such device, {EXPECTED}"
 
 
 def test_directory(tmp_path: Path) -> None:
-    assert why_not(str(tmp_path), ConfigError) == f"camera {tmp_path}: is a directory, {EXPECTED}"
+    assert why_not(str(tmp_path), ConfigError) == f"camera {tmp_path}: found a directory, {EXPECTED}"
 
 
 def test_a_fifo_is_not_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "fifo")
-    assert "is a file" in why_not(str(tmp_path / "fifo"), ConfigError)
+    assert "found a file" in why_not(str(tmp_path / "fifo"), ConfigError)
 
 
 def asks_kernel() -> bool:
@@ -87,7 +87,7 @@ def test_paths_that_are_none(device: str) -> None:
 def test_reading_without_opening_and_closing_twice() -> None:
     camera = source("/dev/video63")
     for take in (camera.read, camera.skip):
-        with pytest.raises(DeviceError, match="is not open"):
+        with pytest.raises(DeviceError, match="not open"):
             take()
     camera.close()
     camera.close()

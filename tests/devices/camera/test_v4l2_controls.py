@@ -50,7 +50,7 @@ def test_a_value_out_of_range_is_told_as_it_is() -> None:
 def test_a_driver_that_stays_automatic_is_told() -> None:
     control = lock_exposure(Driver({AUTO: 3, VALUE: 250}, frozen=(AUTO,)), 100)
     assert control == Control(Lock.AUTOMATIC, 250)
-    assert str(control) == "automatic, the driver does not lock it (250)"
+    assert str(control) == "automatic; the driver does not lock it (250)"
 
 
 def test_exposure_without_an_automatic() -> None:
@@ -68,4 +68,4 @@ def test_white_balance() -> None:
     assert lock_white_balance(driver) == Control(Lock.LOCKED)
     assert driver.values[BALANCE] == 0
     stays = lock_white_balance(Driver({BALANCE: 1}, frozen=(BALANCE,)))
-    assert (stays, str(stays)) == (Control(Lock.AUTOMATIC), "automatic, the driver does not lock it")
+    assert (stays, str(stays)) == (Control(Lock.AUTOMATIC), "automatic; the driver does not lock it")

@@ -58,9 +58,7 @@ def test_a_request_that_the_access_rules_deny_is_told_at_once(tmp_path: Path) ->
     with Broker(tmp_path, more=(f"acl_file {rules}",)) as broker:
         asking = caller(broker.port)
         asking.start()
-        with pytest.raises(
-            DeviceError, match="may not publish tacshade/left/req/record: Not authorized, expected"
-        ) as no:
+        with pytest.raises(DeviceError, match="rejects tacshade/left/req/record: Not authorized, expected") as no:
             asking.ask({"action": "stop"}, 600)
         assert no.value.code is ReasonCode.REFUSED
         asking.stop()
@@ -70,7 +68,7 @@ def test_a_broker_that_does_not_let_us_in_is_told(tmp_path: Path) -> None:
     with Broker(tmp_path, users={"hand": "secret"}) as broker:
         refused = caller(broker.port, "hand", "wrong")
         with pytest.raises(
-            DeviceError, match=rf"127\.0\.0\.1:{broker.port}: refused: Not authorized; expected a broker"
+            DeviceError, match=rf"127\.0\.0\.1:{broker.port}: rejects the connection: Not authorized; expected a broker"
         ) as caught:
             refused.start()
         assert caught.value.code is ReasonCode.REFUSED

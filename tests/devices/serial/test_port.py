@@ -39,7 +39,7 @@ def test_bytes_both_ways(line: tuple[int, str]) -> None:
     assert port.describe() == {"device": name, "baud": 115200}
     port.close()
     port.close()
-    with pytest.raises(DeviceError, match="is not open"):
+    with pytest.raises(DeviceError, match="not open"):
         port.read()
 
 

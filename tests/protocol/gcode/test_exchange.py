@@ -46,8 +46,8 @@ def test_a_damaged_line_is_sent_again_once_it_was_asked_for() -> None:
     [
         (b"start\n", "restarted"),
         (b"!! Timer too close\n", "Timer too close"),
-        (b"Resend: 2\n", "asked for line 2 again, and the last one was 1"),
-        (b"ok\nok\n", "answered what it was not asked"),
+        (b"Resend: 2\n", "asked for line 2 again, but the last one was 1"),
+        (b"ok\nok\n", "answered although no command was open"),
         (4 * b"Resend: 1\n", "4 times"),
         (b"x" * (LINE_BYTES_MAX + 1), "without an end of line"),
     ],
@@ -66,7 +66,7 @@ def test_what_ends_belief(said: bytes, why: str) -> None:
 
 
 def test_one_command_at_a_time() -> None:
-    with pytest.raises(RuntimeError, match="the command before it was not answered"):
+    with pytest.raises(RuntimeError, match="the printer has not answered the command before it"):
         begun().begin("M400")
 
 

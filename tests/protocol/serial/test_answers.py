@@ -87,9 +87,9 @@ def test_every_word_of_the_documents_has_a_code() -> None:
 
 
 def test_a_reference_is_refused_with_one_word() -> None:
-    busy = Reason(ReasonCode.BUSY, "a reference is being taken")
-    assert answer_text(7, busy, "CAPTURE") == "ERR 7 BUSY a reference is being taken"
-    assert answer_text(7, busy, "REFERENCE") == "ERR 7 REFUSED a reference is being taken"
+    busy = Reason(ReasonCode.BUSY, "already taking a reference")
+    assert answer_text(7, busy, "CAPTURE") == "ERR 7 BUSY already taking a reference"
+    assert answer_text(7, busy, "REFERENCE") == "ERR 7 REFUSED already taking a reference"
     other = Reason(ReasonCode.FRAME_IN_CONTACT, "shows contact")
     assert answer_text(7, other) == "ERR 7 REFUSED shows contact"
 

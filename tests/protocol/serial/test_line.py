@@ -92,8 +92,8 @@ def test_poses_come_back(seq: int, t_ns: int, xyz: tuple[float, ...], q: tuple[f
         ("1 0 1_0 0 1 0 0 0", "'1_0', expected a number"),
         ("1 0 1e9 0 1 0 0 0", "expected a position within"),
         ("1 0 1e999 0 1 0 0 0", "expected a position within"),
-        ("1 0 0 0 1 1 0 0", "the norm 1.414, expected a unit quaternion"),
-        ("1 0 0 0 0 0 0 0", "the norm 0, expected a unit quaternion"),
+        ("1 0 0 0 1 1 0 0", "a quaternion of length 1.414, expected 1"),
+        ("1 0 0 0 0 0 0 0", "a quaternion of length 0, expected 1"),
     ],
 )
 def test_a_pose_that_is_none(args: str, why: str) -> None:

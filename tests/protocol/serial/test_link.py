@@ -136,7 +136,7 @@ def test_a_repeated_line_gets_its_reply_again_and_is_not_done_again() -> None:
     for line in (b"#7 CAPTURE\n", b"#7 CAPTURE\n", seal("#7 CAPTURE")):
         assert desk.send(line) == ["OK 7 name=done-1"]
     assert desk.verbs() == [(7, "CAPTURE")]
-    assert desk.send(b"#7 REFERENCE\n") == ["ERR 7 REUSED found a number that another line had, expected a new one"]
+    assert desk.send(b"#7 REFERENCE\n") == ["ERR 7 REUSED found a number that another line used, expected a new one"]
     assert desk.link.counts.repeats == 2
 
 
@@ -157,7 +157,7 @@ def test_numbers_that_are_too_old_to_be_known_are_refused() -> None:
     newest = 100 + 2 * REPLIES_KEPT - 1
     assert desk.send(b"#%d STATUS\n" % (newest - REPLIES_KEPT + 1)) == [f"OK {newest - REPLIES_KEPT + 1} name=done-65"]
     assert desk.send(b"#%d STATUS\n" % (newest - REPLIES_KEPT)) == [
-        f"ERR {newest - REPLIES_KEPT} STALE expected a number after #{newest}, or HELLO"
+        f"ERR {newest - REPLIES_KEPT} STALE found an old number, expected one after #{newest}, or HELLO"
     ]
     assert len(desk.done) == 2 * REPLIES_KEPT
 
@@ -252,7 +252,7 @@ def test_missing_and_repeated_poses_are_counted_by_their_numbers() -> None:
 def test_bad_poses_are_told_once_a_second() -> None:
     desk = Desk()
     bad = b"#5 POSE 1 0 0 0 9 0 0 0\n"
-    assert desk.send(bad * 10, 0) == ["ERR 5 ARGS POSE: found the norm 9, expected a unit quaternion"]
+    assert desk.send(bad * 10, 0) == ["ERR 5 ARGS POSE: found a quaternion of length 9, expected 1"]
     assert desk.send(bad, 999_999_999) == []
     assert len(desk.send(bad, 1_000_000_000)) == 1
     assert desk.link.counts.poses_bad == 12

@@ -126,5 +126,5 @@ def test_another_family_of_skin_holds_by_its_own_mechanics() -> None:
 
 
 def test_an_object_in_the_middle_of_a_sensor_is_refused() -> None:
-    with pytest.raises(ValueError, match="reaches the middle of the sensor"):
+    with pytest.raises(ValueError, match="reaches the sensor's centre"):
         felt(THREE[0], THREE[0].hand_T_sensor, BALL, shift(0.0, 0.0, 30.0))

@@ -175,7 +175,7 @@ def test_one_fitted_to_the_networks_before_is_read_without_its_fit(
     assert (loaded.geometry, loaded.crc32 != 0) == (fitted.geometry, True)
     np.testing.assert_array_equal(loaded.reference_white, fitted.reference_white)
     (said,) = caplog.messages
-    assert said.endswith("old.npz: fitted to presses with older networks; using it without that fit; calibrate again")
+    assert said.endswith("old.npz: its fit belongs to older networks; using it without the fit; calibrate again")
     caplog.clear()
     assert calibration_file.load(tmp_path / "unfitted.npz").factors == {}
     assert not caplog.messages

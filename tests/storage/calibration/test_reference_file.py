@@ -121,6 +121,6 @@ def test_a_damaged_file_is_refused_or_is_what_was_stored(
 
 
 def test_a_folder_that_is_not_there_is_said(path: Path) -> None:
-    with pytest.raises(DeviceError, match="cannot be written: No such file or directory") as caught:
+    with pytest.raises(DeviceError, match="cannot write it: No such file or directory") as caught:
         reference_file.save(path.parent / "gone" / path.name, CALIBRATED, TAKEN)
     assert caught.value.code is ReasonCode.DISK

@@ -114,7 +114,7 @@ def test_a_folder_that_cannot_be_taken(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"used: already exists, expected the name of a new folder"):
         Recorder(tmp_path / "used", free_floor_bytes=0)
     (tmp_path / "used" / "a").touch()
-    with pytest.raises(DeviceError, match=r"a: cannot be written: (File exists|Not a directory)"):
+    with pytest.raises(DeviceError, match=r"a: cannot write it: (File exists|Not a directory)"):
         Recorder(tmp_path / "used" / "a" / "rec", free_floor_bytes=0)
 
 
@@ -128,7 +128,7 @@ def test_a_damaged_line_costs_its_frame_and_is_told(tmp_path: Path) -> None:
     assert Recording(tmp_path / "rec").damage == ""
     table.write_bytes(table.read_bytes().replace(b"000001.png,1001", b"000002.png,1001"))
     recording = Recording(tmp_path / "rec")
-    assert recording.damage.startswith(f"{table}:3: a damaged line is left out")
+    assert recording.damage.startswith(f"{table}:3: left out a damaged line")
     for k in (0, 2, 3):
         recorded = recording.read()
         assert recorded is not None

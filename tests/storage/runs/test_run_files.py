@@ -88,5 +88,5 @@ def test_damage_is_told(tmp_path: Path) -> None:
 
 def test_a_folder_that_is_a_file(tmp_path: Path) -> None:
     (tmp_path / "out").touch()
-    with pytest.raises(DeviceError, match=r"out: cannot be written: File exists"):
+    with pytest.raises(DeviceError, match=r"out: cannot write it: File exists"):
         RunWriter(tmp_path / "out", calibration_crc32=0)

@@ -35,5 +35,5 @@ def test_a_delay_that_was_not_seen_is_null(tmp_path: Path) -> None:
 
 def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(DeviceError, match="cannot be written"):
+    with pytest.raises(DeviceError, match="cannot write it"):
         write_flange(tmp_path / "file" / "out", FOUND, delay_seen=True, presses=1, frames=1)

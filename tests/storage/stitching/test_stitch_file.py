@@ -86,7 +86,7 @@ def test_a_flipped_bit_costs_one_press(
     expected = [pose.translation_mm.tolist() for k, pose in enumerate(POSES) if k != press]
     assert [pose.translation_mm.tolist() for _, pose in found] == expected
     assert f"{one_press} bytes are damaged or cut short" in caplog.text
-    assert f"continuing with 2 whole presses; the old file is kept as {PRESSES}.damaged-1" in caplog.text
+    assert f"continuing with 2 whole presses and keeping the old file as {PRESSES}.damaged-1" in caplog.text
     assert (tmp_path / "one" / f"{PRESSES}.damaged-1").read_bytes() == data
     file.append(POINTS[press], POSES[press])
     file.close()
@@ -199,7 +199,7 @@ def test_removing_leaves_what_is_not_ours(tmp_path: Path) -> None:
 
 def test_what_is_there_is_not_overwritten(tmp_path: Path) -> None:
     written(tmp_path / "one")
-    with pytest.raises(DeviceError, match="one: cannot be written"):
+    with pytest.raises(DeviceError, match="one: cannot write it"):
         StitchFile.create(tmp_path / "one", info())
 
 

@@ -89,5 +89,5 @@ def test_an_image_that_was_deleted_is_named(tmp_path: Path) -> None:
 
 def test_a_folder_that_cannot_be_made_is_a_device_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(DeviceError, match="cannot be written"):
+    with pytest.raises(DeviceError, match="cannot write it"):
         CaptureFolder(tmp_path / "file" / "out").make()

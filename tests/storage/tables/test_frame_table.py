@@ -22,10 +22,10 @@ from tacshade_edge.types import Pose
         ("a.png,-1,,,,,,,\n", ":2: t_ns: found '-1', expected a whole number"),
         ("a.png,1.5,,,,,,,\n", ":2: t_ns: found '1.5', expected a whole number"),
         (f"a.png,{2**62 + 1},,,,,,,\n", ":2: t_ns: found '4611686018427387905', expected a whole number"),
-        ("a.png,5,,,,,,,\na.png,5,,,,,,,\n", ":3: t_ns: found 5, expected more than 5 of the row before"),
+        ("a.png,5,,,,,,,\na.png,5,,,,,,,\n", ":3: t_ns: found 5, expected more than 5 in the row before"),
         ("a.png,5,1,,,,,,\n", ":2: x_mm to qz: found 1 of the 7, expected all or none"),
         ("a.png,5,1,2,x,1,0,0,0\n", ":2: z_mm: found 'x', expected a number"),
-        ("a.png,5,1,2,3,1,1,0,0\n", ":2: qw, qx, qy, qz: found the norm 1.414, expected a unit quaternion"),
+        ("a.png,5,1,2,3,1,1,0,0\n", ":2: qw, qx, qy, qz: found a quaternion of length 1.414, expected 1"),
     ],
 )
 def test_a_wrong_table_is_told_by_line_and_column(tmp_path: Path, row: str, said: str) -> None:
@@ -54,7 +54,7 @@ def test_the_time_error_of_a_pose_is_a_column_that_older_tables_lack(tmp_path: P
         ("a.png,5,1,2,3,1,0,0,0", "found 9 columns, expected 10"),
         ("a.png,5,1,2,3,1,0,0,0,-1", "pose_error_us: found '-1', expected a whole number from 0 to"),
         (f"a.png,5,1,2,3,1,0,0,0,{2**32}", "pose_error_us: found '4294967296', expected a whole number"),
-        ("a.png,5,,,,,,,,3", "pose_error_us: found '3', expected nothing, as there is no pose"),
+        ("a.png,5,,,,,,,,3", "pose_error_us: found '3', expected nothing, because there is no pose"),
     ],
 )
 def test_a_wrong_time_error_is_told(tmp_path: Path, row: str, said: str) -> None:
@@ -131,7 +131,7 @@ def test_where_and_how_many_lines_were_left_out(tmp_path: Path) -> None:
     path.write_bytes(b"".join(lines))
     table = read_table(path)
     assert [row.image for row in table] == [f"{i:06d}.png" for i in (0, 2, 3, 5)]
-    assert table.damage == f"{path}:3: 2 damaged lines are left out, with their frames; the checksum is not theirs"
+    assert table.damage == f"{path}:3: left out 2 damaged lines and their frames, because the checksum does not match"
     lines[4] = lines[4].replace(b"120.5", b"x")
     columns = lines[4].rpartition(b",")[0].decode()
     lines[4] = f"{columns},{line_crc32(columns)}\n".encode()
@@ -139,7 +139,7 @@ def test_where_and_how_many_lines_were_left_out(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=":5: x_mm: found 'x'"):
         read_table(path)
     path.write_bytes(lines[0] + lines[2])
-    with pytest.raises(ConfigError, match=r"found no rows, expected one per frame \(.*:2: a damaged line is left out"):
+    with pytest.raises(ConfigError, match=r"found no rows, expected one per frame \(.*:2: left out a damaged line"):
         read_table(path)
 
 

@@ -49,11 +49,11 @@ def test_every_shape(tmp_path: Path) -> None:
         ("a: {shape: sphere}\n", ":1: a.shape: found sphere, expected one of ball, bar, box, cone, cylinder, mesh"),
         ("a:\n  shape: box\n  size_mm: 3\n", ":3: a.size_mm: found an unknown key, expected one of shape, radius_mm"),
         ("a:\n  radius_mm: 3\n", "a.shape: found nothing, expected one of ball"),
-        ("a: {shape: cylinder}\n", ":1: a.radius_mm: found nothing, expected it for shape cylinder"),
-        ("a: {shape: box, length_mm: 3}\n", ":1: a.width_mm: found nothing, expected it for shape box"),
-        ("a: {shape: bar, radius_mm: 3}\n", ":1: a.length_mm: found nothing, expected it for shape bar"),
-        ("a: {shape: cone, radius_mm: 3}\n", ":1: a.angle_deg: found nothing, expected it for shape cone"),
-        ("a: {shape: mesh}\n", ":1: a.file: found nothing, expected it for shape mesh"),
+        ("a: {shape: cylinder}\n", ":1: a.radius_mm: found nothing, expected a value for shape cylinder"),
+        ("a: {shape: box, length_mm: 3}\n", ":1: a.width_mm: found nothing, expected a value for shape box"),
+        ("a: {shape: bar, radius_mm: 3}\n", ":1: a.length_mm: found nothing, expected a value for shape bar"),
+        ("a: {shape: cone, radius_mm: 3}\n", ":1: a.angle_deg: found nothing, expected a value for shape cone"),
+        ("a: {shape: mesh}\n", ":1: a.file: found nothing, expected a value for shape mesh"),
         ("a: {shape: ball, radius_mm: -3}\n", ":1: a.radius_mm: found -3, expected a number above 0"),
         ("a: {shape: cone, angle_deg: 180}\n", ":1: a.angle_deg: found 180, expected a number above 0 to 175"),
         ("ball: {shape: ball, radius_mm: 3}\n", ":1: ball: found a name that needs no entry"),
@@ -81,5 +81,5 @@ def test_those_to_print_come_with_their_table_and_replace_none(tmp_path: Path) -
     assert [f"{name}.stl" for name in known] == [path.name for path in solids]
     assert known["ball_6"] == 6.0
     assert len(read_plan(plan, tuple(known), 20.0)) == 5 * len(known)
-    with pytest.raises(ConfigError, match=r"INDENTERS.yaml: already exists, expected none"):
+    with pytest.raises(ConfigError, match=r"INDENTERS.yaml: already exists, expected no such file"):
         write_printables(tmp_path / "print")

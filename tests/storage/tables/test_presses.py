@@ -51,7 +51,7 @@ def test_columns_in_any_order_and_unknown_ones(tmp_path: Path) -> None:
     text = "who,y_mm,x_mm,shear_x_mm,image,depth_mm,radius_mm,indenter,force_n\nme,-3,1.5,0.7,a.png,2,4.5,ball,9\n"
     assert numbers(text, tmp_path) == [(4.5, 2.0, 1.5, -3.0)]
     (note,) = read_presses(table(tmp_path, text))[1]
-    assert note.endswith("PRESSES.csv: columns that are not known are ignored: who, force_n")
+    assert note.endswith("PRESSES.csv: ignoring unknown columns: who, force_n")
 
 
 def test_a_named_indenter(tmp_path: Path) -> None:
@@ -63,7 +63,7 @@ def test_a_named_indenter(tmp_path: Path) -> None:
     assert (solid.yaw_deg, solid.tilt_x_deg, solid.tilt_y_deg) == (30.0, -4.0, 5.5)
     assert (small.indenter, small.radius_mm, small.x_mm) == (None, 3.0, None)
     for row, said in {
-        "a.png,flat,4,2,1.5,-3,0,0,0,0,0": "radius_mm: found '4', expected an empty cell: INDENTERS.yaml has its size",
+        "a.png,flat,4,2,1.5,-3,0,0,0,0,0": "radius_mm: found '4', expected no radius: INDENTERS.yaml states it",
         "a.png,flat,,2,,,0,0,0,0,0": "x_mm, y_mm: found nothing, expected both: they are optional only for a ball",
         "a.png,cube,,2,0,0,0,0,0,0,0": "indenter: found 'cube', expected ball or one of INDENTERS.yaml: flat, small",
         "a.png,flat,,2,0,0,0,61,0,0,0": "tilt_x_deg: found '61', expected a number from -60 to 60",

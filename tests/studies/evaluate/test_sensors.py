@@ -36,5 +36,5 @@ def test_a_sensor_is_calibrated_on_what_its_images_show() -> None:
 
 @pytest.mark.slow  # likewise
 def test_a_sensor_that_cannot_be_calibrated_is_named() -> None:
-    with pytest.raises(ConfigError, match=r"sensor 5: 2 presses: at least 8"):
+    with pytest.raises(ConfigError, match=r"sensor 5: found 2 presses, expected at least 8"):
         calibrated(SensorName.parse("5"), references=1, presses=2)

@@ -29,9 +29,9 @@ def test_a_better_one_that_cannot_be_set_is_told_when_it_is_clearly_better() -> 
     block = settings_block([*POINTS, clearly], 2.0)
     assert block is not None
     told, better, setting = block.splitlines()
-    assert told.startswith("# Within 2 ms")
+    assert told.startswith("# The most accurate within 2 ms")
     assert "p99 2.00 ms, p50 1.00 ms, ME 0.200 mm" in told
-    assert better.startswith("# No shipped profile, but better: accurate, stride 8 px")
+    assert better.startswith("# Better, but not a shipped profile: accurate, stride 8 px")
     assert setting == "profile: fast"
     hardly = point(replace(PROFILES["accurate"], stride_px=8), 0.19, 0.9)
     assert len((settings_block([*POINTS, hardly], 2.0) or "").splitlines()) == 2

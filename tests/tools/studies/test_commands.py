@@ -103,7 +103,7 @@ def test_one_writes_its_table_and_plot(
     [
         ("ablation", ["--profile", "fast", "accurate"], "--profile: found fast accurate, expected one"),
         ("ablation", ["--profile", "paper"], "--profile: found paper, expected one"),
-        ("drag", ["--presses", "3"], "--presses: found 3, expected 0, or 8 or more"),
+        ("drag", ["--presses", "3"], "--presses: found 3, expected 0 or at least 8"),
         ("sigma", ["--presses", "3"], "--presses: found 3"),
         ("sigma", ["--profile", "paper"], "found paper, which gives no errors"),
         ("slip", ["--sensors", "other:31"], "--sensors: only the family tacshade"),
@@ -141,4 +141,4 @@ def test_an_output_that_is_a_file_is_one_line_before_the_work(
     assert left.value.code == 1
     error = capsys.readouterr().err
     assert error.count("\n") == 1
-    assert "file: cannot be written" in error
+    assert "file: cannot write it" in error

@@ -76,5 +76,5 @@ def _skin_z_mm(x_mm: float, y_mm: float, skin_radius_mm: float) -> float:
     """Of the undeformed skin."""
     square = skin_radius_mm**2 - x_mm**2 - y_mm**2
     if not square > 0:
-        raise ValueError(f"x {x_mm:.1f}, y {y_mm:.1f} mm is beside a skin of radius {skin_radius_mm:g} mm")
+        raise ValueError(f"x {x_mm:.1f}, y {y_mm:.1f} mm lies outside a skin of radius {skin_radius_mm:g} mm")
     return math.sqrt(square)

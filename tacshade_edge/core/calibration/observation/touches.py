@@ -53,8 +53,8 @@ def skin_centre(touches_mm: F64, skin_radius_mm: float, ball_radius_mm: float) -
         centre = centre + np.linalg.lstsq(towards / distance[:, None], distance - reach_mm, rcond=None)[0]
     rms_mm = float(np.sqrt(np.mean((np.linalg.norm(balls_mm - centre, axis=1) - reach_mm) ** 2)))
     if not rms_mm <= _MOST_RMS * skin_radius_mm:
-        expected = f"expected a skin of {skin_radius_mm:g} mm touched by a ball of {ball_radius_mm:g} mm, upright"
-        raise ConfigError(f"found touches {rms_mm:.2f} mm (RMS) off any one sphere, {expected}")
+        expected = f"expected those of an upright skin of {skin_radius_mm:g} mm and a ball of {ball_radius_mm:g} mm"
+        raise ConfigError(f"found touches that fit a sphere only within {rms_mm:.2f} mm (RMS), {expected}")
     return centre, rms_mm
 
 
@@ -88,8 +88,8 @@ def yaw_of(places_mm: F64, pictured_mm: F64) -> float:
     seen = shown * np.exp(1j * yaw)
     rms, unscaled_rms = (float(np.sqrt(np.mean(np.abs(each - put) ** 2))) for each in (scale * seen, seen))
     if not (rms <= _MOST_PICTURED_RMS * size and _PICTURED_SCALE[0] <= scale <= _PICTURED_SCALE[1]):
-        found = f"found the ball {unscaled_rms:.1f} mm (RMS) from its stated places in the pictures"
-        raise ConfigError(f"{found}, expected {_MOST_PICTURED_RMS * size:.1f} mm at most")
+        found = f"the pictures show the ball {unscaled_rms:.1f} mm (RMS) from its stated places"
+        raise ConfigError(f"{found}, expected at most {_MOST_PICTURED_RMS * size:.1f} mm")
     return yaw
 
 

@@ -55,9 +55,9 @@ def advice(presses: Sequence[Pressed], geometry: Geometry) -> str:
     x_mm, y_mm, depth_mm = widest_gap(presses, geometry)
     where = f"around x {x_mm:.0f}, y {y_mm:.0f} mm, {depth_mm:.1f} mm deep"
     if not missing_coverage(presses, geometry):
-        return f"nothing is missing in {len(presses)} presses; most helps one more {where}"
+        return f"{len(presses)} presses cover everything; one more helps most {where}"
     sizes = _missing_sizes(presses, geometry)
-    return f"next helps most a press {where}" + (f"; {sizes}" if sizes else "")
+    return f"the next press helps most {where}" + (f"; {sizes}" if sizes else "")
 
 
 def widest_gap(presses: Sequence[Pressed], geometry: Geometry) -> tuple[float, float, float]:
@@ -120,11 +120,13 @@ def _missing_depths(low_mm: float, high_mm: float, geometry: Geometry) -> str:
     shallow_mm, deep_mm = (part * geometry.skin_radius_mm for part in _DEPTHS)
     if high_mm < _DEPTH_RATIO * low_mm:
         return (
-            f"the presses are all {low_mm:.1f} to {high_mm:.1f} mm deep: other depths are a guess; "
+            f"all presses are {low_mm:.1f} to {high_mm:.1f} mm deep: other depths are a guess; "
             f"add some from {shallow_mm:.1f} to {deep_mm:.1f} mm"
         )
     if high_mm < _LEAST_DEEPEST * geometry.skin_radius_mm:
-        return f"no press is deeper than {high_mm:.1f} mm: what is deeper is saturated; add some to {deep_mm:.1f} mm"
+        return (
+            f"no press is deeper than {high_mm:.1f} mm, so deeper contacts saturate; add some down to {deep_mm:.1f} mm"
+        )
     return ""
 
 
@@ -135,15 +137,15 @@ def _missing_sizes(presses: Sequence[Pressed], geometry: Geometry) -> str:
     radii = [press.radius_mm for press in presses if not press.indenter]
     if radii:
         return _missing_ball_radii(min(radii), max(radii), geometry)
-    return f"one indenter, {indenters.pop()}: other shapes and sizes are less certain; add balls or another"
+    return f"all presses use {indenters.pop()}: other shapes and sizes are less certain; add balls or another indenter"
 
 
 def _missing_ball_radii(small_mm: float, large_mm: float, geometry: Geometry) -> str:
     if large_mm >= _BALL_RADIUS_RATIO * small_mm:
         return ""
     if small_mm == large_mm:
-        radii = f"one ball radius, {small_mm:g} mm"
+        radii = f"all balls have a radius of {small_mm:g} mm"
     else:
-        radii = f"ball radii of {small_mm:g} to {large_mm:g} mm only"
+        radii = f"all balls have radii of {small_mm:g} to {large_mm:g} mm"
     low_mm, high_mm = (part * geometry.skin_radius_mm for part in _BALL_RADII)
-    return f"{radii}: smaller and larger things are less certain; add balls from {low_mm:.0f} to {high_mm:.0f} mm"
+    return f"{radii}: smaller and larger things are less certain; add balls of {low_mm:.0f} to {high_mm:.0f} mm"

@@ -34,7 +34,7 @@ _HUBER, _ITERATIONS = 1.5, 25
 # Fewer presses show too little; of fewer than the second, nothing is sure.
 _LEAST_PRESSES, _LEAST_SURE = 12, 16
 TRAVEL_ADVICE = (
-    "--depth-from-touch takes it so; else expected the undeformed skin's z at (x, y) less the z of the indenter's "
+    "pass --depth-from-touch, or state the undeformed skin's z at (x, y) minus the z of the indenter's "
     "lowest point (docs/reference/calibration-files.md)"
 )
 
@@ -63,7 +63,7 @@ def zero_hint(found_mm: Sequence[float], placed: Sequence[Placed], geometry: Geo
     if not (beyond and _SLOPES[0] < slope < _SLOPES[1]):
         return ""
     change = f"{abs(offset) * scale:.1f} mm {'less' if offset > 0 else 'more'}"
-    return f"the depths fit better if all are {change}: check the zero of the depth"
+    return f"the depths fit better if all are {change}: check where depth is zero"
 
 
 def travel_mistake(found_mm: Sequence[float], placed: Sequence[Placed], geometry: Geometry) -> str:
@@ -74,7 +74,7 @@ def travel_mistake(found_mm: Sequence[float], placed: Sequence[Placed], geometry
     share, deviation = _travel_share(found, placed, geometry)
     if share < max(_SURE_TRAVEL, _SURE_DEVIATIONS * deviation):
         return ""
-    return f"PRESSES.csv: depth_mm: found travel from first touch, as the images show: {TRAVEL_ADVICE}"
+    return f"PRESSES.csv: depth_mm: found travel from first touch, judging by the images: {TRAVEL_ADVICE}"
 
 
 def _travel_share(found: F64, placed: Sequence[Placed], geometry: Geometry) -> tuple[float, float]:

@@ -57,8 +57,8 @@ def outliers(observations: Sequence[PressObservation], geometry: Geometry) -> tu
 
 def _depth_reason(press: PressObservation, error_mm: float) -> str:
     return (
-        f"{press.name}: depth {press.depth_mm:.2f} mm is stated, {press.depth_mm + error_mm:.2f} mm is what "
-        f"the other presses say of {press.indenter or f'a ball of {press.radius_mm:g} mm'}"
+        f"{press.name}: found a depth of {press.depth_mm:.2f} mm, expected {press.depth_mm + error_mm:.2f} mm by "
+        f"the other presses with {press.indenter or f'a ball of {press.radius_mm:g} mm'}"
     )
 
 
@@ -99,14 +99,14 @@ def _ball_reason(press: PressObservation, factor: float) -> str:
     if factor < 1:
         asked = f": is {press.radius_mm:g} mm its diameter?"
     return (
-        f"{press.name}: a ball of {press.radius_mm:g} mm is stated, one of about {factor * press.radius_mm:.1f} mm is "
-        f"what the image shows{asked}"
+        f"{press.name}: found a ball of {press.radius_mm:g} mm, expected about {factor * press.radius_mm:.1f} mm, "
+        f"as the image shows{asked}"
     )
 
 
 def _place_reason(press: PressObservation) -> str:
     x_mm, y_mm = press.place_mm
     return (
-        f"{press.name}: x {x_mm:.1f}, y {y_mm:.1f} mm is stated, "
-        f"x {press.located_x_mm:.1f}, y {press.located_y_mm:.1f} mm is what the image shows"
+        f"{press.name}: found x {x_mm:.1f}, y {y_mm:.1f} mm, "
+        f"expected x {press.located_x_mm:.1f}, y {press.located_y_mm:.1f} mm, as the image shows"
     )

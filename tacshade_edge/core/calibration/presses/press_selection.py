@@ -54,7 +54,7 @@ def select_presses(unloaded: Calibration, presses: Sequence[KnownPress], network
         out, or one that cannot be a press of this sensor.
     """
     if len(presses) < MIN_PRESSES:
-        raise ConfigError(f"{len(presses)} presses: at least {MIN_PRESSES} are needed (20 are better)")
+        raise ConfigError(f"found {len(presses)} presses, expected at least {MIN_PRESSES} (20 are better)")
     geometry = unloaded.geometry
     preprocessor = Preprocessor(unloaded, PROFILE)
     viewer = PressViewer(unloaded, PROFILES[GRADED_PROFILE], network) if network else None
@@ -67,13 +67,13 @@ def select_presses(unloaded: Calibration, presses: Sequence[KnownPress], network
         _check_press(unloaded, press)
         judged = check.judge(press.image)
         if judged.unusable:
-            raise ConfigError(f"{press.name}: not usable: {judged.unusable}")
+            raise ConfigError(f"{press.name}: unusable: {judged.unusable}")
         if judged.moved:
             left_out.append(f"{press.name}: {judged.moved} since the references were taken")
             continue
         view = viewer.view(press) if viewer else None
         if not (judged.in_contact or view):
-            left_out.append(f"{press.name}: no contact to be seen, {press.depth_mm} mm is stated")
+            left_out.append(f"{press.name}: the image shows no contact, expected one {press.depth_mm} mm deep")
         else:
             pressed.append(press)
             views.append(view)
@@ -91,7 +91,7 @@ def select_presses(unloaded: Calibration, presses: Sequence[KnownPress], network
     left_out += disagreeing.values()
     usable = [k for k in range(len(pressed)) if k not in disagreeing]
     if len(left_out) > _MAX_LEFT_OUT * len(presses) or len(usable) < MIN_PRESSES:
-        raise ConfigError(f"{len(left_out)} of {len(presses)} presses cannot be used; {left_out[0]}")
+        raise ConfigError(f"{len(left_out)} of {len(presses)} presses are unusable; {left_out[0]}")
     return Selection(
         tuple(pressed[k] for k in usable),
         tuple(observations[k] for k in usable),
@@ -131,11 +131,11 @@ def _check_press(calibration: Calibration, press: KnownPress) -> None:
     r = calibration.geometry.skin_radius_mm
     if press.image.shape[:2] != (calibration.image_height_px, calibration.image_width_px):
         raise ConfigError(
-            f"{press.name}: {press.image.shape[1]}x{press.image.shape[0]} px, "
-            f"the reference is {calibration.image_width_px}x{calibration.image_height_px}"
+            f"{press.name}: found {press.image.shape[1]}x{press.image.shape[0]} px, "
+            f"expected {calibration.image_width_px}x{calibration.image_height_px} px like the reference"
         )
     if not 0 < press.depth_mm < r or not (press.indenter or press.radius_mm > 0):
         raise ConfigError(
-            f"{press.name}: depth {press.depth_mm} mm, ball radius {press.radius_mm} mm; "
+            f"{press.name}: found depth {press.depth_mm} mm and ball radius {press.radius_mm} mm, "
             f"expected 0 < depth < {r} and a radius above 0"
         )

@@ -103,7 +103,7 @@ def size_mistake(shown: ShownSizes, observations: Sequence[PressObservation], ge
         radius_mm = geometry.skin_radius_mm
         asked = "a diameter" if skin > 1 else "half of the radius"
         return (
-            f"SENSOR.yaml: skin_radius_mm: found {radius_mm:g}, and with it the images show presses about {skin:.1f} "
+            f"SENSOR.yaml: skin_radius_mm: found {radius_mm:g}, but with it the images show presses about {skin:.1f} "
             f"times as large as PRESSES.csv: is it {asked}? expected about {radius_mm / skin:.0f}"
         )
     too_deep = shown.ball_slope > _LEAST_BALL_SLOPE or shown.ball > _LEAST_BALL_PER_DEPTH * shown.depth

@@ -24,10 +24,10 @@ _POLARITY_PART, _POLARITY_LEAST_PART = 0.6, 0.25
 # x and y as they would be read: x is a·x + b·y, y is c·x + d·y.
 _AXES = {
     "x and y are swapped": (0, 1, 1, 0),
-    "x has the other sign": (-1, 0, 0, 1),
-    "y has the other sign": (1, 0, 0, -1),
-    "x and y have the other sign": (-1, 0, 0, -1),
-    "x and y are swapped and have the other sign": (0, -1, -1, 0),
+    "x has the opposite sign": (-1, 0, 0, 1),
+    "y has the opposite sign": (1, 0, 0, -1),
+    "x and y have the opposite sign": (-1, 0, 0, -1),
+    "x and y are swapped and have the opposite sign": (0, -1, -1, 0),
     "the axes are turned by 90 degrees": (0, -1, 1, 0),
     "the axes are turned by -90 degrees": (0, 1, -1, 0),
     "x and y are in cm": (10, 0, 0, 10),

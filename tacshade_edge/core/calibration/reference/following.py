@@ -121,7 +121,7 @@ def beyond(distance: Distance, disc: Disc) -> Reason | None:
     """What bound a reference is beyond; None within all of them."""
     drift = distance.drift
     if drift.still_part == 0:
-        return Reason(ReasonCode.REFERENCE_INVALID, "the marker pattern is not the reference's")
+        return Reason(ReasonCode.REFERENCE_INVALID, "the marker pattern differs from the reference's")
     if reason := registration.shift_reason(drift, disc) or registration.light_drift_reason(drift):
         return reason
     if abs(distance.common_grey) > COMMON_GREY:

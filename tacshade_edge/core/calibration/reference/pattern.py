@@ -67,10 +67,10 @@ def find_disc(grey: U8) -> Disc:
         No circle with a marker pattern is in the image.
     """
     if min(grey.shape) < _LEAST_PX:
-        found = f"the image is {grey.shape[1]}x{grey.shape[0]} px, expected {_LEAST_PX} or more"
-        raise ConfigError(f"no visible circle found in the reference: {found}")
+        found = f"the image is {grey.shape[1]}x{grey.shape[0]} px, expected at least {_LEAST_PX}"
+        raise ConfigError(f"found no visible circle in the reference: {found}")
     field = find_markers(grey)
-    disc, refusal = None, ConfigError("no visible circle found in the reference")
+    disc, refusal = None, ConfigError("found no visible circle in the reference")
     try:
         disc = _end_of_texture(grey)
     except ConfigError as error:
@@ -103,17 +103,17 @@ def _end_of_texture(grey: U8) -> Disc:
         if cut:
             best = max(best, _sharpest(grey, cut), key=lambda rim: rim.sharpness)
     if reason := _refusal(grey, best):
-        raise ConfigError(f"no visible circle found in the reference: {reason}")
+        raise ConfigError(f"found no visible circle in the reference: {reason}")
     return best.disc
 
 
 def _refusal(grey: U8, best: _Rim) -> str:
     """Why a rim is none; empty when it is one."""
     if best.strength < _LEAST_PATTERN:
-        return f"the pattern varies by {best.strength:.1f} grey levels, expected {_LEAST_PATTERN} or more"
+        return f"the pattern varies by {best.strength:.1f} grey levels, expected at least {_LEAST_PATTERN}"
     seen = rim_seen(grey.shape, best.disc)
     if seen < LEAST_RIM_SEEN:
-        return f"{100 * seen:.0f} % of the best rim lies in the image, expected {100 * LEAST_RIM_SEEN:.0f} % or more"
+        return f"{100 * seen:.0f} % of the best rim lies in the image, expected at least {100 * LEAST_RIM_SEEN:.0f} %"
     fall = _fall(grey, best.disc)
     if fall > _RIM_FALL:
         return (
@@ -187,14 +187,14 @@ def _textured_region(grey: U8, part: float) -> _Region:
     mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((7, 7), np.uint8))
     count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
     if count < 2:
-        raise ConfigError("no circle with a marker pattern found in the reference")
+        raise ConfigError("found no circle with a marker pattern in the reference")
     best = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
     contours, _ = cv2.findContours((labels == best).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     hull = cv2.convexHull(max(contours, key=cv2.contourArea))
     area = cv2.contourArea(hull)
     moments = cv2.moments(hull)
     if area < 0.02 * small.size or moments["m00"] == 0:
-        raise ConfigError("no circle with a marker pattern found in the reference: the pattern covers too little")
+        raise ConfigError("found no circle with a marker pattern in the reference: the pattern covers too little")
     radius = float(np.sqrt(area / np.pi))
     disc = Disc(
         row_c=float(moments["m01"] / moments["m00"]) * scale,
@@ -255,7 +255,7 @@ def _end_of_pattern(grey: U8, disc: Disc, low: float, high: float) -> _Rim:
     mean = np.convolve(profile, np.ones(n) / n, "valid")  # mean[i] covers i .. i+n-1
     inner, outer = mean[:-n], mean[n:]
     if inner.size == 0 or not inner.max() > 0:
-        raise ConfigError("no visible circle found in the reference: the pattern fills the image")
+        raise ConfigError("found no visible circle in the reference: the pattern fills the image")
     # A fall to nothing counts more than the larger fall from one row of markers to the next.
     fall = inner * (inner - outer) / (outer + 0.05 * inner.max())
     best = int(np.argmax(fall))
@@ -309,12 +309,12 @@ def _spectral_pitch_px(grey: U8, disc: Disc) -> float:
     low, high = int(size * 4 / half), int(size * 0.25)
     band = ring[low:high]
     if band.size < 8 or not band.max() > 0:
-        raise ConfigError("no marker pattern found in the reference: the visible circle is too small")
+        raise ConfigError("found no marker pattern in the reference: the visible circle is too small")
     smooth = np.convolve(band, np.ones(5) / 5, "same")
     peaks = np.flatnonzero((smooth[1:-1] >= smooth[:-2]) & (smooth[1:-1] > smooth[2:])) + 1
     strong = [int(p) for p in peaks if smooth[p] >= 0.3 * smooth.max()]
     if not strong or smooth.max() < 5 * np.median(smooth):
-        raise ConfigError("no marker pattern found in the reference: its spectrum has no clear ring")
+        raise ConfigError("found no marker pattern in the reference: its spectrum has no clear ring")
     first = strong[0]  # the lowest strong ring: a honeycomb's second ring can be the stronger one
     near = slice(max(first - 4, 0), first + 5)
     weights = smooth[near]

@@ -34,10 +34,10 @@ def reference_load_reason(preprocessor: Preprocessor) -> str:
     lone = (np.abs(residual) > threshold) & (np.abs(residual - elsewhere) > threshold)
     area_mm2 = float(np.count_nonzero(lone)) * preprocessor.cell_mm2
     if area_mm2 >= LOAD_MM2 * skin_scale(geometry) ** 2:
-        return f"the reference seems taken under load: {area_mm2:.0f} mm² of it differ from the skin around the centre"
+        return f"the skin seems pressed in the reference: {area_mm2:.0f} mm² differ from the skin around the centre"
     bend = radial_bend(g0, rho2, voting)
     if bend > LOAD_BEND_GREY:
-        return f"the reference seems taken under load in the middle: its profile bends by {bend:.0f} grey levels"
+        return f"the skin's centre seems pressed in the reference: its profile bends by {bend:.0f} grey levels"
     return ""
 
 

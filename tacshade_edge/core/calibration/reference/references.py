@@ -93,7 +93,9 @@ def check_references(
     names = names or [str(number) for number in range(1, len(greys) + 1)]
     warnings = []
     if len(greys) < NOISE_REFERENCES:
-        warnings.append(f"{len(greys)} reference: noise assumed to be {ASSUMED_NOISE_GREY} grey levels; 5 are better")
+        warnings.append(
+            f"references: found {len(greys)}, expected 5 to measure noise; assuming {ASSUMED_NOISE_GREY} grey levels"
+        )
     if load := reference_load_reason(Preprocessor(calibration, PROFILE)):
         warnings.append(_allowed(load, allow_loaded))
     disc = calibration.geometry.disc
@@ -106,13 +108,13 @@ def check_references(
                 f"reference {name}: {shift} since reference {names[0]}; fasten the camera and take all references again"
             )
         if change := shift or registration.light_drift_reason(drift):
-            warnings.append(f"reference {name}: {change} against reference {names[0]}")
+            warnings.append(f"reference {name}: {change} compared with reference {names[0]}")
     # A pressed reference raises the measured noise, and would hide behind it.
     preprocessor = Preprocessor(replace(calibration, noise_grey=ASSUMED_NOISE_GREY), PROFILE)
     gate = ContactGate(preprocessor)
     pressed = [name for name, grey in zip(names, greys, strict=True) if gate.opens(preprocessor.preprocess(grey))]
     if pressed:
-        load = f"reference {', '.join(pressed)}: seems pressed, it differs from the mean of all references"
+        load = f"reference {', '.join(pressed)} seems pressed: it differs from the mean of all references"
         warnings.append(_allowed(load, allow_loaded))
     return tuple(warnings)
 
@@ -144,11 +146,11 @@ def rezero(
         An image cannot be used, the camera moved too far for the calibration's geometry, or the skin is touched.
     """
     if not images:
-        raise ConfigError("no image to take a reference from")
+        raise ConfigError("found no image to take a reference from, expected at least one")
     greys = [greyscale.to_grey(image) for image in images]
     disc = calibration.geometry.disc
     check = sensor_check(calibration, unloaded=True)
-    refused = [f"reference refused: {name}: " for name in names] or ["reference refused: "] * len(greys)
+    refused = [f"rejected reference {name}: " for name in names] or ["rejected the reference: "] * len(greys)
     for grey, lead in zip(greys, refused, strict=True):
         if reason := invalid_reason(grey, check):
             raise ConfigError(f"{lead}{reason}")
@@ -160,10 +162,10 @@ def rezero(
             raise ConfigError(f"{lead}{shift}; fasten the camera where it was, or calibrate again")
         if drift.contrast < _WORN_CONTRAST:
             raise ConfigError(
-                f"{lead}{drift.contrast:.2f} times the contrast, expected {_WORN_CONTRAST} or more: "
+                f"{lead}found {drift.contrast:.2f} times the old contrast, expected at least {_WORN_CONTRAST}: "
                 "clean or focus the lens, or calibrate again"
             )
     renewed = with_reference(replace(calibration, crc32=0), greys)
     if not allow_loaded and (load := reference_load_reason(Preprocessor(renewed, PROFILE))):
-        raise ConfigError(f"reference refused: {load}")
+        raise ConfigError(f"rejected the reference: {load}")
     return renewed

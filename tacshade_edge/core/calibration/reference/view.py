@@ -52,9 +52,9 @@ class View:
     def advice(self) -> str:
         """What to fix; empty when nothing is to be."""
         if self.saturated_part > _SATURATED_PART:
-            return "too bright: less light, or a shorter exposure"
+            return "too bright: use less light or a shorter exposure"
         if self.contrast_grey < _CONTRAST_GREY:
-            return "too flat: more light, a longer exposure, a sharper lens"
+            return "too flat: use more light, a longer exposure or a sharper lens"
         return ""
 
 
@@ -76,7 +76,7 @@ def find_pattern(grey: U8, stated: Disc | None = None) -> Pattern:
         return Pattern(visible_disc(grey, stated), marker_pitch_px(grey, stated))
     scale = max(grey.shape[0] / _SEARCH_ROWS, 1.0)
     if min(grey.shape) < 16 * scale:
-        raise ConfigError(f"no visible circle found: the image is {grey.shape[1]}x{grey.shape[0]} px")
+        raise ConfigError(f"found no visible circle: the image is {grey.shape[1]}x{grey.shape[0]} px")
     small = cv2.resize(grey, None, fx=1 / scale, fy=1 / scale, interpolation=cv2.INTER_AREA)
     disc = find_disc(np.asarray(small, np.uint8))
     # Pixel centres are whole numbers: resizing keeps the image's corners, not its first pixel.

@@ -46,4 +46,4 @@ def require_mcap() -> None:
         import mcap.reader  # noqa: F401
     except ImportError as error:
         found = f"found no package {error.name}, which MCAP needs"
-        raise ConfigError(f"{found}, expected: {how_to_install('mcap')}") from None
+        raise ConfigError(f"{found}; to install it: {how_to_install('mcap')}") from None

@@ -68,7 +68,7 @@ class McapFrames:
             except ConfigError as error:  # one of several: the others have frames
                 if len(paths) == 1:
                     raise
-                damage.append(f"{error}; its frames are left out")
+                damage.append(f"{error}; leaving its frames out")
                 continue
             self._paths.append(path)
         stated = [span for span in spans if span is not None]
@@ -83,7 +83,7 @@ class McapFrames:
         self._unusable = 0
         for count, found in enumerate(self._messages()):
             if self._unusable > _UNUSABLE_MAX:
-                unusable = f"found {self._unusable} messages that cannot be used; skipping the rest"
+                unusable = f"found {self._unusable} unusable messages; skipping the rest"
                 error = DecodeError(f"{shown(self.topic)}: {unusable}")
                 yield Row(str(count), max(last_ns, 0), None), self._refusal(error), 0
                 return
@@ -158,7 +158,7 @@ class McapFrames:
         counts = file.summary.counts if file.summary else {}
         expected = sum(counts.get(channel.id, 0) for channel in channels.values() if channel.topic == self.topic)
         if expected - images > damaged:
-            found = f"{images} messages of {shown(self.topic)}, expected {expected} from the file's own count"
+            found = f"{images} messages of {shown(self.topic)}, expected {expected} by the file's own count"
             yield Damage(DecodeError(f"{shown(path)}: found {found}; the others are lost"))
 
     def _row(self, count: int, message: Message, about: dict[str, Any]) -> Row:
@@ -168,7 +168,7 @@ class McapFrames:
                 raise DecodeError(f"found the time {message.log_ns}, expected at most 2^62 ns")
             return Row(str(count), message.log_ns, None)
         if about.get("seq") != message.sequence:
-            raise DecodeError("found no time for it, expected a message before it on the channel frame")
+            raise DecodeError("found no time for this image, expected a message before it on the channel frame")
         name, t_ns = about.get("image"), _whole(about, "t_ns", T_NS_MAX)
         if not isinstance(name, str) or len(name) > _NAME_CHARS_MAX:
             raise DecodeError(f"image: found {_short(name)}, expected at most {_NAME_CHARS_MAX} characters")
@@ -177,7 +177,7 @@ class McapFrames:
             return Row(name, t_ns, None)
         values = [_number(key, value) for key, value in zip(POSE_KEYS, found, strict=True)]
         if abs((norm := math.hypot(*values[3:])) - 1) > UNIT_TOLERANCE:
-            raise DecodeError(f"qw, qx, qy, qz: found the norm {norm:.4g}, expected a unit quaternion")
+            raise DecodeError(f"qw, qx, qy, qz: found a quaternion of length {norm:.4g}, expected 1")
         return Row(name, t_ns, Pose(t_ns, *values), _whole(about, "pose_error_us", ERROR_US_MAX))
 
 
@@ -200,7 +200,7 @@ def _topic_of(paths: Sequence[Path]) -> tuple[str, bool]:
     if len(topics) == 1:
         return topics.pop(), False
     named = quoted(", ".join(sorted(topics)), _NAME_CHARS_MAX).strip("'")
-    count = f"{len(topics)} topics of images ({named})" if topics else "no topic of images"
+    count = f"{len(topics)} image topics ({named})" if topics else "no image topic"
     expected = ", ".join(f"{schema} in {encoding}" for schema, encoding in DECODERS)
     raise ConfigError(f"{shown(paths[0])}: found {count}, expected one: {expected}{damage}")
 

@@ -102,7 +102,7 @@ class McapFile:
                 yield Damage(DecodeError(found))
             if self._unpacked > self._unpacked_max:
                 found = f"{self._name}: skipping everything after byte {place.end}: found more than "
-                expected = f"{self._unpacked_max} bytes in it, expected at most {UNPACKED_MAX} times the file's size"
+                expected = f"{self._unpacked_max} unpacked bytes, expected at most {UNPACKED_MAX} times the file's size"
                 yield Damage(DecodeError(found + expected))
                 return
 
@@ -118,7 +118,7 @@ class McapFile:
         crc = self._number("<I", place.end - 4)
         data = self._file.block(data_at, size)
         if crc and zlib.crc32(data, zlib.crc32(self._file.block(place.body, data_at - place.body))) != crc:
-            raise ValueError("the checksum is not its own")
+            raise ValueError("its checksum does not match")
         return data
 
     def attachment_name(self, place: Place) -> str:
@@ -187,7 +187,7 @@ def attachments_in(path: Path, bytes_max: dict[str, int]) -> tuple[dict[str, byt
                 try:  # one of another name may have had one of these
                     data = file.attachment(place, bytes_max.get(name, CHUNK_BYTES_MAX))
                 except ValueError as error:
-                    damage.append(f"{shown(path)}: its {shown(name)} is left out: {error}")
+                    damage.append(f"{shown(path)}: leaving its {shown(name)} out: {error}")
                     continue
                 if name in bytes_max:
                     found[name] = data
@@ -221,7 +221,7 @@ def _unpacked(chunk: memoryview) -> bytes | memoryview:
     else:
         raise ValueError(f"found the compression {quoted(compression.decode('utf-8', 'replace'))}, expected zstd, lz4")
     if len(data) != size or (crc and zlib.crc32(data) != crc):
-        raise ValueError("the checksum is not its own")
+        raise ValueError("its checksum does not match")
     return data
 
 

@@ -73,20 +73,20 @@ def read_summary(file: ByteFile) -> tuple[Summary | None, str]:
     if footer_at < len(MAGIC) or file.block(file.size - len(MAGIC), len(MAGIC)) != MAGIC:
         return None, ""
     if file.head(footer_at) != (Kind.FOOTER, _FOOTER.size):
-        return None, "the index at its end is damaged and not used"
+        return None, "ignoring the damaged index at its end"
     begin, _, crc = _FOOTER.unpack(file.at(footer_at + HEAD.size, _FOOTER.size))
     if begin == 0:
         return None, ""
     if not len(MAGIC) <= begin <= footer_at:
-        return None, "the index at its end is damaged and not used"
+        return None, "ignoring the damaged index at its end"
     if footer_at - begin > SUMMARY_BYTES_MAX:
-        return None, f"the index at its end is larger than {SUMMARY_BYTES_MAX >> 20} MiB and not used"
+        return None, f"ignoring the index at its end, which exceeds {SUMMARY_BYTES_MAX >> 20} MiB"
     if crc and zlib.crc32(file.block(begin, footer_at + HEAD.size + _FOOTER.size - 4 - begin)) != crc:
-        return None, "the index at its end is damaged and not used"
+        return None, "ignoring the damaged index at its end"
     try:
         return _read(file, begin, footer_at), ""
     except (ValueError, struct.error):
-        return None, "the index at its end is damaged and not used"
+        return None, "ignoring the damaged index at its end"
 
 
 def schema_in(body: bytes | memoryview) -> SchemaName:

@@ -69,7 +69,7 @@ def places(file: ByteFile, name: str, summary: Summary | None) -> Iterator[Place
     in_chunks = True if summary is not None and summary.in_chunks else None
     passed_over = 0
     if file.at(0, len(MAGIC)) != MAGIC:
-        yield _damage(name, 0, len(MAGIC), "they are not those of an MCAP file")
+        yield _damage(name, 0, len(MAGIC), "no MCAP file starts with them")
     while at < end:
         head = file.head(at)
         if head is not None and file.is_sound(at):
@@ -95,7 +95,7 @@ def places(file: ByteFile, name: str, summary: Summary | None) -> Iterator[Place
         if passed_over > _PASSED_OVER_MAX:
             following = None
         at, begin = end if following is None else following, at
-        yield _damage(name, begin, at, "no record begins there that is as long as it says")
+        yield _damage(name, begin, at, "no record of the stated length begins there")
 
 
 def _damage(name: str, begin: int, end: int, why: str) -> Damage:

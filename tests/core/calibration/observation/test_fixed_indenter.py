@@ -55,5 +55,5 @@ def test_a_ball_about_whose_centre_the_sensor_turns_keeps_its_centre(angle: tupl
 
 
 def test_beside_the_skin() -> None:
-    with pytest.raises(ValueError, match=r"x 21\.0, y 0\.0 mm is beside a skin of radius 20 mm"):
+    with pytest.raises(ValueError, match=r"x 21\.0, y 0\.0 mm lies outside a skin of radius 20 mm"):
         fixed_indenter(Rigid(np.eye(3), np.zeros(3)), Touch(21.0, 0.0, 1.0), 3.0, R_MM)

@@ -44,12 +44,13 @@ def test_places_close_together_or_on_one_side() -> None:
 
 def test_depths_alike_or_none_deep() -> None:
     alike = [replace(o, depth_mm=1 + k / 46) for k, o in enumerate(PRESSES)]
-    assert "all 1.0 to 1.5 mm deep: other depths are a guess; add some from 0.5 to 4.0 mm" in missing(alike)
+    assert "all presses are 1.0 to 1.5 mm deep: other depths are a guess; add some from 0.5 to 4.0 mm" in missing(alike)
     assert "no press is deeper than 1.9 mm" in missing([replace(o, depth_mm=o.depth_mm / 2) for o in PRESSES])
 
 
 @pytest.mark.parametrize(
-    ("radii", "wanted"), [((6.0, 6.0), "one ball radius, 6 mm"), ((5.0, 6.0), "ball radii of 5 to 6")]
+    ("radii", "wanted"),
+    [((6.0, 6.0), "all balls have a radius of 6 mm"), ((5.0, 6.0), "all balls have radii of 5 to 6")],
 )
 def test_ball_radii_alike(radii: tuple[float, float], wanted: str) -> None:
     assert wanted in missing([replace(o, radius_mm=radii[k % 2]) for k, o in enumerate(PRESSES)])
@@ -57,15 +58,15 @@ def test_ball_radii_alike(radii: tuple[float, float], wanted: str) -> None:
 
 def test_following_the_advice_covers_everything() -> None:
     presses = [replace(PRESSES[0], x_mm=1.0, y_mm=0.0, depth_mm=2.0, radius_mm=6.0)]
-    assert "; one ball radius, 6 mm: " in advice(presses, GEOMETRY)
+    assert "; all balls have a radius of 6 mm: " in advice(presses, GEOMETRY)
     while missing_coverage(presses, GEOMETRY):
         assert len(presses) < 30
         x_mm, y_mm, depth_mm = widest_gap(presses, GEOMETRY)
-        assert f"next helps most a press around x {x_mm:.0f}, y {y_mm:.0f} mm, {depth_mm:.1f} mm deep" in advice(
+        assert f"the next press helps most around x {x_mm:.0f}, y {y_mm:.0f} mm, {depth_mm:.1f} mm deep" in advice(
             presses, GEOMETRY
         )
         assert math.hypot(x_mm, y_mm) <= 0.67 * VISIBLE_MM
         assert 0.5 <= depth_mm <= 4.0
         radius_mm = (3.0, 6.0, 9.0)[len(presses) % 3]
         presses.append(replace(presses[0], x_mm=x_mm, y_mm=y_mm, depth_mm=depth_mm, radius_mm=radius_mm))
-    assert advice(presses, GEOMETRY).startswith("nothing is missing in 16 presses; most helps one more around x ")
+    assert advice(presses, GEOMETRY).startswith("16 presses cover everything; one more helps most around x ")

@@ -38,7 +38,7 @@ def test_a_constant_offset_is_measured(off_mm: float) -> None:
     found_mm, balls = set_of(24, 1)
     assert zero_hint(found_mm, balls, GEOMETRY) == ""
     hint = zero_hint(found_mm, [lower(ball, off_mm) for ball in balls], GEOMETRY)
-    change = hint.removeprefix("the depths fit better if all are ").removesuffix(": check the zero of the depth")
+    change = hint.removeprefix("the depths fit better if all are ").removesuffix(": check where depth is zero")
     size, unit, direction = change.split(" ")
     assert (unit, direction) == ("mm", "less" if off_mm > 0 else "more")
     assert float(size) == pytest.approx(0.8, abs=0.25)
@@ -77,7 +77,8 @@ def less_first_touch(press: KnownPress) -> float:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("off_mm", "wanted"), [(0.0, ""), (-0.7, "mm more: check the zero"), (0.7, "mm less: check the zero")]
+    ("off_mm", "wanted"),
+    [(0.0, ""), (-0.7, "mm more: check where depth is zero"), (0.7, "mm less: check where depth is zero")],
 )
 def test_a_simulated_sensor(presses: list[KnownPress], off_mm: float, wanted: str) -> None:
     hints = [warning for warning in warnings_of(stated_as(presses, lambda _: off_mm)) if "fit better" in warning]

@@ -70,13 +70,13 @@ def test_both_values_are_named() -> None:
     deeper = replace(presses[k], depth_mm=true_mm + 2.5 * scale)
     (found,) = outliers([*presses[:k], deeper, *presses[k + 1 :]], geometry)
     assert found.index == k
-    assert found.reason.startswith(f"press {k}: depth {deeper.depth_mm:.2f} mm is stated, ")
-    predicted_mm = float(found.reason.split("is stated, ")[1].split(" mm")[0])
+    assert found.reason.startswith(f"press {k}: found a depth of {deeper.depth_mm:.2f} mm, expected ")
+    predicted_mm = float(found.reason.split("expected ")[1].split(" mm")[0])
     assert abs(predicted_mm - true_mm) < abs(predicted_mm - deeper.depth_mm) / 3
     beside = replace(presses[k], x_mm=x_mm + 6 * scale)
     (found,) = outliers([*presses[:k], beside, *presses[k + 1 :]], geometry)
-    assert found.reason.startswith(f"press {k}: x {x_mm + 6 * scale:.1f}, y {y_mm:.1f} mm is stated, x ")
-    assert found.reason.endswith("mm is what the image shows")
+    assert found.reason.startswith(f"press {k}: found x {x_mm + 6 * scale:.1f}, y {y_mm:.1f} mm, expected x ")
+    assert found.reason.endswith("mm, as the image shows")
 
 
 @pytest.mark.parametrize("seed", SEEDS)

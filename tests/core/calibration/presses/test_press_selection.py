@@ -29,7 +29,7 @@ def shifted(image: U8, px: int) -> U8:
 
 
 def test_too_few_presses() -> None:
-    with pytest.raises(ConfigError, match=f"7 presses: at least {MIN_PRESSES} are needed"):
+    with pytest.raises(ConfigError, match=f"found 7 presses, expected at least {MIN_PRESSES}"):
         fitted(presses()[:7])
 
 
@@ -47,8 +47,8 @@ def test_a_ball_that_cannot_be(radius_mm: float) -> None:
 
 def test_press_images_that_cannot_be_used() -> None:
     for image, reason in {
-        "size": (presses()[0].image[:-2], "320x238 px, the reference is 320x240"),
-        "black": (presses()[0].image * 0, "not usable: black"),
+        "size": (presses()[0].image[:-2], "found 320x238 px, expected 320x240 px like the reference"),
+        "black": (presses()[0].image * 0, "unusable: black"),
     }.values():
         with pytest.raises(ConfigError, match=f"press 0: {reason}"):
             fitted([replace(presses()[0], image=image), *presses()[1:]])
@@ -58,7 +58,7 @@ def test_a_press_that_disagrees_is_named_and_left_out() -> None:
     wrong = replace(presses()[6], depth_mm=presses()[6].depth_mm + 2.5)
     result = fitted([*presses()[:6], wrong, *presses()[7:]])
     (warning,) = result.warnings
-    assert warning.startswith(f"press 6: depth {wrong.depth_mm:.2f} mm is stated, ")
+    assert warning.startswith(f"press 6: found a depth of {wrong.depth_mm:.2f} mm, expected ")
     assert warning.endswith("; left out")
     assert result.calibration.fit is not None
     assert result.calibration.fit.presses == 19
@@ -66,7 +66,7 @@ def test_a_press_that_disagrees_is_named_and_left_out() -> None:
 
 def test_too_many_that_disagree_are_refused() -> None:
     far = [replace(p, x_mm=(p.x_mm or 0) + (6 if k % 2 else -6)) if k % 3 else p for k, p in enumerate(presses())]
-    with pytest.raises(ConfigError, match=r"of 20 presses cannot be used; press \d+: x "):
+    with pytest.raises(ConfigError, match=r"of 20 presses are unusable; press \d+: found x "):
         fitted(far)
 
 
@@ -83,8 +83,8 @@ GROSS: dict[str, tuple[Change, str]] = {
     "diameters": (lambda p: replace(p, radius_mm=2 * p.radius_mm), r"radius_mm: .* 0\.[56] times .* diameters\?"),
     "halved": (lambda p: replace(p, radius_mm=p.radius_mm / 2), r"radius_mm: .* times .* halved\?"),
     "swapped": (lambda p: replace(p, x_mm=p.y_mm, y_mm=p.x_mm), r"x_mm, y_mm: .* if x and y are swapped"),
-    "-x": (lambda p: replace(p, x_mm=-(p.x_mm or 0)), r"x_mm, y_mm: .* if x has the other sign"),
-    "-y": (lambda p: replace(p, y_mm=-(p.y_mm or 0)), r"x_mm, y_mm: .* if y has the other sign"),
+    "-x": (lambda p: replace(p, x_mm=-(p.x_mm or 0)), r"x_mm, y_mm: .* if x has the opposite sign"),
+    "-y": (lambda p: replace(p, y_mm=-(p.y_mm or 0)), r"x_mm, y_mm: .* if y has the opposite sign"),
 }
 
 
@@ -145,7 +145,7 @@ def test_a_camera_that_moved_at_a_press_or_for_all_of_them() -> None:
     (warning,) = fitted(far).warnings
     assert warning.startswith("press 0: the image moved by 5.0 px")
     assert warning.endswith("since the references were taken; left out")
-    with pytest.raises(ConfigError, match=r"20 of 20 presses cannot be used; press 0: the image moved by"):
+    with pytest.raises(ConfigError, match=r"20 of 20 presses are unusable; press 0: the image moved by"):
         fitted([replace(press, image=shifted(press.image, 5)) for press in presses()])
 
 
@@ -166,7 +166,7 @@ def test_one_ball_of_another_radius_is_named_and_left_out() -> None:
     doubled = replace(presses()[deep], radius_mm=2 * presses()[deep].radius_mm)
     table = [doubled if k == deep else press for k, press in enumerate(presses())]
     (warning,) = calibrate(sensor_of(HALF), references(), table, networks=ACCURATE).warnings
-    assert warning.startswith(f"press {deep}: a ball of {doubled.radius_mm:g} mm is stated, one of about ")
+    assert warning.startswith(f"press {deep}: found a ball of {doubled.radius_mm:g} mm, expected about ")
     assert warning.endswith("its diameter?; left out")
 
 
@@ -175,7 +175,7 @@ def test_one_press_with_x_and_y_swapped_is_named_and_left_out() -> None:
     press = presses()[apart]
     table = [replace(p, x_mm=p.y_mm, y_mm=p.x_mm) if p is press else p for p in presses()]
     (warning,) = calibrate(sensor_of(HALF), references(), table, networks=ACCURATE).warnings
-    assert warning.startswith(f"press {apart}: x {press.y_mm:.1f}, y {press.x_mm:.1f} mm is stated, ")
+    assert warning.startswith(f"press {apart}: found x {press.y_mm:.1f}, y {press.x_mm:.1f} mm, expected ")
 
 
 @pytest.mark.parametrize(("name", "pitch_mm"), [("61", 1.27), ("other:53", 1.32)])

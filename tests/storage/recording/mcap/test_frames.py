@@ -117,7 +117,7 @@ def test_a_damaged_chunk_is_told_and_passed_over(tmp_path: Path) -> None:
     assert 25 <= len(frames) < 40
     assert len(refused) == 2
     assert "is damaged; skipping it" in refused[0]
-    assert f"found {len(frames)} messages of /tacshade/left/camera, expected 40 from the file's own count" in refused[1]
+    assert f"found {len(frames)} messages of /tacshade/left/camera, expected 40 by the file's own count" in refused[1]
 
 
 @pytest.mark.slow
@@ -191,7 +191,7 @@ def test_a_file_of_several_that_is_none_is_told_and_the_others_are_read(tmp_path
     (tmp_path / "000.mcap").write_bytes(ours(3))
     (tmp_path / "001.mcap.part").write_bytes(b"")
     recording = Recording(tmp_path)
-    assert "001.mcap.part: not an MCAP file; its frames are left out" in recording.damage
+    assert "001.mcap.part: not an MCAP file; leaving its frames out" in recording.damage
     assert len(every(tmp_path)[0]) == 3
 
 
@@ -267,7 +267,7 @@ def test_a_bag_of_ros_2(tmp_path: Path) -> None:
 
 def test_what_has_no_one_topic_of_images_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "rec.mcap"
-    for topics, found in (([], "no topic of images"), (["/a", "/b"], "2 topics of images (/a, /b)")):
+    for topics, found in (([], "no image topic"), (["/a", "/b"], "2 image topics (/a, /b)")):
         with path.open("wb") as stream:
             writer = Writer(stream)
             writer.start()
@@ -292,7 +292,7 @@ def test_what_is_told_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     read, refused = every(_written(tmp_path, file_of(inside)))
     assert read == []
     assert len(refused) == 12
-    assert refused[-1] == "/cam: found 11 messages that cannot be used; skipping the rest"
+    assert refused[-1] == "/cam: found 11 unusable messages; skipping the rest"
 
 
 @pytest.mark.parametrize(

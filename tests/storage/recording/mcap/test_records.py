@@ -153,7 +153,7 @@ def test_an_attachment_that_seems_shorter_is_not_taken_for_one_without_a_checksu
     path.write_bytes(whole[:at] + bytes([17 - 4]) + whole[at + 1 :])
     found, told = attachments_in(path, {"a": 100})
     assert found == {}
-    assert told == [f"{path}: its a is left out: found 13 bytes, expected 17 before its checksum"]
+    assert told == [f"{path}: leaving its a out: found 13 bytes, expected 17 before its checksum"]
 
 
 def test_attachments(tmp_path: Path) -> None:
@@ -167,16 +167,16 @@ def test_attachments(tmp_path: Path) -> None:
     assert attachments_in(path, {"a": 100, "b": 100, "d": 100}) == ({"a": b"last", "b": b"12345678"}, [])
     found, told = attachments_in(path, {"a": 100, "b": 7})
     assert found == {"a": b"last"}
-    assert told == [f"{path}: its b is left out: found 8 bytes, expected at most 7"]
+    assert told == [f"{path}: leaving its b out: found 8 bytes, expected at most 7"]
     whole = path.read_bytes()
     path.write_bytes(flipped(whole, whole.index(b"12345678") + 2, 3))
     found, told = attachments_in(path, {"a": 100, "b": 100})
     assert found == {"a": b"last"}
-    assert told == [f"{path}: its b is left out: the checksum is not its own"]
+    assert told == [f"{path}: leaving its b out: its checksum does not match"]
     path.write_bytes(flipped(whole, whole.index(b"12345678") - 8 - len("text/plain") - 4 - 1, 0))  # its name
     found, told = attachments_in(path, {"a": 100, "b": 100})
     assert found == {"a": b"last"}
-    assert told == [f"{path}: its c is left out: the checksum is not its own"]
+    assert told == [f"{path}: leaving its c out: its checksum does not match"]
     for bit in (0, 33, 63):  # of the length of its data
         path.write_bytes(flipped(whole, whole.index(b"12345678") - 8 + bit // 8, bit % 8))
         found, told = attachments_in(path, {"a": 100, "b": 100})
