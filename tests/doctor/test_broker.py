@@ -226,4 +226,4 @@ def test_a_slow_round_trip() -> None:
     assert judge_round_trip(1.2) == ok("broker round trip", "38 KB there and back in 1.2 ms")
     slow = judge_round_trip(41)
     assert slow.state == "warning"
-    assert slow.fix.startswith("set_tcp_nodelay true")
+    assert slow.fix.startswith("add set_tcp_nodelay true")

@@ -105,7 +105,7 @@ def test_glare() -> None:
     image[100:130, 150:180] = 255
     sensor = judged([image])["sensor"]
     assert sensor.state == "warning"
-    assert sensor.found.startswith("glare: ")
+    assert sensor.found.startswith("glare hides ")
     assert "shade it" in sensor.fix
 
 

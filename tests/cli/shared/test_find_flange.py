@@ -27,7 +27,7 @@ def test_what_it_prints_goes_into_the_settings(tmp_path: Path, capsys: pytest.Ca
     first, settings, delay = capsys.readouterr().out.splitlines()
     about = json.loads((tmp_path / "flange.json").read_text())
     assert about["flange_T_sensor"] == pytest.approx(TRUE.seven(), abs=0.3)
-    assert first.startswith(f"{tmp_path / 'flange.json'}: 100 presses, 9.")
+    assert first.startswith(f"{tmp_path / 'flange.json'}: 100 presses; 9.")
     assert settings.startswith("in SENSOR.yaml, then calibrate again: flange_T_sensor: [")
     line = settings.partition("[")[2].partition("]")[0]
     assert [float(value) for value in line.split(",")] == pytest.approx(about["flange_T_sensor"], rel=1e-5, abs=1e-5)

@@ -83,7 +83,7 @@ def test_what_is_no_sensor_is_refused_in_one_line(name: str) -> None:
 
 @pytest.mark.parametrize("cell", [1, 3, 8, 20])
 def test_a_pattern_that_ends_only_with_the_image_has_no_circle(cell: int) -> None:
-    with pytest.raises(ConfigError, match=r"visible circle found|covers too little|no circle"):
+    with pytest.raises(ConfigError, match=r"found no visible circle|covers too little|no circle"):
         find_disc(board(cell))
 
 
