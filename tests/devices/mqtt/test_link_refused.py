@@ -27,7 +27,7 @@ class TestRefused:
             wrong = Rig(broker.port, username="sensor", password="wrong")
             wrong.link.start()
             wait_until(lambda: code(wrong) is ReasonCode.REFUSED, 5, "the reason")
-            assert str(wrong.link.reason) == f"127.0.0.1:{broker.port}: refused: Not authorized"
+            assert str(wrong.link.reason) == f"127.0.0.1:{broker.port}: rejects the connection: Not authorized"
             assert not wrong.link.connected
             wrong.link.stop(2)
             Rig(broker.port, username="sensor", password="right").connect().link.stop(2)
