@@ -117,7 +117,10 @@ def readme() -> Claims:
     real = Page("real-raw")
     order, off = real.cell("rank correlation", *depth), real.cell("mean error", *depth)
     presses = real.cell("frames", *depth)
-    yield f"**{order}** rank correlation of depth, {off} mm off after a linear fit | {presses} presses of a real TacTip"
+    yield (
+        f"**{order}** rank correlation of depth, {off} mm mean error after a linear fit | "
+        f"{presses} presses of a real TacTip"
+    )
     latency = Page("daemon")
     yield f"**{latency.cell('p50 ms', 'contact')} ms** latency, 99 % within {latency.cell('p99 ms', 'contact')} ms"
     frame_ms = Page("arm").cell("Pi 5 (Cortex-A76, 2.4 GHz), ms", "balanced", "contact").split(" to ")
@@ -315,7 +318,7 @@ def recording() -> Claims:
     text = (ROOT / "docs" / "results" / "recording.md").read_text(encoding="utf-8")
     grey, colour = (re.findall(rf"^{name}, recorder: ([\d.]+) ms, (\d+) kB$", text, re.MULTILINE)[0] for name in SHOWN)
     cores = sorted(extra_cores(row) for row in ("recording", "recording, mcap"))
-    yield f"{cores[0]} to {cores[1]} of a core more"
+    yield f"an extra {cores[0]} to {cores[1]} of a core:"
     yield f"{grey[0]} ms to encode a frame of {grey[1]} kB, {colour[0]} ms for one of {colour[1]} kB in colour"
 
 
@@ -447,7 +450,7 @@ def flange() -> Claims:
         for column in ("mm: median, worst; within 0.5", "degrees; within 0.7", "ms; within 5")
     )
     assert ms_in == "20 of 20"
-    yield f"the medians were {mm} mm, {deg}° and {ms} ms"
+    yield f"the median errors were {mm} mm, {deg}° and {ms} ms"
     yield f"{int(mm_in.split()[0])} were within 0.5 mm, {int(deg_in.split()[0])} within 0.7°, all within 5 ms"
 
 
@@ -504,7 +507,7 @@ def servo() -> Claims:
     touches = [int(cell) for cell in page.cells("touches a second")]
     ages = [int(cell) for cell in page.cells("their age, ms")]
     span = f"{min(touches)}" if min(touches) == max(touches) else f"{min(touches)} to {max(touches)}"
-    yield f"took {span} touches a second, {min(ages)} to {max(ages)} ms old in the median"
+    yield f"received {span} touches a second, with a median age of {min(ages)} to {max(ages)} ms"
 
 
 AWAITED = pytest.mark.xfail(
