@@ -314,7 +314,7 @@ class FoxgloveBridge:
             if known.shown is not None and sensor_id not in best:
                 known.close()
                 _log.warning(
-                    "no longer showing %s: the limit is %d sensors, and others publish more",
+                    "no longer showing %s: the limit is %d sensors, and others publish more often",
                     sensor_id,
                     SENSORS_MAX,
                 )

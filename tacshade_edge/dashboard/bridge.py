@@ -137,7 +137,7 @@ async def _to_page(reader: asyncio.StreamReader, page: ServerConnection) -> None
             async with asyncio.timeout(STALL_S):
                 await page.send(chunk)
         except TimeoutError:
-            _log.warning("closed a page that read nothing for %.0f s", STALL_S)
+            _log.warning("disconnected a page that read nothing for %.0f s", STALL_S)
             page.transport.abort()
             return
 
