@@ -184,6 +184,6 @@ def test_a_robots_line_is_shared_and_one_may_have_its_own_or_none(tmp_path: Path
         Serial(device="/dev/ttyACM1"),
     ]
     path = write(tmp_path, f"serial: {{device: /dev/ttyACM0}}\n{TWO}    serial: {{baud: 9600}}\n")
-    said = "13: sensors.index.serial: found another baud, expected that of sensors.thumb on the same port"
+    said = "13: sensors.index.serial: found a different baud, expected that of sensors.thumb on this port"
     with pytest.raises(ConfigError, match=said):
         load_all(path)
