@@ -58,7 +58,7 @@ class TestRefused:
         told = [record for record in caplog.records if record.levelno >= logging.WARNING]
         assert [record.getMessage() for record in told] == [
             f"127.0.0.1:{broker.port}: rejects {BASE}/state: Not authorized, expected access rules (ACL) that allow "
-            f"this user to write {BASE}/#; rejections of other topics are not logged"
+            f"this user to publish to {BASE}/#; further rejections are not logged"
         ]
 
     def test_a_stream_that_alone_is_denied_is_refused_and_the_others_go_out(self, tmp_path: Path) -> None:
