@@ -221,7 +221,7 @@ class Listener(Iterator[Message]):
             self._came.wait_for(lambda: self._subscribed or self._failure, _FIRST_S)
             if not self._subscribed:
                 text, code = self._failure or ("no answer", ReasonCode.NO_ANSWER)
-                raise DeviceError(f"{self._where}: {text}; expected a broker with {self._base}", code=code)
+                raise DeviceError(f"{self._where}: {text}; expected a broker that carries {self._base}", code=code)
 
     def _subscribe(self, topics: Collection[str]) -> None:
         # With QoS 1 a broker drops what is more than its queue has room for: of many retained messages the most.

@@ -153,7 +153,7 @@ class _Sensor:
     def _height(self, payload: bytes) -> None:
         message = wire.decode(payload)
         if not isinstance(message, HeightMessage):
-            raise DecodeError("height: found another kind of payload, expected a height map")
+            raise DecodeError("height: found a different payload, expected a height map")
         known = self._info.geometry
         if known is not None and (message.height_mm > known.skin_radius_mm).any():
             raise DecodeError(
@@ -172,7 +172,7 @@ class _Sensor:
     def _cloud(self, payload: bytes) -> CloudMessage:
         message = wire.decode(payload)
         if not isinstance(message, CloudMessage):
-            raise DecodeError("cloud: found another kind of payload, expected a point cloud")
+            raise DecodeError("cloud: found a different payload, expected a point cloud")
         return message
 
     def _pose(self, message: HeightMessage | CloudMessage) -> None:
@@ -314,7 +314,7 @@ class FoxgloveBridge:
             if known.shown is not None and sensor_id not in best:
                 known.close()
                 _log.warning(
-                    "no longer showing %s: the limit is %d sensors, and others publish more",
+                    "no longer showing %s: the limit is %d sensors, and others publish more often",
                     sensor_id,
                     SENSORS_MAX,
                 )

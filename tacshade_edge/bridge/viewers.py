@@ -279,7 +279,7 @@ class Viewers:
                 self.passed_over += viewer.passed_over
             sending.cancel()
             if viewer.passed_over:
-                _log.info("a viewer left; it was too slow for %d messages", viewer.passed_over)
+                _log.info("a viewer left; it was too slow to receive %d messages", viewer.passed_over)
             self._on_change()
 
     async def _send_all(self, viewer: _Viewer) -> None:
@@ -292,7 +292,7 @@ class Viewers:
                         async with asyncio.timeout(_STALL_S):
                             await viewer.socket.send(message)
                     except TimeoutError:
-                        _log.warning("closed a viewer that read nothing for %.0f s", _STALL_S)
+                        _log.warning("disconnected a viewer that read nothing for %.0f s", _STALL_S)
                         viewer.socket.transport.abort()
                         return
 

@@ -311,7 +311,7 @@ class Session:
         if not rest and self._robot:
             if self._robot.known((indenter, radius_mm)):
                 return indenter, radius_mm
-            raise ConfigError(f"found no press of {indenter} with depth, x and y since the start, expected one first")
+            raise ConfigError(f"found no press of {indenter} in this run, expected one with depth, x and y first")
         if len(rest) not in (1, 3):
             raise ConfigError(f"found {len(rest)} numbers after the indenter, expected depth, or depth, x, y in mm")
         depth_mm, x_mm, y_mm = rest if len(rest) == 3 else (rest[0], "", "")

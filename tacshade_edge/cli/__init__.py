@@ -26,7 +26,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "calibrate": ("calibrate", "turn references and ball presses into a calibration file"),
     "reconstruct": ("reconstruct", "turn images into height maps, point clouds and a summary"),
     "record": ("record", "ask the running daemon to make a recording, which `replay` can read"),
-    "replay": ("replay", "reconstruct a recording again, into files or to a broker; compare two runs"),
+    "replay": ("replay", "reconstruct a recording again, to files or a broker, or compare two runs"),
     "export": ("export", "convert a recording to MCAP, a LeRobot data set, CSV or PLY for other tools"),
     "dashboard": ("dashboard", "serve a live page for the browser: height maps, 3-D view, health; works offline"),
     "bridge": ("bridge", "serve live data to other tools: Foxglove, Lichtblick and Prometheus"),

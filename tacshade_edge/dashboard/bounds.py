@@ -64,7 +64,7 @@ def bounded(bounds: Bounds) -> type[ServerConnection]:
         def data_received(self, data: bytes) -> None:
             super().data_received(data)
             if self.transport.get_write_buffer_size() > UNSENT_BYTES_MAX:
-                _log.warning("closed a page that sends but does not read")
+                _log.warning("disconnected a page that sends but does not read")
                 self.transport.abort()
 
     return Connection

@@ -124,7 +124,7 @@ async def _to_broker(page: ServerConnection, writer: asyncio.StreamWriter, only:
         try:
             writer.write(only.passed(message) if only else message)
         except DecodeError as refused:
-            _log.warning("closed a page: %s", refused)
+            _log.warning("disconnected a page: %s", refused)
             await page.close(_NOT_ALLOWED, _short(str(refused)))
             return
         await writer.drain()
@@ -137,7 +137,7 @@ async def _to_page(reader: asyncio.StreamReader, page: ServerConnection) -> None
             async with asyncio.timeout(STALL_S):
                 await page.send(chunk)
         except TimeoutError:
-            _log.warning("closed a page that read nothing for %.0f s", STALL_S)
+            _log.warning("disconnected a page that read nothing for %.0f s", STALL_S)
             page.transport.abort()
             return
 

@@ -77,7 +77,7 @@ def _check_connect(packet: bytes) -> None:
     assert found is not None  # its length was read before
     at = found[1]
     if packet[at : at + 6] != b"\0\4MQTT" or packet[at + 6] not in (4, 5):
-        raise DecodeError("found another protocol, expected MQTT 3.1.1 or 5")
+        raise DecodeError("found an unsupported protocol, expected MQTT 3.1.1 or 5")
     version, flags = packet[at + 6], packet[at + 7]
     if flags & _WILL:
         raise DecodeError("read-only: found a last will, expected none")
@@ -89,7 +89,7 @@ def _check_connect(packet: bytes) -> None:
     length = packet[at] << 8 | packet[at + 1]
     client_id = packet[at + 2 : at + 2 + length]
     if client_id and not client_id.startswith(CLIENT_ID):
-        raise DecodeError(f"read-only: found another client identifier, expected {CLIENT_ID.decode()}...")
+        raise DecodeError(f"read-only: found a wrong client identifier, expected {CLIENT_ID.decode()}...")
 
 
 def _after_properties(packet: bytes, at: int) -> int:
@@ -101,7 +101,7 @@ def _after_properties(packet: bytes, at: int) -> int:
     while at < end:
         identifier = packet[at]
         if identifier not in _PROPERTIES:
-            raise DecodeError(f"read-only: found property {identifier} in CONNECT, which no page sends")
+            raise DecodeError(f"read-only: found property {identifier} in CONNECT, expected one that a page sends")
         value = packet[at + 1 : at + 1 + _PROPERTIES[identifier]]
         if identifier == _SESSION_EXPIRY and any(value):
             raise DecodeError("read-only: found a persistent session, expected one that ends with its connection")

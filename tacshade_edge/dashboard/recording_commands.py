@@ -80,7 +80,7 @@ class RecordingCommands:
         elif action == "play":
             await self._play(page, await asyncio.to_thread(recordings.find, folder, name))
         else:
-            raise DeviceError("found another action, expected list, download, delete or play")
+            raise DeviceError("found an unknown action, expected list, download, delete or play")
 
     async def _download(self, page: ServerConnection, path: Path) -> None:
         await _answer(page, ok=True, bytes=await asyncio.to_thread(recordings.tar_bytes, path))

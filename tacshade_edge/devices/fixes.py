@@ -69,7 +69,8 @@ def connect_fix(error: BaseException | None, host: str, port: int, tls_ca: str |
         case ssl.SSLError():
             return "is mqtt.port the broker's TLS port (often 8883)? To connect without TLS, leave mqtt.ca_file out"
         case ConnectionRefusedError() if host in ("localhost", "127.0.0.1", "::1"):
-            return "start it: sudo systemctl enable --now mosquitto (install it first: sudo apt install mosquitto)"
+            install = "sudo apt install mosquitto"
+            return f"start the broker: sudo systemctl enable --now mosquitto (install it first: {install})"
         case ConnectionRefusedError():
             return "is the broker running, and does it listen on that port for other machines (mosquitto: `listener`)?"
         case TimeoutError():

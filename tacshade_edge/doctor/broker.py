@@ -32,7 +32,10 @@ _HEADER_BYTES = 200
 _PACKET_BYTES = 1_000_000  # a map of 640x480 cells, and room
 _SLOW_MS = 20.0
 _REPORTED = ("state", "info", "instance", "health", "status/+")
-_ACL = "in the broker's ACL file: user {user}, then: topic readwrite tacshade/# (see systemd/mosquitto-tacshade.acl)"
+_ACL = (
+    "add two lines to the broker's ACL file: user {user}, then topic readwrite tacshade/# "
+    "(see systemd/mosquitto-tacshade.acl)"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +117,7 @@ def check_broker(broker: BrokerAddress, sensor_id: str) -> tuple[tuple[Finding, 
 def judge_daemon(daemon: DaemonState, process: Process | None, sensor_id: str) -> Finding:
     """Is a daemon running, and is it this machine's?"""
     if daemon.alive and daemon.rival:
-        found = f"two daemons use {sensor_id}: one runs {daemon.place}; another waits {daemon.rival}"
+        found = f"two daemons use {sensor_id}: one runs {daemon.place}; the other waits {daemon.rival}"
         return warning("daemon", found, "stop one of the two, or give its sensor another sensor_id")
     if daemon.alive and process is None:
         fix = "stop that other daemon, or give this sensor another sensor_id"
@@ -177,7 +180,7 @@ def _unreached(error: OSError, host: str, port: int) -> str:
         case ssl.SSLError():
             return f"{where}: does not answer over TLS ({error.reason or error})"
         case ConnectionRefusedError():
-            return f"{where}: connection refused, nothing listens there"
+            return f"{where}: connection refused: nothing listens there"
         case TimeoutError():
             return f"{where}: no answer within {_CONNECT_S:g} s"
     return f"{where}: {error.strerror or error}"
@@ -236,7 +239,7 @@ def _round_trip(client: Client, session: _Session, base: str, username: str | No
             )
         if not session.echoed:
             found = f"a message to {topic} did not come back within {_ANSWER_S:g} s"
-            return fault("broker round trip", found, f"allow the user to read it: {acl}; or use a faster network")
+            return fault("broker round trip", found, f"allow the user to receive it: {acl}; or use a faster network")
         took_ms.append(1e3 * (time.monotonic() - began_s))
     return judge_round_trip(statistics.median(took_ms[1:]))
 

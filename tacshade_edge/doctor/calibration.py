@@ -55,7 +55,7 @@ def load(document: Document) -> tuple[Calibration | None, tuple[Finding, ...]]:
         return calibration, (warning("calibration", f"{found}; depth is not in true millimetres", fix),)
     if renew := calibrations.fits_to_renew(path):
         fix = "calibrate again with --presses PRESSES.csv --fit (docs/how-to/calibration.md)"
-        found = f"{found}; the networks of {', '.join(renew)} have changed since the fit, so the shipped ones run"
+        found = f"{found}; the networks of {', '.join(renew)} have changed since the fit; the shipped ones are in use"
         return calibration, (warning("calibration", found, fix),)
     accurate = calibration.fit.profiles.get("accurate") if calibration.fit else None
     depth_error = f", depth error {accurate.depth_mae_mm:.2f} mm" if accurate else ""

@@ -173,9 +173,8 @@ def _busy(source: V4l2 | Rpicam, error: Reason, machine: Machine, daemon_state: 
             return None
         if daemon_state:
             return warning("camera frames", f"the running daemon holds the camera; it reports: {daemon_state}", _STOP)
-        return fault(
-            "camera frames", "another program holds the camera", f"end it: pgrep -a {PROGRAM.partition('-')[0]}"
-        )
+        fix = f"find and end it: pgrep -a {PROGRAM.partition('-')[0]}"
+        return fault("camera frames", "another program holds the camera", fix)
     device = source.device
     with contextlib.suppress(TacshadeError):
         if not v4l2_node.is_busy(str(machine.at(device))):
@@ -196,7 +195,7 @@ def _check_rate(set_fps: float, captured: Captured, check: str = "camera frames"
     found = f"{what}{captured.fps:.1f} frames/s, {set_fps:g} requested{lost}"
     if captured.fps < _RATE_PART * set_fps:
         fix = (
-            "shorten source.exposure below the frame's period, choose a smaller size or a rate that the camera offers"
+            "keep source.exposure below the frame's period, or choose a smaller size or a rate that the camera offers"
             if check == "camera frames"
             else "lower source.fps, or stop whatever else keeps this machine busy"
         )
@@ -208,11 +207,11 @@ def _check_rate(set_fps: float, captured: Captured, check: str = "camera frames"
 
 def _check_stamps(captured: Captured) -> Finding:
     age_s = max(arrived - taken for taken, arrived in zip(captured.t_ns, captured.arrived_ns, strict=True)) / 1e9
-    found = f"time stamps {captured.described.get('time_stamps', 'on arrival')}, frames up to {1e3 * age_s:.0f} ms old"
+    found = f"time stamps: {captured.described.get('time_stamps', 'on arrival')}; frames up to {1e3 * age_s:.0f} ms old"
     if any(later <= earlier for earlier, later in pairwise(captured.t_ns)):
-        return warning("camera time", f"{found}, out of order", "update the kernel, or use another camera")
+        return warning("camera time", f"{found} and out of order", "update the kernel, or use another camera")
     if captured.described.get("time_stamps") not in ("kernel", "sensor"):
-        fix = "use a camera with the driver uvcvideo, which has kernel time stamps; without them poses match less well"
+        fix = "use a camera with the driver uvcvideo, whose kernel time stamps match poses to frames more exactly"
         return warning("camera time", found, fix)
     if age_s > _AGE_MAX_S:
         return warning("camera time", found, "stop whatever else keeps this machine busy, or lower source.fps")
@@ -227,9 +226,7 @@ def _check_locks(captured: Captured) -> list[Finding]:
         if lock == Lock.NO_CONTROL:
             found += " in this driver"
         if lock == Lock.AUTOMATIC:
-            fix = (
-                "its changes look like touch: look for its control with `v4l2-ctl -d DEVICE -L`, or use another camera"
-            )
+            fix = f"changes in {label} look like touch: lock it (see `v4l2-ctl -d DEVICE -L`), or use another camera"
             findings.append(warning("camera control", found, fix))
         else:
             findings.append(ok("camera control", found))

@@ -32,15 +32,14 @@ def judge(now_s: float, installed_s: float, synced: bool | None, resolution_s: f
     keep = "connect to a network and run: sudo timedatectl set-ntp true (without systemd: install chrony)"
     if now_s < installed_s - _DAY_S:
         since = time.strftime("%Y-%m-%d", time.gmtime(installed_s))
-        found = f"it is set to {today}, but this program was installed on {since}: times and file names will be wrong"
+        found = f"the date is {today}, but this program was installed on {since}: times and file names will be wrong"
         wall = fault("clock", found, f"{keep}; a board without a battery clock forgets the time when switched off")
     elif synced is False:
         found = f"{today}, not synchronised: times in messages and recordings may be off; measurements are not affected"
         wall = warning("clock", found, keep)
     else:
-        wall = ok(
-            "clock", f"{today}, {'synchronised' if synced else 'the kernel does not report whether it is synchronised'}"
-        )
+        known = "synchronised" if synced else "the kernel does not report whether the clock is synchronised"
+        wall = ok("clock", f"{today}, {known}")
     if resolution_s <= _FINE_S:
         return (wall,)
     coarse = f"the monotonic clock counts in steps of {1e6 * resolution_s:g} µs"

@@ -30,7 +30,7 @@ def judge(folder: Path, free_bytes: int, read_only: bool) -> tuple[Finding, ...]
     if free_bytes < _FULL_BYTES:
         return (fault("disk", f"{free}, too little to write a calibration", clear),)
     if free_bytes < _LOW_BYTES:
-        return (warning("disk", f"{free}, recordings will soon fill it", clear),)
+        return (warning("disk", f"{free}; recordings will soon fill the disk", clear),)
     return (ok("disk", free),)
 
 
@@ -41,5 +41,5 @@ def check_wear(machine: Machine) -> tuple[Finding, ...]:
         steps = [int(word, 16) for word in machine.read(f"/sys/block/{block.name}/device/life_time").split()]
         if max(steps, default=0) >= _WORN:
             found = f"{block.name} has used at least {10 * (max(steps) - 1)} % of its life"
-            worn.append(warning("disk", found, "copy what matters and replace it soon"))
+            worn.append(warning("disk", found, "back up what matters and replace this storage soon"))
     return tuple(worn)

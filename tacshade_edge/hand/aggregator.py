@@ -20,7 +20,7 @@ FIRST_NS: Final = 500_000_000
 STALLED_NS: Final = 3_000_000_000
 """A finger that reported nothing for so long is away; as `status/camera` does."""
 
-_STARTING: Final = away(Reason(ReasonCode.STARTING, "the hand has received nothing from it yet"))
+_STARTING: Final = away(Reason(ReasonCode.STARTING, "the hand has received nothing from this sensor yet"))
 _STALLED: Final = away(Reason(ReasonCode.STALLED, "the sensor reports nothing"))
 
 

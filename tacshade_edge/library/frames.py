@@ -60,7 +60,7 @@ def open(source: str | os.PathLike[str], sensor: Sensor | None = None) -> Result
             if settings.profile == AUTO:
                 where = document.where("profile")
                 raise ConfigError(
-                    f"{where}: found {AUTO}, which only the daemon offers, expected a profile or a sensor"
+                    f"{where}: found {AUTO}, which only the daemon offers; expected another profile, or a sensor"
                 )
             sensor = Sensor(calibrations.load_calibration(document), settings.profile)
     elif path.is_relative_to("/dev"):
@@ -99,7 +99,7 @@ def read(recording: str | os.PathLike[str], sensor: Sensor | None = None) -> Res
     if sensor is None:
         if (own := calibrations.of_recording(path)) is None:
             raise ConfigError(
-                f"{path}: found no {CALIBRATION_NAME} in it, expected a sensor too: read(recording, sensor)"
+                f"{path}: found no {CALIBRATION_NAME} in it, expected one, or a sensor: read(recording, sensor)"
             )
         sensor = Sensor(own, DEFAULT)
     return _Recorded(frames, sensor)

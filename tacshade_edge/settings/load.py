@@ -130,7 +130,7 @@ def _hand_mistakes(
     if hand_id is None:
         return [_mistake(path, found, (FINGER,), f"found it without {HAND}, expected it in a hand's sensors only")]
     if seven is None:
-        text = f"found nothing with {HAND}, expected the sensor's place in the hand"
+        text = f"found none, expected the sensor's place in the hand that {HAND} names"
         return [_mistake(path, found, (FINGER,), text)] if FINGER in value else []  # else it was reported
     problem = wrong_with(seven)
     return [_mistake(path, found, (FINGER,), problem)] if problem else []

@@ -77,7 +77,7 @@ def split(path: Path, value: dict[str, Any], found: dict[Key, Found]) -> tuple[l
         if isinstance(of_serial, dict) and "device" in of_serial:
             first = bauds.setdefault(str(of_serial["device"]), (of_serial.get("baud"), sensor_id))
             if of_serial.get("baud") != first[0]:
-                wrong((*at, "serial"), f"found another baud, expected that of {SENSORS}.{first[1]} on the same port")
+                wrong((*at, "serial"), f"found a different baud, expected that of {SENSORS}.{first[1]} on this port")
         of_one = {key: where for key, where in found.items() if key[:1] != (SENSORS,)}
         of_one |= {key[2:]: replace(where, at=at) for key, where in found.items() if key[:2] == at}
         of_one["sensor_id",] = Found(found[at].line, sensor_id, at)

@@ -156,7 +156,7 @@ class _Reader:
         for name_node, value_node in node.value:
             line = name_node.start_mark.line + 1
             if not isinstance(name_node, yaml.ScalarNode) or name_node.tag != "tag:yaml.org,2002:str":
-                self._wrong(line, key, "found another kind of key, expected a setting's name")
+                self._wrong(line, key, "found a key that is not text, expected a setting's name")
                 continue
             name = name_node.value
             child = (*key, name)

@@ -144,7 +144,7 @@ def run(program: Mapping[str, int], fn: Callable[[Task], Result], task: Task) ->
     for name, crc32 in program.items():
         if checksum(name) != crc32:
             raise ConfigError(
-                f"a worker of the cluster has another {name} in {_folder(name)}, expected the same as here"
+                f"a worker of the cluster has a different {name} in {_folder(name)}, expected the same as here"
             )
     cv2.setNumThreads(1)
     return fn(task)

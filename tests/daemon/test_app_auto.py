@@ -101,6 +101,6 @@ def test_auto_steps_down_under_a_load_and_up_after_it_and_says_so(
     assert_accounted(last(seen, "health")["frames"])
     heights = [wire.decode(payload).seq for payload in seen.of(f"{BASE}/height")]
     assert heights == sorted(set(heights))
-    steps = [record for record in caplog.records if record.getMessage().startswith("profile auto: from ")]
+    steps = [record for record in caplog.records if record.getMessage().startswith("profile auto: stepped from ")]
     assert len(steps) == 2 * (len(ladder) - 1)
     assert all(record.levelno == logging.INFO for record in steps)

@@ -54,7 +54,7 @@ def test_a_recording_goes_on_while_the_camera_is_lost_and_ends_with_its_referenc
         started = ask(seen, "record", action="start", seconds=600, name="one")
         assert started == {"ok": True, "result": {"folder": str(folder)}}
         again = ask(seen, "record", action="start", seconds=600, name="two")
-        assert again == {"ok": False, "error": f"busy: recording to {folder}", "reason_code": "busy"}
+        assert again == {"ok": False, "error": f"busy: already recording to {folder}", "reason_code": "busy"}
         wait_until(lambda: last(seen, "status/recorder")["frames"] > 5, 10, "frames")
         assert last(seen, "status/recorder")["state"] == "recording"
         marked = ask(seen, "record", action="mark", text="now")

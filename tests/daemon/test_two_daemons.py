@@ -107,7 +107,7 @@ def test_two_daemons(tmp_path: Path, devices: list[str], same_id: bool, same_fol
             _, found = check_broker(address, "left")
             finding = judge_daemon(found, Process(first.process.pid, ("tacshade-edge", "run")), "left")
             waiting = f"on {socket.gethostname()}, process {second.process.pid}"
-            assert finding.found == f"two daemons use left: one runs {place}; another waits {waiting}"
+            assert finding.found == f"two daemons use left: one runs {place}; the other waits {waiting}"
         else:
             wait_until(lambda: health("right")["frames"]["captured"] > 10, 30, "the second works too")
         if same_folder:

@@ -168,7 +168,7 @@ def test_a_stitching_session_is_commanded_through_requests(page: Chrome, tmp_pat
         assert "This deletes its 4 presses" in page.switch_to.alert.text
         page.switch_to.alert.accept()
         assert asked(5, {"name": "pad-1", "presses": 4}) == {"action": "abort"}
-        shows(page, "answer", "Session pad-1 is gone.")
+        shows(page, "answer", "Deleted session pad-1.")
         status("idle", "", 0)
         wait_until(lambda: page.find_element(By.NAME, "begin").is_displayed(), 15, "another can begin")
 

@@ -171,7 +171,7 @@ def test_a_broker_with_users_asks_for_one(page: Chrome, tmp_path: Path) -> None:
             field.send_keys(name)
             page.find_element(By.NAME, "password").send_keys(word)
             page.find_element(By.CSS_SELECTOR, "#login button").click()
-            shows(page, "link" if word == "right" else "login-why", "Connected" if word == "right" else "refused")
+            shows(page, "link" if word == "right" else "login-why", "Connected" if word == "right" else "rejected")
         assert not page.find_element(By.ID, "login").is_displayed()
         until_shown(page, sensor, lambda: bump(1, 1.5, 200, 300, step_px=4), 1)
         page.refresh()  # kept for this tab

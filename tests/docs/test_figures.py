@@ -90,9 +90,9 @@ def objects() -> Claims:
     trained, other = of.values()
     seen = {profile: trained.cell("beats Table I in ME and SD", profile) for profile in PROFILES}
     assert set(seen.values()) == {"4 of 5"}, "the sentence on the objects of Table I has to be written anew"
-    yield "better in both on four of the five objects"
+    yield "better in ME and SD on four of the five objects"
     (count,) = {other.cell("beats Table I in ME and SD", profile)[0] for profile in PROFILES}
-    yield f"On the other family they are also better on {WORDS[int(count)]}."
+    yield f"On the other family, they are also better on {WORDS[int(count)]} objects."
     frames = sum(int(page.cell("frames without contact", "accurate")) for page in of.values())
     assert all(page.cell("phantoms", profile) == "0" for page in of.values() for profile in PROFILES)
     yield f"0 of {frames} frames without contact gave a false contact"
@@ -100,7 +100,7 @@ def objects() -> Claims:
     for page, prefix in ((trained, ""), (other, "other:")):
         single = [page.number("ME mm", f"{prefix}{sensor}", "accurate") for sensor in (9018, 9019, 9020)]
         spans.append(f"{rounded(min(single), 2)} to {rounded(max(single), 2)} mm")
-    yield f"of `accurate` on single sensors is {spans[0]} as trained on and {spans[1]} on the other family."
+    yield f"of `accurate` per sensor is {spans[0]} on the trained family and {spans[1]} on the other."
     table = ("mean", "Table I (real sensor)")
     yield f"has a mean ME of {trained.cell('ME mm', *table)} mm and an SD of {trained.cell('SD %', *table)} %"
     yield f"the ball, which has an SD of {trained.cell('SD %', 'ball', 'Table I (real sensor)')} % in Table I"
@@ -117,7 +117,10 @@ def readme() -> Claims:
     real = Page("real-raw")
     order, off = real.cell("rank correlation", *depth), real.cell("mean error", *depth)
     presses = real.cell("frames", *depth)
-    yield f"**{order}** rank correlation of depth, {off} mm off after a linear fit | {presses} presses of a real TacTip"
+    yield (
+        f"**{order}** rank correlation of depth, {off} mm mean error after a linear fit | "
+        f"{presses} presses of a real TacTip"
+    )
     latency = Page("daemon")
     yield f"**{latency.cell('p50 ms', 'contact')} ms** latency, 99 % within {latency.cell('p99 ms', 'contact')} ms"
     frame_ms = Page("arm").cell("Pi 5 (Cortex-A76, 2.4 GHz), ms", "balanced", "contact").split(" to ")
@@ -133,8 +136,8 @@ def drag() -> Claims:
     me = {profile: [rounded(trained.cell("ME mm", what, profile), 2) for what in DRAGS] for profile in PROFILES}
     still, _, two, three, turned = me["accurate"]
     yield (
-        f"On the trained family, `accurate` has an ME of {still} mm undragged, {two} dragged by 2 mm, {three} by 3 mm "
-        f"and {turned} if also twisted by 10° and tilted by 15°"
+        f"On the trained family, `accurate` has an ME of {still} mm without drag, {two} after 2 mm of drag, {three} "
+        f"after 3 mm and {turned} if also twisted by 10° and tilted by 15°"
     )
     for profile in ("balanced", "fast"):
         still, _, two, three, turned = me[profile]
@@ -169,7 +172,7 @@ def no_presses() -> Claims:
     mean = ("mean", "accurate")
     yield f"`accurate` has an ME of {trained.cell('ME mm', *mean)} mm and an SD of {trained.cell('SD %', *mean)} %"
     yield f"on the other family {other.cell('ME mm', *mean)} mm and {other.cell('SD %', *mean)} %"
-    yield f"(`balanced` {other.cell('ME mm', 'mean', 'balanced')} to {with_presses} mm)"
+    yield f"(`balanced` improves from {other.cell('ME mm', 'mean', 'balanced')} to {with_presses} mm)"
 
 
 def other_objects() -> Claims:
@@ -193,7 +196,7 @@ def limits() -> Claims:
 
     total = page.cell("frames", "all of these", "fast")
     yield line(
-        f"phantoms in {total} frames without contact, disturbed as in use",
+        f"phantoms in {total} frames without contact, with disturbances as in use",
         (page.cell("phantoms", "all of these", profile) for profile in LIMITS_ORDER),
     )
     for title, what in (
@@ -204,13 +207,13 @@ def limits() -> Claims:
     for title, depth in (("mean error of the depth, ball 3 mm deep", 3), ("6 mm deep", 6), ("8 mm deep", 8)):
         yield line(title, (page.cell(f"{depth} mm", "ball, mean", profile) for profile in LIMITS_ORDER))
     for title, what in (
-        ("least gap at which two bars are two objects, pitch 1.8 mm", "gap: two objects"),
-        ("least width of a ridge whose height is within 20 %, pitch 1.8 mm", "ridge: height within 20 %"),
+        ("least gap at which two bars are found as two objects, pitch 1.8 mm", "gap: two objects"),
+        ("least width of a ridge whose height is measured within 20 %, pitch 1.8 mm", "ridge: height within 20 %"),
     ):
         yield line(title, (page.cell("pitch 1.8", what, profile) for profile in LIMITS_ORDER))
     for title, what in (
-        ("change of a depth of 2 mm when the camera moved by 1 px, mean %", "moved by 1 px"),
-        ("change by a spot of glare, mean %", "glare spot"),
+        ("change of a depth of 2 mm after the camera moved by 1 px, mean %", "moved by 1 px"),
+        ("the same under a spot of glare, mean %", "glare spot"),
     ):
         yield line(title, (page.cell("mean %", what, profile) for profile in LIMITS_ORDER))
     dents, glare = (
@@ -218,7 +221,7 @@ def limits() -> Claims:
         for what in ("after a release", "glare spot")
     )
     yield f"{WORDS[dents]} are dents just after a release"
-    yield f"{WORDS[glare]} is a spot of glare"
+    yield f"{WORDS[glare]} comes from a spot of glare"
     assert dents + glare == sum(int(page.cell("phantoms", "all of these", profile)) for profile in PROFILES)
 
 
@@ -257,8 +260,8 @@ def stages_in_numerics() -> Claims:
         for profile in ("balanced", "accurate")
     )
     yield (
-        f"judging a frame costs {halved} times as much as a threshold and a box filter if the picture is "
-        f"halved first, {full} times at full resolution"
+        f"Judging a frame costs {halved} times as much as a threshold and a box filter if the picture is "
+        f"halved first, and {full} times at full resolution"
     )
 
 
@@ -285,7 +288,7 @@ def tradeoff() -> Claims:
     for profile in ("fast", "balanced"):
         quick, slow = (float(page.cells("p50 ms", profile, what)[0].split()[0]) for what in (shipped, whole))
         assert round(4 * (1 - quick / slow)) == 1
-    yield "Halving the image takes a quarter off `fast` and `balanced`"
+    yield "Halving the image saves a quarter of the time of `fast` and `balanced`"
     near, far = (float(page.cell("ME mm", "fast", what).split()[0]) for what in (whole, shipped))
     yield f"and costs `fast` {rounded(far - near, 2)} mm"
 
@@ -315,7 +318,7 @@ def recording() -> Claims:
     text = (ROOT / "docs" / "results" / "recording.md").read_text(encoding="utf-8")
     grey, colour = (re.findall(rf"^{name}, recorder: ([\d.]+) ms, (\d+) kB$", text, re.MULTILINE)[0] for name in SHOWN)
     cores = sorted(extra_cores(row) for row in ("recording", "recording, mcap"))
-    yield f"{cores[0]} to {cores[1]} of a core more"
+    yield f"an extra {cores[0]} to {cores[1]} of a core:"
     yield f"{grey[0]} ms to encode a frame of {grey[1]} kB, {colour[0]} ms for one of {colour[1]} kB in colour"
 
 
@@ -331,7 +334,7 @@ def opencv_beside_onnxruntime() -> Claims:
     ratios = [page.number("OpenCV p50 ms", name) / page.number("ONNX Runtime p50 ms", name) for name in NETWORKS]
     yield f"takes {rounded(min(ratios), 1)} to {rounded(max(ratios), 1)} times as long for the same files"
     assert max(page.number("greatest difference", name) for name in NETWORKS) <= 2e-5
-    yield "finds the same within 2e-5"
+    yield "its results agree within 2e-5"
 
 
 def instructions() -> Claims:
@@ -371,8 +374,11 @@ NETWORKS = (*LIMITS_ORDER, "shear")
 
 def arm() -> Claims:
     page = Page("arm")
-    counted = (page.cell("million instructions", profile, "contact") for profile in LIMITS_ORDER)
-    yield "A frame in contact takes {}, {} and {} million instructions there.".format(*counted)
+    fast, balanced, accurate = (page.cell("million instructions", profile, "contact") for profile in LIMITS_ORDER)
+    yield (
+        f"A frame in contact takes {fast} (`fast`), {balanced} (`balanced`) and {accurate} (`accurate`) million "
+        "instructions on aarch64."
+    )
     off = {name: max(map(float, page.cells("h, mm at most", name))) for name in (*PROFILES, "paper")}
     network = max(off[name] for name in PROFILES)
     yield (
@@ -447,7 +453,7 @@ def flange() -> Claims:
         for column in ("mm: median, worst; within 0.5", "degrees; within 0.7", "ms; within 5")
     )
     assert ms_in == "20 of 20"
-    yield f"the medians were {mm} mm, {deg}° and {ms} ms"
+    yield f"the median errors were {mm} mm, {deg}° and {ms} ms"
     yield f"{int(mm_in.split()[0])} were within 0.5 mm, {int(deg_in.split()[0])} within 0.7°, all within 5 ms"
 
 
@@ -473,7 +479,7 @@ def faults() -> Claims:
     assert page.number("recovered s", "lens covered, and uncovered") <= 2
     yield "`degraded` within 4 s; streaming within 2 s of its return"
     assert page.number("recovered s", "no calibration at the start") <= 2
-    yield "the daemon uses a new one within 2 s"
+    yield "uses a new calibration within 2 s"
 
 
 def faults_of_thousands() -> Claims:
@@ -504,7 +510,7 @@ def servo() -> Claims:
     touches = [int(cell) for cell in page.cells("touches a second")]
     ages = [int(cell) for cell in page.cells("their age, ms")]
     span = f"{min(touches)}" if min(touches) == max(touches) else f"{min(touches)} to {max(touches)}"
-    yield f"took {span} touches a second, {min(ages)} to {max(ages)} ms old in the median"
+    yield f"received {span} touches a second, with a median age of {min(ages)} to {max(ages)} ms"
 
 
 AWAITED = pytest.mark.xfail(

@@ -47,7 +47,7 @@ def listener() -> Iterator[socket.socket]:
 def test_nothing_listens() -> None:
     port = free_port()
     finding = trouble(port)
-    assert finding.found == f"127.0.0.1:{port}: connection refused, nothing listens there"
+    assert finding.found == f"127.0.0.1:{port}: connection refused: nothing listens there"
     assert "sudo systemctl enable --now mosquitto" in finding.fix
     assert "(mosquitto: `listener`)" in trouble(port, host="127.0.0.2").fix, "another machine's broker is started there"
 
@@ -129,7 +129,7 @@ def test_users_and_access_rules(tmp_path: Path) -> None:
         denied = ask(broker.port, username="guest", password="right")[0]["broker round trip"]
         assert denied.state == "fault"
         assert denied.found.startswith(f"the broker does not let us publish under {BASE}/")
-        assert "user guest, then: topic readwrite" in denied.fix
+        assert "user guest, then topic readwrite" in denied.fix
 
 
 @broker_test
@@ -211,7 +211,7 @@ def test_a_broker_that_hangs(tmp_path: Path) -> None:
         (DaemonState("online", fps=29.9), True, "ok", "process 5 (tacshade-edge run): online, 29.9 frames/s"),
         (DaemonState("degraded", "no device", 0.0), True, "warning", "degraded, 0.0 frames/s, no device"),
         (DaemonState("online"), False, "warning", "no daemon runs here, yet left is online on this broker"),
-        (DaemonState("online", place="on a", rival="on b"), True, "warning", "one runs on a; another waits on b"),
+        (DaemonState("online", place="on a", rival="on b"), True, "warning", "one runs on a; the other waits on b"),
         (DaemonState("offline"), True, "warning", "left is not online at the broker"),
     ],
 )

@@ -40,7 +40,7 @@ def test_a_good_camera(machine: Any) -> None:
     found = [finding.found for finding in check_frames(V4l2(), frames(), machine, "")]
     assert found == [
         "30.0 frames/s, 30 requested",
-        "time stamps kernel, frames up to 20 ms old",
+        "time stamps: kernel; frames up to 20 ms old",
         "exposure: locked at 157",
         "white balance: locked",
         "160x120 px, mean grey 64, deviation 68",
@@ -52,7 +52,7 @@ def test_a_good_camera(machine: Any) -> None:
     [
         (frames(fps=15), "camera frames", "15.0 frames/s, 30 requested"),
         (frames(dropped=4), "camera frames", "30.0 frames/s, 30 requested, 4 lost"),
-        (frames(described=LOCKED | {"time_stamps": "on arrival"}), "camera time", "time stamps on arrival"),
+        (frames(described=LOCKED | {"time_stamps": "on arrival"}), "camera time", "time stamps: on arrival"),
         (frames(t_ns=(1_000_000_000,) * 30), "camera time", "out of order"),
         (frames(arrived_ns=(4_000_000_000,) * 30), "camera time", "frames up to 3000 ms old"),
         (

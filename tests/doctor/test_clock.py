@@ -13,7 +13,7 @@ NOW_S, INSTALLED_S = 1_800_000_000.0, 1_790_000_000.0
         (NOW_S, True, 1e-9, ["ok"], "2027-01-15 08:00 UTC, synchronised"),
         (NOW_S, None, 1e-9, ["ok"], "does not report"),
         (NOW_S, False, 1e-9, ["warning"], "not synchronised"),
-        (0.0, True, 1e-9, ["fault"], "set to 1970-01-01 00:00 UTC, but this program was installed on 2026-09-21"),
+        (0.0, True, 1e-9, ["fault"], "the date is 1970-01-01 00:00 UTC, but this program was installed on 2026-09-21"),
         (NOW_S, True, 0.004, ["ok", "warning"], "steps of 4000 µs"),
     ],
 )

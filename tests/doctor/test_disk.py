@@ -12,7 +12,7 @@ from tacshade_edge.doctor.disk import check_disk, check_wear, judge
     ("free_bytes", "read_only", "state", "said"),
     [
         (5_000_000_000, False, "ok", "5.0 GB free"),
-        (400_000_000, False, "warning", "0.4 GB free, recordings will soon fill it"),
+        (400_000_000, False, "warning", "0.4 GB free; recordings will soon fill the disk"),
         (1_000_000, False, "fault", "too little"),
         (5_000_000_000, True, "fault", "read-only"),
     ],

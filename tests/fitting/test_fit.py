@@ -98,5 +98,5 @@ def test_the_default_profile_is_the_first_and_its_time_is_told(monkeypatch: pyte
 
 
 def test_too_few_presses_are_refused() -> None:
-    with pytest.raises(ConfigError, match=r"--fit: found 15 usable presses, expected 16"):
+    with pytest.raises(ConfigError, match=r"--fit: found 15 usable presses, expected at least 16"):
         fit(calibrated(), presses()[:15], lambda _: None)

@@ -42,7 +42,7 @@ def test_what_is_no_hand_is_refused(tmp_path: Path) -> None:
         with pytest.raises(ts.ConfigError, match=expected):
             ts.read_hand(paths)
     (index / "calibration.npz").unlink()
-    with pytest.raises(ts.ConfigError, match=r"left-index: found no calibration\.npz in it, expected one"):
+    with pytest.raises(ts.ConfigError, match=r"left-index: found no calibration\.npz in this recording, expected one"):
         ts.read_hand([thumb, index])
     with pytest.raises(ts.ConfigError, match="profile: found 'best', expected one of accurate"):
         ts.read_hand([thumb], profile="best")

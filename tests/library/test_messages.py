@@ -69,7 +69,9 @@ def test_a_damaged_file_gives_what_is_before(tmp_path: Path) -> None:
     with pytest.raises(ts.DecodeError, match=rf"heights\.bin: cut short after {len(first) - 1} bytes"):
         list(ts.decode_file(path))
     path.write_bytes(first[:84] + b"\xff" * 4 + first[88:] + bytes(1000))
-    with pytest.raises(ts.DecodeError, match=r"heights\.bin, byte 84: found 4294967295 payload bytes, expected at most"):
+    with pytest.raises(
+        ts.DecodeError, match=r"heights\.bin, byte 84: found 4294967295 payload bytes, expected at most"
+    ):
         list(ts.decode_file(path))
     with pytest.raises(ts.ConfigError, match=r"nothing\.bin: No such file"):
         list(ts.decode_file(tmp_path / "nothing.bin"))

@@ -136,7 +136,7 @@ def test_without_a_hand_there_is_none(tmp_path: Path) -> None:
         (
             "[1, 2.5, -3, 1, 0, 0, 0]",
             "null",
-            "4: sensors.thumb.hand_T_sensor: found nothing with hand_id, expected the sensor's place",
+            "4: sensors.thumb.hand_T_sensor: found none, expected the sensor's place",
         ),
         ("-3, 1, 0, 0, 0]", "1, 0, 0, 0]", "4: sensors.thumb.hand_T_sensor: found a list of 6, expected a list of 7 n"),
         ("-3, 1, 0, 0, 0]", "-3, 2, 0, 0, 0]", "4: sensors.thumb.hand_T_sensor: found a quaternion of length 2, ex"),
@@ -184,6 +184,6 @@ def test_a_robots_line_is_shared_and_one_may_have_its_own_or_none(tmp_path: Path
         Serial(device="/dev/ttyACM1"),
     ]
     path = write(tmp_path, f"serial: {{device: /dev/ttyACM0}}\n{TWO}    serial: {{baud: 9600}}\n")
-    said = "13: sensors.index.serial: found another baud, expected that of sensors.thumb on the same port"
+    said = "13: sensors.index.serial: found a different baud, expected that of sensors.thumb on this port"
     with pytest.raises(ConfigError, match=said):
         load_all(path)

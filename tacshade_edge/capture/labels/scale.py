@@ -66,7 +66,7 @@ class Scale:
             raise self._error
         if len(self._t_s) >= READINGS_MAX:
             raise DeviceError(
-                f"scale {self._port.device}: found {READINGS_MAX} readings since the start, expected fewer"
+                f"scale {self._port.device}: found {READINGS_MAX} readings, the limit of one run; start a new run"
             )
         if time.monotonic() - self._heard_s > _SILENT_S:
             found = repr(self._unread.decode("ascii", "replace")) if self._unread else "nothing"

@@ -84,7 +84,7 @@ class Head:
         """Move sideways, as high as it is. Raises as `to`."""
         if not self.is_free:
             raise SafetyStop(
-                f"found a sideways move at z {self.z_mm:.2f} mm, expected at least {self.free_z_mm:.2f} mm"
+                f"found a sideways move at z {self.z_mm:.2f} mm, expected one at {self.free_z_mm:.2f} mm or above"
             )
         self._go((x_mm, y_mm, self.z_mm), self._limits.feed_mm_s)
 

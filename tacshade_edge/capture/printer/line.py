@@ -43,7 +43,7 @@ class PrinterLine:
         if not any(self._greeted() for _ in range(_GREETINGS)):
             found = f"found no answer within {_GREETINGS * _GREETING_S:.0f} s"
             raise DeviceError(
-                f"printer {self._port.device}: {found}, expected ok from Marlin or Klipper; is baud right?"
+                f"printer {self._port.device}: {found}, expected the reply ok of Marlin or Klipper; is baud right?"
             )
         self._until_quiet()
         self._write(self._exchange.begin_anew())

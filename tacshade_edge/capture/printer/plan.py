@@ -93,7 +93,7 @@ def _planned(stated: Stated, indenters: Mapping[str, Indenter | float]) -> Plann
             f"--plan: {stated}: found yaw, tilt or shear, expected none: the head only moves straight down"
         )
     if not x_mm:
-        raise ConfigError(f"--plan: {stated}: found no x_mm, y_mm, expected a place to press")
+        raise ConfigError(f"--plan: {stated}: found no x_mm and y_mm, expected a place to press")
     indenter = float(radius_mm) if name == BALL else indenters[name]
     columns = Stated((name, radius_mm, depth_mm, x_mm, y_mm))
     return PlannedPress(columns, indenter, float(x_mm), float(y_mm), float(depth_mm))
@@ -107,7 +107,7 @@ def _check(press: PlannedPress, sensor: Sensor, limits: PrinterFile) -> None:
     )
     if beside_mm > visible_mm:
         raise ConfigError(
-            f"{what}: found a place {beside_mm:.1f} mm from the axis, expected one in view, within {visible_mm:.1f} mm"
+            f"{what}: found a place {beside_mm:.1f} mm from the axis, expected at most {visible_mm:.1f} mm (in view)"
         )
     check_reach(beside_mm, what, limits)
     travel_mm = press.depth_mm - first_touch_mm(press.indenter, r, press.x_mm, press.y_mm)

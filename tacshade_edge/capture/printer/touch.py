@@ -42,7 +42,7 @@ class Touch:
             self.head.to(step.z_mm)
             touched = self.detector.look()
             if step.expected is (Expected.FREE if touched else Expected.TOUCHED):
-                where = f"{step.z_mm - touch_z_mm:+.2f} mm from where it should touch"
+                where = f"{step.z_mm - touch_z_mm:+.2f} mm from the expected touch"
                 found = "contact" if touched else "no contact"
                 raise SafetyStop(f"the picture shows {found} {where}, expected {step.expected.value}")
 
@@ -84,4 +84,4 @@ class Touch:
             self.head.to(z_mm)
             if self.detector.look():
                 return
-        raise SafetyStop(f"found no touch down to z {self.head.z_mm:.2f} mm (searched to {least_z_mm:.2f} mm)")
+        raise SafetyStop(f"found no touch down to z {self.head.z_mm:.2f} mm, expected one above z {least_z_mm:.2f} mm")

@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--indenters",
         type=Path,
         metavar="INDENTERS.yaml",
-        help="file with the shapes, other than ball, that PRESSES.csv names",
+        help="file that defines the indenters in PRESSES.csv other than balls",
     )
     parser.add_argument(
         "--depth-from-touch", action="store_true", help="treat depth_mm in PRESSES.csv as travel from first touch"
@@ -72,7 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--allow-loaded-reference",
         action="store_true",
-        help="only warn if something seems to press the skin in the reference",
+        help="warn, but do not stop, if something seems to press the skin in the reference",
     )
     parser.add_argument("--json", action="store_true", help="print the fitted values as JSON")
     parser.set_defaults(usage_error=parser.error)

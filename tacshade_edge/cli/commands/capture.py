@@ -73,7 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--labels",
         type=Path,
         metavar="DIR",
-        help="add labelled frames to DIR/LABELS.csv; labels come from your typing, a robot or a scale",
+        help="add labelled frames to DIR/LABELS.csv; you type the labels, or a robot or scale supplies them",
     )
     parser.add_argument(
         "--scale",
@@ -84,11 +84,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     camera.add_argument("--camera", metavar="DEVICE", help="the camera to use, if the machine has several")
     camera.add_argument("--config", type=Path, metavar="FILE", help="settings file that names the camera as its source")
     add_sensor(parser)
-    parser.add_argument("--plan", type=Path, metavar="PLAN.csv", help="table of presses to suggest, like PRESSES.csv")
+    parser.add_argument(
+        "--plan", type=Path, metavar="PLAN.csv", help="table of presses to suggest, in the format of PRESSES.csv"
+    )
     parser.add_argument(
         "--printer",
         metavar="PORT",
-        help="let the 3-D printer on this serial port make the presses of --plan (needs DIR/PRINTER.yaml)",
+        help="let the 3-D printer on this serial port make the presses in --plan (needs DIR/PRINTER.yaml)",
     )
 
 

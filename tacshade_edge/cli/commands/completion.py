@@ -15,7 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's options."""
     parser.epilog = (
         "bash: tacshade-edge completion bash > ~/.local/share/bash-completion/completions/tacshade-edge; "
-        "zsh: tacshade-edge completion zsh > DIR/_tacshade-edge, in a DIR of $fpath. Then open a new shell."
+        "zsh: tacshade-edge completion zsh > DIR/_tacshade-edge, where DIR is in $fpath. Then open a new shell."
     )
     parser.add_argument("shell", choices=SHELLS)
 

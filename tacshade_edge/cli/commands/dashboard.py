@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--recordings",
         type=Path,
         metavar="DIR",
-        help="list the recordings in this folder on the page, to play, download and delete",
+        help="list the recordings in this folder on the page, which can play, download and delete them",
     )
     parser.add_argument(
         "--certificate", type=Path, metavar="FILE", help="PEM file of a certificate, to serve the page over TLS"

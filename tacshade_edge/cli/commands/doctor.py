@@ -25,11 +25,11 @@ _INDENT = " " * 9
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's options."""
     parser.add_argument(
-        "--config", type=Path, default=DEFAULT_CONFIG, metavar="FILE", help="settings (default: %(default)s)"
+        "--config", type=Path, default=DEFAULT_CONFIG, metavar="FILE", help="settings file (default: %(default)s)"
     )
     add_sensor(parser)
     parser.add_argument(
-        "--bundle", type=Path, metavar="FILE", help="write a zip file with everything somebody needs to help you"
+        "--bundle", type=Path, metavar="FILE", help="write a zip file of diagnostics, to send when you ask for help"
     )
     parser.add_argument("--with-frame", action="store_true", help="add a picture from the camera to the bundle")
     parser.set_defaults(refuse=parser.error)

@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's options."""
     add_verbosity(parser)
     parser.add_argument(
-        "--config", type=Path, default=DEFAULT_CONFIG, metavar="FILE", help="settings (default: %(default)s)"
+        "--config", type=Path, default=DEFAULT_CONFIG, metavar="FILE", help="settings file (default: %(default)s)"
     )
 
 

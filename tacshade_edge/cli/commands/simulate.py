@@ -98,7 +98,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="MM",
         help="press depth below the tops of the bulges (default: 2.7)",
     )
-    parser.add_argument("--pad-varied", action="store_true", help="vary how deep and how tilted the presses are")
+    parser.add_argument("--pad-varied", action="store_true", help="vary the depth and tilt of the presses")
     parser.add_argument(
         "--seed", type=_count, default=0, metavar="N", help="seed for the noise and the presses (default: 0)"
     )
@@ -182,7 +182,7 @@ def _write_scenes(sensor: SimulatedSensor, args: argparse.Namespace) -> None:
     names = [name.strip() for name in args.objects.split(",")]
     for name in names:
         if name not in OBJECTS and name != "none":
-            raise ConfigError(f"--objects: found {name!r}, expected one or more of {', '.join(OBJECTS)}, none")
+            raise ConfigError(f"--objects: found {name!r}, expected one or more of {', '.join(OBJECTS)} or none")
     nowhere = [(0.0, 0.0)]
     ways = itertools.product(
         args.depth, args.position or nowhere, args.rotation, args.tilt or nowhere, args.drag or nowhere, args.twist

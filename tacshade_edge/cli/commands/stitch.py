@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--find-flange",
         action="store_true",
-        help="instead of a map, find flange_T_sensor and the frames' delay from overlapping presses (flange.json)",
+        help="find flange_T_sensor and the frames' delay from overlapping presses (flange.json); makes no map",
     )
     parser.add_argument("--json", action="store_true", help="print map.json or flange.json")
 

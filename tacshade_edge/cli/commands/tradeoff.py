@@ -39,13 +39,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--budget-ms",
         type=_milliseconds,
         metavar="MS",
-        help="print the settings of the most accurate profile that needs at most this for 99 of 100 frames in contact",
+        help="print the settings of the most accurate profile that takes at most MS ms for 99 of 100 frames in contact",
     )
     study.add_cluster(parser)
     parser.add_argument(
         "--report",
         action="store_true",
-        help="time only the shipped profiles and print this board's figures, without its host name, to send in",
+        help="time only the shipped profiles and print a report to send in, without this board's host name",
     )
     study.add_simulated(parser, SENSORS, "the paper's five")
 

@@ -172,13 +172,14 @@ class Stitcher:
         correction_mm, correction_deg = correction(press.reported, pose, self._apex)
         rejected = None
         if deviation_mm > DEVIATION_MAX_MM:
-            rejected = Reason(ReasonCode.PRESS_DEVIATES, f"it deviates by {deviation_mm:.2f} mm from the other presses")
+            text = f"the press deviates from the other presses by {deviation_mm:.2f} mm"
+            rejected = Reason(ReasonCode.PRESS_DEVIATES, text)
         elif error is not None and correction_mm > CORRECTION_MAX_SIGMAS * error.position_mm:
-            rejected = Reason(ReasonCode.PRESS_DISPLACED, f"refinement would have to move it by {correction_mm:.2f} mm")
+            text = f"refinement would have to move the press by {correction_mm:.2f} mm"
+            rejected = Reason(ReasonCode.PRESS_DISPLACED, text)
         elif error is not None and correction_deg > CORRECTION_MAX_SIGMAS * error.rotation_deg:
-            rejected = Reason(
-                ReasonCode.PRESS_DISPLACED, f"refinement would have to turn it by {correction_deg:.1f} degrees"
-            )
+            text = f"refinement would have to turn the press by {correction_deg:.1f} degrees"
+            rejected = Reason(ReasonCode.PRESS_DISPLACED, text)
         return PlacedPress(pose, correction_mm, correction_deg, rejected, len(press.points_mm))
 
     def _fused(self, poses: Sequence[Rigid], rejected: Sequence[Reason | None], before: Heights | None) -> SurfaceMap:

@@ -147,7 +147,7 @@ class HandProcess:
         self._rouse()
 
     def _on_request(self, request: Request) -> None:
-        text = f"a hand accepts no requests, expected req/{request.verb} to one of its sensors"
+        text = f"a hand accepts no requests; send req/{request.verb} to one of its sensors"
         self._link.reply(request, replies.encode_reply(request, Reason(ReasonCode.UNAVAILABLE, text)))
 
 

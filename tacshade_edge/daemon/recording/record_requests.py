@@ -59,7 +59,7 @@ class RecordRequests(FrameObserver):
         """End the recordings in MCAP that a daemon who died has left; before the first one begins."""
         try:
             for path in fix_recordings(folder):
-                _log.warning("%s: its writer died; closed it after the last whole record", path)
+                _log.warning("%s: its writer died; the file now ends after the last whole record", path)
         except DeviceError as error:
             _log.warning("%s", error)
 

@@ -304,7 +304,7 @@ class _Stream:
         """The program's frames are not as large as ours."""
         height_px, width_px = self._shape
         return DeviceError(
-            f"{self._name}: found frames of another size, expected {self._bytes} bytes, {width_px}x{height_px} YUV",
+            f"{self._name}: found frames of the wrong size, expected {self._bytes} bytes, {width_px}x{height_px} YUV",
             code=ReasonCode.NOT_OFFERED,
         )
 

@@ -254,7 +254,7 @@ class Outgoing:
         """Keep whether the broker takes a topic. Lock held."""
         if code.is_failure:
             which = self._path(topic) if topic.startswith("/") else f"{self._base}/#"
-            expected = f"expected access rules (ACL) that allow this user to write {which}"
+            expected = f"expected access rules (ACL) that allow this user to publish to {which}"
             self._refusals.refused(self._path(topic), f"{code}, {expected}")
         else:
             self._refusals.taken(self._path(topic))

@@ -23,7 +23,7 @@ class Refusals:
     def refused(self, topic: str, why: str) -> None:
         """A message to a topic, or a subscription to it, was refused; the first one is logged."""
         if not self._topics:
-            _log.warning("%s: rejects %s: %s; rejections of other topics are not logged", self._where, topic, why)
+            _log.warning("%s: rejects %s: %s; further rejections are not logged", self._where, topic, why)
         self._topics.add(topic)
 
     def taken(self, topic: str) -> None:

@@ -70,7 +70,7 @@ def encode_pose(sample: PoseSample) -> bytes:
 def decode_pose(raw: bytes) -> PoseSample:
     """Understand the binary form. Raises DecodeError."""
     if len(raw) != POSE_BYTES or raw[:1] != b"P":
-        raise DecodeError(f"found {len(raw)} bytes, expected P and {POSE_BYTES - 1} more")
+        raise DecodeError(f"found {len(raw)} bytes, expected the letter P and {POSE_BYTES - 1} more bytes")
     if _CRC.unpack_from(raw, _POSE.size)[0] != crc16(raw[: _POSE.size]):
         raise DecodeError("found a wrong checksum in a binary pose")
     _, seq, t_ns, *values = _POSE.unpack_from(raw)

@@ -44,11 +44,12 @@ class ReplyCache:
         known = self._entries.get(seq)
         if known is not None:
             if known.text != text:
-                return Reason(ReasonCode.NUMBER_REUSED, "found a number that another line used, expected a new one")
+                return Reason(ReasonCode.NUMBER_REUSED, "found the number of another line, expected a new one")
             return Repeat(known.reply)
         behind = 0 if self._newest is None else (self._newest - seq) % SEQ_MODULO
         if REPLIES_KEPT <= behind < SEQ_MODULO // 2:  # its reply may be forgotten: to do it could be a second time
-            return Reason(ReasonCode.NUMBER_STALE, f"found an old number, expected one after #{self._newest}, or HELLO")
+            text = f"found an old line number, expected one after #{self._newest}, or HELLO"
+            return Reason(ReasonCode.NUMBER_STALE, text)
         if self._newest is None or behind >= SEQ_MODULO // 2:
             self._newest = seq
             for old in [s for s in self._entries if (seq - s) % SEQ_MODULO >= REPLIES_KEPT]:

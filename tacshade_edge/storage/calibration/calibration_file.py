@@ -172,9 +172,7 @@ def inputs_in(path: str | os.PathLike[str]) -> Inputs | None:
             raise ValueError("expected an image in reference_grey")
         return calibration_inputs.unpack(content.meta["inputs"], content.arrays, shape)
     except (ValueError, KeyError) as error:
-        raise ConfigError(
-            f"{name}: cannot read the images that it was made from: {shown(error)}: calibrate again"
-        ) from None
+        raise ConfigError(f"{name}: cannot read the images stored in it: {shown(error)}: calibrate again") from None
 
 
 def fitted_in(path: str | os.PathLike[str]) -> dict[str, FittedNetwork]:

@@ -90,7 +90,8 @@ class LeRobotExport:
         if (STATE in self._features) != (STATE in row):
             found, expected = ("a pose", "none") if STATE in row else ("no pose", "one")
             raise ConfigError(
-                f"{name}: found {found}, expected {expected}, like the first: LeRobot needs poses in all frames or none"
+                f"{name}: found {found}, expected {expected} as in the first frame: "
+                "LeRobot needs poses in all frames or none"
             )
         for key, value in row.items():
             self._stats.setdefault(key, _Spread()).add(value[None])

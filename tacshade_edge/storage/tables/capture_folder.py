@@ -79,7 +79,7 @@ def stated(where: str, columns: Sequence[str], names: Collection[str], skin_radi
         expected = f"a number above 0 and below the skin's radius of {skin_radius_mm:g} mm"
         raise ConfigError(f"{where}: depth_mm: found {depth_text}, expected {expected}")
     if (x_text == "") != (y_text == ""):
-        raise ConfigError(f"{where}: x_mm, y_mm: found one of them, expected both or none")
+        raise ConfigError(f"{where}: x_mm, y_mm: found only one of them, expected both or neither")
     if x_text and not number(where, "x_mm", x_text) ** 2 + number(where, "y_mm", y_text) ** 2 < skin_radius_mm**2:
         expected = f"a place over the skin, whose radius is {skin_radius_mm:g} mm"
         raise ConfigError(f"{where}: x_mm, y_mm: found {x_text}, {y_text}, expected {expected}")

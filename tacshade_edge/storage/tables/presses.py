@@ -84,7 +84,7 @@ def _press(path: Path, where: str, row: dict[str, str], indenters: Mapping[str, 
         )
     place = [row[column].strip() for column in ("x_mm", "y_mm")]
     if (place[0] == "") != (place[1] == ""):
-        raise ConfigError(f"{where}: x_mm, y_mm: found one of them, expected both or none")
+        raise ConfigError(f"{where}: x_mm, y_mm: found only one of them, expected both or neither")
     if isinstance(indenter, Indenter) and not place[0]:
         raise ConfigError(f"{where}: x_mm, y_mm: found nothing, expected both: they are optional only for a ball")
     try:

@@ -173,7 +173,7 @@ def read_columns(path: Path, required: tuple[str, ...], optional: tuple[str, ...
     header = [name.strip() for name in lines[0][1]] if lines else []
     if missing := [name for name in required if name not in header]:
         found = f"the header {shown(delimiter.join(header), 80)}" if header else "no header"
-        raise ConfigError(f"{path}:1: found {found}, expected {','.join(required)}: {', '.join(missing)} missing")
+        raise ConfigError(f"{path}:1: found {found}, expected {','.join(required)}: missing {', '.join(missing)}")
     line0, known = lines[0][0], (*required, *optional)
     if twice := [name for name in known if header.count(name) > 1]:
         raise ConfigError(f"{path}:{line0}: {twice[0]}: found {header.count(twice[0])} such columns, expected one")

@@ -89,7 +89,7 @@ def read_truth(path: Path, image_size_px: tuple[int, int], geometry: Geometry) -
         top = float(np.nanmax(height, initial=0.0))
     depth_max = _number(path, content, "depth_max_mm", top)
     if len(points) and not depth_max > 0:
-        raise DecodeError(f"{path}: found a contact whose greatest depth is {depth_max:.3g} mm, expected one above 0")
+        raise DecodeError(f"{path}: found a contact whose greatest depth is {depth_max:.3g} mm, expected more than 0")
     name = str(content["object"]) if "object" in content else path.stem
     return KnownTruth(points.astype(np.float32), depth_max, contact, row0, col0, step), name
 

@@ -125,7 +125,8 @@ def read_known(path: Path) -> KnownSurface:
     except (KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
         raise ConfigError(f"{path}: not a known surface: {error}; expected z_mm, x0_mm, y0_mm, step_mm") from None
     if raster.z_mm.ndim != 2 or not raster.step_mm > 0 or not np.isfinite(raster.z_mm).any():
-        raise ConfigError(f"{path}: found z_mm {raster.z_mm.shape} at steps of {raster.step_mm:g} mm, expected a map")
+        found = f"z_mm of shape {raster.z_mm.shape} at steps of {raster.step_mm:g} mm"
+        raise ConfigError(f"{path}: found {found}, expected a map with finite heights")
     return known
 
 

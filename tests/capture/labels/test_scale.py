@@ -57,7 +57,7 @@ def test_readings_one_byte_at_a_time(line: tuple[int, str], monkeypatch: pytest.
         assert np.isnan(scale.median_n(t_s[-1] + 1)).all()
         scale.check()
         monkeypatch.setattr("tacshade_edge.capture.labels.scale.READINGS_MAX", 4)
-        with pytest.raises(DeviceError, match="found 4 readings since the start, expected fewer"):
+        with pytest.raises(DeviceError, match="found 4 readings, the limit of one run"):
             scale.check()
     finally:
         scale.close()

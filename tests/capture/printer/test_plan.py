@@ -29,10 +29,10 @@ def test_a_press_is_recognised_whatever_its_yaw_was() -> None:
 @pytest.mark.parametrize(
     ("columns", "said"),
     [
-        (("ball", "6", "2.5", "", ""), "found no x_mm, y_mm"),
+        (("ball", "6", "2.5", "", ""), "found no x_mm and y_mm"),
         (("square", "", "2", "0", "5", "30", "", "", "", ""), "found yaw, tilt or shear, expected none"),
         (("ball", "6", "9", "0", "0"), "found 9.0 mm of travel from first touch, expected more than 0 and at most 6.7"),
-        (("ball", "6", "2", "15", "6"), "found a place 16.2 mm from the axis, expected one in view, within 15.3 mm"),
+        (("ball", "6", "2", "15", "6"), "found a place 16.2 mm from the axis, expected at most 15.3 mm (in view)"),
     ],
 )
 def test_what_a_printer_cannot_take_is_refused_before_it_moves(columns: tuple[str, ...], said: str) -> None:

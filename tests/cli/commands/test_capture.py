@@ -124,7 +124,7 @@ def test_a_robot_tells_place_and_depth(tmp_path: Path) -> None:
         wait_until(lambda: any(" UNCALIBRATED " in reply for reply in robot.replies.values()), 10, "the refusal")
         press(tmp_path, "ball,6,2.5,1,-3")
         one.types("ball 6")
-        one.hears("found no press of ball with depth, x and y since the start")
+        one.hears("found no press of ball in this run, expected one with depth, x and y first")
         one.types("ball 6 2.5 1 -3")
         one.hears("press_001.png: ball of 6 mm, 2.5 mm deep at x 1, y -3 mm")
         one.hears("press 2 [ball 6, where the robot holds it]:")

@@ -123,7 +123,7 @@ def test_another_circle_ends_what_was_found_with_the_old_one(words: list[str], p
         (
             "SENSOR.yaml",
             SENSOR.replace("20", "10"),
-            "found a place 8.0 mm from the axis, expected one in view, within 7.7 mm",
+            "found a place 8.0 mm from the axis, expected at most 7.7 mm (in view)",
         ),
     ],
 )

@@ -65,7 +65,7 @@ def test_a_missing_calibration_is_a_warning_with_the_next_command(folder: Path, 
         ),
         (
             GOOD + "mqtt: {username: a, password_file: c.npz}\n",
-            "s.yaml:3: mqtt.password_file: {folder}/c.npz: found text that",
+            "s.yaml:3: mqtt.password_file: {folder}/c.npz: found bytes that",
         ),
     ],
 )

@@ -36,7 +36,7 @@ def test_a_fault_is_exit_1_and_its_fix_stands_below(tmp_path: Path, capsys: Any)
     assert printed.err == ""
     assert lines[0] == f"ok       settings           {config}, sensor tacshade"
     assert lines[1].startswith("fault    broker             127.0.0.1:")
-    assert lines[2].startswith("         -> start it: sudo systemctl")
+    assert lines[2].startswith("         -> start the broker: sudo systemctl")
     assert lines[-1].startswith("1 fault, ")
     assert "\x1b" not in printed.out, "colour only on a terminal"
 

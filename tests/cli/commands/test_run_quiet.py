@@ -57,7 +57,7 @@ def test_no_broker_and_no_camera(tmp_path: Path, run_quietly: Callable[..., Line
     port = free_port()
     lines = run_quietly(port, CAMERA_AWAY)
     wait_until(
-        lambda: say(lines, f"127.0.0.1:{port}: ", "Connection refused; to fix it: start it: sudo systemctl enable"), 20
+        lambda: say(lines, f"127.0.0.1:{port}: ", "Connection refused; to fix it: start the broker: sudo systemctl"), 20
     )
     wait_until(lambda: say(lines, "source away: camera /dev/video99: no such device", "to fix it: plug it in"), 20)
 

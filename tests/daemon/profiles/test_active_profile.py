@@ -56,7 +56,7 @@ def test_a_step_is_wanted_in_the_one_thread_and_done_in_the_other(
     caplog.set_level(logging.INFO)
     daemon = Daemon(calibration)
     assert (daemon.profile, daemon.active.choice) == (BEST, AUTO)
-    assert f"profile auto: starts with {BEST} for a budget of 10000 ms; the profiles take {BEST} " in caplog.text
+    assert f"profile auto: starting with {BEST} for a budget of 10000 ms; measured here: {BEST} " in caplog.text
     assert daemon.active.health() == {
         "latency_budget_ms": BUDGET_MS,
         "profile": BEST,
@@ -71,7 +71,7 @@ def test_a_step_is_wanted_in_the_one_thread_and_done_in_the_other(
     assert daemon.active.step(stepped)
     assert daemon.profile == LADDER[1]
     assert caplog.records[-1].getMessage() == (
-        f"profile auto: from {BEST} down to {LADDER[1]}: 7 of the latest 7 frames in contact took over 10000 ms"
+        f"profile auto: stepped from {BEST} down to {LADDER[1]}: 7 of the latest 7 frames in contact took over 10000 ms"
     )
     assert caplog.records[-1].levelno == logging.INFO
     daemon.frames(WINDOW_FRAMES, 1.0)

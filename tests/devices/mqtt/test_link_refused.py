@@ -27,7 +27,7 @@ class TestRefused:
             wrong = Rig(broker.port, username="sensor", password="wrong")
             wrong.link.start()
             wait_until(lambda: code(wrong) is ReasonCode.REFUSED, 5, "the reason")
-            assert str(wrong.link.reason) == f"127.0.0.1:{broker.port}: refused: Not authorized"
+            assert str(wrong.link.reason) == f"127.0.0.1:{broker.port}: rejects the connection: Not authorized"
             assert not wrong.link.connected
             wrong.link.stop(2)
             Rig(broker.port, username="sensor", password="right").connect().link.stop(2)
@@ -58,7 +58,7 @@ class TestRefused:
         told = [record for record in caplog.records if record.levelno >= logging.WARNING]
         assert [record.getMessage() for record in told] == [
             f"127.0.0.1:{broker.port}: rejects {BASE}/state: Not authorized, expected access rules (ACL) that allow "
-            f"this user to write {BASE}/#; rejections of other topics are not logged"
+            f"this user to publish to {BASE}/#; further rejections are not logged"
         ]
 
     def test_a_stream_that_alone_is_denied_is_refused_and_the_others_go_out(self, tmp_path: Path) -> None:

@@ -136,7 +136,7 @@ def test_a_repeated_line_gets_its_reply_again_and_is_not_done_again() -> None:
     for line in (b"#7 CAPTURE\n", b"#7 CAPTURE\n", seal("#7 CAPTURE")):
         assert desk.send(line) == ["OK 7 name=done-1"]
     assert desk.verbs() == [(7, "CAPTURE")]
-    assert desk.send(b"#7 REFERENCE\n") == ["ERR 7 REUSED found a number that another line used, expected a new one"]
+    assert desk.send(b"#7 REFERENCE\n") == ["ERR 7 REUSED found the number of another line, expected a new one"]
     assert desk.link.counts.repeats == 2
 
 
@@ -157,7 +157,7 @@ def test_numbers_that_are_too_old_to_be_known_are_refused() -> None:
     newest = 100 + 2 * REPLIES_KEPT - 1
     assert desk.send(b"#%d STATUS\n" % (newest - REPLIES_KEPT + 1)) == [f"OK {newest - REPLIES_KEPT + 1} name=done-65"]
     assert desk.send(b"#%d STATUS\n" % (newest - REPLIES_KEPT)) == [
-        f"ERR {newest - REPLIES_KEPT} STALE found an old number, expected one after #{newest}, or HELLO"
+        f"ERR {newest - REPLIES_KEPT} STALE found an old line number, expected one after #{newest}, or HELLO"
     ]
     assert len(desk.done) == 2 * REPLIES_KEPT
 

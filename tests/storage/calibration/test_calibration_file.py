@@ -156,7 +156,9 @@ def test_another_version_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(calibration_file, "VERSION", now + 1)
     calibration_file.save(tmp_path / "new.npz", painted_calibration())
     monkeypatch.undo()
-    with pytest.raises(ConfigError, match=rf"new\.npz: found calibration version {now + 1}, expected {now}: calibrate again"):
+    with pytest.raises(
+        ConfigError, match=rf"new\.npz: found calibration version {now + 1}, expected {now}: calibrate again"
+    ):
         calibration_file.load(tmp_path / "new.npz")
 
 

@@ -83,7 +83,7 @@ def test_what_cannot_be_one_is_refused_in_one_line(
     path: Path, meta: dict[str, object], arrays: dict[str, object]
 ) -> None:
     path.write_bytes(Content(meta, arrays).packed())
-    with pytest.raises(ConfigError, match=f"{path}: .*take it again") as caught:
+    with pytest.raises(ConfigError, match=f"{path}: .*take a new ") as caught:
         reference_file.load(path, CALIBRATED)
     assert "\n" not in str(caught.value)
 

@@ -84,7 +84,7 @@ def test_a_header_alone_has_no_press(tmp_path: Path) -> None:
     [
         ("", r"PRESSES\.csv:1: found no header, expected image,indenter"),
         (GOOD, r":1: found the header a\.png"),
-        (HEADER.replace("y_mm", "x_mm") + GOOD, ":1: found the header .*, expected image,.*: y_mm missing"),
+        (HEADER.replace("y_mm", "x_mm") + GOOD, ":1: found the header .*, expected image,.*: missing y_mm"),
         (HEADER.strip() + ",x_mm\n" + GOOD, ":1: x_mm: found 2 such columns, expected one"),
         (HEADER + "a.png,ball,4.5,2\n", ":2: found 4 columns, expected 6"),
         (HEADER + GOOD + "a.png,ball,4.5,2,1,2,3\n", ":3: found 7 columns, expected 6"),
@@ -93,7 +93,7 @@ def test_a_header_alone_has_no_press(tmp_path: Path) -> None:
         (HEADER + "a.png,ball,4.5,,,\n", ":2: depth_mm: found '', expected a number"),
         (HEADER + "a.png,ball,4.5,nan,,\n", ":2: depth_mm: found 'nan', expected a number"),
         (HEADER + "a.png,ball,4.5,inf,,\n", ":2: depth_mm: found 'inf', expected a number"),
-        (HEADER + "a.png,ball,4.5,2,1,\n", ":2: x_mm, y_mm: found one of them, expected both or none"),
+        (HEADER + "a.png,ball,4.5,2,1,\n", ":2: x_mm, y_mm: found only one of them, expected both or neither"),
         (HEADER + "none.png,ball,4.5,2,,\n", r":2: image: .*none\.png: No such file"),
         (HEADER + "PRESSES.csv,ball,4.5,2,,\n", ":2: image: .*not an image"),
         (HEADER + ",ball,4.5,2,,\n", ":2: image: "),

@@ -124,7 +124,7 @@ def test_a_truth_on_a_grid_of_its_own(tmp_path: Path) -> None:
         (truth(step_px=0.0), "step_px: found 0.0, expected a number above 0"),
         (truth(row0=np.array([1.0, 2.0])), "row0: found array([1., 2.]), expected one number"),
         (truth(depth_max_mm=np.nan), "depth_max_mm: found array(nan), expected one number"),
-        (truth(depth_max_mm=0.0), "a contact whose greatest depth is 0 mm, expected one above 0"),
+        (truth(depth_max_mm=0.0), "a contact whose greatest depth is 0 mm, expected more than 0"),
         (truth(height_mm=np.zeros(SIZE)), "a contact whose greatest depth is 0 mm"),
     ],
 )

@@ -72,7 +72,7 @@ def test_references_alone(found: Evaluation) -> None:
     one = replace(PLAN, objects=("ball",), references=1, presses=0, null_frames=0)
     made = evaluate(one, ThisProcess(), quiet)
     assert made.calibrations[0].calibration.fit is None
-    assert "1 reference" in made.calibrations[0].warnings[0]
+    assert "found 1, expected 5" in made.calibrations[0].warnings[0]
     assert [r.depth_error_pct for r in made.rows] != [r.depth_error_pct for r in found.rows[:3]]
 
 

@@ -53,8 +53,8 @@ def skin_centre(touches_mm: F64, skin_radius_mm: float, ball_radius_mm: float) -
         centre = centre + np.linalg.lstsq(towards / distance[:, None], distance - reach_mm, rcond=None)[0]
     rms_mm = float(np.sqrt(np.mean((np.linalg.norm(balls_mm - centre, axis=1) - reach_mm) ** 2)))
     if not rms_mm <= _MOST_RMS * skin_radius_mm:
-        expected = f"expected those of an upright skin of {skin_radius_mm:g} mm and a ball of {ball_radius_mm:g} mm"
-        raise ConfigError(f"found touches that fit a sphere only within {rms_mm:.2f} mm (RMS), {expected}")
+        expected = f"expected an upright skin of radius {skin_radius_mm:g} mm and a ball of {ball_radius_mm:g} mm"
+        raise ConfigError(f"found touches that miss a sphere by {rms_mm:.2f} mm (RMS), {expected}")
     return centre, rms_mm
 
 
@@ -81,7 +81,7 @@ def yaw_of(places_mm: F64, pictured_mm: F64) -> float:
     shown, put = pictured_mm @ (1, 1j), places_mm @ (1, 1j)
     turned, mirrored = (float(abs(np.vdot(s, put))) for s in (shown, shown.conj()))
     if mirrored > 2 * turned:
-        raise ConfigError("the pictures show the places mirrored: the machine's x or y runs the other way")
+        raise ConfigError("the pictures show the places mirrored: the machine's x or y axis is reversed")
     yaw = float(np.angle(np.vdot(shown, put)))
     size = float(np.sqrt(np.mean(np.abs(put) ** 2)))
     scale = float(np.vdot(shown, put * np.exp(-1j * yaw)).real / max(np.vdot(shown, shown).real, 1e-9))

@@ -83,7 +83,7 @@ class McapFrames:
         self._unusable = 0
         for count, found in enumerate(self._messages()):
             if self._unusable > _UNUSABLE_MAX:
-                unusable = f"found {self._unusable} unusable messages; skipping the rest"
+                unusable = f"found {self._unusable} unusable messages; skipping everything after them"
                 error = DecodeError(f"{shown(self.topic)}: {unusable}")
                 yield Row(str(count), max(last_ns, 0), None), self._refusal(error), 0
                 return
@@ -153,12 +153,12 @@ class McapFrames:
                     schema = schemas.get(channel.schema_id)
                     yield path, schema.name if schema else "", channel.encoding, record, about
         if unknown:
-            found = f"{unknown} messages of channels that the file does not describe"
+            found = f"{unknown} messages on channels that the file does not describe"
             yield Damage(DecodeError(f"{shown(path)}: found {found}; skipping them"))
         counts = file.summary.counts if file.summary else {}
         expected = sum(counts.get(channel.id, 0) for channel in channels.values() if channel.topic == self.topic)
         if expected - images > damaged:
-            found = f"{images} messages of {shown(self.topic)}, expected {expected} by the file's own count"
+            found = f"{images} messages on {shown(self.topic)}, expected the {expected} that its index counts"
             yield Damage(DecodeError(f"{shown(path)}: found {found}; the others are lost"))
 
     def _row(self, count: int, message: Message, about: dict[str, Any]) -> Row:
@@ -168,7 +168,7 @@ class McapFrames:
                 raise DecodeError(f"found the time {message.log_ns}, expected at most 2^62 ns")
             return Row(str(count), message.log_ns, None)
         if about.get("seq") != message.sequence:
-            raise DecodeError("found no time for this image, expected a message before it on the channel frame")
+            raise DecodeError("found no message with this image's time, expected one before it on the channel `frame`")
         name, t_ns = about.get("image"), _whole(about, "t_ns", T_NS_MAX)
         if not isinstance(name, str) or len(name) > _NAME_CHARS_MAX:
             raise DecodeError(f"image: found {_short(name)}, expected at most {_NAME_CHARS_MAX} characters")

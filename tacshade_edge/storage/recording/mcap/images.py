@@ -42,7 +42,7 @@ def _raw(image: PixelRows) -> U8:
     if not (min(rows, cols) > 0 and max(rows, cols) <= SIDE_MAX_PX and rows * cols <= PIXELS_MAX):
         raise DecodeError(f"found {cols}x{rows} px, expected at most {SIDE_MAX_PX} px a side")
     if step < cols * channels or len(image.data) < rows * step:
-        raise DecodeError(f"found {len(image.data)} bytes for {rows} rows of {step}, expected whole rows")
+        raise DecodeError(f"found {len(image.data)} bytes for {rows} rows of {step} bytes, expected whole rows")
     pixels = np.frombuffer(image.data, np.uint8, rows * step).reshape(rows, step)[:, : cols * channels]
     if channels == 1:
         return pixels.copy()
@@ -76,7 +76,7 @@ def image_of(schema: str, encoding: str, payload: bytes) -> U8:
     DecodeError
     """
     if (schema, encoding) not in DECODERS:
-        raise DecodeError(f"found {quoted(schema)} in {quoted(encoding)}, expected an image")
+        raise DecodeError(f"found {quoted(schema)} encoded as {quoted(encoding)}, expected an image")
     try:
         return DECODERS[schema, encoding](payload)
     except ProtobufError as error:

@@ -101,7 +101,7 @@ class McapFile:
                 found = f"{self._name}: the {what} at byte {place.body - HEAD.size} is damaged; skipping it: {error}"
                 yield Damage(DecodeError(found))
             if self._unpacked > self._unpacked_max:
-                found = f"{self._name}: skipping everything after byte {place.end}: found more than "
+                found = f"{self._name}: skipping the data after byte {place.end}: found more than "
                 expected = f"{self._unpacked_max} unpacked bytes, expected at most {UNPACKED_MAX} times the file's size"
                 yield Damage(DecodeError(found + expected))
                 return

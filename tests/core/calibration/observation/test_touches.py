@@ -39,7 +39,7 @@ def test_the_centre_is_found_wherever_the_touches_lie(
 
 def test_another_skin_is_refused() -> None:
     places = np.vstack(((0, 0), 8 * RING))
-    with pytest.raises(ConfigError, match="expected those of an upright skin of 32 mm and a ball of 6 mm"):
+    with pytest.raises(ConfigError, match="expected an upright skin of radius 32 mm and a ball of 6 mm"):
         skin_centre(touches(np.zeros(3), 20, 6, places), 32, 6)
 
 

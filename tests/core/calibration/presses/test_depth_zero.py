@@ -90,7 +90,7 @@ def test_a_simulated_sensor(presses: list[KnownPress], off_mm: float, wanted: st
 def test_travel_from_first_touch_is_refused_and_read_where_it_is_asked_for(presses: list[KnownPress]) -> None:
     table = stated_as(presses, less_first_touch)
     with pytest.raises(
-        ConfigError, match=r"PRESSES.csv: depth_mm: found travel from first touch.* --depth-from-touch "
+        ConfigError, match=r"PRESSES.csv: depth_mm: found travel from first touch.* --depth-from-touch,"
     ):
         warnings_of(table)
     read = [from_travel(press, FULL.skin_radius_mm) for press in table]

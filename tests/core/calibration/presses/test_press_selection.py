@@ -35,7 +35,7 @@ def test_too_few_presses() -> None:
 
 @pytest.mark.parametrize("depth_mm", [0.0, -1.0, 20.0, 1e9, float("nan"), float("inf")])
 def test_a_depth_that_cannot_be(depth_mm: float) -> None:
-    with pytest.raises(ConfigError, match=r"press 0: depth .* expected 0 < depth < 20"):
+    with pytest.raises(ConfigError, match=r"press 0: found depth .* expected 0 < depth < 20"):
         fitted([replace(presses()[0], depth_mm=depth_mm), *presses()[1:]])
 
 

@@ -117,7 +117,7 @@ def test_a_damaged_chunk_is_told_and_passed_over(tmp_path: Path) -> None:
     assert 25 <= len(frames) < 40
     assert len(refused) == 2
     assert "is damaged; skipping it" in refused[0]
-    assert f"found {len(frames)} messages of /tacshade/left/camera, expected 40 by the file's own count" in refused[1]
+    assert f"found {len(frames)} messages on /tacshade/left/camera, expected the 40 that its index counts" in refused[1]
 
 
 @pytest.mark.slow
@@ -184,7 +184,7 @@ def test_a_picture_of_ours_whose_times_are_lost_is_told(tmp_path: Path) -> None:
     frames, refused = every(_written(tmp_path, stream.getvalue()))
     assert [recorded.frame.t_ns for recorded in frames] == [frame(1).t_ns]
     assert len(refused) == 1
-    assert "expected a message before it on the channel frame" in refused[0]
+    assert "expected one before it on the channel `frame`" in refused[0]
 
 
 def test_a_file_of_several_that_is_none_is_told_and_the_others_are_read(tmp_path: Path) -> None:
@@ -292,7 +292,7 @@ def test_what_is_told_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     read, refused = every(_written(tmp_path, file_of(inside)))
     assert read == []
     assert len(refused) == 12
-    assert refused[-1] == "/cam: found 11 unusable messages; skipping the rest"
+    assert refused[-1] == "/cam: found 11 unusable messages; skipping everything after them"
 
 
 @pytest.mark.parametrize(
