@@ -130,7 +130,7 @@ def judge_daemon(daemon: DaemonState, process: Process | None, sensor_id: str) -
     if daemon.state == "degraded":
         return warning("daemon", f"running, {process}: {daemon}", fix)
     fix = f"was it started with these settings? {fix}"
-    return warning("daemon", f"{process} runs, but {sensor_id} is not online at the broker", fix)
+    return warning("daemon", f"{process} is running, but {sensor_id} is not online at the broker", fix)
 
 
 def _listen(client: Client, topic: str) -> _Session:

@@ -125,7 +125,7 @@ class _Run:
         self._judge = press_targets(calibration, profile, self._shipped, judge)
         trained = press_targets(calibration, profile, self._shipped, train)
         if not trained.presses or not self._judge.presses:
-            raise ConfigError(f"--fit: {name} finds the contact at the indenter in too few presses")
+            raise ConfigError(f"--fit: {name} finds a contact under the indenter in too few presses")
         frame, self._once = network_files(self._weights)
         self._network = TorchNetwork(frame, trained.sensors, self._factor)
         self.training = training.Training(self._network, self._shipped.fold, self._factor, trained, self._judge)
