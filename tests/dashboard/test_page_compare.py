@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +25,9 @@ pytestmark = NEEDS_A_BROWSER
 ROW, COL = 236.0, 300.0
 
 
-def test_two_hands_are_compared_cell_by_cell_in_the_cells_of_the_first(page: Chrome, tmp_path: Path) -> None:
+@contextmanager
+def compared_with(page: Chrome, tmp_path: Path) -> Iterator[tuple[PublishedSensor, PublishedSensor]]:
+    """A page of run-a that compares it with run-b; neither has published a picture."""
     with (
         Broker(tmp_path) as broker,
         dashboard(f"127.0.0.1:{broker.port}") as address,
@@ -33,6 +37,11 @@ def test_two_hands_are_compared_cell_by_cell_in_the_cells_of_the_first(page: Chr
         opened(page, address, "run-a")
         wait_until(lambda: len(Select(page.find_element(By.ID, "against")).options) == 3, 15, "there is another")
         Select(page.find_element(By.ID, "against")).select_by_value("run-b")
+        yield first, other
+
+
+def test_two_hands_are_compared_cell_by_cell_in_the_cells_of_the_first(page: Chrome, tmp_path: Path) -> None:
+    with compared_with(page, tmp_path) as (first, other):
         shows(page, "compare-words", "it has published nothing yet")
         until_shown(page, first, lambda: bump(7, 2.0, ROW, COL, 4), 7)
 
@@ -55,15 +64,7 @@ def test_two_hands_are_compared_cell_by_cell_in_the_cells_of_the_first(page: Chr
 
 
 def test_numbers_stand_under_their_own_picture_only(page: Chrome, tmp_path: Path) -> None:
-    with (
-        Broker(tmp_path) as broker,
-        dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedSensor(broker.port, "run-a") as first,
-        PublishedSensor(broker.port, "run-b") as other,
-    ):
-        opened(page, address, "run-a")
-        wait_until(lambda: len(Select(page.find_element(By.ID, "against")).options) == 3, 15, "there is another")
-        Select(page.find_element(By.ID, "against")).select_by_value("run-b")
+    with compared_with(page, tmp_path) as (first, other):
         until_shown(page, first, lambda: bump(7, 2.0, ROW, COL, 4), 7)
 
         def compared() -> bool:
@@ -125,15 +126,7 @@ def test_both_pictures_have_one_scale_which_holds_the_deeper_one(page: Chrome, t
     def ends_at(ticks: str) -> bool:
         return text(page, "compare-ticks").replace("\n", " ").endswith(ticks)
 
-    with (
-        Broker(tmp_path) as broker,
-        dashboard(f"127.0.0.1:{broker.port}") as address,
-        PublishedSensor(broker.port, "run-a") as first,
-        PublishedSensor(broker.port, "run-b") as other,
-    ):
-        opened(page, address, "run-a")
-        wait_until(lambda: len(Select(page.find_element(By.ID, "against")).options) == 3, 15, "there is another")
-        Select(page.find_element(By.ID, "against")).select_by_value("run-b")
+    with compared_with(page, tmp_path) as (first, other):
         until_shown(page, first, lambda: bump(7, 1.0, ROW, COL, 4), 7)
 
         def compared() -> bool:
