@@ -178,18 +178,18 @@ def test_a_viewer_sees_a_press(tmp_path: Path) -> None:
             streams = ("height", "cloud", "contact", "touch")
             await seen.subscribe(*(f"/tacshade/drawn/{name}" for name in (*streams, "log")))
             await until(lambda: all(asker.heard(f"tacshade/drawn/{name}") for name in streams))
-            sensor.tell("state", b"degraded")
+            sensor.publish("state", b"degraded")
             await seen.until(
                 "log", found=lambda line: (line.name, line.message) == ("tacshade/drawn/state", "degraded")
             )
             height = wire.encode_height(press, calibration_crc32=CRC, pose=pose, pose_error_us=9)
-            sensor.tell("height", height)
-            sensor.tell("cloud", wire.encode_cloud(press, calibration_crc32=CRC))
+            sensor.publish("height", height)
+            sensor.publish("cloud", wire.encode_cloud(press, calibration_crc32=CRC))
             contact = messages.encode_contact(press, fps=30.0)
-            sensor.tell("contact", contact)
+            sensor.publish("contact", contact)
             touch = messages.encode_touch(replace(press, touch=Touch({"twist_deg": -2.5}, {"twist_deg": 0.5})))
-            sensor.tell("touch", b'{"seq":7,"t_ns":0,"touch":{"twist_deg":1e300},"touch_sigma":{"twist_deg":0.5}}')
-            sensor.tell("touch", touch)
+            sensor.publish("touch", b'{"seq":7,"t_ns":0,"touch":{"twist_deg":1e300},"touch_sigma":{"twist_deg":0.5}}')
+            sensor.publish("touch", touch)
             image, cloud, told, numbers = await seen.until(*streams)
             expected = wire.decode(height)
             assert isinstance(expected, HeightMessage)
@@ -201,12 +201,12 @@ def test_a_viewer_sees_a_press(tmp_path: Path) -> None:
             points = np.frombuffer(cloud.data, [("xyz", "<f4", 3), ("object", "<u2")])
             np.testing.assert_allclose(points["xyz"], press.cloud.points_mm / 1000, rtol=1e-6)
             np.testing.assert_array_equal(points["object"], press.cloud.labels)
-            sensor.tell("height", height)  # what came with the first was read above
+            sensor.publish("height", height)  # what came with the first was read above
             (robot,) = await seen.until("tf", found=lambda tf: tf.transforms[0].parent_frame_id == "drawn/base")
             (moved,) = robot.transforms
             assert moved.child_frame_id == "drawn/flange"
             assert (moved.translation.x, moved.translation.y, moved.translation.z) == (0.1, -0.02, 0.3)
-            sensor.tell("height", wire.encode_height(later, calibration_crc32=CRC))
+            sensor.publish("height", wire.encode_height(later, calibration_crc32=CRC))
             (pressed,) = await seen.until("skin", found=lambda skin: least_radius_mm(skin) < 19)
             assert least_radius_mm(pressed) == pytest.approx(18.0, abs=0.05)  # its corners lie beside the deepest point
             assert told == json.loads(contact)
@@ -243,11 +243,11 @@ def test_what_does_not_decode_is_left_out(tmp_path: Path) -> None:
             await seen.subscribe("/tacshade/drawn/height", "/tacshade/drawn/log")
             await until(lambda: asker.heard("tacshade/drawn/height"))
             for damaged in (b"TCSH", wire.encode_cloud(bump(1, 1.0, 236.0, 328.0), calibration_crc32=CRC)):
-                sensor.tell("height", damaged)
+                sensor.publish("height", damaged)
             for damaged in (b"{", b"[]", b"\xff", b"[" * 100_000):
-                sensor.tell("info", damaged)
-                sensor.tell("status/camera", damaged)
-            sensor.tell("height", wire.encode_height(bump(3, 1.0, 236.0, 328.0, 4), calibration_crc32=CRC))
+                sensor.publish("info", damaged)
+                sensor.publish("status/camera", damaged)
+            sensor.publish("height", wire.encode_height(bump(3, 1.0, 236.0, 328.0, 4), calibration_crc32=CRC))
             (image,) = await seen.until("height")
             assert image.width == 160
 
@@ -264,10 +264,10 @@ def test_a_geometry_that_no_sensor_has_is_reported_and_other_hands_are_shown(tmp
             await seen.until("skin")
             await until(lambda: asker.heard("tacshade/drawn/height"))
             for _ in range(2):
-                real.tell("height", wire.encode_height(bump(3, 1.0, 236.0, 328.0, 4), calibration_crc32=CRC))
+                real.publish("height", wire.encode_height(bump(3, 1.0, 236.0, 328.0, 4), calibration_crc32=CRC))
                 (image,) = await seen.until("height")
                 assert image.width == 160
-                bad.tell("info", payload)  # one that comes while somebody looks
+                bad.publish("info", payload)  # one that comes while somebody looks
             assert {topic.split("/")[2] for topic in seen.channels} == {"bad", "drawn"}  # and no bad-...
 
     info = json.loads(
@@ -278,7 +278,7 @@ def test_a_geometry_that_no_sensor_has_is_reported_and_other_hands_are_shown(tmp
         for key, value in values.items():
             changed = json.dumps({**info, "geometry": {**info["geometry"], key: "?"}}).replace('"?"', value)
             bad.base = f"tacshade/bad-{key}"
-            bad.tell("info", changed.encode(), retain=True)
+            bad.publish("info", changed.encode(), retain=True)
         with (
             PublishedSensor(broker.port) as real,
             BridgeProcess("foxglove", broker.port, tmp_path / "log") as bridge,

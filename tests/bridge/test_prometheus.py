@@ -147,7 +147,7 @@ def test_prometheus_reads_it(tmp_path: Path) -> None:
     ):
 
         def is_up() -> bool:
-            sensor.tell("health", health())
+            sensor.publish("health", health())
             with contextlib.suppress(OSError):
                 return series(bridge.page()).get(("tacshade_up", (("sensor", "drawn"),))) == 1
             return False

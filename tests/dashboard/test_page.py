@@ -205,13 +205,13 @@ def test_the_profile_that_auto_uses_now_is_shown_as_it_changes(page: Chrome, tmp
         wait_until(lambda: page.find_element(By.ID, "profile").is_enabled(), 15, "the sensor is online")
         assert shown() == "fast"
         for profile in ("accurate", "fast"):
-            sensor.tell_info(profile, profiles=("fast", "accurate", "auto"), choice="auto")
+            sensor.publish_info(profile, profiles=("fast", "accurate", "auto"), choice="auto")
             wait_until(lambda profile=profile: shown() == f"auto (now {profile})", 15, f"auto uses {profile}")
         Select(page.find_element(By.ID, "profile")).select_by_value("fast")
         asked = json.loads(seen.wait_for("tacshade/drawn/req/profile")[0])
         assert asked["profile"] == "fast"
-        sensor.tell_info("fast", profiles=("fast", "accurate", "auto"), choice="fast")
-        sensor.tell(
+        sensor.publish_info("fast", profiles=("fast", "accurate", "auto"), choice="fast")
+        sensor.publish(
             "res/profile",
             json.dumps({"transaction": asked["transaction"], "ok": True, "result": {"profile": "fast"}}).encode(),
         )
@@ -229,16 +229,16 @@ def test_a_hand_that_is_not_calibrated_yet_shows_its_picture_and_why(page: Chrom
     ):
         opened(page, address)
         wait_until(lambda: page.find_element(By.ID, "rezero").is_enabled(), 15, "the sensor is online")
-        sensor.tell_info("fast", profiles=("fast",), missing=missing)
-        sensor.tell("state", b"degraded", retain=True)
-        sensor.tell("status/camera", messages.encode_status("unusable", missing), retain=True)
-        sensor.tell("health", json_payload.encode_json({"invalid_reason": missing.text}))
-        sensor.tell("preview", picture)
+        sensor.publish_info("fast", profiles=("fast",), missing=missing)
+        sensor.publish("state", b"degraded", retain=True)
+        sensor.publish("status/camera", messages.encode_status("unusable", missing), retain=True)
+        sensor.publish("health", json_payload.encode_json({"invalid_reason": missing.text}))
+        sensor.publish("preview", picture)
         shows(page, "state", "degraded camera: not calibrated: found no file")
         wait_until(lambda: page.find_element(By.ID, "picture").is_displayed(), 15, "the picture")
         assert not any(page.find_element(By.ID, name).is_displayed() for name in ("height", "space", "numbers"))
         assert not page.find_element(By.ID, "rezero").is_enabled()
-        sensor.tell_info("fast", profiles=("fast",))
+        sensor.publish_info("fast", profiles=("fast",))
         wait_until(lambda: page.find_element(By.ID, "height").is_displayed(), 15, "calibrated")
 
 
@@ -265,7 +265,7 @@ def test_several_hands(page: Chrome, tmp_path: Path) -> None:
         assert js(page, "tacshade.drawnPeak()") == pytest.approx(0.9, abs=0.01)
         assert page.current_url.endswith("#index")
         assert page.title.startswith("index")
-        index.tell("state", b"offline", retain=True)
+        index.publish("state", b"offline", retain=True)
         shows(page, "state", "offline")
         assert js(page, "tacshade.sensor") == "index"  # the page does not jump away from what one looks at
 

@@ -58,7 +58,7 @@ def test_two_hands_are_compared_cell_by_cell_in_the_cells_of_the_first(page: Chr
         shows(page, "compare-words", "-0.500 mm at worst, at row 236, col 300 px")
         shows(page, "compare-numbers", "greatest depth, mm 2.00 1.50 -0.50")
         shows(page, "compare-numbers", "frame 7 8")
-        other.tell("state", b"", retain=True)  # gone
+        other.publish("state", b"", retain=True)  # gone
         wait_until(lambda: not page.find_element(By.ID, "compare").is_displayed(), 15, "nothing to compare with")
         assert errors(page) == []
 
@@ -75,14 +75,14 @@ def test_numbers_stand_under_their_own_picture_only(page: Chrome, tmp_path: Path
         shows(page, "compare-numbers", "greatest depth, mm 2.00 1.50 -0.50")
         # Pictures without numbers, then numbers without their picture.
         for sensor in (first, other):
-            sensor.tell("height", wire.encode_height(bump(8, 1.0, ROW, COL, 4), calibration_crc32=1))
+            sensor.publish("height", wire.encode_height(bump(8, 1.0, ROW, COL, 4), calibration_crc32=1))
         shows(page, "compare-numbers", "frame 8 8")
         wait_until(lambda: "depth" not in text(page, "compare-numbers"), 15, "no numbers of another picture")
         wait_until(lambda: text(page, "n-depth") == "", 15, "no depth of another picture")
         assert text(page, "objects") == ""
         for sensor in (first, other):
-            sensor.tell("contact", messages.encode_contact(bump(9, 3.0, ROW, COL, 4), fps=30.0))
-            sensor.tell("contact", messages.encode_contact(bump(8, 1.0, ROW, COL, 4), fps=30.0))
+            sensor.publish("contact", messages.encode_contact(bump(9, 3.0, ROW, COL, 4), fps=30.0))
+            sensor.publish("contact", messages.encode_contact(bump(8, 1.0, ROW, COL, 4), fps=30.0))
         shows(page, "compare-numbers", "greatest depth, mm 1.00 1.00")
         assert text(page, "n-depth") == "1.00"
         assert errors(page) == []
@@ -97,7 +97,7 @@ def test_a_run_that_is_paused_is_asked_for_its_picture_and_its_answer_is_heard(p
         PublishedSensor(broker.port, "run-b") as other,
         Subscriber(broker.port, "tacshade/run-b/req/replay") as seen,
     ):
-        other.tell("status/replay", json.dumps(paused).encode(), retain=True)
+        other.publish("status/replay", json.dumps(paused).encode(), retain=True)
         opened(page, address, "run-a")
         wait_until(lambda: len(Select(page.find_element(By.ID, "against")).options) == 3, 15, "there is another")
         until_shown(page, first, lambda: bump(91, 2.0, ROW, COL, 4), 91)
@@ -105,7 +105,7 @@ def test_a_run_that_is_paused_is_asked_for_its_picture_and_its_answer_is_heard(p
         asked = json.loads(seen.wait_for("tacshade/run-b/req/replay")[0])
         assert asked["seek_s"] == pytest.approx(2.999)
         refusal = {"transaction": asked["transaction"], "ok": False, "error": "the recording is gone"}
-        other.tell("res/replay", json.dumps(refusal).encode())
+        other.publish("res/replay", json.dumps(refusal).encode())
         shows(page, "compare-words", "run-b is paused: the recording is gone")
         assert errors(page) == []
 

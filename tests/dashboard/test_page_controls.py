@@ -100,7 +100,7 @@ def test_a_new_zero_waits_until_nothing_touches(page: Chrome, tmp_path: Path) ->
 
             wait_until(resting, 15, f"request {count}")
             body = json.loads(seen.of("tacshade/drawn/req/reference")[-1])
-            sensor.tell("res/reference", json.dumps({"transaction": body["transaction"], **answer}).encode())
+            sensor.publish("res/reference", json.dumps({"transaction": body["transaction"], **answer}).encode())
 
         opened(page, address)
         until_shown(page, sensor, lambda: bump(1, 2.0, 200, 300, step_px=4), 1)
@@ -120,7 +120,7 @@ def test_a_new_zero_waits_until_nothing_touches(page: Chrome, tmp_path: Path) ->
 
         until_shown(page, sensor, lambda: bump(3, 2.0, 200, 300, step_px=4), 3)
         page.find_element(By.ID, "rezero").click()
-        sensor.tell("state", b"stopped", retain=True)  # nobody wants it when the sensor comes back
+        sensor.publish("state", b"stopped", retain=True)  # nobody wants it when the sensor comes back
         shows(page, "answer", "Cancelled: no new zero.")
 
 
@@ -133,7 +133,7 @@ def test_a_page_that_may_only_look_records_nothing(page: Chrome, tmp_path: Path)
         page.get(told)
         wait_until(lambda: "login" not in page.current_url, 15, "logged in")
         shows(page, "link", "Connected")
-        sensor.tell("status/recorder", messages.encode_status("idle"), retain=True)
+        sensor.publish("status/recorder", messages.encode_status("idle"), retain=True)
         wait_until(lambda: page.find_element(By.ID, "recording").is_displayed(), 15, "it tells its recorder")
         assert not page.find_element(By.NAME, "record").is_enabled()
 

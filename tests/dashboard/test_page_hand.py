@@ -55,12 +55,14 @@ class WholeHand:
         self.fingers = {name: stack.enter_context(PublishedSensor(broker.port, name)) for name in PLACES_MM}
         for name, finger in self.fingers.items():
             place = (*map(float, PLACES_MM[name]), 1.0, 0.0, 0.0, 0.0)
-            finger.tell_info("fast", profiles=("fast",), hand_id="left", hand_T_sensor=place)
+            finger.publish_info("fast", profiles=("fast",), hand_id="left", hand_T_sensor=place)
         self.own = stack.enter_context(Subscriber(broker.port, "tacshade/none"))
         self._seq = 0
         self.own.publish("tacshade/hand/left/state", b"online", retain=True)
 
-    def tell(self, touching: Reconstruction | None, motion: dict[str, object] | None = None, **other: Finger) -> None:
+    def publish(
+        self, touching: Reconstruction | None, motion: dict[str, object] | None = None, **other: Finger
+    ) -> None:
         """One message of the hand, with a motion of all that is touched, and where the thumb touches its map."""
         thumb = Finger(state="contact", t_ns=1, age_ms=3.0, seq=7, objects=(TOUCHED,)) if touching else FREE
         fingers = {**dict.fromkeys(PLACES_MM, FREE), "thumb": thumb, **other}
@@ -100,7 +102,7 @@ def test_every_finger_is_shown_and_what_it_touches_in_the_hands_frame(
     ring = away(Reason(ReasonCode.LOST, "gone"))
 
     def shown() -> bool:
-        whole.tell(bump(7, 2.6, ROW, COL, 4), ring=ring)
+        whole.publish(bump(7, 2.6, ROW, COL, 4), ring=ring)
         return bool(js(page, "tacshade.whole !== null")) and js(page, PEAKS)[0] > 150
 
     wait_until(shown, 20, "the thumb's map is drawn")
@@ -120,7 +122,7 @@ def test_every_finger_is_shown_and_what_it_touches_in_the_hands_frame(
     picture(page, "dashboard-hand", (1200, 960))
 
     def released() -> bool:
-        whole.tell(None)
+        whole.publish(None)
         return bool(js(page, PEAKS)[0] < 80)
 
     wait_until(released, 20, "a release whose map was lost")
@@ -140,7 +142,7 @@ def test_what_is_held_is_drawn_as_one_body_that_moves(page: Chrome, hand: tuple[
     def drawn(motion: dict[str, object] | None, at_mm: float) -> list[list[float]]:
         touched = {n: replace(TOUCHED, centroid_mm=p) for n, p in corners.items()}
         fingers = {n: Finger(state="contact", t_ns=1, age_ms=3.0, seq=7, objects=(o,)) for n, o in touched.items()}
-        whole.tell(None, **fingers, motion=motion)
+        whole.publish(None, **fingers, motion=motion)
         points = str(js(page, "document.querySelector('#whole-plane .body')?.getAttribute('points') ?? ''"))
         found = sorted([float(v) for v in corner.split(",")] for corner in points.split())
         return found if found and abs(found[0][0] - at_mm) < 0.01 else []
@@ -168,7 +170,7 @@ def test_a_finger_is_chosen_and_the_hand_again(page: Chrome, hand: tuple[str, Wh
     page.find_element(By.XPATH, tab).click()
 
     def followed() -> bool:
-        whole.tell(None)
+        whole.publish(None)
         return len(page.find_elements(By.CSS_SELECTOR, "#whole-maps figure")) == 5
 
     wait_until(followed, 15, "the hand's fingers")
@@ -181,7 +183,7 @@ def test_a_finger_is_chosen_and_the_hand_again(page: Chrome, hand: tuple[str, Wh
 def test_a_hand_whose_process_is_gone_is_told_and_grey(page: Chrome, hand: tuple[str, WholeHand]) -> None:
     address, whole = hand
     opened(page, address, "hand/left")
-    wait_until(lambda: whole.tell(None) or text(page, "whole-state") == "left: online", 15, "it is online")
+    wait_until(lambda: whole.publish(None) or text(page, "whole-state") == "left: online", 15, "it is online")
     whole.own.publish("tacshade/hand/left/state", b"offline", retain=True)
     shows(page, "whole-state", "This hand is offline: what you see is old.")
     assert "is-stale" in str(page.find_element(By.ID, "whole").get_attribute("class"))

@@ -69,13 +69,13 @@ def test_nothing_empty_is_shown_and_health_is_folded_and_in_a_persons_units(page
         opened(page, address)
         shows(page, "state", "online")
         assert complaints() == []
-        sensor.tell("health", json_payload.encode_json(HEALTH))
+        sensor.publish("health", json_payload.encode_json(HEALTH))
         shows(page, "health-words", "30.0 frames/s · 12 ms · 1 of 200 frames lost · up 2 h 3 min")
         assert not page.find_element(By.ID, "tables").is_displayed()
         until_shown(page, sensor, lambda: bump(7, 1.5, 200, 300, step_px=4), 7)
         assert complaints() == []
         unfold_health(page)
-        sensor.tell("status/camera", messages.encode_status("streaming", None, {"device": "", "frame_us": 250}))
+        sensor.publish("status/camera", messages.encode_status("streaming", None, {"device": "", "frame_us": 250}))
         shows(page, "tables", "memory 123.5 MB")
         shows(page, "tables", "with contact, sent 50 (25 %)")
         shows(page, "tables", "light 98 %")
@@ -99,14 +99,14 @@ def test_tiles_and_maps_keep_their_place_whatever_the_numbers_are(page: Chrome, 
         until_shown(page, sensor, lambda: bump(1, 0.0, 200, 300, step_px=4), 1)
         before = boxes(page, selector)
         shows(page, "n-contact", "none")
-        sensor.tell("health", json_payload.encode_json(HEALTH))
+        sensor.publish("health", json_payload.encode_json(HEALTH))
         shows(page, "n-fps", "30.0")
         assert boxes(page, selector) == before
         until_shown(page, sensor, lambda: dragged(bump(2, 12.3, 200, 300, step_px=4), 2.0, 0.0), 2)
         shows(page, "n-depth", "12.30")
         assert text(page, "n-slip") == "sticks"
         many = {"contact": 1, "seq": 2, "depth_max_mm": 812.25, "area_mm2": 98765.4, "volume_mm3": 1234567.8}
-        sensor.tell(
+        sensor.publish(
             "contact",
             json_payload.encode_json({**many, "objects": 64, "x_mm": -123.4, "y_mm": -987.6, "slip": 2, "fps": 1000}),
         )
@@ -221,6 +221,6 @@ def test_a_damaged_map_leaves_the_marks_alone(page: Chrome, tmp_path: Path) -> N
         opened(page, address)
         until_shown(page, sensor, lambda: uncertain(bump(7, 2.6, 200, 300, 4), 1.0), 7)
         other = uncertain(bump(7, 2.6, 200, 300, 8), 1.0)  # of the same frame, but another grid
-        sensor.tell("sigma", wire.encode_sigma(other, calibration_crc32=1))
+        sensor.publish("sigma", wire.encode_sigma(other, calibration_crc32=1))
         wait_until(lambda: js(page, "document.getElementById('doubts').getAttribute('d')") == "", 15, "no marks")
         assert errors(page) == []

@@ -119,14 +119,14 @@ def test_a_map_that_was_told_before_is_there_at_once(page: Chrome, tmp_path: Pat
 
 def test_a_stitching_session_is_commanded_through_requests(page: Chrome, tmp_path: Path) -> None:
     def status(state: str, name: str, presses: int) -> None:
-        sensor.tell(
+        sensor.publish(
             "status/stitching", messages.encode_status(state, None, {"name": name, "presses": presses}), retain=True
         )
 
     def asked(count: int, result: dict[str, object], error: str = "") -> dict[str, object]:
         body = json.loads(seen.wait_for("tacshade/drawn/req/stitch", count, 15)[-1])
         answer = {"ok": False, "error": error} if error else {"ok": True, "result": result}
-        sensor.tell("res/stitch", json.dumps({"transaction": body.pop("transaction"), **answer}).encode())
+        sensor.publish("res/stitch", json.dumps({"transaction": body.pop("transaction"), **answer}).encode())
         return dict(body)
 
     def press(name: str) -> None:
@@ -190,13 +190,13 @@ def test_a_map_that_makes_no_sense_is_counted_and_not_drawn(page: Chrome, tmp_pa
             told = json.dumps(fine | wrong | {"revision": 10 + count})
             points = np.zeros((5, 3), np.float32)
             cloud = wire.encode_map_cloud(points, revision=10 + count, calibration_crc32=1, t_ns=1, wall_ns=2)
-            sensor.tell("map/cloud", cloud)
-            sensor.tell("map/revision", told.encode())
+            sensor.publish("map/cloud", cloud)
+            sensor.publish("map/revision", told.encode())
             wait_until(lambda count=count: js(page, "tacshade.undecodable") == count, 10, f"{count}, {told}")  # type: ignore[misc]
         damaged = (("map/final", b"[]"), ("map/revision", b"{"), ("map/final", b"null"), ("map/cloud", cloud[:-1]))
         for topic, payload in damaged:
             count += 1
-            sensor.tell(topic, payload)
+            sensor.publish(topic, payload)
             wait_until(lambda count=count: js(page, "tacshade.undecodable") == count, 10, f"{count}, {topic}")  # type: ignore[misc]
         assert js(page, "tacshade.stitched.name") == "<b>good</b>"
         growing.press((30.0, 20.0))

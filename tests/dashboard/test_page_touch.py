@@ -71,7 +71,7 @@ def test_numbers_have_their_intervals_and_what_is_not_known_says_why(page: Chrom
         )
 
         before = js(page, "tacshade.undecodable")
-        sensor.tell("touch", b'{"seq":9,"touch":{"depth_mm":"deep"},"touch_sigma":{"depth_mm":1}}')
+        sensor.publish("touch", b'{"seq":9,"touch":{"depth_mm":"deep"},"touch_sigma":{"depth_mm":1}}')
         wait_until(lambda: js(page, "tacshade.undecodable") == before + 1, 15, "it is counted")
 
         odd = Touch({"a_constructor": 0.5}, {"a_constructor": 0.1})

@@ -78,9 +78,11 @@ def test_what_a_hand_refuses_or_does_not_answer_is_told(page: Chrome, tmp_path: 
         wait_until(lambda: page.find_element(By.ID, "rezero").is_enabled(), 15, "the sensor is online")
         page.find_element(By.ID, "rezero").click()
         asked = json.loads(seen.wait_for("tacshade/drawn/req/reference")[0])
-        sensor.tell("res/reference", json.dumps({"transaction": "of somebody else", "ok": True, "result": {}}).encode())
-        sensor.tell("res/reference", b"no JSON")
-        sensor.tell(
+        sensor.publish(
+            "res/reference", json.dumps({"transaction": "of somebody else", "ok": True, "result": {}}).encode()
+        )
+        sensor.publish("res/reference", b"no JSON")
+        sensor.publish(
             "res/reference", json.dumps({"transaction": asked["transaction"], "ok": False, "error": "touched"}).encode()
         )
         wait_until(lambda: text(page, "answer") == "touched", 15, "the error")
@@ -101,14 +103,14 @@ def test_strange_messages_are_counted_and_shown_as_text(page: Chrome, tmp_path: 
         assert js(page, "tacshade.undecodable") == 0
         sound = wire.encode_height(bump(2, 2.0, 200, 300, step_px=4), calibration_crc32=1)
         for count, damaged in enumerate([b"", sound[:50], sound[:-1], sound[:200] + b"!" + sound[201:]], 1):
-            sensor.tell("height", damaged)
+            sensor.publish("height", damaged)
             wait_until(lambda count=count: js(page, "tacshade.undecodable") == count, 10, f"{count} counted")  # type: ignore[misc]
         for topic in ("health", "contact", "status/camera", "info"):
             for payload in (b"{", b"null", b"\xff\xfe", b"[]"):
-                sensor.tell(topic, payload)
-        sensor.tell("preview", b"no JPEG")
-        sensor.tell("status/camera", json.dumps({"state": "away", "reason": evil, "device": {"a": [evil]}}).encode())
-        sensor.tell("health", json.dumps({evil: evil, "temperature_c": {"cpu": 61.5}}).encode())
+                sensor.publish(topic, payload)
+        sensor.publish("preview", b"no JPEG")
+        sensor.publish("status/camera", json.dumps({"state": "away", "reason": evil, "device": {"a": [evil]}}).encode())
+        sensor.publish("health", json.dumps({evil: evil, "temperature_c": {"cpu": 61.5}}).encode())
         shows(page, "parts", evil)
         shows(page, "state", evil)
         shows(page, "tables", "61.5")
@@ -127,28 +129,28 @@ def test_long_text_is_cut_and_hostile_binary_is_counted(page: Chrome, tmp_path: 
         opened(page, address)
         until_shown(page, sensor, lambda: bump(1, 1.5, 200, 300, step_px=4), 1)
         unfold_health(page)
-        sensor.tell("status/camera", json.dumps({"state": "away", "reason": long, "device": long}).encode())
-        sensor.tell("health", json.dumps({"invalid_reason": long, **{f"k{k}": k for k in range(20_000)}}).encode())
+        sensor.publish("status/camera", json.dumps({"state": "away", "reason": long, "device": long}).encode())
+        sensor.publish("health", json.dumps({"invalid_reason": long, **{f"k{k}": k for k in range(20_000)}}).encode())
         shows(page, "state", "(200000 characters)")
         shows(page, "tables", "more")
         assert len(text(page, "state")) < 1000
         assert len(text(page, "parts")) < 1500
         assert js(page, "document.querySelectorAll('#tables tr').length") < 200
         for part in range(100):
-            sensor.tell(f"status/p{part}", b'{"state": "x"}')
+            sensor.publish(f"status/p{part}", b'{"state": "x"}')
         sound = wire.encode_height(bump(2, 2.0, 200, 300, step_px=4), calibration_crc32=1)
         before = js(page, "tacshade.undecodable")
         hostile = [grid_message(sound, rows, cols, step_px) for rows, cols, step_px in GRIDS]
         for count, payload in enumerate(hostile, 1):
             known = js(page, "tacshade.undecodable")
-            sensor.tell("height", payload)
+            sensor.publish("height", payload)
             wait_until(lambda known=known: js(page, "tacshade.undecodable") > known, 10, f"{count} counted")
         for topic, payload in (
             ("info", {"profiles": 5, "geometry": {"radius_px": 0}}),
             ("contact", {"contact": 1, "depth_max_mm": "deep", "x_mm": {}}),
             ("status/replay", {"state": "playing", "position_s": "late"}),
         ):
-            sensor.tell(topic, json.dumps(payload).encode())
+            sensor.publish(topic, json.dumps(payload).encode())
         wait_until(lambda: js(page, "tacshade.undecodable") >= before + len(hostile) + 3, 10, "all counted")
         shows(page, "tables", f"messages that the page could not read {js(page, 'tacshade.undecodable')}")
         assert js(page, "document.querySelectorAll('#parts p').length") <= 32

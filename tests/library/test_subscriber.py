@@ -77,7 +77,7 @@ def test_silence_says_what_is_known(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(subscriber, "_SILENT_S", 1.0)
     with Broker(tmp_path) as broker, PublishedSensor(broker.port) as hand:
         missing = Reason(ReasonCode.NOT_CALIBRATED, "not calibrated: found no file")
-        hand.tell_info("fast", profiles=("fast",), missing=missing)
+        hand.publish_info("fast", profiles=("fast",), missing=missing)
         with ts.listen(f"127.0.0.1:{broker.port}", "drawn") as results:
             said = "tacshade/drawn: no result for 1 s, its state is online; not calibrated: found no file"
             with pytest.raises(ts.DeviceError, match=said):

@@ -88,7 +88,7 @@ def idle(port: int, count: int) -> Iterator[int]:
 
 def scraped(bridge: BridgeProcess, sensor: PublishedSensor) -> bool:
     """Whether the page tells that the real sensor lives."""
-    sensor.tell("health", health())
+    sensor.publish("health", health())
     with contextlib.suppress(OSError):
         return f'tacshade_up{{sensor="{REAL}"}} 1.0' in bridge.page()
     return False
@@ -150,7 +150,7 @@ def bad_healths(cell: Cell) -> Seen:
 
     def attack(bad: PublishedSensor, bridge: BridgeProcess) -> None:
         for payload in hostile_healths():
-            bad.tell("health", payload)
+            bad.publish("health", payload)
             pause(0.02)
             bridge.page()
 
@@ -163,7 +163,7 @@ def bad_sizes(cell: Cell) -> Seen:
     def attack(bad: PublishedSensor, bridge: BridgeProcess) -> None:
         payload = million_keys()
         for _ in range(3):
-            bad.tell("health", payload)
+            bad.publish("health", payload)
         pause(3.0)
         for _ in range(3):
             bridge.page()
@@ -195,7 +195,9 @@ def invented(topics: Callable[[PublishedSensor], None]) -> Callable[[PublishedSe
 
 def invented_states(cell: Cell) -> Seen:
     """They say that they are online."""
-    return metrics(cell, invented(lambda bad: bad.tell("state", b"online", retain=True)), COUNTED_NO_ROOM, first=True)
+    return metrics(
+        cell, invented(lambda bad: bad.publish("state", b"online", retain=True)), COUNTED_NO_ROOM, first=True
+    )
 
 
 # -- Foxglove -------------------------------------------------------------------------------------------------------
@@ -268,7 +270,7 @@ def bad_infos(cell: Cell) -> Seen:
             wanted = [{"id": one, "channelId": one} for one in ids]
             viewer.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
             for payload in hostile_infos():
-                bad.tell("info", payload, retain=True)
+                bad.publish("info", payload, retain=True)
                 bad.show(bump(1, 1.0, 236.0, 328.0, 8))
                 with contextlib.suppress(TimeoutError):
                     while True:
@@ -284,7 +286,7 @@ def retained_infos(cell: Cell) -> Seen:
     def attack(bad: PublishedSensor, _real: PublishedSensor, _bridge: BridgeProcess) -> None:
         for number, payload in enumerate(hostile_infos()):
             bad.base = f"tacshade/b{number}"
-            bad.tell("info", payload, retain=True)
+            bad.publish("info", payload, retain=True)
         pause(1.0)
 
     return views(cell, attack, Told("log", r"b\d+: info: "), first=True)
@@ -301,7 +303,7 @@ def slow_viewers(cell: Cell) -> Seen:
             result = bump(1, 2.0, 236.0, 328.0)
             payload = wire.encode_height(result, calibration_crc32=CRC)
             for _ in range(150):
-                real.tell("height", payload)
+                real.publish("height", payload)
                 pause(0.02)
 
         return views(cell, attack, SLOW)
@@ -322,7 +324,7 @@ def invented_infos(cell: Cell) -> Seen:
     info = messages.encode_info(version="0", config_digest="0", profile="fast", calibration=_missing())
 
     def attack(bad: PublishedSensor, _real: PublishedSensor, bridge: BridgeProcess) -> None:
-        invented(lambda one: one.tell("info", info, retain=True))(bad, bridge)
+        invented(lambda one: one.publish("info", info, retain=True))(bad, bridge)
 
     return views(cell, attack, NO_ROOM, first=True)
 
@@ -366,12 +368,12 @@ def listener(cell: Cell) -> Seen:
             child.stdout.readline()
             touched = bump(1, 1.0, 236.0, 328.0, 4)
             for payload in hostile_infos():
-                sensor.tell("info", payload)
+                sensor.publish("info", payload)
                 sensor.show(touched)
                 pause(0.02)
-            sensor.tell_info("fast", profiles=("fast",))
+            sensor.publish_info("fast", profiles=("fast",))
             for message in other_shapes():
-                sensor.tell(*message)
+                sensor.publish(*message)
                 pause(0.02)
             since_s = time.monotonic()
 

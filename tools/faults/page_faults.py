@@ -79,20 +79,20 @@ def hostile_messages(cell: Cell) -> Seen:
         until_shown(driver, sensor, lambda: bump(1, 1.5, 200, 300, step_px=4), 1)
         driver.execute_script(TASKS)
         for topic, body in TEXTS:
-            sensor.tell(topic, json.dumps(body).encode())
+            sensor.publish(topic, json.dumps(body).encode())
             drawn_again(driver)
         sound = wire.encode_height(bump(2, 2.0, 200, 300, step_px=4), calibration_crc32=1)
         for rows, cols, step_px in GRIDS:
             for topic in ("height", "shear", "sigma", "cloud"):
-                sensor.tell(topic, grid_message(sound, rows, cols, step_px))
+                sensor.publish(topic, grid_message(sound, rows, cols, step_px))
             drawn_again(driver)
         for number in range(1000):
-            sensor.tell(f"status/p{number}", b'{"state": "x"}')
+            sensor.publish(f"status/p{number}", b'{"state": "x"}')
             other.publish(f"tacshade/invented{number}/state", b"online", 0)
         drawn_again(driver)
         longest_ms = max(page(driver, "window.tasks") or [0])  # without the skin in 3-D, slow without an accelerator
         since_s = time.monotonic()
-        sensor.tell_info("fast", profiles=("fast",))
+        sensor.publish_info("fast", profiles=("fast",))
         until_shown(driver, sensor, lambda: bump(3, 1.0, 200, 300, step_px=4), 3)
         recovered_s = time.monotonic() - since_s
         counted = page(driver, "tacshade.undecodable")

@@ -92,9 +92,9 @@ class PublishedSensor:
     def __enter__(self) -> PublishedSensor:
         self.client.connect("127.0.0.1", self._port)
         self.client.loop_start()
-        self.tell_info("fast", profiles=("fast", "paper"))
-        self.tell("state", b"online", retain=True)
-        self.tell("status/camera", messages.encode_status("streaming", None, {"device": "drawn"}), retain=True)
+        self.publish_info("fast", profiles=("fast", "paper"))
+        self.publish("state", b"online", retain=True)
+        self.publish("status/camera", messages.encode_status("streaming", None, {"device": "drawn"}), retain=True)
         return self
 
     def __exit__(
@@ -103,7 +103,7 @@ class PublishedSensor:
         self.client.disconnect()
         self.client.loop_stop()
 
-    def tell_info(
+    def publish_info(
         self,
         profile: str,
         *,
@@ -124,19 +124,19 @@ class PublishedSensor:
             hand_id=hand_id,
             hand_T_sensor=hand_T_sensor,
         )
-        self.tell("info", info, retain=True)
+        self.publish("info", info, retain=True)
 
-    def tell(self, topic: str, payload: bytes, *, retain: bool = False) -> None:
+    def publish(self, topic: str, payload: bytes, *, retain: bool = False) -> None:
         self.client.publish(f"{self.base}/{topic}", payload, 1 if retain else 0, retain)
 
     def show(self, result: Reconstruction) -> None:
         """Publish a result as the daemon does."""
-        self.tell("height", wire.encode_height(result, calibration_crc32=CRC))
-        self.tell("cloud", wire.encode_cloud(result, calibration_crc32=CRC))
+        self.publish("height", wire.encode_height(result, calibration_crc32=CRC))
+        self.publish("cloud", wire.encode_cloud(result, calibration_crc32=CRC))
         if result.shear_mm is not None:
-            self.tell("shear", wire.encode_shear(result, calibration_crc32=CRC))
+            self.publish("shear", wire.encode_shear(result, calibration_crc32=CRC))
         if result.sigma_mm is not None:
-            self.tell("sigma", wire.encode_sigma(result, calibration_crc32=CRC))
+            self.publish("sigma", wire.encode_sigma(result, calibration_crc32=CRC))
         if result.touch is not None or not result.contact:
-            self.tell("touch", messages.encode_touch(result))
-        self.tell("contact", messages.encode_contact(result, fps=30.0))
+            self.publish("touch", messages.encode_touch(result))
+        self.publish("contact", messages.encode_contact(result, fps=30.0))

@@ -92,7 +92,7 @@ def until_shown(page: Chrome, sensor: PublishedSensor, result: Callable[[], Any]
 
 
 def mapping(sensor: PublishedSensor, name: str, **corner_mm: float) -> GrowingMap:
-    return GrowingMap(lambda topic, payload: sensor.tell(topic, payload, retain=True), name, **corner_mm)
+    return GrowingMap(lambda topic, payload: sensor.publish(topic, payload, retain=True), name, **corner_mm)
 
 
 def until_mapped(page: Chrome, name: str, revision: int) -> None:
