@@ -10,7 +10,7 @@ from selenium.webdriver import Chrome
 
 from tacshade_edge.demo.sensor import make_calibration
 from tacshade_edge.storage.calibration import calibration_file
-from tools.testbed.browser import browser, errors
+from tools.testbed.browser import browser, errors, errors_of_the_page
 
 
 @pytest.fixture(scope="session")
@@ -28,17 +28,9 @@ def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chrome]:
 
 @pytest.fixture
 def page(chromium: Chrome) -> Iterator[Chrome]:
-    """The browser; a test that ends with a complaint in the console has failed.
-
-    But for the browser's own about what was under way while the test's server ended, before the page.
-    """
+    """The browser; a test that ends with a complaint of the page in the console has failed."""
     errors(chromium)
     yield chromium
-    own = (
-        "WebSocket is already in CLOSING or CLOSED state",
-        "/favicon.svg - Failed to load resource",
-        "failed: Error in connection establishment: net::ERR_CONNECTION_REFUSED",
-    )
-    told = [e for e in errors(chromium) if not any(text in e for text in own)]
+    complaints = errors_of_the_page(chromium)
     chromium.get("about:blank")
-    assert told == []
+    assert complaints == []

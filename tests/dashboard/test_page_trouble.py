@@ -12,7 +12,7 @@ from selenium.webdriver.common.by import By
 
 from tacshade_edge.protocol import wire
 from tools.faults.page_faults import GRIDS, grid_message
-from tools.testbed.browser import browser, errors
+from tools.testbed.browser import browser, errors, errors_of_the_page
 from tools.testbed.certificate import certificate
 from tools.testbed.dashboard_process import dashboard
 from tools.testbed.mqtt_rig import Broker, Subscriber, free_port
@@ -62,8 +62,7 @@ def test_it_recovers_from_a_restart_of_its_server(chromium: Chrome, tmp_path: Pa
         with dashboard(*words):
             shows(chromium, "link", "Connected")
             shows(chromium, "state", "online")
-            # The browser itself complains of every attempt that nobody answered, and nothing else does.
-            assert [e for e in errors(chromium) if "ERR_CONNECTION_REFUSED" not in e] == []
+            assert errors_of_the_page(chromium) == []
             chromium.get("about:blank")
 
 

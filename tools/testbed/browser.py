@@ -52,6 +52,16 @@ def errors(driver: webdriver.Chrome) -> list[str]:
     return [line for line in told if "GL Driver Message" not in line]  # a screenshot reads the software renderer back
 
 
+def errors_of_the_page(driver: webdriver.Chrome) -> list[str]:
+    """`errors` but for the browser's own: it complains of each attempt to reach a server that has ended."""
+    own = (
+        "WebSocket is already in CLOSING or CLOSED state",
+        "/favicon.svg - Failed to load resource",
+        "ERR_CONNECTION_REFUSED",
+    )
+    return [line for line in errors(driver) if not any(text in line for text in own)]
+
+
 def page(driver: webdriver.Chrome, expression: str) -> Any:
     """The value of a JavaScript expression in the page."""
     return driver.execute_script(f"return {expression}")
