@@ -59,7 +59,7 @@ class Press:
             raise ValueError(f"scale is {self.scale}, expected a positive number")
 
     def lowest_z_mm(self, skin_radius_mm: float) -> float:
-        """z of the lowest point in the sensor frame, in mm. Raises ValueError if (x, y) is not over the skin."""
+        """The z of the lowest point in the sensor frame, in mm. Raises ValueError if (x, y) is not over the skin."""
         beside = skin_radius_mm**2 - self.x_mm**2 - self.y_mm**2
         if beside <= 0:
             raise ValueError(
@@ -95,7 +95,7 @@ class Press:
         return self.shape.sdf(np.stack((c * x + s * y, c * y - s * x, z / self.scale), axis=1)) * self.scale
 
     def origin_z_mm(self, skin_radius_mm: float) -> float:
-        """z of the object's origin in the sensor frame, in mm. Raises ValueError if (x, y) is not over the skin."""
+        """The z of the object's origin in the sensor frame, in mm. Raises ValueError if (x, y) is not over the skin."""
         lowest = self.lowest_z_mm(skin_radius_mm)
         if not self.is_tilted:
             return lowest
@@ -111,7 +111,7 @@ class Press:
 
 @functools.lru_cache(maxsize=256)
 def _lowest_mm(shape: Shape, rotation_deg: float, tilt_x_deg: float, tilt_y_deg: float) -> float:
-    """z in mm of a tilted shape's lowest point over its origin; within 2 µm for shapes up to 40 mm wide."""
+    """The z in mm of a tilted shape's lowest point over its origin; within 2 µm for shapes up to 40 mm wide."""
     upright = Press(shape, rotation_deg=rotation_deg)
     tilt = Press(shape, tilt_x_deg=tilt_x_deg, tilt_y_deg=tilt_y_deg).tilt()
     up = np.array((0.0, 0.0, upright.lowest_z_mm(100.0)))

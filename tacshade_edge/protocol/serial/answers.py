@@ -65,7 +65,7 @@ class PortOpened:
 
 @dataclass(frozen=True, slots=True)
 class PosesMissing:
-    """This many poses are missing by their numbers."""
+    """Poses are missing, `poses` of them by their numbers."""
 
     poses: int
 
