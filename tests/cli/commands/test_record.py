@@ -112,7 +112,7 @@ def test_a_replay_of_the_recording_gives_what_the_daemon_published(
     rec = tmp_path / "recs" / "a"
     written = about(rec)
     printed = capsys.readouterr()
-    assert printed.out == f"{rec}: {written['frames']} frames, {written['bytes'] / 1e6:.1f} MB (time)\n"
+    assert printed.out == f"{rec}: {written['frames']} frames, {written['bytes'] / 1e6:.1f} MB\n"
     assert printed.err == ""
     assert (written["dropped"], written["ending"]) == (0, "time")
     assert not list(rec.glob("*.part"))
@@ -132,11 +132,11 @@ def test_a_replay_of_the_recording_gives_what_the_daemon_published(
     assert kept.calibration == str(rec / "calibration.npz")
     assert (kept.source, kept.mqtt, kept.recorder) == (settings.source, settings.mqtt, settings.recorder)
 
-    for name, said in (("a", "a: already exists"),):
-        assert record(tmp_path, "1", "--name", name) == 1
-        err = capsys.readouterr().err
-        assert said in err
-        assert err.count("\n") == 1
+    capsys.readouterr()  # a slow replay's progress
+    assert record(tmp_path, "1", "--name", "a") == 1
+    err = capsys.readouterr().err
+    assert "a: already exists" in err
+    assert err.count("\n") == 1
 
 
 @pytest.mark.slow
