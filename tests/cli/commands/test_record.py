@@ -228,6 +228,17 @@ def test_no_daemon_and_no_broker_are_one_line(
     assert stop.value.code == 2
 
 
+@pytest.mark.slow
+def test_a_folder_that_cannot_be_made_names_its_setting(
+    tmp_path: Path, start: Start, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "recs").touch()
+    start("run")
+    assert record(tmp_path, "1") == 1
+    said = f"tacshade-edge: {tmp_path / 'recs'}: cannot write it: File exists; "
+    assert capsys.readouterr().err == f"{said}set recorder.folder to a folder that the daemon may write\n"
+
+
 @pytest.fixture(autouse=True)
 def signals() -> Iterator[None]:
     """The command takes the signals of its process, which is ours here."""
