@@ -1,4 +1,4 @@
-"""PRINTER.yaml: what a person states of the machine that presses, for ``tacshade-edge capture --printer``."""
+"""PRINTER.yaml: a person's description of the machine that presses, for ``tacshade-edge capture --printer``."""
 
 from __future__ import annotations
 
