@@ -182,7 +182,7 @@ class Listener(Iterator[Message]):
                 self._log_refused(error)
 
     def follow(self, topics: Collection[str]) -> None:
-        """Replace the subscribed topics by these; callable from any thread. Raises ConfigError."""
+        """Replace the subscribed topics with these; callable from any thread. Raises ConfigError."""
         wanted = self._full(topics)
         with self._came:
             new, old, self._topics = wanted - self._topics, self._topics - wanted, wanted

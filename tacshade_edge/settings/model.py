@@ -37,7 +37,7 @@ class Rpicam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
 
 class Files(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="kind", tag="files"):
-    """Images or a video file, as if a camera delivered them."""
+    """Images or a video file in place of a camera."""
 
     path: Annotated[str, Meta(min_length=1, description="a folder of images, an image or a video file")]
     fps: Annotated[float, Meta(ge=1, le=240, description="frames per second")] = 30.0
@@ -47,7 +47,7 @@ class Files(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 class Simulated(
     msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="kind", tag="simulated"
 ):
-    """The simulated sensor, pressed again and again, or as a file says."""
+    """The simulated sensor, pressed repeatedly or according to a file."""
 
     fps: Annotated[float, Meta(ge=1, le=240, description="frames per second")] = 30.0
     pressed: Annotated[str, Meta(min_length=1, description="a CSV file that says what presses it now")] | None = None
@@ -81,7 +81,7 @@ class Mqtt(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 
 
 class Recorder(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Recordings that ``req/record`` asks for."""
+    """Recordings requested by ``req/record``."""
 
     folder: Annotated[str, Meta(min_length=1, description="a folder for recordings, each in a subfolder")] = (
         "/var/lib/tacshade-edge/recordings"
@@ -90,7 +90,7 @@ class Recorder(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 
 
 class Stitching(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Stitching sessions, where frames have poses."""
+    """Stitching sessions, if frames have poses."""
 
     folder: Annotated[str, Meta(min_length=1, description="a folder for sessions, each in a subfolder")] = (
         "/var/lib/tacshade-edge/sessions"

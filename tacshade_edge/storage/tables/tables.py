@@ -74,7 +74,7 @@ def iter_rows(
     """
     with _opened(path, what, rows_max, "surrogateescape") as stream:
         text = _text(path, stream)
-        start = list(itertools.islice(text, 3))  # the header, of which damage may make two lines
+        start = list(itertools.islice(text, 3))  # the header, which damage may split in two
         text = itertools.chain(start, text)
         kept = _Kept(path, _whole_lines(text) if cut_off else text)
         kept.on_damage = (lambda line: on_damage(f"{path}:{line}")) if on_damage else None
