@@ -43,7 +43,7 @@ class PressObservation:
     radius_mm, depth_mm : float
         Stated values; for another indenter, the radius is that of a usual ball.
     x_mm, y_mm : float or None
-        As stated.
+        Stated place.
     indenter : str
         Name of the indenter; empty for a ball.
     touch_mm : float

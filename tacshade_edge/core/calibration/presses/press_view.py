@@ -58,7 +58,7 @@ class PressViewer:
         The calibration from the references alone.
     profile : Profile
     network : Network
-        Of that profile.
+        The network of that profile.
     """
 
     def __init__(self, unloaded: Calibration, profile: Profile, network: Network) -> None:

@@ -27,7 +27,7 @@ class Refit:
     Attributes
     ----------
     factor : float
-        On h.
+        Factor on h.
     fit : ProfileFit
     errors_mm : tuple of (str, float)
         Name of each press, and its greatest h found less the true one, with the press left out of the refit.
