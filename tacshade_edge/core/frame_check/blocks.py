@@ -179,8 +179,7 @@ def _bright_reason(level: F32, check: BlockCheck, slack: float) -> Reason | None
 
 
 def _surround_reason(level: F32, check: BlockCheck, slack: float) -> Reason | None:
-    """Reason for blocks of the surround that differ, beyond `slack`, from the reference in today's light; None if
-    few."""
+    """Reason for blocks of the surround that differ, beyond `slack`, from the reference in today's light, if any."""
     usual = check.surround
     if not usual.size:
         return None
