@@ -97,7 +97,7 @@ class ShearNetwork:
 class Network:
     """A network and the layout of its maps; N = cells / fold.
 
-    Its first layer is linear in its input, so the contribution of a sensor's reference is the same for every frame.
+    Its first layer is linear in its input, so a sensor's reference contributes the same to every frame.
 
     Attributes
     ----------

@@ -64,7 +64,7 @@ class LearnedInverse:
         self._sensor = network.sense(known_maps(geometry, pitch_px, reference_white, network.fold))
 
     def __call__(self, white: F32, features: Features | None = None) -> Inverse:
-        """Run the network on a frame's white, float32 (cells, cells), 0 to 1; append to `features`, if given."""
+        """Run the network on a frame's white, float32 (cells, cells), 0 to 1; append its features to `features`."""
         n = self._network.fold
         folded = fold(white[None], n)
         if features is None or self._network.run_touch is None:

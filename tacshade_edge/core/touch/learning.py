@@ -36,7 +36,7 @@ LEAST_ROWS = 40
 LEAST_GROUPS = 5
 """Least number of groups with a quantity: the prediction of a held-out press needs others."""
 FOLDED_ROWS = 1000
-"""In a larger table, the components include the held-out group."""
+"""Most rows of a table whose held-out frames are left out of the components too; larger ones include them."""
 FOLDS = 10
 SEEN_ERRORS = 2.0
 """Least held-out R² of a seen quantity, in standard deviations of chance, 1 / √n; also at least `SEEN`."""
