@@ -52,7 +52,7 @@ def no_mark(stage: str) -> None:
 
 
 class Reconstructor:
-    """Turns frames of one calibrated sensor into reconstructions, deterministically.
+    """Reconstructs frames of one calibrated sensor, deterministically.
 
     Each frame is independent, except that one with the untouched skin of an earlier frame gets that frame's result
     (`frame_check.unchanged`).

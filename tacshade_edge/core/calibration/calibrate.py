@@ -61,15 +61,15 @@ def calibrate(
     ----------
     sensor : Sensor
     references : sequence of uint8 (H, W) or (H, W, 3)
-        At least one, of the unloaded skin.
+        At least one image of the unloaded skin.
     presses : sequence of KnownPress
         None, or at least `press_selection.MIN_PRESSES`.
     allow_loaded_reference : bool
-        Warn instead of refusing.
+        Warn of a load instead of raising.
     networks : mapping of str to Network, optional
         The network of each profile to refit to the presses.
     reference_names : sequence of str
-        What the messages call each reference; their numbers from 1 if none are given.
+        Name of each reference in messages; numbers from 1 if empty.
 
     Raises
     ------

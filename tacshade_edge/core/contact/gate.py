@@ -56,7 +56,7 @@ def gate(
     noise_grey : float
         RMS of g without contact.
     cell_mm2 : float
-        Area of skin per cell.
+        Area of skin per cell, mm².
     levels : float
         Least change that counts (`Profile.gate_levels`).
     dark_levels : float

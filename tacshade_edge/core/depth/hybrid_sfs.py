@@ -170,4 +170,4 @@ class HybridSfs:
         return self._depth(maps, self._alpha_mm)
 
     def shear_mm(self, preprocessed: Preprocessed, features: Features | None = None) -> None:
-        """See `Solver`: the paper has none."""
+        """See `Solver`; the paper has no shear."""

@@ -55,7 +55,7 @@ class LearnedInverse:
     geometry : Geometry
     pitch_px : float
     reference_white : float32 (cells, cells), 0 to 1
-        White ratio of the unloaded skin, on `disc_map.map_grid`.
+        Share of white of the unloaded skin, on `disc_map.map_grid`.
     """
 
     def __init__(self, network: Network, geometry: Geometry, pitch_px: float, reference_white: F32) -> None:
@@ -88,7 +88,7 @@ class LearnedSolver:
     Attributes
     ----------
     reference : float32 (cells, cells), 0 to 1
-        White ratio of the unloaded skin, as the network receives it.
+        Share of white of the unloaded skin, as the network receives it.
     """
 
     has_shear = True

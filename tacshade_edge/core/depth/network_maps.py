@@ -13,7 +13,7 @@ KNOWN = 6
 """Number of maps of `disc_map.geometry_maps`."""
 
 HEIGHT_SCALE = 10.0
-"""Factor from the disc's radius to the networks' unit of length."""
+"""Number of the networks' units of length in the disc's radius."""
 
 
 def scale_mm(geometry: Geometry) -> np.float32:

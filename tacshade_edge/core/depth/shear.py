@@ -25,7 +25,7 @@ class LearnedShear:
     geometry : Geometry
     pitch_px : float
     reference_white : float32 (N, N), 0 to 1
-        White ratio of the unloaded skin, on `disc_map.map_grid`.
+        Share of white of the unloaded skin, on `disc_map.map_grid`.
     """
 
     def __init__(self, network: ShearNetwork, geometry: Geometry, pitch_px: float, reference_white: F32) -> None:
@@ -39,7 +39,7 @@ class LearnedShear:
         Parameters
         ----------
         white : float32 (N, N), 0 to 1
-            White ratio of a frame.
+            Share of white of a frame.
         cells : int
         features : list, optional
             Receives the frame's features.

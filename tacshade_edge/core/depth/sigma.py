@@ -25,7 +25,7 @@ from tacshade_edge.types import F32, Bool, Geometry
 TERMS = ("constant", "height", "slope", "contact", "untrusted")
 """Names of the x_i."""
 INTERVAL_90 = 1.645
-"""Half of the 90 % interval, in σ."""
+"""Half width of the 90 % interval, in σ."""
 _NOMINAL_RADIUS_MM = 20.0
 _LEAST_HEIGHT_MM = 0.1
 _STEEPEST = 2.0

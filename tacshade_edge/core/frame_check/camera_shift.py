@@ -24,7 +24,7 @@ class CameraShift:
     Parameters
     ----------
     reference : float32 (cells, cells), 0 to 1
-        White ratio of the unloaded skin.
+        Share of white of the unloaded skin.
     cell_px, pitch_px : float
         Cell width and marker pitch in the camera's pixels.
     """
@@ -41,7 +41,7 @@ class CameraShift:
         Parameters
         ----------
         cells : float32 (cells, cells), 0 to 1
-            White ratio of the image.
+            Share of white of the image.
         """
         (cols, rows), response = cv2.phaseCorrelate(self._reference, cells, self._window)
         shift_px = math.hypot(rows, cols) * self._cell_px

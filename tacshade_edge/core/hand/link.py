@@ -1,12 +1,12 @@
 """Fit the rigid motion of an object while the same patches of skin hold it, by weighted least squares.
 
-Skin that sticks moves with the object. Its finger sees two parts of that motion as shear, at right angles to the
-finger's axis z, and one as depth, along the patch's normal n: with d the motion of the object's point at the patch,
+Skin that sticks moves with the object. Its finger sees two components of that motion as shear, at right angles to the
+finger's axis z, and one as depth, along the patch's normal n. With d the motion of the object's point at the patch,
 
     (1 - z zᵀ) d = shear - shear_0          n · d = -(depth - depth_0)          a · ω = twist - twist_0
 
-where a = (z + n / (n · z)) / 2, since twist is the rotation, seen along z, of points that lie in a plane of normal n.
-Between two instants n is the mean of both: exact for a plane and for a ball on a ball.
+where a = (z + n / (n · z)) / 2, since twist is the rotation, seen along z, of points in a plane of normal n. Between
+two instants n is the mean of both, which is exact for a plane and for a ball on a ball.
 """
 
 from __future__ import annotations
@@ -168,7 +168,7 @@ def _jacobian(arms_mm: F64) -> F64:
 
 
 def _normal(rows: F64, weighted: F64) -> F64:
-    """Sum of rowsᵀ weighted over all patches."""
+    """The sum of rowsᵀ · weighted over all patches."""
     size = rows.shape[2]
     return np.asarray(rows.reshape(-1, size).T @ weighted.reshape(-1, size))
 

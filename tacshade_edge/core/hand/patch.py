@@ -21,7 +21,7 @@ class Patch:
     place_mm : 3 floats
         Mean place of its points.
     normal : 3 floats
-        Unit normal, out of the finger and into the object.
+        Unit normal, from the finger into the object.
     axis : 3 floats
         The finger's z axis: shear is perpendicular to it, and twist is about it.
     shear_mm : 3 floats

@@ -94,7 +94,7 @@ def normalise(values: F32, inside: Bool) -> F32:
 def shape_grey(g_d: F32, g0: F32, inside: Bool) -> F32:
     """Eq. 10 and the normalisation after it: g_hn from g_d and g0.
 
-    Meaningless without contact, where it stretches noise to the full range: gate first.
+    Apply the gate first: without contact this stretches noise to the full range.
 
     Returns
     -------

@@ -155,7 +155,7 @@ class _Edges:
             self._parts = np.repeat(self._part, width, axis=1)
             self._beyond = np.empty((edges, width), np.float32)
             self._between = np.empty((edges - 1, width), np.float32)
-        # "clip" writes into `out` directly; no edge lies beyond.
+        # "clip" writes into `out` directly; no edge exceeds the range.
         taken = lines.take(self._both, 0, self._taken, "clip")
         at, following = taken[:edges], taken[edges:]
         self._beyond[...] = np.subtract(following, at, out=following)
@@ -174,7 +174,7 @@ class _Edges:
 
 
 def _edges(first: float, step: float, count: int, size: int, margin: int) -> _Edges:
-    # Pixel i reaches from i - 0.5 to i + 0.5, and row i of an integral image is the sum up to i - 0.5.
+    # Pixel i spans i - 0.5 to i + 0.5, and row i of an integral image is the sum up to i - 0.5.
     edge = np.clip(first + step * (np.arange(count + 1) - 0.5) + 0.5, 0, size) + margin
     low = np.minimum(edge.astype(np.int32), size + 2 * margin - 1).astype(np.int32)
     return _Edges(low, (edge - low).astype(np.float32))

@@ -72,7 +72,7 @@ class Preprocessor:
     sign : float
         -1 for a sensor that darkens in contact, else 1.
     integrator : Integrator
-        Makes `Preprocessed.white`.
+        Computes `Preprocessed.white`.
     grid : Grid
         Grid of `Preprocessed.g`, in working pixels.
     rays : DiscRays

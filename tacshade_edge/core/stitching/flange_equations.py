@@ -45,7 +45,7 @@ class ContactFrame:
     press : int
         From 0, never decreasing from frame to frame: frames of one contact share the robot's error.
     t_ns : int
-        Of the frame.
+        Time of the frame.
     track : tuple of Pose
         ``base_T_flange`` around that time, in order; a single one if the robot stood still.
     """
@@ -65,7 +65,7 @@ class Estimate:
     flange_T_sensor : Rigid
     delay_ms : float
     own : float64 (OWN_TERMS,)
-        mm at 10 mm from the axis.
+        The sensor's own errors, mm at 10 mm from the axis.
     presses : float64 (presses, 6)
         Correction of each press: mm in the upright axes, and a turn about the apex in rad.
     frames_mm : float64 (frames, FRAME_TERMS)

@@ -25,11 +25,11 @@ class RestDetector:
         Parameters
         ----------
         t_ns : int
-            Of the frame.
+            Time of the frame.
         contact : bool
             Whether the frame is valid and in contact; any other frame ends the contact.
         depth_mm : float
-            Greatest depth.
+            Greatest depth of the contact.
         """
         if not contact:
             self._fired, self._since_ns = False, 0

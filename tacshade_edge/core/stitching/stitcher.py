@@ -48,7 +48,7 @@ class PlacedPress:
     rejected : Reason or None
         Why its points are not in the map; None if they are.
     points : int
-        How many it has.
+        Number of its points.
     """
 
     base_T_sensor: Rigid

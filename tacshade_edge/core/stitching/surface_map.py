@@ -90,7 +90,7 @@ def _spans(first: int, count: int) -> Iterator[tuple[int, slice, slice]]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Heights:
-    """The z of a map's nodes, a quarter of the map's memory.
+    """The z of a map's nodes, in a quarter of the map's memory.
 
     Attributes
     ----------

@@ -39,7 +39,7 @@ _EDGE, _PAIRS = 1e-9, 1 << 20
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Indenter:
-    """A solid in its own frame: its lowest point has z = 0, z points away from the sensor.
+    """A solid in its own frame: its lowest point has z = 0, and z points away from the sensor.
 
     Attributes
     ----------

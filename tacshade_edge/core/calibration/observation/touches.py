@@ -71,7 +71,7 @@ def yaw_of(places_mm: F64, pictured_mm: F64) -> float:
     Returns
     -------
     float
-        rad, -π to π.
+        Angle in rad, -π to π.
 
     Raises
     ------
@@ -100,7 +100,7 @@ class Stand:
     Attributes
     ----------
     machine_T_sensor : Rigid
-        z upwards in both.
+        z points upwards in both frames.
     skin_radius_mm : float
     """
 

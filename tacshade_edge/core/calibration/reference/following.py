@@ -98,7 +98,7 @@ def follow(origin: Calibration, current: Calibration, images: Sequence[U8]) -> F
     current : Calibration
         The same calibration with the reference in use.
     images : sequence of uint8 (H, W) or (H, W, 3)
-        At least one.
+        At least one image.
     """
     greys = [greyscale.to_grey(image) for image in images]
     check = sensor_check(origin, unloaded=True)

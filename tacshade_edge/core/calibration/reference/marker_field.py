@@ -33,7 +33,7 @@ _HEXAGON = 3**0.5 / 2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MarkerField:
-    """The markers, or pins, of one picture.
+    """The markers, or pins, of one image.
 
     Attributes
     ----------

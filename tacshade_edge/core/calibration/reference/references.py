@@ -129,7 +129,7 @@ def _allowed(load: str, allow_loaded: bool) -> str:
 def rezero(
     calibration: Calibration, images: Sequence[U8], allow_loaded: bool = False, names: Sequence[str] = ()
 ) -> Calibration:
-    """The same calibration with a reference from new images of the unloaded skin.
+    """Replace a calibration's reference by one from new images of the unloaded skin.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def rezero(
     Raises
     ------
     ConfigError
-        An image cannot be used, the camera moved too far for the calibration's geometry, or the skin is touched.
+        An image cannot be used, the camera moved too far for the calibration's geometry, or something touches the skin.
     """
     if not images:
         raise ConfigError("found no image to take a reference from, expected at least one")

@@ -42,7 +42,7 @@ def motion_grey(blocks: Sequence[F32]) -> float:
     Parameters
     ----------
     blocks : sequence of float32 (h, w)
-        `block_means` of one image or more, in any order.
+        `block_means` of at least one image, in any order.
 
     Returns
     -------

@@ -173,7 +173,7 @@ def known_errors_mm(targets: Targets, network: Network, sensor: F32, factor: flo
     sensor : float32 (channels, N, N)
         What the sensor adds to its first layer.
     factor : float
-        On its heights.
+        Factor on its heights.
     """
     errors = []
     for press in targets.presses:
