@@ -100,7 +100,7 @@ class TouchedObject:
     twist_deg : float or None
         Angle about z, from x towards y, of the least-squares rotation of that skin; None also for a tiny contact.
     strain_mm : float or None
-        Root mean square of the displacement that shear and rotation leave unexplained: 0 for skin that is held.
+        Root mean square of the motion that shear and rotation leave unexplained: 0 for skin that is held.
     id : int or None
         The same from frame to frame while the object touches; None for a single image, as are the attributes below.
     slip : Slip or None
