@@ -1,8 +1,8 @@
 """Predict a few numbers, each with a standard deviation, from the features of a frame.
 
-The features are pooled activations of the networks (`inference.network.touch_networks`). Their principal components enter a
-Gaussian process with a linear and a squared-exponential kernel, reduced to few enough centres that a frame costs two
-small matrix products (subset of regressors, [1] section 8.3). `learning` fits it in closed form.
+The features are pooled activations of the networks (`inference.network.touch_networks`). Their principal components
+enter a Gaussian process with a linear and a squared-exponential kernel, reduced to few enough centres that a frame
+costs two small matrix products (subset of regressors, [1] section 8.3). `learning` fits it in closed form.
 
 References
 ----------
