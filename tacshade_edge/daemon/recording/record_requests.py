@@ -131,7 +131,13 @@ class RecordRequests(FrameObserver):
         calibration, profile = reconstructor.calibration, reconstructor.profile.name
         about = {"version": installed_version(), "profile": profile, "calibration_crc32": calibration.crc32}
         make = Recorder if request.format == "folder" else partial(McapRecorder, sensor_id=settings.sensor_id)
-        self._recorder.start(folder, request.seconds, _replayable(settings), calibration, about, make)
+        try:
+            self._recorder.start(folder, request.seconds, _replayable(settings), calibration, about, make)
+        except DeviceError as error:
+            if error.code != ReasonCode.DISK:
+                raise
+            fix = "set recorder.folder to a folder that the daemon may write"
+            raise DeviceError(f"{error}; {fix}", code=error.code) from None
         self._began_s, self._length_s = time.monotonic(), request.seconds
         state = {"state": source.state, **reason_fields(source.reason)}
         self._recorder.event("start", wall_ns=time.time_ns(), **state, source=source.details, **about)
