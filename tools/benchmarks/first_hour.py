@@ -88,6 +88,7 @@ def main() -> None:
         shell(following, empty)
         say("calibrated")
         shell(at_once, empty)
+        shell(following.replace("mysensor", "practice"), empty)
         say("forty presses at once, and calibrated")
 
 
